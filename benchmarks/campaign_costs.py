@@ -90,7 +90,7 @@ class Cost:
 
 def campaign(file: Path, folder: Path, *options: str) -> Cost:
     """Run a campaign as a user does."""
-    spent = modsim3d("campaign", file, "--out", folder, "-q", *options, right=ENDED)
+    spent = modsim3d("campaign", "run", file, "--out", folder, "-q", *options, right=ENDED)
     rows = results_table(opened_campaign(folder))
     if crashed := sum(status != "done" for status in rows["status"].to_pylist()):
         raise RuntimeError(f"{crashed} runs of {file} crashed")
@@ -284,7 +284,7 @@ def page(amount: Amount, out: Path | None, folder: Path, quick: bool) -> str:
     lines += [
         "",
         "`benchmarks/thousand.yaml`: `harbour`, whose thirty vessels move in the waves, two wave levels, two miss "
-        "rates, two trackers and 125 seeds; 300 steps a run. It is run by the command `modsim3d campaign`. Megabytes "
+        "rates, two trackers and 125 seeds; 300 steps a run. It is run by `modsim3d campaign run`. Megabytes "
         "are those of all files of its folder: rows, plan, log and verdicts, without layers that `keep` would name.",
         "",
         table(head, rows),

@@ -1,4 +1,4 @@
-"""Times the detector alone over the truth of a finished run, as `modsim3d detect RUN --seed 7` runs it.
+"""Times the detector alone over the truth of a finished run, as `modsim3d detect RUN --detector-seed 7` runs it.
 
 `python -m benchmarks.detect_again RUN` times it in this process, which is warm, and prints the seconds as JSON.
 """

@@ -19,13 +19,13 @@ from modsim3d.view.films.plan import Timetable
 
 RESULTS = ROOT / "benchmarks" / "FILMS.md"
 KINDS = {
-    "detections": ("--film", "detections"),
-    "scene": ("--film", "scene"),
-    "scene, plain": ("--film", "scene", "--look", "plain"),
-    "ids": ("--film", "ids"),
-    "corners": ("--film", "corners"),
-    "all, cropped": ("--film", "all", "--crop", "vessels"),
-    "map": ("--film", "map"),
+    "detections": ("--kind", "detections"),
+    "scene": ("--kind", "scene"),
+    "scene, plain": ("--kind", "scene", "--look", "plain"),
+    "ids": ("--kind", "ids"),
+    "corners": ("--kind", "corners"),
+    "all, cropped": ("--kind", "all", "--crop", "vessels"),
+    "map": ("--kind", "map"),
 }
 SCENES = {
     "simulation_1": "a camera ashore, five vessels",
@@ -43,7 +43,7 @@ def films_of(folder: Path) -> list[list[str]]:
     frames, plays_s = len(selection.steps), Timetable.of(selection.durations_s, 1.0, MAX_RATE).duration_s
     rows = []
     for kind, options in KINDS.items():
-        done = modsim3d("view", folder, *options, "--out", folder.with_suffix(".mp4"), "--overwrite")
+        done = modsim3d("view", "film", folder, *options, "--out", folder.with_suffix(".mp4"), "--overwrite")
         ratio, per_frame = done.processor_s / plays_s, 1e3 * done.processor_s / frames
         memory = f"{done.peak_bytes / 1e6:.0f} MB"
         rows.append([kind, str(frames), significant(per_frame), f"{plays_s:.0f} s", significant(ratio, 2), memory])
@@ -61,9 +61,9 @@ def main() -> None:
         "",
         "Written by `python -m benchmarks.films`; do not edit.",
         "",
-        f"`modsim3d view RUN --film KIND`, MP4 in real time, one worker, {steps} steps. Times are processor times of "
-        "the program and the encoder together, from the start of the program, which takes about 2 s of them. A ratio "
-        "below 1 means that one core draws a film faster than it plays. Memory is that of the program, at its highest.",
+        f"`modsim3d view film RUN --kind KIND`, MP4 in real time, one worker, {steps} steps. Times are those of the "
+        "processor for the program and the encoder together, from the start of the program, which takes about 2 s. A "
+        "ratio below 1 means that one core draws a film faster than it plays. Memory is the program's, at its highest.",
         "",
     ]
     head = ("Scene", "Film", "Frames", "ms a frame", "Plays for", "Drawing / playing", "Memory")

@@ -122,8 +122,8 @@ def main() -> None:
         program = [sys.executable, "-m", "modsim3d"]
         options = ["--mode", "2", "--steps", str(STEPS), "--no-sheet", "--out", run]
         subprocess.run([*program, "run", "simulation_1", *options], check=True)
-        options = ["--film", "detections", "--width", "640", "--format", "png", "--out", film]
-        subprocess.run([*program, "view", run, *options], check=True)
+        options = ["--kind", "detections", "--width", "640", "--format", "png", "--out", film]
+        subprocess.run([*program, "view", "film", run, *options], check=True)
         with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
             rows = [pool.apply(measured, (name, film)) for name in WRITERS]
     heads = ["Writer", "Processor time", "File", "Memory for frames", "Pixels of another colour"]

@@ -17,10 +17,10 @@ import typer.testing
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
-from modsim3d.cli import main
 from modsim3d.cli.main import COLLECT_AFTER
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
+from tests import command_line
 from tests.cli.bad_input.builders import Call
 
 # A busy machine fails no test, and a run of the tests is the same as the one before.
@@ -75,11 +75,8 @@ def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) ->
     """A function that runs the command line in this process and returns its exit status and output."""
 
     def run(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main.main()
-        said = capsys.readouterr()
-        return int(stopped.value.code or 0), said.out + said.err
+        status, said = command_line.call(monkeypatch, *arguments), capsys.readouterr()
+        return status, said.out + said.err
 
     return run
 

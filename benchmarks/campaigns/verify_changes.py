@@ -90,7 +90,7 @@ CASES = {
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One seed's run and what `verify` says of each of its parameters, held against the file that it was made with."""
+    """One seed's run and what `check run` says of each parameter of the file that it was made with."""
 
     evidence: Evidence
     parameters: Sequence[Parameter]

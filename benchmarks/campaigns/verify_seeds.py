@@ -1,10 +1,10 @@
 """verify_seeds: honest seeds of every detector model; at most 5 of 200 may be called dishonest.
 
-Each scene's truth is made once; the detector is run over it in memory with one seed after the other, and `verify` holds
-what comes out against the file that it was made with. The thesis's detector on all three of its simulations with 200
-seeds each; the thesis's with one further model switched on at a time (tests/detector_variants.py) with fewer, and so
-the file that has every kind of model, in the harbour, whose vessels are given its labels in turn. Models that persist
-or come in clumps are tried with two cameras as well.
+Each scene's truth is made once; the detector is run over it in memory with one seed after the other, and `check run`
+holds what comes out against the file that it was made with. The thesis's detector on all three of its simulations
+with 200 seeds each; the thesis's with one further model switched on at a time (tests/detector_variants.py) with
+fewer, and so the file that has every kind of model, in the harbour, whose vessels are given its labels in turn.
+Models that persist or come in clumps are tried with two cameras as well.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def with_the_others(found: list[dict[str, Any]], path: Path) -> list[dict[str, A
 
 def page(found: list[dict[str, Any]], versions: dict[str, str]) -> str:
     lines = [
-        "# Honest runs that `verify` calls dishonest",
+        "# Honest runs that `check run` calls dishonest",
         "",
         "Written by `script/campaign verify_seeds`; the same figures are in `verify_seeds.json`.",
         "",

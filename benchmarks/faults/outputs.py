@@ -1,7 +1,7 @@
 """The commands besides `run`, each over an older output of its own.
 
-`rerun` and `compare` are not among them: no recording of the Rerun SDK has the same bytes twice, and a comparison says
-how long it took.
+`export --format rerun` and `check truth` are not among them: no recording of the Rerun SDK has the same bytes twice,
+and a comparison says how long it took.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from benchmarks.faults.jobs import Job
 
 AIS = Path(__file__).resolve().parents[2] / "tests" / "data" / "ais"
 STEPS = 60
-SMALL = ("--to", 1, "--width", 320, "--overwrite")
+SMALL = ("--end", 1, "--width", 320, "--overwrite")
 OVERWRITE = ("--overwrite",)
 
 
@@ -42,18 +42,18 @@ def arguments_of(source: Path, other: bool, out: Path) -> dict[str, tuple[object
     """
     csv = AIS / ("marinecadastre.csv" if other else "danish.csv")
     return {
-        "detect": ("detect", source, "--seed", 3, "--out", out, "--overwrite"),
-        "learn": ("learn", "--run", source, "--replicates", 20, "--out", out / "detector.yaml", "--overwrite"),
+        "detect": ("detect", source, "--detector-seed", 3, "--out", out, "--overwrite"),
+        "learn": ("learn", source, "--replicates", 20, "--out", out / "detector.yaml", "--overwrite"),
         "export": ("export", source, "--format", "coco", "--out", out, "--overwrite"),
         "ais": ("ais", csv, "--out", out, "--overwrite"),
         "report": ("report", source, "--out", out / "report.html", "--overwrite"),
-        "verify": ("verify", source, "--out", out, "--overwrite"),
-        "film.mp4": ("view", source, "--film", "detections", *SMALL, "--out", out / "film.mp4"),
-        "film.gif": ("view", source, "--film", "detections", *SMALL, "--out", out / "film.gif"),
-        "film.png": ("view", source, "--film", "detections", *SMALL, "--format", "png", "--out", out / "film"),
-        "picture": ("view", source, "--frame", "1.0", "--width", 320, "--overwrite", "--out", out / "picture.png"),
-        "map": ("view", source, "--map", "--overwrite", "--out", out / "map.svg"),
-        "contact sheet": ("view", out, "--sheet", "--overwrite"),
+        "verify": ("check", "run", source, "--out", out, "--overwrite"),
+        "film.mp4": ("view", "film", source, "--kind", "detections", *SMALL, "--out", out / "film.mp4"),
+        "film.gif": ("view", "film", source, "--kind", "detections", *SMALL, "--out", out / "film.gif"),
+        "film.png": ("view", "film", source, "--kind", "detections", *SMALL, "--format", "png", "--out", out / "film"),
+        "picture": ("view", "frame", source, "1.0", "--width", 320, "--overwrite", "--out", out / "picture.png"),
+        "map": ("view", "map", source, "--overwrite", "--out", out / "map.svg"),
+        "contact sheet": ("view", "sheet", out, "--overwrite"),
     }
 
 

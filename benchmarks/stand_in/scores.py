@@ -15,7 +15,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
 from modsim3d.runs.files.stored_tables import truth_of
-from modsim3d.runs.pipeline import Simulation, block_ranges, block_steps, scene_census
+from modsim3d.runs.pipeline import Simulation, block_ranges, block_steps, scene_statistics
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.runs.tracker_view import TrackerDetections, anonymised
@@ -133,7 +133,7 @@ def simulated_detections(
     """What a detector file gives with each seed, in the state of the film's weather.
 
     Noise belongs to a seed, a vessel and a step, so films of one seed would not be independent: seed k of a film is
-    1000 times the film's own plus k. `modsim3d detect RUN --detector FILE --state WEATHER --seed N` gives the same.
+    1000 times the film's own plus k. `modsim3d detect --state WEATHER --detector-seed N` gives the same.
 
     Raises:
         ModsimError: The file is wrong, or does not suit the run.
@@ -142,9 +142,9 @@ def simulated_detections(
     if unknown := set(opened.rows.scene.detector.labels) - set(model.labels):
         raise ModsimError(f"{file}: has no label '{min(unknown)}', which the film {opened.film.name} has")
     scene = replace(opened.rows.scene, detector=model)
-    census = scene_census(scene, opened.blocks)
+    statistics = scene_statistics(scene, opened.blocks)
     own = [_SEEDS_OF_A_FILM * opened.film.seed + seed for seed in seeds]
-    return [_simulated(opened, Simulation(replace(scene, detector_seed=seed), census), threshold) for seed in own]
+    return [_simulated(opened, Simulation(replace(scene, detector_seed=seed), statistics), threshold) for seed in own]
 
 
 def _simulated(opened: OpenFilm, simulation: Simulation, threshold: float) -> TrackerDetections:

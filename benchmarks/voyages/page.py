@@ -40,7 +40,7 @@ def _introduction() -> str:
     wrong = ", ".join(_wrong(name, value) for name, value in WRONG.items())
     return (
         "`script/campaign voyages` simulates voyages whose camera, clock and detector are known, and learns them again "
-        "as [`modsim3d learn --scene`](../voyage.md) does. The scene that the user has is wrong by these amounts: "
+        "as [`modsim3d learn-voyage`](../voyage.md) does. The scene that the user has is wrong by these amounts: "
         f"{wrong}. Each seed draws the detections anew; seeds count from {FIRST_SEED}, since those below were looked "
         "at while learning was built.\n\n"
         f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "

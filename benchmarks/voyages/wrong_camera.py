@@ -12,7 +12,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.records import Detections
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
-from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
+from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
 
@@ -63,7 +63,7 @@ class Voyage:
         """Times of the frames by the detector's clock, and its detections."""
         scene = replace(self.scene, detector_seed=seed)
         block = self.truth, 0, scene.steps
-        (part,) = Simulation(scene, scene_census(scene, [block])).detect(*block).cameras
+        (part,) = Simulation(scene, scene_statistics(scene, [block])).detect(*block).cameras
         return scene.times_s(0, scene.steps)[part.steps] - self.clock_s, part.detections
 
 

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 from modsim3d.campaign.done_rows import results_table
 from modsim3d.campaign.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.keys import read_campaign
-from modsim3d.campaign.means import Mean, MeanRow, mean_rows, usual_keys, usual_scores
+from modsim3d.campaign.means import MeanRow, mean_rows, mean_table, usual_keys, usual_scores
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.running import Progress, run_plan
 from modsim3d.campaign.search_folder import search_table
@@ -23,9 +23,10 @@ from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.task import ROWS_PATTERN, changes, stored_report
 from modsim3d.campaign.workers import Engine
+from modsim3d.core.document import Document, Where
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import column_table, counted
+from modsim3d.core.text import counted
 from modsim3d.io.overwrite_guard import LOCK_FILE, holder_of
 from modsim3d.io.processes import WorkerCount, worker_count
 
@@ -154,13 +155,8 @@ class Campaign:
 
     def _repr_html_(self) -> str:
         """The outcome, and the mean scores of each tracker in each condition."""
-        keys, scores = [*usual_keys(self._opened.plan), "tracker"], usual_scores(self._opened.plan, self.table)
-        rows = [
-            (*(str(row.values[key]) for key in keys), f"{row.runs:,}", *(_text(row.means[score]) for score in scores))
-            for row in self.means()
-        ]
         title = f"Campaign {self.folder}: {self.conclusion}; means [95 % interval over traffic seeds]"
-        return column_table(title, [*keys, "runs", *scores], rows)
+        return Document(title, (), [mean_table(self.means(), title, where=Where.NOTEBOOK)]).notebook()
 
     @property
     def conclusion(self) -> str:
@@ -226,7 +222,7 @@ def run_campaign(
     folder = as_path(out, "out", "the folder of the campaign")
     found = checked(read_campaign(campaign))
     if found.file.keys.search is not None:
-        raise ModsimError(f"{found.file.path} is a search: modsim3d campaign {found.file.path} --out {folder}")
+        raise ModsimError(f"{found.file.path} is a search: modsim3d campaign run {found.file.path} --out {folder}")
     layers = None if cache is None else as_path(cache, "cache", "a folder")
     result = run_plan(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
     assert result is not None
@@ -263,7 +259,7 @@ def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | N
     """
     worker_count(workers)
     if scheduler is not None and slurm is not None:
-        raise ModsimError("--scheduler and --slurm contradict each other: leave one out")
+        raise ModsimError("scheduler and slurm contradict each other: leave one out")
     if scheduler is not None or slurm is not None:
         from modsim3d.campaign.dask import check_libraries
 
@@ -279,13 +275,6 @@ def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | N
         return ProcessPool(workers)
 
     return opened
-
-
-def _text(mean: Mean) -> str:
-    """A mean with its interval."""
-    if mean.value is None:
-        return "–"
-    return f"{mean.value:.3f}" if mean.low is None else f"{mean.value:.3f} [{mean.low:.3f}, {mean.high:.3f}]"
 
 
 # ---- Whether the files of a campaign are still as they were when it was planned ----

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from modsim3d.campaign.folder import FORMAT, RESULTS, VERDICTS, CampaignFolder, results_folder
 from modsim3d.campaign.keys import MAX_SEEDS, Requirement, Seeds
-from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, value_of
+from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text_of, value_of
 from modsim3d.campaign.verdicts.bounds import (
     clean_seeds_needed,
     clean_seeds_needed_sequential,
@@ -158,11 +157,6 @@ def _possible(plan: Plan, name: str) -> Iterator[Any]:
         if name in factor.ranges:
             choices = factor.ranges[name].choices
             yield from [0.0] if choices is None else [value for value in choices if value is not None]
-
-
-def text_of(value: Any) -> str:
-    """A value of a key as a table shows it."""
-    return value if isinstance(value, str) else orjson.dumps(value).decode()
 
 
 # ---- The rows that are done, and the data set that is made of them at the end ----

@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from math import isnan, nan
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.plan import Condition, Plan
+from modsim3d.campaign.plan import Condition, Plan, groups_of, key_columns, value_cells
 from modsim3d.campaign.verdicts.seed_values import columns_of
+from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.scenes import digest
+from modsim3d.core.document import Table, Where
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import half_widths
-from modsim3d.core.text import listed
+from modsim3d.core.text import counted, listed, three_digits_with_interval
 from modsim3d.io.validation import nearest, shown
+from modsim3d.tracking.score_text import COLUMNS
 
 LEVEL = 0.95
 USUAL = ("hota", "deta", "assa", "idf1", "id_switches")
 """Scores of a table unless others are asked for."""
+_NAMES = {key: name.partition(",")[0] for name, key, _ in COLUMNS}
 TRACKER, SEED = "tracker", "traffic_seed"
 
 
@@ -136,6 +140,77 @@ def _check(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> None:
     for score in scores:
         if score not in numbers:
             raise ModsimError(f"--score {score}: there is no such score in this campaign ({nearest(score, numbers)})")
+
+
+CRASHED_RUNS = "crashed runs"
+
+
+def score_name(column: str) -> str:
+    """A score as a table names it, from its column in the results."""
+    part, _, key = column.rpartition(".")
+    group, _, name = part.partition(".")
+    return _NAMES.get(key, key) + (f" in {group} {name}" if group else "")
+
+
+def mean_table(
+    rows: Sequence[MeanRow],
+    title: str = "mean scores [95 % interval over traffic seeds]",
+    most: int | None = None,
+    where: Where = Where.TEXT,
+    names: Callable[[str], str] = str,
+) -> Table:
+    """A row for each tracker and values of the keys; the runs that crashed stand out.
+
+    Args:
+        rows: The means.
+        title: Stands above.
+        most: How many rows are shown; None for all.
+        where: Which places show it.
+        names: What columns of scores are called.
+    """
+    if not rows:
+        return Table(title, (), ())
+    keys, scores = [key for key in rows[0].values if key != TRACKER], list(rows[0].means)
+    most_seeds = max((mean.seeds for row in rows for mean in row.means.values()), default=0)
+    crashed = any(row.crashed for row in rows)
+    header = [*key_columns(keys), TRACKER, "runs", *([CRASHED_RUNS] if crashed else []), *map(names, scores)]
+    cells = [
+        [
+            *value_cells(row.values, keys),
+            row.values[TRACKER],
+            f"{row.runs:,}",
+            *([f"{row.crashed:,}"] if crashed else []),
+            *(_mean_text(row.means[score], most_seeds) for score in scores),
+        ]
+        for row in rows[:most]
+    ]
+    return Table(title, header, cells, {place for place, row in enumerate(rows) if row.crashed}, where=where)
+
+
+def without_judged(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdict]) -> list[MeanRow]:
+    """Means without the intervals of those that have a verdict, which stand with it."""
+    said = []
+    for each in verdicts:
+        requirement, values = plan.keys.require[each.requirement], {**each.values, TRACKER: each.tracker}
+        part = [f"{key}.{values.pop(key)}." for key in groups_of(plan, requirement)]
+        if requirement.share is None:
+            said.append(("".join([*part, requirement.score]), values))
+    return [
+        replace(
+            row,
+            means={
+                score: replace(mean, low=None, high=None) if (score, row.values) in said else mean
+                for score, mean in row.means.items()
+            },
+        )
+        for row in rows
+    ]
+
+
+def _mean_text(mean: Mean, most: int) -> str:
+    """A mean with its interval, and its number of seeds if that is not the one of most."""
+    few = f" of {counted(mean.seeds, 'seed')}" if mean.value is not None and mean.seeds < most else ""
+    return three_digits_with_interval(mean.value, mean.low, mean.high) + few
 
 
 # ---- Conditions of a campaign that gave the same detections in all runs ----

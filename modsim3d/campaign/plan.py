@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from itertools import product
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 
 from modsim3d.campaign.keys import (
     MAX_DETECTOR_SEEDS,
@@ -22,6 +23,7 @@ from modsim3d.campaign.keys import (
     TrackerKeys,
 )
 from modsim3d.core.arrays import Array
+from modsim3d.core.text import UNKNOWN
 from modsim3d.tracking.scores.breakdown import BINS
 
 # ---- The conditions of a campaign ----
@@ -367,3 +369,39 @@ def same(value: Any, wanted: Any) -> bool:
 def value_of(condition: Condition, key: str) -> Any:
     """The value that a condition has of a key, or the name of its scene; None if it has none."""
     return Path(condition.scene).stem if key == SCENE else condition.values.get(key)
+
+
+# ---- Values of keys as text ----
+
+
+def text_of(value: Any) -> str:
+    """A value of a key as a table shows it."""
+    return value if isinstance(value, str) else orjson.dumps(value).decode()
+
+
+def value_text(value: Any) -> str:
+    """A value of a key; numbers without zeros at their end, and a dash for none."""
+    if value is None:
+        return UNKNOWN
+    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+
+
+def values_text(values: Mapping[str, Any], keys: Iterable[str] | None = None) -> str:
+    """Values of some keys, or of all, in words; a dash if there are none."""
+    wanted = values if keys is None else keys
+    said = [f"{key} {value_text(values[key])}" for key in wanted if values.get(key) is not None]
+    return ", ".join(said) or UNKNOWN
+
+
+MAX_KEYS = 4
+"""Keys that have columns of their own in a table."""
+
+
+def key_columns(keys: Sequence[str]) -> list[str]:
+    """Names of the columns for some keys: one for all if there are many."""
+    return list(keys) if len(keys) <= MAX_KEYS else ["condition"]
+
+
+def value_cells(values: Mapping[str, Any], keys: Sequence[str]) -> list[str]:
+    """The values of some keys as cells under `key_columns`."""
+    return [value_text(values.get(key)) for key in keys] if len(keys) <= MAX_KEYS else [values_text(values, keys)]

@@ -150,7 +150,7 @@ def _worst_run(folder: CampaignFolder, row: dict[str, object], ranking: _Ranking
     value = None if crashed else row[ranking.score]
     assert isinstance(number, int)
     out = folder.path / RUNS_FOLDER / str(number)
-    again = f"modsim3d campaign-run {shlex.quote(str(folder.path))} {number} --out {shlex.quote(str(out))}"
+    again = f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {number} --out {shlex.quote(str(out))}"
     return WorstRun(
         number=number,
         tracker=str(row["tracker"]),

@@ -109,7 +109,7 @@ def _scored(table: pa.Table, score: str) -> pa.Table:
 
 def _finding(folder: CampaignFolder, row: dict[str, Any], score: str) -> Finding:
     out = folder.path / "runs" / str(row["run"])
-    again = f"modsim3d campaign-run {shlex.quote(str(folder.path))} {row['run']} --out {shlex.quote(str(out))}"
+    again = f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {row['run']} --out {shlex.quote(str(out))}"
     values = orjson.loads(row[VALUES])
     return Finding(row["run"], row[score], row["error"], row["traffic_seed"], values, again, f"{again} --film")
 

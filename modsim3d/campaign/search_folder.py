@@ -17,10 +17,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.done_rows import text_of, with_columns, write_rows
+from modsim3d.campaign.done_rows import with_columns, write_rows
 from modsim3d.campaign.folder import SEARCH, CampaignFolder, opened_campaign, results_folder
 from modsim3d.campaign.keys import Range, SearchKeys
-from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, traffic_seed
+from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, text_of, traffic_seed
 from modsim3d.campaign.running import DIED
 from modsim3d.campaign.work.row import CRASHED, DONE, table_of
 from modsim3d.campaign.work.scenes import Scenes, digest

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,11 +22,8 @@ if TYPE_CHECKING:
     from modsim3d.scene.ais.traffic import AisTraffic
 
 
-class Labels(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """Content of the labels of vessels from AIS."""
-
-    vessel = "vessel"
-    type = "type"
+BY_TYPE = "type"
+"""What `--label` takes in place of the label of a group."""
 
 
 # More than fifty lines, because each option stands in the signature, where the command line finds it.
@@ -66,12 +62,13 @@ def ais_command(
             "--swap-coordinates", help="Exchange latitude and longitude, for CSV files that have them swapped."
         ),
     ] = False,
-    labels: Annotated[
-        Labels,
-        typer.Option(metavar="BY", help="Labels: vessel, the same for all, or type, one for each group of ship types."),
-    ] = Labels.vessel,
     label: Annotated[
-        list[str] | None, typer.Option(metavar="GROUP=LABEL", help="Label of one group of ship types; repeatable.")
+        list[str] | None,
+        typer.Option(
+            metavar="type|GROUP=LABEL",
+            help="Label of one group of ship types, or type for a label of each; repeatable.",
+            show_default="Vessel for all",
+        ),
     ] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
@@ -89,6 +86,7 @@ def ais_command(
     from modsim3d.scene.ais.traffic import read_traffic
     from modsim3d.view.pages.ais_page import ais_page
 
+    labels = label or []
     options = given.Options(
         origin=given.parse_origin(origin) if origin else None,
         region=given.parse_region(region) if region else None,
@@ -99,8 +97,8 @@ def ais_command(
         max_gap_s=max_gap,
         max_speed_kn=max_speed,
         swap_coordinates=swap_coordinates,
-        labels_by_type=labels is Labels.type,
-        labels=given.parse_labels(label or ()),
+        labels_by_type=BY_TYPE in labels,
+        labels=given.parse_labels(text for text in labels if text != BY_TYPE),
     )
     check_free(out, overwrite)
     with locked_folder(out):

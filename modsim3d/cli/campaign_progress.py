@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from modsim3d.cli.campaign_text import FIRST, STYLES, about_text, duration_text, interval_text, number_text
+from modsim3d.cli.campaign_text import FIRST, STYLES, about_text, duration_text
 from modsim3d.cli.terminal import open_console, remark
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, three_digits
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -119,8 +119,8 @@ def present_text(verdict: Verdict, once: bool) -> str:
     """
     known = "nothing yet"
     if verdict.estimate is not None:
-        known = number_text(verdict.estimate)
+        known = three_digits(verdict.estimate)
         if verdict.low is not None or verdict.high is not None:
-            known += f" {interval_text(verdict.low, verdict.high)}"
+            known += f" [{three_digits(verdict.low)}, {three_digits(verdict.high)}]"
     known += f", {counted(verdict.seeds, 'seed')}"
     return f"{about_text(verdict)}: " + (f"so far {known}" if once else f"{verdict.outcome}, {known}")

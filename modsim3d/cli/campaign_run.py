@@ -1,197 +1,357 @@
-"""The command `modsim3d campaign-run`: a run of a campaign again, to be looked at."""
+"""The commands `modsim3d campaign run` and `modsim3d campaign plan`."""
 
 from __future__ import annotations
 
+import re
 import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modsim3d.cli.completion import complete_campaign
 from modsim3d.cli.shared import (
     INTERRUPTED,
-    CampaignArgument,
     JsonOption,
-    OverwriteOption,
     QuietOption,
+    Stopped,
     VerboseOption,
+    WorkersOption,
     print_line,
-    print_written,
-    progress,
+    print_path,
+    stoppable,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, timed, warn
+from modsim3d.cli.terminal import (
+    open_console,
+    print_blocks,
+    print_prose,
+    print_table,
+    say,
+    say_json,
+    tell_files,
+    timed,
+    warn,
+)
+from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
-    from modsim3d.campaign.folder import CampaignFolder
-    from modsim3d.campaign.keys import ScoreKeys
-    from modsim3d.campaign.reproduce import RunAgain
-    from modsim3d.campaign.worst_film import MomentFilm
+    from modsim3d.campaign.done_rows import NeededSeeds
+    from modsim3d.campaign.plan import Plan
+    from modsim3d.campaign.running import CampaignResult
+    from modsim3d.campaign.search import SearchResult
+    from modsim3d.campaign.verdicts.verdict import Verdict
+    from modsim3d.campaign.work.checking import CheckedCampaign
 
-NOT_THE_SAME = 1
-"""Exit status if the run does not come out as in the campaign."""
-HEADER = ("", "in the campaign", "again")
+FORMAT = 1
+FAILED, UNDECIDED = 1, 3
+"""Exit status if a requirement failed, and if none failed but one is undecided."""
+MAX_SHARDS = 100_000
+
+
+def _shard(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    part, parts = (int(found[1]), int(found[2])) if found else (0, 0)
+    if not 1 <= part <= parts <= MAX_SHARDS:
+        raise ModsimError(f"--shard: needs K/N with K from 1 to N and N at most {MAX_SHARDS:,} (got '{text[:40]}')")
+    return part, parts
+
+
+def _cluster(text: str) -> dict[str, Any]:
+    """The arguments of `engine_of` for a Dask cluster."""
+    kind, _, jobs = text.partition(":")
+    if kind != "slurm":
+        return {"scheduler": text}
+    if not jobs.isdecimal() or not 1 <= int(jobs) <= MAX_SHARDS:
+        raise ModsimError(f"--cluster: needs slurm:JOBS with JOBS from 1 to {MAX_SHARDS:,} (got '{text[:40]}')")
+    return {"slurm": int(jobs)}
+
+
+CampaignFileArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="CAMPAIGN",
+        help="Campaign file, or name of a shipped campaign, such as example.",
+        autocompletion=complete_campaign,
+    ),
+]
 
 
 def campaign_run_command(
-    campaign: CampaignArgument,
-    number: Annotated[int, typer.Argument(min=0, metavar="NUMBER", help="Number of the run, as in its tables.")],
+    campaign: CampaignFileArgument,
     out: Annotated[
-        Path, typer.Option(metavar="RUN", help="Run directory to write; its tracks go to RUN_tracks beside it.")
-    ],
-    film: Annotated[
-        bool, typer.Option("--film", help="Film ten seconds around the moment at which the run went wrong.")
-    ] = False,
-    overwrite: OverwriteOption = False,
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of the campaign, new or with a part of its runs.", show_default="runs/CAMPAIGN"
+        ),
+    ] = None,
+    workers: WorkersOption = "auto",
+    cluster: Annotated[
+        Any,
+        typer.Option(
+            parser=_cluster,
+            metavar="ADDRESS|slurm:JOBS",
+            help="Work on a Dask cluster: its scheduler, such as tcp://10.0.0.1:8786, or so many Slurm jobs.",
+        ),
+    ] = None,
+    shard: Annotated[
+        Any,
+        typer.Option(
+            parser=_shard, metavar="K/N", help="Make one part of N only, as a job of an array; gather them without it."
+        ),
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where kept layers are read and written.", show_default="DIR/cache"),
+    ] = None,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
     json: JsonOption = False,
 ) -> None:
-    """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
+    """Run a campaign, or go on with one that was interrupted: many runs, their scores, verdicts on requirements.
 
-    A run that is there already, and is this one, is not made a second time; any other is refused without --overwrite.
+    Exit status: 0 all requirements are met, 1 one failed, 3 one is undecided, 2 wrong input.
 
-    Exit status 1 if it does not come out as in the campaign. A run that crashed crashes again: its error is told.
-
-    Example: modsim3d campaign-run runs/example 12 --out runs/example/runs/12 --film
+    Example: modsim3d campaign run example --out runs/example
     """
-    from modsim3d.campaign.folder import opened_campaign
-    from modsim3d.campaign.reproduce import make_again
-    from modsim3d.campaign.work.row import CRASHED, rules_of
-    from modsim3d.campaign.worst_film import film_moment, film_path
-    from modsim3d.io.overwrite_guard import check_free
-    from modsim3d.view.films.files import check_encoder
+    from modsim3d.campaign.campaign import engine_of
+    from modsim3d.campaign.folder import killed_sentence
+    from modsim3d.campaign.means import same_detections
+    from modsim3d.campaign.running import run_plan
+    from modsim3d.cli.campaign_progress import campaign_progress
 
-    opened = opened_campaign(campaign)
-    if film:
-        check_encoder("mp4")
-        check_free(film_path(out), overwrite)
-    try:
-        with timed("run, tracks and scores"), progress(f"run {number}", opened.keys.steps) as advance:
-            again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
-    except KeyboardInterrupt:
-        say("\nmodsim3d: interrupted; the same command goes on", err=True)
-        raise typer.Exit(INTERRUPTED) from None
-    moment = None
-    moment_s = None if again.row is None else again.row["worst_s"]
-    if film and moment_s is not None:
-        with timed("film"), progress("drawn", None) as advance:
-            moment = film_moment(
-                out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance
-            )
-    _print_run(again)
-    if film and moment is None:
-        warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))
-    _print_outcome(opened, again, moment)
-    say_json(_json(opened, again, moment))
-    crashed_before = again.before is not None and again.before["status"] == CRASHED
-    if not again.same or (again.error is not None and not crashed_before):
-        raise typer.Exit(NOT_THE_SAME)
+    if shard is not None and cluster is not None:
+        raise ModsimError("--shard is for jobs without a scheduler: leave out --cluster, or --shard")
+    engine = engine_of(workers, **(cluster or {}))
+    found = _read(campaign)
+    if shard is not None and found.file.keys.search is not None:
+        raise ModsimError("--shard: what a search runs next depends on all that it has run: leave --shard out")
+    folder = out if out is not None else Path("runs") / found.file.path.stem
+    warnings = _introduced(found)
+    with timed("runs"), _interruptible(folder), campaign_progress(folder, found.file.keys.stop == "once") as advance:
+        if found.file.keys.search is not None:
+            from modsim3d.campaign.search import run_search
 
-
-def _print_run(again: RunAgain) -> None:
-    from modsim3d.campaign.done_rows import text_of
-
-    run = again.run
-    rows = [
-        ("scene", run.condition.scene),
-        *((key, text_of(value)) for key, value in run.condition.values.items()),
-        ("traffic seed", str(run.traffic_seed)),
-        ("detector seed", str(run.detector_seed)),
-        ("tracker", run.tracker.label),
-    ]
-    print_table(open_console(), f"run {run.number}", rows)
-
-
-def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> None:
-    console, out, tracks = open_console(), shlex.quote(str(again.folder)), shlex.quote(str(again.tracks))
-    if again.row is not None:
-        print_table(console, "scores", _score_rows(campaign, again), header=HEADER, right=(1, 2))
-    print_line(console, "")
-    for sentence in _sentences(again):
-        print_prose(console, sentence, "bold")
-    if again.error is not None:
-        print_line(console, f"\n{again.error}\n  {again.raised_at}")
-        if (again.folder / "run.json").is_file():
-            print_written(console, [again.folder])
-            print_line(console, f"\nnext\n  modsim3d view {out} --film detections")
+            searched = run_search(found, folder, engine, cache=cache, progress=advance)
+            result = None
+        else:
+            searched = None
+            result = run_plan(found, folder, engine, shard=shard, cache=cache, progress=advance)
+    if searched is not None:
+        _print_search(searched)
+        say_json({**_json(found, folder, warnings), "finished": True, "trials": len(searched.table)})
         return
-    for path in again.reused:
-        print_line(console, f"{path} was there already")
-    new = [path for path in (again.folder, again.tracks) if path not in again.reused]
-    print_written(console, [*new, *([film.path] if film else [])])
-    moment_s = (again.row or {}).get("worst_s")
-    options = _score_options(campaign.keys.score)
-    print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")
-    if film is None and moment_s is not None:
-        print_line(console, f"  modsim3d view {out} --frame {moment_s}s --tracks {tracks} --crop vessels")
-    print_line(console, f"  modsim3d report {out} --tracks {tracks}")
+    if result is None:
+        gather = f"modsim3d campaign run {shlex.quote(campaign)} --out {shlex.quote(str(folder))}"
+        say(f"part {shard[0]} of {shard[1]} is done; gather all with: {gather}")
+        say_json(_json(found, folder, warnings))
+        return
+    _print_result(result)
+    if killed := killed_sentence(result.folder):
+        warn(killed)
+        warnings.append(killed)
+    for text in (same := same_detections(result.folder.plan, result.table)):
+        warn(text)
+    say_json(_json(found, folder, [*warnings, *same]) | _result_json(result))
+    if status := exit_status(result.verdicts):
+        raise typer.Exit(status)
 
 
-def _sentences(again: RunAgain) -> list[str]:
-    """Sentences on the outcome of the run."""
-    found = []
-    if again.error is not None:
-        crashed = again.before is not None and again.before["error"] is not None
-        same = crashed and again.before is not None and again.before["error"] == again.error
-        told = "with the error that the campaign has" if same else "with another error than in the campaign"
-        found.append(f"The run crashed again, {told}." if crashed else "The run crashed.")
-    elif again.before is None:
-        found.append("The campaign has not done this run, so there is nothing to compare.")
-    elif again.before["error"] is not None:
-        found.append(f"The run crashed in the campaign ({again.before['error']}), and did not now.")
-    elif again.differing:
-        found.append(f"{len(again.differing)} columns are not as in the campaign: {', '.join(again.differing[:5])}.")
-    else:
-        found.append("Every column is as in the campaign.")
-    if again.versions:
-        told = ", ".join(f"{name} {then or 'none'} → {now or 'none'}" for name, (then, now) in again.versions.items())
-        found.append(f"The campaign was made with other versions: {told}.")
+def _read(campaign: str) -> CheckedCampaign:
+    from modsim3d.campaign.keys import read_campaign
+    from modsim3d.campaign.work.checking import checked
+
+    with timed("reading and checking the campaign"):
+        found = checked(read_campaign(campaign))
+    tell_files([found.file.path])
     return found
 
 
-def _score_rows(campaign: CampaignFolder, again: RunAgain) -> list[tuple[str, ...]]:
-    from modsim3d.campaign.verdicts.seed_values import columns_of
-    from modsim3d.core.text import number
-    from modsim3d.tracking.score_text import COLUMNS
-
-    row, before = again.row or {}, again.before or {}
-    known = {key: (name, decimals) for name, key, decimals in COLUMNS}
-    keys = dict.fromkeys(
-        [*(column for each in campaign.keys.require for column in columns_of(campaign.plan, each)), *known]
-    )
-    rows = [
-        (known.get(key, (key, 3))[0], *(number(each.get(key), known.get(key, (key, 3))[1]) for each in (before, row)))
-        for key in keys
-    ]
-    return [*rows, ("went wrong at, s", *(number(each.get("worst_s"), 2) for each in (before, row)))]
+def exit_status(verdicts: tuple[Verdict, ...]) -> int:
+    """The exit status that verdicts come to."""
+    outcomes = {verdict.outcome for verdict in verdicts}
+    return FAILED if "failed" in outcomes else UNDECIDED if "undecided" in outcomes else 0
 
 
-def _score_options(keys: ScoreKeys) -> str:
-    """The options of `modsim3d score` that give the rules of a campaign."""
-    names = {"scale_px": "scale", "gap_s": "gap"}
-    given = keys.model_dump(exclude_defaults=True)
-    return "".join(f" --{names.get(name, name.replace('_', '-'))} {value}" for name, value in given.items())
+@contextmanager
+def _interruptible(folder: Path) -> Iterator[None]:
+    """End the command after Ctrl-C or when the system stops it, and say how to go on."""
+    try:
+        with stoppable():
+            yield
+    except KeyboardInterrupt as stop:
+        kept = f"runs that are done are kept in {folder}"
+        say(f"\nmodsim3d: interrupted; {kept}: the same command goes on", err=True)
+        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
 
 
-def _json(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> dict[str, Any]:
-    run = again.run
+def _introduced(campaign: CheckedCampaign) -> list[str]:
+    """Print the plan before it starts; the warnings about it."""
+    from modsim3d.campaign.verdicts.wording import warnings_of
+    from modsim3d.cli.campaign_text import plan_rows, traffic_warnings
+
+    console = open_console()
+    print_line(console, str(campaign.file.path), "bold")
+    print_table(console, "", plan_rows(campaign), styles=("dim", ""))
+    warnings = [*traffic_warnings(campaign), *warnings_of(campaign.plan)]
+    for text in warnings:
+        warn(text)
+    return warnings
+
+
+def _print_result(result: CampaignResult) -> None:
+    from modsim3d.campaign.report.campaign_page import compared_blocks, requirement_blocks
+
+    console, folder = open_console(), result.folder.path
+    print_blocks(console, requirement_blocks(result.folder.plan, result.verdicts))
+    print_blocks(console, compared_blocks(result.folder, result.table, result.verdicts))
+    print_line(console, "")
+    print_prose(console, _conclusion(result), "bold")
+    print_path(console, "campaign", folder)
+    for command in ("report", "table"):
+        print_line(console, f"  modsim3d campaign {command} {shlex.quote(str(folder))}", "dim")
+
+
+def _conclusion(result: CampaignResult) -> str:
+    from modsim3d.campaign.campaign import Campaign
+
+    conclusion = Campaign(result.folder.path, result.table, result.verdicts, True).conclusion
+    early = len(result.folder.plan) - len(result.table)
+    return conclusion + (f"; all was decided {early:,} runs before the end of the plan" if early else "")
+
+
+def _print_search(result: SearchResult) -> None:
+    console = open_console()
+    print_line(console, "")
+    print_prose(console, str(result), "bold")
+    for finding in result.findings:
+        print_line(console, "")
+        values = ", ".join(f"{key} {value}" for key, value in finding.values.items())
+        said = finding.error if finding.value is None else f"{finding.value:.4g}"
+        print_prose(console, f"trial {finding.number}: {said}; traffic seed {finding.traffic_seed}, {values}")
+        print_line(console, f"  {finding.again}", "dim")
+    print_path(console, "search", result.folder.path)
+    print_line(console, f"  modsim3d campaign report {shlex.quote(str(result.folder.path))}", "dim")
+
+
+def _json(campaign: CheckedCampaign, folder: Path | None, warnings: list[str], command: str = "run") -> dict[str, Any]:
     return {
-        "format": 1,
-        "command": "campaign-run",
-        "campaign": campaign.path,
-        "run": run.number,
-        "scene": run.condition.scene,
-        "values": run.condition.values,
-        "traffic_seed": run.traffic_seed,
-        "detector_seed": run.detector_seed,
-        "tracker": run.tracker.label,
-        "folder": again.folder,
-        "tracks": again.tracks,
-        "same": again.same,
-        "error": again.error,
-        "raised_at": again.raised_at or None,
-        "differing": again.differing,
-        "versions": again.versions,
-        "row": again.row,
-        "film": None if film is None else vars(film),
+        "format": FORMAT,
+        "command": f"campaign {command}",
+        "campaign": campaign.file.path,
+        "folder": folder,
+        "sha256": campaign.sha256,
+        "runs": len(campaign.plan),
+        "frames": None,
+        "needed": [],
+        "finished": False,
+        "done": None,
+        "crashed": None,
+        "trials": None,
+        "verdicts": [],
+        "means": [],
+        "warnings": warnings,
     }
+
+
+def _result_json(result: CampaignResult) -> dict[str, Any]:
+    from modsim3d.campaign.campaign import crashed_runs
+    from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
+
+    plan = result.folder.plan
+    return {
+        "finished": True,
+        "done": len(result.table),
+        "crashed": crashed_runs(result.table),
+        "verdicts": [asdict(verdict) for verdict in result.verdicts],
+        "means": [asdict(row) for row in mean_rows(result.table, usual_keys(plan), usual_scores(plan, result.table))],
+    }
+
+
+# ---- How many runs there will be, and how many seeds each requirement needs ----
+
+
+def campaign_plan_command(
+    campaign: CampaignFileArgument,
+    expect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SCORE=MEAN:SPREAD",
+            help="Expected mean and spread of a score over traffic seeds; may be repeated.",
+            show_default="none",
+        ),
+    ] = None,
+    like: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Earlier campaign of this kind, which says what is expected.")
+    ] = None,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Say how many runs a campaign has and how many seeds its requirements need, without running it.
+
+    Example: modsim3d campaign plan example --expect hota=0.6:0.05
+    """
+    found = _read(campaign)
+    warnings = _introduced(found)
+    say_json({**_json(found, None, warnings, "plan"), **_told_plan(found, expect or [], like)})
+
+
+def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | None) -> dict[str, Any]:
+    """Print how many frames and seeds there will be and are needed; the same for JSON.
+
+    Raises:
+        ModsimError: What is expected says nothing, `like` is no campaign, or this is a search.
+    """
+    from modsim3d.campaign.done_rows import needed_seeds, parsed_expectation
+    from modsim3d.campaign.folder import opened_campaign
+
+    plan = campaign.plan
+    if plan.keys.search is not None:
+        raise ModsimError(
+            "campaign plan: a search has no requirements, and its budget says how many trials there will be"
+        )
+    expected = dict(parsed_expectation(text, plan) for text in expect)
+    earlier = None if like is None else opened_campaign(like)
+    if earlier is not None and earlier.keys.search is not None:
+        raise ModsimError(f"--like {like}: holds a search, whose trials were chosen to be bad, and has no mean")
+    needed = needed_seeds(plan, expected, earlier)
+    frames, console = _frames_of(campaign), open_console()
+    print_line(console, f"{len(plan):,} runs of {frames:,} frames together")
+    if needed:
+        print_table(
+            console,
+            "traffic seeds needed",
+            [_needed_row(plan, each) for each in needed],
+            header=("requirement", "tracker", "condition", "seeds needed", "why"),
+            right=(3,),
+        )
+        print_prose(
+            console,
+            "Seeds needed by a mean: so many that the bound of its verdict is beyond the threshold in 80 % of such "
+            "campaigns, if the means of seeds are normal values with this mean and spread, and no run is lost.",
+            "dim",
+        )
+    return {"frames": frames, "needed": [asdict(each) for each in needed]}
+
+
+def _frames_of(campaign: CheckedCampaign) -> int:
+    """Number of frames of all cameras in all runs."""
+    from modsim3d.campaign.work.scenes import Scenes
+
+    keys, plan = campaign.file.keys, campaign.plan
+    scenes = Scenes(keys.steps, campaign.file.base, learned=keys.uncertainty == "learned")
+    first = (plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions)))
+    made = (scenes.of(each.condition, each.traffic_seed, each.detector_seed) for each in first)
+    return sum(scene.steps * len(scene.cameras) for scene in made) * len(plan) // len(plan.conditions)
+
+
+def _needed_row(plan: Plan, each: NeededSeeds) -> tuple[str, ...]:
+    from modsim3d.campaign.plan import values_text
+    from modsim3d.core.text import UNKNOWN
+
+    values = "all" if each.condition is None else values_text(plan.conditions[each.condition].values)
+    seeds = UNKNOWN if each.seeds is None else f"{each.seeds:,}"
+    return (each.text, each.tracker or "all", values, seeds, each.why)

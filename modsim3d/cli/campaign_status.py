@@ -1,4 +1,4 @@
-"""The command `modsim3d campaign-status`."""
+"""The command `modsim3d campaign status`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from modsim3d.cli.shared import (
     progress,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_prose, say, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, print_blocks, print_prose, say, say_json, tell_files, timed
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -32,14 +32,11 @@ if TYPE_CHECKING:
 
 
 def campaign_status_command(
-    campaign: CampaignArgument,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    campaign: CampaignArgument, quiet: QuietOption = False, verbose: VerboseOption = False, json: JsonOption = False
 ) -> None:
     """Say how far a campaign is and what is known of its requirements, while it is worked on or afterwards.
 
-    Example: modsim3d campaign-status runs/example
+    Example: modsim3d campaign status runs/example
     """
     from modsim3d.campaign.campaign import present_state
     from modsim3d.campaign.folder import opened_campaign
@@ -51,7 +48,7 @@ def campaign_status_command(
     say_json(
         {
             "format": 1,
-            "command": "campaign-status",
+            "command": "campaign status",
             "folder": campaign,
             "runs": found.total,
             "done": found.done,
@@ -67,21 +64,22 @@ def campaign_status_command(
 
 def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
     from modsim3d.campaign.folder import killed_sentence
+    from modsim3d.campaign.report.campaign_page import crash_sections, requirement_blocks
     from modsim3d.cli.campaign_progress import present_text
-    from modsim3d.cli.campaign_text import MAX_ROWS, print_crashed, print_verdicts
+    from modsim3d.cli.campaign_text import MAX_ROWS
 
     console = open_console()
     print_line(console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold")
     for line in _how(found):
         print_line(console, line)
     if found.finished:
-        print_verdicts(console, "requirements", found.verdicts, reasons=True)
+        print_blocks(console, requirement_blocks(opened.plan, found.verdicts))
     elif found.verdicts:
         print_line(console, "")
         print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
         for verdict in found.verdicts[:MAX_ROWS]:
             print_line(console, f"  {present_text(verdict, once)}")
-    print_crashed(console, found.table, opened.path)
+    print_blocks(console, crash_sections(opened, found.table))
     if killed := killed_sentence(opened):
         print_prose(console, killed)
 
@@ -102,7 +100,7 @@ def _how(found: Present) -> list[str]:
     return [*lines, f"worked on by {found.worked_on_by}, {duration_text(found.left_s)}"]
 
 
-# ---- The command `modsim3d campaign-table` ----
+# ---- The command `modsim3d campaign table` ----
 
 ENDINGS = (".csv", ".parquet")
 
@@ -130,12 +128,11 @@ def campaign_table_command(
 ) -> None:
     """Mean scores of a campaign by tracker and condition, with 95 % intervals over traffic seeds.
 
-    Example: modsim3d campaign-table runs/example --by state --score hota
+    Example: modsim3d campaign table runs/example --by state --score hota
     """
     from modsim3d.campaign.campaign import rows_of
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
-    from modsim3d.campaign.means import mean_rows, usual_keys, usual_scores
-    from modsim3d.cli.campaign_text import print_means
+    from modsim3d.campaign.means import mean_rows, mean_table, usual_keys, usual_scores
     from modsim3d.io.overwrite_guard import claimed
 
     _check(runs, bool(by or score), out)
@@ -155,12 +152,12 @@ def campaign_table_command(
         if out is not None:
             _write(out, table if runs else flat_table(rows))
     if not runs:
-        print_means(open_console(), "mean scores [95 % interval over traffic seeds]", rows, most=None)
+        print_blocks(open_console(), [mean_table(rows)])
     print_written(open_console(), paths)
     say_json(
         {
             "format": 1,
-            "command": "campaign-table",
+            "command": "campaign table",
             "folder": campaign,
             "finished": opened.finished,
             "by": [] if runs else [*dict.fromkeys([*keys, "tracker"])],
@@ -215,7 +212,7 @@ def _write(out: Path, table: pa.Table) -> None:
             pyarrow.parquet.write_table(table, partial, compression="zstd")
 
 
-# ---- The command `modsim3d campaign-report` ----
+# ---- The command `modsim3d campaign report` ----
 
 
 def campaign_report_command(
@@ -231,7 +228,7 @@ def campaign_report_command(
 ) -> None:
     """Write a page about a campaign: requirements first, then means, charts, the worst runs and what was covered.
 
-    Example: modsim3d campaign-report runs/example
+    Example: modsim3d campaign report runs/example
     """
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
     from modsim3d.campaign.report.campaign_page import REPORT_FILE
@@ -246,4 +243,4 @@ def campaign_report_command(
         lead = write_page(opened, path, advance, typed_command(context))
     say(lead)
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
-    say_json({"format": 1, "command": "campaign-report", "conclusion": lead, "written": [path]})
+    say_json({"format": 1, "command": "campaign report", "conclusion": lead, "written": [path]})

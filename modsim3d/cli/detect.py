@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,87 +21,79 @@ from modsim3d.cli.shared import (
     VerboseOption,
     WorkersOption,
     progress,
+    under,
 )
 from modsim3d.cli.terminal import say_json, tell_files, timed
 from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
-    from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.io.processes import WorkerCount
 
 # ---- Options of the commands that read labelled sets ----
 
+FILES = "Labelled files"
 ImageSizeOption = Annotated[
-    str | None,
-    typer.Option(metavar="W,H", help="Size of the images in pixels, for YOLO and for MOT without seqinfo.ini."),
+    str | None, under(FILES, "W,H", "Size of the images in pixels, for YOLO and for MOT without seqinfo.ini.")
 ]
 FrameRateOption = Annotated[
-    float | None,
-    typer.Option(metavar="HZ", help="Frames per second, for MOT without seqinfo.ini and for COCO videos."),
+    float | None, under(FILES, "HZ", "Frames per second, for MOT without seqinfo.ini and for COCO without times.")
 ]
 ConfidenceScaleOption = Annotated[
-    str | None,
-    typer.Option(metavar="LOW,HIGH", help="Confidences in the files that stand for 0 and for 1, such as 0,100."),
+    str | None, under(FILES, "LOW,HIGH", "Confidences in the files that stand for 0 and for 1, such as 0,100.")
 ]
 HorizonOption = Annotated[
-    str | None,
-    typer.Option(metavar="ROW", help="Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2."),
+    str | None, under(FILES, "ROW", "Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2.")
 ]
 SkipBadOption = Annotated[
-    bool, typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.")
+    bool,
+    typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.", rich_help_panel=FILES),
 ]
 
 
-def read_options(
-    labels: str | None,
-    image_size: str | None,
-    skip_bad: bool,
-    frame_rate: float | None,
-    category_offset: int = 0,
-    confidence_scale: str | None = None,
-    horizon: str | None = None,
-) -> ReadOptions:
-    """Options for reading labelled sets.
+def parsed_names(text: str | None, option: str) -> tuple[str, ...]:
+    """Names of a text such as `a,b`.
 
     Raises:
-        InputError: A size, a frame rate, a scale or a horizon is none.
+        InputError: One is empty, so that others would take its place.
+    """
+    names = tuple(part.strip() for part in text.removesuffix(",").split(",")) if text else ()
+    if "" in names:
+        problem = f"the name {names.index('') + 1} is empty, so others would move (got '{text}')"
+        raise InputError(option, [problem])
+    return names
+
+
+def parsed_horizon(text: str) -> tuple[float, ...] | float:
+    """The row of a horizon, or the numbers of two of its points.
+
+    Raises:
+        InputError: The text is something else.
     """
     from modsim3d.formats.labelled import parse_horizon
-    from modsim3d.formats.reading.builder import ReadOptions
 
-    if frame_rate is not None and not 0 < frame_rate < math.inf:
-        raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate:g})"])
-    size_px = None if image_size is None else _size_px(image_size)
-    names = tuple(part.strip() for part in labels.removesuffix(",").split(",")) if labels else ()
-    if "" in names:
-        raise InputError(
-            "--labels", [f"the name {names.index('') + 1} is empty, so others would move (got '{labels}')"]
-        )
-    scale = None if confidence_scale is None else _scale(confidence_scale)
-    line = None if horizon is None else parse_horizon(horizon)
-    return ReadOptions(names, size_px, skip_bad, frame_rate, category_offset, scale, line)
+    numbers = parse_horizon(text)
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
-def _scale(text: str) -> tuple[float, float]:
+def parsed_scale(text: str) -> tuple[float, float]:
     """Both ends of a text such as `0,100`."""
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        low, high = math.nan, math.nan
-    if not -math.inf < low < high < math.inf:
-        raise InputError("--confidence-scale", [f"must be LOW,HIGH, two numbers that rise, as 0,100 (got '{text}')"])
-    return low, high
+    return _pair(text, "--confidence-scale", "LOW,HIGH, two numbers that rise, as 0,100", lambda low, high: low < high)
 
 
-def _size_px(text: str) -> tuple[float, float]:
+def parsed_size(text: str) -> tuple[float, float]:
     """Width and height of a text such as `1920,1080`."""
+    needed = "W,H in pixels, both sides above 0, as 1920,1080"
+    return _pair(text.replace("x", ","), "--image-size", needed, lambda width, height: min(width, height) > 0)
+
+
+def _pair(text: str, option: str, needed: str, holds: Callable[[float, float], bool]) -> tuple[float, float]:
     try:
-        width, height = (float(part) for part in text.replace("x", ",").split(","))
+        first, second = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError("--image-size", [f"must be W,H in pixels, as 1920,1080 (got '{text}')"]) from None
-    if not (width > 0 and height > 0):
-        raise InputError("--image-size", [f"both sides must be above 0 (got '{text}')"])
-    return width, height
+        first, second = math.nan, math.nan
+    if not (math.isfinite(first + second) and holds(first, second)):
+        raise InputError(option, [f"must be {needed} (got '{text}')"])
+    return first, second
 
 
 def detect_command(
@@ -109,25 +101,25 @@ def detect_command(
     run: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run directory of a finished run.")] = None,
     truth: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
+        typer.Option(
+            metavar="FILE",
+            help="Ground truth of a labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks.",
+        ),
     ] = None,
     detector: Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the run's.")] = None,
-    seed: Annotated[
+    detector_seed: Annotated[
         int | None,
         typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's; 0 with --truth."),
     ] = None,
     labels: Annotated[
         str | None,
         typer.Option(
-            metavar="A,B,...", help="Detector's label of each class of --truth, in order; - for one that is no target."
+            metavar="A,B,...", help="Labels of the classes of --truth, in order; - for one that is no target."
         ),
     ] = None,
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
-    horizon: Annotated[
-        str | None,
-        typer.Option(metavar="ROW", help="Row of the horizon in the images of --truth, or X1,Y1,X2,Y2."),
-    ] = None,
+    horizon: HorizonOption = None,
     skip_bad: SkipBadOption = False,
     settings: SetOption = None,
     state: StateOption = None,
@@ -142,7 +134,7 @@ def detect_command(
 
     With --truth, run a detector over the truth of a labelled video from elsewhere (docs/other_truth.md).
 
-    Example: modsim3d detect runs/first --seed 7 --out runs/second
+    Example: modsim3d detect runs/first --detector-seed 7 --out runs/second
     """
     from modsim3d.scene.settings import read_settings
 
@@ -164,14 +156,14 @@ def detect_command(
         for option, value in of_truth.items():
             if value is not None:
                 raise ModsimError(f"{option} is for --truth: a run says it itself")
-        _detect_run(run, out, seed, workers, given)
+        _detect_run(run, out, detector_seed, workers, given)
     elif truth is not None and run is None:
         if workers != 1:
             raise ModsimError("--workers is for RUN: with --truth the detector works in one process")
-        options = read_options(None, image_size, skip_bad, frame_rate)
-        read = {"image_size_px": options.image_size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad}
+        size_px = None if image_size is None else parsed_size(image_size)
+        read = {"image_size_px": size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad}
         names = None if labels is None else tuple(name.strip() for name in labels.split(","))
-        _detect_truth(truth, out, seed or 0, {**given, **read, "labels": names}, horizon)
+        _detect_truth(truth, out, detector_seed or 0, {**given, **read, "labels": names}, horizon)
     else:
         raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")
 

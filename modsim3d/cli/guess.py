@@ -1,15 +1,13 @@
-"""The command `modsim3d guess`: a detector as it might be in another condition."""
+"""What `modsim3d learn --from-condition` does: a detector as it might be in another condition."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from modsim3d.cli.shared import OverwriteOption, QuietOption, VerboseOption, out_file, print_rows, print_written
+from modsim3d.cli.shared import out_file, print_rows, print_written
 from modsim3d.cli.terminal import open_console, print_prose, tell_files, warn
 
 if TYPE_CHECKING:
@@ -24,23 +22,8 @@ _STRANGE = (
 )
 
 
-def guess_command(
-    detector: Annotated[Path, typer.Argument(metavar="DETECTOR", help="Detector file or shipped name to change.")],
-    measured_in: Annotated[
-        str, typer.Option("--from", metavar="CONDITION", help="Condition that the detector was measured in.")
-    ],
-    wanted_in: Annotated[str, typer.Option("--to", metavar="CONDITION", help="Condition to guess the detector in.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Detector file to write.")],
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-) -> None:
-    """Guess how a detector performs in another condition: it changes as much as another detector did between the two.
-
-    A condition is a detector file with one state and one label, or one of the thesis's: `modsim3d scenes` lists them.
-
-    Example: modsim3d guess detector.yaml --from noon_clear --to foggy_cloudy --out in_fog.yaml
-    """
+def guess_detector(detector: Path, measured_in: str, wanted_in: str, out: Path, overwrite: bool) -> None:
+    """Write a guess of a detector in another condition, and print what changes."""
     from modsim3d.detector.file.reading import find_detector, load_detector
     from modsim3d.detector.file.writing import detector_text
     from modsim3d.io.atomic_write import write_files
@@ -84,7 +67,7 @@ def _comments(detector: Path, measured_in: str, wanted_in: str, change: Conditio
         f"e_x, e_y, e_w, e_h by {spread}. Added to the log-odds of confidence: {change.confidence[0]:.3g} (true), "
         f"{change.confidence[1]:.3g} (false)."
     )
-    texts = (f"Written by modsim3d guess. {_guess(detector, measured_in, wanted_in)}", changes)
+    texts = (f"Written by modsim3d learn --from-condition. {_guess(detector, measured_in, wanted_in)}", changes)
     return [line for text in texts for line in textwrap.wrap(text, 110)]
 
 

@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from modsim3d.cli.detect import (
+    FILES,
     ConfidenceScaleOption,
     FrameRateOption,
     HorizonOption,
     ImageSizeOption,
     SkipBadOption,
-    read_options,
+    parsed_horizon,
+    parsed_names,
+    parsed_scale,
+    parsed_size,
 )
-from modsim3d.cli.learn_voyage import (
-    AttitudeOption,
-    CameraOption,
-    EmptyOption,
-    FixedOption,
-    ImagesOption,
-    KnownOption,
-    PositionNoiseOption,
-    SceneOption,
-    StaleOption,
-    StartOption,
-    WriteSceneOption,
-    asked_voyage,
-)
+from modsim3d.cli.guess import guess_detector
 from modsim3d.cli.shared import (
     JsonOption,
     OverwriteOption,
@@ -40,30 +29,211 @@ from modsim3d.cli.shared import (
     out_file,
     print_written,
     typed_command,
+    under,
 )
 from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed, warn
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
-    from modsim3d.formats.labelled import LabelledSet
-    from modsim3d.formats.matching import Rule
-    from modsim3d.formats.reading.builder import ReadOptions
     from modsim3d.learn.bootstrap import Column, Interval
     from modsim3d.learn.figures import Figures
+    from modsim3d.learn.learning import LearnResult
     from modsim3d.learn.report import LearnReport
-    from modsim3d.learn.voyage.report import VoyageReport
-    from modsim3d.runs.stored_run import StoredRun
+    from modsim3d.learn.request import LearnRequest
+
+# ---- Options that `modsim3d learn-voyage` has too ----
+
+MODELS, NUMBERS, TIMES, GUESS = "Models", "Intervals and figures", "States in time", "A guess of another condition"
+
+
+DetectorOutOption = Annotated[
+    Path, typer.Option(metavar="FILE", help="Detector file to write; its page is beside it, as .html.")
+]
+StatesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="N|NAME=COND,...",
+        help="States of the detector: each with its conditions, repeatable, or how many to make of them by F1.",
+        show_default="one for each condition",
+    ),
+]
+MatchOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOW[:LIMIT]",
+        help="How boxes are matched: confidence or optimal, with a least IoU as in optimal:0.4; centre, with a "
+        "distance in pixels as in centre:30; or provenance.",
+        show_default="provenance for runs, confidence for files, centre for AIS, optimal without confidences",
+    ),
+]
+ConfidenceOption = Annotated[
+    float | None, typer.Option(metavar="P", help="Least confidence of a detection that counts.", show_default="0.2")
+]
+SequenceOption = Annotated[
+    Path | None, under(TIMES, "FILE", "Text file with a state on each line, in time order, for the transitions.")
+]
+IntervalOption = Annotated[float | None, under(TIMES, "S", "Seconds between two lines of --sequence.")]
+ClutterOption = Annotated[
+    Literal["auto", "calibrated", "per_image"],
+    under(MODELS, "MODEL", "Model of the number of false positives: auto, calibrated or per_image."),
+]
+WithoutOption = Annotated[
+    str | None,
+    under(
+        MODELS,
+        "MODEL,...",
+        "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, "
+        "vessels, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
+    ),
+]
+LevelOption = Annotated[float, under(NUMBERS, "P", "Confidence level of the intervals.")]
+ReplicatesOption = Annotated[int, under(NUMBERS, "N", "Number of bootstrap replicates, for the intervals.")]
+BootstrapSeedOption = Annotated[
+    int,
+    typer.Option("--seed", metavar="N", help="Seed of all random numbers: of the bootstrap.", rich_help_panel=NUMBERS),
+]
+BetaOption = Annotated[float, under(NUMBERS, "B", "How many times more recall weighs than precision in F-beta.")]
+LabelsOption = Annotated[str | None, under(FILES, "A,B,...", "Labels of the classes of MOT and YOLO, in order.")]
+CategoryOffsetOption = Annotated[int, under(FILES, "N", "Number to add to the category IDs of COCO results.")]
+
+
+# ---- The command ----
+
+
+def learn_command(
+    context: typer.Context,
+    out: DetectorOutOption,
+    runs: Annotated[
+        list[Path] | None, typer.Argument(metavar="RUN", help="Run directories, in place of --truth and --detections.")
+    ] = None,
+    truth: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Ground truth: COCO JSON, MOT gt.txt or YOLO folder; repeatable."),
+    ] = None,
+    detections: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE", help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."
+        ),
+    ] = None,
+    condition: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Condition that a pair of --truth and --detections shows; repeatable."),
+    ] = None,
+    states: StatesOption = None,
+    match: MatchOption = None,
+    confidence: ConfidenceOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+    confidence_scale: ConfidenceScaleOption = None,
+    labels: LabelsOption = None,
+    image_size: ImageSizeOption = None,
+    frame_rate: FrameRateOption = None,
+    horizon: HorizonOption = None,
+    category_offset: CategoryOffsetOption = 0,
+    skip_bad: SkipBadOption = False,
+    clutter: ClutterOption = "auto",
+    without: WithoutOption = None,
+    sequence: SequenceOption = None,
+    interval: IntervalOption = None,
+    level: LevelOption = 0.95,
+    replicates: ReplicatesOption = 300,
+    seed: BootstrapSeedOption = 0,
+    beta: BetaOption = 2.0,
+    detector: Annotated[
+        Path | None,
+        under(GUESS, "FILE", "Detector file or shipped name that is changed from one condition to another."),
+    ] = None,
+    from_condition: Annotated[str | None, under(GUESS, "NAME", "Condition that --detector was measured in.")] = None,
+    to_condition: Annotated[str | None, under(GUESS, "NAME", "Condition to guess --detector in.")] = None,
+) -> None:
+    """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
+
+    With --from-condition, guess how a detector performs in another condition: it changes as much as another detector
+    did between the two. A condition is a detector file with one state and one label, or one that modsim3d scenes lists.
+
+    Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
+    """
+    if detector or from_condition or to_condition:
+        if runs or truth or detections or not (detector and from_condition and to_condition):
+            needed = "--detector, --from-condition and --to-condition"
+            raise ModsimError(f"a guess of another condition needs {needed} together, and neither runs nor files")
+        guess_detector(detector, from_condition, to_condition, out, overwrite)
+        return
+    from modsim3d.io.atomic_write import write_files
+    from modsim3d.io.overwrite_guard import check_free, claimed
+    from modsim3d.learn.learning import LearnInputs, detector_files, learned_files
+
+    request = learn_request(
+        context,
+        image_size_px=None if image_size is None else parsed_size(image_size),
+        horizon=None if horizon is None else parsed_horizon(horizon),
+    )
+    out = out_file(out, Path("detector.yaml"))
+    written = detector_files(out)
+    for path in written:
+        check_free(path, overwrite)  # again below, but reading may take minutes
+    with timed("reading"):
+        inputs = LearnInputs.of(request, truth or (), detections or (), runs or ())
+    read = [*inputs.files, *([sequence] if sequence else [])]
+    tell_files(read)
+    with claimed(written, overwrite=overwrite, inputs=read):
+        with timed("learning"):
+            result = inputs.learn(request, typed_command(context))
+        with timed("files"):
+            write_files(learned_files(result, out))
+    show_result(result, out.name, written)
+    say_json(learn_json(result.report, written))
+
+
+def learn_request(context: typer.Context, **given: Any) -> LearnRequest:
+    """Request of the options that `learn` and `learn-voyage` share, and of what else is given."""
+    from modsim3d.io.input_files import read_text
+    from modsim3d.learn.request import LearnRequest, parse_match, parse_states
+
+    option = context.params
+    scale, sequence = option["confidence_scale"], option["sequence"]
+    same = ("confidence", "replicates", "seed", "level", "beta", "category_offset", "skip_bad")
+    return LearnRequest.of(
+        "modsim3d learn",
+        **parse_match(option["match"]),
+        **parse_states(list(option["states"] or ()) or None, "--states"),
+        conditions=tuple(option["condition"] or ()),
+        labels=parsed_names(option["labels"], "--labels"),
+        without=parsed_names(option["without"], "--without"),
+        sequence=None if sequence is None else read_text(Path(sequence), "sequence"),
+        interval_s=option["interval"],
+        confidence_scale=None if scale is None else parsed_scale(scale),
+        frame_rate_hz=option["frame_rate"],
+        clutter=str(option["clutter"]),
+        **{name: option[name] for name in same},
+        **given,
+    )
+
+
+def show_result(result: LearnResult, name: str, written: Sequence[Path]) -> None:
+    """Print what was learned, which files were written, and what to be careful about."""
+    from modsim3d.learn.report_page import document
+
+    console = open_console()
+    print_document(console, document(result.report, name, result.sources.names, result.sections))
+    print_written(console, written)
+    if result.report.warning:
+        warn(result.report.warning)
+
 
 # ---- What `modsim3d learn --json` says of what was learned ----
 
 
-def learn_json(report: LearnReport, written: Sequence[Path]) -> dict[str, Any]:
+def learn_json(report: LearnReport, written: Sequence[Path], command: str = "learn") -> dict[str, Any]:
     """The figures of each condition and state, and the numbers of the detector file, with their intervals."""
     labelled, learned = report.labelled, report.learned
     groups = {"conditions": report.conditions, "states": report.states}
     return {
         "format": 1,
-        "command": "learn",
+        "command": command,
         "images": len(labelled.images),
         "annotations": len(labelled.annotations),
         "detections": len(labelled.results),
@@ -107,272 +277,3 @@ def _numbers(interval: Interval) -> list[dict[str, Any]]:
         {"name": interval.key.at(place), **{name: float(np.asarray(array)[place]) for name, array in ends.items()}}
         for place in np.ndindex(*np.shape(interval.estimate))
     ]
-
-
-class Match(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """How boxes are matched."""
-
-    confidence = "confidence"
-    optimal = "optimal"
-    centre = "centre"
-    provenance = "provenance"
-
-
-class FalsePositiveChoice(str, Enum):  # noqa: UP042
-    """Model of the number of false positives."""
-
-    auto = "auto"
-    calibrated = "calibrated"
-    per_image = "per_image"
-
-
-def learn_command(
-    context: typer.Context,
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Detector file to write.")],
-    truth: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="PATH", help="Ground truth: COCO JSON, MOT gt.txt or YOLO folder; repeatable."),
-    ] = None,
-    detections: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="PATH",
-            help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; logs of --scene; repeatable.",
-        ),
-    ] = None,
-    condition: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Condition that a pair of --truth and --detections shows; repeatable."),
-    ] = None,
-    run: Annotated[
-        list[Path] | None,
-        typer.Option("--run", metavar="RUN", help="Run directory, in place of --truth and --detections; repeatable."),
-    ] = None,
-    scene: SceneOption = None,
-    camera: CameraOption = None,
-    start: StartOption = None,
-    images: ImagesOption = None,
-    attitude: AttitudeOption = None,
-    fixed: FixedOption = None,
-    known: KnownOption = None,
-    empty: EmptyOption = None,
-    stale: StaleOption = None,
-    position_noise: PositionNoiseOption = None,
-    write_scene: WriteSceneOption = None,
-    state: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=COND,...", help="Performance state, and the conditions it is made of; repeatable."),
-    ] = None,
-    states: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Number of states to make of the conditions, by their F1.")
-    ] = None,
-    sequence: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Text file with a state on each line, in time order, for the transitions."),
-    ] = None,
-    interval: Annotated[
-        float | None, typer.Option(metavar="S", help="Seconds between two lines of --sequence.")
-    ] = None,
-    match: Annotated[
-        Match | None,
-        typer.Option(
-            metavar="HOW",
-            help="How boxes are matched: confidence, optimal, centre or provenance.",
-            show_default="provenance for --run, confidence for files, centre for AIS, optimal without confidences",
-        ),
-    ] = None,
-    iou: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01, max=1, metavar="R", help="Least IoU, for --match confidence and optimal.", show_default="0.5"
-        ),
-    ] = None,
-    distance: Annotated[
-        float | None,
-        typer.Option(min=0, metavar="PX", help="Largest distance, for --match centre.", show_default="50"),
-    ] = None,
-    confidence: Annotated[
-        float | None,
-        typer.Option(
-            min=0, max=1, metavar="P", help="Least confidence of a detection that counts.", show_default="0.2"
-        ),
-    ] = None,
-    confidence_scale: ConfidenceScaleOption = None,
-    clutter: Annotated[
-        FalsePositiveChoice,
-        typer.Option(metavar="MODEL", help="Model of the number of false positives: auto, calibrated or per_image."),
-    ] = FalsePositiveChoice.auto,
-    without: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MODEL,...",
-            help="Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, "
-            "vessels, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
-        ),
-    ] = None,
-    level: Annotated[
-        float, typer.Option(min=0.5, max=0.9999, metavar="P", help="Confidence level of the intervals.")
-    ] = 0.95,
-    replicates: Annotated[
-        int, typer.Option(min=20, metavar="N", help="Number of bootstrap replicates, for the intervals.")
-    ] = 300,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of the bootstrap.")] = 0,
-    beta: Annotated[
-        float, typer.Option(min=0.01, metavar="B", help="How many times more recall weighs than precision in F-beta.")
-    ] = 2.0,
-    bias: Annotated[
-        bool, typer.Option("--bias", help="Simulate what was learned, to find how much matching shifts the numbers.")
-    ] = False,
-    correct: Annotated[
-        bool, typer.Option("--correct", help="Find that shift as --bias does, and take it off the numbers once.")
-    ] = False,
-    labels: Annotated[
-        str | None, typer.Option(metavar="A,B,...", help="Names of the classes, for MOT and YOLO, in order.")
-    ] = None,
-    image_size: ImageSizeOption = None,
-    frame_rate: FrameRateOption = None,
-    horizon: HorizonOption = None,
-    category_offset: Annotated[
-        int, typer.Option(metavar="N", help="Number to add to the category IDs of COCO results.")
-    ] = 0,
-    skip_bad: SkipBadOption = False,
-    page: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="HTML page to write.", show_default="the detector file's name with .html"),
-    ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
-) -> None:
-    """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
-
-    Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
-    """
-    from modsim3d.io.atomic_write import write_files
-    from modsim3d.io.input_files import inputs_noted, read_text
-    from modsim3d.io.overwrite_guard import check_free, claimed
-    from modsim3d.learn.learn_detector import LearnOptions, learn_detector, least_confidence
-    from modsim3d.learn.learned import LearnSettings, uncertainty_file
-    from modsim3d.learn.learning import learned_files
-    from modsim3d.learn.model_selection import left_out
-    from modsim3d.learn.report_page import Sources, document
-    from modsim3d.learn.voyage.report import voyage_json, voyage_sections
-    from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.scene.parts import SCENE_FILE
-
-    out = out_file(out, Path("detector.yaml"))
-    page = out_file(page, out.with_suffix(".html"))
-    if os.path.realpath(page) == os.path.realpath(out):
-        raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-    plain = left_out((name.strip() for name in without.split(",")) if without else (), "--without")
-    options = read_options(labels, image_size, skip_bad, frame_rate, category_offset, confidence_scale, horizon)
-    if match is None and truth and run:
-        raise ModsimError(
-            "--run and --truth are matched differently unless --match is given: give --match confidence, optimal or "
-            "centre for both, or learn from each alone"
-        )
-    shift = bias or correct
-    voyage = asked_voyage(
-        *(scene, truth, run, camera, start, images, attitude, fixed, known, empty, stale, position_noise),
-        *(write_scene, shift),
-    )
-    scene_file = [voyage.write_scene / SCENE_FILE] if voyage and voyage.write_scene else []
-    for path in (out, page, uncertainty_file(out), *scene_file):
-        check_free(path, overwrite)  # again below, but reading may take minutes
-    with timed("reading"), inputs_noted() as read:  # also of files that no option names, such as data.yaml
-        runs: tuple[StoredRun, ...] = ()
-        if voyage:
-            sighted = voyage.labelled(detections or [], condition or [], options, confidence)
-            labelled = sighted.labelled
-        else:
-            labelled, runs = _labelled_set(truth or [], detections or [], condition or [], run or [], options)
-        order = read_text(sequence, "sequence") if sequence else None
-    if interval is None and runs:
-        interval = runs[-1].scene.detector.transition_interval_s
-    least = least_confidence(labelled, confidence)
-    rule = _rule(labelled, match, iou, distance, voyage.position_m if voyage else 0.0)
-    settings = LearnSettings(rule, least, replicates, seed, clutter.value, plain)
-    wanted = LearnOptions(tuple(state or ()), states, order, interval, level, beta, shift)
-    noted = list(read)
-    read += [path for folder in run or () for path in read_of_run(folder)]
-    read += voyage.besides(detections or []) if voyage else []
-    tell_files(read)
-    scene_files = voyage.scene_files(sighted) if voyage else {}
-    written = [out, page, uncertainty_file(out), *scene_files]
-    _check_apart(written[:3], list(scene_files))
-    told: VoyageReport | None = None
-    with claimed(written, overwrite=overwrite, inputs=read):
-        with timed("learning"):
-            if voyage:
-                report, told = voyage.learn(sighted, settings, wanted)
-            else:
-                report = learn_detector(labelled, settings, wanted)
-        with timed("files"):
-            given = voyage.truth(detections or []) if voyage else tuple(truth or ()), tuple(detections or ())
-            sources = Sources(*given, runs, tuple(noted), settings, typed_command(context))
-            sections = voyage_sections(told) if told else ()
-            write_files(learned_files(report, out, page, sources, correct, sections) | scene_files)
-    console = open_console()
-    print_document(console, document(report, out.name, sources.names, sections))
-    print_written(console, written)
-    if report.warning:
-        warn(report.warning)
-    say_json(learn_json(report, written) | {"voyage": voyage_json(told) if told else None})
-
-
-def _check_apart(written: Sequence[Path], scene_files: Sequence[Path]) -> None:
-    """Raise an `InputError` where the detector file or what lies beside it would be a file of the written scene."""
-    places = {path.resolve() for path in scene_files}
-    for path in written:
-        if path.resolve() in places:
-            raise InputError("--write-scene", [f"{path} is a file of the scene: give --out another folder or name"])
-
-
-def _rule(
-    labelled: LabelledSet, match: Match | None, iou: float | None, distance: float | None, position_m: float
-) -> Rule:
-    """The matching rule: the asked method or the usual one, and limits that it knows."""
-    from modsim3d.formats.matching import Rule, usual_method
-
-    method = usual_method(labelled, position_m) if match is None else match.value
-    usual = "" if match else f", which {'AIS' if position_m else 'a run'} is matched by unless --match says otherwise"
-    if iou is not None and method not in ("confidence", "optimal"):
-        raise ModsimError(f"--iou is for --match confidence or optimal, not for {method}{usual}")
-    if distance is not None and method != "centre":
-        raise ModsimError(f"--distance is for --match centre, not for {method}")
-    return Rule(method, 0.5 if iou is None else iou, 50.0 if distance is None else distance)
-
-
-def _labelled_set(
-    truth: Sequence[Path],
-    detections: Sequence[Path],
-    conditions: Sequence[str],
-    runs: Sequence[Path],
-    options: ReadOptions,
-) -> tuple[LabelledSet, tuple[StoredRun, ...]]:
-    """All files and runs as one set, and the runs, opened."""
-    from modsim3d.formats.labelled import joined
-    from modsim3d.formats.reading.pair import read_pair
-
-    if len(truth) != len(detections):
-        raise ModsimError(
-            f"--truth is given {len(truth)} and --detections {len(detections)} times: give one pair for each condition"
-        )
-    if conditions and len(conditions) != len(truth):
-        raise ModsimError(
-            f"--condition is given {len(conditions)} times, with {len(truth)} pairs of --truth and --detections: "
-            "name each pair, in their order"
-        )
-    if not truth and not runs:
-        raise ModsimError("nothing to learn from: give --truth and --detections, --run, or --scene and --detections")
-    names = conditions or (["usual"] if len(truth) == 1 else [f"condition_{k + 1}" for k in range(len(truth))])
-    parts = [read_pair(*pair, options) for pair in zip(names, truth, detections, strict=True)]
-    opened_runs = []
-    for folder in runs:
-        from modsim3d.formats.labelled_run import labelled_run
-
-        labelled, opened = labelled_run(folder)
-        parts.append(labelled)
-        opened_runs.append(opened)
-    return joined(parts), tuple(opened_runs)

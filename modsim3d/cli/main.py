@@ -1,4 +1,4 @@
-"""The command line: each command of `commands/` under its name."""
+"""The command line: each command of this room under its name."""
 
 from __future__ import annotations
 
@@ -13,51 +13,58 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from modsim3d.cli.ais import ais_command
-from modsim3d.cli.campaign import campaign_command
-from modsim3d.cli.campaign_run import campaign_run_command
+from modsim3d.cli.campaign_reproduce import campaign_reproduce_command
+from modsim3d.cli.campaign_run import campaign_plan_command, campaign_run_command
 from modsim3d.cli.campaign_status import campaign_report_command, campaign_status_command, campaign_table_command
-from modsim3d.cli.compare import compare_command
+from modsim3d.cli.check import check_repeat_command, check_run_command, check_scene_command, check_truth_command
 from modsim3d.cli.detect import detect_command
 from modsim3d.cli.export import export_command
-from modsim3d.cli.guess import guess_command
 from modsim3d.cli.learn import learn_command
-from modsim3d.cli.repeat import repeat_command
-from modsim3d.cli.report import report_command, rerun_command
+from modsim3d.cli.learn_voyage import learn_voyage_command
+from modsim3d.cli.old_names import refuse_old_names
+from modsim3d.cli.report import report_command
 from modsim3d.cli.run import run_command
-from modsim3d.cli.scenes import check_command, scenes_command
+from modsim3d.cli.scenes import scenes_command
 from modsim3d.cli.score import score_command
 from modsim3d.cli.shared import INTERRUPTED
 from modsim3d.cli.stream import stream_command
 from modsim3d.cli.terminal import check_arguments, lost_output, prepare_output, say, say_error, start_afresh
 from modsim3d.cli.track import track_command
-from modsim3d.cli.verify import verify_command
-from modsim3d.cli.view import view_command
+from modsim3d.cli.view import view_film_command, view_frame_command, view_map_command, view_sheet_command
 from modsim3d.core.errors import ModsimError
 
-# ---- What `-h` shows, where typer's own would mislead ----
+# ---- What `-h` shows, where typer's own would mislead, and what old names answer ----
 
 
-class Command(TyperCommand):
+class _Plain:
     """A command whose flags are shown as flags: typer calls them <bool>, as if they took a value."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """The parameters, as help shows them."""
-        return _plain(super().get_params(ctx))
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+        return parameters
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The arguments that are left; an old name raises an error that has the new one."""
+        refuse_old_names(ctx, args)
+        left: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
+        return left
 
 
-class CommandGroup(TyperGroup):
-    """A group of commands, as `Command`."""
-
-    def get_params(self, ctx: Any) -> list[Any]:
-        """The parameters, as help shows them."""
-        return _plain(super().get_params(ctx))
+class Command(_Plain, TyperCommand):
+    """A command."""
 
 
-def _plain(parameters: list[Any]) -> list[Any]:
-    for parameter in parameters:
-        if getattr(parameter, "is_flag", False):
-            parameter.metavar = ""
-    return parameters
+class CommandGroup(_Plain, TyperGroup):
+    """A group of commands, in the order of `COMMANDS`."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The names of its commands, as help shows them."""
+        order = [word for _, name, _, _ in COMMANDS for word in name.split()]
+        return sorted(super().list_commands(ctx), key=order.index)
 
 
 BAD_INPUT = 2
@@ -71,11 +78,11 @@ COLLECT_AFTER = 300_000
 Python's own 700, a short run spends a tenth of its time looking through them."""
 
 EXAMPLES = """
-modsim3d run strait --out runs/first   a shipped scene
-modsim3d report runs/first             a page that plays the run
-modsim3d view runs/first --film all    a film of it
-modsim3d verify runs/first             does it obey its detector file?
-modsim3d run -h                        all options of a command
+modsim3d run strait --out runs/first         a shipped scene
+modsim3d report runs/first                   a page that plays the run
+modsim3d view film runs/first                a film of it
+modsim3d check run runs/first                does it obey its detector file?
+modsim3d run -h                              all options of a command
 """
 RUN, LOOK, TEST, CAMPAIGNS, CHECK, MAKE = "Run", "Look", "Test a tracker", "Campaigns", "Check", "Make"
 Entry = tuple[str, str, Callable[..., None], str]
@@ -85,25 +92,34 @@ COMMANDS: tuple[Entry, ...] = (
     (RUN, "stream", stream_command, "Detections line by line, while a scene is simulated."),
     (RUN, "scenes", scenes_command, "List the scenes that come with modsim3d."),
     (LOOK, "report", report_command, "A page that plays a run in the browser."),
-    (LOOK, "view", view_command, "Films, pictures and maps of a run."),
-    (LOOK, "rerun", rerun_command, "A recording for the Rerun viewer."),
+    (LOOK, "view film", view_film_command, "A film of a run."),
+    (LOOK, "view frame", view_frame_command, "A picture of one time step."),
+    (LOOK, "view map", view_map_command, "The scene from above at one time step."),
+    (LOOK, "view sheet", view_sheet_command, "The contact sheet of a run again."),
     (TEST, "track", track_command, "Run a tracker over the detections of a run."),
     (TEST, "score", score_command, "How well do tracks follow the vessels of a run?"),
-    (CAMPAIGNS, "campaign", campaign_command, "Many runs: their scores, and verdicts on requirements."),
-    (CAMPAIGNS, "campaign-status", campaign_status_command, "How far a campaign is."),
-    (CAMPAIGNS, "campaign-table", campaign_table_command, "Mean scores of a campaign with intervals."),
-    (CAMPAIGNS, "campaign-report", campaign_report_command, "A page: verdicts, charts, the worst runs."),
-    (CAMPAIGNS, "campaign-run", campaign_run_command, "A run of a campaign again; films its worst moment."),
-    (CHECK, "check", check_command, "Everything that is wrong with a scene, at once."),
-    (CHECK, "verify", verify_command, "Does a run obey its detector file?"),
-    (CHECK, "repeat", repeat_command, "Does a run come out the same again, byte by byte?"),
-    (CHECK, "compare", compare_command, "Does the rendered truth agree with exact geometry?"),
+    (CAMPAIGNS, "campaign run", campaign_run_command, "Run a campaign, or go on with one."),
+    (CAMPAIGNS, "campaign plan", campaign_plan_command, "How many runs there will be; runs nothing."),
+    (CAMPAIGNS, "campaign status", campaign_status_command, "How far a campaign is."),
+    (CAMPAIGNS, "campaign table", campaign_table_command, "Mean scores of a campaign with intervals."),
+    (CAMPAIGNS, "campaign report", campaign_report_command, "A page: verdicts, charts, the worst runs."),
+    (CAMPAIGNS, "campaign reproduce", campaign_reproduce_command, "A run again; films its worst moment."),
+    (CHECK, "check scene", check_scene_command, "Everything that is wrong with a scene, at once."),
+    (CHECK, "check run", check_run_command, "Does a run obey its detector file?"),
+    (CHECK, "check truth", check_truth_command, "Does the rendered truth agree with geometry?"),
+    (CHECK, "check repeat", check_repeat_command, "Does a run come out the same again, byte by byte?"),
     (MAKE, "ais", ais_command, "A scene from real traffic, out of AIS logs."),
     (MAKE, "learn", learn_command, "A detector file from results on labelled images."),
-    (MAKE, "guess", guess_command, "A guess of a detector in other weather."),
+    (MAKE, "learn-voyage", learn_voyage_command, "A detector file from a voyage with AIS."),
     (MAKE, "export", export_command, "A run in another program's format."),
 )
-"""Group, name, function and short help of each command."""
+"""Panel of the help, name, function and short help of each command."""
+GROUPS = {
+    "view": (LOOK, "Films, pictures and maps of a run."),
+    "campaign": (CAMPAIGNS, "Many runs: their scores, and verdicts on requirements."),
+    "check": (CHECK, "Does a scene, a run or the truth hold what it says?"),
+}
+"""Panel and short help of each group of commands."""
 
 
 def _show_version(requested: bool) -> None:
@@ -117,29 +133,40 @@ def _show_version(requested: bool) -> None:
 def _root(
     context: typer.Context,
     version: Annotated[
-        bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     start_afresh()
     context.call_on_close(start_afresh)
 
 
-def _app_of(commands: Iterable[Entry]) -> typer.Typer:
-    made = typer.Typer(
+def _typer(text: str) -> typer.Typer:
+    return typer.Typer(
         cls=CommandGroup,
         no_args_is_help=True,
         context_settings={"help_option_names": ["-h", "--help"]},
         rich_markup_mode="rich",
         pretty_exceptions_enable=False,
-        help=(
-            "Simulates cameras and their vessel detector for multi-object trackers.\n\n"
-            f"[bold]Examples[/bold]\n{EXAMPLES}"
-        ),
+        help=text,
+    )
+
+
+def _app_of(commands: Iterable[Entry]) -> typer.Typer:
+    made = _typer(
+        f"Simulates cameras and their vessel detector for multi-object trackers.\n\n[bold]Examples[/bold]\n{EXAMPLES}"
     )
     made.callback()(_root)
-    for group, name, function, short_help in commands:
-        made.command(name, cls=Command, short_help=short_help, rich_help_panel=group)(function)
+    groups: dict[str, typer.Typer] = {}
+    for panel, name, function, short_help in commands:
+        group, _, word = name.rpartition(" ")
+        if not group:
+            made.command(name, cls=Command, short_help=short_help, rich_help_panel=panel)(function)
+            continue
+        if group not in groups:
+            groups[group] = _typer(GROUPS[group][1])
+            groups[group].callback()(lambda: None)
+            made.add_typer(groups[group], name=group, short_help=GROUPS[group][1], rich_help_panel=panel)
+        groups[group].command(word, cls=Command, short_help=short_help)(function)
     return made
 
 
@@ -147,8 +174,8 @@ app = _app_of(COMMANDS)
 
 
 def _asked(arguments: Sequence[str]) -> typer.Typer:
-    """The command line with the one command that the first argument names, since typer takes 2 ms to prepare each."""
-    named = [entry for entry in COMMANDS if entry[1] in arguments[:1]]
+    """The command line with what the first argument names only, since typer takes 2 ms to prepare each command."""
+    named = [entry for entry in COMMANDS if entry[1].split()[0] in arguments[:1]]
     return _app_of(named) if named else app
 
 

@@ -1,4 +1,4 @@
-"""The commands `modsim3d report` and `modsim3d rerun`: a run to look at."""
+"""The command `modsim3d report`: a page that plays a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from modsim3d.cli.shared import (
     OverwriteOption,
     QuietOption,
     RunArgument,
-    ScaleOption,
     SimilarityOption,
     ThresholdOption,
     TracksOption,
@@ -29,8 +28,7 @@ def report_command(
     context: typer.Context,
     run: RunArgument,
     other: Annotated[
-        Path | None,
-        typer.Argument(metavar="RUN_B", help="Another run of the same truth, to show beside the first."),
+        Path | None, typer.Argument(metavar="RUN_B", help="Another run of the same truth, to show beside the first.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -39,11 +37,10 @@ def report_command(
         ),
     ] = None,
     every: Annotated[
-        int, typer.Option(min=1, metavar="K", help="Show every K-th step only; the tables count all steps.")
+        int, typer.Option(min=1, metavar="K", help="Take every K-th time step only; the tables count all steps.")
     ] = 1,
     tracks: TracksOption = None,
     similarity: SimilarityOption = None,
-    scale: ScaleOption = None,
     threshold: ThresholdOption = None,
     parts: Annotated[
         bool, typer.Option("--parts", help="Write the frames into a folder beside the page, for very long runs.")
@@ -72,7 +69,7 @@ def report_command(
         second = None if other is None else open_run(other)
     read = read_of_run(run) + read_of_tracks(tracks) + ([] if other is None else read_of_run(other))
     tell_files(read)
-    followed = opened_tracks(tracks, opened, similarity, scale, threshold)
+    followed = opened_tracks(tracks, opened, similarity, threshold)
     path = out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
     folders = {parts_folder(path): PART_FILES} if parts else {}
     with (
@@ -99,44 +96,3 @@ def report_command(
     for folder in folders:
         size = sum(file.stat().st_size for file in folder.iterdir())
         say(f"written  {folder}  ({size / 1e6:.1f} MB): the page needs it beside it")
-
-
-def rerun_command(
-    run: RunArgument,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Rerun recording to write.", show_default="RUN/run.rrd")
-    ] = None,
-    every: Annotated[int, typer.Option(min=1, metavar="K", help="Record every K-th step only.")] = 1,
-    tracks: TracksOption = None,
-    similarity: SimilarityOption = None,
-    scale: ScaleOption = None,
-    threshold: ThresholdOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-) -> None:
-    """Write a run as a recording for the Rerun viewer: cameras, vessels and boxes in space and time.
-
-    Example: modsim3d rerun runs/first --out first.rrd
-    """
-    from modsim3d.io.overwrite_guard import claimed
-    from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.rerun_recording import write_recording
-
-    with timed("opening the run"):
-        opened = open_run(run)
-    read = read_of_run(run) + read_of_tracks(tracks)
-    tell_files(read)
-    followed = opened_tracks(tracks, opened, similarity, scale, threshold)
-    path = out_file(out, run / "run.rrd")
-    with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
-        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
-
-        def advance(steps: int) -> None:
-            bar.update(task, advance=steps, refresh=True)
-
-        write_recording(opened, path, every, advance, followed)
-    if followed is not None:
-        say(followed.sentence())
-    say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -76,12 +75,7 @@ def print_truth_summary(result: TruthResult) -> None:
 def _rows(result: TruthResult) -> list[Row]:
     counts, sequences = result.counts, len(result.sequence_counts)
     many = f"{sequences} sequence{'s' if sequences > 1 else ''}, from {result.kind}"
-    return [
-        ("frames", str(counts.frames), many),
-        *vessel_rows(counts),
-        *detection_rows(counts),
-        *gate_rows(counts),
-    ]
+    return [("frames", str(counts.frames), many), *vessel_rows(counts), *detection_rows(counts), *gate_rows(counts)]
 
 
 def truth_warnings(result: TruthResult) -> list[str]:
@@ -135,21 +129,6 @@ def tell_backend(folder: Path) -> None:
     tell("OpenGL", str(read_json(folder / RUN_FILE)["backend"]))
 
 
-class Source(str, Enum):  # noqa: UP042 (typer shows the plain values)
-    """Where the truth comes from."""
-
-    rendered = "rendered"
-    analytic = "analytic"
-    rectangles = "rectangles"
-
-
-class Render(str, Enum):  # noqa: UP042
-    """How much of an image is rendered."""
-
-    regions = "regions"
-    full = "full"
-
-
 def run_command(
     scene: SceneArgument,
     out: Annotated[
@@ -163,24 +142,16 @@ def run_command(
     mode: Annotated[
         int | None,
         typer.Option(
-            "--mode",
-            min=0,
-            max=2,
-            metavar="MODE",
-            help="Annotation mode, 0 to 2, in place of the scene's (README).",
+            "--mode", min=0, max=2, metavar="MODE", help="Annotation mode, 0 to 2, in place of the scene's (README)."
         ),
     ] = None,
     source: Annotated[
-        Source | None,
+        Literal["rendered", "analytic", "rectangles"] | None,
         typer.Option(
             "--source", metavar="SOURCE", help="Where the truth comes from: rendered, analytic or rectangles."
         ),
     ] = None,
     steps: StepsOption = None,
-    render: Annotated[
-        Render | None,
-        typer.Option(metavar="PART", help="What is rendered: regions where vessels overlap, or full images."),
-    ] = None,
     settings: SetOption = None,
     state: StateOption = None,
     state_from: FromOption = None,
@@ -207,8 +178,7 @@ def run_command(
             detector_seed=detector_seed,
             steps=steps,
             mode=mode,
-            source=source.value if source else None,
-            render=render.value if render else None,
+            source=source,
             settings=read_settings(settings or ()),
             state=state,
             state_from=state_from,

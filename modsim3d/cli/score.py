@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,14 +13,13 @@ from modsim3d.cli.shared import (
     JsonOption,
     OverwriteOption,
     QuietOption,
+    SimilarityOption,
     VerboseOption,
+    parse_similarity,
     print_written,
     typed_command,
 )
 from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed
-
-if TYPE_CHECKING:
-    pass
 
 
 def score_command(
@@ -30,16 +29,13 @@ def score_command(
         list[Path],
         typer.Argument(metavar="TRACKS", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
     ],
-    truth: Annotated[
+    vessels: Annotated[
         Literal["annotated", "full"],
-        typer.Option(help="annotated: vessels that the detector was given; full: all in the image, whole boxes."),
+        typer.Option(
+            help="Vessels that count: annotated, as the detector was given, or full, all in the image with whole boxes."
+        ),
     ] = "annotated",
-    similarity: Annotated[
-        Literal["iou", "centre"], typer.Option(help="How boxes are compared; centre: by distance over --scale.")
-    ] = "iou",
-    scale: Annotated[
-        float | None, typer.Option(metavar="PX", help="Distance of centres at which --similarity centre is 0.")
-    ] = None,
+    similarity: SimilarityOption = None,
     threshold: Annotated[
         float, typer.Option(metavar="S", help="Least similarity at which a track follows a vessel.")
     ] = 0.5,
@@ -56,8 +52,7 @@ def score_command(
         typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
     ] = None,
     camera: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all"),
+        list[str] | None, typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all")
     ] = None,
     seeds: Annotated[
         int | None,
@@ -79,13 +74,14 @@ def score_command(
     from modsim3d.io.overwrite_guard import claimed
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.tracking.score_outcome import score_data
     from modsim3d.tracking.score_page import FILES, document, write_scores
     from modsim3d.tracking.score_run import score_run
-    from modsim3d.tracking.score_tables import score_data
 
     with timed("opening the run"):
         opened = open_run(run)
-    paths = [] if out is None else [out / name for name in FILES]
+    paths = [] if out is None else [out / file for file in FILES]
+    name, scale_px = parse_similarity(similarity)
     read = [*read_of_run(run), *tracks]
     tell_files(read)
     with claimed(paths, overwrite=overwrite, inputs=read):
@@ -93,9 +89,9 @@ def score_command(
             scores = score_run(
                 opened,
                 tracks,
-                truth=truth,
-                similarity=similarity,
-                scale_px=scale,
+                truth=vessels,
+                similarity=name,
+                scale_px=scale_px,
                 threshold=threshold,
                 gap_s=gap,
                 by_class=by_class,

@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modsim3d.cli.completion import complete_scene
 from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, print_table
+from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +24,13 @@ if TYPE_CHECKING:
 
     from modsim3d.io.processes import WorkerCount
     from modsim3d.runs.stored_run import StoredRun
+    from modsim3d.tracks.tracks import SimilarityName
     from modsim3d.view.followed_tracks import FollowedTracks
+
+
+def under(panel: str, metavar: str, text: str, **more: Any) -> Any:
+    """An option that help shows under a panel, with what stands for its value and its text."""
+    return typer.Option(metavar=metavar, help=text, rich_help_panel=panel, **more)
 
 
 INTERRUPTED = 130
@@ -141,13 +148,18 @@ def typed_command(context: typer.Context) -> str:
 
     Options have their long names. Those that only say where files go or what is printed are left out.
     """
-    words = ["modsim3d", str(context.info_name)]
+    words = ["modsim3d", *_command_words(context)]
     parameters = [each for each in context.command.params if each.name not in LEFT_OUT]
     for parameter in sorted(parameters, key=lambda each: each.param_type_name != "argument"):
         source = context.get_parameter_source(str(parameter.name))
         if source is not None and source.name == "COMMANDLINE":
             words += _words(parameter, context.params[str(parameter.name)])
     return shlex.join(words)
+
+
+def _command_words(context: Any) -> list[str]:
+    """The words after `modsim3d` that name a command."""
+    return [] if context.parent is None else [*_command_words(context.parent), str(context.info_name)]
 
 
 def _words(parameter: Any, value: Any) -> Iterator[str]:
@@ -248,14 +260,14 @@ TracksOption = Annotated[
         help="Show the tracks of a tracker: a folder of modsim3d track, a .csv file, or MOT (docs/track_files.md).",
     ),
 ]
+
 SimilarityOption = Annotated[
-    Literal["iou", "centre"] | None,
+    str | None,
     typer.Option(
-        help="How boxes of --tracks and vessels are compared; centre: by distance over --scale.", show_default="iou"
+        metavar="iou|centre:PX",
+        help="Similarity of a track's box and a vessel's: iou, or centre, by distance, with that at which it is 0.",
+        show_default="iou",
     ),
-]
-ScaleOption = Annotated[
-    float | None, typer.Option(metavar="PX", help="Distance of centres at which --similarity centre is 0.")
 ]
 ThresholdOption = Annotated[
     float | None,
@@ -263,12 +275,26 @@ ThresholdOption = Annotated[
 ]
 
 
+def parse_similarity(text: str | None) -> tuple[SimilarityName, float | None]:
+    """Name and scale of a text such as `iou` or `centre:40`; IoU without a text.
+
+    Raises:
+        ModsimError: There is no such similarity.
+    """
+    name, colon, scale = (text or "iou").partition(":")
+    try:
+        scale_px = float(scale) if colon else None
+    except ValueError:
+        name = ""
+    if name == "iou":
+        return "iou", scale_px
+    if name == "centre":
+        return "centre", scale_px
+    raise ModsimError(f"--similarity: needs iou, or centre:PX as in centre:40 (got '{text}')")
+
+
 def opened_tracks(
-    path: Path | None,
-    run: StoredRun,
-    similarity: Literal["iou", "centre"] | None,
-    scale: float | None,
-    threshold: float | None,
+    path: Path | None, run: StoredRun, similarity: str | None, threshold: float | None
 ) -> FollowedTracks | None:
     """The tracks that `--tracks` names, with the vessels that they follow; None without it.
 
@@ -276,15 +302,14 @@ def opened_tracks(
         ModsimError: The run is not finished, the tracks are wrong, or an option is.
     """
     from modsim3d.cli.terminal import timed
-    from modsim3d.core.errors import ModsimError
     from modsim3d.tracks.tracks import Similarity
     from modsim3d.view.followed_tracks import read_followed_tracks
 
     if path is None:
-        if (similarity, scale, threshold) != (None, None, None):
-            raise ModsimError("--similarity, --scale and --threshold are for --tracks")
+        if (similarity, threshold) != (None, None):
+            raise ModsimError("--similarity and --threshold are for --tracks")
         return None
-    compared = Similarity(similarity or "iou", scale, 0.5 if threshold is None else threshold)
+    compared = Similarity(*parse_similarity(similarity), 0.5 if threshold is None else threshold)
     with timed("tracks"):
         return read_followed_tracks(path, run, compared)
 

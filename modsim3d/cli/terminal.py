@@ -517,38 +517,53 @@ def print_document(console: Console, document: Document) -> None:
 
 def print_blocks(console: Console, blocks: Iterable[Block]) -> None:
     """Print blocks; a table with a title of its own has no heading besides."""
-    heading = ""
+    heading = Heading("")
     for block in shown(blocks, Where.TERMINAL):
         if isinstance(block, Heading):
-            heading = block.text
+            heading = block
             continue
-        if isinstance(block, Fold | Beside):
-            print_blocks(console, [Heading(block.title if isinstance(block, Fold) else heading), *block.blocks])
-        elif isinstance(block, Table):
-            _print_document_table(console, block, block.title or heading)
-        elif heading:
-            console.print()
-            print_prose(console, heading, "bold")
-        if isinstance(block, Text):
+        if isinstance(block, Table) and block.title:
+            heading = Heading(block.title)
+        if isinstance(block, Beside):
+            print_blocks(console, [heading, *block.blocks])
+        else:
+            if heading.text:
+                console.print()
+                print_prose(console, heading.text, STYLES["bad" if heading.bad else "lead"])
+            _print_block(console, block)
+        heading = Heading("")
+
+
+def _print_block(console: Console, block: Block) -> None:
+    match block:
+        case Fold():
+            print_blocks(console, [Heading(block.title), *block.blocks])
+        case Table():
+            _print_document_table(console, block)
+        case Text():
             print_prose(console, block.text, STYLES[block.style])
-        elif isinstance(block, Items):
+        case Items():
             for item in block.texts:
                 print_prose(console, item, indent=2)
-        heading = ""
 
 
-def _print_document_table(console: Console, table: Table, title: str) -> None:
-    rows = table.texts
-    columns = list(zip(*rows, strict=True))
+def _print_document_table(console: Console, table: Table) -> None:
+    """Print a table; a column of drawings alone has no text."""
+    if table.about:
+        print_prose(console, table.about, "dim")
+    whole = list(zip(*table.texts, strict=True))
+    columns = [column for column in whole if any(column)]
+    header = [name for name, column in zip(table.header, whole, strict=False) if any(column)]
+    rows = list(zip(*columns, strict=True))
     print_table(
         console,
-        title,
+        "",
         rows,
-        header=table.header,
-        right={place for place, name in enumerate(table.header) if name and place and is_numeric(columns[place])},
+        header=header,
+        right={place for place, name in enumerate(header) if name and place and is_numeric(columns[place])},
         row_styles=["bold red" if row in table.bad else "dim" if row in table.soft else "" for row in range(len(rows))],
         breaks=CELL_BREAKS,
-        at_edge=next((place for place, name in enumerate(table.header) if name in OUTCOMES), None),
+        at_edge=next((place for place, name in enumerate(header) if name in OUTCOMES), None),
     )
     for row, note in table.notes.items():
         if note:

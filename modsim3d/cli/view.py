@@ -1,19 +1,20 @@
-"""The command `modsim3d view`: pictures and films of a run."""
+"""The commands `modsim3d view`: films, pictures and maps of a run, from its directory alone."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
-from modsim3d.cli import view_options as options
 from modsim3d.cli.shared import (
     INTERRUPTED,
+    EveryOption,
     OverwriteOption,
     QuietOption,
     RunArgument,
-    ScaleOption,
     SimilarityOption,
     Stopped,
     ThresholdOption,
@@ -27,271 +28,164 @@ from modsim3d.cli.shared import (
     stoppable,
 )
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
-from modsim3d.cli.view_options import Film, Style, claimed_file, claimed_folder, film_format
-from modsim3d.core.errors import ModsimError, RendererError
+from modsim3d.core.errors import ModsimError
+from modsim3d.io.overwrite_guard import check_not_read, claimed, locked_file
+from modsim3d.runs.files.overwrite import read_of_run
 
 if TYPE_CHECKING:
     from modsim3d.io.processes import WorkerCount
     from modsim3d.runs.selection import Selection
     from modsim3d.runs.stored_run import StoredRun
     from modsim3d.view.films.plan import FilmPlan
-    from modsim3d.view.followed_tracks import FollowedTracks
-    from modsim3d.view.sea_and_sky import RenderStyle
+    from modsim3d.view.films.request import PictureRequest
+
+MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
+FRAME_FILES = "frame_*.png"
 
 
-def view_command(
+FilmKind = Literal["detections", "scene", "ids", "corners", "map", "all"]
+FrameKind = Literal["detections", "scene", "ids", "corners", "all", "id_buffer"]
+FilmFormat = Literal["mp4", "gif", "png"]
+
+
+CamerasOption = Annotated[
+    list[str] | None,
+    typer.Option("--camera", metavar="NAME", help="Camera to draw; repeatable.", show_default="all cameras"),
+]
+LayersOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME,...", help="Layers to draw over the image (docs/pictures.md).", show_default="those of the kind"
+    ),
+]
+LookOption = Annotated[
+    str | None,
+    typer.Option(
+        "--look",
+        metavar="LOOK,...",
+        help="How vessels and sea look: shaded or plain; night; fog:M, with the visibility in metres. It changes no "
+        "detection.",
+        show_default="shaded for scene, plain for detections",
+    ),
+]
+CropOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X0,Y0,X1,Y1|vessels", help="Part of the image to draw, in pixels, or vessels: where vessels are."
+    ),
+]
+WidthOption = Annotated[
+    int | None,
+    typer.Option(
+        min=MIN_WIDTH_PX,
+        max=MAX_WIDTH_PX,
+        metavar="PX",
+        help="Width of what is drawn, in pixels.",
+        show_default="1280; several side by side: 1920",
+    ),
+]
+OutOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="in the run directory")
+]
+
+
+# ---- `modsim3d view film` ----
+
+
+def view_film_command(
     run: RunArgument,
-    film: options.FilmOption = None,
-    frame: options.Frame = None,
-    map_: options.Map = False,
-    at: options.At = None,
-    sheet: options.Sheet = False,
-    ids: options.IdBuffer = False,
-    camera: options.Cameras = None,
-    from_: options.From = None,
-    to: options.To = None,
-    every: options.Every = 1,
-    only_with_vessels: options.OnlyWithVessels = False,
+    kind: Annotated[
+        FilmKind,
+        typer.Option(
+            "--kind",
+            metavar="KIND",
+            help="Kind of pictures: detections, scene, ids, corners, map, or all: three side by side.",
+        ),
+    ] = "detections",
+    camera: CamerasOption = None,
+    start: Annotated[
+        float | None, typer.Option(metavar="TIME", help="Time of the first step that is shown, in seconds.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option(metavar="TIME", help="Time of the last step that is shown, in seconds.")
+    ] = None,
+    every: EveryOption = 1,
+    only_with_vessels: Annotated[
+        bool, typer.Option("--only-with-vessels", help="Leave out steps with no vessel in an image.")
+    ] = False,
     tracks: TracksOption = None,
     similarity: SimilarityOption = None,
-    scale: ScaleOption = None,
     threshold: ThresholdOption = None,
-    layers: options.LayerNames = None,
-    look: options.Look = None,
-    visibility: options.Visibility = None,
-    night: options.Night = False,
-    crop: options.Crop = None,
-    width: options.Width = None,
-    format_: options.FormatOption = None,
-    speed: options.Speed = 1.0,
+    layers: LayersOption = None,
+    look: LookOption = None,
+    crop: CropOption = None,
+    width: WidthOption = None,
+    format_: Annotated[
+        FilmFormat | None,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="Format to write: mp4, gif, or png for a folder of pictures.",
+            show_default="by the name in --out, or mp4",
+        ),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(metavar="X", help="Seconds of the run that one second of a film shows.")
+    ] = 1.0,
     workers: WorkersOption = 1,
-    out: options.Out = None,
+    out: OutOption = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Draw a film or a picture of a run, from its directory alone.
+    """Draw a film of a run.
 
-    Example: modsim3d view runs/first --film detections --crop vessels
+    Example: modsim3d view film runs/first --crop vessels
     """
-    from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.selection import select_cameras
-    from modsim3d.runs.stored_run import open_run
+    from modsim3d.runs.selection import select, select_cameras
 
-    _check_task(film, frame, map_, at, sheet, ids)
-    _check_tracks(tracks, film, frame)
-    style, boxes_on_scene = _style(film, look, visibility, night)
-    opened = open_run(run)
-    tell_files(read_of_run(run) + read_of_tracks(tracks))
-    followed = opened_tracks(tracks, opened, similarity, scale, threshold)
-    if sheet:
-        _draw_sheet(opened, overwrite)
-    cameras = select_cameras(opened, camera or [])
-    if map_:
-        _draw_map(opened, cameras, at, width, out, overwrite)
-    if ids and frame is not None:
-        _write_ids(opened, cameras, frame, out, overwrite)
-        return
-    if film is None and frame is None:
-        return
-    selection = _select(opened, cameras, frame, from_, to, every, only_with_vessels)
+    if not 0 < speed < float("inf"):
+        raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
+    request = _request(kind, layers, crop, width, look, tracks)
+    file_format = _film_format(format_, out)
+    opened = _opened(run, tracks)
+    followed = opened_tracks(tracks, opened, similarity, threshold)
+    selection = select(
+        opened,
+        select_cameras(opened, camera or []),
+        from_s=start,
+        to_s=end,
+        every=every,
+        only_with_vessels=only_with_vessels,
+    )
     _say_what_there_is(opened)
-    kind = film or Film.detections
-    plan = _plan(selection, kind, layers, crop, width, style, boxes_on_scene, followed)
-    if frame is not None:
-        _draw_picture(selection, plan, kind, out, overwrite)
-    else:
-        _draw_film(selection, plan, kind, film_format(format_, out), speed, workers, out, overwrite)
+    _draw_film(selection, request.plan(selection, followed), request.kind, file_format, speed, workers, out, overwrite)
     if followed is not None:
         say(followed.sentence())
 
 
-def _check_task(film: Film | None, frame: str | None, map_: bool, at: str | None, sheet: bool, ids: bool) -> None:
-    """Check that the options ask for something, and for one thing only."""
-    if film is None and frame is None and not sheet and not map_:
-        raise ModsimError("nothing to draw: give --film detections, --frame 255, --map or --sheet")
-    if ids and (frame is None or film is not None or map_):
-        raise ModsimError("--ids writes one ID buffer: give --frame 255 too, and neither --film nor --map")
-    if at is not None and not map_:
-        raise ModsimError(f"--at works with --map only; for one picture of a camera's image use --frame {at}")
-    if map_ and (film is not None or frame is not None):
-        raise ModsimError("--map draws one picture, at the time of --at; for a film of maps use --film map")
+def _film_format(option: FilmFormat | None, out: Path | None) -> str:
+    """The format that `--format` asks for, or the ending of the file's name.
 
-
-def _check_tracks(tracks: Path | None, film: Film | None, frame: str | None) -> None:
-    """Check that tracks are drawn: in pictures with detections."""
-    if tracks is None:
-        return
-    if film is None and frame is None:
-        raise ModsimError("--tracks works with --film detections and all, and with --frame")
-    if film not in (None, Film.detections, Film.all):
-        raise ModsimError(f"--tracks works with --film detections and all, not with {film.value}")
-
-
-def _select(
-    run: StoredRun,
-    cameras: tuple[int, ...],
-    frame: str | None,
-    from_s: float | None,
-    to_s: float | None,
-    every: int,
-    only_with_vessels: bool,
-) -> Selection:
-    """The step of `--frame`, or else those of the options of a film."""
-    from modsim3d.runs.selection import find_step, select, times_of
-
-    if frame is None:
-        return select(run, cameras, from_s=from_s, to_s=to_s, every=every, only_with_vessels=only_with_vessels)
-    time_s = float(times_of(run)[find_step(run, frame)])
-    return select(run, cameras, from_s=time_s, to_s=time_s)
-
-
-def _say_what_there_is(run: StoredRun) -> None:
-    """Tell which steps of an interrupted run are drawn."""
-    if not run.finished:
-        from modsim3d.runs.selection import span
-
-        warn(span(run))
-
-
-def _style(film: Film | None, look: Style | None, visibility: float | None, night: bool) -> tuple[RenderStyle, bool]:
-    """How scenes look, and whether boxes are drawn on such pictures too."""
-    from modsim3d.render.context import open_context
-    from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
-
-    weather = visibility is not None or night
-    if (weather or look is not None) and film not in (None, Film.scene, Film.detections, Film.all):
-        raise ModsimError(
-            f"--look, --visibility and --night work with --film scene, detections and all, not with {film.value}"
-        )
-    style = RenderStyle(look is not Style.plain, visibility, night)
-    boxes_on_scene = look is Style.shaded or weather
-    # Unless shaded pictures are asked for, boxes stay on the plain style, in which they are seen best.
-    if not style.shaded or not (boxes_on_scene or film in (Film.scene, Film.all)):
-        return PLAIN_STYLE, False
-    try:
-        with open_context():  # a library may have no driver
-            pass
-    except RendererError as error:
-        if boxes_on_scene:
-            raise RendererError(f"shaded pictures need OpenGL; use --look plain without it: {error}") from error
-        return PLAIN_STYLE, False
-    return style, boxes_on_scene
-
-
-def _draw_map(
-    run: StoredRun, cameras: tuple[int, ...], at: str | None, width: int | None, out: Path | None, overwrite: bool
-) -> None:
-    from modsim3d.runs.selection import find_step, times_of
-    from modsim3d.view.films.plan import WIDTH_PX
-    from modsim3d.view.map_marks import BirdsEye
-    from modsim3d.view.map_picture import FORMATS, check_matplotlib, save_map
-
-    step = len(times_of(run)) - 1 if at is None else find_step(run, at)
-    path = out_file(out, run.folder / f"map_{step:06d}.png")
-    if path.suffix.lower() not in FORMATS:
-        raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
-    check_matplotlib()
-    with claimed_file(path, run, overwrite), timed("map"):
-        _say_what_there_is(run)
-        say(f"map  {save_map(BirdsEye(run.scene, run.steps, cameras), step, path, width or WIDTH_PX)}")
-
-
-def _write_ids(run: StoredRun, cameras: tuple[int, ...], frame: str, out: Path | None, overwrite: bool) -> None:
-    from modsim3d.runs.selection import find_step
-    from modsim3d.view.pictures.id_buffer import write_id_buffer
-
-    names = [run.scene.cameras[index].name for index in cameras]
-    if len(names) > 1:
-        raise ModsimError(f"--ids writes the buffer of one camera: give --camera {' or --camera '.join(names)}")
-    step = find_step(run, frame)
-    path = out_file(out, run.folder / f"id_buffer_{names[0]}_{step:06d}.png")
-    if path.suffix.lower() not in (".png", ".npy"):
-        raise ModsimError(f"{path}: the name of an ID buffer must end in .png or .npy")
-    image = run.frame(names[0], step).id_image()
-    with claimed_file(path, run, overwrite):
-        write_id_buffer(image, path)
-    height, width = image.ids.shape
-    say(f"ID buffer  {path}\n           {width} × {height} px, 0 where nothing is")
-    for number, pixels in image.counts():
-        say(f"{number:>9}  {image.names[number]}: {pixels} px")
-
-
-def _plan(
-    selection: Selection,
-    film: Film,
-    layers: str | None,
-    crop: str | None,
-    width: int | None,
-    style: RenderStyle,
-    boxes_on_scene: bool,
-    tracks: FollowedTracks | None,
-) -> FilmPlan:
-    from modsim3d.runs.counts import NOTHING_WRONG
-    from modsim3d.view.films.plan import (
-        ALL,
-        SEVERAL_WIDTH_PX,
-        WIDTH_PX,
-        FilmPlan,
-        crop_to_vessels,
-        mistakes_in,
-        parse_crop,
-        vessels_in,
-    )
-    from modsim3d.view.pictures.layers import Layers
-
-    kinds = ALL if film is Film.all else (film.value,)
-    several = film is not Film.map and (len(kinds) > 1 or len(selection.cameras) > 1)
-    wide = width or (SEVERAL_WIDTH_PX if several else WIDTH_PX)
-    if wide % 2:
-        raise ModsimError(f"--width {wide}: films need an even width, such as {wide - 1} or {wide + 1}")
-    chosen = Layers.of(name.strip() for name in layers.split(",")) if layers is not None else None
-    crops = crop_to_vessels(selection) if crop == "vessels" else parse_crop(selection, crop) if crop else ()
-    if film is Film.map:
-        from modsim3d.view.map_picture import check_matplotlib
-
-        check_matplotlib()
-    return FilmPlan(
-        kinds,
-        selection.cameras,
-        wide,
-        chosen,
-        crops,
-        style,
-        boxes_on_scene,
-        selection.run.steps,
-        mistakes=mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
-        tracks=tracks,
-        vessels=vessels_in(selection, crops) if set(kinds) & {"scene", "ids", "corners"} else (),
-    )
-
-
-def _draw_sheet(run: StoredRun, overwrite: bool) -> None:
-    from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
-
-    if not run.finished:
-        raise ModsimError(
-            f"{run.folder} holds an interrupted run, and a contact sheet needs a finished one (go on with "
-            f"modsim3d run --resume); --film and --frame draw the {run.steps} steps that are there"
-        )
-    with claimed_file(run.folder / SHEET_FILE, run, overwrite), timed("contact sheet"):
-        say(f"contact sheet  {draw_contact_sheet(run)}")
-
-
-def _draw_picture(selection: Selection, plan: FilmPlan, film: Film, out: Path | None, overwrite: bool) -> None:
-    from modsim3d.view.films.film import draw_picture
-
-    path = out_file(out, selection.run.folder / f"{film.value}_{selection.steps[0]:06d}.png")
-    if path.suffix.lower() != ".png":
-        raise ModsimError(f"{path}: the name of a picture must end in .png")
-    with claimed_file(path, selection.run, overwrite), timed("picture"):
-        say(f"picture  {draw_picture(selection, plan, path)}")
+    Raises:
+        ModsimError: The two differ, or no film has such an ending.
+    """
+    ending = "" if out is None or out.is_dir() else out.suffix.lower().removeprefix(".")
+    if option is None:
+        if ending and ending not in ("mp4", "gif"):
+            raise ModsimError(
+                f"{out}: films cannot be written as .{ending}; use .mp4, .gif, or --format png with a folder"
+            )
+        return ending or "mp4"
+    if ending in get_args(FilmFormat) and ending != option:
+        raise ModsimError(f"the ending of {out} contradicts --format {option}")
+    return option
 
 
 def _draw_film(
     selection: Selection,
     plan: FilmPlan,
-    film: Film,
+    name: str,
     kind: str,
     speed: float,
     workers: WorkerCount,
@@ -302,12 +196,10 @@ def _draw_film(
     from modsim3d.view.films.files import check_encoder
     from modsim3d.view.films.film import Showing, draw_film
 
-    if not 0 < speed < float("inf"):
-        raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
     check_encoder(kind)
     folder = selection.run.folder
-    path = out or folder / film.value if kind == "png" else out_file(out, folder / f"{film.value}.{kind}")
-    claim = (claimed_folder if kind == "png" else claimed_file)(path, selection.run, overwrite)
+    path = out or folder / name if kind == "png" else out_file(out, folder / f"{name}.{kind}")
+    claim = (_claimed_folder if kind == "png" else _claimed_file)(path, selection.run, overwrite)
     showing = Showing.of(selection, kind, speed)
     pace = f"{len(showing.steps)} frames"
     if kind != "png":
@@ -321,3 +213,207 @@ def _draw_film(
         say("\nmodsim3d: interrupted; no film was written", err=True)
         raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
     say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {pace}")
+
+
+# ---- `modsim3d view frame`, `map` and `sheet` ----
+
+StepArgument = typer.Argument(metavar="STEP|TIME", help="Step to draw, such as 255, or time, such as 51.0 or 51s.")
+
+
+def view_frame_command(
+    run: RunArgument,
+    step: Annotated[str, StepArgument],
+    kind: Annotated[
+        FrameKind,
+        typer.Option(
+            "--kind",
+            metavar="KIND",
+            help="Kind of picture: detections, scene, ids, corners, all: three side by side, or id_buffer: the ID at "
+            "each pixel of a camera, as a PNG of 16 bits or, by --out, as .npy.",
+        ),
+    ] = "detections",
+    camera: CamerasOption = None,
+    tracks: TracksOption = None,
+    similarity: SimilarityOption = None,
+    threshold: ThresholdOption = None,
+    layers: LayersOption = None,
+    look: LookOption = None,
+    crop: CropOption = None,
+    width: WidthOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Draw one time step of a run as a PNG.
+
+    Example: modsim3d view frame runs/first 51s --crop vessels
+    """
+    from modsim3d.runs.selection import find_step, select, select_cameras, times_of
+
+    request = _request(kind, layers, crop, width, look, tracks)
+    opened = _opened(run, tracks)
+    followed = opened_tracks(tracks, opened, similarity, threshold)
+    cameras = select_cameras(opened, camera or [])
+    if kind == "id_buffer":
+        _write_id_buffer(opened, cameras, step, out, overwrite)
+        return
+    time_s = float(times_of(opened)[find_step(opened, step)])
+    selection = select(opened, cameras, from_s=time_s, to_s=time_s)
+    _say_what_there_is(opened)
+    _draw_picture(selection, request.plan(selection, followed), request.kind, out, overwrite)
+    if followed is not None:
+        say(followed.sentence())
+
+
+def view_map_command(
+    run: RunArgument,
+    step: Annotated[str | None, StepArgument] = None,
+    camera: CamerasOption = None,
+    width: WidthOption = None,
+    out: OutOption = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Draw the scene of a run from above, as PNG, SVG or PDF, at its last step unless another is given.
+
+    Example: modsim3d view map runs/first 51s --out map.svg
+    """
+    from modsim3d.runs.selection import find_step, select_cameras, times_of
+    from modsim3d.view.films.plan import WIDTH_PX
+    from modsim3d.view.map_marks import BirdsEye
+    from modsim3d.view.map_picture import FORMATS, check_matplotlib, save_map
+
+    opened = _opened(run, None)
+    cameras = select_cameras(opened, camera or [])
+    shown = len(times_of(opened)) - 1 if step is None else find_step(opened, step)
+    path = out_file(out, opened.folder / f"map_{shown:06d}.png")
+    if path.suffix.lower() not in FORMATS:
+        raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
+    check_matplotlib()
+    with _claimed_file(path, opened, overwrite), timed("map"):
+        _say_what_there_is(opened)
+        say(f"map  {save_map(BirdsEye(opened.scene, opened.steps, cameras), shown, path, width or WIDTH_PX)}")
+
+
+def view_sheet_command(
+    run: RunArgument, overwrite: OverwriteOption = False, quiet: QuietOption = False, verbose: VerboseOption = False
+) -> None:
+    """Draw contact_sheet.png of a finished run again.
+
+    Example: modsim3d view sheet runs/first --overwrite
+    """
+    from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
+
+    opened = _opened(run, None)
+    if not opened.finished:
+        raise ModsimError(
+            f"{opened.folder} holds an interrupted run, and a contact sheet needs a finished one (go on with modsim3d "
+            f"run --resume); modsim3d view film and view frame draw the {opened.steps} steps that are there"
+        )
+    with _claimed_file(opened.folder / SHEET_FILE, opened, overwrite), timed("contact sheet"):
+        say(f"contact sheet  {draw_contact_sheet(opened)}")
+
+
+def _write_id_buffer(run: StoredRun, cameras: tuple[int, ...], at: str, out: Path | None, overwrite: bool) -> None:
+    from modsim3d.runs.selection import find_step
+    from modsim3d.view.pictures.id_buffer import write_id_buffer
+
+    names = [run.scene.cameras[index].name for index in cameras]
+    if len(names) > 1:
+        raise ModsimError(f"--kind id_buffer needs one camera: give --camera {' or --camera '.join(names)}")
+    step = find_step(run, at)
+    path = out_file(out, run.folder / f"id_buffer_{names[0]}_{step:06d}.png")
+    if path.suffix.lower() not in (".png", ".npy"):
+        raise ModsimError(f"{path}: the name of an ID buffer must end in .png or .npy")
+    image = run.frame(names[0], step).id_image()
+    with _claimed_file(path, run, overwrite):
+        write_id_buffer(image, path)
+    height, width = image.ids.shape
+    say(f"ID buffer  {path}\n           {width} × {height} px, 0 where nothing is")
+    for number, pixels in image.counts():
+        say(f"{number:>9}  {image.names[number]}: {pixels} px")
+
+
+def _draw_picture(selection: Selection, plan: FilmPlan, name: str, out: Path | None, overwrite: bool) -> None:
+    from modsim3d.view.films.film import draw_picture
+
+    path = out_file(out, selection.run.folder / f"{name}_{selection.steps[0]:06d}.png")
+    if path.suffix.lower() != ".png":
+        raise ModsimError(f"{path}: the name of a picture must end in .png")
+    with _claimed_file(path, selection.run, overwrite), timed("picture"):
+        say(f"picture  {draw_picture(selection, plan, path)}")
+
+
+# ---- What they share ----
+
+
+def _request(
+    kind: str, layers: str | None, crop: str | None, width: int | None, look: str | None, tracks: Path | None
+) -> PictureRequest:
+    from modsim3d.view.films.request import Look, PictureRequest
+
+    names = None if layers is None else tuple(name.strip() for name in layers.split(","))
+    return PictureRequest(kind, names, crop, width, Look() if look is None else Look.parse(look), tracks is not None)
+
+
+def _opened(run: Path, tracks: Path | None) -> StoredRun:
+    from modsim3d.runs.stored_run import open_run
+
+    opened = open_run(run)
+    tell_files(read_of_run(run) + read_of_tracks(tracks))
+    return opened
+
+
+def _say_what_there_is(run: StoredRun) -> None:
+    """Tell which steps of an interrupted run are drawn."""
+    if not run.finished:
+        from modsim3d.runs.selection import span
+
+        warn(span(run))
+
+
+@contextmanager
+def _claimed_file(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
+    """Check that a picture or a film of a run can be written to a file, and hold its lock.
+
+    Raises:
+        ModsimError: Its folder is missing, or it may not be written; see `claimed`.
+    """
+    _check_parent(path)
+    with claimed([path], overwrite=overwrite, inputs=read_of_run(run.folder)):
+        yield
+
+
+@contextmanager
+def _claimed_folder(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
+    """Check that the PNG files of a film of a run can be written to a folder, and hold its lock.
+
+    Raises:
+        ModsimError: It is a file, holds other files than a film's, or holds a film that is not to be overwritten.
+    """
+    _check_parent(path)
+    check_not_read(path, read_of_run(run.folder))
+    _check_free_folder(path, overwrite)
+    with locked_file(path):
+        _check_free_folder(path, overwrite)  # another process may have ended just now
+        yield
+
+
+def _check_free_folder(path: Path, overwrite: bool) -> None:
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise ModsimError(f"{path} is a file: choose another name with --out")
+    entries = list(path.iterdir())
+    strange = [entry.name for entry in entries if not entry.match(FRAME_FILES)]
+    if strange:
+        raise ModsimError(f"{path} holds other files than frames of a film ({strange[0]}): choose another folder")
+    if entries and not overwrite:
+        raise ModsimError(f"{path} exists: use --overwrite, or another name with --out")
+
+
+def _check_parent(path: Path) -> None:
+    if not path.parent.is_dir():
+        raise ModsimError(f"{path.parent} does not exist")

@@ -95,6 +95,7 @@ class Table:
         bad: Rows that stand out.
         soft: Rows that stand back.
         notes: What is said below a row, by its number.
+        about: What is said between the title and the rows.
     """
 
     title: str
@@ -103,6 +104,7 @@ class Table:
     bad: Container[int] = ()
     soft: Container[int] = ()
     notes: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
+    about: str = ""
     where: Where = Where.TEXT
 
     @property

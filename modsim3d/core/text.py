@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from math import isfinite
 
 MAX_NAMES = 6
 UNKNOWN = "–"
@@ -87,3 +88,36 @@ def with_interval(value: float | None, low: float | None, high: float | None, de
 def percent_of(part: float, whole: float) -> str:
     """A share in percent with one decimal; a dash of nothing."""
     return f"{100 * part / whole:.1f} %" if whole else UNKNOWN
+
+
+def duration_text(seconds: float) -> str:
+    """A time in seconds, minutes, hours or days."""
+    if seconds < 120:
+        return f"{seconds:.3g} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.1f} minutes"
+    return f"{seconds / 3600:.1f} hours" if seconds < 48 * 3600 else f"{seconds / 86400:,.1f} days"
+
+
+def three_digits(value: float | None) -> str:
+    """A number with three digits or three decimals, a whole one as it is; a dash where it is not known."""
+    if value is None or not isfinite(value) or float(value).is_integer():
+        return number(value, 0)
+    return _with_decimals(value, _decimals(value))
+
+
+def three_digits_with_interval(value: float | None, low: float | None, high: float | None) -> str:
+    """A number with its interval; the number alone where there is no interval."""
+    if value is None or low is None or high is None or not (isfinite(low) and isfinite(high)):
+        return three_digits(value)
+    said, *ends = (_with_decimals(each, _decimals(value)) for each in (value, low, high))
+    return f"{said} [{ends[0]}, {ends[1]}]"
+
+
+def _decimals(value: float) -> int:
+    return max(0, 3 - len(f"{abs(value):.0f}")) if abs(value) >= 1 else 3
+
+
+def _with_decimals(value: float, decimals: int) -> str:
+    text = number(value, decimals)
+    return f"{value:.2g}".replace("-", "−") if value and not text.strip("−0.") else text

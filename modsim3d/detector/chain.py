@@ -24,7 +24,7 @@ from modsim3d.detector.draws import (
 )
 from modsim3d.detector.dropout import EFFECTS
 from modsim3d.detector.false_positives import (
-    CLUTTER_MODELS,
+    FALSE_POSITIVE_MODELS,
     FalsePositiveRates,
     FalsePositives,
     FalsePositiveSource,
@@ -122,12 +122,12 @@ class Detector:
     same detections, whatever was detected before and however a run is split into chunks.
     """
 
-    def __init__(self, model: DetectorModel, seed: int, census: TargetStatistics, clock: Clock) -> None:
+    def __init__(self, model: DetectorModel, seed: int, statistics: TargetStatistics, clock: Clock) -> None:
         """Build the parts that the model asks for.
 
         Args:
             seed: Key of all its random numbers.
-            census: Of the scene's targets, from `target_statistics`.
+            statistics: Of the scene's targets, from `target_statistics`.
             clock: Times of the scene's steps, such as `scene.times_s`: noise may persist from step to step.
 
         Raises:
@@ -138,9 +138,9 @@ class Detector:
         self._states = PerformanceStates(model, self._streams)
         self._noise = VesselNoise(model.persistence, self._streams, clock)
         self._pair_noise = PairNoise(model.persistence.merge_s, self._streams, clock)
-        self._classifier = ConfusionClassifier.from_model(model, census)
+        self._classifier = ConfusionClassifier.from_model(model, statistics)
         self._box_error = BoxErrorSource.from_model(model)
-        self._clutter = clutter_of(model, census)
+        self._false_positive_source = false_positive_source(model, statistics)
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
     def detect(self, frames: CameraFrames, targets: Targets) -> Detections:
@@ -228,27 +228,29 @@ class Detector:
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
         counts = FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
         around = Surroundings(self._streams, frames, counts, vessels)
-        transient = self._clutter.draw_transient(around)
-        parts = [self._of_clutter(frames, transient, FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
-        if self.model.clutter.persistent_share:
-            persistent = self._clutter.draw_persistent(around)
-            parts.append(self._of_clutter(frames, persistent, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
+        transient = self._false_positive_source.draw_transient(around)
+        parts = [self._of_false_positives(frames, transient, FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
+        if self.model.false_positives.persistent_share:
+            persistent = self._false_positive_source.draw_persistent(around)
+            parts.append(self._of_false_positives(frames, persistent, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
         return parts
 
-    def _of_clutter(self, frames: CameraFrames, clutter: FalsePositives, kind: int, purpose: Purpose) -> _Unscored:
-        count = len(clutter.frame)
+    def _of_false_positives(
+        self, frames: CameraFrames, drawn: FalsePositives, kind: int, purpose: Purpose
+    ) -> _Unscored:
+        count = len(drawn.frame)
         no_target = np.full(count, -1)
         return _Unscored(
-            frame=clutter.frame,
+            frame=drawn.frame,
             target=no_target,
             partner=no_target,
             kind=np.full(count, kind),
-            label=clutter.label,
-            boxes_px=clutter.boxes_px,
+            label=drawn.label,
+            boxes_px=drawn.boxes_px,
             errors_px=np.full((count, 4), np.nan),
             redrawn=np.zeros(count, dtype=bool),
             visible_fraction=np.full(count, np.nan),
-            uniforms=clutter.uniforms(self._streams, purpose, frames),
+            uniforms=drawn.uniforms(self._streams, purpose, frames),
         )
 
     def _score_uniforms(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
@@ -276,30 +278,32 @@ class Detector:
         return Detections(states=states, confidence=confidence[order], gated=gated, **columns)
 
 
-def clutter_of(model: DetectorModel, census: TargetStatistics) -> FalsePositiveSource:
+def false_positive_source(model: DetectorModel, statistics: TargetStatistics) -> FalsePositiveSource:
     """The false positives of a detector.
 
     Raises:
         ModsimError: Their sizes come from the scene's targets, and there are none.
     """
-    return FalsePositiveSource.of(model.clutter, clutter_rates(model), model.column("false_positive_labels"), census)
+    return FalsePositiveSource.of(
+        model.false_positives, false_positive_rates(model), model.column("false_positive_labels"), statistics
+    )
 
 
-def clutter_rates(model: DetectorModel) -> FalsePositiveRates:
+def false_positive_rates(model: DetectorModel) -> FalsePositiveRates:
     """How many false positives each state of a detector asks for."""
     discovery, per_image = model.column("false_discovery_rate"), model.column("false_positives_per_image")
     return FalsePositiveRates(discovery, per_image, model.confidence_threshold)
 
 
 def target_statistics(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetStatistics:
-    """The census that a detector needs of a scene: give the result to `Detector`, whatever the model.
+    """What a detector needs of a scene: give the result to `Detector`, whatever the model.
 
     Args:
         model: The detector; only targets that pass its gates count.
-        parts: Frames and targets that together are the whole scene. They are not read if the model needs no census;
+        parts: Frames and targets that together are the whole scene. They are not read if the model needs none;
             the result is then empty.
     """
-    if not model.needs_census:
+    if not model.needs_target_statistics:
         return TargetStatistics()
     return TargetStatistics.total(
         TargetStatistics.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
@@ -326,7 +330,7 @@ MODELS: Mapping[DetectorPart, Mapping[str, object]] = {
     DetectorPart.STATE: {MARKOV_CHAIN: PerformanceStates},
     DetectorPart.CLASS: {CONFUSION: ConfusionClassifier, **EFFECTS},
     DetectorPart.BOX_ERROR: ERROR_DISTRIBUTIONS,
-    DetectorPart.FALSE_POSITIVES: CLUTTER_MODELS,
+    DetectorPart.FALSE_POSITIVES: FALSE_POSITIVE_MODELS,
     DetectorPart.CONFIDENCE: SCORES,
 }
 """What draws each part, by the name of the model."""
@@ -356,7 +360,7 @@ def used_models(model: DetectorModel) -> Iterator[UsedModel]:
     for state in model.states:
         name = model_name(ERROR_DISTRIBUTIONS, state.box_error.distribution)
         yield UsedModel(DetectorPart.BOX_ERROR, name, f"states.{state.name}.box_error.law", state.name)
-    yield UsedModel(DetectorPart.FALSE_POSITIVES, model.clutter.model, "false_positives.model")
+    yield UsedModel(DetectorPart.FALSE_POSITIVES, model.false_positives.model, "false_positives.model")
     for state in model.states:
         true, false = state.confidence.true, state.confidence.false
         kinds = {"": true} if true is false else {".true": true, ".false": false}

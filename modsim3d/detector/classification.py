@@ -31,15 +31,15 @@ class ConfusionClassifier:
     intercepts: Array
 
     @classmethod
-    def from_model(cls, model: DetectorModel, census: TargetStatistics) -> ConfusionClassifier:
-        """The classifier of a detector whose anchored miss rates hold on average over the scene of the census."""
+    def from_model(cls, model: DetectorModel, statistics: TargetStatistics) -> ConfusionClassifier:
+        """The classifier of a detector whose anchored miss rates hold on average over the scene of the targets."""
         distributions = cumulative(np.swapaxes(model.column("confusion"), 1, 2))
         misses = _miss_rates(distributions)
         intercepts = np.zeros_like(misses)
         if model.dropout.anchored:
             for state, label in np.ndindex(*misses.shape):
                 intercepts[state, label] = anchor(
-                    float(misses[state, label]), *census.log_odds_of(tallied(model.dropout, state), label)
+                    float(misses[state, label]), *statistics.log_odds_of(tallied(model.dropout, state), label)
                 )
         return cls(distributions, model.dropout, intercepts)
 

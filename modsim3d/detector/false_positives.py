@@ -159,7 +159,7 @@ class Thesis(FalsePositiveModel):
         return np.maximum(np.rint(rate * frames.n_true - rates.confidence_threshold), 0).astype(np.int64)
 
 
-CLUTTER_MODELS: Mapping[str, FalsePositiveModel] = {
+FALSE_POSITIVE_MODELS: Mapping[str, FalsePositiveModel] = {
     "calibrated": Calibrated(),
     "thesis": Thesis(),
     "per_image": PerImage(),
@@ -298,11 +298,11 @@ class LognormalSize:
 class SceneSizes:
     """The sizes of the scene's annotated boxes, over all its steps."""
 
-    census: TargetStatistics
+    statistics: TargetStatistics
 
     def at(self, uniforms: Array) -> Array:
         """The size of one of these boxes for each of m numbers, shape (m, 2)."""
-        return self.census.sizes_px(uniforms)
+        return self.statistics.sizes_px(uniforms)
 
 
 _MAX_CHANGE_PX = 0.5  # of a true side: true sides are often whole pixels, and detected ones never
@@ -330,10 +330,10 @@ class FalsePositiveOptions:
     @property
     def numbers(self) -> FalsePositiveModel:
         """The model of their number."""
-        return CLUTTER_MODELS[self.model]
+        return FALSE_POSITIVE_MODELS[self.model]
 
     @property
-    def needs_census(self) -> bool:
+    def needs_target_statistics(self) -> bool:
         """Whether sizes come from all of the scene: empty frames have no vessels, and persistent ones keep a size."""
         return self.size is None and (self.numbers.empty_frames or self.persistent_share > 0)
 
@@ -389,7 +389,7 @@ class FalsePositiveSource:
         options: FalsePositiveOptions,
         rates: FalsePositiveRates,
         false_positive_labels: Array,
-        census: TargetStatistics,
+        statistics: TargetStatistics,
     ) -> FalsePositiveSource:
         """The false positives of a detector whose labels have a distribution in each state, shape (states, labels).
 
@@ -397,12 +397,12 @@ class FalsePositiveSource:
             ModsimError: Sizes come from the scene's targets, and there are none.
         """
         sizes_ = options.size
-        if options.needs_census:
-            if not len(census.sides.counts) and options.numbers.empty_frames:
+        if options.needs_target_statistics:
+            if not len(statistics.sides.counts) and options.numbers.empty_frames:
                 raise ModsimError(
                     "false positives are as large as annotated vessels, but there are none: give false_positives a size"
                 )
-            sizes_ = SceneSizes(census) if len(census.sides.counts) else None
+            sizes_ = SceneSizes(statistics) if len(statistics.sides.counts) else None
         return cls(options, rates, cumulative(false_positive_labels), sizes_)
 
     def draw_transient(self, around: Surroundings) -> FalsePositives:
@@ -416,7 +416,7 @@ class FalsePositiveSource:
         if not len(frame):  # most frames have none, and a live step is one frame
             return FalsePositives(frame, ordinal, np.empty((0, 4)), np.empty(0, dtype=np.int64))
         uniforms = ordinal_uniforms(streams, Purpose.CLUTTER, frames, frame, ordinal)
-        return self._clutter(around, frame, ordinal, uniforms, None)
+        return self._of_draws(around, frame, ordinal, uniforms, None)
 
     def draw_persistent(self, around: Surroundings) -> FalsePositives:
         """False positives that stay for a while and drift along the horizon."""
@@ -425,9 +425,9 @@ class FalsePositiveSource:
         found = persistent_false_positives(around.streams, around.frames, means, options.lifetime_s)
         ordinal = np.arange(len(found.frame)) - np.searchsorted(found.frame, found.frame)
         drift_px = found.sign * options.drift_px_s * found.age_s
-        return self._clutter(around, found.frame, ordinal, found.uniforms, drift_px)
+        return self._of_draws(around, found.frame, ordinal, found.uniforms, drift_px)
 
-    def _clutter(
+    def _of_draws(
         self, around: Surroundings, frame: Indices, ordinal: Indices, uniforms: Array, drift_px: Array | None
     ) -> FalsePositives:
         boxes = self.boxes_px(around.frames, around.detected, frame, uniforms[:, : DRAWS + 1], drift_px)

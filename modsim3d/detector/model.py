@@ -108,7 +108,7 @@ class DetectorModel:
     dropout: Dropout = field(default_factory=Dropout)
     gates: Gates = field(default_factory=Gates)
     persistence: Persistence = field(default_factory=Persistence)
-    clutter: FalsePositiveOptions = field(default_factory=FalsePositiveOptions)
+    false_positives: FalsePositiveOptions = field(default_factory=FalsePositiveOptions)
     merges_and_splits: MergesAndSplits = field(default_factory=MergesAndSplits)
     performance: Performance = field(default_factory=Performance)
     operating_threshold: float | None = None
@@ -137,9 +137,9 @@ class DetectorModel:
         return dict(zip(names, stationary_shares(self.transition_matrix).tolist(), strict=False))
 
     @property
-    def needs_census(self) -> bool:
+    def needs_target_statistics(self) -> bool:
         """Whether the detector must count all targets of the scene before it can detect any."""
-        return self.dropout.anchored or self.clutter.needs_census
+        return self.dropout.anchored or self.false_positives.needs_target_statistics
 
     def column(self, attribute: str) -> Array:
         """One attribute of every state, stacked: shape (number of states, ...)."""

@@ -3,8 +3,8 @@
 Two models need them before the first frame. A miss rate that is anchored to the scene is an average over all targets.
 False positives that are as large as the scene's vessels take their sizes from all targets.
 
-Only whole numbers are kept: how many targets fall in each narrow range. So the census of a scene is the same however
-the scene was split into parts.
+Only whole numbers are kept: how many targets fall in each narrow range. So the counts are the same however the
+scene was split into parts.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ SHARED = -1
 
 
 def tallied(dropout: Dropout, state: int) -> int:
-    """The number under which a census counts the log-odds of a state."""
+    """The number under which targets count the log-odds of a state."""
     return state if state in dropout.own else SHARED
 
 
 @dataclass(frozen=True, eq=False)
 class TargetStatistics:
-    """Counts of the targets of a scene that pass the detector's gates; `take_census` makes it.
+    """Counts of the targets of a scene that pass the detector's gates; `target_statistics` makes it.
 
     Attributes:
         log_odds: Counts of (`tallied` state, label, range of the log-odds that the target's look adds to a miss there).
@@ -81,11 +81,11 @@ class TargetStatistics:
 
     @classmethod
     def total(cls, parts: Iterable[TargetStatistics]) -> TargetStatistics:
-        """The census of a scene from those of its parts, such as blocks of steps or cameras."""
+        """The statistics of a scene from those of its parts, such as blocks of steps or cameras."""
         return sum(parts, cls())
 
     def __add__(self, other: TargetStatistics) -> TargetStatistics:
-        """The census of the targets of both."""
+        """The statistics of the targets of both."""
         return TargetStatistics(self.log_odds + other.log_odds, self.sides + other.sides)
 
     def log_odds_of(self, state: int, label: int) -> tuple[Array, Array]:

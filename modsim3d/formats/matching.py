@@ -194,7 +194,7 @@ def _by_provenance(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Indic
 def _origins(labelled: LabelledSet) -> Indices:
     """Row of the annotation that each detection is of, −1 for none, shape (D,)."""
     if labelled.results.origin is None:
-        raise ModsimError("matching by provenance needs simulated runs (--run): files do not say whose a detection is")
+        raise ModsimError("matching by provenance needs simulated runs: files do not say whose a detection is")
     return labelled.results.origin
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +64,6 @@ def counted_as(
     matched: Matched,
     used: Mask,
     without: frozenset[str] = frozenset(),
-    shown: Mapping[str, float | None] | None = None,
 ) -> CountedAs:
     """Types that the detections of the images that are used (I,) count as.
 
@@ -74,7 +72,6 @@ def counted_as(
         matched: Its matches.
         used: Which images take part, shape (I,).
         without: Kinds that are left out.
-        shown: The kinds that are there, with their thresholds, where that is known; else the data decide.
     """
     false = matched.false[used[labelled.results.image[matched.false]]]
     one_vessel = np.ones(len(labelled.results), dtype=bool)
@@ -84,9 +81,7 @@ def counted_as(
         return CountedAs(matched.detection, in_merged_box, ambiguous, false, false, one_vessel, {}, {}, ())
     kinds, notes = kinds_of(labelled, matched, used), list[str]()
     thresholds, trials = dict[str, float](), dict[str, Trials]()
-    if shown is None:
-        shown = _shown(kinds, wanted, labelled.images, notes)
-    for name, least in shown.items():
+    for name, least in _shown(kinds, wanted, labelled.images, notes).items():
         trials[name] = _above(kinds.trials[name], least)
         if least is not None:
             thresholds[name] = least

@@ -1,4 +1,4 @@
-"""From labelled sets to a report: conditions, states, figures, the detector, and what matching does to it."""
+"""From labelled sets to a report: conditions, states, figures and the detector."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.learned import LearnSettings, check_size, learn
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import bias_of
 from modsim3d.learn.report import LearnReport, NearGate
 from modsim3d.learn.states import (
     StateMap,
@@ -52,7 +51,7 @@ def gate_warning(labelled: LabelledSet, matched: Matched, rule: Rule) -> str | N
     return (
         f"{near:,} of {np.count_nonzero(missed):,} missed annotations overlap a false detection, and only {found:,} "
         f"detections match: if those boxes are meant for each other, {recall} counts them as missed. Use --match "
-        "centre with a --distance that is large against the errors of the boxes"
+        "centre:PX with a distance that is large against the errors of the boxes"
     )
 
 
@@ -94,7 +93,6 @@ class LearnOptions:
         interval_s: Time between transitions.
         level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
-        bias: Whether to find how much matching shifts the numbers.
     """
 
     states: tuple[str, ...] = ()
@@ -103,7 +101,6 @@ class LearnOptions:
     interval_s: float | None = None
     level: float = 0.95
     beta: float = 2.0
-    bias: bool = False
 
 
 def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: LearnOptions) -> LearnReport:
@@ -140,7 +137,6 @@ def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: Lear
         state_map=state_map,
         learned=learned,
         shares=None if by_label is None else error_shares(labelled, by_label, image_state >= 0, curve_rule),
-        bias=bias_of(learned, settings) if options.bias else None,
         level=options.level,
         beta=options.beta,
         matched_by=str(settings.rule),
@@ -182,7 +178,7 @@ def _check_scores(labelled: LabelledSet) -> None:
 def _state_map(labelled: LabelledSet, matched: Matched, options: LearnOptions) -> StateMap:
     """The states that are named, that clusters make or that conditions are; only those with images."""
     if options.states and options.clusters:
-        raise ModsimError("give --state, which names the conditions of each state, or --states, which finds them")
+        raise ModsimError("give the conditions of each state, or a number of states to be found: not both")
     if options.states:
         state_map = parse_states(options.states, labelled.conditions)
     elif options.clusters:
@@ -265,7 +261,7 @@ def _near_gate(observed: Observed, rule: Rule) -> NearGate:
     state = observed.image_state[labelled.annotations.image[annotation]]
     other = "--match provenance cuts off none"
     if labelled.results.origin is None:
-        other = "--match centre, at a distance that is large against the errors, cuts off less"
+        other = "--match centre:PX, with a distance that is large against the errors, cuts off less"
     shares = ((name, _share(near[state == k])) for k, name in enumerate(observed.states))
     many = tuple((name, share) for name, share in shares if share > _MANY_NEAR)
     return NearGate(many, gate, other, several=len(observed.states) > 1)

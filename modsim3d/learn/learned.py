@@ -224,12 +224,6 @@ def check_size(classes: int, states: int, replicates: int) -> None:
         raise InputError("labelled set", [problem])
 
 
-def learn_again(learned: Learned, observed: Observed) -> LearnedDetector:
-    """Learn from other data with the same models and without replicates."""
-    observed = replace(observed, shown=dict(learned.form.multiple_boxes.shown))
-    return learned.form.estimate(observed, resample(observed.labelled.images, 0, 0))
-
-
 def _run_s(observed: Observed, form: DetectorForm) -> float:
     """A length many times as long as noise persists, but so that enough runs are left; 0 if none persists."""
     longest = max(

@@ -7,9 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import Field, ValidationError
+from typing import Any
 
 from modsim3d.core.document import Block
 from modsim3d.core.errors import InputError, ModsimError
@@ -19,24 +17,19 @@ from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.formats.matching import Rule, usual_method
-from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import inputs_noted
 from modsim3d.io.overwrite_guard import claimed
-from modsim3d.io.validation import Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn import learn_detector as labelled_sets
-from modsim3d.learn.learn_detector import LearnOptions
-from modsim3d.learn.learned import LearnSettings, uncertainty_file, uncertainty_text
-from modsim3d.learn.model_selection import left_out
+from modsim3d.learn.learned import uncertainty_file, uncertainty_text
 from modsim3d.learn.report import LearnReport, lead
 from modsim3d.learn.report_page import Sources, document, page_text
+from modsim3d.learn.request import LearnRequest, Method, parse_states
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 
 Paths = StrPath | Sequence[StrPath]
-Method = Literal["confidence", "optimal", "centre", "provenance"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,67 +87,118 @@ class LearnResult:
             TypeError: The path is neither text nor a path.
         """
         out = as_path(path, "path")
-        page, unsure = out.parent / f"{out.stem}.html", uncertainty_file(out)
-        if page == out:
-            raise InputError("path", [f"the page would be written over the detector file: name it .yaml (got {out})"])
-        with claimed([out, page, unsure], overwrite=overwrite, inputs=self.inputs):
-            write_files(learned_files(self.report, out, page, self.sources, sections=self.sections))
-        return out, page
+        written = detector_files(out)
+        with claimed(written, overwrite=overwrite, inputs=self.inputs):
+            write_files(learned_files(self, out))
+        return written[0], written[1]
 
 
-def learned_files(
-    report: LearnReport,
-    out: Path,
-    page: Path,
-    sources: Sources,
-    corrected: bool = False,
-    sections: Sequence[Block] = (),
-) -> dict[Path, bytes | str]:
-    """The content of the files that are written: the detector, the page, and how well the numbers are known.
+def learned_files(result: LearnResult, out: Path) -> dict[Path, bytes | str]:
+    """Content of the files that are written: the detector, its page, and how well the numbers are known."""
+    detector = detector_text(result.content, comments(result.report))
+    text = page_text(result.report, out, detector, result.sources, result.sections)
+    return dict(
+        zip(detector_files(out), (detector, text, uncertainty_text(result.report.learned, detector)), strict=True)
+    )
 
-    Args:
-        report: What was learned.
-        out: The detector file.
-        page: The page.
-        sources: What it was learned from.
-        corrected: Whether to take the bias of matching off the numbers.
-        sections: Further sections of the page.
+
+def detector_files(out: Path) -> list[Path]:
+    """The detector file, its page, and what says how well its numbers are known.
+
+    Raises:
+        InputError: The page would be the detector file itself.
     """
-    learned = report.bias.corrected() if corrected and report.bias else report.learned
-    detector = detector_text(learned.detector(), comments(report, corrected))
-    text = page_text(report, out, detector, sources, sections)
-    return {out: detector, page: text, uncertainty_file(out): uncertainty_text(learned, detector)}
+    page = out.parent / f"{out.stem}.html"
+    if os.path.realpath(page) == os.path.realpath(out):
+        raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
+    return [out, page, uncertainty_file(out)]
 
 
-def comments(report: LearnReport, corrected: bool = False) -> list[str]:
-    """The lines at the head of a learned detector file; `corrected` says that the bias of matching was taken off."""
+def comments(report: LearnReport) -> list[str]:
+    """The lines at the head of a learned detector file."""
     states = report.state_map.states.items()
     return [
         f"Learned by modsim3d learn. {lead(report)}",
         *(f"States: {name} = {', '.join(names)}" for name, names in states),
         *([f"Warning: {report.warning}"] if report.warning else []),
         *(f"Remark: {remark}" for remark in report.remarks),
-        *(["Corrected once for the bias of the matching."] if corrected else []),
         *(f"Left simple: {note}" for note in report.learned.notes),
     ]
 
 
-class _Choices(Strict):
-    """The arguments that are neither paths nor runs."""
+@dataclass(frozen=True, eq=False)
+class LearnInputs:
+    """Labelled sets that are learned from, as one, and where they came from.
 
-    conditions: tuple[str, ...]
-    match: Method | None
-    least_iou: Annotated[float, Field(strict=True, gt=0, le=1)]
-    most_distance_px: Positive
-    confidence: Probability | None
-    confidence_scale: tuple[Number, Number] | None
-    replicates: Annotated[int, Field(strict=True, ge=20)]
-    seed: Count
-    without: tuple[str, ...]
-    labels: tuple[str, ...]
-    image_size_px: tuple[Positive, Positive] | None
-    frame_rate_hz: Positive | None
-    horizon: Number | tuple[Number, Number, Number, Number] | None
+    Attributes:
+        labelled: All sets and runs together.
+        truth: Ground truth of each pair, as it was given.
+        detections: The results on each.
+        runs: The runs.
+        read: Every file that was opened, but those of runs.
+    """
+
+    labelled: LabelledSet
+    truth: tuple[Path, ...]
+    detections: tuple[Path, ...]
+    runs: tuple[StoredRun, ...]
+    read: tuple[Path, ...]
+
+    @classmethod
+    def of(
+        cls,
+        request: LearnRequest,
+        truth: Sequence[Path],
+        detections: Sequence[Path],
+        runs: Sequence[StoredRun | StrPath],
+    ) -> LearnInputs:
+        """Read pairs of truth and detections, and runs.
+
+        Raises:
+            ModsimError: There is nothing, not one of both for each condition, or a file cannot be read.
+        """
+        names = request.conditions
+        if len(truth) != len(detections):
+            counts = f"{len(truth)} of truth and {len(detections)} of detections are given"
+            raise ModsimError(f"{counts}: give one pair for each condition")
+        if names and len(names) != len(truth):
+            counts = f"{len(names)} conditions are named for {len(truth)} pairs of truth and detections"
+            raise ModsimError(f"{counts}: name each pair, in their order")
+        if not truth and not runs:
+            raise ModsimError("nothing to learn from: give truth and detections, or a run")
+        if truth and runs and request.match is None:
+            raise ModsimError(
+                "runs and files are matched differently unless a rule is named: give --match confidence, optimal or "
+                "centre for both, or learn from each alone"
+            )
+        names = names or (("usual",) if len(truth) == 1 else tuple(f"condition_{k + 1}" for k in range(len(truth))))
+        with inputs_noted() as read:  # also of files that are not named, such as data.yaml
+            parts = [read_pair(*pair, request.read_options) for pair in zip(names, truth, detections, strict=True)]
+            opened = tuple(opened_run(run) for run in runs)
+            parts += [labelled_run(run)[0] for run in opened]
+        return cls(joined(parts), tuple(truth), tuple(detections), opened, tuple(read))
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that was read; none of them is written over."""
+        return (*self.read, *(path for run in self.runs for path in read_of_run(run.folder)))
+
+    def learn(self, request: LearnRequest, call: str) -> LearnResult:
+        """Learn a detector.
+
+        Args:
+            request: How.
+            call: The command, or the call from Python, for the page.
+
+        Raises:
+            ModsimError: Nothing can be learned from this.
+        """
+        interval_s = self.runs[-1].scene.detector.transition_interval_s if self.runs else None
+        settings = request.settings(self.labelled)
+        report = labelled_sets.learn_detector(self.labelled, settings, request.options(interval_s))
+        return LearnResult(
+            report, self.files, Sources(self.truth, self.detections, self.runs, self.read, settings, call)
+        )
 
 
 def learn_detector(
@@ -209,8 +253,10 @@ def learn_detector(
         ModsimError: A file cannot be read, an argument is wrong, or nothing can be learned from this.
         TypeError: A path is neither text nor a path.
     """
-    given = _choices(
+    request = LearnRequest.of(
+        "learn_detector",
         conditions=conditions,
+        **parse_states(states, "learn_detector"),
         match=match,
         least_iou=least_iou,
         most_distance_px=most_distance_px,
@@ -224,49 +270,12 @@ def learn_detector(
         frame_rate_hz=frame_rate_hz,
         horizon=horizon,
     )
-    wanted, interval_s = _states(states), None
-    runs: tuple[StoredRun, ...] = ()
-    pairs: list[tuple[str, Path, Path]] = []
-    if run is not None:
-        if truth is not None or detections is not None:
-            raise ModsimError("give truth and detections, or run: not both")
-        opened = opened_run(run)
-        labelled, inputs, runs = labelled_run(opened)[0], read_of_run(opened.folder), (opened,)
-        interval_s = opened.scene.detector.transition_interval_s
-    else:
-        pairs = _pairs(truth, detections, given.conditions)
-        with inputs_noted() as inputs:  # also of files that are not named, such as data.yaml
-            labelled = _read(pairs, given)
-    rule = Rule(given.match or usual_method(labelled), given.least_iou, given.most_distance_px)
-    least = labelled_sets.least_confidence(labelled, given.confidence)
-    settings = LearnSettings(
-        rule, least, given.replicates, given.seed, without=left_out(given.without, "learn_detector: without")
-    )
-    options = LearnOptions(*wanted, interval_s=interval_s)
-    truths, results = tuple(pair[1] for pair in pairs), tuple(pair[2] for pair in pairs)
+    if run is not None and (truth is not None or detections is not None):
+        raise ModsimError("give truth and detections, or run: not both")
+    runs = () if run is None else (run,)
+    inputs = LearnInputs.of(request, _paths(truth, "truth"), _paths(detections, "detections"), runs)
     call = f"modsim3d.learn_detector({'run=…' if runs else 'truth=…, detections=…'}).write(…) from Python"
-    sources = Sources(truths, results, runs, tuple(inputs), settings, call)
-    return LearnResult(labelled_sets.learn_detector(labelled, settings, options), tuple(inputs), sources)
-
-
-def _choices(**given: Any) -> _Choices:
-    try:
-        return _Choices(**given)
-    except ValidationError as error:
-        raise InputError("learn_detector", describe(error, _Choices)) from None
-
-
-def _pairs(truth: Paths | None, detections: Paths | None, conditions: Sequence[str]) -> list[tuple[str, Path, Path]]:
-    """Condition, truth and detections of each pair."""
-    true, found = _paths(truth, "truth"), _paths(detections, "detections")
-    if not true and not found:
-        raise ModsimError("nothing to learn from: give truth and detections, or run")
-    if len(true) != len(found):
-        raise ModsimError(f"truth names {len(true)} and detections {len(found)}: give one pair for each condition")
-    if conditions and len(conditions) != len(true):
-        raise ModsimError(f"conditions names {len(conditions)} for {len(true)} pairs of truth and detections")
-    names = conditions or (["usual"] if len(true) == 1 else [f"condition_{k + 1}" for k in range(len(true))])
-    return list(zip(names, true, found, strict=True))
+    return inputs.learn(request, call)
 
 
 def _paths(given: Paths | None, name: str) -> list[Path]:
@@ -274,32 +283,3 @@ def _paths(given: Paths | None, name: str) -> list[Path]:
         return []
     each = [given] if isinstance(given, str | bytes | os.PathLike) or not isinstance(given, Iterable) else given
     return [as_path(path, name, "a path or a list of paths") for path in each]
-
-
-def _read(pairs: Iterable[tuple[str, Path, Path]], given: _Choices) -> LabelledSet:
-    scale = given.confidence_scale
-    if scale and not scale[0] < scale[1]:
-        raise InputError("learn_detector", [f"confidence_scale: must be two numbers that rise (got {shown(scale)})"])
-    line = given.horizon
-    options = ReadOptions(
-        given.labels,
-        given.image_size_px,
-        frame_rate_hz=given.frame_rate_hz,
-        confidence_scale=scale,
-        horizon=(line,) if isinstance(line, float) else line,
-    )
-    return joined([read_pair(*pair, options) for pair in pairs])
-
-
-def _states(given: object) -> tuple[tuple[str, ...], int | None]:
-    """The states as `LearnOptions` has them: texts, or their number."""
-    if given is None:
-        return (), None
-    if isinstance(given, int) and not isinstance(given, bool) and given > 0:
-        return (), given
-    if isinstance(given, Mapping):
-        named = {name: [of] if isinstance(of, str) else of for name, of in given.items()}
-        if all(isinstance(of, Sequence) and all(isinstance(each, str) for each in of) for of in named.values()):
-            return tuple(f"{name}={','.join(of)}" for name, of in named.items()), None
-    needed = "a number of states from 1, or a mapping from states to lists of conditions, is needed"
-    raise InputError("learn_detector", [f"states: {needed} (got {shown(given)})"])

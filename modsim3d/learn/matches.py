@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -215,8 +214,7 @@ class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence.
 
     Each image has the index of a state, −1 where it takes no part, shape (I,). `without` are the models of
-    `model_selection.RICHER` that are left out whatever the data carry. `shown` are the types of `counted_types.NAMES`
-    that are there, with their thresholds, where that is known; else the data decide.
+    `model_selection.RICHER` that are left out whatever the data carry.
     """
 
     labelled: LabelledSet
@@ -225,12 +223,11 @@ class Observed:
     image_state: Indices
     threshold: float
     without: frozenset[str] = frozenset()
-    shown: Mapping[str, float | None] | None = None
 
     @cached_property
     def kinds(self) -> CountedAs:
         """Types that detections count as: second boxes, parts of vessels and boxes around two are told from others."""
-        return counted_as(self.labelled, self.matched, self.image_state >= 0, self.without, self.shown)
+        return counted_as(self.labelled, self.matched, self.image_state >= 0, self.without)
 
     @cached_property
     def rows(self) -> Indices:

@@ -16,7 +16,6 @@ from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.figures import Figures
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.matching_bias import Bias
 from modsim3d.learn.states import StateMap
 
 
@@ -29,14 +28,12 @@ class NearGate:
         gate: The IoU below which a match lies near it.
         other: Which rule cuts off less.
         several: Whether there are several states.
-        simulated: Whether `--bias` could tell how much that does; it cannot for a voyage.
     """
 
     shares: tuple[tuple[str, float], ...] = ()
     gate: float = 0.0
     other: str = ""
     several: bool = False
-    simulated: bool = True
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -57,8 +54,7 @@ class NearGate:
 
     @property
     def _meaning(self) -> str:
-        told = "--bias says how much that does; " if self.simulated else ""
-        return f"larger errors were cut off, and count as a miss and a false detection each ({told}{self.other})"
+        return f"larger errors were cut off, and count as a miss and a false detection each ({self.other})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +65,6 @@ class LearnReport:
         by_label: Matches label by label, for average precision and its curves; None without confidences.
         conditions: Figures of each condition, the largest F1 first.
         shares: What average precision is lost to; None without confidences.
-        bias: By how much matching shifts the numbers; None where that was not asked for.
         level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
         matched_by: The matching rule in words.
@@ -86,7 +81,6 @@ class LearnReport:
     state_map: StateMap
     learned: Learned
     shares: ErrorShares | None
-    bias: Bias | None
     level: float
     beta: float
     matched_by: str
@@ -154,23 +148,10 @@ def how_well(report: LearnReport) -> str:
     if missed is None or false is None or spread is None:
         return "There are too few images for intervals of the main numbers."
     where = " in the state where they are known least" if len(states) > 1 else ""
-    said = (
+    return (
         f"With {report.level:.0%} confidence its share of misses is known to within ±{100 * missed:.2g} percentage "
         f"points, its share of false detections to within ±{100 * false:.2g}, and the spread of its box errors to "
         f"within ±{100 * spread:.2g} %{where}."
-    )
-    return said + _again(report)
-
-
-def _again(report: LearnReport) -> str:
-    """Result of learning again from a simulation of what was learned; empty unless it was asked for."""
-    if report.bias is None:
-        return ""
-    shifted = sum(int(np.count_nonzero(report.bias.significant(each))) for each in report.bias.shifts)
-    numbers = sum(np.size(each.shift) for each in report.bias.shifts)
-    return (
-        f" Simulated and learned again, {numbers - shifted:,} of {numbers:,} numbers come back within what chance "
-        f"explains; the other {shifted:,} are shifted by the matching and listed below."
     )
 
 

@@ -18,7 +18,6 @@ from modsim3d.learn.box_errors import estimate
 from modsim3d.learn.box_errors.laws import CELLS, ErrorMoments
 from modsim3d.learn.figures import Curve, Figures, Ranking, Rates
 from modsim3d.learn.learned import LearnSettings, models_and_learners
-from modsim3d.learn.matching_bias import Bias
 from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, results
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages import charts, page
@@ -73,7 +72,6 @@ def tables(report: LearnReport) -> list[Table]:
         *(replace(each, where=Where.PAGE) for each in detail(_label_errors, several)),
         *detail(_confusion),
         *(*_shares(report), _parameters(report), *_long_run(report)),
-        *([] if report.bias is None else [_bias(report.bias)]),
         _models(),
     ]
 
@@ -231,21 +229,6 @@ def _number(value: float, low: float, high: float) -> tuple[str, str]:
     """A number and its interval; a dash for what the data do not tell."""
     told = np.isfinite([value, low, high]).all()
     return f"{value:.4g}" if np.isfinite(value) else UNKNOWN, f"{low:.4g} to {high:.4g}" if told else UNKNOWN
-
-
-def _bias(bias: Bias) -> Table:
-    rows: list[tuple[float, tuple[str, ...]]] = []
-    for each in bias.shifts:
-        for found in zip(*np.nonzero(np.atleast_1d(bias.significant(each))), strict=True):
-            place = found if np.ndim(each.shift) else ()
-            strength = abs(float(each.shift[place])) / float(each.error[place])
-            numbers = [float(values[place]) for values in (each.entry.estimate, each.again, each.corrected)]
-            cells = (each.entry.key.at(place), *(f"{number:.4g}" for number in numbers), f"{strength:.1f}")
-            rows.append((strength, cells))
-    rows.sort(key=lambda row: -row[0])
-    header = ("number", "learned", "learned again", "corrected", "standard errors")
-    title = "Bias of the matching, by simulating what was learned and learning again"
-    return Table(title, header, tuple(row for _, row in rows[:40]) or (("none is sure", "", "", "", ""),))
 
 
 def _used(report: LearnReport) -> Table:

@@ -123,15 +123,15 @@ def parse_states(given: Sequence[str], conditions: Sequence[str]) -> StateMap:
         name, equals, listed = text.partition("=")
         parts = tuple(part.strip() for part in listed.split(",") if part.strip())
         if not name.strip() or not equals or not parts:
-            problems.append(f"--state {text}: must be NAME=CONDITION,CONDITION,...")
+            problems.append(f"--states {text}: must be NAME=CONDITION,CONDITION,...")
             continue
         if name.strip() in states:
-            problems.append(f"--state {text}: state '{name.strip()}' is given twice")
+            problems.append(f"--states {text}: state '{name.strip()}' is given twice")
         for part in parts:
             if part not in conditions:
-                problems.append(f"--state {text}: unknown condition '{part}' ({nearest(part, conditions)})")
+                problems.append(f"--states {text}: unknown condition '{part}' ({nearest(part, conditions)})")
             elif part in used:
-                problems.append(f"--state {text}: condition '{part}' is already in state '{used[part]}'")
+                problems.append(f"--states {text}: condition '{part}' is already in state '{used[part]}'")
             used[part] = name.strip()
         states[name.strip()] = parts
     if problems:

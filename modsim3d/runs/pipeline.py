@@ -147,13 +147,13 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
         yield DetectorInput(seen, rows, frames, targets)
 
 
-def scene_census(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetStatistics:
+def scene_statistics(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetStatistics:
     """Statistics of all targets of a scene, which its detector needs before it starts.
 
     Args:
         scene: The scene.
         blocks: For each block its truth, its first step, and the step after its last. They are not read if the
-            detector needs no census.
+            detector needs no statistics.
     """
     parts = (part for block in blocks for part in detector_inputs(scene, *block))
     return target_statistics(scene.detector, ((part.frames, part.targets) for part in parts))
@@ -187,10 +187,10 @@ def _checked_truth(scene: Scene, first: int, stop: int, renderer: IdRenderer | N
 class Simulation:
     """A scene with its detector, which turns the truth of a block into truth and detections."""
 
-    def __init__(self, scene: Scene, census: TargetStatistics) -> None:
-        """Set up the detector from its seed; `scene_census` gives the census."""
+    def __init__(self, scene: Scene, statistics: TargetStatistics) -> None:
+        """Set up the detector from its seed; `scene_statistics` gives the statistics."""
         self.scene = scene
-        self._detector = Detector(scene.detector, scene.detector_seed, census, scene.times_s)
+        self._detector = Detector(scene.detector, scene.detector_seed, statistics, scene.times_s)
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
         """Run the detector over the truth of steps first to stop − 1."""
@@ -277,8 +277,8 @@ def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Blo
             renderer.prepare()  # who waits for single steps would wait for this at one of them
         blocks: Iterable[tuple[Truth, int, int]]
         blocks = ((_checked_truth(scene, *steps, renderer), *steps) for steps in step_ranges(scene, most_steps))
-        if scene.detector.needs_census:
+        if scene.detector.needs_target_statistics:
             blocks = list(blocks)
-        simulation = Simulation(scene, scene_census(scene, blocks))
+        simulation = Simulation(scene, scene_statistics(scene, blocks))
         for block in blocks:
             yield simulation.detect(*block)

@@ -219,34 +219,34 @@ def _write_blocks(
     most_steps: int | None,
     progress: Callable[[int], None],
 ) -> BlockTally:
-    """Make all blocks and write them; a detector that needs a census needs all truth first."""
-    counted, census = BlockTally(), TargetStatistics()
-    if scene.detector.needs_census:
-        counted, census = _take_census(scene, directory.work, workers, most_steps, progress)
+    """Make all blocks and write them; one that needs target statistics needs all truth first."""
+    counted, statistics = BlockTally(), TargetStatistics()
+    if scene.detector.needs_target_statistics:
+        counted, statistics = _take_target_statistics(scene, directory.work, workers, most_steps, progress)
     total = BlockTally()
-    make = partial(BlockMaker.make, folder=directory.work, census=census, kinds=directory.line_kinds)
+    make = partial(BlockMaker.make, folder=directory.work, statistics=statistics, kinds=directory.line_kinds)
     for tally, files in workers.map(make, _with_steps_kept(scene, directory.work, most_steps)):
         directory.write(files)
         directory.write_poses(total.steps, total.steps + tally.steps)
         total += tally
         if not counted.steps:
             progress(tally.steps)
-    # After a census all truth is taken from what it kept, and only the census knows what was kept before.
+    # After target statistics all truth is from what they kept, and only they know what was kept before.
     if not counted.steps:
         return total
     kept = {name: getattr(counted, name) for name in ("resumed_steps", "damaged_blocks", "checked")}
     return replace(total, **kept)
 
 
-def _take_census(
+def _take_target_statistics(
     scene: Scene, folder: Path, workers: BlockWorkers, most_steps: int | None, progress: Callable[[int], None]
 ) -> tuple[BlockTally, TargetStatistics]:
-    """Make and keep all truth; a tally of its steps, and the census of its targets."""
-    total, census = BlockTally(), TargetStatistics()
+    """Make and keep all truth; a tally of its steps, and the statistics of its targets."""
+    total, statistics = BlockTally(), TargetStatistics()
     for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene, most_steps)):
-        total, census = total + tally, census + part
+        total, statistics = total + tally, statistics + part
         progress(tally.steps)
-    return total, census
+    return total, statistics
 
 
 def _with_steps_kept(scene: Scene, folder: Path, most_steps: int | None) -> Iterator[Range]:

@@ -22,7 +22,7 @@ from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, UN
 from modsim3d.runs.files.stored_tables import StoredTables, detections_of, truth_of
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_census
+from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, detected_block, scene_statistics
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
@@ -36,8 +36,8 @@ class StoredRun:
         run.table("truth"), run.scene, next(run.frames()).plot()
 
     An interrupted run has kept its truth, and its detections are made from that truth again: the same that it would
-    have written. They may differ only if the detector needs a census of the scene, since the truth of the later steps
-    is not there.
+    have written. They may differ only if the detector needs the statistics of all targets, since the truth of the
+    later steps is not there.
 
     Attributes:
         folder: The run directory.
@@ -222,10 +222,10 @@ class StoredRun:
 
     @cached_property
     def _simulation(self) -> Simulation:
-        """The detector of an interrupted run, with a census of the steps that were kept."""
+        """The detector of an interrupted run, with the statistics of the steps that were kept."""
         try:
             blocks = ((self._kept(*steps), *steps) for steps in self._ranges())
-            return Simulation(self.scene, scene_census(self.scene, blocks))
+            return Simulation(self.scene, scene_statistics(self.scene, blocks))
         except ModsimError as error:  # no vessel is annotated in these steps, and the detector needs one
             raise RunDirectoryError(f"{self.folder} holds an interrupted run: {error}; {self.how_to_finish}") from None
 

@@ -258,5 +258,5 @@ def _in_words(scene: Scene, camera: int, step: int, difference: Difference) -> s
         f"{said}. To see what is drawn:\n"
         f"  modsim3d run {quote(str(scene.path))} --seed {scene.seed} --steps {step + 1} --set annotation.check=off "
         f"--set annotation.supersample={scene.annotation.supersample} --out unchecked\n"
-        f"  modsim3d view unchecked --ids --frame {step} --camera {quote(name)}"
+        f"  modsim3d view frame unchecked {step} --kind id_buffer --camera {quote(name)}"
     )

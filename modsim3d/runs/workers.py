@@ -21,7 +21,7 @@ from modsim3d.runs.blocks import Block
 from modsim3d.runs.counts import Counts, camera_counts
 from modsim3d.runs.files.block_files import BlockFiles, finished_truth, kept_truth_path, truth_kept
 from modsim3d.runs.files.stored_tables import StoredTable, truth_of
-from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_census, truth_block
+from modsim3d.runs.pipeline import Range, Simulation, open_renderer, scene_statistics, truth_block
 from modsim3d.runs.truth_check import TruthCheckError, check_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
@@ -173,28 +173,28 @@ class BlockMaker:
         self.backend = renderer.context.description if renderer else "none"
 
     def count_targets(self, steps: Range, folder: Path) -> tuple[BlockTally, TargetStatistics]:
-        """The census of a block's targets, with a tally of its steps; its truth is kept in the folder."""
+        """The statistics of a block's targets, with a tally of its steps; its truth is kept in the folder."""
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged):
             tally = BlockTally(stop - first, resumed_steps, damaged, checked=self._check(truth, first, stop))
-            return tally, scene_census(self._scene, [(truth, first, stop)])
+            return tally, scene_statistics(self._scene, [(truth, first, stop)])
 
     def make(
-        self, steps: Range, folder: Path, census: TargetStatistics, kinds: Sequence[str]
+        self, steps: Range, folder: Path, statistics: TargetStatistics, kinds: Sequence[str]
     ) -> tuple[BlockTally, BlockFiles]:
         """Make a block: its counts, and what it adds to the files.
 
         Args:
             steps: First step, and the step after the last.
             folder: Where truth is kept.
-            census: The census of the whole scene, the same for all blocks.
+            statistics: Those of the whole scene's targets, the same for all blocks.
             kinds: The kinds of JSON lines, see `line_kinds`.
         """
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
-            checked = Checked() if self._scene.detector.needs_census else self._check(truth, first, stop)
+            checked = Checked() if self._scene.detector.needs_target_statistics else self._check(truth, first, stop)
             if self._simulation is None:
-                self._simulation = Simulation(self._scene, census)
+                self._simulation = Simulation(self._scene, statistics)
             block = self._simulation.detect(truth, first, stop)
             tally = BlockTally(
                 steps=stop - first,

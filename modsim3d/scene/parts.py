@@ -453,7 +453,7 @@ class SceneParts:
             yield (
                 f"{option}: this detector has the labels {', '.join(labels)}, and the scene's vessels have "
                 f"{', '.join(unknown)}. To change the scene's own detector as much as two conditions differ, use "
-                "modsim3d guess"
+                "modsim3d learn --from-condition"
             )
             return
         where = "" if place.path else f"{place.source}: "

@@ -72,7 +72,7 @@ def _live_problems(scene: Scene) -> list[str]:
             "detector: holds rates over the whole scene (anchor: state_rate), which a stream does not know beforehand: "
             "use anchor: none"
         )
-    if scene.detector.clutter.needs_census:
+    if scene.detector.false_positives.needs_target_statistics:
         problems.append(
             "detector: false positives are as large as the scene's vessels, which a stream does not show beforehand: "
             "give false_positives a size"

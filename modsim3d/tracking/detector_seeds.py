@@ -15,7 +15,7 @@ from modsim3d.core.statistics import t_bounds
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.files.stored_tables import truth_of
-from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, scene_census
+from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, scene_statistics
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
@@ -105,7 +105,7 @@ def detector_runs(run: StoredRun, count: int) -> Iterator[tuple[int, RunRows]]:
     blocks = list(_truth_blocks(run))
     for seed in range(run.scene.detector_seed, run.scene.detector_seed + count):
         scene: Scene = replace(run.scene, detector_seed=seed)
-        simulation = Simulation(scene, scene_census(scene, blocks))
+        simulation = Simulation(scene, scene_statistics(scene, blocks))
         made = [simulation.detect(*block) for block in blocks]
         tables = {
             name: pa.concat_tables([table(block, scene) for block in made]) for name, (_, table) in TABLES.items()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import orjson
@@ -11,39 +12,16 @@ import orjson
 from modsim3d.core.arrays import Array
 from modsim3d.core.document import Block, Cell, Document, Figure, Fold, Heading, Table, Text, Where
 from modsim3d.core.paths import StrPath, as_path
-from modsim3d.core.text import counted, number
+from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.io.atomic_write import write_files
-from modsim3d.tracking.oracle import SMOOTHED
-from modsim3d.tracking.run_scores import ScoredTracks, TrackScores
-from modsim3d.tracking.score_tables import (
-    ENCOUNTER_HEADER,
-    HEADER,
-    HIDDEN_HEADER,
-    OCCLUSION_HEADER,
-    SEED_HEADER,
-    WORLD_HEADER,
-    conclusion_of,
-    encounter_rows,
-    encounters_in_words,
-    hidden_rows,
-    is_missed,
-    key_rows,
-    named_scores,
-    occlusion_rows,
-    part_tables,
-    remarks_of,
-    score_data,
-    score_rows,
-    seed_rows,
-    seeds_in_words,
-    survived_and_judged,
-    survived_of,
-    world_rows,
-    world_rules,
-)
-from modsim3d.tracking.score_text import MEANINGS, rules_in_words
+from modsim3d.tracking.oracle import REFERENCES, SMOOTHED
+from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
+from modsim3d.tracking.score_outcome import conclusion_of, remarks_of, score_data, survived_and_judged
+from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
+from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Scores
+from modsim3d.tracking.world.scoring import MetVessel
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
 
@@ -60,6 +38,26 @@ GROUP_NAMES = {
     "label": "class",
 }
 """What tables call the groups of a breakdown."""
+
+
+OF_SEEDS = "over detector seeds of this traffic; it says nothing about other traffic"
+PART_COLUMNS = COLUMNS[:5]
+PART_HEADER = ("", "tracker", *(name for name, _, _ in PART_COLUMNS))
+WORLD_COLUMNS: tuple[tuple[str, str, int], ...] = (
+    ("RMSE, m", "rmse_m", 1),
+    ("RMSE, m/s", "rmse_m_s", 2),
+    ("ANEES", "anees", 2),
+    ("GOSPA, m", "gospa_m", 1),
+    ("followed", "followed_share", 3),
+    ("ID switches", "id_switches", 0),
+    ("false tracks", "false_tracks", 0),
+    ("established at, m", "established_m", 0),
+    ("time left, s", "time_left_s", 0),
+)
+ENCOUNTER_HEADER = (
+    *("vessel", "own ship", "kind", "closest, m", "at, s"),
+    *("first seen, s", "established, s", "at distance, m", "time left, s"),
+)
 
 
 def write_scores(scores: ScoredTracks, folder: StrPath, command: str | None = None) -> None:
@@ -85,8 +83,8 @@ def document(scores: ScoredTracks) -> Document:
 
 
 def _in_images(scores: ScoredTracks) -> Iterator[Block]:
-    run, rows = scores.run, score_rows(scores)
-    yield Table("Scores", HEADER, rows, soft=range(len(scores.trackers), len(rows)), where=Where.EVERYWHERE)
+    run = scores.run
+    yield _score_table(scores)
     yield Text(
         "The last two lines are the same detections with perfect association: each detection is given to the vessel "
         "that it came from, and false ones are removed. They are references and no ceilings: a tracker that smooths "
@@ -104,7 +102,7 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
     yield Table("", (), rules_in_words(scores.rules))
     yield Heading("Detector seeds")
     yield Text(seeds_in_words(scores), "soft")
-    yield Table("", SEED_HEADER, seed_rows(scores))
+    yield Table("", ("tracker", "score", "mean", "standard deviation", "95 % of the mean"), seed_rows(scores))
     yield Heading("Where vessels are lost", where=Where.PAGE)
     yield Text(
         "Tracks and vessels are matched once. Recall is the share of the vessel-frames in a line that a track "
@@ -114,16 +112,16 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
         Where.PAGE,
     )
     yield from _breakdowns(scores)
-    yield from part_tables(scores)
+    yield from _part_tables(scores)
     yield Heading("Wholly hidden vessels")
     yield Text("They count neither way in all other tables. A good tracker coasts over them.", "soft", Where.PAGE)
-    yield Table("", HIDDEN_HEADER, hidden_rows(scores), where=Where.PAGE)
+    yield _hidden_table(scores)
     yield Heading("Occlusions")
     for each in scores.trackers:
         yield _occlusions(each)
     yield Heading("All scores")
     header = ("score", *(name for name, _ in named_scores(scores)))
-    yield Fold("By their keys", [Table("", header, key_rows(scores), where=Where.PAGE)])
+    yield Fold("By their keys", [Table("", header, _key_rows(scores), where=Where.PAGE)])
 
 
 def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
@@ -216,17 +214,180 @@ def _occlusions(tracker: TrackScores) -> Block:
     survived, judged = survived_and_judged(found)
     said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found), 'occlusion')} in all"
     failed = {index for index, each in enumerate(found) if each.survived is False}
-    table = Table("", OCCLUSION_HEADER, occlusion_rows(found), bad=failed, where=Where.PAGE)
+    header = ("camera", "vessel", "from", "length", "least visible", "track before", "track after", "survived")
+    table = Table("", header, _occlusion_rows(found), bad=failed, where=Where.PAGE)
     return Fold(said, [table], opened=len(found) <= 15)
+
+
+def _score_table(scores: ScoredTracks) -> Table:
+    """A line for each tracker, the highest HOTA first, and for each reference."""
+    rows = []
+    for name, found in named_scores(scores):
+        keys, (survived, judged) = keys_of(found), survived_and_judged(found.occlusions)
+        cells = (number(keys[key], decimals) for _, key, decimals in COLUMNS)
+        rows.append((name, *cells, f"{survived} of {judged}" if judged else UNKNOWN))
+    header = ("tracker", *(name for name, _, _ in COLUMNS), "occlusions survived")
+    soft = range(len(scores.trackers), len(rows))
+    return Table("Scores", header, rows, soft=soft, where=Where.EVERYWHERE)
+
+
+def named_scores(scores: ScoredTracks) -> list[tuple[str, Scores]]:
+    """The trackers, then the references, with what tables call them."""
+    named = [(each.name, each.scores) for each in scores.trackers]
+    return named + [(REFERENCES[name], found) for name, found in scores.references.items()]
+
+
+def seed_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
+    """A line for each tracker and score over detector seeds."""
+    if scores.seeds is None:
+        return []
+    rows: list[tuple[str, ...]] = []
+    for name, spreads in scores.seeds.spreads.items():
+        for title, key, decimals in (*COLUMNS, ("ANEES", "anees", 1)):
+            spread = spreads[key]
+            if key == "anees" and spread.mean is None:  # a tracker without covariances
+                continue
+            interval = UNKNOWN
+            if spread.interval is not None:
+                interval = " … ".join(number(value, decimals + 1) for value in spread.interval)
+            few = "" if len(spread.known) == len(spread.values) else f" of {counted(len(spread.known), 'seed')}"
+            shown = number(spread.mean, decimals + 1) + few, number(spread.deviation, decimals + 1)
+            rows.append((REFERENCES.get(name, name), title, *shown, interval))
+    return rows
+
+
+def seeds_in_words(scores: ScoredTracks) -> str:
+    """Description of the table of seeds."""
+    if scores.seeds is None:
+        return ""
+    seeds = scores.seeds.seeds
+    which = f"{counted(len(seeds), 'seed')} of the detector, {seeds[0]} to {seeds[-1]}, that of the run first"
+    return f"{which}: {OF_SEEDS}."
+
+
+def _hidden_table(scores: ScoredTracks) -> Table:
+    """Wholly hidden vessels and their tracks, a row for each tracker and reference."""
+    rows = []
+    for name, found in named_scores(scores):
+        keys = keys_of(found)
+        shares = percent(keys["hidden_followed"]), percent(keys["hidden_same_track"])
+        rows.append((name, number(keys["hidden_vessel_frames"], 0), *shares))
+    header = ("tracker", "vessel-frames", "followed", "by the track from before")
+    return Table("", header, rows, where=Where.PAGE)
+
+
+def _occlusion_rows(occlusions: Sequence[OcclusionEpisode]) -> list[tuple[str, ...]]:
+    """A line for each occlusion."""
+    return [
+        (
+            each.camera,
+            each.vessel,
+            f"{each.start_s:.1f} s",
+            f"{each.length_s:.1f} s",
+            percent(each.least_visible_fraction),
+            UNKNOWN if each.track_before is None else f"{each.track_before}",
+            UNKNOWN if each.track_after is None else f"{each.track_after}",
+            UNKNOWN if each.survived is None else "yes" if each.survived else "no",
+        )
+        for each in occlusions
+    ]
+
+
+def survived_of(each: Bin) -> str:
+    """How many occlusions of a bin are survived, of those that could be; empty outside the group of occlusions."""
+    if each.occlusions is None:
+        return ""
+    return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
+
+
+def _key_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
+    """All scores by their keys, a column for each tracker and reference."""
+    every = [keys_of(found) for _, found in named_scores(scores)]
+    return [(key, *(_any_number(keys[key]) for keys in every)) for key in every[0]]
+
+
+def _part_tables(scores: ScoredTracks) -> list[Table]:
+    """Scores by performance state, by camera and by class, where there are several."""
+    named = named_scores(scores)
+    tables = []
+    for title, part in (("By performance state", "by_state"), ("By camera", "by_camera")):
+        parts = [(name, {key: vars(each) for key, each in getattr(found, part).items()}) for name, found in named]
+        if len(parts[0][1]) > 1:
+            tables.append(Table(title, PART_HEADER, _part_rows(parts), where=Where.PAGE))
+    if scores.rules.by_class:
+        of_class = [(name, {key: each.flat() for key, each in found.by_class.items()}) for name, found in named]
+        tables.append(Table("By class", PART_HEADER, _part_rows(of_class)))
+    return tables
+
+
+def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> list[tuple[str, ...]]:
+    """A row for each part and each tracker that has it."""
+    labels = dict.fromkeys(label for _, parts in named for label in parts)
+    return [
+        (label, name, *(number(parts[label][key], decimals) for _, key, decimals in PART_COLUMNS))
+        for label in labels
+        for name, parts in named
+        if label in parts
+    ]
+
+
+def _any_number(value: float | int | None) -> str:
+    """A count as it is, anything else with three decimals."""
+    return number(value, 0 if isinstance(value, int) else 3)
 
 
 def _in_world(scores: ScoredTracks) -> Iterator[Block]:
     yield Heading("Tracks in the world")
-    yield Table("", WORLD_HEADER, world_rows(scores))
+    yield Table("", ("tracks in the world", *(name for name, _, _ in WORLD_COLUMNS)), _world_rows(scores))
     for each in scores.world[:1]:
-        yield Text(world_rules(each), "soft")
+        yield Text(_world_rules(each), "soft")
     for each in scores.world:
         met = each.scores.encounters
-        yield Text(encounters_in_words(each))
-        missed = {place for place, vessel in enumerate(met) if is_missed(vessel)}
-        yield Table("", ENCOUNTER_HEADER, encounter_rows(met), bad=missed)
+        yield Text(_encounters_in_words(each))
+        missed = {place for place, vessel in enumerate(met) if _is_missed(vessel)}
+        yield Table("", ENCOUNTER_HEADER, _encounter_rows(met), bad=missed)
+
+
+def _world_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
+    """A line for each tracker."""
+    return [
+        (each.name, *(number(each.scores.flat()[key], decimals) for _, key, decimals in WORLD_COLUMNS))
+        for each in scores.world
+    ]
+
+
+def _world_rules(each: WorldTrackScores) -> str:
+    """How tracks in the world were scored."""
+    distance = each.scores.set_distance
+    return (
+        f"A track follows a vessel within {each.scores.gate_m:g} m. GOSPA: c = {distance.cutoff:g} m, "
+        f"p = {distance.power:g}. Errors are averaged within each vessel, then over vessels."
+    )
+
+
+def _encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
+    """A line for each encounter."""
+    return [
+        (
+            *(each.vessel, each.own_ship, each.kind.replace("_", " ")),
+            *(number(each.closest_m, 0), number(each.closest_s, 1)),
+            *(number(each.seen_s, 1), number(each.established_s, 1)),
+            *(number(each.established_m, 0), number(each.time_left_s, 1)),
+        )
+        for each in encounters
+    ]
+
+
+def _is_missed(met: MetVessel) -> bool:
+    """Whether a camera saw the vessel, and no track ever followed it."""
+    return met.seen_s is not None and met.established_s is None
+
+
+def _encounters_in_words(each: WorldTrackScores) -> str:
+    """How many vessels met own ship, and which of them the table of encounters marks."""
+    met = each.scores.encounters
+    if not met:
+        return f"{each.name}: no vessel came nearer to own ship."
+    passed = sum(one.passed for one in met)
+    said = f"{each.name}: {counted(len(met), 'vessel')} came nearer to own ship, and {passed} passed her in this run."
+    return f"{said} Red: a camera saw the vessel, and no track followed it." if any(map(_is_missed, met)) else said

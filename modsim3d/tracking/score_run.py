@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.oracle import reference_tracks
 from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
-from modsim3d.tracking.score_tables import conclusion_of
+from modsim3d.tracking.score_outcome import conclusion_of
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scored import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import score_tracks
@@ -154,8 +154,11 @@ def score_run(
 
 def _refuse_image_rules(rules: Rules) -> None:
     """Refuse rules that only tracks in the images have, where there are none and a rule is not as by default."""
-    options = "--truth", "--gap", "--by-class", "--similarity", "--scale", "--threshold"
-    values, usual = ((r.truth, r.gap_s, r.by_class, *astuple(r.similarity)) for r in (rules, Rules()))
+    options = "--vessels", "--gap", "--by-class", "--similarity", "--threshold"
+    values, usual = (
+        (r.truth, r.gap_s, r.by_class, (r.similarity.name, r.similarity.scale_px), r.similarity.least)
+        for r in (rules, Rules())
+    )
     if named := [name for name, value, other in zip(options, values, usual, strict=True) if value != other]:
         what = f"{' and '.join(named)}: for tracks in the images, and none are given"
         raise ModsimError(f"{what}: leave out; tracks in the world have --gate, --gospa-c and --gospa-p")

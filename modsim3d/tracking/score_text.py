@@ -1,4 +1,4 @@
-"""What scores say in words: percentages, rules and the outcome."""
+"""Scores in words: percentages, rules and the outcome."""
 
 from __future__ import annotations
 

@@ -167,11 +167,13 @@ class Similarity:
             ModsimError: `centre` has no scale, `iou` has one, or a value is out of range.
         """
         if self.name == "centre" and self.scale_px is None:
-            raise ModsimError("--similarity centre needs --scale, the distance in pixels at which it is 0")
+            raise ModsimError(
+                "similarity centre needs a scale, the distance in pixels at which it is 0: --similarity centre:PX"
+            )
         if self.name == "iou" and self.scale_px is not None:
-            raise ModsimError("--scale is for --similarity centre")
+            raise ModsimError("a scale is for similarity centre, not for iou")
         if self.scale_px is not None and not 0 < self.scale_px < np.inf:
-            raise ModsimError(f"--scale must be above 0 (got {self.scale_px:g})")
+            raise ModsimError(f"the scale of similarity centre must be above 0 (got {self.scale_px:g})")
         if not 0 < self.least <= 1:
             raise ModsimError(f"--threshold must be above 0 and at most 1 (got {self.least:g})")
 

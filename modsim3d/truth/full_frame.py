@@ -1,6 +1,6 @@
 """Truth from pixels the plain way: draw the whole image with everything in it, and then each vessel alone.
 
-This is the reference that `rendered` is tested against, and what `--render full` runs.
+This is the reference that `rendered` is tested against, and what `annotation.render: full` runs.
 """
 
 from __future__ import annotations

@@ -168,7 +168,7 @@ class ExpectedOutcomes:
 def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:
     """Expectation of a detector for every annotated box."""
     passed = [model.gates.passed(seen.frames, seen.targets) for seen in evidence.cameras]
-    classifier = ConfusionClassifier.from_model(model, evidence.census(model))
+    classifier = ConfusionClassifier.from_model(model, evidence.target_statistics(model))
     instances = evidence.instances
     edges = cumulative(np.swapaxes(model.column("confusion"), 1, 2))[instances.state, instances.label]
     usual = edges[:, -2].copy()

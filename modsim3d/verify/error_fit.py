@@ -320,7 +320,7 @@ def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
 def false_positive_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     """Number of transient false positives of each image, small numbers capped, less its expectation."""
     note = unknown_rest_note(model, evidence)
-    if note or model.clutter.model not in RATE_CHECKS:
+    if note or model.false_positives.model not in RATE_CHECKS:
         return none_of(Draw.FALSE_POSITIVES, note)
     expected, images = expected_false_positives(model, evidence), evidence.frames
     rows = np.flatnonzero(expected.transient > 0)

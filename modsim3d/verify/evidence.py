@@ -142,8 +142,8 @@ class Evidence:
         rows: Indices = first[self.instances.camera[instances]] + self.instances.frame[instances]
         return rows
 
-    def census(self, model: DetectorModel) -> TargetStatistics:
-        """The census that the detector had of the scene."""
+    def target_statistics(self, model: DetectorModel) -> TargetStatistics:
+        """What the detector knew of the scene's targets."""
         return target_statistics(model, ((seen.frames, seen.targets) for seen in self.cameras))
 
 
@@ -253,8 +253,8 @@ class ManyDetections:
 
     def detect(self, model: DetectorModel, seed: int) -> Evidence:
         """Evidence of a run with this detector and seed."""
-        census = target_statistics(model, ((part.frames, part.targets) for part in self.inputs))
-        detector = Detector(model, seed, census, self.scene.times_s)
+        statistics = target_statistics(model, ((part.frames, part.targets) for part in self.inputs))
+        detector = Detector(model, seed, statistics, self.scene.times_s)
         return Evidence.of(
             [
                 CameraEvidence(part.frames, part.targets, detector.detect(part.frames, part.targets))

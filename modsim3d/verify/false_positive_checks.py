@@ -12,7 +12,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
 from modsim3d.core.random_streams import Streams
 from modsim3d.detector import records
-from modsim3d.detector.chain import DetectorPart, clutter_of, clutter_rates
+from modsim3d.detector.chain import DetectorPart, false_positive_rates, false_positive_source
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS
 from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
@@ -45,7 +45,7 @@ def placement_checks(model: DetectorModel, evidence: Evidence, persistent: Array
         Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, law, 0.0, note=note)
         for name, law in zip(names, laws, strict=True)
     ]
-    if model.clutter.persistent_share:
+    if model.false_positives.persistent_share:
         lifetime = None if note else _lifetime(model, evidence, persistent)
         note = note or "as the correlation of their number from one frame to the next"
         name = "false_positives.persistence.lifetime_s"
@@ -55,7 +55,7 @@ def placement_checks(model: DetectorModel, evidence: Evidence, persistent: Array
 
 def _laws(model: DetectorModel, evidence: Evidence) -> list[Law] | list[None]:
     """Distance of each column of `_places_and_sizes` from many draws in the same frames (Smirnov (1939))."""
-    source, rng = clutter_of(model, evidence.census(model)), np.random.default_rng(0)
+    source, rng = false_positive_source(model, evidence.target_statistics(model)), np.random.default_rng(0)
     found, drawn = [], []
     for seen in evidence.cameras:
         rows = np.flatnonzero(seen.detections.kind == records.FALSE_POSITIVE)
@@ -107,7 +107,7 @@ def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Es
     With m expected in one frame and m' in the next, the mean square change of the number less its expectation is
     m + m' − 2ρ·min(m, m'). Replays of the process give the standard error.
     """
-    images, lifetime = evidence.frames, model.clutter.lifetime_s
+    images, lifetime = evidence.frames, model.false_positives.lifetime_s
     rows = np.flatnonzero(persistent > 0)
     same = images.camera[rows][1:] == images.camera[rows][:-1]
     now, before = rows[1:][same], rows[:-1][same]
@@ -175,11 +175,11 @@ class ExpectedFalsePositives:
 
 def expected_false_positives(model: DetectorModel, evidence: Evidence) -> ExpectedFalsePositives:
     """Expectation of the detector's own model of false positives."""
-    images, numbers, rates = evidence.frames, model.clutter.numbers, clutter_rates(model)
+    images, numbers, rates = evidence.frames, model.false_positives.numbers, false_positive_rates(model)
     due = np.concatenate([model.gates.due(seen.frames) for seen in evidence.cameras])
     extras, variance = _extras(model, evidence)
     frames = FrameCounts(images.state, due, images.n_kept, extras)
-    means, share = numbers.means(rates, frames), model.clutter.persistent_share
+    means, share = numbers.means(rates, frames), model.false_positives.persistent_share
     return ExpectedFalsePositives(
         due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames)
     )
@@ -202,7 +202,7 @@ class FalsePositiveEvidence:
         if not len(rows):
             return 0.0
         images, mean = self.evidence.frames, self.expected.persistent[rows]
-        total, lifetime = float(mean.sum()), self.model.clutter.lifetime_s
+        total, lifetime = float(mean.sum()), self.model.false_positives.lifetime_s
         for later, earlier, apart in lag_pairs(images.camera[rows, None], images.time_s[rows], lifetime):
             total += 2 * float((np.exp(-apart / lifetime) * np.minimum(mean[later], mean[earlier])).sum())
         return total
@@ -329,7 +329,7 @@ def false_positive_checks(model: DetectorModel, evidence: Evidence) -> list[Para
     """The rate of each state and of all, the kinds, and the labels of false positives."""
     note = unknown_rest_note(model, evidence)
     seen = FalsePositiveEvidence(model, evidence, expected_false_positives(model, evidence))
-    check = RATE_CHECKS.get(model.clutter.model)
+    check = RATE_CHECKS.get(model.false_positives.model)
     parameters = []
     if model.gates.max_detections is not None:
         wrong = Exact(frames_above_max(model, evidence), len(evidence.frames.state))
@@ -349,7 +349,7 @@ def _label_checks(model: DetectorModel, evidence: Evidence, s: int) -> list[Para
     if len(model.labels) < 2:
         return []
     found = false.label[(false.state == s) & (false.kind == records.FALSE_POSITIVE)]
-    note = "of those that do not persist" if model.clutter.persistent_share else ""
+    note = "of those that do not persist" if model.false_positives.persistent_share else ""
     return [
         Parameter(
             f"states.{state.name}.false_positive_labels[{label}]",
@@ -389,7 +389,7 @@ def _merge_check(seen: FalsePositiveEvidence) -> Parameter:
 
 
 def _persistent_share_check(seen: FalsePositiveEvidence) -> Parameter:
-    name, share = "false_positives.persistence.share", seen.model.clutter.persistent_share
+    name, share = "false_positives.persistence.share", seen.model.false_positives.persistent_share
     kinds, expected = seen.evidence.false_detections.kind, seen.expected
     persistent, transient = int((kinds == records.PERSISTENT).sum()), int((kinds == records.FALSE_POSITIVE).sum())
     if not share:

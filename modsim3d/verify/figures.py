@@ -1,4 +1,4 @@
-"""Figures of the page that `modsim3d verify` writes: what a run shows of its detector."""
+"""Figures of the page that `modsim3d check run` writes: what a run shows of its detector."""
 
 from __future__ import annotations
 

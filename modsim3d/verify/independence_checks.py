@@ -116,7 +116,7 @@ MIN_STRETCHES = 20
 def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[Parameter]:
     """Variance over mean of the number of transient false positives of an image, and of a stretch of images."""
     note = unknown_rest_note(model, evidence)
-    if model.clutter.model not in RATE_CHECKS or model.clutter.persistent_share == 1:
+    if model.false_positives.model not in RATE_CHECKS or model.false_positives.persistent_share == 1:
         return []
     expected, found = expected_false_positives(model, evidence), n_transient(evidence)
     windows = {

@@ -325,7 +325,7 @@ def write_recording(
     try:
         import rerun
     except ImportError:
-        raise ModsimError("modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'") from None
+        raise ModsimError("--format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'") from None
     if not run.steps:
         raise RunDirectoryError(f"{run.folder} was interrupted before its first steps were finished")
     rows = RunRows.of(run)

@@ -41,11 +41,11 @@ class RenderStyle:
     def __post_init__(self) -> None:
         """Check what the user gave."""
         if self.visibility_m is not None and not (0 < self.visibility_m < math.inf):
-            given = f"--visibility {self.visibility_m:g}"
-            raise ModsimError(f"{given}: give a positive distance in metres, such as 800 for fog")
+            given = f"--look fog:{self.visibility_m:g}"
+            raise ModsimError(f"{given}: give a positive distance in metres, such as fog:800")
         if not self.shaded and (self.visibility_m is not None or self.night):
-            option = "--night" if self.night else "--visibility"
-            raise ModsimError(f"{option} works in shaded pictures only: leave out --look plain")
+            weather = "night" if self.night else "fog"
+            raise ModsimError(f"--look {weather} works in shaded pictures only: leave out plain")
 
     @property
     def extinction_per_m(self) -> float:

@@ -18,6 +18,7 @@ from modsim3d.formats.writing.coco import write_coco
 from modsim3d.io.input_files import data_folder
 from modsim3d.learn.model_selection import RICHER
 from modsim3d.world.poses.replay import LivePoses
+from tests.command_line import call
 
 LONGEST_REPR = 300
 
@@ -189,14 +190,10 @@ def test_lost_matches_are_warned_of(thesis_folder):
 
 
 def test_the_command_learns_the_same_file(folder, learned, tmp_path, monkeypatch):
-    from modsim3d.cli import main
 
     out = tmp_path / "command.yaml"
-    command = ["learn", "--run", folder, "--match", "provenance", "--replicates", 20, "--out", out]
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, command)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert stopped.value.code == 0
+    command = ["learn", folder, "--match", "provenance", "--replicates", 20, "--out", out]
+    assert call(monkeypatch, *command) == 0
     assert learned.write(tmp_path / "python.yaml")[0].read_bytes() == out.read_bytes()
 
 
@@ -234,9 +231,12 @@ def test_a_wrong_argument_of_learning_is_named(folder, given, said):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({}, "nothing to learn from: give truth and detections, or run"),
-        ({"truth": "a.json"}, "truth names 1 and detections 0"),
-        ({"truth": ["a.json"], "detections": ["b.json"], "conditions": ["x", "y"]}, "conditions names 2 for 1 pairs"),
+        ({}, "nothing to learn from: give truth and detections, or a run"),
+        ({"truth": "a.json"}, "1 of truth and 0 of detections are given"),
+        (
+            {"truth": ["a.json"], "detections": ["b.json"], "conditions": ["x", "y"]},
+            "2 conditions are named for 1 pairs",
+        ),
         ({"truth": "a.json", "detections": "b.json"}, "truth a.json: no such file or folder"),
     ],
 )

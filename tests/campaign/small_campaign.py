@@ -7,16 +7,7 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-from modsim3d.campaign.keys import read_campaign
-from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.workers import ThisProcess
-
-TEXT = """\
-scene: harbour
-steps: 20
-trackers: [reference]
-"""
+from tests.campaign.campaigns import run_campaign_file
 
 
 def small_campaign(parent: Path) -> Path:
@@ -29,8 +20,5 @@ def small_campaign(parent: Path) -> Path:
 
 @lru_cache(maxsize=1)
 def _made() -> Path:
-    folder = Path(tempfile.mkdtemp())
-    file = folder / "small.yaml"
-    file.write_text(TEXT)
-    run_plan(checked(read_campaign(file)), folder / "campaign", ThisProcess)
-    return folder / "campaign"
+    result = run_campaign_file(Path(tempfile.mkdtemp()), scene="harbour", steps=20, trackers=["reference"])
+    return result.folder.path

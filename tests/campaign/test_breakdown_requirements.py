@@ -9,11 +9,10 @@ from typing import Any
 import pytest
 import yaml
 
-from modsim3d.campaign.keys import CampaignFile, CampaignKeys
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import warnings_of
-from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.row import rules_of, table_of
 from modsim3d.campaign.workers import ThisProcess
@@ -21,6 +20,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.scoring import scores_of
+from tests.campaign.campaigns import checked_campaign
 from tests.campaign.hand_made_tables import plan_of
 from tests.cli.conftest import Modsim3d
 
@@ -103,11 +103,8 @@ def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs
 TWO_CAMERAS = {"scene": "simulation_3", "steps": 6, "trackers": ["reference"]}
 
 
-def campaign_of(folder: Path, *require: dict[str, Any], **keys: Any) -> CampaignFile:
-    content = {**TWO_CAMERAS, "require": list(require), **keys}
-    file = CampaignFile(folder / "c.yaml", CampaignKeys.model_validate(content))
-    file.path.write_text("", encoding="utf-8")
-    return file
+def campaign_of(folder: Path, *require: dict[str, Any], **keys: Any) -> CheckedCampaign:
+    return checked_campaign(folder, **{**TWO_CAMERAS, "require": list(require), **keys})
 
 
 @pytest.mark.parametrize(
@@ -140,7 +137,7 @@ def campaign_of(folder: Path, *require: dict[str, Any], **keys: Any) -> Campaign
 )
 def test_a_part_that_no_run_has_and_a_score_that_it_does_not_have_are_one_problem(requirement, said, tmp_path) -> None:
     with pytest.raises(InputError) as refused:
-        checked(campaign_of(tmp_path, requirement))
+        campaign_of(tmp_path, requirement)
     (problem,) = refused.value.problems
     assert said in problem
 
@@ -148,9 +145,9 @@ def test_a_part_that_no_run_has_and_a_score_that_it_does_not_have_are_one_proble
 def test_the_only_camera_is_no_part(tmp_path) -> None:
     with pytest.raises(InputError, match="the scene of condition 0 has no other camera: leave it out"):
         requirement = {"score": "hota", "at_least": 0.4, "where": {"camera": "quay"}}
-        checked(campaign_of(tmp_path, requirement, scene="harbour"))
+        campaign_of(tmp_path, requirement, scene="harbour")
     whole = {**RECALL, "where": {"visible_fraction": 1}}  # the bin is called "1", and YAML reads a number
-    assert checked(campaign_of(tmp_path, whole, scene="harbour")).plan.keys.require[0].score == "recall"
+    assert campaign_of(tmp_path, whole, scene="harbour").plan.keys.require[0].score == "recall"
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -165,7 +162,7 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
     keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"], "require": require}
     file = tmp_path / "c.yaml"
     file.write_text(yaml.safe_dump(keys), encoding="utf-8")
-    said = modsim3d("campaign", file, "--out", tmp_path / "out")
+    said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
     assert said.status in (1, 3), said.err
     _, _, means = said.out.partition("mean scores")
     assert "those of requirements are above" in means
@@ -173,7 +170,7 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
         assert column in means
     (line,) = [line for line in means.splitlines() if line.startswith("reference")]
     assert line.split()[2:4] == ["–", "0.321"] and not line.split()[4].startswith("[")  # nothing is in the first range
-    assert modsim3d("campaign-report", tmp_path / "out").status == 0
+    assert modsim3d("campaign", "report", tmp_path / "out").status == 0
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "recall at least 0.1, range 100 to 200 or 400 to 800" in page
     assert "hota at least 0.1, state excellent or terrible" in page
@@ -182,13 +179,14 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
 
 def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(tmp_path) -> None:
     frames = {**RECALL, "at_least": 0.1, "in": 0.2, "where": {"range": [*BINS["range"]]}}
-    file = campaign_of(tmp_path, frames, {**SURVIVED, "resting_on": 0.5}, scene="fairway", steps=60)
-    result = run_plan(checked(file), tmp_path / "campaign", ThisProcess)
+    campaign = campaign_of(tmp_path, frames, {**SURVIVED, "resting_on": 0.5}, scene="fairway", steps=60)
+    plan, keys = campaign.plan, campaign.plan.keys
+    result = run_plan(campaign, tmp_path / "campaign", ThisProcess)
     assert result is not None
     (row,) = result.table.to_pylist()
-    with closing(RunLayers(file.keys, tmp_path, tmp_path / "layers")) as layers:
-        made = layers.made(checked(file).plan.run(0))
-    scores = scores_of(Scored.of(made.rows, made.tracks, rules_of(file.keys.score)))
+    with closing(RunLayers(keys, tmp_path, tmp_path / "layers")) as layers:
+        made = layers.made(plan.run(0))
+    scores = scores_of(Scored.of(made.rows, made.tracks, rules_of(keys.score)))
     for group in scores.breakdown:
         for name in BINS.get(group.name, ()):
             found = next((each for each in group.rows if each.bin == name), None)
@@ -199,10 +197,10 @@ def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(t
                 counts = (0, 0, None, 0)
                 if found is not None:
                     counts = (found.occlusions, found.judged, found.survived, found.to_survive)
-                keys = ("occlusions", "occlusions_judged", "occlusions_survived", "occlusions_to_survive")
-                assert tuple(row[f"{column}.{key}"] for key in keys) == counts
+                names = ("occlusions", "occlusions_judged", "occlusions_survived", "occlusions_to_survive")
+                assert tuple(row[f"{column}.{each}"] for each in names) == counts
     assert sum(row[f"range.{name}.vessel_frames"] for name in BINS["range"]) == row["true_positives"] + row["misses"]
     assert sum(row[f"occlusion.{name}.occlusions"] for name in BINS["occlusion"]) == row["occlusions"]
     seen = [bool(row[f"range.{name}.vessel_frames"]) for name in BINS["range"]]
-    verdicts = judged(checked(file).plan, result.table)
+    verdicts = judged(plan, result.table)
     assert [verdict.seeds for verdict in verdicts[: len(seen)]] == [int(each) for each in seen]

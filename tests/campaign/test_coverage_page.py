@@ -9,12 +9,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.keys import CampaignFile, CampaignKeys
+from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.report.coverage import coverage_sections, empty_draws, numbers_in_words, trace_sections
-from modsim3d.campaign.running import CampaignResult, run_plan
+from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import html_of_blocks, run_campaign_file
 
 RATE = "detector.states.excellent.false_discovery_rate"
 KEYS: dict[str, Any] = {
@@ -28,12 +27,7 @@ KEYS: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
-    folder = tmp_path_factory.mktemp("coverage")
-    file = CampaignFile(folder / "c.yaml", CampaignKeys.model_validate(KEYS))
-    file.path.write_text("", encoding="utf-8")
-    result = run_plan(checked(file), folder / "campaign", ThisProcess)
-    assert result is not None
-    return result
+    return run_campaign_file(tmp_path_factory.mktemp("coverage"), **KEYS)
 
 
 def lines_of(page: str) -> dict[str, list[str]]:
@@ -52,7 +46,7 @@ def test_all_detectors_and_trackers_over_a_truth_cover_the_same(result: Campaign
 
 def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignResult) -> None:
     table = result.table
-    page = "\n".join(coverage_sections(result.folder, table))
+    page = html_of_blocks(coverage_sections(result.folder, table))
     lines = lines_of(page)
     assert "6 of 6 runs are done, over 1 different truth and 1 traffic seed." in page
     assert "The traffic of harbour is not drawn: it is the same for every seed, and counts as one." in page
@@ -64,7 +58,7 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignR
 
 
 def test_what_is_empty_is_listed_as_not_covered_and_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
-    page = "\n".join(coverage_sections(result.folder, result.table))
+    page = html_of_blocks(coverage_sections(result.folder, result.table))
     lines = lines_of(page)
     assert lines["5000 m and more"] == ["–", "–", "–"]
     assert re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
@@ -81,16 +75,16 @@ def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
     table = result.table
     status = pa.array(["crashed", *table["status"].to_pylist()[1:]])
     table = table.set_column(table.column_names.index("status"), "status", status)
-    page = "\n".join(coverage_sections(result.folder, table))
+    page = html_of_blocks(coverage_sections(result.folder, table))
     assert "5 of 6 runs are done" in page and "1 more crashed" in page
     assert lines_of(page)["200 to 500 m"][1] == "5"
     none = table.set_column(table.column_names.index("status"), "status", pa.array(["crashed"] * 6))
-    assert "0 of 6 runs are done" in "\n".join(coverage_sections(result.folder, none))
+    assert "0 of 6 runs are done" in html_of_blocks(coverage_sections(result.folder, none))
 
 
 def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: CampaignResult) -> None:
     verdict = Verdict(0, "hota < 1 & more", "patient", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3)
-    page = "\n".join(trace_sections(result.folder, result.table, [verdict]))
+    page = html_of_blocks(trace_sections(result.folder, result.table, [verdict]))
     facts = result.folder.facts
     (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("1. "))
     assert line == ["patient", "0", "met", "1, 3, 5 (3 of them)", "1000000–1000002 (3 of them)", "3"]
@@ -101,19 +95,19 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     versions = {**facts["versions"], **facts["conditions"][0]["trackers"]["sort"]["versions"]}
     assert "trackers" in versions
     assert all(lines_of(page)[name] == [version] for name, version in versions.items())
-    assert f"modsim3d campaign-run {result.folder.path} 0 --out run_0" in page
-    assert f"modsim3d campaign {result.folder.path}/campaign.yaml --out campaign_again" in page
+    assert f"modsim3d campaign reproduce {result.folder.path} 0 --out run_0" in page
+    assert f"modsim3d campaign run {result.folder.path}/campaign.yaml --out campaign_again" in page
     assert f"{RATE} differ from seed to seed" in page
 
 
 def test_a_trace_shows_the_first_of_very_many_verdicts_and_may_have_none(result: CampaignResult) -> None:
     verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
-    page = "\n".join(trace_sections(result.folder, result.table, verdicts))
+    page = html_of_blocks(trace_sections(result.folder, result.table, verdicts))
     assert "200. hota" in page and "201. hota" not in page
     assert "100 more are in verdicts.json." in page
-    page = "\n".join(trace_sections(result.folder, result.table.slice(0, 0), []))
-    assert "no requirements" in page and "campaign-run" in page
-    assert "none" in "\n".join(trace_sections(result.folder, result.table.slice(0, 0), verdicts[:1]))
+    page = html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), []))
+    assert "no requirements" in page and "campaign reproduce" in page
+    assert "none" in html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), verdicts[:1]))
 
 
 def test_numbers_are_said_in_few_words() -> None:

@@ -19,20 +19,15 @@ from tests.campaign.small_campaign import small_campaign
 from tests.cli.conftest import Modsim3d
 
 KEYS = {"scene": "harbour", "steps": 3, "trackers": ["reference"], "require": [{"score": "hota", "at_least": 0.9}]}
-COMMANDS = (["campaign-status"], ["campaign-table"], ["campaign-report"], ["campaign-run", "0", "--out", "again"])
+COMMANDS = (["status"], ["table"], ["report"], ["reproduce", "0", "--out", "again"])
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of a campaign; what a test changes in it is put back."""
     folder = tmp_path_factory.mktemp("ended")
     run_plan(checked_campaign(folder, **KEYS), folder / "out", ThisProcess)
-    return folder
-
-
-@pytest.fixture
-def ended(made: Path) -> Path:
-    """A folder of a campaign; what a test changes in it is put back."""
-    return made / "out"
+    return folder / "out"
 
 
 def plan_with_another_threshold(path: Path) -> None:
@@ -101,9 +96,9 @@ def test_the_list_has_every_file_but_the_log(ended: Path) -> None:
     assert pq.read_table(ended / "results")["hota"].to_pylist() == open_campaign(ended).table["hota"].to_pylist()
 
 
-def test_a_plan_that_was_changed_before_the_end_is_refused(made: Path) -> None:
-    campaign = checked_campaign(made, **KEYS)
-    here = planned(campaign, made / "planned")
+def test_a_plan_that_was_changed_before_the_end_is_refused(tmp_path: Path) -> None:
+    campaign = checked_campaign(tmp_path, **KEYS)
+    here = planned(campaign, tmp_path / "planned")
     plan_with_another_threshold(here.path / "plan.json")
     for attempt in (lambda: open_campaign(here.path), lambda: run_plan(campaign, here.path, ThisProcess)):
         with pytest.raises(ModsimError, match=r"planned/plan\.json was changed after it was written"):
@@ -114,6 +109,6 @@ def test_a_plan_that_was_changed_before_the_end_is_refused(made: Path) -> None:
 def test_every_command_refuses_altered_results(modsim3d: Modsim3d, tmp_path: Path, command: list[str]) -> None:
     folder = small_campaign(tmp_path)
     other_scores(folder / "results/scene=harbour/part-00000.parquet")
-    said = modsim3d(command[0], folder, *command[1:])
+    said = modsim3d("campaign", command[0], folder, *command[1:])
     assert said.status == 2
     assert "part-00000.parquet was changed after the campaign ended" in said.err

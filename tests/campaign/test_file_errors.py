@@ -92,7 +92,7 @@ def test_a_plan_that_is_too_large_is_refused_with_its_number(tmp_path: Path, tex
 def test_nothing_is_written_for_a_wrong_file(tmp_path: Path, modsim3d: Modsim3d) -> None:
     path = tmp_path / "campaign.yaml"
     path.write_text(HARBOUR + "vary: [{grid: {state: [god]}}]\n")
-    said = modsim3d("campaign", path, "--out", tmp_path / "out")
+    said = modsim3d("campaign", "run", path, "--out", tmp_path / "out")
     assert (said.status, said.out) == (2, "")
     assert said.err.startswith(f"modsim3d: campaign {path}:\n  vary: state 'god'")
     assert not (tmp_path / "out").exists()

@@ -84,15 +84,19 @@ def test_a_second_campaign_with_another_tracker_makes_no_truth_and_no_detections
     assert sort == kept.table.filter(pa.compute.equal(kept.table["tracker"], "sort"))["hota"].to_pylist()
 
 
-def test_what_is_kept_changes_no_row(kept: CampaignResult, tmp_path: Path) -> None:
-    none = run(tmp_path, "none", "reference, sort")
-    assert none.table.equals(kept.table)
-    assert none.folder.facts["sha256"] == kept.folder.facts["sha256"]  # so a campaign may go on with other layers kept
+def test_what_is_kept_changes_no_row_and_only_the_layers_that_are_named_are_written(
+    kept: CampaignResult, tmp_path: Path
+) -> None:
+    some = run(tmp_path, "some", "reference, sort", "detections")
+    assert some.table.equals(kept.table)
+    assert some.folder.facts["sha256"] == kept.folder.facts["sha256"]  # so a campaign may go on with other layers kept
+    assert [path.name for path in (some.folder.path / "cache").iterdir()] == ["detections"]
 
 
-def test_only_the_layers_that_are_named_are_written(tmp_path: Path) -> None:
-    result = run(tmp_path, "one", "sort", "detections")
-    assert [path.name for path in (result.folder.path / "cache").iterdir()] == ["detections"]
+def test_a_layer_that_cannot_be_kept_ends_the_campaign_and_crashes_no_run(tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file")
+    with pytest.raises(OutputError, match="cannot be written"):
+        run(tmp_path, "full", "sort", "truth", tmp_path / "cache")
 
 
 @pytest.mark.parametrize("layer", ["truth", "detections", "tracks"])
@@ -136,12 +140,6 @@ def test_many_may_write_the_same_layer_at_once(tmp_path: Path) -> None:
     found = stored.read("truth", key, {"truth": schema})
     assert found is not None and found["truth"].equals(table)
     assert [path.name for path in stored.path("truth", key).parent.iterdir()] == [key]  # nothing is left over
-
-
-def test_a_layer_that_cannot_be_kept_ends_the_campaign_and_crashes_no_run(tmp_path: Path) -> None:
-    (tmp_path / "cache").write_text("a file")
-    with pytest.raises(OutputError, match="cannot be written"):
-        run(tmp_path, "full", "sort", "truth", tmp_path / "cache")
 
 
 def test_a_truth_that_is_not_what_is_drawn_makes_its_runs_crash(

@@ -87,13 +87,6 @@ def test_a_latin_hypercube_has_one_point_in_each_layer_of_each_key() -> None:
     assert abs(np.corrcoef(x, y)[0, 1]) < 0.5
 
 
-def test_both_trackers_of_a_seed_get_the_same_draw() -> None:
-    plan = plan_of(seeds={"traffic": 5}, vary=[{"uniform": {"waves.x": [0, 1]}}])
-    for number in range(0, len(plan), 2):
-        assert plan.run(number).condition == plan.run(number + 1).condition
-    assert len({plan.run(number).condition.values["waves.x"] for number in range(0, len(plan), 2)}) == 5
-
-
 @given(share=st.floats(0, 1, exclude_max=True), low=st.integers(-5, 5), width=st.integers(1, 9))
 def test_drawn_values_stay_in_their_range(share: float, low: int, width: int) -> None:
     whole = Range(low=float(low), high=float(low + width), whole=True)
@@ -105,7 +98,11 @@ def test_drawn_values_stay_in_their_range(share: float, low: int, width: int) ->
     assert value_at(Range(choices=["a", "b"]), share) == ("a" if share < 0.5 else "b")
 
 
-def test_whole_numbers_are_equally_likely() -> None:
+def test_both_trackers_of_a_seed_get_the_same_draw_and_whole_numbers_are_equally_likely() -> None:
+    plan = plan_of(seeds={"traffic": 5}, vary=[{"uniform": {"waves.x": [0, 1]}}])
+    for number in range(0, len(plan), 2):
+        assert plan.run(number).condition == plan.run(number + 1).condition
+    assert len({plan.run(number).condition.values["waves.x"] for number in range(0, len(plan), 2)}) == 5
     values = [value_at(Range(low=1.0, high=3.0, whole=True), share) for share in np.arange(0, 1, 0.01)]
     assert [values.count(number) for number in (1, 2, 3)] == [34, 33, 33]
 

@@ -73,7 +73,18 @@ def campaign(site: Site, folder: Path, *options: object) -> tuple[int, str]:
     """The command in a process of its own: its status, and what it says of errors."""
     (folder / "campaign.yaml").write_text(json.dumps(KEYS))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
-    line = [sys.executable, "-B", "-m", "modsim3d", "campaign", folder / "campaign.yaml", "--workers", "1", *options]
+    line = [
+        sys.executable,
+        "-B",
+        "-m",
+        "modsim3d",
+        "campaign",
+        "run",
+        folder / "campaign.yaml",
+        "--workers",
+        "1",
+        *options,
+    ]
     done = subprocess.run([*map(str, line)], env=environment, capture_output=True, text=True, timeout=300)
     return done.returncode, done.stderr
 

@@ -19,9 +19,11 @@ from modsim3d.campaign.report.parameter_charts import (
     parameters_of,
     seed_cells,
 )
-from modsim3d.campaign.report.words import Score, required_scores, with_interval
+from modsim3d.campaign.report.words import Score, required_scores
 from modsim3d.campaign.work.row import crashed_row, table_of
+from modsim3d.core.text import three_digits_with_interval
 from modsim3d.view.pages.charts import ChartInterval, strip
+from tests.campaign.campaigns import html_of_blocks
 
 GRID = {"grid": {"state": ["clear", "haze"], "waves.significant_height_m": [0.2, 0.6, 1.0]}}
 
@@ -67,8 +69,8 @@ def test_a_crashed_run_is_in_no_mean_and_is_counted():
     crashed = {1, 3}  # both detector seeds of the first seed, condition 0, bytetrack
     found = over_seeds(seed_cells(plan, table_for(plan, crashed), "hota"))
     assert found.seeds[0].tolist() == [3, 2]
-    assert "crashed runs" in mean_sections(plan, table_for(plan, crashed))[-1]
-    assert "crashed runs" not in mean_sections(plan, table_for(plan))[-1]
+    assert "crashed runs" in html_of_blocks(mean_sections(plan, table_for(plan, crashed)))
+    assert "crashed runs" not in html_of_blocks(mean_sections(plan, table_for(plan)))
 
 
 def test_means_at_a_level_are_those_of_a_loop():
@@ -100,7 +102,7 @@ def test_drawn_numbers_are_put_into_stretches_that_hold_them():
 def test_what_does_not_vary_has_no_chart_and_what_changes_together_says_so():
     pairs = {"pairs": {"state": ["clear", "haze"], "detector.rate": [0.1, 0.3]}}
     plan = plan_of(3, [pairs, {"grid": {"waves.spectrum": ["jonswap"]}}])
-    html = "".join(parameter_sections(plan, table_for(plan)))
+    html = html_of_blocks(parameter_sections(plan, table_for(plan)))
     assert "waves.spectrum" not in html
     assert "By state. It changes together with detector.rate" in html
     assert "Two at a time" not in html
@@ -109,8 +111,8 @@ def test_what_does_not_vary_has_no_chart_and_what_changes_together_says_so():
 def test_each_cell_of_a_heat_map_has_its_number():
     plan = plan_of(3)
     table = table_for(plan)
-    html = "".join(parameter_sections(plan, table)).partition("Two at a time")[2]
-    shown = re.findall(r'<td class="number" style="[^"]*">([\d.]+)', html)
+    html = html_of_blocks(parameter_sections(plan, table)).partition("Two at a time")[2]
+    shown = re.findall(r'<td class="number"[^>]* style="[^"]*">([\d.]+)', html)
     rows = table.to_pylist()
     wanted = [
         np.mean([r["hota"] for r in rows if (r["condition"], r["tracker"]) == (condition, tracker)])
@@ -125,10 +127,10 @@ def test_a_mean_on_the_threshold_stands_on_the_dashed_line_and_an_interval_has_t
     dashed = re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1]
     disc = re.search(r'<path d="M([\d.]+) 12.0m-4 0', drawn)[1]
     assert dashed == disc
-    assert with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
-    assert with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
-    assert with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
-    assert with_interval(0.4, None, None) == "0.400"
+    assert three_digits_with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
+    assert three_digits_with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
+    assert three_digits_with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
+    assert three_digits_with_interval(0.4, None, None) == "0.400"
 
 
 def test_an_empty_table_has_no_means_and_no_charts():

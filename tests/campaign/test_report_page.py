@@ -7,34 +7,24 @@ import pytest
 
 from modsim3d.campaign.done_rows import with_plan
 from modsim3d.campaign.folder import CampaignFolder, files_of_campaign, opened_campaign
-from modsim3d.campaign.keys import CampaignKeys, SearchKeys, read_campaign
+from modsim3d.campaign.keys import CampaignKeys, SearchKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
 from modsim3d.campaign.report.search_page import search_page, write_page
 from modsim3d.campaign.report.words import constant, requirement_sections, verdict_sentence
-from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import crashed_row, table_of
-from modsim3d.campaign.workers import ThisProcess
-from modsim3d.view.pages import page
+from modsim3d.view.pages import tables
+from tests.campaign.campaigns import html_of_blocks, run_campaign_file
 from tests.campaign.test_report_numbers import plan_of, table_for
-
-TEXT = """\
-scene: harbour
-steps: 20
-seeds: {traffic: 2}
-vary: [{grid: {state: [excellent, terrible]}}]
-trackers: [reference]
-require: [{score: hota, at_least: 0.5}]
-"""
 
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory):
+    keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"]}
+    vary, require = [{"grid": {"state": ["excellent", "terrible"]}}], [{"score": "hota", "at_least": 0.5}]
     folder = tmp_path_factory.mktemp("report")
-    (folder / "c.yaml").write_text(TEXT)
-    run_plan(checked(read_campaign(folder / "c.yaml")), folder / "c", ThisProcess)
+    run_campaign_file(folder, "c.yaml", **keys, vary=vary, require=require)
     return opened_campaign(folder / "c")
 
 
@@ -70,7 +60,7 @@ def test_a_requirement_that_failed_in_one_condition_has_failed():
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
     found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.", crashed=1)]
     assert verdict_sentence(plan, found).startswith("✗ Not met")
-    html = "".join(requirement_sections(plan, found))
+    html = html_of_blocks(requirement_sections(plan, found))
     assert "✗ failed (1 failed, 1 met)" in html
     assert "Too low &lt;here&gt;." in html
     assert html.index("✗ failed</td>") < html.index("✓ met</td>")
@@ -78,7 +68,7 @@ def test_a_requirement_that_failed_in_one_condition_has_failed():
 
 def noted(*rows):
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
-    return "".join(requirement_sections(plan, [verdict(0, "failed", **row) for row in rows])).count("It is so.")
+    return html_of_blocks(requirement_sections(plan, [verdict(0, "failed", **row) for row in rows])).count("It is so.")
 
 
 def test_a_row_says_only_what_its_interval_does_not():
@@ -88,7 +78,7 @@ def test_a_row_says_only_what_its_interval_does_not():
     assert noted(below | {"undefined": 2}) == 1
     assert noted(below | {"high": 0.49996}) == 1  # printed as 0.500, the threshold
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5, "in": 0.95}])
-    html = "".join(requirement_sections(plan, [verdict(0, "failed", low=0.1, high=0.6)]))
+    html = html_of_blocks(requirement_sections(plan, [verdict(0, "failed", low=0.1, high=0.6)]))
     assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)  # the axis of a share ends at 1
 
 
@@ -116,7 +106,7 @@ def test_a_page_names_what_seeds_change_axes_and_broken_requirements_and_needs_n
 def test_keys_that_are_set_for_all_runs_are_named():
     plan = plan_of(2, set={"waves.apply_to": "all"}, vary=[{"grid": {"waves.level": ["small"]}}])
     assert constant(plan) == {"waves.apply_to": "all", "waves.level": "small"}
-    assert page.facts([("plan", "0" * 64)]).count("<wbr>") == 3  # a checksum may be broken for a narrow screen
+    assert tables.facts([("plan", "0" * 64)]).count("<wbr>") == 3  # a checksum may be broken for a narrow screen
 
 
 def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
@@ -127,18 +117,18 @@ def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
 
 def test_crashes_are_grouped_by_their_error(campaign):
     rows = [crashed_row(number, "ValueError: <a>" if number < 2 else "KeyError: b") for number in range(3)]
-    html = "".join(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
+    html = html_of_blocks(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
     assert "3 runs of 3 crashed" in html
     assert html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
-    assert f"campaign-run {campaign.path} 0 --out" in html
-    assert crash_sections(campaign, table_for(plan_of(2))) == []
+    assert f"campaign reproduce {campaign.path} 0 --out" in html
+    assert html_of_blocks(crash_sections(campaign, table_for(plan_of(2)))) == ""
 
 
 def test_the_means_of_a_sequential_campaign_prove_nothing():
     said = "these intervals describe and prove nothing"
     for stop in ("once", "sequential"):
         plan = plan_of(2, stop=stop)
-        assert (said in mean_sections(plan, table_for(plan))[0]) == (stop == "sequential")
+        assert (said in html_of_blocks(mean_sections(plan, table_for(plan)))) == (stop == "sequential")
 
 
 def test_a_search_is_no_rate_and_names_the_worst_first(campaign):

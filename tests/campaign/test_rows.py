@@ -6,16 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pytest
 
 import modsim3d
-from modsim3d.campaign.keys import CampaignFile, CampaignKeys
-from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.work import layers
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import SCORES
-from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import run_campaign_file
 
 STEPS = 12
 WAVES = [{"level": "small", "apply_to": "all"}, {"level": "large", "apply_to": "all"}]
@@ -27,14 +23,6 @@ KEYS: dict[str, Any] = {
     "vary": [{"grid": {"waves": WAVES}}, {"grid": {"detector.states.excellent.false_discovery_rate": [0.02, 0.3]}}],
     "trackers": ["reference", {"tracker": "reference", "name": "patient", "set": {"lost_s": 9}}],
 }
-
-
-def campaign_table(folder: Path, **keys: Any) -> pa.Table:
-    file = CampaignFile(folder.parent / "c.yaml", CampaignKeys.model_validate({**KEYS, **keys}))
-    file.path.write_text("", encoding="utf-8")
-    result = run_plan(checked(file), folder, ThisProcess)
-    assert result is not None
-    return result.table
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +45,8 @@ def rows(made: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> list
     with pytest.MonkeyPatch.context() as patch:
         for name in made:
             patch.setattr(layers, name, counted(name))
-        found: list[dict[str, Any]] = campaign_table(tmp_path_factory.mktemp("rows") / "c").to_pylist()
-    return found
+        table = run_campaign_file(tmp_path_factory.mktemp("rows"), **KEYS).table
+    return list(table.to_pylist())
 
 
 def test_every_run_of_the_plan_has_a_row_in_its_order(rows: list[dict[str, Any]]) -> None:
@@ -105,7 +93,7 @@ def test_truth_and_detections_are_made_once(rows: list[dict[str, Any]], made: di
 
 
 def test_one_truth_serves_all_seeds_where_it_does_not_depend_on_them(tmp_path: Path) -> None:
-    table = campaign_table(tmp_path / "c", steps=3, vary=[])
+    table = run_campaign_file(tmp_path, **{**KEYS, "steps": 3, "vary": []}).table
     assert len(set(table["traffic_seed"].to_pylist())) == 2
     assert len(set(table["truth_key"].to_pylist())) == 1
     assert len(set(table["detections_key"].to_pylist())) == 4

@@ -25,10 +25,10 @@ def text_of(values: str) -> str:
 def test_conditions_with_the_same_detections_are_told_everywhere(tmp_path: Path, modsim3d: Modsim3d) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(text_of("detector.operating_threshold: [0.2, 0.21]"))  # nothing is as low
-    said = modsim3d("campaign", file, "--out", tmp_path / "out")
+    said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
     assert said.status == 0
     assert SAID in " ".join(said.err.split())
-    again = modsim3d("campaign", file, "--out", tmp_path / "out", "--json")
+    again = modsim3d("campaign", "run", file, "--out", tmp_path / "out", "--json")
     (warning,) = [text for text in json.loads(again.out)["warnings"] if SAID in text]
     assert "runs with detector.operating_threshold 0.2, detector.operating_threshold 0.21: what differs" in warning
     page = tmp_path / "page.html"

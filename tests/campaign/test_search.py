@@ -150,7 +150,7 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again(result: Sear
     worst = result.findings[0]
     known = [row["hota"] for row in columns(result.table, "hota") if row["hota"] is not None]
     assert [each.value for each in result.findings] == sorted(known)[:5]
-    assert worst.again.startswith(f"modsim3d campaign-run {result.folder.path} {worst.number} --out ")
+    assert worst.again.startswith(f"modsim3d campaign reproduce {result.folder.path} {worst.number} --out ")
     assert f"lowest hota {worst.value:.4g} in trial {worst.number}" in str(result)
     assert str(result).endswith(NO_RATE)
 

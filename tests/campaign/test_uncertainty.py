@@ -251,7 +251,7 @@ def test_a_drawn_detector_is_one_of_its_traffic_seed_for_all_trackers_and_is_dra
 
 
 def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: dict[str, LearnResult], tmp_path: Path) -> None:
-    """Its directory has it as a detector file, as `campaign-run` writes it."""
+    """Its directory has it as a detector file, as `campaign reproduce` writes it."""
     condition, scenes = Condition("harbour", {"detector": "few.yaml"}), Scenes(3, folder, learned=True)
     alone, shared = scenes.alone(condition, 5, 6), scenes.of(condition, 5, 6)
     alone.copy.write(tmp_path)

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from benchmarks.resampled_means import STORED, TRAFFICS, differences, turned
+from modsim3d.campaign.done_rows import with_plan
 from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.plan import cases_of
 from modsim3d.campaign.ranking import worst_runs
@@ -19,7 +20,7 @@ from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import table_of
 from modsim3d.cli.campaign_text import requirement_in_words
 from modsim3d.core.errors import InputError
-from tests.campaign.campaigns import run_campaign_file
+from tests.campaign.campaigns import html_of_blocks, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
 NO_WORSE = {"score": "siap_completeness", "of": "new", "minus": "old", "at_least": -0.02}
@@ -73,14 +74,16 @@ def test_a_lost_run_of_either_tracker_takes_the_worst_possible_difference(crashe
     assert one({**NO_WORSE, "at_least": -0.1}, values, range(10)).outcome == "undecided"
 
 
-def test_a_lost_run_is_wrong_with_in():
+def test_a_lost_run_or_an_infinite_value_is_wrong_with_in_and_leaves_a_mean_without_worst_value_undecided():
     assert one({**NO_WORSE, "in": 0.5}, values_of(0.1), {3, 4}).estimate == pytest.approx(1 - 2 / SEEDS)
-
-
-def test_without_a_worst_value_a_lost_run_leaves_a_difference_undecided():
     requirement = {"score": "gospa", "of": "new", "minus": "old", "at_most": 50}
     verdict = one(requirement, values_of(0.1), {3}, "gospa")
     assert verdict.outcome == "undecided" and "no worst possible value" in verdict.why
+    values = values_of(0.1)
+    values[3], values[4, 0] = np.inf, np.inf
+    verdict = one(requirement, values, score="gospa")
+    assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 2, 0)
+    assert one({**requirement, "in": 0.5}, values, score="gospa").estimate == pytest.approx(1 - 2 / SEEDS)
 
 
 @pytest.mark.parametrize("lazy", ["old", "new"])
@@ -138,19 +141,14 @@ def test_a_difference_beyond_what_its_score_can_give_can_never_be_met():
     assert warnings_of(plan_of(SEEDS, [NO_WORSE], TRACKERS)) == []
 
 
-def test_a_mean_difference_that_was_not_measured_to_hold_is_undecided_and_says_what_would_do():
+def test_no_difference_is_judged_by_what_was_measured_of_scores():
     verdict = one({**NO_WORSE, "score": "hota"}, values_of(0.1), score="hota")
     assert (verdict.outcome, verdict.low) == ("undecided", None)
     assert "ask for a share of seeds with `in` or use `stop: sequential`" in verdict.why
-
-
-def test_no_difference_is_judged_by_what_was_measured_of_scores():
     seeds = measured_offers()["seeds"]
     assert seeds["difference.hota"]["low"] == seeds["difference.hota"]["high"]
     assert seeds_needed("difference.unknown", "low", 0.95) == np.inf
-    stateful = {**NO_WORSE, "where": {"state": "bad"}}
-    plan = plan_of(50, [stateful], TRACKERS)
-    (said,) = warnings_of(plan)
+    (said,) = warnings_of(plan_of(50, [{**NO_WORSE, "where": {"state": "bad"}}], TRACKERS))
     assert "ask for a share of seeds with `in`" in said
 
 
@@ -170,24 +168,15 @@ def test_the_page_holds_no_mean_against_the_threshold_of_a_difference_and_prints
     (score,) = required_scores(plan)
     assert score.column == "siap_completeness" and score.thresholds == ()
     table = table_of_scores(plan, "siap_completeness", values_of(0.1))
-    (_, text, rows) = paired_sections(plan, table)
-    assert "above" in text and ">−0.099</td>" in rows
-    assert "Intervals of means that are required" not in "".join(mean_sections(plan, table))
+    html = html_of_blocks(paired_sections(plan, table))
+    assert "above" in html and ">−0.099</td>" in html
+    assert "Intervals of means that are required" not in html_of_blocks(mean_sections(plan, with_plan(table, plan)))
 
 
 @pytest.mark.parametrize(("lost", "outcome"), [(1, "failed"), (0, "undecided")])
 def test_a_mean_difference_fails_if_every_run_of_the_tracker_itself_crashed_and_not_of_the_other(lost, outcome):
     verdict = one(NO_WORSE, values_of(0.1), range(lost, 2 * SEEDS, 2))
     assert (verdict.outcome, verdict.estimate) == (outcome, None)
-
-
-def test_the_difference_of_infinite_values_is_lost_and_not_left_out():
-    values = values_of(0.1)
-    values[3], values[4, 0] = np.inf, np.inf
-    requirement = {"score": "gospa", "of": "new", "minus": "old", "at_most": 50}
-    verdict = one(requirement, values, score="gospa")
-    assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 2, 0)
-    assert one({**requirement, "in": 0.5}, values, score="gospa").estimate == pytest.approx(1 - 2 / SEEDS)
 
 
 def test_a_campaign_page_traces_a_difference_to_the_runs_of_both_and_its_worst_run_has_the_worst_difference(tmp_path):
@@ -199,5 +188,5 @@ def test_a_campaign_page_traces_a_difference_to_the_runs_of_both_and_its_worst_r
     hota = result.table["hota"].to_numpy().reshape(3, 2)
     (worst,) = worst_runs(result.folder, result.table, result.verdicts, count=1)
     assert worst.number == 2 * int(np.argmin(hota[:, 1] - hota[:, 0])) + 1
-    traced = "".join(trace_sections(result.folder, result.table, result.verdicts))
+    traced = html_of_blocks(trace_sections(result.folder, result.table, result.verdicts))
     assert "new − old" in traced and "0–5 (6 of them)" in traced

@@ -16,10 +16,11 @@ def followed(vessel: int, x: float, lost: range = range(0), switch: int = STEPS)
     return truth, tracks
 
 
-def test_nothing_is_wrong_where_every_vessel_is_followed() -> None:
-    truth, tracks = followed(0, 0)
-    assert worst_moment_s(hand_made(truth, tracks, STEPS)) is None
-    assert worst_moment_s(hand_made([], [], STEPS)) is None
+def test_nothing_is_wrong_where_every_vessel_is_followed_or_not_scored() -> None:
+    hidden = [(step, 0, box(), 0.0) for step in range(STEPS)]
+    on_it = [(step, 3, box()) for step in range(STEPS)]
+    for truth, tracks in (followed(0, 0), ([], []), (hidden, []), (hidden, on_it)):
+        assert worst_moment_s(hand_made(truth, tracks, STEPS)) is None
 
 
 def test_it_is_in_the_middle_of_the_time_in_which_a_vessel_is_lost() -> None:
@@ -71,10 +72,3 @@ def test_a_track_on_nothing_is_a_mistake_in_the_camera_that_has_it() -> None:
     assert mistakes.kind.tolist() == [FALSE] * 3
     assert worst_frame(scored, mistakes, 31.0) == 2 * 31 + 1
     assert worst_frame(scored, mistakes, 12.0) == 2 * 12 + 1  # nothing is wrong there
-
-
-def test_what_is_not_scored_is_no_mistake() -> None:
-    hidden = [(step, 0, box(), 0.0) for step in range(STEPS)]
-    on_it = [(step, 3, box()) for step in range(STEPS)]
-    assert worst_moment_s(hand_made(hidden, [], STEPS)) is None
-    assert worst_moment_s(hand_made(hidden, on_it, STEPS)) is None

@@ -175,7 +175,7 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path
 ) -> None:
     out = tmp_path / "again"
-    said = modsim3d("campaign-run", campaign.folder.path, 15, "--out", out)
+    said = modsim3d("campaign", "reproduce", campaign.folder.path, 15, "--out", out)
     assert said.status == 0 and "Every column is as in the campaign." in said.out
     assert f"modsim3d score {out} {out}_tracks --similarity centre --scale 200.0" in said.out
     planned = campaign.folder.plan.run(15)
@@ -188,7 +188,7 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(
         path.relative_to(plain) for path in plain.rglob("*") if path.is_file() and path.name != "run.log"
     )
     assert [name for name in names if (out / name).read_bytes() != (plain / name).read_bytes()] == []
-    said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre", "--scale", 200, "--json")
+    said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre:200", "--json")
     assert json.loads(said.out)["trackers"][0]["hota"] == campaign.table["hota"][15].as_py()
 
 
@@ -218,9 +218,9 @@ def test_another_run_or_the_tracks_of_another_tracker_are_refused(
 ) -> None:
     out = tmp_path / "again"
     line = ("--out", out)
-    assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 0
+    assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, *line).status == 0
     other_tracker, other_seed, other_state = (
-        modsim3d("campaign-run", campaign.folder.path, n, *line) for n in (3, 0, 6)
+        modsim3d("campaign", "reproduce", campaign.folder.path, n, *line) for n in (3, 0, 6)
     )
     assert other_tracker.status == other_seed.status == other_state.status == 2
     assert "tracks.parquet exists: use --overwrite" in other_tracker.err
@@ -229,9 +229,9 @@ def test_another_run_or_the_tracks_of_another_tracker_are_refused(
     for table in reversed(tables):  # a damaged file is not taken for the run
         content = table.read_bytes()
         table.write_bytes(content[:-9] + bytes(9))
-        assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 2
+        assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, *line).status == 2
         table.write_bytes(content)
-    assert modsim3d("campaign-run", campaign.folder.path, 2, *line).status == 0
+    assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, *line).status == 0
 
 
 def test_an_interrupted_run_is_gone_on_with(
@@ -243,16 +243,16 @@ def test_an_interrupted_run_is_gone_on_with(
     out = tmp_path / "again"
     with monkeypatch.context() as patch:
         patch.setattr(RunDirectory, "finish", interrupted)
-        said = modsim3d("campaign-run", campaign.folder.path, 2, "--out", out)
+        said = modsim3d("campaign", "reproduce", campaign.folder.path, 2, "--out", out)
     assert said.status == 130 and "the same command goes on" in said.err
-    assert modsim3d("campaign-run", campaign.folder.path, 2, "--out", out).status == 0
+    assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, "--out", out).status == 0
 
 
 def test_the_command_films_the_moment(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worst_film, "AROUND_S", 1.0)
-    said = modsim3d("campaign-run", campaign.folder.path, 15, "--out", tmp_path / "again", "--film", "--json")
+    said = modsim3d("campaign", "reproduce", campaign.folder.path, 15, "--out", tmp_path / "again", "--film", "--json")
     filmed, moment_s = json.loads(said.out)["film"], campaign.table["worst_s"][15].as_py()
     assert Path(filmed["path"]).stat().st_size > 10_000
     assert (filmed["from_s"], filmed["to_s"]) == (moment_s - 1, moment_s + 1)
@@ -262,12 +262,12 @@ def test_a_run_that_crashed_crashes_again(
     campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(reproduce, "track_run", lambda *_, **__: crash())
-    said = modsim3d("campaign-run", campaign.folder.path, CRASHES, "--out", tmp_path / "again", "--film")
+    said = modsim3d("campaign", "reproduce", campaign.folder.path, CRASHES, "--out", tmp_path / "again", "--film")
     assert said.status == 0
     assert "The run crashed again, with the error that the campaign has." in said.out
     assert "ValueError: the filter has lost its mind\n  " in said.out and "in crash" in said.out
     assert "Traceback" not in said.out + said.err
-    said = modsim3d("campaign-run", campaign.folder.path, 0, "--out", tmp_path / "other")
+    said = modsim3d("campaign", "reproduce", campaign.folder.path, 0, "--out", tmp_path / "other")
     assert said.status == 1 and "The run crashed." in said.out
 
 
@@ -277,7 +277,7 @@ def test_a_run_that_comes_out_otherwise_is_told_with_the_versions(
     now = reproduce.versions()
     monkeypatch.setattr(reproduce, "versions", lambda: {**now, "numpy": "9.9"})
     monkeypatch.setattr(reproduce, "row_of", lambda *made: {**row_of(*made), "hota": 0.5})
-    said = modsim3d("campaign-run", campaign.folder.path, 0, "--out", tmp_path / "again")
+    said = modsim3d("campaign", "reproduce", campaign.folder.path, 0, "--out", tmp_path / "again")
     assert said.status == 1
     assert "1 columns are not as in the campaign: hota." in said.out
     assert f"The campaign was made with other versions: numpy {now['numpy']} → 9.9." in said.out

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.writers import TRACKS
+from tests.command_line import call
 from tests.scenes import crossing
 
 
@@ -32,10 +32,7 @@ def modsim3d(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
     def run(*arguments: object) -> Said:
         capsys.readouterr()
-        monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main.main()
-        return Said(int(stopped.value.code or 0), *capsys.readouterr())
+        return Said(call(monkeypatch, *arguments), *capsys.readouterr())
 
     return run
 
@@ -52,3 +49,27 @@ def run(tmp_path_factory: pytest.TempPathFactory, scene: Path) -> Path:
     folder = tmp_path_factory.mktemp("commands") / "run"
     run_scene(load_scene(scene, source="analytic"), folder)
     return folder
+
+
+WITHOUT_OVERWRITE = ("check scene", "scenes", "check repeat")
+
+
+@pytest.fixture
+def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
+    """A command line for each of many commands."""
+    (tmp_path / "tracks.csv").write_text(TRACKS)
+    return {
+        "run": ("run", scene, "--source", "analytic", "--out", tmp_path / "run"),
+        "detect": ("detect", run, "--detector-seed", 3, "--out", tmp_path / "detect"),
+        "check scene": ("check", "scene", scene),
+        "scenes": ("scenes",),
+        "check run": ("check", "run", run, "--out", tmp_path / "verify"),
+        "check repeat": ("check", "repeat", run),
+        "check truth": ("check", "truth", scene, "--steps", 2, "--out", tmp_path / "compare"),
+        "track": ("track", run, "--out", tmp_path / "tracks"),
+        "score": ("score", run, tmp_path / "tracks.csv"),
+        "export": ("export", run, "--format", "coco", "--out", tmp_path / "coco"),
+        "report": ("report", run, "--out", tmp_path / "page.html"),
+        "view frame": ("view", "frame", run, 3, "--width", 160, "--out", tmp_path / "picture.png"),
+        "learn": ("learn", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
+    }

@@ -1,17 +1,10 @@
 import subprocess
 import sys
 
-import pytest
 from PIL import Image
 
 from modsim3d.cli import main
-
-
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
+from tests.command_line import call
 
 
 def test_run_writes_a_contact_sheet_and_says_what_happened(monkeypatch, tmp_path, capsys):
@@ -63,12 +56,12 @@ def test_run_in_mode_zero_needs_no_renderer_with_the_analytic_source(tmp_path):
 
 
 def test_check_and_scenes(monkeypatch, capsys):
-    assert call(monkeypatch, "check", "simulation_1") == 0
+    assert call(monkeypatch, "check", "scene", "simulation_1") == 0
     said = capsys.readouterr().out
     assert "no problems found" in said
     assert "in the long run excellent 17.8%, good 32.2%, bad 32.2%, terrible 17.8%\n" in said
     forced = ("--set", "detector.performance.schedule=[[10, bad]]")
-    assert call(monkeypatch, "check", "simulation_1", *forced) == 0
+    assert call(monkeypatch, "check", "scene", "simulation_1", *forced) == 0
     assert "terrible 17.8%, while no schedule forces one\n" in capsys.readouterr().out
     assert call(monkeypatch, "scenes") == 0
     assert "simulation_1" in capsys.readouterr().out
@@ -96,7 +89,7 @@ def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):
     assert [path.name for path in run.glob("*.json")] == ["run.json"]
     for command in (
         ("export", run, "--format", "coco", "--out", tmp_path / "coco"),
-        ("detect", run, "--seed", 7, "--out", tmp_path / "again"),
+        ("detect", run, "--detector-seed", 7, "--out", tmp_path / "again"),
         ("track", run, "--out", tmp_path / "tracks"),
         ("score", run, tmp_path / "tracks"),
     ):

@@ -75,7 +75,7 @@ def test_scene_completes_shipped_names_and_scene_files(folder: Path) -> None:
 
 
 def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
-    words = [("run", "sc"), ("run", "scenes/"), ("verify", ""), ("run", "x", "--out", "")]
+    words = [("run", "sc"), ("run", "scenes/"), ("check", "run", ""), ("run", "x", "--out", "")]
     asked = [(shell, *each) for shell in ("bash", "zsh", "fish") for each in words]
     offered = completions(folder, *asked)
     assert [first[:1] for first in offered] == [[]] * 4 + [["_files"]] * 4 + [[]] * 4

@@ -17,7 +17,18 @@ from tests.formats.labelled_video.videos import coco, content, mot, write
 def test_in_fog_more_is_missed_and_one_option_says_so(tmp_path: Path, modsim3d: Modsim3d) -> None:
     truth, missed = mot(tmp_path / "bay", frames=200), {}
     for state in ("noon_clear", "foggy_cloudy"):
-        line = ("--truth", truth, "--state", state, "--from", "conditions", "--seed", 1, "--out", tmp_path / state)
+        line = (
+            "--truth",
+            truth,
+            "--state",
+            state,
+            "--from",
+            "conditions",
+            "--detector-seed",
+            1,
+            "--out",
+            tmp_path / state,
+        )
         found = parsed(modsim3d("detect", *line, "--json"))
         assert found["counts"]["annotated"] == 600
         missed[state] = found["counts"]["missed"]
@@ -28,7 +39,7 @@ def test_in_fog_more_is_missed_and_one_option_says_so(tmp_path: Path, modsim3d: 
 
 def test_the_command_says_what_python_says(tmp_path: Path, modsim3d: Modsim3d) -> None:
     truth = write(tmp_path / "gt.json", coco({"left": 30, "right": 20}, categories=("ship", "buoy")))
-    line = ("--truth", truth, "--detector", "thesis", "--seed", 4, "--frame-rate", 5, "--labels", "Vessel,-")
+    line = ("--truth", truth, "--detector", "thesis", "--detector-seed", 4, "--frame-rate", 5, "--labels", "Vessel,-")
     said = modsim3d("detect", *line, "--horizon", 150, "--out", tmp_path / "a")
     assert said.status == 0, said.err
     result = package.detect_truth(

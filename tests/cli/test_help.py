@@ -4,43 +4,131 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import pytest
 import typer
 
-from modsim3d.cli.main import COMMANDS, app
+from modsim3d.cli.main import COMMANDS, GROUPS, app
+from modsim3d.cli.old_names import OLD_NAMES
 from modsim3d.learn.model_selection import RICHER
 from tests.cli.conftest import Modsim3d
 
 GROUP: Any = typer.main.get_command(app)
+
+
+def leaves(group: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Each command by the words that name it."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from leaves(command, f"{path}{name} ")
+        else:
+            yield f"{path}{name}", command
+
+
+LEAVES = dict(leaves(GROUP))
 OPTIONS = [
-    (name, parameter)
-    for name, command in GROUP.commands.items()
-    for parameter in command.params
-    if parameter.name != "help"
+    (name, parameter) for name, command in LEAVES.items() for parameter in command.params if parameter.name != "help"
 ]
 HEAVY = ("numpy", "scipy", "pyarrow", "OpenGL", "matplotlib", "PIL", "trimesh", "shapely", "pyrender")
 
 
-@pytest.mark.parametrize("flag", ["-h", "--help"])
-@pytest.mark.parametrize("name", ["", *GROUP.commands])
-def test_every_command_has_help(modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch, name: str, flag: str) -> None:
+def test_every_command_and_group_has_help(modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    said = modsim3d(*filter(None, [name]), flag)
-    assert (said.status, said.err) == (0, "")
-    assert "Usage: modsim3d" in said.out
-    assert "<bool>" not in said.out
-    assert max(map(len, said.out.splitlines())) <= 80
+    for name in ("", *GROUPS, *LEAVES):
+        said = modsim3d(*name.split(), "-h")
+        assert (said.status, said.err) == (0, ""), name
+        assert said == modsim3d(*name.split(), "--help")
+        assert "Usage: modsim3d" in said.out
+        assert "<bool>" not in said.out
+        assert max(map(len, said.out.splitlines())) <= 80, name
 
 
-@pytest.mark.parametrize(("command", "parameter"), OPTIONS, ids=[f"{name} {p.name}" for name, p in OPTIONS])
-def test_the_help_of_an_option_can_be_read_alone(command: str, parameter: Any) -> None:
-    words = (parameter.help or "").rstrip(".").split()
-    assert parameter.help.endswith(".")
-    assert len(words) >= 3
-    assert words[0] not in ("Of", "For", "The", "May", "In", "When", "Also", "Added") or parameter.name == "verbose"
+def test_the_command_line_and_its_groups_alone_show_their_help(modsim3d: Modsim3d) -> None:
+    for name in ("", *GROUPS):
+        said = modsim3d(*name.split())
+        assert said.status == 2
+        assert "Usage: modsim3d" in said.out + said.err
+        assert " -h " in said.out + said.err
+
+
+def test_the_help_of_an_option_can_be_read_alone() -> None:
+    for name, parameter in OPTIONS:
+        words = (parameter.help or "").rstrip(".").split()
+        assert parameter.help.endswith("."), (name, parameter.name)
+        assert len(words) >= 3, (name, parameter.name)
+        strange = words[0] in ("Of", "For", "The", "May", "In", "When", "Also", "Added")
+        assert not strange or parameter.name == "verbose", (name, parameter.name)
+
+
+# ---- How large the command line is ----
+
+
+def options_by_name() -> dict[str, dict[str, Any]]:
+    """Options by their long name, and by command."""
+    found: dict[str, dict[str, Any]] = {}
+    for command, parameter in OPTIONS:
+        if parameter.param_type_name == "option":
+            found.setdefault(max(parameter.opts, key=len), {})[command] = parameter
+    return found
+
+
+def test_at_most_sixteen_names_stand_at_the_top() -> None:
+    assert len(GROUP.commands) <= 16
+
+
+def test_at_most_ninety_five_names_of_options_are_to_be_known() -> None:
+    assert len(options_by_name()) <= 95
+
+
+def test_no_command_but_learning_has_more_than_twenty_options() -> None:
+    for name, command in LEAVES.items():
+        options = [each for each in command.params if each.param_type_name == "option" and each.name != "help"]
+        assert len(options) <= 20 or name.startswith("learn"), name
+
+
+def test_an_option_means_the_same_in_every_command() -> None:
+    """It takes the same kind of value, and its help begins with the same word; `--out` has a test of its own."""
+    for name, commands in options_by_name().items():
+        first = {(parameter.help or "").split()[0].rstrip(",:") for parameter in commands.values()}
+        taken = {parameter.metavar for parameter in commands.values()}
+        assert (len(first), len(taken)) == (1, 1) or name == "--out", (name, first, taken)
+
+
+# ---- Old names ----
+
+
+def test_an_old_name_answers_with_the_new_one(modsim3d: Modsim3d) -> None:
+    for old, new in OLD_NAMES.items():
+        said = modsim3d(*old.split(" ")[:1], "x", *old.split(" ")[1:], "y")
+        assert said.status == 2 and said.out == ""
+        assert said.err == f"modsim3d: modsim3d {old} is {f'now: modsim3d {new}' if new else 'no more'}\n"
+
+
+def test_a_new_name_is_one_that_is_there() -> None:
+    for old, new in OLD_NAMES.items():
+        words = new.split()
+        assert not new or any(name.split() == words[: len(name.split())] for name in LEAVES), old
+        for option in (word for word in words if word.startswith("--")):
+            assert option in options_by_name(), old
+
+
+def test_a_new_command_does_not_take_the_old_options(modsim3d: Modsim3d) -> None:
+    said = modsim3d("view", "film", "run", "--visibility=800")
+    assert (said.status, said.err) == (
+        2,
+        "modsim3d: modsim3d view --visibility is now: modsim3d view film --look fog:M\n",
+    )
+    said = modsim3d("campaign", "example", "--out", "folder")
+    assert (said.status, said.err) == (2, "modsim3d: modsim3d campaign is now: modsim3d campaign run CAMPAIGN\n")
+
+
+def test_a_misspelt_command_of_a_group_names_the_one_that_was_meant(modsim3d: Modsim3d) -> None:
+    said = modsim3d("campaign", "stauts", "runs/example")
+    assert said.status == 2
+    assert "status" in said.err and "is now" not in said.err
 
 
 def test_learn_names_every_model_that_can_be_left_out() -> None:
@@ -62,14 +150,18 @@ def test_options_that_are_called_as_what_they_take_say_their_name() -> None:
 
 def test_out_has_one_meaning() -> None:
     metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
-    folders = dict.fromkeys(
-        ("run", "detect", "ais", "compare", "verify", "export", "track", "score", "campaign"), "DIR"
+    folders = ("run", "detect", "ais", "check truth", "check run", "export", "track", "score", "campaign run")
+    files = (
+        "learn",
+        "learn-voyage",
+        "report",
+        "view film",
+        "view frame",
+        "view map",
+        "campaign table",
+        "campaign report",
     )
-    assert metavars == {
-        **folders,
-        **dict.fromkeys(("learn", "guess", "report", "rerun", "view", "campaign-table", "campaign-report"), "FILE"),
-        "campaign-run": "RUN",
-    }
+    assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
 
 
 def test_the_root_help_has_every_command_on_one_line_of_80_columns(
@@ -77,7 +169,8 @@ def test_the_root_help_has_every_command_on_one_line_of_80_columns(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     lines = modsim3d("-h").out.splitlines()
-    for panel, name, _, short_help in COMMANDS:
+    shown = [(panel, name, text) for panel, name, _, text in COMMANDS if " " not in name]
+    for panel, name, short_help in (*shown, *((panel, name, text) for name, (panel, text) in GROUPS.items())):
         assert any(line.strip("│ ").split(maxsplit=1) == [name, short_help] for line in lines), name
         assert any(line.startswith(f"╭─ {panel} ─") for line in lines)
     examples = [line for line in lines if line.startswith(" modsim3d ")]

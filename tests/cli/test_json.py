@@ -17,29 +17,12 @@ from modsim3d.cli import terminal
 from modsim3d.detector.file.reading import shipped_detectors
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.run import RunResult
-from tests.cli.bad_input.writers import TRACKS
-from tests.cli.conftest import Modsim3d, Said
+from tests.cli.conftest import WITHOUT_OVERWRITE, Modsim3d, Said
 
-COMMANDS = ("run", "detect", "check", "scenes", "verify", "repeat", "compare", "learn", "track", "score")
+COMMANDS = (
+    *("run", "detect", "check scene", "scenes", "check run", "check repeat", "check truth", "learn", "track", "score"),
+)
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-
-
-@pytest.fixture
-def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
-    """A command line for each command that has `--json`."""
-    (tmp_path / "tracks.csv").write_text(TRACKS)
-    return {
-        "run": ("run", scene, "--source", "analytic", "--out", tmp_path / "run"),
-        "detect": ("detect", run, "--seed", 3, "--out", tmp_path / "detect"),
-        "check": ("check", scene),
-        "scenes": ("scenes",),
-        "verify": ("verify", run, "--out", tmp_path / "verify"),
-        "repeat": ("repeat", run),
-        "compare": ("compare", scene, "--steps", 2, "--out", tmp_path / "compare"),
-        "track": ("track", run, "--out", tmp_path / "tracks"),
-        "score": ("score", run, tmp_path / "tracks.csv"),
-        "learn": ("learn", "--run", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
-    }
 
 
 def parsed(said: Said) -> dict[str, Any]:
@@ -71,7 +54,7 @@ def test_standard_output_is_one_object_with_the_documented_keys(
     modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
 ) -> None:
     plain = modsim3d(*lines[command])
-    overwrite = () if command in ("check", "scenes", "repeat") else ("--overwrite",)
+    overwrite = () if command in WITHOUT_OVERWRITE else ("--overwrite",)
     said = modsim3d(*lines[command], *overwrite, "--json")
     found = parsed(said)
     assert said.status == plain.status
@@ -89,8 +72,8 @@ def test_an_error_is_text_on_standard_error(modsim3d: Modsim3d, tmp_path: Path, 
     nowhere = tmp_path / "nowhere"
     out = {"run": nowhere, "detect": nowhere, "learn": nowhere, "track": tmp_path / "out"}
     said = modsim3d(
-        command,
-        *(("--run", nowhere) if command == "learn" else (nowhere,)),
+        *command.split(),
+        nowhere,
         *((nowhere,) if command == "score" else ()),
         *(("--out", out[command]) if command in out else ()),
         "--json",
@@ -118,7 +101,7 @@ def test_a_line_of_a_detector_file_that_nothing_reads_is_warned_of(modsim3d: Mod
     key, reason = "states.clear.false_discovery_rate", "model per_image does not read it"
     wanted = f"nothing reads {key} in the detector file: {reason}: set detector.false_positives.rate"
     for line in (
-        ("check", "strait", "--set", f"detector={file}"),
+        ("check", "scene", "strait", "--set", f"detector={file}"),
         ("run", "strait", "--detector", file, "--steps", 2, "--source", "analytic", "--out", tmp_path / "run"),
     ):
         said = modsim3d(*line, "--json")
@@ -139,15 +122,15 @@ def test_warnings_are_in_the_object_and_on_standard_error(
 def test_the_objects_say_what_the_text_says(
     modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], run: Path, tmp_path: Path
 ) -> None:
-    verified = parsed(modsim3d(*lines["verify"], "--json"))
+    verified = parsed(modsim3d(*lines["check run"], "--json"))
     stored = json.loads((tmp_path / "verify" / "verify.json").read_text())
     assert {key: verified[key] for key in stored} == stored
     assert verified["written"] == [str(tmp_path / "verify" / name) for name in ("verify.json", "verify.html")]
-    repeated = parsed(modsim3d(*lines["repeat"], "--json"))
+    repeated = parsed(modsim3d(*lines["check repeat"], "--json"))
     assert repeated["same"] and all(not file["stored"] and not file["repeated"] for file in repeated["files"])
-    compared = parsed(modsim3d(*lines["compare"], "--json"))
+    compared = parsed(modsim3d(*lines["check truth"], "--json"))
     assert compared["frames"] == 2 and compared["unexplained"] == 0
-    checked = parsed(modsim3d(*lines["check"], "--json"))
+    checked = parsed(modsim3d(*lines["check scene"], "--json"))
     assert checked["steps"] == 40
     assert sum(checked["stationary_shares"].values()) == pytest.approx(1)
     scenes = {entry["name"]: entry["path"] for entry in parsed(modsim3d("scenes", "--json"))["scenes"]}

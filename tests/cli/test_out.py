@@ -10,10 +10,10 @@ from tests.cli.conftest import Modsim3d
 
 FILES = {
     "report.html": ("report",),
-    "map_000039.png": ("view", "--map", "--width", "160"),
-    "detections_000003.png": ("view", "--frame", "3", "--width", "160"),
-    "ids.gif": ("view", "--film", "ids", "--to", "1", "--width", "160", "--format", "gif"),
-    "detections.mp4": ("view", "--film", "detections", "--to", "0.5", "--width", "160"),
+    "map_000039.png": ("view map", "--width", "160"),
+    "detections_000003.png": ("view frame", "3", "--width", "160"),
+    "ids.gif": ("view film", "--kind", "ids", "--end", "1", "--width", "160", "--format", "gif"),
+    "detections.mp4": ("view film", "--end", "0.5", "--width", "160"),
 }
 
 
@@ -24,7 +24,7 @@ def test_a_file_is_put_into_a_folder_under_its_usual_name(
 ) -> None:
     (tmp_path / folder).mkdir()
     command, *options = words
-    line = (command, run, *options, "--out", tmp_path / folder)
+    line = (*command.split(), run, *options, "--out", tmp_path / folder)
     assert modsim3d(*line).status == 0
     assert [path.name for path in (tmp_path / folder).iterdir()] == [name]
     said = modsim3d(*line)
@@ -33,12 +33,8 @@ def test_a_file_is_put_into_a_folder_under_its_usual_name(
 
 
 def test_a_learned_detector_and_its_page_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
-    assert modsim3d("learn", "--run", run, "--replicates", 20, "--out", tmp_path).status == 0
+    assert modsim3d("learn", run, "--replicates", 20, "--out", tmp_path).status == 0
     assert {path.name for path in tmp_path.iterdir()} == {"detector.yaml", "detector.html", "detector.uncertainty.json"}
-    (tmp_path / "pages").mkdir()
-    options = ("--replicates", 20, "--out", tmp_path / "d.yaml", "--page", tmp_path / "pages")
-    assert modsim3d("learn", "--run", run, *options).status == 0
-    assert [path.name for path in (tmp_path / "pages").iterdir()] == ["d.html"]
 
 
 def test_export_writes_a_format_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:

@@ -6,59 +6,44 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.cli.main import COMMANDS
-from tests.cli.conftest import Modsim3d
-from tests.cli.test_help import GROUP, OPTIONS
+from tests.cli.conftest import WITHOUT_OVERWRITE, Modsim3d
+from tests.cli.test_help import LEAVES, OPTIONS
 
-
-@pytest.fixture
-def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...]]:
-    return {
-        "run": ("run", scene, "--source", "analytic", "--overwrite", "--out", tmp_path / "run"),
-        "detect": ("detect", run, "--seed", 3, "--overwrite", "--out", tmp_path / "detect"),
-        "check": ("check", scene),
-        "verify": ("verify", run, "--overwrite", "--out", tmp_path / "verify"),
-        "repeat": ("repeat", run),
-        "compare": ("compare", scene, "--steps", 2),
-        "learn": ("learn", "--run", run, "--replicates", 20, "--overwrite", "--out", tmp_path / "learned.yaml"),
-        "track": ("track", run, "--overwrite", "--out", tmp_path / "tracks"),
-        "export": ("export", run, "--format", "coco", "--overwrite", "--out", tmp_path / "coco"),
-        "report": ("report", run, "--overwrite", "--out", tmp_path / "page.html"),
-        "view": ("view", run, "--frame", 3, "--width", 160, "--overwrite", "--out", tmp_path / "picture.png"),
-    }
-
-
-COMMANDS_TRIED = ("run", "detect", "check", "verify", "repeat", "compare", "learn", "export", "report", "view", "track")
+TRIED = (
+    *("run", "detect", "check scene", "check run", "check repeat", "check truth"),
+    *("learn", "export", "report", "view frame", "track"),
+)
 
 
 def test_every_command_with_something_to_tell_has_both_options() -> None:
     have = {name for name, parameter in OPTIONS if parameter.name in ("quiet", "verbose")}
-    assert have == {name for _, name, _, _ in COMMANDS} - {"scenes"}
+    assert have == LEAVES.keys() - {"scenes"}
     for name in have:
-        opts = [opt for parameter in GROUP.commands[name].params for opt in parameter.opts]
+        opts = [opt for parameter in LEAVES[name].params for opt in parameter.opts]
         assert {"-q", "--quiet", "-v", "--verbose"} <= set(opts)
 
 
-@pytest.mark.parametrize("command", COMMANDS_TRIED)
+@pytest.mark.parametrize("command", TRIED)
 def test_verbose_tells_versions_files_and_times_and_quiet_prints_nothing_and_does_the_same(
     modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
 ) -> None:
-    verbose = modsim3d(*lines[command], "--verbose")
+    line = (*lines[command], *(() if command in WITHOUT_OVERWRITE else ("--overwrite",)))
+    verbose = modsim3d(*line, "--verbose")
     first, *rest = verbose.err.splitlines()
     assert first.startswith("versions  modsim3d ")
     read = [line.removeprefix("read      ") for line in rest if line.startswith("read ")]
     assert read and all(Path(path).exists() for path in read)
     assert any(line.startswith("time ") for line in rest)
     assert not any(line.startswith(("versions ", "read ", "time  ")) for line in verbose.out.splitlines())
-    said = modsim3d(*lines[command])
+    said = modsim3d(*line)
     assert said.out
     assert "versions  modsim3d" not in said.err, "an earlier command's -v"
     warnings = [line for line in said.err.splitlines() if line.startswith("warning: ")]
-    quiet = modsim3d(*lines[command], "-q")
+    quiet = modsim3d(*line, "-q")
     assert (quiet.status, quiet.out, quiet.err.splitlines()) == (said.status, "", warnings)
 
 
-@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("command", ["run", "check truth"])
 def test_verbose_names_the_opengl_that_draws(
     modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
 ) -> None:
@@ -68,12 +53,12 @@ def test_verbose_names_the_opengl_that_draws(
 
 def test_both_are_refused(modsim3d: Modsim3d, run: Path) -> None:
     for flags in (("-q", "-v"), ("-v", "-q"), ("-qv",)):
-        said = modsim3d("verify", run, *flags)
+        said = modsim3d("check", "run", run, *flags)
         assert said.status == 2
         assert said.err.endswith("modsim3d: --quiet and --verbose contradict each other: leave one out\n")
 
 
 def test_errors_are_not_silenced(modsim3d: Modsim3d) -> None:
-    said = modsim3d("check", "nowhere.yaml", "-q")
+    said = modsim3d("check", "scene", "nowhere.yaml", "-q")
     assert (said.status, said.out) == (2, "")
     assert "no such file" in said.err

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import re
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.cli.run_summary import camera_rows, print_summary, run_warnings, summary_rows
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.run import RunResult, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from tests.command_line import call
 
 COUNTS = Counts(
     **{"frames": 1500, "vessel_frames": 7500, "seen": 7458, "partly_hidden": 330, "fully_hidden": 42},
@@ -107,10 +106,7 @@ def test_check_warns_of_the_sign_of_the_pitch(
     scenes = Path(shutil.copytree(load_scene("simulation_2").path.parent, tmp_path / "scenes"))
     text = (scenes / "simulation_2.yaml").read_text()
     (scenes / "simulation_2.yaml").write_text(re.sub(r"pitch_rad: 0\.0157\d*", "pitch_rad: -0.4157", text))
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(scenes / "simulation_2.yaml")])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert not stopped.value.code
+    assert call(monkeypatch, "check", "scene", scenes / "simulation_2.yaml") == 0
     out, said = capsys.readouterr()
     assert "no errors, 1 warning" in out
     assert "camera 'C0' sees no vessel in the 29 frames looked at: it looks 23.8° above the horizon" in said

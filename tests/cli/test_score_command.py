@@ -17,7 +17,7 @@ def tracks(run: Path, tmp_path: Path) -> Path:
 
 
 def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsim3d, run: Path, tracks: Path) -> None:
-    said = modsim3d("score", run, tracks, "--similarity", "centre", "--scale", 150, "--gospa-c", 70, "--seeds", 2)
+    said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa-c", 70, "--seeds", 2)
     assert said.status == 0
     for part in (
         *("reference  ", "oracle association, smoothed", "oracle association, raw boxes", "occlusions survived"),
@@ -71,8 +71,8 @@ def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--similarity", "centre"), "--similarity centre needs --scale"),
-        (("--scale", 10), "--scale is for --similarity centre"),
+        (("--similarity", "centre"), "similarity centre needs a scale"),
+        (("--similarity", "iou:10"), "a scale is for similarity centre"),
         (("--threshold", 0), "--threshold must be above 0 and at most 1 (got 0)"),
         (("--gap", -1), "--gap must be 0 or more seconds (got -1)"),
         (("--gospa-c", "nan"), "--gospa-c must be above 0"),

@@ -34,7 +34,9 @@ def test_the_status_of_verify_is_its_verdict_whoever_reads(
     run: Path, prepared: Path, tmp_path: Path, reader: str, obeys: bool, options: str
 ) -> None:
     detector = next((run / "scene").glob("detector.*")) if obeys else other_detector(run, tmp_path)
-    line = f'MODSIM3D verify "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null; echo ${{PIPESTATUS[0]}}'
+    line = (
+        f'MODSIM3D check run "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null; echo ${{PIPESTATUS[0]}}'
+    )
     done = bash(line, run, detector, tmp_path / "out", program=prepared)
     assert done.stdout == f"{0 if obeys else 1}\n"
     assert done.stderr == ""
@@ -42,14 +44,15 @@ def test_the_status_of_verify_is_its_verdict_whoever_reads(
 
 
 @pytest.mark.parametrize(
-    "arguments", ["scenes", "-h", "run -h", "check harbour", "scenes --json", "check harbour --json", "--version"]
+    "arguments",
+    ["scenes", "-h", "run -h", "check scene harbour", "scenes --json", "check scene harbour --json", "--version"],
 )
 def test_no_command_minds_a_reader_that_goes_away(arguments: str, prepared: Path) -> None:
     done = bash(f"MODSIM3D {arguments} | true; echo ${{PIPESTATUS[0]}}", program=prepared)
     assert (done.stdout, done.stderr) == ("0\n", "")
 
 
-@pytest.mark.parametrize("arguments", ["-h", "check harbour", "scenes --json"])
+@pytest.mark.parametrize("arguments", ["-h", "check scene harbour", "scenes --json"])
 @pytest.mark.parametrize("unbuffered", ["", "PYTHONUNBUFFERED=1"])
 def test_no_program_minds_a_reader_that_goes_away(arguments: str, unbuffered: str) -> None:
     """In a Python of its own: help, which is printed before all else, a text and an object."""
@@ -64,13 +67,13 @@ def test_a_run_whose_bar_and_summary_nobody_reads_is_finished(scene: Path, prepa
 
 
 def test_an_error_keeps_its_status_when_nobody_reads() -> None:
-    done = bash("MODSIM3D check nowhere.yaml 2>&1 | true; echo ${PIPESTATUS[0]}")
+    done = bash("MODSIM3D check scene nowhere.yaml 2>&1 | true; echo ${PIPESTATUS[0]}")
     assert done.stdout == "2\n"
 
 
 def test_the_first_line_of_json_is_the_whole_object(run: Path, prepared: Path, tmp_path: Path) -> None:
-    done = bash('MODSIM3D verify "$1" --out "$2" --json | head -1', run, tmp_path, program=prepared)
-    assert json.loads(done.stdout)["command"] == "verify"
+    done = bash('MODSIM3D check run "$1" --out "$2" --json | head -1', run, tmp_path, program=prepared)
+    assert json.loads(done.stdout)["command"] == "check run"
 
 
 def test_output_that_a_full_disk_loses_is_an_error() -> None:
@@ -80,6 +83,6 @@ def test_output_that_a_full_disk_loses_is_an_error() -> None:
 
 
 def test_without_standard_output_a_command_does_its_work(run: Path, tmp_path: Path) -> None:
-    done = bash('MODSIM3D verify "$1" --out "$2" >&-', run, tmp_path)
+    done = bash('MODSIM3D check run "$1" --out "$2" >&-', run, tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert (tmp_path / "verify.json").exists()

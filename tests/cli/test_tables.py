@@ -97,9 +97,9 @@ def test_verify_has_every_number_at_any_width(
 ) -> None:
     if width:
         monkeypatch.setenv("COLUMNS", str(width))
-    out = modsim3d("verify", run, "--out", tmp_path).out
+    out = modsim3d("check", "run", run, "--out", tmp_path).out
     monkeypatch.delenv("COLUMNS", raising=False)
-    table = modsim3d("verify", run, "--out", tmp_path, "--overwrite").out
+    table = modsim3d("check", "run", run, "--out", tmp_path, "--overwrite").out
     assert re.search(r"parameter +asked +measured +interval +noticed from +verdict", table)
     for word in table.split("\n\nwritten")[0].split():
         assert word in out or word in ("–", "parameter", "verdict")  # the verdict itself stands at the edge
@@ -111,7 +111,7 @@ def test_verify_has_every_number_at_any_width(
 
 @pytest.mark.parametrize("width", [40, 70])
 def test_an_error_on_a_terminal_is_broken_between_words(prepared: Path, width: int) -> None:
-    command = [prepared, "check", "nowhere/at_all/in_this_folder.yaml"]
+    command = [prepared, "check", "scene", "nowhere/at_all/in_this_folder.yaml"]
     ours, theirs = pty.openpty()
     done = subprocess.run(
         command, stderr=theirs, timeout=120, check=False, env={**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
@@ -131,7 +131,7 @@ def test_an_error_in_a_pipe_is_not_broken_whatever_columns_says(
     modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "40")
-    assert modsim3d("check", "nowhere.yaml").err.count("\n") == 2
+    assert modsim3d("check", "scene", "nowhere.yaml").err.count("\n") == 2
 
 
 def test_a_long_path_stands_on_a_line_of_its_own() -> None:

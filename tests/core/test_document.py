@@ -79,3 +79,13 @@ def test_a_notebook_has_the_outcome_and_the_tables_that_are_for_it():
 def test_a_heading_is_shown_only_with_something_before_the_next_of_its_level():
     blocks = [Heading("a"), Heading("b", 3), Text("x"), Heading("c", 3), Heading("d"), Heading("e", 3)]
     assert shown(blocks, Where.TERMINAL) == blocks[:3]
+
+
+def test_a_column_of_drawings_alone_is_not_printed_and_rows_without_names_of_columns_are():
+    blocks = [
+        Table("drawn", ("a", "axis", "b"), [("1", Cell("", draw=lambda: "<svg></svg>"), "2")]),
+        Table("named", (), [("name", "value")]),
+    ]
+    file = io.StringIO()
+    print_document(open_console(file=file, width=80), Document("", [], blocks))
+    assert file.getvalue().split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]

@@ -131,11 +131,11 @@ def test_a_slope_may_start_at_nothing_seen() -> None:
     np.testing.assert_allclose(added, -3 * targets.visible_fraction)
 
 
-def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_census() -> None:
+def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_target_statistics() -> None:
     parts, model = iter([(make_frames(50), varied_targets(50))]), parse_detector(model_data(dropout=LOGISTIC))
     assert not len(target_statistics(model, parts).sides.counts)
-    assert len(list(parts)) == 1 and not model.needs_census
-    assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_census
+    assert len(list(parts)) == 1 and not model.needs_target_statistics
+    assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_target_statistics
 
 
 def gated(**gates: float) -> tuple[Targets, Detections]:

@@ -262,7 +262,7 @@ def test_a_model_holds_what_the_mapping_says() -> None:
     assert model.labels == ("sail", "motor")
     assert model.initial_state == 1
     assert model.transition_interval_s == 5
-    assert model.clutter.model == "calibrated"  # by default
+    assert model.false_positives.model == "calibrated"  # by default
     assert [state.name for state in model.states] == ["clear", "fog"]
     assert model.states[1].confusion.tolist() == [[0.5, 0.2], [0.1, 0.4], [0.4, 0.4]]
     assert model.states[1].false_discovery_rate == 0.4
@@ -283,7 +283,7 @@ def test_models_that_are_switched_off_leave_every_byte_of_the_plain_chain() -> N
     for state in apart["states"].values():
         normal = state["confidence"]
         state["confidence"] = {True: dict(normal), False: dict(normal), "visibility_slope": 0, "size_slope": 0}
-    assert not parse_detector(apart).needs_census
+    assert not parse_detector(apart).needs_target_statistics
     assert all_bytes(run(parse_detector(apart), frames, targets)) == all_bytes(
         run(parse_detector(data), frames, targets)
     )

@@ -11,7 +11,7 @@ import pytest
 
 from modsim3d.core.arrays import Array
 from modsim3d.detector.chain import MODELS, Detector, DetectorPart, model_name, used_models
-from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveRates, FrameCounts, PerImage
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveRates, FrameCounts, PerImage
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import KINDS
 from modsim3d.detector.target_statistics import TargetStatistics
@@ -77,7 +77,7 @@ def seen(model: Any) -> Evidence:
 
 
 def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cast(dict[str, Any], CLUTTER_MODELS), "fourth", EverySecondFrame())
+    monkeypatch.setitem(cast(dict[str, Any], FALSE_POSITIVE_MODELS), "fourth", EverySecondFrame())
     sizes = {"model": "fixed", "px": [20, 10]}
     data = one_state_data() | {"false_positives": {"model": "fourth", "rate": 2.0, "size": sizes}}
     model = parse_detector(data)

@@ -67,12 +67,12 @@ MODELS = ("plain", "Student's t box errors", "persistent false positives", "doub
 def test_chunk_borders_change_nothing_in_what_persists(name: str) -> None:
     model = parse_detector(variant(name) | {"persistence": PERSISTENCE})
     frames, targets = rich_frames(), replace(rich_targets(), label=np.zeros_like(rich_targets().label))
-    census = target_statistics(model, [(frames, targets)])
-    whole = Detector(model, 5, census, clock(STEP_S)).detect(frames, targets)
-    split = detect_in_chunks(Detector(model, 5, census, clock(STEP_S)), frames, targets, [0, 1, 513, 514, STEPS])
+    statistics = target_statistics(model, [(frames, targets)])
+    whole = Detector(model, 5, statistics, clock(STEP_S)).detect(frames, targets)
+    split = detect_in_chunks(Detector(model, 5, statistics, clock(STEP_S)), frames, targets, [0, 1, 513, 514, STEPS])
     assert all_bytes(split) == all_bytes(whole)
     part, part_targets, _ = chunk(frames, targets, 400, STEPS)
-    later = Detector(model, 5, census, clock(STEP_S)).detect(part, part_targets)  # as another worker would
+    later = Detector(model, 5, statistics, clock(STEP_S)).detect(part, part_targets)  # as another worker would
     np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[whole.frame >= 400])
 
 
@@ -97,7 +97,7 @@ def test_a_vessel_has_one_detection_that_is_not_false(whole: Detections) -> None
     assert not whole.gated[sources].any()
 
 
-def test_census_does_not_depend_on_how_the_scene_is_split() -> None:
+def test_target_statistics_do_not_depend_on_how_the_scene_is_split() -> None:
     targets = rich_targets()
     halves = []
     for first, stop in ((0, 333), (333, STEPS)):

@@ -39,9 +39,14 @@ def test_transitions_happen_as_often_as_the_columns_say() -> None:
         assert abs(np.mean(following == 0) - column[0]) < error
 
 
+@pytest.fixture(scope="module")
+def whole() -> np.ndarray:
+    return sequence(model()).at(make_frames(9010))
+
+
 @given(starts=st.lists(st.integers(0, 9000), min_size=1, max_size=5))
-def test_states_are_the_same_in_whatever_order_they_are_asked_for(starts: list[int]) -> None:
-    whole, scattered = sequence(model()).at(make_frames(9010)), sequence(model())
+def test_states_are_the_same_in_whatever_order_they_are_asked_for(whole: np.ndarray, starts: list[int]) -> None:
+    scattered = sequence(model())
     for start in starts:
         part = scattered.at(make_frames(10, camera="other", first_step=start))
         assert np.array_equal(part, whole[start : start + 10])

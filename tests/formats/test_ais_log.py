@@ -27,9 +27,10 @@ from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.traffic import read_traffic
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
+from tests.command_line import call as command
 from tests.runs.test_stream import lines as live_lines
 from tests.runs.test_stream import live_scene
-from tests.scene.ais.ais_builders import SAMPLES, command
+from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import camera_keys
 
 STEPS, STEP_S = 500, 1.0

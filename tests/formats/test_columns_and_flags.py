@@ -274,8 +274,8 @@ def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tm
 
 
 def test_a_name_that_is_empty_does_not_move_the_others():
-    from modsim3d.cli.detect import read_options
+    from modsim3d.cli.detect import parsed_names
 
-    assert read_options("a, b,", None, False, None).labels == ("a", "b")
+    assert parsed_names("a, b,", "--labels") == ("a", "b")
     with pytest.raises(InputError, match="the name 2 is empty"):
-        read_options("a,,b", None, False, None)
+        parsed_names("a,,b", "--labels")

@@ -130,7 +130,7 @@ def test_worked_out_numbers_have_nine_digits(exported: Path) -> None:
 
 
 def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, exported: Path, tmp_path: Path) -> None:
-    assert export(run, tmp_path / "true", "--attitude", "true").exit_code == 0
+    assert export(run, tmp_path / "true", "--true-attitude").exit_code == 0
     frames = read(tmp_path / "true" / "frames_bow.csv")
     angles = numbers(frames, "camera_roll_rad", "camera_pitch_rad", "camera_yaw_rad")
     true = run.scene.at(7).sights[0].camera_poses.camera_R_world[0]
@@ -210,8 +210,7 @@ def _place(run: StoredRun) -> dict[str, Any]:
 
 
 def test_the_attitude_goes_with_csv_alone(run: StoredRun, tmp_path: Path) -> None:
-    arguments = ["export", str(run.folder), "--format", "coco", "--out", str(tmp_path / "out"), "--attitude", "true"]
+    arguments = ["export", str(run.folder), "--format", "coco", "--out", str(tmp_path / "out"), "--true-attitude"]
     done = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
-    assert str(done.exception) == "--attitude goes with --format csv, not with coco"
+    assert str(done.exception) == "--true-attitude goes with --format csv, not with coco"
     assert isinstance(done.exception, ModsimError) and not (tmp_path / "out").exists()
-    assert "is not one of" in export(run, tmp_path / "out", "--attitude", "guessed").output

@@ -19,7 +19,7 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.pipeline import DetectorInput, Simulation, detector_inputs, scene_census, truth_block
+from modsim3d.runs.pipeline import DetectorInput, Simulation, detector_inputs, scene_statistics, truth_block
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.scene_folder import write_scene
@@ -83,7 +83,7 @@ def _simulate(scene: Scene, steps: int) -> None:
     """Truth and detections of the first steps, from the exact geometry."""
     scene = replace(scene, annotation=replace(scene.annotation, source="analytic"))
     truth = truth_block(scene, 0, steps, None)
-    Simulation(scene, scene_census(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
+    Simulation(scene, scene_statistics(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
 
 
 @cache
@@ -98,8 +98,8 @@ def _seen_by_a_detector() -> tuple[Scene, tuple[DetectorInput, ...]]:
 def _read_detector(folder: Path) -> None:
     model = load_detector(folder / "detector.yaml")
     scene, inputs = _seen_by_a_detector()
-    census = target_statistics(model, ((part.frames, part.targets) for part in inputs))
-    detector = Detector(model, 0, census, scene.times_s)
+    statistics = target_statistics(model, ((part.frames, part.targets) for part in inputs))
+    detector = Detector(model, 0, statistics, scene.times_s)
     for part in inputs:
         detector.detect(part.frames, part.targets)
 

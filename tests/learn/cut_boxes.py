@@ -9,12 +9,11 @@ import numpy as np
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, LearnSettings, learn
-from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import simulated
-from modsim3d.learn.states import Transitions
+from modsim3d.formats.matching import Rule
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import detector_file, learned_in, observed_in
 
 SIZE = (640.0, 480.0)
 _CORRELATION = np.array([[1, 0.2, 0.3, 0], [0.2, 1, 0, -0.2], [0.3, 0, 1, 0.4], [0, -0.2, 0.4, 1]])
@@ -28,20 +27,7 @@ def detector(law: dict[str, Any]) -> dict[str, Any]:
     """A detector that finds everything, with box errors of a law."""
     covariance = _CORRELATION * np.outer(law["std"], law["std"])
     box_error = {key: value for key, value in law.items() if key != "std"} | {"covariance": covariance.tolist()}
-    state = {
-        "confusion": [[1.0], [0.0]],
-        "false_positive_labels": [1.0],
-        "false_discovery_rate": 0.0,
-        "box_error": box_error,
-        "confidence": {"mean": 0.6, "std": 0.1},
-    }
-    return {
-        "labels": ["boat"],
-        "confidence_threshold": 0.2,
-        "initial_state": "usual",
-        "transition_matrix": [[1.0]],
-        "states": {"usual": state},
-    }
+    return detector_file(missed=0.0, false=0.0, box_error=box_error)
 
 
 def boats(count: int, seed: int) -> LabelledSet:
@@ -66,9 +52,7 @@ def detected(law: dict[str, Any], count: int, seed: int) -> LabelledSet:
 
 def learn_from(labelled: LabelledSet, rule: Rule, replicates: int = 100, seed: int = 0) -> Learned:
     """What is learned from matches by a rule."""
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    observed = Observed(labelled, match(labelled, rule, 0.2), ("usual",), state, 0.2)
-    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(rule, replicates=replicates, seed=seed))
+    return learned_in(observed_in(labelled, rule), rule, replicates=replicates, seed=seed)
 
 
 def asked_of(law: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -8,12 +8,11 @@ import numpy as np
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, LearnSettings, learn
-from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import simulated
-from modsim3d.learn.states import Transitions
+from modsim3d.formats.matching import Rule
+from modsim3d.learn.learned import Learned
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import detector_file, learned_in, observed_in
 
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0
 
@@ -42,30 +41,13 @@ def truth_of(frames: int, seed: int, hidden: bool = True) -> LabelledSet:
 
 def detector(confidence: dict[str, Any], **sections: Any) -> dict[str, Any]:
     """A detector of one state with small box errors and these keys of confidence."""
-    state = {
-        "confusion": [[0.9], [0.1]],
-        "false_positive_labels": [1.0],
-        "false_discovery_rate": 0.2,
-        "box_error": {"unit": "relative", "mean": [0.0] * 4, "covariance": (np.eye(4) * 4e-4).tolist()},
-        "confidence": confidence,
-    }
     size = {"model": "lognormal", "px": [40, 40], "log_std": 0.5}
-    return {
-        "labels": ["boat"],
-        "confidence_threshold": 0.2,
-        "initial_state": "usual",
-        "transition_matrix": [[1.0]],
-        "false_positives": {"model": "calibrated", "size": size},
-        "states": {"usual": state},
-        **sections,
-    }
+    file = detector_file(confidence=confidence)
+    return {**file, "false_positives": {"model": "calibrated", "size": size}, **sections}
 
 
 def learned_from(labelled: LabelledSet, without: tuple[str, ...] = (), method: str = "provenance") -> Learned:
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    matched = match(labelled, Rule(method), 0.2)
-    observed = Observed(labelled, matched, labelled.conditions, state, 0.2, frozenset(without))
-    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=60))
+    return learned_in(observed_in(labelled, Rule(method), without), replicates=60)
 
 
 def detected(labelled: LabelledSet, content: dict[str, Any], seed: int) -> LabelledSet:

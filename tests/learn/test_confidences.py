@@ -17,7 +17,7 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn.learning import learn_detector
-from modsim3d.learn.matching_bias import simulated
+from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
 
 FRAMES = 60
@@ -72,25 +72,18 @@ def test_detections_without_confidences_give_all_but_what_needs_them(mot, tmp_pa
     assert len(again.results) > 50 and set(again.results.confidence.tolist()) == {1.0}
 
 
-def test_json_says_that_there_is_no_average_precision(mot, tmp_path):
+def test_options_that_need_confidences_say_so_and_json_that_there_is_no_average_precision(mot, tmp_path):
     gt, write = mot
-    said = json.loads(command(gt, write("none", -1), tmp_path, "--json").stdout)
-    assert said["lost_average_precision"] is None and said["states"][0]["average_precision"] is None
-    assert said["states"][0]["recall"]["value"] == pytest.approx(0.8, abs=0.15)
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
+    for options, problem in (
         (("--match", "confidence"), "needs confidences, and the detections have none .-1.: give --match optimal"),
         (("--confidence", "0.5"), "--confidence 0.5 needs confidences"),
         (("--confidence-scale", "-2,5"), "--confidence-scale: every confidence is -1, which means not given"),
-    ],
-)
-def test_options_that_need_confidences_say_so(options, problem, mot, tmp_path):
-    gt, write = mot
-    with pytest.raises(ModsimError, match=problem):
-        command(gt, write("none", -1), tmp_path, *options)
+    ):
+        with pytest.raises(ModsimError, match=problem):
+            command(gt, write("none", -1), tmp_path, *options)
+    said = json.loads(command(gt, write("none", -1), tmp_path, "--json").stdout)
+    assert said["lost_average_precision"] is None and said["states"][0]["average_precision"] is None
+    assert said["states"][0]["recall"]["value"] == pytest.approx(0.8, abs=0.15)
 
 
 def test_confidences_of_some_detections_alone_are_refused(mot, tmp_path):
@@ -133,11 +126,11 @@ def test_a_range_that_is_not_from_0_to_1_is_named_with_the_option_that_maps_it(l
     )
 
 
-@pytest.mark.parametrize("text", ["5", "3,2", "1,1", "a,b", "0,inf"])
-def test_a_scale_that_is_none_is_refused(text, mot, tmp_path):
+def test_a_scale_that_is_none_is_refused(mot, tmp_path):
     gt, write = mot
-    with pytest.raises(InputError, match="must be LOW,HIGH, two numbers that rise, as 0,100"):
-        command(gt, write("all", 0.7), tmp_path, "--confidence-scale", text)
+    for text in ("5", "3,2", "1,1", "a,b", "0,inf"):
+        with pytest.raises(InputError, match="must be LOW,HIGH, two numbers that rise, as 0,100"):
+            command(gt, write("all", 0.7), tmp_path, "--confidence-scale", text)
     with pytest.raises(InputError, match="confidence_scale: must be two numbers that rise"):
         learn_detector(truth=gt, detections=write("all", 0.7), confidence_scale=(3.0, 2.0))
 

@@ -17,7 +17,6 @@ from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
 from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.matches import ErrorSource, Observed, _regular
-from modsim3d.learn.matching_bias import Shift
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive
 from modsim3d.learn.states import Transitions, count_transitions, transitions_of
@@ -120,15 +119,6 @@ def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(see
 def test_errors_that_differ_by_rounding_alone_determine_no_distribution():
     errors = np.random.default_rng(0).normal(0, [1, 1, 1e-14, 1], (50, 4))
     assert not _regular(errors) and _regular(errors * [1, 1, 1e13, 1])
-
-
-def test_a_number_that_most_repeats_do_not_tell_is_not_called_shifted():
-    entry = Entry(Key(("x",)), Column(np.array([[1.0, 1.0, 1.0], [1.1, 0.9, 1.0]]), "mean", np.full(3, 5.0)))
-    again = np.array([[2.0, 2.0, np.nan], [2.2, np.nan, np.nan], [2.1, np.nan, np.nan], [np.nan] * 3])
-    shift = Shift.of(entry, again)
-    np.testing.assert_allclose(shift.again, [2.1, np.nan, np.nan])
-    np.testing.assert_allclose(shift.shift, [1.1, 0, 0])
-    np.testing.assert_allclose(shift.error, [0.1 / np.sqrt(3), np.nan, np.nan])
 
 
 def test_confidences_that_hardly_differ_are_written_as_equal():
@@ -271,14 +261,11 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     interval = chain.interval(0.9, ("a", "b"))
     low, high = interval.low, interval.high
     assert np.all((low < chain.matrix) & (chain.matrix < high))
+    alone = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
+    assert alone.low == alone.high == 1  # the only state surely stays
     nothing = count_transitions([], 2)
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
     assert isinstance(chain, Transitions)
-
-
-def test_a_state_that_is_the_only_one_surely_stays():
-    interval = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
-    assert interval.low == interval.high == 1
 
 
 def test_cameras_that_share_a_chain_count_once():

@@ -9,13 +9,13 @@ import pytest
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.matching import Rule
 from modsim3d.learn.bootstrap import entries_of, resample
 from modsim3d.learn.learned import LearnSettings, learn
-from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import bias_of, simulated
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import detector_file, observed_in
 
 FRAMES, RATE_HZ = 1200, 4.0
 SIZE = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
@@ -34,30 +34,13 @@ def on_a_rolling_camera(seed=0, **clutter):
     there = truth(image, 0 * image, boxes, identity=np.tile([0, 1], FRAMES))
     shown = images(FRAMES, (1200.0, 900.0), frame / RATE_HZ, half_planes)
     labelled = LabelledSet(("boat",), ("day",), shown, there, found([], [], [], []))
-    model = parse_detector(
-        {
-            "labels": ["boat"],
-            "confidence_threshold": 0.2,
-            "initial_state": "day",
-            "transition_matrix": [[1.0]],
-            "false_positives": {"model": "per_image", "rate": 1.2, "size": SIZE, **clutter},
-            "states": {
-                "day": {
-                    "confusion": [[0.9], [0.1]],
-                    "false_positive_labels": [1.0],
-                    "false_discovery_rate": 0.3,
-                    "box_error": {"unit": "relative", "mean": [0.0] * 4, "covariance": (4e-4 * np.eye(4)).tolist()},
-                    "confidence": {"mean": 0.6, "std": 0.1},
-                }
-            },
-        }
-    )
+    clutter = {"model": "per_image", "rate": 1.2, "size": SIZE, **clutter}
+    model = parse_detector(detector_file("day", false=0.3) | {"false_positives": clutter})
     return simulated(labelled, np.zeros(FRAMES, dtype=np.int64), model, seed)
 
 
 def observed(labelled, without=frozenset()):
-    state = np.zeros(FRAMES, dtype=np.int64)
-    return Observed(labelled, match(labelled, PROVENANCE.rule, 0.2), ("day",), state, 0.2, without)
+    return observed_in(labelled, PROVENANCE.rule, without, "day")
 
 
 def learned_from(labelled, without=frozenset()):
@@ -87,7 +70,7 @@ def check(learned, placing, **clutter):
     asked = {key: value for key, value in {**clutter, **stays}.items() if isinstance(value, float)}
     assert all(inside(learned, **asked, false_positives_per_image=1.2, log_std=0.3).values())
     assert learned.run_s == pytest.approx(FRAMES / RATE_HZ / 24, rel=0.01)  # as long as leaves enough runs
-    written = parse_detector(learned.detector()).clutter
+    written = parse_detector(learned.detector()).false_positives
     assert written.lifetime_s == pytest.approx(5, rel=0.35)
     assert written.persistent_share == pytest.approx(stays["share"], abs=0.12)
     assert written.drift_px_s == pytest.approx(stays.get("drift_px_s", 0), rel=0.01)
@@ -135,10 +118,12 @@ def test_models_that_are_left_out_are_not_learned(staying):
 
 
 def test_what_was_learned_is_learned_again_with_the_same_numbers(staying, learned_staying):
-    shifts = {each.entry.key.names[-1]: each for each in bias_of(learned_staying, PROVENANCE, repeats=2).shifts}
-    assert shifts["band_px"].again == pytest.approx(60, rel=0.03)
-    assert shifts["drift_px_s"].again == pytest.approx(8, rel=0.02)
-    assert shifts["lifetime_s"].again == pytest.approx(5, rel=0.5)
+    model = parse_detector(learned_staying.detector())
+    again = learned_from(simulated(staying, np.zeros(FRAMES, dtype=np.int64), model, seed=1))
+    numbers = {each.key.names[-1]: each.estimate for each in entries_of(again.numbers)}
+    assert numbers["band_px"] == pytest.approx(60, rel=0.03)
+    assert numbers["drift_px_s"] == pytest.approx(8, rel=0.02)
+    assert numbers["lifetime_s"] == pytest.approx(5, rel=0.5)
 
 
 def test_of_data_without_false_positives_the_same_numbers_are_learned(staying, learned_staying):

@@ -21,6 +21,7 @@ from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.learn.guess import ConditionChange, guessed
 from tests.cli.bad_input.builders import Call
+from tests.learn.one_state import detector_file
 
 CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "conditions.md"
@@ -37,18 +38,14 @@ def change(before: str, after: str) -> ConditionChange:
     return ConditionChange.between(CONDITIONS[before], CONDITIONS[after])
 
 
+def errors_of(unit: str, covariance: Array) -> dict[str, Any]:
+    return {"box_error": {"unit": unit, "mean": [0] * 4, "covariance": covariance.tolist()}}
+
+
 def condition(**keys: Any) -> tuple[str, DetectorModel]:
     """A condition of one's own."""
-    state = {
-        "confusion": [[0.8], [0.2]],
-        "false_positive_labels": [1.0],
-        "false_discovery_rate": 0.1,
-        "box_error": {"unit": "relative", "mean": [0, 0, 0, 0], "covariance": np.diag([4.0, 1, 9, 1]).tolist()},
-        "confidence": {"mean": 0.6, "std": 0.1},
-        **keys,
-    }
-    whole = {"confidence_threshold": 0.2, "initial_state": "it", "transition_matrix": [[1.0]], "labels": ["boat"]}
-    return "it", parse_detector({**whole, "states": {"it": state}})
+    usual = errors_of("relative", np.diag([4.0, 1, 9, 1]))
+    return "it", parse_detector(detector_file("it", missed=0.2, false=0.1, **{**usual, **keys}))
 
 
 def test_the_detector_of_one_condition_becomes_that_of_another() -> None:
@@ -153,10 +150,6 @@ def test_a_detector_that_misses_all_or_nothing_still_does() -> None:
     assert (states["good"]["confusion"], states["bad"]["confusion"]) == ([[1.0], [0.0]], [[0.0], [1.0]])
 
 
-def errors_of(unit: str, covariance: Array) -> dict[str, Any]:
-    return {"box_error": {"unit": unit, "mean": [0] * 4, "covariance": covariance.tolist()}}
-
-
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
@@ -194,15 +187,19 @@ def test_the_table_of_the_page_has_the_rates_of_the_conditions() -> None:
 # ---- the command -------------------------------------------------------------------------------------------------
 
 
+def guess(detector: Path | str, before: Path | str, after: str) -> tuple[str, ...]:
+    return ("learn", "--detector", str(detector), "--from-condition", str(before), "--to-condition", after)
+
+
 def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "in_fog.yaml"
-    arguments = ("guess", str(RICH), "--from", "noon_clear", "--to", "foggy_cloudy", "--out", str(out))
+    arguments = (*guess(RICH, "noon_clear", "foggy_cloudy"), "--out", str(out))
     status, said = call(*arguments)
     assert status == 0, said
     assert "A guess, not a measurement: rich.yaml in foggy_cloudy" in said
     assert "warning" not in said
     comments = [line for line in out.read_text().splitlines() if line.startswith("#")]
-    assert "Written by modsim3d guess. A guess, not a measurement" in comments[0]
+    assert "Written by modsim3d learn --from-condition. A guess, not a measurement" in comments[0]
     assert "noon_clear" in " ".join(comments)
     assert "odds of a miss by 4.01" in " ".join(comments)
     assert max(map(len, comments)) <= 120
@@ -212,8 +209,8 @@ def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, 
 
 
 def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_path: Path) -> None:
-    between = ("--from", "noon_clear", "--to", "real_world_experiment_1", "--out", str(tmp_path / "real.yaml"))
-    status, said = call("guess", str(RICH), *between)
+    line = guess(RICH, "noon_clear", "real_world_experiment_1")
+    status, said = call(*line, "--out", str(tmp_path / "real.yaml"))
     assert status == 0
     assert "warning: the box errors of the two conditions differ by more than a factor of four" in said
 
@@ -221,8 +218,7 @@ def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_pat
 def test_the_detector_itself_is_never_written_over(call: Call, tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_bytes(RICH.read_bytes())
-    between = ("--from", "noon_clear", "--to", "foggy_cloudy", "--out", str(mine), "--overwrite")
-    status, _ = call("guess", str(mine), *between)
+    status, _ = call(*guess(mine, "noon_clear", "foggy_cloudy"), "--out", str(mine), "--overwrite")
     assert (status, mine.read_bytes()) == (2, RICH.read_bytes())
 
 
@@ -240,7 +236,7 @@ def test_what_cannot_be_guessed_from_is_one_error(
     call: Call, tmp_path: Path, detector: Path | str, before: Path | str, after: str, part: str
 ) -> None:
     out = tmp_path / "out.yaml"
-    status, said = call("guess", str(detector), "--from", str(before), "--to", after, "--out", str(out))
+    status, said = call(*guess(detector, before, after), "--out", str(out))
     assert status == 2
     assert part in " ".join(said.split())
     assert "Traceback" not in said
@@ -249,3 +245,10 @@ def test_what_cannot_be_guessed_from_is_one_error(
 
 def test_the_error_components_are_those_of_the_comment() -> None:
     assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/guess.py writes them
+
+
+@pytest.mark.parametrize("others", [("--to-condition", "foggy_cloudy"), ("--detector", "rich.yaml", "run")])
+def test_a_guess_needs_a_detector_and_two_conditions_and_nothing_else(call: Call, tmp_path: Path, others) -> None:
+    status, said = call("learn", "--from-condition", "noon_clear", *others, "--out", tmp_path / "out.yaml")
+    assert status == 2 and not (tmp_path / "out.yaml").exists()
+    assert "needs --detector, --from-condition and --to-condition together" in said

@@ -22,13 +22,14 @@ from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import bias_of, simulated
 from modsim3d.learn.model_selection import RICHER
 from modsim3d.learn.report import NearGate
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.learn.one_state import detector_file
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
 
 
@@ -124,7 +125,7 @@ def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(
 
 def test_the_command_writes_a_file_and_a_page(short_files, tmp_path):
     out = tmp_path / "detector.yaml"
-    result = command(*short_files, "--out", out, "--replicates", 40, "--correct")
+    result = command(*short_files, "--out", out, "--replicates", 40)
     assert result.exit_code == 0
     model = load_detector(out)
     assert {state.name for state in model.states} == {"clear", "haze"}
@@ -135,15 +136,14 @@ def test_the_command_writes_a_file_and_a_page(short_files, tmp_path):
         assert float(row[-1].rstrip("%")) == pytest.approx(100 * share, abs=0.1)
     text = out.read_text()
     assert text.startswith("# Learned by modsim3d learn. 200 images, ")
-    assert "Corrected once for the bias of the matching." in text
     for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
-                  "points gained if corrected", "Bias of the matching", "Left simple", "Never learned"):  # fmt: skip
+                  "points gained if corrected", "Left simple", "Never learned"):  # fmt: skip
         assert title in result.output
     page = out.with_suffix(".html").read_text()
     assert page.count("<svg") == 3 + 2 + 1 and "http" not in page
     said = page.partition('<p class="lead">')[2]
     assert said.startswith("detector.yaml: ") and "in 200 images of " in said.partition("</p>")[0]
-    assert "its share of misses is known to within ±" in said and "numbers come back within" in said  # by --correct
+    assert "its share of misses is known to within ±" in said
     assert "e_x in widths" in page and "e_h in heights" in page  # as the file has them
 
 
@@ -184,7 +184,7 @@ def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
 
 def test_states_from_conditions_and_from_clusters(tmp_path):
     out, arguments = tmp_path / "d.yaml", pairs_of_conditions(tmp_path, 4)
-    named = command(*arguments, "--state", "good=c0,c1", "--state", "bad=c2", "--out", out, "--replicates", 30)
+    named = command(*arguments, "--states", "good=c0,c1", "--states", "bad=c2", "--out", out, "--replicates", 30)
     assert "States: good = c0, c1" in out.read_text()
     model = load_detector(out)
     assert [state.name for state in model.states] == ["good", "bad"]
@@ -228,12 +228,12 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
     out = ["--out", tmp_path / "d.yaml"]
     with pytest.raises(ModsimError, match="nothing to learn from"):
         command(*out)
-    with pytest.raises(ModsimError, match="--truth is given 1 and --detections 0 times"):
+    with pytest.raises(ModsimError, match="1 of truth and 0 of detections are given"):
         command("--truth", arguments[3], *out)
-    with pytest.raises(ModsimError, match="--condition is given 1 times, with 2 pairs"):
+    with pytest.raises(ModsimError, match="1 conditions are named for 2 pairs"):
         command(*arguments[2:], *out)
-    with pytest.raises(ModsimError, match="give --state, which names"):
-        command(*arguments, "--state", "a=c0", "--states", 2, *out)
+    with pytest.raises(ModsimError, match="--states 2: must be NAME=CONDITION"):
+        command(*arguments, "--states", "a=c0", "--states", 2, *out)
     with pytest.raises(ModsimError, match="needs simulated runs"):
         command(*arguments, "--match", "provenance", *out)
     with pytest.raises(InputError, match=r"must be W,H in pixels"):
@@ -242,7 +242,8 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
         command(*arguments, "--horizon", "far", *out)
     with pytest.raises(InputError, match=r"--horizon:\n  lies below images"):
         command(*arguments, "--horizon", "1e5", *out)
-    assert command(*arguments, "--distance", -1, *out).exit_code == 2
+    with pytest.raises(InputError, match="most_distance_px: Input should be greater than 0"):
+        command(*arguments, "--match", "centre:-1", *out)
     with pytest.raises(InputError, match="the page would be written over the detector file"):
         command(*arguments, "--out", tmp_path / "d.html")
     empty = tmp_path / "empty.json"
@@ -262,21 +263,8 @@ def blank(count=1500, side=60.0):
 
 
 def one_state(std_px):
-    return {
-        "labels": ["boat"],
-        "confidence_threshold": 0.2,
-        "initial_state": "usual",
-        "transition_matrix": [[1.0]],
-        "states": {
-            "usual": {
-                "confusion": [[0.85], [0.15]],
-                "false_positive_labels": [1.0],
-                "false_discovery_rate": 0.1,
-                "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": (std_px**2 * np.eye(4)).tolist()},
-                "confidence": {"mean": 0.6, "std": 0.1},
-            }
-        },
-    }
+    covariance = (std_px**2 * np.eye(4)).tolist()
+    return detector_file(missed=0.15, false=0.1, box_error={"unit": "px", "mean": [0] * 4, "covariance": covariance})
 
 
 def learn_usual(labelled, settings):
@@ -288,46 +276,27 @@ def estimates(learned):
     return {entry.key.path: entry.estimate for entry in entries_of(learned.numbers)}
 
 
-def test_one_step_of_correction_takes_most_of_the_gates_bias_away():
-    state = np.zeros(1500, dtype=np.int64)
+def test_a_gate_makes_misses_and_false_detections_of_large_errors_and_leaves_the_box_errors():
     settings = LearnSettings(Rule(), replicates=20, clutter="calibrated")
-    labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=3)
-    labelled = replace(labelled, results=replace(labelled.results, origin=None))
-    learned = learn_usual(labelled, settings)
-    bias = bias_of(learned, settings, repeats=5)
-    values, corrected = estimates(learned), estimates(bias.corrected())
-    for path, asked in (
-        ("states.usual.confusion", [[0.85], [0.15]]),
-        ("states.usual.false_discovery_rate", 0.1),
-    ):
-        before = np.abs(values[path] - asked).mean()
-        assert before > 0.02  # the gate cuts off errors, and makes a miss and a false detection of each
-        assert np.abs(corrected[path] - asked).mean() < 0.75 * before
-    (confusion,) = (shift for shift in bias.shifts if shift.entry.key.names == ("confusion",))
-    assert np.all(bias.significant(confusion))
-    # Box errors make up for what the gate cuts off.
-    of_boxes = [shift for shift in bias.shifts if shift.entry.key.names[0].startswith("box_error")]
-    assert len(of_boxes) == 3 and not any(np.any(bias.significant(shift)) for shift in of_boxes)
+    labelled = simulated(blank(), np.zeros(1500, dtype=np.int64), parse_detector(one_state(8.0)), seed=3)
+    values = estimates(learn_usual(replace(labelled, results=replace(labelled.results, origin=None)), settings))
+    assert np.abs(values["states.usual.confusion"] - [[0.85], [0.15]]).mean() > 0.02
+    assert values["states.usual.false_discovery_rate"] > 0.12
     np.testing.assert_allclose(values["states.usual.box_error_std"], 8.0, atol=0.35)
 
 
-def test_without_a_gate_there_is_no_bias():
-    state = np.zeros(1500, dtype=np.int64)
+def test_without_a_gate_every_number_comes_back():
     settings = LearnSettings(Rule("provenance"), replicates=20, clutter="calibrated")
-    labelled = simulated(blank(), state, parse_detector(one_state(8.0)), seed=4)
-    learned = learn_usual(labelled, settings)
-    bias = bias_of(learned, settings, repeats=5)
+    labelled = simulated(blank(), np.zeros(1500, dtype=np.int64), parse_detector(one_state(8.0)), seed=4)
+    intervals = {each.key.path: each for each in learn_usual(labelled, settings).intervals(0.9999)}
     asked = {"confusion": [[0.85], [0.15]], "false_discovery_rate": 0.1, "box_error_mean": 0, "box_error_std": 8}
-    shifts = {shift.entry.key.path: shift for shift in bias.shifts}
-    intervals = {each.key.path: each for each in learned.intervals(0.9999)}
     for name, value in asked.items():
         interval = intervals[f"states.usual.{name}"]
-        assert not np.any(bias.significant(shifts[f"states.usual.{name}"]))
         assert np.all((interval.low <= value) & (value <= interval.high))
 
 
 def test_a_run_is_learned_by_provenance(short, tmp_path):
-    result = command("--run", short, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
+    result = command(short, "--match", "provenance", "--replicates", 30, "--out", tmp_path / "d.yaml")
     assert result.exit_code == 0 and "matched by provenance" in result.output
     labelled = labelled_run(short)[0]
     false = labelled.results.image[(labelled.results.origin < 0) & (labelled.results.confidence >= 0.2)]
@@ -412,7 +381,7 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
                             found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
         gt, dt = write_coco(labelled, tmp_path / name)
         arguments += ["--condition", name, "--truth", gt, "--detections", dt]
-    result = command(*arguments, "--state", "all=day,fog", "--out", tmp_path / "d.yaml", "--replicates", 20)
+    result = command(*arguments, "--states", "all=day,fog", "--out", tmp_path / "d.yaml", "--replicates", 20)
     page = (tmp_path / "d.html").read_text()
     for group in ("day", "fog", "state all"):
         for title in ("Labels in {}:", "Confusion matrix of {}:", "Box errors in pixels by what was there, in {}<"):
@@ -470,7 +439,7 @@ def test_a_run_s_operating_threshold_is_the_least_that_its_detector_claims(tmp_p
     modsim3d.run_scene(modsim3d.load_scene("strait", steps=40, source="analytic", settings=settings), tmp_path / "run")
     for asked, least in ((None, 0.5), (0.3, 0.5), (0.6, 0.6)):
         out, options = tmp_path / f"{asked}.yaml", ("--confidence", asked) if asked else ()
-        result = command("--run", tmp_path / "run", "--replicates", 20, "--without", without, *options, "--out", out)
+        result = command(tmp_path / "run", "--replicates", 20, "--without", without, *options, "--out", out)
         assert yaml.safe_load(out.read_text())["confidence_threshold"] == least
         assert ("operating_threshold dropped detections below 0.5" in result.output) == (least == 0.5)
     learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20, without=RICHER)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from modsim3d.detector.chain import MODELS, DetectorPart
-from modsim3d.detector.false_positives import CLUTTER_MODELS, PerImage
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, PerImage
 from modsim3d.detector.file.schema_models import DropoutSection
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
@@ -46,5 +46,5 @@ def test_the_report_says_of_every_registered_model_whether_it_is_learned() -> No
 
 
 def test_a_model_that_nothing_learns_is_listed_as_not_learned(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(cast(dict[str, Any], CLUTTER_MODELS), "fourth", PerImage())
+    monkeypatch.setitem(cast(dict[str, Any], FALSE_POSITIVE_MODELS), "fourth", PerImage())
     assert estimates()[DetectorPart.FALSE_POSITIVES, "fourth"] == "not learned"

@@ -111,7 +111,7 @@ def test_an_optimal_assignment_ranks_by_confidence_for_average_precision_and_say
         np.testing.assert_array_equal(
             first.average_precision.all_points.values, second.average_precision.all_points.values
         )
-    said = learn(tmp_path, "--run", run, "--match", "optimal")
+    said = learn(tmp_path, run, "--match", "optimal")
     assert "matched by IoU at least 0.5, optimal assignment, confidence at least" in said
     assert "every detection counted, matched by IoU at least 0.5, in order of confidence" in said
     assert "in order of confidence</h2>" in (tmp_path / "d.html").read_text()
@@ -144,21 +144,21 @@ def test_by_centres_an_error_is_well_placed_where_the_centres_are_near():
 
 
 def test_a_run_is_matched_by_provenance_unless_asked_otherwise(far_off, tmp_path):
-    usual, asked = (learn(tmp_path, "--run", far_off, *options) for options in ((), ("--match", "provenance")))
+    usual, asked = (learn(tmp_path, far_off, *options) for options in ((), ("--match", "provenance")))
     assert usual == asked
     assert "matched by provenance" in usual and "warning" not in usual
     page = (tmp_path / "d.html").read_text()
     assert "Precision against recall, matched by provenance" in page
-    assert "IoU at least" in learn(tmp_path, "--run", far_off, "--match", "confidence")
+    assert "IoU at least" in learn(tmp_path, far_off, "--match", "confidence")
 
 
 @pytest.mark.parametrize(
-    ("rule", "options"),
-    [(Rule(), ()), (Rule("optimal", 0.4), ("--iou", 0.4)), (Rule("centre", 0.5, 5.0), ("--distance", 5))],
+    ("rule", "limit"),
+    [(Rule(), ""), (Rule("optimal", 0.4), ":0.4"), (Rule("centre", 0.5, 5.0), ":5")],
     ids=str,
 )
-def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, options, far_off, tmp_path):
-    said = learn(tmp_path, "--run", far_off, "--match", rule.method, *options)
+def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, limit, far_off, tmp_path):
+    said = learn(tmp_path, far_off, "--match", rule.method + limit)
     labelled, _ = labelled_run(far_off)
     own = np.flatnonzero(labelled.results.origin >= 0)
     lost = sum(not pair(labelled, rule, d, labelled.results.origin[d])[0] for d in own)
@@ -171,7 +171,7 @@ def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, o
         assert f"Warning: {lost:,} of {len(own):,} detections" in text
 
 
-def test_the_last_line_says_so_of_files_too_as_far_as_they_show_it(far_off, run, tmp_path):
+def test_the_last_line_says_so_of_files_too_which_are_learned_together_with_runs(far_off, run, tmp_path):
     for name, folder in (("far", far_off), ("near", run)):
         command("export", folder, "--format", "coco", "--out", tmp_path / name)
     files = {name: ("--truth", tmp_path / name / "gt.json", "--detections", tmp_path / name / "dt.json")
@@ -180,6 +180,8 @@ def test_the_last_line_says_so_of_files_too_as_far_as_they_show_it(far_off, run,
     assert last.startswith("warning: ") and "missed annotations overlap a false detection, and only" in last
     assert "Use --match centre" in last
     assert "warning" not in learn(tmp_path, *files["near"])
+    both = learn(tmp_path, "--run", far_off, *files["far"], "--match", "confidence")  # a rule that both know
+    assert both.startswith("120 images")
 
 
 def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(tmp_path):
@@ -192,10 +194,3 @@ def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(t
     report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
     assert report.states[0].any_label.recall.estimate == pytest.approx(0.1)
     assert report.warning is None
-
-
-def test_files_and_runs_are_learned_together_by_a_rule_that_both_know(far_off, tmp_path):
-    command("export", far_off, "--format", "coco", "--out", tmp_path / "coco")
-    both = ("--run", far_off, "--truth", tmp_path / "coco" / "gt.json", "--detections", tmp_path / "coco" / "dt.json")
-    said = learn(tmp_path, *both, "--match", "confidence")
-    assert said.startswith("120 images")

@@ -17,8 +17,8 @@ from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
 from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.matching_bias import simulated
 from modsim3d.learn.misses import own_effects
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
 from modsim3d.scene.settings import choose_detector
 from tests.formats.labelled_sets import found, images, truth

@@ -11,12 +11,10 @@ from scipy.linalg import block_diag
 from scipy.stats import binom
 
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, LearnSettings, learn
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.learned import Learned
 from modsim3d.learn.persistence import Consecutive, SightingStretches
-from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import learned_in, observed_in
 
 RATE_HZ = 5.0
 
@@ -45,9 +43,7 @@ def two_boats(frames: int, errors_px: np.ndarray, missed: np.ndarray | None = No
 
 
 def learned_from(labelled: LabelledSet) -> Learned:
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2)
-    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=20))
+    return learned_in(observed_in(labelled))
 
 
 def notes_on(key: str, learned: Learned) -> list[str]:

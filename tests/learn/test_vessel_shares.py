@@ -11,14 +11,12 @@ from scipy.stats import binom
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.bootstrap import Resampling
-from modsim3d.learn.learned import Learned, LearnSettings, learn
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.learned import Learned
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import LagTable
-from modsim3d.learn.states import Transitions
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import learned_in, observed_in
 from tests.learn.test_persistence import RATE_HZ, chain
 
 BOATS, FRAMES, CLASS_S, BOX_S = 40, 120, 1.0, 0.7
@@ -50,13 +48,8 @@ def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
     )
 
 
-def observed_in(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Observed:
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    return Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
-
-
 def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Learned:
-    return learn(observed_in(labelled, without), Transitions(np.zeros((1, 1))), LearnSettings(replicates=30))
+    return learned_in(observed_in(labelled, without=without), replicates=30)
 
 
 def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None:

@@ -51,7 +51,7 @@ def test_each_model_is_left_out_by_its_name(run) -> None:
 
 
 def test_a_model_that_is_none_is_named(run, tmp_path) -> None:
-    words = ["learn", "--run", str(run), "--without", "effects,boxes", "--out", str(tmp_path / "d.yaml")]
+    words = ["learn", str(run), "--without", "effects,boxes", "--out", str(tmp_path / "d.yaml")]
     said = str(CliRunner().invoke(app, words).exception)
     assert "(got 'boxes')" in said and "persistence" in said
     with pytest.raises(InputError, match="must be some of relative"):

@@ -56,12 +56,12 @@ def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, prepared):
             exec(compile(text, str(page), "exec"), names)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_no_command_of_a_page_is_left_out(page):
+def test_no_command_of_a_page_is_left_out():
     """Commands stand in bash fences; sh is for the scripts of the repository and for installing."""
-    prose = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
-    assert not re.findall(r"^(?: {4}|\t)(?:\S+ \| )?(?:modsim3d|pip|python) .*", prose, flags=re.MULTILINE)
-    for language, text, file in blocks(page):
-        assert language or file, f"a fence without a language: {text[:60]}"
-        if language == "sh":
-            assert all(re.match(r"(script/|pip install |\s*#|$)", line) for line in text.splitlines()), text
+    for page in PAGES:
+        prose = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        assert not re.findall(r"^(?: {4}|\t)(?:\S+ \| )?(?:modsim3d|pip|python) .*", prose, flags=re.MULTILINE), page
+        for language, text, file in blocks(page):
+            assert language or file, f"{page}: a fence without a language: {text[:60]}"
+            if language == "sh":
+                assert all(re.match(r"(script/|pip install |\s*#|$)", line) for line in text.splitlines()), text

@@ -129,6 +129,6 @@ def test_an_interrupted_run_is_refused(call, tmp_path):
 def test_the_command_writes_a_run_and_says_what_is_in_it(call, first, tmp_path):
     detector = tmp_path / "mine.yml"
     shutil.copy(ORIGINAL, detector)
-    status, said = call("detect", first, "--detector", detector, "--seed", 3, "--out", tmp_path / "new")
+    status, said = call("detect", first, "--detector", detector, "--detector-seed", 3, "--out", tmp_path / "new")
     assert status == 0 and "detections" in said
     assert (tmp_path / "new" / "scene" / "detector.yml").read_bytes() == detector.read_bytes()

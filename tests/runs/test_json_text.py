@@ -16,7 +16,7 @@ from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.block_files import annotation_lines, detection_lines, join_lines
 from modsim3d.runs.files.run_file import frame_lines, list_texts, number_texts, string_texts
-from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
+from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.tracker_view import TrackerDetections, tracker_lines
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
@@ -33,7 +33,7 @@ def made(request: pytest.FixtureRequest) -> Made:
     settings = settings if request.param == "strait" else {}
     scene = load_scene(request.param, steps=24, source="analytic", settings=settings)
     truth = truth_block(scene, 0, 24, None)
-    return scene, Simulation(scene, scene_census(scene, [(truth, 0, 24)])).detect(truth, 0, 24)
+    return scene, Simulation(scene, scene_statistics(scene, [(truth, 0, 24)])).detect(truth, 0, 24)
 
 
 def plain_annotations(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:

@@ -58,7 +58,7 @@ def with_a_box_moved(run: Path, step: int) -> None:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_run_repeats(call: Call, run: Path, workers: int) -> None:
     (run / "contact_sheet.png").write_bytes(b"not a file of the run")
-    status, said = call("repeat", run, "--workers", workers)
+    status, said = call("check", "repeat", run, "--workers", workers)
     assert status == 0, said
     files = len(json.loads((run / "run.json").read_text())["files"]) + 1
     assert f"all {files} files are the same" in said
@@ -81,7 +81,7 @@ def test_a_live_run_repeats_from_the_poses_that_came(tmp_path: Path, monkeypatch
 @pytest.mark.parametrize("name", ["truth.parquet", "annotations_C0.json"])
 def test_one_changed_bit_is_noticed_and_named(call: Call, run: Path, name: str) -> None:
     flipped(run / name)
-    status, said = call("repeat", run)
+    status, said = call("check", "repeat", run)
     assert status == 1, said
     rows = [line for line in said.splitlines() if "stored:" in line]
     assert [row.split()[0] for row in rows] == [name]
@@ -89,14 +89,14 @@ def test_one_changed_bit_is_noticed_and_named(call: Call, run: Path, name: str) 
 
 def test_a_changed_scene_cannot_be_repeated(call: Call, run: Path) -> None:
     (run / "scene/detector.yaml").write_text((run / "scene/detector.yaml").read_text() + "\n")
-    status, said = call("repeat", run)
+    status, said = call("check", "repeat", run)
     assert status == 2
     assert "is not the scene that the run was made of" in said
 
 
 def test_a_missing_file_is_named(call: Call, run: Path) -> None:
     (run / "frames.parquet").unlink()
-    status, said = call("repeat", run)
+    status, said = call("check", "repeat", run)
     assert status == 1
     assert "is missing" in said
 
@@ -105,7 +105,7 @@ def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Ca
     with_a_box_moved(run, 17)
     counts = json.loads((run / "run.json").read_text())["counts"]
     edited(run, files={}, versions={"numpy": "0.1"}, counts={**counts, "missed": 12345})
-    status, said = call("repeat", run)
+    status, said = call("check", "repeat", run)
     said = " ".join(said.split())
     assert status == 1, said
     assert f"1 of {len(pq.read_table(run / 'detections.parquet'))} rows differ: centre_x_px in 1 by 0.5 at most" in said
@@ -117,7 +117,7 @@ def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Ca
 
 def test_an_older_version_alone_is_named_and_no_error(call: Call, run: Path) -> None:
     edited(run, versions={"numpy": "0.1", "abacus": "3"}, backend="a plotter")
-    status, said = call("repeat", run)
+    status, said = call("check", "repeat", run)
     assert status == 0, said
     for part in ("made with other versions", "then 0.1", "abacus", "now none", "then a plotter"):
         assert part in said
@@ -127,7 +127,7 @@ def test_an_interrupted_run_is_refused(call: Call, run: Path) -> None:
     shutil.move(run / "scene", run / "unfinished" / "scene")
     (run / "run.json").rename(run / "unfinished" / "settings.json")
     before = sorted(run.rglob("*"))
-    status, said = call("repeat", run)
+    status, said = call("check", "repeat", run)
     assert status == 2
     assert "interrupted" in said
     assert "Traceback" not in said

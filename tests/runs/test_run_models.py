@@ -138,7 +138,7 @@ def test_the_bias_of_truncation_is_in_the_run_file(tmp_path: Path) -> None:
 
 def test_a_contact_sheet_is_drawn_with_the_run_and_of_a_finished_one(call: Call, folder: Path, run: Path) -> None:
     assert call("run", folder / "scene.yaml", "--steps", 100, "--out", folder / "drawn")[0] == 0
-    assert call("view", run, "--sheet")[0] == 0
+    assert call("view", "sheet", run)[0] == 0
     for sheet in (folder / "drawn" / "contact_sheet.png", run / "contact_sheet.png"):
         assert sheet.stat().st_size > 10_000
     (run / "contact_sheet.png").unlink()

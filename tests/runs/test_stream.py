@@ -154,7 +154,7 @@ def test_loading_and_checking_read_nothing(call, tmp_path, monkeypatch):
 
     path = scene_of(tmp_path, {"stream": "-"})
     monkeypatch.setattr(sys, "stdin", Stdin())
-    status, said = call("check", path)
+    status, said = call("check", "scene", path)
     assert status == 0 and "as they come" in said
     assert load_scene(path).live
 
@@ -305,8 +305,8 @@ def test_an_interrupted_live_run_says_how_to_make_a_finished_one_of_it(call, tmp
     with pytest.raises(InputError):
         run_scene(load_scene(path), out)
     monkeypatch.chdir(tmp_path)
-    for name, *options in (["detect", "--out", "again"], ["verify"], ["view", "--frame", "0.1"]):
-        _, said = call(name, out, *options)
+    for line in (["detect", out, "--out", "again"], ["check", "run", out], ["view", "frame", out, "0.1"]):
+        _, said = call(*line)
         (advice,) = re.findall(r"`modsim3d run (\S+) --out DIR` makes a finished run", said)
     run_scene(load_scene(advice), tmp_path / "finished")
     assert open_run(tmp_path / "finished").steps == 2
@@ -366,9 +366,9 @@ def test_what_a_stream_cannot_do_is_refused_in_one_message(call, tmp_path, monke
     for command, *options, part in (
         ("run", "--workers", "2", "leave --workers out"),
         ("run", "--resume", "--resume needs poses that can be read again"),
-        ("compare", "compare needs a scene whose steps are known"),
+        ("check truth", "check truth needs a scene whose steps are known"),
     ):
-        status, said = call(command, path, *options)
+        status, said = call(*command.split(), path, *options)
         assert status == 2 and part in said
         assert not (tmp_path / "runs").exists()
 

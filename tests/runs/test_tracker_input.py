@@ -15,7 +15,7 @@ import pytest
 from modsim3d.core.arrays import Indices
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.pipeline import Simulation, scene_census, truth_block
+from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.runs.tracker_view import anonymised, tracker_lines
@@ -97,7 +97,7 @@ def permuted(detections: Detections, order: Indices) -> Detections:
 def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order(run: StoredRun) -> None:
     scene, steps = run.scene, run.steps
     truth = truth_block(scene, 0, steps, None)
-    block = Simulation(scene, scene_census(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
+    block = Simulation(scene, scene_statistics(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
     for part in block.cameras:
         found = part.detections
         lines = partial(lines_with, scene, block, part)

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d.cli.main import app, main
+from modsim3d.cli.main import app
 from modsim3d.cli.run_summary import _check_rows
 from modsim3d.runs import pipeline
 from modsim3d.runs.pipeline import simulate_frames
@@ -32,15 +32,15 @@ from modsim3d.scene import sight
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth import buffer_drawing, outlines, rendered
-from modsim3d.truth import buffer_drawing as triangles
-from modsim3d.truth import rendered as nearer_first
 from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
+from tests.command_line import call
 from tests.run_folders import interrupt
-from tests.scenes import write_scene
+from tests.scenes import CAMERA_HEIGHT_M, camera_keys, write_scene
 
+POSE = {"pose": {"position_m": [0, 0, CAMERA_HEIGHT_M]}}
 BOATS = {
     "far": ([10, 4, 3], [[0, 150, 5], [100, 151, 5]]),
     "near": ([10, 4, 3], [[0, 100, 3], [100, 101, 3]]),
@@ -57,12 +57,13 @@ def scene(tmp_path: Path) -> Scene:
     return load_scene(write_boats(tmp_path))
 
 
-def write_boats(folder: Path, steps: int = 4, **annotation: Any) -> Path:
-    path = write_scene(folder, BOATS, steps, annotation={"mode": 2, **annotation})
-    content = json.loads(path.read_text())
-    content["cameras"]["C0"]["near_clip_m"] = 30
-    path.write_text(json.dumps(content))
-    return path
+def write_boats(
+    folder: Path, steps: int = 4, camera: dict[str, Any] | None = None, cameras: int = 1, **annotation: Any
+) -> Path:
+    """A scene of the boats; `camera` has further keys of its cameras."""
+    keys = camera_keys(**POSE, near_clip_m=30, **camera or {})
+    annotation = {"mode": 2, **annotation}
+    return write_scene(folder, BOATS, steps, annotation=annotation, cameras={f"C{i}": keys for i in range(cameras)})
 
 
 def unchecked(scene: Scene) -> Scene:
@@ -83,16 +84,14 @@ def wrong_side_of_a_plane(monkeypatch: pytest.MonkeyPatch) -> None:
     def exchanged(order: Any, *_: Any) -> Any:
         return replace(order, first_can_hide=order.second_can_hide, second_can_hide=order.first_can_hide)
 
-    patched(monkeypatch, nearer_first, "order_of_pairs", exchanged)
+    patched(monkeypatch, rendered, "order_of_pairs", exchanged)
 
 
 def near_and_far_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    patched(
-        monkeypatch,
-        buffer_drawing,
-        "triangles_of",
-        lambda found, *_: replace(found, inverse_depth=found.inverse_depth.min() / found.inverse_depth),
-    )
+    def exchanged(found: Any, *_: Any) -> Any:
+        return replace(found, inverse_depth=found.inverse_depth.min() / found.inverse_depth)
+
+    patched(monkeypatch, buffer_drawing, "triangles_of", exchanged)
 
 
 def corners_moved(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,15 +113,14 @@ def vessel_lost(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def near_plane_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (triangles, outlines):
-        original = module.cut_faces
-        monkeypatch.setattr(
-            module,
-            "cut_faces",
-            lambda vertices, crosses, lens, *rest, original=original, **kwargs: original(
-                vertices, crosses, replace(lens, near_clip_m=28.0), *rest, **kwargs
-            ),
-        )
+    for module in (buffer_drawing, outlines):
+
+        def cut(
+            vertices: Any, crosses: Any, lens: Any, *rest: Any, original: Any = module.cut_faces, **keys: Any
+        ) -> Any:
+            return original(vertices, crosses, replace(lens, near_clip_m=28.0), *rest, **keys)
+
+        monkeypatch.setattr(module, "cut_faces", cut)
 
 
 def span_off_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,19 +163,9 @@ def annotated_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 PLANTED = [
-    rows_lost,
-    fraction_wrong,
-    annotated_wrong,
-    wrong_ranks,
-    wrong_side_of_a_plane,
-    near_and_far_exchanged,
-    corners_moved,
-    vessel_lost,
-    near_plane_ignored,
-    span_off_by_one,
-    occluder_misnamed,
-    box_one_pixel_off,
-]
+    rows_lost, fraction_wrong, annotated_wrong, wrong_ranks, wrong_side_of_a_plane, near_and_far_exchanged,
+    corners_moved, vessel_lost, near_plane_ignored, span_off_by_one, occluder_misnamed, box_one_pixel_off,
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("plant", PLANTED)
@@ -200,22 +188,12 @@ def test_truth_that_is_wrong_is_not_kept(scene: Scene, tmp_path: Path) -> None:
     assert run_scene(scene, tmp_path / "run", resume=True).checked
 
 
-def with_camera(scene_path: Path, **changes: Any) -> Scene:
-    """The scene with keys of its camera changed; `cameras` copies of it."""
-    content = json.loads(scene_path.read_text())
-    camera = {**content["cameras"]["C0"], **changes}
-    count = camera.pop("cameras", 1)
-    content["cameras"] = {f"C{i}": camera for i in range(count)}
-    scene_path.write_text(json.dumps(content))
-    return load_scene(scene_path)
-
-
 @pytest.mark.parametrize(
     ("steps", "changes", "frames"),
     [
-        (60, {"start_offset_s": 55}, 3),  # none in the first parts
-        (60, {"start_offset_s": 58}, 2),  # two frames in all
-        (60, {"frame_rate_hz": 0.05, "start_offset_s": 17}, 3),  # three in all
+        (60, {"camera": {"start_offset_s": 55}}, 3),  # none in the first parts
+        (60, {"camera": {"start_offset_s": 58}}, 2),  # two frames in all
+        (60, {"camera": {"frame_rate_hz": 0.05, "start_offset_s": 17}}, 3),  # three in all
         (1, {"cameras": 4}, 3),
         (1, {"cameras": 2}, 2),
     ],
@@ -224,8 +202,7 @@ def with_camera(scene_path: Path, **changes: Any) -> Scene:
 def test_frames_that_exist_are_checked_and_the_first_drawn_whole(
     steps: int, changes: dict[str, Any], frames: int, check: str, tmp_path: Path
 ) -> None:
-    scene = with_camera(write_boats(tmp_path, steps=steps, check=check), **changes)
-    result = run_scene(scene, tmp_path / "run")
+    result = run_scene(load_scene(write_boats(tmp_path, steps, check=check, **changes)), tmp_path / "run")
     checked = result.checked
     assert checked is not None
     assert checked.frames == (frames if check == "sample" else result.counts.frames)
@@ -234,7 +211,7 @@ def test_frames_that_exist_are_checked_and_the_first_drawn_whole(
 
 def test_streams_check_frames_that_exist(tmp_path: Path) -> None:
     slow = {"frame_rate_hz": 0.01, "start_offset_s": 5}
-    scene = with_camera(write_boats(tmp_path, steps=2500), **slow)
+    scene = load_scene(write_boats(tmp_path, 2500, slow))
     found = [frame for step in range(2500) for frame in set(_frames_of_stream(scene, step, step + 1))]
     taken = frames_taken(scene)[0].tolist()
     assert [step for step, _ in found[:3]] == taken[:3]
@@ -286,10 +263,7 @@ def test_nothing_is_drawn_for_other_sources(source: str, tmp_path: Path) -> None
 
 
 def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
-    path = write_boats(tmp_path, supersample=2)
-    content = json.loads(path.read_text())
-    content["cameras"]["C0"]["distortion"] = {"k1": -0.1}
-    path.write_text(json.dumps(content))
+    path = write_boats(tmp_path, camera={"distortion": {"k1": -0.1}}, supersample=2)
     bent = run_scene(load_scene(path), tmp_path / "bent").checked
     whole = run_scene(load_scene(write_boats(tmp_path, render="full")), tmp_path / "whole").checked
     assert bent is not None
@@ -301,10 +275,8 @@ def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
 def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: Path, monkeypatch: Any) -> None:
     places = [(60, 3.6, 5), (64, 0, 3), (60, 4, 3), (60, 3.6, 5), (68, 4, 5), (64, 3.6, 5)]
     rafted = {f"v{i}": ([12, 4, z], [[0, x, y], [100, x + 10, y]]) for i, (x, y, z) in enumerate(places)}
-    path = write_scene(tmp_path, rafted, 3, annotation={"mode": 0})
-    content = json.loads(path.read_text())
-    content["cameras"]["C0"]["distortion"] = {"k1": -0.05}
-    path.write_text(json.dumps(content))
+    cameras = {"C0": camera_keys(**POSE, distortion={"k1": -0.05})}
+    path = write_scene(tmp_path, rafted, 3, annotation={"mode": 0}, cameras=cameras)
     looked_at: list[int] = []
     original = comparison.possible_ids
 
@@ -344,12 +316,11 @@ def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path:
     assert resumed.checked == plain.checked
 
 
-def test_a_detector_that_needs_a_census_sees_no_truth_that_is_wrong(
+def test_a_detector_that_needs_target_statistics_sees_no_truth_that_is_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = load_scene(write_boats(tmp_path))
-    census = replace(scene, detector=load_scene("strait").detector) if not scene.detector.needs_census else scene
-    monkeypatch.setattr(type(census.detector), "needs_census", property(lambda _: True))
+    monkeypatch.setattr(type(scene.detector), "needs_target_statistics", property(lambda _: True))
     checked = run_scene(scene, tmp_path / "good").checked
     assert checked is not None
     assert checked.frames == 3
@@ -391,27 +362,22 @@ def test_the_command_names_vessel_and_command_and_draws_the_picture(
     span_off_by_one(monkeypatch)
     (tmp_path / "my boats").mkdir()
     path = write_boats(tmp_path / "my boats", supersample=2)
-    monkeypatch.setattr("sys.argv", ["modsim3d", "run", str(path), "--out", str(tmp_path / "run"), "--no-sheet"])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
+    assert call(monkeypatch, "run", path, "--out", tmp_path / "run", "--no-sheet") == 2
     text = " ".join(capsys.readouterr().err.split())
     assert "silhouette pixels" in text
     assert f"run '{path}' --seed" in text
     assert "--set annotation.supersample=2" in text
-    assert "view unchecked --ids --frame" in text
+    assert "view frame unchecked" in text
     assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
     assert "cross_check.png" in text
 
 
 def test_no_command_is_given_for_a_scene_without_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     span_off_by_one(monkeypatch)
-    path = write_boats(tmp_path)
-    content = json.loads(path.read_text())
+    content = json.loads(write_boats(tmp_path).read_text())
     monkeypatch.chdir(tmp_path)
-    scene = modsim3d.Scene.from_dict(content)
     with pytest.raises(TruthCheckError) as stopped:
-        run_scene(scene, tmp_path / "run")
+        run_scene(modsim3d.Scene.from_dict(content), tmp_path / "run")
     assert "modsim3d run" not in str(stopped.value)
 
 
@@ -454,14 +420,14 @@ def test_view_writes_an_id_buffer_as_png_or_npy(scene: Scene, tmp_path: Path) ->
 
     run_scene(scene, tmp_path / "run")
     expected = scene.at(1).render_ids("C0").ids
-    command = ["view", str(tmp_path / "run"), "--ids", "--frame", "1"]
+    command = ["view", "frame", str(tmp_path / "run"), "1", "--kind", "id_buffer"]
     for line in (command, [*command, "--out", str(tmp_path / "ids.npy")]):
         done = CliRunner().invoke(app, line)
         assert done.exit_code == 0, done.output
         assert "near" in done.output
     np.testing.assert_array_equal(np.array(Image.open(tmp_path / "run" / "id_buffer_C0_000001.png")), expected)
     np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected)
-    refused = CliRunner().invoke(app, ["view", str(tmp_path / "run"), "--ids"])
+    refused = CliRunner().invoke(app, ["view", "frame", str(tmp_path / "run"), "--kind", "id_buffer"])
     assert refused.exit_code != 0
 
 

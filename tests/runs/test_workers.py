@@ -21,7 +21,7 @@ COMMAND = ["run", "harbour", "--no-sheet"]
 def test_two_workers_write_the_bytes_of_one(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK_STEPS)
     for count in (1, 2):
-        run_scene(load_scene("harbour", steps=55), tmp_path / str(count), workers=count)
+        run_scene(load_scene("harbour", steps=35), tmp_path / str(count), workers=count)
     assert run_files(tmp_path / "1") == run_files(tmp_path / "2")
 
 
@@ -100,7 +100,16 @@ def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path
 
 def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
-    command = [prepared, "run", "simulation_2", "--no-sheet", "--render", "full", "--out", str(tmp_path / "run")]
+    command = [
+        prepared,
+        "run",
+        "simulation_2",
+        "--no-sheet",
+        "--set",
+        "annotation.render=full",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     (tmp_path / "first.py").write_text(SHORT_BLOCKS)
     environment = {**os.environ, "FIRST": str(tmp_path / "first.py")}
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)

@@ -24,7 +24,7 @@ def refused(call, tmp_path):
     """Has `check` and `run` refuse a scene, and gives the one problem that they say."""
 
     def look(scene):
-        first, second = call("check", scene), call("run", scene, "--out", tmp_path / "out", "--no-sheet")
+        first, second = call("check", "scene", scene), call("run", scene, "--out", tmp_path / "out", "--no-sheet")
         assert first == second and first[0] == 2
         assert not (tmp_path / "out").exists()
         head, problem = first[1].splitlines()

@@ -91,7 +91,7 @@ def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch):
     run_scene(scene, Path("run"))
     assert {"scene/mine.json", "scene/poses.json", "scene/detector.yaml"} <= run_files(Path("run")).keys()
     Path("mine.yaml").unlink(missing_ok=True)
-    said = CliRunner().invoke(app, ["repeat", "run"], catch_exceptions=False)
+    said = CliRunner().invoke(app, ["check", "repeat", "run"], catch_exceptions=False)
     assert said.exit_code == 0, said.output
     again = CliRunner().invoke(app, ["run", "run/scene/mine.json", "--out", "again", "--no-sheet"])
     assert again.exit_code == 0

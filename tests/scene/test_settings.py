@@ -233,7 +233,7 @@ def test_a_condition_with_other_labels_is_refused_once(tmp_path: Path) -> None:
     (problem,) = problems(inputs.write(), state="noon_clear", state_from="conditions")
     assert problem.startswith("--state noon_clear --from conditions: this detector has the labels Vessel, and the ")
     assert "ferry, sailboat" in problem
-    assert "modsim3d guess" in problem
+    assert "modsim3d learn --from-condition" in problem
 
 
 # ---- the copy in a run -------------------------------------------------------------------------------------------

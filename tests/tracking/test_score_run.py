@@ -19,9 +19,9 @@ from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.detector_seeds import detector_runs
 from modsim3d.tracking.oracle import REFERENCES
-from modsim3d.tracking.score_page import score_page
+from modsim3d.tracking.score_outcome import remarks_of, score_data
+from modsim3d.tracking.score_page import score_page, seed_rows
 from modsim3d.tracking.score_run import RunScores, score_run
-from modsim3d.tracking.score_tables import remarks_of, score_data, seed_rows
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.track_run import track_run
 from modsim3d.tracks.tracks import Tracks, TrackSet
@@ -156,7 +156,7 @@ def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect:
         score_run(run, [tracks, tracks])
     with pytest.raises(ModsimError, match="there are no tracks to score"):
         score_run(run, [])
-    with pytest.raises(ModsimError, match="--similarity centre needs --scale"):
+    with pytest.raises(ModsimError, match="similarity centre needs a scale"):
         score_run(run, tracks, similarity="centre")
     with pytest.raises(TypeError, match="tracks"):
         score_run(run, [3])  # type: ignore[list-item]

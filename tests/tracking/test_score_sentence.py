@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from modsim3d.core.text import number
-from modsim3d.tracking.score_tables import survived_of
+from modsim3d.tracking.score_page import survived_of
 from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, percent
 from modsim3d.tracking.scores.breakdown import Bin
 

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 
 from benchmarks.campaigns import tracker_scores
 from benchmarks.tracker_trials import mean_and_interval
-from modsim3d.tracking.score_tables import ONE_RUN
+from modsim3d.tracking.score_outcome import ONE_RUN
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMPAIGNS = ROOT / "docs" / "campaigns"

@@ -87,7 +87,7 @@ def test_centre_similarity_falls_linearly_to_the_scale() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"name": "centre"}, "--similarity centre needs --scale"),
+        ({"name": "centre"}, "similarity centre needs a scale"),
         ({"scale_px": 5.0}, "--scale is for --similarity centre"),
         ({"name": "centre", "scale_px": 0.0}, "--scale must be above 0"),
         ({"least": 0.0}, "--threshold must be above 0"),

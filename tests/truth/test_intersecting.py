@@ -1,12 +1,10 @@
 """Boxes that overlap in space: the analytic source names them, and the rendered one decides."""
 
-import sys
-
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import data_folder
+from tests.command_line import call
 
 SCENE = """
 steps: 4
@@ -39,10 +37,7 @@ def test_run_names_intersecting_vessels_whose_visibility_it_leaves_open(
     scene = tmp_path / "raft.yaml"
     scene.write_text(SCENE.format(folder=data_folder("scenes")))
     out = str(tmp_path / "run")
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "run", str(scene), "--source", source, "--out", out, "--no-sheet"])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert stopped.value.code == 0
+    assert call(monkeypatch, "run", scene, "--source", source, "--out", out, "--no-sheet") == 0
     said = "".join(capsys.readouterr())
     assert ("rafted1 and rafted2 intersect" in said) == (source == "analytic")
     assert any(line.split()[:2] == ["annotated", str(annotated)] for line in said.splitlines())

@@ -174,7 +174,7 @@ def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
 
 def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tmp_path):
     path = own_ship_scene(tmp_path)
-    result = CliRunner().invoke(app, ["compare", str(path), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(app, ["check", "truth", str(path), "--out", str(tmp_path / "out")])
     assert result.exit_code == 0, result.output
     figures = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert figures["unexplained"] == 0
@@ -185,7 +185,7 @@ def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tm
     assert loose[0] == "far"
     assert loose[1]["frames"] == 6
     assert 1.0 <= loose[1]["mean_area_ratio"] <= loose[1]["max_area_ratio"] < 1.5
-    assert "shoebox against mesh" in result.output
+    assert "Shoebox against mesh" in result.output
     assert "far" in result.output
 
 

@@ -1,4 +1,4 @@
-"""`modsim3d compare`: what it finds, writes and says; and that it finds errors that are planted for it."""
+"""`modsim3d check truth`: what it finds, writes and says; and that it finds errors that are planted for it."""
 
 import json
 import re
@@ -12,26 +12,19 @@ import numpy as np
 import pytest
 
 from benchmarks.campaigns import compare as campaign
-from modsim3d.cli import main
 from modsim3d.truth import rendered
 from modsim3d.truth.occlusion import HiddenPixels
 from modsim3d.verify.sources import compare
 from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement
+from tests.command_line import call
 from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def call(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
-
-
 def figures_of(monkeypatch, folder, *arguments):
     """Exit status and compare.json of a comparison."""
-    status = call(monkeypatch, "compare", *arguments, "--out", folder)
+    status = call(monkeypatch, "check", "truth", *arguments, "--out", folder)
     return status, json.loads((folder / "compare.json").read_text())
 
 
@@ -116,7 +109,7 @@ def test_terminal_says_the_same_as_the_file(whole):
 def test_nothing_is_written_unasked(monkeypatch, tmp_path, scene):
     monkeypatch.chdir(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    assert call(monkeypatch, "compare", scene, "--steps", 2) == 0
+    assert call(monkeypatch, "check", "truth", scene, "--steps", 2) == 0
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -150,7 +143,7 @@ def test_every_step_of_many_is_looked_at_in_blocks(monkeypatch, tmp_path, scene,
 
 def test_supersampling_brings_the_boxes_nearer_to_the_exact_ones(monkeypatch, tmp_path, scene, whole):
     coarse = whole.figures
-    status, fine = figures_of(monkeypatch, tmp_path / "b", scene, "--supersample", 4)
+    status, fine = figures_of(monkeypatch, tmp_path / "b", scene, "--set", "annotation.supersample=4")
     assert (status, fine["supersample"]) == (0, 4)
     assert fine["full_box"]["side_max_px"] <= 0.25
     assert fine["full_box"]["side_max_px"] < 0.5 * coarse["full_box"]["side_max_px"]
@@ -260,15 +253,15 @@ def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_p
 
 
 def test_scene_that_is_wrong_or_not_there_is_exit_status_two(monkeypatch, tmp_path, scene, capsys):
-    assert call(monkeypatch, "compare", "no_such_scene") == 2
+    assert call(monkeypatch, "check", "truth", "no_such_scene") == 2
     assert "no_such_scene" in capsys.readouterr().err
     data = json.loads(scene.read_text())
     data["annotation"]["mode"] = 7
     scene.write_text(json.dumps(data))
-    assert call(monkeypatch, "compare", scene, "--out", tmp_path / "out") == 2
+    assert call(monkeypatch, "check", "truth", scene, "--out", tmp_path / "out") == 2
     assert "annotation.mode" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    assert call(monkeypatch, "compare", scene, "--every", 0) == 2
+    assert call(monkeypatch, "check", "truth", scene, "--every", 0) == 2
 
 
 class InThisProcess:

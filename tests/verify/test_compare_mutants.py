@@ -1,4 +1,4 @@
-"""`modsim3d compare` finds an error planted in the fast path, in the analytic source, in both, or in the drawing.
+"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing.
 
 There are four: of order, of near and far, of one vessel's corners, and of the near plane.
 """
@@ -16,8 +16,9 @@ from modsim3d.truth import analytic, occlusion_order, rendered
 from modsim3d.truth.analytic import Hiding
 from modsim3d.truth.crosscheck.drawing import Drawing
 from modsim3d.verify.sources import agreement, compare
+from tests.command_line import call
 from tests.scenes import write_scene
-from tests.verify.test_compare import behind_is_before, call
+from tests.verify.test_compare import behind_is_before
 
 BOATS = {
     # A boat lies before the stern of a long ship whose centre is nearer: only a plane between them tells which hides.
@@ -151,7 +152,7 @@ def scene(tmp_path):
 
 def unexplained(monkeypatch, capsys, scene):
     """Exit status and the number of unexplained differences."""
-    status = call(monkeypatch, "compare", scene, "--json")
+    status = call(monkeypatch, "check", "truth", scene, "--json")
     return status, json.loads(capsys.readouterr().out)["unexplained"]
 
 

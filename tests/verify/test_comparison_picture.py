@@ -33,14 +33,7 @@ def test_a_pixel_belongs_to_a_region_if_its_centre_does():
     expected[1:4, 2:4] = 1
     expected[1:4, 4:6] = 3
     np.testing.assert_array_equal(differing, expected)
-
-
-def test_without_a_region_every_pixel_is_the_rendered_sources():
-    seen = np.eye(4, dtype=bool)
     np.testing.assert_array_equal(differing_pixels(seen, shapely.Polygon()), 2 * seen)
-
-
-def test_a_region_beyond_the_image_is_cut_at_its_edge():
     assert (differing_pixels(np.ones((3, 3), dtype=bool), shapely.box(-9, -9, 99, 99)) == 1).all()
 
 

@@ -198,12 +198,9 @@ def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
     assert int(np.arange(len(counts)) @ counts) == int((evidence.instances.outcome == -1).sum())
 
 
-def test_a_number_that_nobody_asked_for_is_a_dash() -> None:
+def test_a_number_that_nobody_asked_for_is_a_dash_and_what_must_always_hold_is_counted_in_words() -> None:
     verification = judge([Parameter("dropout, all states", "group", None)])
     assert row_of(verification.verdicts[0])[1] == "–"
-
-
-def test_what_must_always_hold_is_counted_in_words() -> None:
     verification = judge([Parameter("states shared by all cameras", "group", Exact(3, 10))])
     assert row_of(verification.verdicts[0])[1:4] == ("always", "3 of 10 wrong", "exact")
     assert conclusion(verification).endswith("states shared by all cameras: wrong 3 times of 10.")

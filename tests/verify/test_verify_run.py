@@ -2,13 +2,11 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
 
-from modsim3d.cli import main
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.io.input_files import data_folder
@@ -20,6 +18,7 @@ from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.parameters import FALLS_SHORT
 from modsim3d.verify.verification import verify_evidence
 from modsim3d.verify.verify_run import verify_run, write_report
+from tests.command_line import call
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
 from tests.run_folders import interrupt
@@ -45,15 +44,8 @@ def table(many) -> MomentTable:
     return MomentTable()
 
 
-def command(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
-
-
 def test_an_honest_run_obeys_and_says_so(finished, monkeypatch, capsys):
-    assert command(monkeypatch, "verify", finished) == 0
+    assert call(monkeypatch, "check", "run", finished) == 0
     said = capsys.readouterr().out
     assert "obeys its detector file" in said
     assert "states.excellent.confusion[background][Vessel]" in said
@@ -78,7 +70,7 @@ def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, mon
     changed = tmp_path / "changed.yaml"
     changed.write_text(yaml.safe_dump(data, sort_keys=False))
     out = tmp_path / "report"
-    assert command(monkeypatch, "verify", finished, "--detector", changed, "--out", out) == 1
+    assert call(monkeypatch, "check", "run", finished, "--detector", changed, "--out", out) == 1
     report = json.loads((out / "verify.json").read_text())
     assert report["cause"] == "states.good.confidence.std"
     assert "does NOT obey" in capsys.readouterr().out
@@ -169,17 +161,17 @@ def test_changes_that_are_noticeable_are_caught_and_named(many, table):
 
 
 def test_another_detector_with_other_states_cannot_have_made_a_run(finished, monkeypatch, capsys):
-    line = ("verify", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
-    assert command(monkeypatch, *line) == 2
+    line = ("check", "run", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
+    assert call(monkeypatch, *line) == 2
     assert "cannot have made this run" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_run_or_has_a_broken_table_is_bad_input(finished, tmp_path, monkeypatch, capsys):
-    assert command(monkeypatch, "verify", tmp_path) == 2
+    assert call(monkeypatch, "check", "run", tmp_path) == 2
     assert "run.json" in capsys.readouterr().err
     broken = shutil.copytree(finished, tmp_path / "broken")
     (broken / "detections.parquet").write_bytes(b"not a table")
-    assert command(monkeypatch, "verify", broken) == 2
+    assert call(monkeypatch, "check", "run", broken) == 2
     assert "detections.parquet has 11 bytes, and had" in capsys.readouterr().err
 
 

@@ -11,22 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.pictures import id_buffer
+from tests.command_line import call
 from tests.scenes import crossing
 
 STEPS = 12
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("film")
-    run_scene(load_scene(crossing(folder, STEPS)), folder / "run")
-    return folder / "run"
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +37,7 @@ def two_cameras(tmp_path_factory):
 
 
 def view(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "view", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return stopped.value.code
+    return call(monkeypatch, "view", *arguments)
 
 
 def probe(path):
@@ -74,7 +64,7 @@ def atoms(path):
 @pytest.mark.parametrize("width", [162, 480])
 def test_mp4_plays_in_every_browser(monkeypatch, run, tmp_path, width):
     out = tmp_path / "film.mp4"
-    assert view(monkeypatch, run, "--film", "detections", "--to", 5, "--width", width, "--out", out) == 0
+    assert view(monkeypatch, "film", run, "--kind", "detections", "--end", 5, "--width", width, "--out", out) == 0
     stream, pictures = probe(out)
     assert stream.startswith("h264")
     assert "yuv420p" in stream
@@ -88,9 +78,9 @@ def test_mp4_plays_in_every_browser(monkeypatch, run, tmp_path, width):
 
 
 def test_colours_survive_the_film(monkeypatch, run, tmp_path):
-    options = ("--film", "ids", "--width", 960)
-    assert view(monkeypatch, run, *options, "--to", 1, "--out", tmp_path / "a.mp4") == 0
-    assert view(monkeypatch, run, *options, "--frame", 0, "--out", tmp_path / "a.png") == 0
+    options = ("--kind", "ids", "--width", 960)
+    assert view(monkeypatch, "film", run, *options, "--end", 1, "--out", tmp_path / "a.mp4") == 0
+    assert view(monkeypatch, "frame", run, 0, *options, "--out", tmp_path / "a.png") == 0
     stream, pictures = probe(tmp_path / "a.mp4")
     assert "bt709" in stream
     still = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
@@ -104,30 +94,40 @@ def test_colours_survive_the_film(monkeypatch, run, tmp_path):
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, kind):
     """In a process without threads, as a user's is: its workers are forks."""
-    options = ("--film", "all", "--every", "2", "--width", "360")
+    options = ("--kind", "all", "--every", "3", "--width", "240")
     for workers in ("1", "2"):
-        command = (prepared, "view", run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.{kind}")
+        command = (
+            prepared,
+            "view",
+            "film",
+            run,
+            *options,
+            "--workers",
+            workers,
+            "--out",
+            tmp_path / f"{workers}.{kind}",
+        )
         subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert (tmp_path / f"1.{kind}").read_bytes() == (tmp_path / f"2.{kind}").read_bytes()
 
 
 def test_png_frames_are_the_single_pictures(monkeypatch, run, tmp_path):
-    options = ("--film", "detections", "--width", 320)
-    assert view(monkeypatch, run, *options, "--format", "png", "--every", 5, "--out", tmp_path / "film") == 0
+    options = ("--kind", "detections", "--width", 320)
+    assert view(monkeypatch, "film", run, *options, "--format", "png", "--every", 5, "--out", tmp_path / "film") == 0
     assert sorted(path.name for path in (tmp_path / "film").iterdir()) == [
         "frame_000000.png",
         "frame_000005.png",
         "frame_000010.png",
     ]
-    assert view(monkeypatch, run, *options, "--frame", 5, "--out", tmp_path / "five.png") == 0
+    assert view(monkeypatch, "frame", run, 5, *options, "--out", tmp_path / "five.png") == 0
     assert (tmp_path / "five.png").read_bytes() == (tmp_path / "film" / "frame_000005.png").read_bytes()
 
 
 def test_gif_needs_no_ffmpeg_and_lasts_as_long_as_the_run(monkeypatch, run, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     out = tmp_path / "film.gif"
-    assert view(monkeypatch, run, "--film", "ids", "--width", 320, "--from", 2, "--to", 9, "--every", 2, "--speed", 2,
-                "--out", out) == 0  # fmt: skip
+    options = ("--kind", "ids", "--width", 320, "--start", 2, "--end", 9, "--every", 2, "--speed", 2)
+    assert view(monkeypatch, "film", run, *options, "--out", out) == 0
     with Image.open(out) as film:
         assert film.size[0] == 320
         lasted = 0
@@ -150,9 +150,7 @@ def test_frames_are_drawn_from_the_directory_alone(monkeypatch, run, tmp_path):
             target.write_bytes(path.read_bytes())
     for folder, name in ((run, "a"), (moved, "b")):
         assert (
-            view(
-                monkeypatch, folder, "--frame", "5s", "--film", "all", "--width", 640, "--out", tmp_path / f"{name}.png"
-            )
+            view(monkeypatch, "frame", folder, "5s", "--kind", "all", "--width", 640, "--out", tmp_path / f"{name}.png")
             == 0
         )
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
@@ -160,13 +158,13 @@ def test_frames_are_drawn_from_the_directory_alone(monkeypatch, run, tmp_path):
 
 def test_a_step_and_its_time_give_the_same_picture(monkeypatch, run, tmp_path):
     for text in ("7", "7.0", "7s"):
-        assert view(monkeypatch, run, "--frame", text, "--width", 320, "--out", tmp_path / f"{text}.png") == 0
+        assert view(monkeypatch, "frame", run, text, "--width", 320, "--out", tmp_path / f"{text}.png") == 0
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
 
 
 def test_cameras_stand_side_by_side(monkeypatch, two_cameras, tmp_path):
-    assert view(monkeypatch, two_cameras, "--frame", 0, "--film", "scene", "--out", tmp_path / "both.png") == 0
-    assert view(monkeypatch, two_cameras, "--frame", 0, "--film", "scene", "--camera", "left", "--width", 1000,
+    assert view(monkeypatch, "frame", two_cameras, 0, "--kind", "scene", "--out", tmp_path / "both.png") == 0
+    assert view(monkeypatch, "frame", two_cameras, 0, "--kind", "scene", "--camera", "left", "--width", 1000,
                 "--out", tmp_path / "left.png") == 0  # fmt: skip
     with Image.open(tmp_path / "both.png") as both, Image.open(tmp_path / "left.png") as left:
         assert both.width == 1920
@@ -176,7 +174,7 @@ def test_cameras_stand_side_by_side(monkeypatch, two_cameras, tmp_path):
 
 
 def test_only_with_vessels_leaves_out_what_shows_none(monkeypatch, two_cameras, tmp_path, capsys):
-    arguments = (two_cameras, "--film", "scene", "--only-with-vessels", "--format", "png", "--width", 320)
+    arguments = ("film", two_cameras, "--kind", "scene", "--only-with-vessels", "--format", "png", "--width", 320)
     assert view(monkeypatch, *arguments, "--out", tmp_path / "both") == 0
     assert 0 < len(list((tmp_path / "both").iterdir())) <= STEPS
     assert view(monkeypatch, *arguments, "--camera", "left", "--out", tmp_path / "left") == 2
@@ -185,9 +183,9 @@ def test_only_with_vessels_leaves_out_what_shows_none(monkeypatch, two_cameras, 
 
 def test_a_crop_shows_the_same_pixels_larger(monkeypatch, run, tmp_path):
     crop = (200, 150, 600, 450)
-    assert view(monkeypatch, run, "--frame", 3, "--film", "scene", "--width", 800, "--crop",
+    assert view(monkeypatch, "frame", run, 3, "--kind", "scene", "--width", 800, "--crop",
                 ",".join(map(str, crop)), "--out", tmp_path / "crop.png") == 0  # fmt: skip
-    assert view(monkeypatch, run, "--frame", 3, "--film", "scene", "--width", 1600, "--out", tmp_path / "all.png") == 0
+    assert view(monkeypatch, "frame", run, 3, "--kind", "scene", "--width", 1600, "--out", tmp_path / "all.png") == 0
     part, whole = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in ("crop", "all"))
     head = [FilmLayout(width, 1, (), ()).head_px for width in (800, 1600)]
     shown = whole[head[1] + 300 : head[1] + 900, 400:1200]
@@ -228,13 +226,13 @@ def test_the_contact_sheet_of_a_damaged_table_is_one_error(monkeypatch, run, tmp
     shutil.copytree(run, damaged)
     table = damaged / "truth.parquet"
     table.write_bytes(table.read_bytes()[:-100])
-    assert view(monkeypatch, damaged, "--sheet", "--overwrite") == 2
+    assert view(monkeypatch, "sheet", damaged, "--overwrite") == 2
     assert "truth.parquet has " in capsys.readouterr().err
 
 
 def test_the_contact_sheet_can_be_drawn_again(monkeypatch, run):
-    assert view(monkeypatch, run, "--sheet") == 0
+    assert view(monkeypatch, "sheet", run) == 0
     first = (run / "contact_sheet.png").read_bytes()
-    assert view(monkeypatch, run, "--sheet") == 2
-    assert view(monkeypatch, run, "--sheet", "--overwrite") == 0
+    assert view(monkeypatch, "sheet", run) == 2
+    assert view(monkeypatch, "sheet", run, "--overwrite") == 0
     assert (run / "contact_sheet.png").read_bytes() == first

@@ -17,7 +17,6 @@ from PIL import Image
 from modsim3d.cli import main
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import Mount
-from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.map_marks import RINGS, BirdsEye, RangeRings, footprint, hull_m, ring_step, view_of
@@ -41,13 +40,6 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def birds_eye(scene):
     return BirdsEye(scene, scene.steps, (0,))
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("run")
-    run_scene(load_scene(crossing(folder)), folder / "run")
-    return folder / "run"
 
 
 @pytest.mark.parametrize("step", [0, 9])
@@ -277,7 +269,7 @@ def test_a_camera_on_land_near_the_traffic_is_on_the_map(scene):
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatch, run, tmp_path, ending):
     for name in ("a", "b"):
-        assert view(monkeypatch, run, "--map", "--at", "6", "--out", tmp_path / f"{name}.{ending}", "--width", 640) == 0
+        assert view(monkeypatch, "map", run, 6, "--out", tmp_path / f"{name}.{ending}", "--width", 640) == 0
     first, second = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("a", "b"))
     assert first == second
     if ending == "png":
@@ -292,7 +284,10 @@ def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatc
 
 def test_a_film_of_maps_has_one_map_for_all_cameras(monkeypatch, run, tmp_path):
     out = tmp_path / "frames"
-    assert view(monkeypatch, run, "--film", "map", "--to", 1, "--format", "png", "--width", 320, "--out", out) == 0
+    assert (
+        view(monkeypatch, "film", run, "--kind", "map", "--end", 1, "--format", "png", "--width", 320, "--out", out)
+        == 0
+    )
     frames = [np.asarray(read(path)) for path in sorted(out.iterdir())]
     assert len(frames) == 2
     assert frames[0].shape == frames[1].shape
@@ -302,22 +297,20 @@ def test_a_film_of_maps_has_one_map_for_all_cameras(monkeypatch, run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--map", "--at", "99"), ["no step 99", "0 to 11"]),
-        (("--map", "--out", "map.jpg"), [".png, .svg, .pdf"]),
-        (("--map", "--camera", "C9"), ["no camera 'C9'"]),
-        (("--at", "3"), ["--frame"]),
-        (("--film", "ids", "--at", "3"), ["--at works with --map only"]),
-        (("--map", "--film", "ids"), ["--film map"]),
-        (("--film", "ids", "--night"), ["--look", "--night", "not with ids"]),
-        (("--film", "map", "--look", "shaded"), ["--look", "--night", "not with map"]),
-        (("--film", "scene", "--visibility", "0"), ["--visibility 0", "metres"]),
-        (("--film", "scene", "--visibility", "nan"), ["--visibility nan"]),
-        (("--film", "scene", "--look", "plain", "--night"), ["--look plain"]),
+        (("map", "99"), ["no step 99", "0 to 11"]),
+        (("map", "--out", "map.jpg"), [".png, .svg, .pdf"]),
+        (("map", "--camera", "C9"), ["no camera 'C9'"]),
+        (("film", "--kind", "ids", "--look", "night"), ["--look", "not with ids"]),
+        (("film", "--kind", "map", "--look", "shaded"), ["--look", "not with map"]),
+        (("film", "--kind", "scene", "--look", "fog:0"), ["--look fog:0", "metres"]),
+        (("film", "--kind", "scene", "--look", "fog:nan"), ["--look fog:nan"]),
+        (("film", "--kind", "scene", "--look", "fog"), ["--look fog: needs shaded or plain, night, fog:M"]),
+        (("film", "--kind", "scene", "--look", "plain,night"), ["leave out plain"]),
     ],
 )
 def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, words):
     monkeypatch.chdir(tmp_path)
-    assert view(monkeypatch, run, *arguments) == main.BAD_INPUT
+    assert view(monkeypatch, arguments[0], run, *arguments[1:]) == main.BAD_INPUT
     said = capsys.readouterr().err
     assert "Traceback" not in said
     assert all(word in said for word in words), said
@@ -331,8 +324,11 @@ def test_maps_are_imported_without_matplotlib():
 
 def test_without_matplotlib_the_extra_is_named(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
-    for arguments in (("--map", "--out", tmp_path / "m.png"), ("--film", "map", "--out", tmp_path / "m.gif")):
-        assert view(monkeypatch, run, *arguments) == main.BAD_INPUT
+    for arguments in (
+        ("map", run, "--out", tmp_path / "m.png"),
+        ("film", run, "--kind", "map", "--out", tmp_path / "m.gif"),
+    ):
+        assert view(monkeypatch, *arguments) == main.BAD_INPUT
         assert "pip install 'modsim3d[view]'" in capsys.readouterr().err
 
 
@@ -342,7 +338,7 @@ def read(path):
 
 
 def picture(monkeypatch, run, out, *arguments):
-    assert view(monkeypatch, run, "--frame", "5", "--width", 400, "--out", out, *arguments) == 0
+    assert view(monkeypatch, "frame", run, "5", "--width", 400, "--out", out, *arguments) == 0
     return np.asarray(read(out)).astype(int)
 
 
@@ -350,13 +346,13 @@ def test_the_scene_is_shaded_unless_plain_is_asked_for_and_boxes_are_on_it_when_
     kinds = {
         name: picture(monkeypatch, run, tmp_path / f"{name}.png", *arguments)
         for name, arguments in {
-            "scene": ("--film", "scene"),
-            "shaded": ("--film", "scene", "--look", "shaded"),
-            "plain": ("--film", "scene", "--look", "plain"),
+            "scene": ("--kind", "scene"),
+            "shaded": ("--kind", "scene", "--look", "shaded"),
+            "plain": ("--kind", "scene", "--look", "plain"),
             "boxes": (),
             "plain boxes": ("--look", "plain"),
             "shaded boxes": ("--look", "shaded"),
-            "night": ("--night",),
+            "night": ("--look", "night"),
         }.items()
     }
     np.testing.assert_array_equal(kinds["scene"], kinds["shaded"])
@@ -371,9 +367,12 @@ def test_the_scene_is_shaded_unless_plain_is_asked_for_and_boxes_are_on_it_when_
 def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setattr("modsim3d.render.context._open_here", None)  # another test's context must not serve here
     monkeypatch.setattr("modsim3d.render.context.library_found", lambda backend: False)
-    plain = picture(monkeypatch, run, tmp_path / "a.png", "--film", "scene")
+    plain = picture(monkeypatch, run, tmp_path / "a.png", "--kind", "scene")
     assert tuple(plain[40, 390]) == palette.SKY
-    assert view(monkeypatch, run, "--film", "scene", "--look", "shaded", "--out", tmp_path / "b.mp4") == main.BAD_INPUT
+    assert (
+        view(monkeypatch, "film", run, "--kind", "scene", "--look", "shaded", "--out", tmp_path / "b.mp4")
+        == main.BAD_INPUT
+    )
     said = capsys.readouterr().err
     assert "libosmesa6" in said
     assert "--look plain" in said

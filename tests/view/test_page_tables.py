@@ -4,12 +4,12 @@ import re
 
 import pytest
 
-from modsim3d.view.pages import page
+from modsim3d.view.pages import tables
 from modsim3d.view.pages.tables import aligned, table
 
 
 def test_an_unknown_number_stands_where_the_numbers_of_its_column_do() -> None:
-    table = page.table([("a", "–", "–"), ("b", "2", "yes")], ("name", "count", "word"))
+    table = tables.table([("a", "–", "–"), ("b", "2", "yes")], ("name", "count", "word"))
     assert '<th class="number">count</th>' in table and '<td class="number">–</td><td>–</td>' in table
     assert "<th>word</th>" in table and '<td class="number">2</td><td>yes</td>' in table
 
@@ -31,22 +31,22 @@ def test_what_belongs_together_is_below_each_other(cells, below_each_other) -> N
 
 def test_versions_dates_and_ordinals_are_no_numbers() -> None:
     for cell in ("1. hota at least 0.5", "2. hota at least 0.6", "0.1.0", "2.4.6"):
-        assert 'class="number"' not in page.table([(cell,)], ("version",)), cell
+        assert 'class="number"' not in tables.table([(cell,)], ("version",)), cell
 
 
 def test_numbers_are_the_same_without_their_spaces() -> None:
     rows = [("a", "−1.5 [−2, 3]"), ("b", "100.25 [1, 20.5]")]
-    cells = re.findall(r"<td[^>]*>(.*?)</td>", page.table(rows, ("name", "value [interval]")))
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", tables.table(rows, ("name", "value [interval]")))
     assert [re.sub(r"<i.*?</i>|<.*?>", "", cell) for cell in cells] == [text for row in rows for text in row]
 
 
 def test_a_column_without_a_name_has_the_names_of_the_rows() -> None:
-    assert "<td>0 to 5 m</td>" in page.table([("0 to 5 m", "3")], ("", "runs"))
+    assert "<td>0 to 5 m</td>" in tables.table([("0 to 5 m", "3")], ("", "runs"))
 
 
 def test_a_key_may_be_broken_and_is_the_same_text() -> None:
     name = "states.clear.confusion[background][boat]"
-    table = page.table([(name, "1")], ("parameter", "asked"))
+    table = tables.table([(name, "1")], ("parameter", "asked"))
     assert name not in table and name in table.replace("<wbr>", "")
 
 

@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 from rerun.chunk import RrdReader
 
-from modsim3d.cli import main
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
@@ -22,6 +21,7 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.rerun_boxes import TEXT
 from modsim3d.view.rerun_recording import fill, write_recording
+from tests.command_line import call
 from tests.scenes import crossing, mistaken_strait
 
 STEPS, EVERY = 14, 2
@@ -38,13 +38,6 @@ def run(tmp_path_factory) -> Path:
     path.write_text(json.dumps(scene))
     run_scene(load_scene(str(path), source="analytic"), folder / "run")
     return folder / "run"
-
-
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
 
 
 def read(path: Path) -> dict[str, dict[int | None, dict[str, object]]]:
@@ -80,7 +73,7 @@ def views(path: Path) -> dict[str, tuple[str, list[str]]]:
 def written(run, tmp_path_factory):
     out = tmp_path_factory.mktemp("out") / "new" / "run.rrd"
     with pytest.MonkeyPatch.context() as monkeypatch:
-        assert call(monkeypatch, "rerun", run, "--out", out, "--every", EVERY) == 0
+        assert call(monkeypatch, "export", run, "--format", "rerun", "--out", out.parent, "--every", EVERY) == 0
     return out
 
 
@@ -284,11 +277,11 @@ def test_without_the_sdk_the_error_names_the_extra_and_no_empty_bar_stands_befor
     monkeypatch, capsys, run, tmp_path
 ):
     monkeypatch.setitem(sys.modules, "rerun", None)
-    assert call(monkeypatch, "rerun", run, "--out", tmp_path / "x.rrd") == 2
-    assert capsys.readouterr().err == "modsim3d: modsim3d rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
+    assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "x") == 2
+    assert capsys.readouterr().err == "modsim3d: --format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
 
 
 def test_file_that_cannot_be_written_is_one_message(monkeypatch, capsys, run, tmp_path):
     (tmp_path / "file").touch()
-    assert call(monkeypatch, "rerun", run, "--out", tmp_path / "file" / "x.rrd") == 2
-    assert f"{tmp_path / 'file'} is a file, and x.rrd is to be written into a folder" in capsys.readouterr().err
+    assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "file") == 2
+    assert f"{tmp_path / 'file'} is a file, and run.rrd is to be written into a folder" in capsys.readouterr().err

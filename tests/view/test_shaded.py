@@ -280,7 +280,7 @@ def test_weather_is_said_to_be_an_illustration(shaded, solids):
 
 @pytest.mark.parametrize("value", [0.0, -5.0, math.inf, math.nan])
 def test_a_visibility_is_a_positive_distance(value):
-    with pytest.raises(ModsimError, match="--visibility"):
+    with pytest.raises(ModsimError, match="--look fog"):
         RenderStyle(shaded=True, visibility_m=value)
 
 

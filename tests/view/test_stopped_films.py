@@ -9,10 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
-from tests.scenes import crossing
-
 STALLING = """
 import os
 import time
@@ -32,13 +28,6 @@ FilmRenderer.draw = stalling
 MIDDLE = 11
 """Of 12 frames; a GIF draws four for its palette first. They are drawn and written four at a time."""
 FOR_LONG = "time.sleep(600)"
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("stopped")
-    run_scene(load_scene(crossing(folder, 12)), folder / "run")
-    return folder / "run"
 
 
 @pytest.fixture
@@ -68,7 +57,7 @@ def stalled(run, prepared, tmp_path_factory):
             "JE_ARROW_MALLOC_CONF": "background_thread:false",
         }
         program = [sys.executable, "-m", "modsim3d.cli.main"] if alone else [prepared]
-        arguments = ("view", run, "--film", "detections", "--width", "320", "--out", out, *options)
+        arguments = ("view", "film", run, "--kind", "detections", "--width", "320", "--out", out, *options)
         drawing = subprocess.Popen(
             [*map(str, program), *map(str, arguments)],
             env={**os.environ, **(of_its_own if alone else {"FIRST": str(first)})},
@@ -164,7 +153,7 @@ def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, 
     left = entries(tmp_path)
     assert left
     assert all(entry.startswith(".film.") and entry.endswith((".partial.mp4", ".lock")) for entry in left), left
-    command = [prepared, "view", run, "--film", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
+    command = [prepared, "view", "film", run, "--kind", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert entries(tmp_path) == ["film.mp4"]
 

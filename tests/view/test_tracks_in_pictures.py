@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.cli import main
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
@@ -18,6 +16,7 @@ from modsim3d.tracks.tracks import Similarity
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
+from tests.command_line import call
 from tests.run_folders import interrupt
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, write_csv
@@ -50,16 +49,9 @@ def tracks(rows, followed, tmp_path_factory) -> Path:
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
-
-
 def drawn(monkeypatch, run: Path, out: Path, *options) -> np.ndarray:
     """The picture of a step under the head line, with two of its pixels for one of the image."""
-    assert call(monkeypatch, "view", run, "--frame", STEP, *FRAME, *options, "--out", out) == 0
+    assert call(monkeypatch, "view", "frame", run, STEP, *FRAME, *options, "--out", out) == 0
     with Image.open(out) as picture:
         return np.asarray(picture)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
 
@@ -92,34 +84,39 @@ def test_a_track_leaves_a_trail_where_its_centre_was(monkeypatch, run, followed,
 def test_pictures_without_the_layer_are_those_without_tracks(monkeypatch, run, tracks, tmp_path):
     for name, options in {"a": (), "b": ("--tracks", tracks)}.items():
         layers = ("--layers", "horizon,truth,detections,labels", "--width", 640)
-        arguments = ("--frame", STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
-        assert call(monkeypatch, "view", run, *arguments) == 0
+        arguments = (STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
+        assert call(monkeypatch, "view", "frame", run, *arguments) == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, run, tracks, tmp_path):
-    options = ("--film", "detections", "--every", 4, "--width", 320, "--tracks", tracks)
+    options = ("--kind", "detections", "--every", 4, "--width", 320, "--tracks", tracks)
     for workers in (1, 2):
-        assert call(monkeypatch, "view", run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.gif") == 0
+        assert (
+            call(monkeypatch, "view", "film", run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.gif")
+            == 0
+        )
     assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
 
 
-@pytest.mark.parametrize("task", [("--film", "ids"), ("--frame", 3, "--film", "scene"), ("--map",), ("--sheet",)])
+@pytest.mark.parametrize("task", [("film",), ("frame", 3)])
 def test_tracks_are_refused_where_they_are_not_drawn(monkeypatch, capsys, run, tracks, tmp_path, task):
-    assert call(monkeypatch, "view", run, *task, "--tracks", tracks, "--overwrite") == 2
-    assert "--tracks works with --film detections and all" in capsys.readouterr().err
+    command, *step = task
+    line = ("view", command, run, *step, "--kind", "scene", "--tracks", tracks, "--overwrite")
+    assert call(monkeypatch, *line) == 2
+    assert "--tracks works with --kind detections and all" in capsys.readouterr().err
 
 
 def test_tracks_of_an_interrupted_run_are_refused(monkeypatch, capsys, tmp_path, tracks):
     cut = interrupt(load_scene(str(crossing(tmp_path, 400)), source="analytic"), tmp_path / "cut")
-    for command in (("report",), ("rerun",), ("view", "--frame", 0)):
-        assert call(monkeypatch, *command, cut, "--tracks", tracks, "--out", tmp_path / "x.png") == 2
+    for line in (("report", cut), ("export", cut, "--format", "rerun"), ("view", "frame", cut, 0)):
+        assert call(monkeypatch, *line, "--tracks", tracks, "--out", tmp_path / "x.png") == 2
         assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
 
 
 def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, run, rows, followed, tracks, tmp_path):
-    assert call(monkeypatch, "rerun", run, "--tracks", tracks, "--out", tmp_path / "a.rrd") == 0
-    found, names = read(tmp_path / "a.rrd"), [*rows.scene.vessel_names, "nothing"]
+    assert call(monkeypatch, "export", run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path) == 0
+    found, names = read(tmp_path / "run.rrd"), [*rows.scene.vessel_names, "nothing"]
     for step in range(STEPS):
         here = followed.rows_of(step)
         numbers, vessels = followed.tracks.track[here].tolist(), followed.vessel[here].tolist()
@@ -129,11 +126,11 @@ def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, r
         np.testing.assert_allclose(entity["centers"], centre, rtol=1e-5)
         assert found["/counts/C0/tracks"][step]["scalars"] == [len(numbers)]
         assert found["/counts/C0/false_tracks"][step]["scalars"] == [1]
-    plot = views(tmp_path / "a.rrd")["tracks, and those on nothing"]
+    plot = views(tmp_path / "run.rrd")["tracks, and those on nothing"]
     assert plot == ("TimeSeries", ["/counts/C0/tracks", "/counts/C0/false_tracks"])
 
 
 def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, run, followed, tracks, tmp_path):
-    for command, out in ((("rerun",), "a.rrd"), (("view", "--frame", STEP), "a.png")):
-        assert call(monkeypatch, *command, run, "--tracks", tracks, "--out", tmp_path / out) == 0
+    for line in (("export", run, "--format", "rerun"), ("view", "frame", run, STEP)):
+        assert call(monkeypatch, *line, "--tracks", tracks, "--out", tmp_path) == 0
         assert followed.sentence() in " ".join(capsys.readouterr().out.split())

@@ -14,15 +14,8 @@ from modsim3d.runs import pipeline
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt
-from tests.scenes import crossing, write_scene
+from tests.scenes import write_scene
 from tests.view.test_film import view
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bad")
-    run_scene(load_scene(crossing(folder, 12)), folder / "run")
-    return folder / "run"
 
 
 def refused(monkeypatch, capsys, *arguments) -> str:
@@ -35,43 +28,42 @@ def refused(monkeypatch, capsys, *arguments) -> str:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), ["--film", "--frame", "--sheet"]),
-        (("--film", "ids", "--camera", "C9"), ["no camera 'C9'", "C0"]),
-        (("--frame", "99"), ["no step 99", "0 to 11"]),
-        (("--frame", "3.5"), ["no frame at 3.5", "step", "0 to 11"]),
-        (("--frame", "noon"), ["'noon'", "51.0 or 51s"]),
-        (("--frame", "nan"), ["no frame at nan"]),
-        (("--film", "ids", "--from", "100", "--to", "200"), ["100", "200", "0.0 s to 11.0 s"]),
-        (("--film", "ids", "--from", "5", "--to", "4"), ["no frames between 5 s and 4 s"]),
-        (("--film", "ids", "--layers", "truth,ghosts"), ["ghosts", "silhouettes"]),
-        (("--film", "ids", "--crop", "1,2,3"), ["four", "vessels"]),
-        (("--film", "ids", "--crop", "0,0,9000,10"), ["C0", "800 × 600"]),
-        (("--film", "ids", "--width", "641"), ["640 or 642"]),
-        (("--film", "ids", "--speed", "0"), ["--speed 0"]),
-        (("--film", "ids", "--speed", "nan"), ["--speed nan"]),
-        (("--film", "ids", "--out", "film.avi"), [".avi", "mp4"]),
-        (("--film", "ids", "--out", "film.gif", "--format", "mp4"), ["film.gif contradicts --format mp4"]),
-        (("--film", "ids", "--out", "nowhere/film.mp4"), ["nowhere", "does not exist"]),
-        (("--frame", "3", "--out", "a.jpg"), [".png"]),
+        (("film", "--kind", "ids", "--camera", "C9"), ["no camera 'C9'", "C0"]),
+        (("frame", "99"), ["no step 99", "0 to 11"]),
+        (("frame", "3.5"), ["no frame at 3.5", "step", "0 to 11"]),
+        (("frame", "noon"), ["'noon'", "51.0 or 51s"]),
+        (("frame", "nan"), ["no frame at nan"]),
+        (("film", "--kind", "ids", "--start", "100", "--end", "200"), ["100", "200", "0.0 s to 11.0 s"]),
+        (("film", "--kind", "ids", "--start", "5", "--end", "4"), ["no frames between 5 s and 4 s"]),
+        (("film", "--kind", "ids", "--layers", "truth,ghosts"), ["ghosts", "silhouettes"]),
+        (("film", "--kind", "ids", "--crop", "1,2,3"), ["four", "vessels"]),
+        (("film", "--kind", "ids", "--crop", "0,0,9000,10"), ["C0", "800 × 600"]),
+        (("film", "--kind", "ids", "--width", "641"), ["640 or 642"]),
+        (("film", "--kind", "ids", "--speed", "0"), ["--speed 0"]),
+        (("film", "--kind", "ids", "--speed", "nan"), ["--speed nan"]),
+        (("film", "--kind", "ids", "--out", "film.avi"), [".avi", "mp4"]),
+        (("film", "--kind", "ids", "--out", "film.gif", "--format", "mp4"), ["film.gif contradicts --format mp4"]),
+        (("film", "--kind", "ids", "--out", "nowhere/film.mp4"), ["nowhere", "does not exist"]),
+        (("frame", "3", "--out", "a.jpg"), [".png"]),
     ],
 )
 def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, words):
     monkeypatch.chdir(tmp_path)
-    said = refused(monkeypatch, capsys, run, *arguments)
+    said = refused(monkeypatch, capsys, arguments[0], run, *arguments[1:])
     for word in words:
         assert word in said
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_is_no_run_is_refused(monkeypatch, capsys, tmp_path):
-    assert "no run" in refused(monkeypatch, capsys, tmp_path, "--film", "ids")
-    assert "does not exist" in refused(monkeypatch, capsys, tmp_path / "x", "--film", "ids")
+    assert "no run" in refused(monkeypatch, capsys, "film", tmp_path, "--kind", "ids")
+    assert "does not exist" in refused(monkeypatch, capsys, "film", tmp_path / "x", "--kind", "ids")
 
 
 @pytest.mark.parametrize("kind", ["mp4", "gif", "png"])
 def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path, kind):
     out = tmp_path / ("film" if kind == "png" else f"film.{kind}")
-    arguments = (run, "--film", "scene", "--width", 160, "--to", 1, "--format", kind, "--out", out)
+    arguments = ("film", run, "--kind", "scene", "--width", 160, "--end", 1, "--format", kind, "--out", out)
     assert view(monkeypatch, *arguments) == 0
     assert "--overwrite" in refused(monkeypatch, capsys, *arguments)
     assert view(monkeypatch, *arguments, "--overwrite") == 0
@@ -79,14 +71,14 @@ def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path, k
 
 def test_a_folder_with_other_things_gets_no_frames(monkeypatch, capsys, run, tmp_path):
     (tmp_path / "thesis.pdf").write_text("precious")
-    arguments = (run, "--film", "scene", "--format", "png", "--out", tmp_path, "--overwrite")
+    arguments = ("film", run, "--kind", "scene", "--format", "png", "--out", tmp_path, "--overwrite")
     assert "thesis.pdf" in refused(monkeypatch, capsys, *arguments)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.pdf"]
 
 
 def test_without_ffmpeg_the_extra_is_named_before_anything_is_drawn(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    said = refused(monkeypatch, capsys, run, "--film", "scene", "--out", tmp_path / "film.mp4")
+    said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", tmp_path / "film.mp4")
     assert "pip install 'modsim3d[video]'" in said
     assert "--format gif" in said
     assert not list(tmp_path.iterdir())
@@ -102,7 +94,7 @@ def test_an_encoder_that_fails_leaves_nothing(monkeypatch, capsys, run, tmp_path
     with warnings.catch_warnings():
         # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
         warnings.simplefilter("ignore", ResourceWarning)
-        said = refused(monkeypatch, capsys, run, "--film", "scene", "--out", out / "film.mp4")
+        said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", out / "film.mp4")
         gc.collect()
     assert "film.mp4 could not be encoded: no such encoder\n" in said
     assert not list(out.iterdir())
@@ -118,7 +110,7 @@ def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatc
     lossy.chmod(0o755)
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(lossy))
     out.mkdir()
-    said = refused(monkeypatch, capsys, run, "--film", "scene", "--width", 160, "--out", out / "film.mp4")
+    said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--width", 160, "--out", out / "film.mp4")
     assert re.search(r"film\.mp4 could not be encoded: it has 5 of \d+ pictures", said)
     assert not list(out.iterdir())
 
@@ -127,15 +119,15 @@ def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, 
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
     scene = load_scene(write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, 250, 10], [999, 250, 12]])}, 400))
     cut = interrupt(scene, tmp_path / "cut")
-    arguments = (cut, "--film", "scene", "--every", 50, "--format", "png", "--width", 160)
+    arguments = ("film", cut, "--kind", "scene", "--every", 50, "--format", "png", "--width", 160)
     assert view(monkeypatch, *arguments) == 0
     assert "interrupted; of 400 steps there are steps 0 to 249" in capsys.readouterr().err
     assert len(list((cut / "scene").iterdir())) == 5
-    assert "249" in refused(monkeypatch, capsys, cut, "--frame", 300)
-    assert "--resume" in refused(monkeypatch, capsys, cut, "--sheet")
+    assert "249" in refused(monkeypatch, capsys, "frame", cut, 300)
+    assert "--resume" in refused(monkeypatch, capsys, "sheet", cut)
     shutil.rmtree(cut / "scene")
     for path in (cut / "unfinished").glob("truth_*.npz"):
         path.unlink()
-    assert "not finished a single block" in refused(monkeypatch, capsys, cut, "--film", "ids")
+    assert "not finished a single block" in refused(monkeypatch, capsys, "film", cut, "--kind", "ids")
     run_scene(scene, cut, resume=True)
     assert (cut / "run.json").exists()

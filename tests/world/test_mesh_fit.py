@@ -1,7 +1,6 @@
 """Meshes whose axes or parts do not go with the vessel's length, beam and air draft: a warning with what would fit."""
 
 import struct
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +8,11 @@ import pytest
 import trimesh
 import yaml
 
-from modsim3d.cli import main
 from modsim3d.cli.run_summary import scene_warnings
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import misfit
+from tests.command_line import call
 from tests.scenes import camera_keys
 from tests.world.test_meshes import NAMES
 
@@ -62,10 +61,7 @@ def test_an_obj_with_y_up_is_warned_of_with_its_extents_and_the_axes_that_fit(
     ship().apply_transform(Z_UP_TO_Y_UP).export(tmp_path / "blender.obj")
     scene = {**SCENE, "vessels": {**SCENE["vessels"], "v": {**GOOD_VESSEL, "mesh": "blender.obj"}}}  # type: ignore[dict-item]
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
-    monkeypatch.setattr(sys, "argv", ["modsim3d", "check", str(tmp_path / "scene.yaml")])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    assert not stopped.value.code
+    assert call(monkeypatch, "check", "scene", tmp_path / "scene.yaml") == 0
     out, said = capsys.readouterr()
     assert "no errors, 1 warning" in out
     words = " ".join(said.split())

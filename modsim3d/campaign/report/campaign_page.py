@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import html
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,101 +13,70 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.campaign.folder import CampaignFolder, killed_sentence
-from modsim3d.campaign.means import LEVEL, same_detections
-from modsim3d.campaign.plan import Plan, cases_of
+from modsim3d.campaign.means import (
+    LEVEL,
+    mean_rows,
+    mean_table,
+    same_detections,
+    score_name,
+    usual_keys,
+    usual_scores,
+    without_judged,
+)
+from modsim3d.campaign.plan import Plan, cases_of, key_columns, values_text
 from modsim3d.campaign.ranking import WorstRun, worst_runs
 from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
-from modsim3d.campaign.report.parameter_charts import over_seeds, parameter_sections, seed_cells
+from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.report.words import (
-    MAX_KEYS,
     Score,
     condition_cells,
     constant,
-    in_words,
-    number,
     required_scores,
     requirement_sections,
     rests_on,
-    table_scores,
     values_of,
     varying,
     verdict_sentence,
-    with_interval,
-    without_empty,
 )
 from modsim3d.campaign.reproduce import remade
-from modsim3d.campaign.verdicts.seed_values import PairedDifference, column_of, paired
+from modsim3d.campaign.verdicts.seed_values import PairedDifference, paired
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import levels_of
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.worst_film import moment_picture
-from modsim3d.core.arrays import Array, Indices
-from modsim3d.core.document import Cell, Figure, Row
+from modsim3d.core.document import Block, Cell, Document, Figure, Heading, Row, Table, Text
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.text import counted, listed
-from modsim3d.view.pages import page
+from modsim3d.core.text import counted, listed, three_digits, three_digits_with_interval
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
+from modsim3d.view.pages.page import document_page, image
 
 # ---- What is compared ----
 
 MAX_ROWS = 200
 """Of a table."""
-CRASHED_RUNS = "crashed runs"
 
 
-def mean_sections(plan: Plan, table: pa.Table) -> list[str]:
+def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ()) -> list[Block]:
     """The table of means: a row for each condition and tracker."""
-    scores = table_scores(plan)
-    found = [over_seeds(seed_cells(plan, table, score.column)) for score in scores]
-    crashed = _crashed(plan, table)
-    places = [(c, t) for c in range(len(plan.conditions)) for t in range(len(plan.keys.trackers))]
-    remark = ""
-    if len(places) > MAX_ROWS:
-        worst = _badness(scores[0], found[0].mean)
-        places = sorted(sorted(places, key=lambda each: worst[each])[:MAX_ROWS])
-        remark = (
-            f" The {MAX_ROWS} rows of {worst.size:,} with the worst {scores[0].name} are shown; "
-            "modsim3d campaign-table has all."
-        )
-    keys, judged = varying(plan), _judged(plan)
-    remark += " Intervals of means that are required are those of the requirements, above." * bool(judged)
-    rows = [
-        (
-            *condition_cells(plan, c, keys),
-            plan.keys.trackers[t].label,
-            *(
-                number(each.mean[c, t])
-                if (score.column, c, t) in judged
-                else with_interval(each.mean[c, t], each.low[c, t], each.high[c, t])
-                for score, each in zip(scores, found, strict=True)
-            ),
-            f"{found[0].seeds[c, t]:,}",
-            f"{crashed[c, t]:,}",
-        )
-        for c, t in places
-    ]
-    columns = keys if len(keys) <= MAX_KEYS else ["condition"]
-    header = (*columns, "tracker", *(score.name for score in scores), "seeds", CRASHED_RUNS)
-    bad = {place for place, each in enumerate(places) if crashed[each]}
+    score, scores = required_scores(plan)[0], usual_scores(plan, table)
+    rows = mean_rows(table, usual_keys(plan), scores)
+    remark, count = "", len(rows)
+    if count > MAX_ROWS and scores:
+        worst = sorted(rows, key=lambda row: _badness(score, row.means[scores[0]].value))[:MAX_ROWS]
+        rows = [row for row in rows if any(row is each for each in worst)]
+        remark = f" The {MAX_ROWS} rows of {count:,} with the worst {score.name} are shown; "
+        remark += "modsim3d campaign table has all."
+    shown = without_judged(plan, rows, verdicts)
+    remark += " Intervals of means that are required are those of the requirements, above." * (shown != rows)
     return [
-        page.paragraph(
+        Text(
             f"Mean over traffic seeds [{100 * LEVEL:g} % interval by Student's t]. The value of a seed is the mean "
             "over its detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: "
             f"of twenty, one is expected to miss.{_stopped(plan)}{remark}",
             "soft",
         ),
-        page.table(*without_empty(rows, header, (CRASHED_RUNS,)), bad=bad),
+        mean_table(shown, "", names=score_name),
     ]
-
-
-def _judged(plan: Plan) -> set[tuple[str, int, int]]:
-    """Column, condition and tracker of the means that requirements are about."""
-    return {
-        (column_of(requirement.score, case), case.condition, case.tracker)
-        for requirement in plan.keys.require
-        if requirement.share is None and requirement.of is None
-        for case in cases_of(plan, requirement)
-    }
 
 
 def _stopped(plan: Plan) -> str:
@@ -121,21 +89,14 @@ def _stopped(plan: Plan) -> str:
     )
 
 
-def _badness(score: Score, mean: Array) -> Array:
+def _badness(score: Score, mean: float | None) -> float:
     """The lower, the worse; where nothing is known comes first."""
-    signed = mean if score.lowest_is_worst else -mean
-    return np.where(np.isfinite(signed), signed, -np.inf)
+    if mean is None or not np.isfinite(mean):
+        return -np.inf
+    return mean if score.lowest_is_worst else -mean
 
 
-def _crashed(plan: Plan, table: pa.Table) -> Indices:
-    """Number of crashed runs, shape (conditions, trackers)."""
-    runs = table.filter(pc.not_equal(table["status"], DONE))["run"].to_numpy()
-    shape = (len(plan.conditions), plan.keys.seeds.detector, len(plan.keys.trackers))
-    counts: Indices = np.bincount(runs % plan.runs_by_seed, minlength=plan.runs_by_seed).reshape(shape).sum(axis=1)
-    return counts
-
-
-def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
+def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
@@ -162,31 +123,30 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[str]:
             Score(each.score).name,
             *condition_cells(plan, each.condition, keys),
             f"{each.first} − {each.second}",
-            with_interval(each.mean, each.low, each.high),
+            three_digits_with_interval(each.mean, each.low, each.high),
             _difference(each, span[each.score]),
             f"{each.seeds:,}",
-            number(each.variance_ratio),
+            three_digits(each.variance_ratio),
         )
         for each in found[:MAX_ROWS]
     ]
-    columns = keys if len(keys) <= MAX_KEYS else ["condition"]
-    header = ("score", *columns, "difference", "mean [interval]", "against 0", "seeds", "variance ratio")
+    header = ("score", *key_columns(keys), "difference", "mean [interval]", "against 0", "seeds", "variance ratio")
     return [
-        page.heading("Differences between trackers"),
-        page.paragraph(
+        Heading("Differences between trackers"),
+        Text(
             "Mean of the difference with the same traffic seeds, with its interval at 95 %: if 0 lies inside, this "
             "campaign does not tell which tracker is better. The variance ratio says how many times as many seeds "
             "would have been needed for this interval with other seeds for each tracker; near 1, pairing gained "
             f"nothing.{remark}",
             "soft",
         ),
-        page.table(rows, header),
+        Table("", header, rows),
     ]
 
 
 def _difference(each: PairedDifference, span: tuple[float, float]) -> Cell:
     found = ChartInterval(_or_nan(each.mean), _or_nan(each.low), _or_nan(each.high))
-    label = f"{with_interval(found.mean, found.low, found.high)} against 0"
+    label = f"{three_digits_with_interval(found.mean, found.low, found.high)} against 0"
     return Cell("", draw=partial(strip, found, 0.0, None, span, label))
 
 
@@ -205,7 +165,7 @@ MAX_ERRORS, MAX_NUMBERS = 20, 8
 
 def worst_sections(
     folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], advance: Callable[[int], None]
-) -> list[str]:
+) -> list[Block]:
     """The worst runs, each with the moment at which it went wrong and the commands that show more.
 
     Args:
@@ -215,55 +175,48 @@ def worst_sections(
         advance: Called with 1 after each run.
     """
     found = worst_runs(folder, table, verdicts, WORST) if len(table) else []
-    parts = []
-    for each in found:
-        parts += _worst_run(folder, each)
-        advance(1)
-    if not parts:
-        return []
     return [
-        page.heading("The worst runs"),
-        page.paragraph(
+        Heading("The worst runs"),
+        Text(
             "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "
-            "failed requirements come before the others. They say how a tracker fails, and nothing about how often.",
+            "failed requirements come before the others. They say how a tracker fails, and nothing about how often."
+            if found
+            else "",
             "soft",
         ),
-        *parts,
+        *(block for each in found for block in _worst_run(folder, each, advance)),
     ]
 
 
-def _worst_run(folder: CampaignFolder, each: WorstRun) -> list[str]:
+def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[[int], None]) -> Iterator[Block]:
     run = folder.plan.run(each.number)
     values = {**values_of(folder.plan, each.condition), **run.condition.values}
-    what = "crashed" if each.value is None else f"{Score(each.score).name} {number(each.value)}"
+    what = "crashed" if each.value is None else f"{score_name(each.score)} {three_digits(each.value)}"
     if each.requirement is not None:
         what += f" (requirement {each.requirement + 1})"
-    said = in_words(values, [*varying(folder.plan), *folder.plan.drawn])
-    parts = [
-        f"<h3>{html.escape(f'Run {each.number}: {each.tracker}, {what}')}</h3>",
-        page.paragraph(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft"),
-    ]
+    said = values_text(values, [*varying(folder.plan), *folder.plan.drawn])
+    yield Heading(f"Run {each.number}: {each.tracker}, {what}", 3)
+    yield Text(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft")
     if each.moment_s is not None:
-        parts.append(_picture(folder, each, each.moment_s))
-    commands = [("Make it again", each.again), ("Film the moment", each.film)]
-    return [*parts, *(_command(name, line) for name, line in commands if line)]
+        yield _picture(folder, each, each.moment_s)
+    advance(1)
+    for name, line in (("Make it again:", each.again), ("Film the moment:", each.film)):
+        if line:
+            yield Text(name)
+            yield Text(line, "code")
 
 
-def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> str:
+def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> Block:
     """The moment at which a run went wrong; a run that cannot be made again says why."""
     try:
-        image = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
+        picture = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
     except ModsimError as error:
-        return page.paragraph(f"There is no picture: {error}", "soft")
+        return Text(f"There is no picture: {error}", "soft")
     caption = f"Run {each.number} at {moment_s:g} s: what is true, and the tracks of {each.tracker}."
-    return page.html_of(Figure(lambda: page.image(image, caption, "jpeg", quality=QUALITY), caption))
+    return Figure(partial(image, picture, caption, "jpeg", quality=QUALITY), caption)
 
 
-def _command(name: str, line: str) -> str:
-    return f'<p>{html.escape(name)}:<br><code style="overflow-wrap: anywhere">{html.escape(line)}</code></p>'
-
-
-def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
+def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
     """The runs that crashed, by their error."""
     crashed = table.filter(pc.not_equal(table["status"], DONE)).select(["run", "tracker", "error"])
     if not len(crashed):
@@ -286,16 +239,15 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
         "requirements count each crash as wrong, or stay undecided. To see an error again:"
     )
     first, path = ordered[0][1][0]["run"], folder.path
-    again = (
-        f"modsim3d campaign-run {shlex.quote(str(path))} {first} --out {shlex.quote(str(path / 'runs' / str(first)))}"
-    )
-    more = f" The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
+    out = shlex.quote(str(path / "runs" / str(first)))
+    again = f"modsim3d campaign reproduce {shlex.quote(str(path))} {first} --out {out}"
+    more = f"The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
     return [
-        page.heading("Runs that crashed"),
-        page.paragraph(said, "soft"),
-        _command("Make the first again", again),
-        page.table(rows, ("runs", "error", "trackers", "numbers of the runs")),
-        *([page.paragraph(more.strip(), "soft")] if more else []),
+        Heading("Runs that crashed"),
+        Text(said, "soft"),
+        Text(again, "code"),
+        Table("", ("runs", "error", "trackers", "numbers of the runs"), rows),
+        Text(more, "soft"),
     ]
 
 
@@ -319,22 +271,38 @@ def campaign_page(
         command: What the page says it was made by; the call from Python if None.
     """
     plan = folder.plan
-    body = [
-        page.paragraph(lead(folder, table, verdicts), "lead"),
-        *(page.paragraph(text, kind) for text, kind in cautions(folder, table)),
-        page.facts(facts(folder, table)),
-    ]
-    if plan.keys.require:
-        body += [page.heading("Requirements"), *requirement_sections(plan, verdicts), *_levels(plan)]
-    if len(table):
-        body += [page.heading("Means"), *mean_sections(plan, table), *paired_sections(plan, table)]
-        body += parameter_sections(plan, table)
-        body += worst_sections(folder, table, verdicts, advance)
-        body += crash_sections(folder, table)
-        body += [*coverage_sections(folder, table), *trace_sections(folder, table, verdicts)]
     asked = "are its requirements met?" if plan.keys.require else "what does it compare?"
-    title = f"Campaign {folder.path.resolve().name}: {asked}"
-    return page.page(title, body, rests_on(folder, "results of a campaign", command))
+    document = Document(
+        f"Campaign {folder.path.resolve().name}: {asked}",
+        [Text(lead(folder, table, verdicts), "lead"), *cautions(folder, table)],
+        [
+            Table("", (), facts(folder, table)),
+            *requirement_blocks(plan, verdicts),
+            *(compared_blocks(folder, table, verdicts) if len(table) else ()),
+            *(parameter_sections(plan, table) if len(table) else ()),
+            *worst_sections(folder, table, verdicts, advance),
+            *(coverage_sections(folder, table) if len(table) else ()),
+            *(trace_sections(folder, table, verdicts) if len(table) else ()),
+        ],
+    )
+    return document_page(document, rests_on(folder, "results of a campaign", command))
+
+
+def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
+    """The verdicts, and at which level they hold together; nothing without requirements."""
+    if not plan.keys.require:
+        return []
+    together: list[Block] = [
+        Heading("How often verdicts are wrong", 3),
+        Text(" ".join(levels_of(plan).sentences()), "soft"),
+    ]
+    return [Heading("Requirements"), *requirement_sections(plan, verdicts), *together]
+
+
+def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
+    """Means, differences between trackers, and the runs that crashed."""
+    means = mean_sections(folder.plan, table, verdicts)
+    return [Heading("Means"), *means, *paired_sections(folder.plan, table), *crash_sections(folder, table)]
 
 
 def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> str:
@@ -345,22 +313,22 @@ def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -
     return f"Not finished: {done}, and nothing on this page is a verdict."
 
 
-def cautions(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
-    """Cautions that a reader needs before the numbers, with how each is set."""
-    plan, found = folder.plan, []
+def cautions(folder: CampaignFolder, table: pa.Table) -> list[Text]:
+    """Cautions that a reader needs before the numbers."""
+    plan, found = folder.plan, list[Text]()
     if crashed := len(table) - int(pc.sum(pc.equal(table["status"], DONE)).as_py() or 0):
-        found.append((f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
+        found.append(Text(f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
     if killed := killed_sentence(folder):
-        found.append((killed, ""))
-    found += [(f"{text[0].upper()}{text[1:]}.", "bad") for text in same_detections(plan, table)]
+        found.append(Text(killed))
+    found += [Text(f"{text[0].upper()}{text[1:]}.", "bad") for text in same_detections(plan, table)]
     fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])
     if fixed:
         said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "
-        found.append((said + "Seeds change the detector and the waves; no result speaks of other traffic.", ""))
+        found.append(Text(said + "Seeds change the detector and the waves; no result speaks of other traffic."))
     if plan.keys.uncertainty == "learned":
         said = "The detector's parameters are drawn for each traffic seed from the intervals that learn wrote, so the "
         said += "intervals are wider where its test set was small. A mean is one over all detectors that this set "
-        found.append((said + "allows: with many seeds its interval is narrow, however small the set.", ""))
+        found.append(Text(said + "allows: with many seeds its interval is narrow, however small the set."))
     return found
 
 
@@ -382,8 +350,3 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
         ("SHA-256 of the plan", folder.facts["sha256"]),
     ]
     return [(name, value) for name, value in rows if value]
-
-
-def _levels(plan: Plan) -> list[str]:
-    """At which level the requirements hold together."""
-    return ["<h3>How often verdicts are wrong</h3>", page.paragraph(" ".join(levels_of(plan).sentences()))]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,18 +12,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.done_rows import text_of
 from modsim3d.campaign.folder import FILE, VERDICTS, CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys, Range
-from modsim3d.campaign.plan import Plan
+from modsim3d.campaign.plan import Plan, text_of
 from modsim3d.campaign.report.coverage_counts import CountedBin, Truths, counted_states
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, VESSELS
 from modsim3d.campaign.work.row import DONE
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.core.text import counted
-from modsim3d.view.pages import page
+from modsim3d.core.document import Beside, Block, Heading, Items, Table, Text
+from modsim3d.core.text import counted, listed
 from modsim3d.view.pages.provenance import shown_path
 
 # ---- The sections of a page that trace each requirement to its runs ----
@@ -36,8 +34,8 @@ _DIGITS = 16
 """Hexadecimal digits of a checksum on the page; `plan.json` has all."""
 
 
-def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[str]:
-    """HTML of what each verdict rests on: runs, seeds, checksums, versions, and the commands that repeat it.
+def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
+    """What each verdict rests on: runs, seeds, checksums, versions, and the commands that repeat it.
 
     Args:
         folder: The campaign.
@@ -45,16 +43,16 @@ def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[V
         verdicts: The verdicts on its requirements.
     """
     return [
-        page.heading("What each verdict rests on"),
+        Heading("What each verdict rests on"),
         *_verdicts(folder.plan, table, verdicts),
         *_conditions(folder),
         *_repeating(folder, table),
     ]
 
 
-def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[str]:
+def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[Block]:
     if not verdicts:
-        yield page.paragraph("The campaign has no requirements.")
+        yield Text("The campaign has no requirements.")
         return
     conditions = table["condition"].to_numpy()
     trackers = table["tracker"].to_numpy(zero_copy_only=False)
@@ -78,13 +76,13 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
             ]
         )
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
-    yield page.table(rows, header)
+    yield Table("", header, rows)
     yield from _left_out(len(verdicts), VERDICTS)
 
 
-def _left_out(count: int, file: str) -> Iterator[str]:
+def _left_out(count: int, file: str) -> Iterator[Block]:
     if count > _MAX_ROWS:
-        yield page.paragraph(f"{count - _MAX_ROWS} more are in {file}.")
+        yield Text(f"{count - _MAX_ROWS} more are in {file}.")
 
 
 def numbers_in_words(numbers: Indices) -> str:
@@ -102,47 +100,43 @@ def numbers_in_words(numbers: Indices) -> str:
     return ", ".join(ranges[:_MAX_RANGES]) + more + (f" ({len(found)} of them)" if len(found) > 1 else "")
 
 
-def _conditions(folder: CampaignFolder) -> Iterator[str]:
+def _conditions(folder: CampaignFolder) -> Iterator[Block]:
     """Checksums of the scene and the detector of each condition."""
-    yield "<h3>Conditions</h3>"
     rows = []
     conditions = folder.facts["conditions"]
     for number, each in enumerate(conditions[:_MAX_ROWS]):
         values = ", ".join(f"{key} {text_of(value)}" for key, value in each["values"].items())
         sums = (each[name][:_DIGITS] for name in ("truth_sha256", "detector_sha256"))
         rows.append([f"{number}", each["scene"], values or "as it is", *sums])
-    yield page.table(rows, ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"])
+    yield Table("Conditions", ["condition", "scene", "values", "SHA-256 of the scene", "SHA-256 of the detector"], rows)
     yield from _left_out(len(conditions), PLAN)
     if folder.plan.drawn:
         keys = ", ".join(folder.plan.drawn)
-        yield page.paragraph(f"Checksums are those of the first traffic seed: {keys} differ from seed to seed.", "soft")
+        yield Text(f"Checksums are those of the first traffic seed: {keys} differ from seed to seed.", "soft")
 
 
-def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[str]:
+def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[Block]:
     """Versions, the checksum of the plan, and the commands."""
     number = int(table["run"][0].as_py()) if len(table) else 0
-    yield "<h3>Versions</h3>"
     versions = dict(folder.facts["versions"])
     for condition in folder.facts["conditions"]:
         for tracker in condition["trackers"].values():
             versions |= tracker["versions"]
-    yield page.table([[name, text] for name, text in versions.items()], ["package", "version"])
-    yield "<h3>Again</h3>"
-    yield page.paragraph(
+    yield Table("Versions", ["package", "version"], list(versions.items()))
+    yield Heading("Again", 3)
+    yield Text(
         f"SHA-256 of the plan: {folder.facts['sha256']}. {PLAN} has all checksums in full. With the same plan and the "
         "same versions the rows come out the same, byte by byte. "
         f"Paths in {FILE} are relative to {shown_path(Path(folder.facts['base']))}."
     )
     path, again = folder.path, f"{folder.path.name}_again"
     commands = {
-        "the whole campaign again": ["modsim3d", "campaign", str(path / FILE), "--out", again],
-        f"run {number} alone": ["modsim3d", "campaign-run", str(path), str(number), "--out", f"run_{number}"],
+        "the whole campaign again": ["modsim3d", "campaign", "run", str(path / FILE), "--out", again],
+        f"run {number} alone": ["modsim3d", "campaign", "reproduce", str(path), str(number), "--out", f"run_{number}"],
     }
-    rows = "\n".join(
-        f"<tr><td>{html.escape(what)}</td><td><code>{html.escape(shlex.join(words))}</code></td></tr>"
-        for what, words in commands.items()
-    )
-    yield page.scrolling(f"<table>\n{rows}\n</table>")
+    for what, words in commands.items():
+        yield Text(f"{what[0].upper()}{what[1:]}:")
+        yield Text(shlex.join(words), "code")
 
 
 # ---- Parts of the ranges of a campaign file that no draw came near ----
@@ -269,17 +263,14 @@ class CoverageTable:
         return tuple(row.label for row in self.rows if not row.count)
 
     @property
-    def html(self) -> str:
-        """The table under its title."""
-        cells = [row.cells for row in self.rows]
+    def block(self) -> Table:
+        """The table with its note."""
         header = ["", self.unit, "runs", "traffic seeds"]
-        parts = [f"<h3>{html.escape(self.title)}</h3>", page.paragraph(self.note, "soft") if self.note else ""]
-        content = "\n".join([*filter(None, parts), page.table(cells, header) if cells else ""])
-        return f'<div style="max-width: 30rem">\n{content}\n</div>'
+        return Table(self.title, header, [row.cells for row in self.rows], about=self.note)
 
 
-def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
-    """HTML of what the rows of a campaign cover, in the order of a page.
+def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
+    """What the rows of a campaign cover, in the order of a page.
 
     Args:
         folder: The campaign.
@@ -288,13 +279,11 @@ def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[str]:
     truths = Truths.of(table)
     parts = tuple(_parts(folder, table, truths))
     return [
-        page.heading("What was covered"),
-        page.paragraph(_extent(folder, table, truths)),
-        page.paragraph(NO_CLAIM),
+        Heading("What was covered"),
+        Text(_extent(folder, table, truths)),
+        Text(NO_CLAIM),
         *_gaps(folder, table, parts),
-        '<div style="display: flex; flex-wrap: wrap; gap: 0 3rem">',
-        *(part.html for part in parts),
-        "</div>",
+        Beside([part.block for part in parts]),
         *_trackers(folder),
     ]
 
@@ -386,19 +375,16 @@ def _rolls(truths: Truths) -> CoverageTable:
     return CoverageTable("Roll of a camera", "truths", tuple(rows), "By the largest angle of the horizon in an image.")
 
 
-def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable]) -> Iterator[str]:
+def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable]) -> Iterator[Block]:
     """Gaps in the coverage, in one list."""
     said = [f"{part.title}: {', '.join(part.empty)}" for part in parts if part.empty]
     said += [f"{part.title}: {part.note}" for part in parts if not part.rows]
     said += empty_draws(folder.keys, table)
-    yield "<h3>Not covered</h3>"
-    if not said:
-        yield page.paragraph("No bin is empty.")
-        return
-    yield "<ul>\n" + "\n".join(f"<li>{html.escape(text)}</li>" for text in said) + "\n</ul>"
+    yield Heading("Not covered", 3)
+    yield Items(said or ["No bin is empty."])
 
 
-def _trackers(folder: CampaignFolder) -> Iterator[str]:
+def _trackers(folder: CampaignFolder) -> Iterator[Block]:
     """The settings of each tracker, which may differ between scenes and conditions."""
     found: dict[tuple[str, ...], list[int]] = {}
     for number, condition in enumerate(folder.facts["conditions"]):
@@ -407,11 +393,8 @@ def _trackers(folder: CampaignFolder) -> Iterator[str]:
             row = label, facts["tracker"], facts["package"], settings or "defaults", facts["chosen"]
             found.setdefault(row, []).append(number)
     every = len(folder.facts["conditions"])
-    rows = [[*row, "all" if len(numbers) == every else _listed(numbers)] for row, numbers in found.items()]
-    yield page.heading("Trackers and their settings")
-    yield page.table(rows, ["name", "tracker", "package", "settings", "where they are from", "conditions"])
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    shown = ", ".join(map(str, numbers[:10]))
-    return shown if len(numbers) <= 10 else f"{shown} and {len(numbers) - 10} more"
+    rows = [
+        [*row, "all" if len(numbers) == every else listed([*map(str, numbers)], 10)] for row, numbers in found.items()
+    ]
+    header = ["name", "tracker", "package", "settings", "where they are from", "conditions"]
+    yield Table("Trackers and their settings", header, rows)

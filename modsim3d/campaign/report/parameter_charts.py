@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.campaign.done_rows import text_of
 from modsim3d.campaign.keys import Range
 from modsim3d.campaign.means import LEVEL
-from modsim3d.campaign.plan import Plan
-from modsim3d.campaign.report.words import Score, axis_of, number, required_scores
+from modsim3d.campaign.plan import Plan, text_of
+from modsim3d.campaign.report.words import Score, axis_of, required_scores
 from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.document import Beside, Block, Cell, Figure, Heading, Row, Table, Text
 from modsim3d.core.statistics import half_widths
-from modsim3d.view.pages import charts, page
+from modsim3d.core.text import three_digits
+from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import ChartInterval, band, forest, legend, marks, span_of
 
 # ---- The scores of a campaign as arrays ----
@@ -213,15 +213,13 @@ def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str]
 
 
 MAX_SCORES, MAX_PARAMETERS, MAX_PAIRS, MAX_SHOWN_TRACKERS = 3, 8, 10, 6
-CHART_PX = 500
-"""Width of a chart with its margin."""
 MAX_DOTS = 400
 """Of a tracker in a chart."""
 MIN_SEEDS = 3
 """A mean of drawn numbers rests on at least so many seeds."""
 
 
-def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
+def parameter_sections(plan: Plan, table: pa.Table) -> list[Block]:
     """Charts of each required score against each parameter, and heat maps of the first score."""
     parameters, scores = parameters_of(plan, table), required_scores(plan)[:MAX_SCORES]
     trackers = [each.label for each in plan.keys.trackers][:MAX_SHOWN_TRACKERS]
@@ -232,17 +230,23 @@ def parameter_sections(plan: Plan, table: pa.Table) -> list[str]:
         f"Mean over traffic seeds with its {100 * LEVEL:g} % interval by Student's t; the value of a seed is the mean "
         "over all its runs at that level, whatever else is varied."
     )
-    parts = [page.heading("Scores against what is varied"), page.paragraph(caption, "soft"), legend(trackers)]
-    parts.append('<div style="display: flex; flex-wrap: wrap; gap: 0 1.5rem">')
-    for parameter in parameters[:MAX_PARAMETERS]:
-        drawings = [_chart(parameter, score, cells[score.column], trackers) for score in scores]
-        figure = charts.figure(drawings, _remark(parameter, plan, parameters, scores))
-        parts.append(f'<div style="max-width: {CHART_PX * len(scores)}px">{figure}</div>')
-    parts.append("</div>")
-    if len(parameters) > MAX_PARAMETERS:
-        rest = ", ".join(each.key for each in parameters[MAX_PARAMETERS:])
-        parts.append(page.paragraph(f"Not shown: {rest}.", "soft"))
-    return parts + _heat_maps(parameters, scores[0], cells[scores[0].column], trackers)
+    charts_of = [
+        Figure(partial(_charts, parameter, scores, cells, trackers), _remark(parameter, plan, parameters, scores))
+        for parameter in parameters[:MAX_PARAMETERS]
+    ]
+    rest = ", ".join(each.key for each in parameters[MAX_PARAMETERS:])
+    return [
+        Heading("Scores against what is varied"),
+        Text(caption, "soft"),
+        Figure(partial(legend, trackers), ""),
+        *([Beside(charts_of)] if len(scores) == 1 else charts_of),
+        Text(f"Not shown: {rest}." if rest else "", "soft"),
+        *_heat_maps(parameters, scores[0], cells[scores[0].column], trackers),
+    ]
+
+
+def _charts(parameter: VariedKey, scores: Sequence[Score], cells: Mapping[str, Array], trackers: Sequence[str]) -> str:
+    return "".join(_chart(parameter, score, cells[score.column], trackers) for score in scores)
 
 
 def tied(first: VariedKey, second: VariedKey) -> bool:
@@ -345,54 +349,40 @@ def _dots(parameter: VariedKey, cells: Array) -> list[tuple[Array, Array]]:
     return found
 
 
-def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trackers: Sequence[str]) -> list[str]:
+def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trackers: Sequence[str]) -> Iterator[Block]:
     pairs = [pair for pair in combinations(parameters, 2) if not tied(*pair)]
-    if not pairs:
-        return []
-    shown = pairs[:MAX_PAIRS]
     remark = f" The first {MAX_PAIRS} of {len(pairs)} pairs are shown." if len(pairs) > MAX_PAIRS else ""
-    parts = [
-        page.heading("Two at a time"),
-        page.paragraph(
-            f"Mean {score.label} over traffic seeds: the darker, the higher. Where cells differ in it, a small number "
-            f"is the number of seeds.{remark}",
-            "soft",
-        ),
-    ]
-    for first, second in shown:
+    about = f"Mean {score.label} over traffic seeds: the darker, the higher. Where cells differ in it, the number of "
+    yield Heading("Two at a time")
+    yield Text(f"{about}seeds stands in brackets.{remark}" if pairs else "", "soft")
+    for first, second in pairs[:MAX_PAIRS]:
         index = first.index * len(second.levels) + second.index
         index = np.where((first.index < 0) | (second.index < 0), -1, index)
         shape = (len(first.levels), len(second.levels), len(trackers))
         found = by_level(cells, index, shape[0] * shape[1])
-        parts.append(f"<h3>{html.escape(f'{first.key} × {second.key}')}</h3>")
         span = span_of([*found.mean.flat], 0)
-        parts.append('<div style="display: flex; flex-wrap: wrap; gap: 0 2.5rem">')
-        for place, tracker in enumerate(trackers):
-            mean, seeds = found.mean.reshape(shape)[:, :, place], found.seeds.reshape(shape)[:, :, place]
-            parts.append(_heat_map(first, second, mean, seeds, span, tracker))
-        parts.append("</div>")
-    return parts
+        mean, seeds = found.mean.reshape(shape), found.seeds.reshape(shape)
+        yield Heading(f"{first.key} × {second.key}", 3)
+        yield Beside(
+            [
+                _heat_map(first, second, mean[:, :, place], seeds[:, :, place], span, tracker)
+                for place, tracker in enumerate(trackers)
+            ]
+        )
 
 
 def _heat_map(
     first: VariedKey, second: VariedKey, mean: Array, seeds: Indices, span: tuple[float, float], name: str
-) -> str:
-    head = "".join(f'<th class="number">{html.escape(level)}</th>' for level in second.levels)
-    lines = [f"<tr><th>{html.escape(axis_of(first.key))}</th>{head}</tr>"]
+) -> Table:
     differ = len(np.unique(seeds)) > 1
-    for level, values, counts in zip(first.levels, mean.tolist(), seeds.tolist(), strict=True):
-        cells = "".join(_cell(value, count if differ else 0, span) for value, count in zip(values, counts, strict=True))
-        lines.append(f"<tr><th>{html.escape(level)}</th>{cells}</tr>")
-    title = f"{name}: columns are {axis_of(second.key)}"
-    table = page.scrolling("<table>" + "".join(lines) + "</table>")
-    return f'<div style="min-width: 0">{page.paragraph(title, "soft")}{table}</div>'
 
+    def cell(value: float, count: int) -> Cell:
+        text = three_digits(value) + (f" ({count:,})" if differ and np.isfinite(value) else "")
+        return Cell(text, (value - span[0]) / (span[1] - span[0]) if np.isfinite(value) else None)
 
-def _cell(value: float, seeds: int, span: tuple[float, float]) -> str:
-    if not np.isfinite(value):
-        return f'<td class="number">{number(None)}</td>'
-    share = (value - span[0]) / (span[1] - span[0])
-    shade = f"color-mix(in srgb, {charts.COLOURS[0]} {5 + 55 * share:.0f}%, transparent)"
-    return f'<td class="number" style="background:{shade};padding:0.25rem 0.6rem">{number(value)}' + (
-        f' <small class="soft">{seeds:,}</small></td>' if seeds else "</td>"
-    )
+    rows: list[Row] = [
+        (level, *(cell(*each) for each in zip(values, counts, strict=True)))
+        for level, values, counts in zip(first.levels, mean.tolist(), seeds.tolist(), strict=True)
+    ]
+    about = f"{name}: columns are {axis_of(second.key)}"
+    return Table("", (axis_of(first.key), *second.levels), rows, about=about)

@@ -4,29 +4,37 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.campaign.done_rows import results_table, text_of
+from modsim3d.campaign.done_rows import results_table
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.keys import Range, SearchKeys
+from modsim3d.campaign.plan import text_of
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.report.campaign_page import lead as campaign_lead
-from modsim3d.campaign.report.words import Score, number, rests_on
+from modsim3d.campaign.report.words import Score, rests_on
 from modsim3d.campaign.search_folder import search_table
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.row import DONE
-from modsim3d.core.text import counted
+from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
+from modsim3d.core.text import counted, three_digits
 from modsim3d.io.atomic_write import write_files
-from modsim3d.view.pages import charts, page
+from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import marks, span_of
+from modsim3d.view.pages.page import document_page
 
 SHOWN = 20
 """Trials in the table."""
 REFUSED = "refused"
+NO_RATE = (
+    "These trials were chosen to be bad. Each is evidence of a failure that can happen; together they say nothing "
+    "about how often, and no share or mean of them is a rate."
+)
 
 
 def write_search_page(folder: CampaignFolder, path: Path, command: str | None = None) -> str:
@@ -56,7 +64,7 @@ def lead(search: SearchKeys, table: pa.Table) -> str:
         return f"No trial has a value of {score.name} yet.{crashes}"
     first = done[0]
     return (
-        f"The {worst} {score.name} of {counted(len(table), 'trial')} is {number(first[score.column])}, in trial "
+        f"The {worst} {score.name} of {counted(len(table), 'trial')} is {three_digits(first[score.column])}, in trial "
         f"{first['run']}.{crashes}"
     )
 
@@ -71,22 +79,22 @@ def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, com
         command: What the page says it was made by; the call from Python if None.
     """
     score = Score(search.minimise or search.maximise or "")
-    body = [
-        page.paragraph(lead(search, table), "lead"),
-        page.paragraph(
-            "These trials were chosen to be bad. Each is evidence of a failure that can happen; together they say "
-            "nothing about how often, and no share or mean of them is a rate."
-        ),
-    ]
-    if len(table) < search.budget:
-        said = f"Not finished: {len(table):,} of {counted(search.budget, 'trial')} are done."
-        body.append(page.paragraph(said, "bad"))
-    body += [page.heading("How it went"), _progress(search, score, table)] if len(table) else []
-    body += [page.heading("The worst trials"), *_worst(folder, search, score, table)]
-    body += [page.heading("Others"), *_others(table)] if _others(table) else []
-    body += [page.heading("Where it looked"), page.facts([*_ranges(search), *_facts(folder)])]
-    title = f"Campaign {folder.path.resolve().name}: what a search found"
-    return page.page(title, body, rests_on(folder, "findings of a search", command))
+    left = f"Not finished: {len(table):,} of {counted(search.budget, 'trial')} are done."
+    document = Document(
+        f"Campaign {folder.path.resolve().name}: what a search found",
+        [Text(lead(search, table), "lead"), Text(NO_RATE), Text(left if len(table) < search.budget else "", "bad")],
+        [
+            Heading("How it went"),
+            *_progress(search, score, table),
+            Heading("The worst trials"),
+            *_worst(folder, search, score, table),
+            Heading("Others"),
+            *_others(table),
+            Heading("Where it looked"),
+            Table("", (), [*_ranges(search), *_facts(folder)]),
+        ],
+    )
+    return document_page(document, rests_on(folder, "findings of a search", command))
 
 
 def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:
@@ -96,11 +104,11 @@ def _done(search: SearchKeys, table: pa.Table) -> list[dict[str, Any]]:
     return sorted(rows, key=lambda row: (row[column] if search.minimise else -row[column], row["run"]))
 
 
-def _progress(search: SearchKeys, score: Score, table: pa.Table) -> str:
+def _progress(search: SearchKeys, score: Score, table: pa.Table) -> list[Block]:
     """The score of each trial, and the worst so far."""
     rows = sorted(_done(search, table), key=lambda row: int(row["run"]))
     if not rows:
-        return page.paragraph("No trial has a value.")
+        return [Text("No trial has a value." if len(table) else "")]
     x = np.array([row["run"] for row in rows], dtype=float)
     y = np.array([row[score.column] for row in rows], dtype=float)
     best = np.minimum.accumulate(y) if search.minimise else np.maximum.accumulate(y)
@@ -108,32 +116,29 @@ def _progress(search: SearchKeys, score: Score, table: pa.Table) -> str:
     content = marks(axes, x, y, 0, opacity=0.5) + charts.line(
         axes, np.repeat(x, 2)[1:], np.repeat(best, 2)[:-1], charts.colour_of(1)
     )
-    drawing = axes.drawing(content, f"{score.name} of each trial", "trial", score.label)
-    return charts.figure([drawing], "Dots: trials in their order. Line: the worst until then.")
+    draw = partial(axes.drawing, content, f"{score.name} of each trial", "trial", score.label)
+    return [Figure(draw, "Dots: trials in their order. Line: the worst until then.")]
 
 
-def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.Table) -> list[str]:
+def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.Table) -> list[Block]:
     rows = [
         (
             str(row["run"]),
-            number(row[score.column]),
+            three_digits(row[score.column]),
             *(_value(row[key]) for key in search.over),
             str(row["traffic_seed"]),
             _again(folder, row["run"]),
         )
         for row in _done(search, table)[:SHOWN]
     ]
-    if not rows:
-        return [page.paragraph("There are none.")]
-    return [page.table(rows, ("trial", score.name, *search.over, "traffic seed", "make it again"))]
+    header = ("trial", score.name, *search.over, "traffic seed", "make it again")
+    return [Table("", header, rows), Text("" if rows else "There are none.")]
 
 
-def _others(table: pa.Table) -> list[str]:
+def _others(table: pa.Table) -> list[Block]:
     rows = [(str(row["run"]), row["status"], row["error"] or "") for row in table.to_pylist() if row["status"] != DONE]
-    if not rows:
-        return []
     said = "A trial that is refused has values that the scene does not take; it is no failure of the tracker."
-    return [page.paragraph(said, "soft"), page.table(rows[:SHOWN], ("trial", "status", "error"))]
+    return [Table("", ("trial", "status", "error"), rows[:SHOWN], about=said)]
 
 
 def _ranges(search: SearchKeys) -> Sequence[tuple[str, str]]:
@@ -161,14 +166,12 @@ def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
 
 
 def _again(folder: CampaignFolder, number: int) -> str:
-    path = folder.path
-    return (
-        f"modsim3d campaign-run {shlex.quote(str(path))} {number} --out {shlex.quote(str(path / 'runs' / str(number)))}"
-    )
+    out = shlex.quote(str(folder.path / "runs" / str(number)))
+    return f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {number} --out {out}"
 
 
 def _value(value: Any) -> str:
-    return number(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+    return three_digits(value) if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
 
 
 # ---- Writes the page that a campaign has ----

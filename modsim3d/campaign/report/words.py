@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import html
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,26 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.campaign.done_rows import text_of
 from modsim3d.campaign.folder import FILE, CampaignFolder, files_of_campaign
 from modsim3d.campaign.keys import Requirement
-from modsim3d.campaign.plan import Plan, groups_of
+from modsim3d.campaign.means import score_name
+from modsim3d.campaign.plan import Plan, groups_of, key_columns, text_of, value_cells, value_text
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.verdicts.wording import percent, requirement_text
 from modsim3d.campaign.work.row import SHARES
 from modsim3d.campaign.work.task import PLAN
-from modsim3d.core.document import Cell, Row
-from modsim3d.core.text import UNKNOWN, counted
-from modsim3d.tracking.score_text import COLUMNS
-from modsim3d.view.pages import page
+from modsim3d.core.document import Block, Cell, Fold, Heading, Row, Table, Text, Where
+from modsim3d.core.text import counted, three_digits, three_digits_with_interval
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words
 
-USUAL = ("hota", "deta", "assa", "id_switches")
-"""Scores that the table of means always has."""
-MAX_KEYS = 4
-"""Keys that have columns of their own in a table."""
+USUAL = "hota"
 UNITS = {
     "_px": "px",
     "_s": "s",
@@ -43,7 +37,6 @@ UNITS = {
     "_hz": "Hz",
 }
 """Ends of keys, and the units that they stand for."""
-_NAMES = {key: name.partition(",")[0] for name, key, _ in COLUMNS}
 _LOW_IS_GOOD = ("siap_spuriousness",)
 """Of the scores from 0 to 1."""
 
@@ -68,8 +61,7 @@ class Score:
     @property
     def name(self) -> str:
         """Its name in a table."""
-        group, _, name = self.column.rpartition(".")[0].partition(".")
-        return _NAMES.get(self.key, self.key) + (f" in {group} {name}" if group else "")
+        return score_name(self.column)
 
     @property
     def label(self) -> str:
@@ -117,14 +109,7 @@ def required_scores(plan: Plan) -> list[Score]:
     for requirement in plan.keys.require:
         for column in columns_of(plan, requirement) or [requirement.score]:
             found.setdefault(column, []).extend([requirement] * (requirement.of is None))
-    return [Score(column, tuple(each)) for column, each in found.items()] or [Score(USUAL[0])]
-
-
-def table_scores(plan: Plan) -> list[Score]:
-    """The scores of the table of means: the required and the usual ones."""
-    required = required_scores(plan)
-    known = {each.column for each in required}
-    return required + [Score(key) for key in USUAL if key not in known]
+    return [Score(column, tuple(each)) for column, each in found.items()] or [Score(USUAL)]
 
 
 def varying(plan: Plan) -> list[str]:
@@ -137,7 +122,7 @@ def varying(plan: Plan) -> list[str]:
 def constant(plan: Plan) -> dict[str, str]:
     """The keys that are set and the same in all conditions."""
     differing, first = {*varying(plan), "scene"}, {**plan.conditions[0].fixed, **values_of(plan, 0)}
-    return {key: shown(value) for key, value in first.items() if key not in differing}
+    return {key: value_text(value) for key, value in first.items() if key not in differing}
 
 
 def values_of(plan: Plan, place: int) -> dict[str, Any]:
@@ -146,51 +131,9 @@ def values_of(plan: Plan, place: int) -> dict[str, Any]:
     return {"scene": Path(condition.scene).stem, **condition.values}
 
 
-def shown(value: Any) -> str:
-    """A value of a key; numbers without zeros at their end, and a dash for none."""
-    if value is None:
-        return UNKNOWN
-    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
-
-
-def in_words(values: Mapping[str, Any], keys: Sequence[str]) -> str:
-    """Values of some keys in words; a dash if there are none."""
-    said = [f"{key} {shown(values[key])}" for key in keys if values.get(key) is not None]
-    return ", ".join(said) or UNKNOWN
-
-
 def condition_cells(plan: Plan, place: int, keys: Sequence[str]) -> list[str]:
     """The values of some keys in a condition, as cells of a table; one cell if there are many keys."""
-    values = values_of(plan, place)
-    return [shown(values.get(key)) for key in keys] if len(keys) <= MAX_KEYS else [in_words(values, keys)]
-
-
-def number(value: float | None) -> str:
-    """A number with three digits or three decimals, a whole one as it is; a dash where there is none."""
-    if value is None or np.isnan(value):
-        return UNKNOWN
-    if np.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    if float(value).is_integer():
-        return f"{value:,.0f}".replace("-", "−")
-    return _with_decimals(value, _decimals(value))
-
-
-def _decimals(value: float) -> int:
-    return max(0, 3 - len(f"{abs(value):.0f}")) if abs(value) >= 1 else 3
-
-
-def _with_decimals(value: float, decimals: int) -> str:
-    text = f"{value:,.{decimals}f}"
-    return (f"{value:.2g}" if value and not text.strip("-0.") else text).replace("-", "−")
-
-
-def with_interval(mean: float | None, low: float | None, high: float | None) -> str:
-    """A number with its interval; the number alone where there is no interval."""
-    if mean is None or low is None or high is None or not (np.isfinite(low) and np.isfinite(high)):
-        return number(mean)
-    said, *ends = (_with_decimals(value, _decimals(mean)) for value in (mean, low, high))
-    return f"{said} [{ends[0]}, {ends[1]}]"
+    return value_cells(values_of(plan, place), keys)
 
 
 # ---- Tables of the page of a campaign without what says nothing ----
@@ -246,10 +189,10 @@ def confidences(plan: Plan) -> str:
     return " to ".join(ends)
 
 
-def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
+def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Block]:
     """Each requirement with its verdicts, and their intervals against the threshold: first what is not met."""
     said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
-    parts = [page.paragraph(said, "soft")]
+    yield Text(said, "soft", Where.PAGE)
     by_requirement = _by_requirement(plan, verdicts)
     for place in sorted(range(len(by_requirement)), key=lambda each: ORDER.index(outcome_of(by_requirement[each]))):
         found = by_requirement[place]
@@ -261,13 +204,11 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> list[str]:
             said += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
         elif len(found) > 1:
             said += " in both cases" if len(found) == 2 else f" in all {len(found):,} cases"
-        bad = ' class="bad"' if count["failed"] else ""
-        parts.append(f"<h3>{place + 1}. {html.escape(text)}: <span{bad}>{html.escape(said)}</span></h3>")
-        parts += _table(plan, plan.keys.require[place], found)
-    return parts
+        yield Heading(f"{place + 1}. {text}: {said}", 3, bad=count["failed"] > 0)
+        yield from _table(plan, plan.keys.require[place], found)
 
 
-def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> list[str]:
+def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> Iterator[Block]:
     ordered = sorted(found, key=lambda each: ORDER.index(each.outcome))
     shown = ordered[:MAX_ROWS]
     limit, least = _limit(requirement)
@@ -277,7 +218,7 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
         what, span = "share of seeds", (max(0.0, span[0]), min(1.0, span[1]))
     keys = varying(plan)
     groups = groups_of(plan, requirement)
-    columns = [*(keys if len(keys) <= MAX_KEYS else ["condition"]), *groups]
+    columns = [*key_columns(keys), *groups]
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
     interval = f"{what} [interval, each end {levels}]"
     header = ("tracker", *columns, "outcome", interval, _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
@@ -285,17 +226,16 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> li
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
     notes = {place: _note(each, limit) for place, each in enumerate(shown)}
-    table = page.table(kept, names, bad=bad, notes=notes)
+    table = Table("", names, kept, bad, notes=notes)
     if len(rows) > MAX_OPEN:
         first = sum(each.outcome != "met" for each in shown)
-        opened = 0 < first <= MAX_OPEN
-        table = page.folded(f"All {counted(len(rows), 'verdict')}, failed ones first", table, opened=opened)
+        yield Fold(f"All {counted(len(rows), 'verdict')}, failed ones first", [table], 0 < first <= MAX_OPEN)
     elif all(each.outcome == "met" for each in found):
-        table = page.folded(f"{counted(len(rows), 'verdict')}, all met", table)
-    parts = [table]
+        yield Fold(f"{counted(len(rows), 'verdict')}, all met", [table])
+    else:
+        yield table
     if len(ordered) > MAX_ROWS:
-        parts.append(page.paragraph(f"{len(ordered) - MAX_ROWS:,} more verdicts are in verdicts.json.", "soft"))
-    return parts
+        yield Text(f"{len(ordered) - MAX_ROWS:,} more verdicts are in verdicts.json.", "soft")
 
 
 def _row(
@@ -308,14 +248,15 @@ def _row(
     span: tuple[float, float],
 ) -> Row:
     values = (_or_nan(each.estimate), _or_nan(each.low), _or_nan(each.high))
-    said = with_interval(each.estimate, *values[1:])
+    said = three_digits_with_interval(each.estimate, *values[1:])
+    label = f"{said} against {three_digits(limit)}"
     return (
         each.tracker,
         *condition_cells(plan, each.condition, keys),
         *(str(each.values[group]) for group in groups),
         SIGNS[each.outcome],
         said,
-        Cell("", draw=partial(strip, ChartInterval(*values), limit, least, span, f"{said} against {number(limit)}")),
+        Cell("", draw=partial(strip, ChartInterval(*values), limit, least, span, label)),
         f"{each.crashed:,}",
         f"{each.nothing:,}",
         f"{each.undefined:,}",
@@ -327,13 +268,13 @@ def _note(each: Verdict, limit: float) -> str:
     """Why a verdict is what it is, where that is more than its interval says as printed."""
     if each.qualified or each.low is None or each.high is None:
         return each.why
-    return each.why if number(limit) in with_interval(each.estimate, each.low, each.high) else ""
+    return each.why if three_digits(limit) in three_digits_with_interval(each.estimate, each.low, each.high) else ""
 
 
 def _where(plan: Plan, requirement: Requirement) -> list[str]:
     """The trackers, conditions and parts of the runs that a requirement is about, if not all."""
     given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
-    return [f"{key} {' or '.join(map(shown, values))}" for key, values in given.items()]
+    return [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
 
 
 def _limit(requirement: Requirement) -> tuple[float, bool]:
@@ -345,7 +286,7 @@ def _limit(requirement: Requirement) -> tuple[float, bool]:
 
 def _axis(limit: float, least: bool, span: tuple[float, float]) -> str:
     side = "at least" if least else "at most"
-    return f"{number(span[0])} to {number(span[1])}; shaded: {side} {number(limit)}"
+    return f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side} {three_digits(limit)}"
 
 
 def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdict]]:

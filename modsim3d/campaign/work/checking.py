@@ -340,7 +340,7 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
     try:
         rules_of(keys.score)
     except ModsimError as error:
-        yield f"score: {str(error).replace('--similarity', 'similarity').replace('--scale', 'scale_px')}"
+        yield f"score: {error}"
 
 
 def _vary_problems(keys: CampaignKeys) -> Iterator[str]:

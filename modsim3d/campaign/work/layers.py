@@ -27,7 +27,7 @@ from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.files.stored_tables import truth_of
 from modsim3d.runs.files.table_columns import BOX_SIDES
 from modsim3d.runs.files.tables import indices, integer_column, number_column
-from modsim3d.runs.pipeline import Simulation, detected_block, open_renderer, scene_census, step_ranges, truth_block
+from modsim3d.runs.pipeline import Simulation, detected_block, open_renderer, scene_statistics, step_ranges, truth_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.scene import Scene
@@ -357,6 +357,6 @@ def tracks_of(rows: RunRows, named: NamedTracker) -> Tracks:
 
 def detected(scene: Scene, truth: TruthLayer) -> dict[str, pa.Table]:
     """The tables of a run, by their names: those that `run_scene` would write."""
-    simulation = Simulation(scene, scene_census(scene, truth.blocks))
+    simulation = Simulation(scene, scene_statistics(scene, truth.blocks))
     made = [simulation.detect(*block) for block in truth.blocks]
     return {name: pa.concat_tables([table(block, scene) for block in made]) for name, (_, table) in TABLES.items()}

@@ -21,7 +21,13 @@ from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, PrecisionR
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, BoxErrorLaw
 from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope
 from modsim3d.detector.false_positive_placement import Placement
-from modsim3d.detector.false_positives import CLUTTER_MODELS, FalsePositiveOptions, FixedSize, LognormalSize, Sizes
+from modsim3d.detector.false_positives import (
+    FALSE_POSITIVE_MODELS,
+    FalsePositiveOptions,
+    FixedSize,
+    LognormalSize,
+    Sizes,
+)
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (
     ConfidenceKeys,
@@ -79,7 +85,7 @@ RATE_TOLERANCE = 0.01
 
 def agreement_problems(file: DetectorFile) -> list[str]:
     """One line for each contradiction, with its path."""
-    problems = _clutter_problems(file) + _dropout_problems(file)
+    problems = _false_positive_problems(file) + _dropout_problems(file)
     least, asked = file.confidence_threshold, file.operating_threshold
     if asked is not None and asked < least:
         problems.append(f"operating_threshold: is {asked:g}, must be at least {least:g}, the confidence_threshold")
@@ -102,10 +108,10 @@ def _own_dropout(file: DetectorFile) -> dict[str, EffectsSection]:
     return {name: state.dropout for name, state in file.states.items()}
 
 
-def _clutter_problems(file: DetectorFile) -> list[str]:
+def _false_positive_problems(file: DetectorFile) -> list[str]:
     keys = file.false_positives
     problems = []
-    if CLUTTER_MODELS[keys.model].side_px is not None:
+    if FALSE_POSITIVE_MODELS[keys.model].side_px is not None:
         own = ("placement", "far_half_px", "size", "persistence")
         given = [key for key in own if key in keys.model_fields_set]
         problems += [
@@ -127,7 +133,7 @@ def _rate_problems(file: DetectorFile) -> list[str]:
     """The rate is where the model looks for it; one of each image is nowhere else."""
     keys = file.false_positives
     given = {name: state.false_positives_per_image is not None for name, state in file.states.items()}
-    if CLUTTER_MODELS[keys.model].rate_key == "false_positives_per_image":
+    if FALSE_POSITIVE_MODELS[keys.model].rate_key == "false_positives_per_image":
         if keys.rate is not None or all(given.values()):
             return []
         missing = ", ".join(name for name, there in given.items() if not there)
@@ -149,7 +155,7 @@ def _extra_problems(path: str, state: StateSection, file: DetectorFile) -> list[
     """Second boxes are false positives too, so the false discovery rate must leave room for them."""
     keys = file.false_positives
     rate, extra = state.false_discovery_rate, keys.duplicates + keys.splits
-    if rate is None or not CLUTTER_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
+    if rate is None or not FALSE_POSITIVE_MODELS[keys.model].counts_second_boxes or rate / (1 - rate) >= extra - 1e-12:
         return []
     return [
         f"{path}.false_discovery_rate: {rate:g} leaves room for {rate / (1 - rate):.3g} false detections for each true "
@@ -171,7 +177,7 @@ def _curve_problems(path: str, state: StateSection, file: DetectorFile) -> list[
             + " to ".join(f"{rate:g}" for rate in dict.fromkeys((min(found), max(found))))
             + " of the vessels: a curve ends at the recall that the detector has"
         )
-    rate = state.false_discovery_rate if CLUTTER_MODELS[file.false_positives.model].counts_second_boxes else None
+    rate = state.false_discovery_rate if FALSE_POSITIVE_MODELS[file.false_positives.model].counts_second_boxes else None
     if rate is not None and abs(precision - (1 - rate)) > RATE_TOLERANCE:
         problems.append(
             f"{path}.confidence.precision_recall: ends at precision {precision:g}, but false_discovery_rate {rate:g} "
@@ -268,7 +274,7 @@ def _model(content: DetectorFile) -> DetectorModel:
         dropout=_dropout(content),
         gates=Gates(**content.gates.model_dump()),
         persistence=Persistence(**content.persistence.model_dump()),
-        clutter=_clutter(content.false_positives),
+        false_positives=_false_positives(content.false_positives),
         merges_and_splits=MergesAndSplits(
             **{field.name: getattr(content.false_positives, field.name) for field in fields(MergesAndSplits)}
         ),
@@ -335,7 +341,7 @@ def _effects(section: EffectsSection) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def _clutter(section: FalsePositivesSection) -> FalsePositiveOptions:
+def _false_positives(section: FalsePositivesSection) -> FalsePositiveOptions:
     persistent = section.persistence
     density = None if section.density is None else read_only(section.density)
     return FalsePositiveOptions(

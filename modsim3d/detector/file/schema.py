@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from modsim3d.core.arrays import Array
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS
-from modsim3d.detector.false_positives import CLUTTER_MODELS
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS
 from modsim3d.detector.file.schema_models import (
     ConfidenceSection,
     DropoutSection,
@@ -212,7 +212,7 @@ Transition = Annotated[list[list[Probability]], _against("states", transition_pr
 Confusion = Annotated[list[list[Probability]], _against("labels", confusion_problems)]
 LabelDistribution = Annotated[list[Probability], _against("labels", distribution_problems)]
 StateName = Annotated[Name, _against("states", _unknown_state)]
-ClutterName = Annotated[Name, _one_of(CLUTTER_MODELS, "model")]
+FalsePositiveModelName = Annotated[Name, _one_of(FALSE_POSITIVE_MODELS, "model")]
 ErrorLawName = Annotated[Name, _one_of(ERROR_DISTRIBUTIONS, "law")]
 DegreesOfFreedom = Annotated[Number, _checked_by(_freedom_problems)]
 FalseDiscoveryRate = Annotated[Number, _checked_by(_discovery_problems)]
@@ -262,7 +262,7 @@ class StateSection(Strict):
 class FalsePositivesSection(FalsePositiveKeys):
     """Model of false positives and their properties."""
 
-    model: ClutterName = "calibrated"
+    model: FalsePositiveModelName = "calibrated"
 
 
 class DetectorFile(Strict):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modsim3d.detector.dropout import ATTRIBUTES
-from modsim3d.detector.false_positives import CLUTTER_MODELS
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS
 from modsim3d.detector.file.reading import file_of
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.model import DetectorModel
@@ -97,16 +97,16 @@ def _unread_keys(file: DetectorFile) -> Iterator[UnreadKey]:
 
 def _unread_rates(file: DetectorFile, states: list[str]) -> Iterator[UnreadKey]:
     """Rates of false positives of which the model reads another, and what false positives have where there are none."""
-    clutter, rates = file.false_positives, dict[str, tuple[str, float | None]]()
+    false_positives, rates = file.false_positives, dict[str, tuple[str, float | None]]()
     for name, state in file.states.items():
         path, own = f"states.{name}.false_discovery_rate", state.false_positives_per_image
         rates[name] = path, state.false_discovery_rate
-        if CLUTTER_MODELS[clutter.model].rate_key == "false_positives_per_image":
+        if FALSE_POSITIVE_MODELS[false_positives.model].rate_key == "false_positives_per_image":
             rates[name] = f"states.{name}.false_positives_per_image", own
             if own is None:
-                rates[name] = "false_positives.rate", clutter.rate
+                rates[name] = "false_positives.rate", false_positives.rate
             yield UnreadKey(
-                path, f"model {clutter.model} does not read it: set detector.{rates[name][0]}", is_dead=True
+                path, f"model {false_positives.model} does not read it: set detector.{rates[name][0]}", is_dead=True
             )
     used = tuple(rates[name][0] for name in states)
     if "false_positives.rate" not in used:
@@ -137,12 +137,16 @@ def _unread_effects(file: DetectorFile, states: list[str]) -> Iterator[UnreadKey
 
 def _switched_off(file: DetectorFile) -> Iterator[UnreadKey]:
     """Keys that another one switches off."""
-    clutter, prefix = file.false_positives, "false_positives"
+    false_positives, prefix = file.false_positives, "false_positives"
     switches: list[tuple[str, str, object]] = [
-        (f"{prefix}.merge_overlap", f"{prefix}.merges", clutter.merges),
-        ("persistence.merge_s", f"{prefix}.merges", clutter.merges),
-        (f"{prefix}.split_aspect", f"{prefix}.splits", clutter.splits),
-        (f"{prefix}.persistence", f"{prefix}.persistence.share", clutter.persistence and clutter.persistence.share),
+        (f"{prefix}.merge_overlap", f"{prefix}.merges", false_positives.merges),
+        ("persistence.merge_s", f"{prefix}.merges", false_positives.merges),
+        (f"{prefix}.split_aspect", f"{prefix}.splits", false_positives.splits),
+        (
+            f"{prefix}.persistence",
+            f"{prefix}.persistence.share",
+            false_positives.persistence and false_positives.persistence.share,
+        ),
     ]
     for name, state in file.states.items():
         path = f"states.{name}.confidence"

@@ -144,7 +144,7 @@ def _distance_problems(model: DetectorModel, depth_m: Array) -> Iterator[str]:
 
 
 def _horizon_problems(model: DetectorModel) -> Iterator[str]:
-    placement = model.clutter.placement
+    placement = model.false_positives.placement
     needed = "needs the horizon: give --horizon ROW, or X1,Y1,X2,Y2 where it is tilted, or leave it out with "
     if placement.band_px is not None:
         without = "--set detector.false_positives.placement=uniform --set detector.false_positives.band_px=null"
@@ -155,14 +155,14 @@ def _horizon_problems(model: DetectorModel) -> Iterator[str]:
 
 def _left_out(model: DetectorModel) -> list[str]:
     """Remark on what a horizon would have changed."""
-    if model.clutter.placement.density is not None:
+    if model.false_positives.placement.density is not None:
         return []
     where = "false positives lie anywhere in the image, also in the sky: --horizon would keep them on the sea"
-    return [where] if _has_clutter(model) else []
+    return [where] if _has_false_positives(model) else []
 
 
-def _has_clutter(model: DetectorModel) -> bool:
-    return any(getattr(state, model.clutter.numbers.rate_key) > 0 for state in model.states)
+def _has_false_positives(model: DetectorModel) -> bool:
+    return any(getattr(state, model.false_positives.numbers.rate_key) > 0 for state in model.states)
 
 
 FORMAT = 1
@@ -262,7 +262,7 @@ def detect_truth(
     if frame_rate_hz is not None and not 0 < frame_rate_hz < math.inf:
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate_hz:g})"])
     if seed < 0:
-        raise InputError("--seed", [f"must be 0 or more (got {seed})"])
+        raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
         model, file = choose_detector(detector, settings=settings, state=state, state_from=state_from)
         options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz)

@@ -104,9 +104,9 @@ def detected_parts(
         list(_blocks(video, *of_video, sought, tracks, start_s, sea))
         for video, of_video in zip(videos, rows, strict=True)
     ]
-    census = target_statistics(model, ((block.frames, block.targets) for of_video in blocks for block in of_video))
+    statistics = target_statistics(model, ((block.frames, block.targets) for of_video in blocks for block in of_video))
     for video, of_video in zip(videos, blocks, strict=True):
-        detector = Detector(model, seed, census, _clock(video.times_s - start_s))
+        detector = Detector(model, seed, statistics, _clock(video.times_s - start_s))
         for block in of_video:
             detections = detector.detect(block.frames, block.targets)
             yield VideoChunk(video, block.frames.steps, block.rows, block.frame, block.target_rows, detections)

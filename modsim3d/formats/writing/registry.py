@@ -59,7 +59,7 @@ FORMATS = {
     "mot": Format("mot", "sequences of MOTChallenge for trackers and their evaluators"),
     "coco": Format("coco", "gt.json and dt.json", options=("--masks",)),
     "yolo": Format("yolo", "labels, predictions and data.yaml"),
-    "csv": Format("csv", "tables with bearings and positions", options=("--attitude",)),
+    "csv": Format("csv", "tables with bearings and positions", options=("--true-attitude",)),
     "mcap": Format("mcap", "ROS 2 bags: detections, and truth apart"),
     "ais": Format("ais.log", "the log of an AIS receiver, ais.nmea, and ais_truth.csv"),
 }

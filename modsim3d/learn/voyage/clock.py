@@ -13,6 +13,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.errors import InputError
+from modsim3d.core.text import duration_text
 from modsim3d.io.misreadings import other_unit
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import shown
@@ -237,18 +238,10 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
     ):
         zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
     order = "after the scene's last step" if later else "before the scene's first step"
-    raise InputError(log.source, [f"{spans}: the log is {order}, by {_duration(float(apart_s))}{zones}{unit}"])
+    raise InputError(log.source, [f"{spans}: the log is {order}, by {duration_text(float(apart_s))}{zones}{unit}"])
 
 
 def _unit(times_s: Array, kind: Clock, length_s: float) -> str:
     """The unit that times are in; Unix times that are in the future are none."""
     past = kind is Clock.UTC and times_s.max(initial=0.0) < time.time() + 24 * _HOUR_S
     return "" if past else other_unit(times_s, length_s) or ": they are in the future" * (kind is Clock.UTC)
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 2 * 60:
-        return f"{seconds:.3g} s"
-    if seconds < 2 * _HOUR_S:
-        return f"{seconds / 60:.1f} minutes"
-    return f"{seconds / _HOUR_S:.1f} hours" if seconds < 48 * _HOUR_S else f"{seconds / _HOUR_S / 24:,.1f} days"

@@ -354,8 +354,8 @@ def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None
 
 _VESSELS = "vessels.json"
 _HEAD = (
-    "Scene '{name}', with its cameras as they were registered; made by `modsim3d learn --write-scene`.",
-    "registration.json has the clocks of the logs, which `modsim3d learn --scene` adds to their times.",
+    "Scene '{name}', with its cameras as they were registered; made by `modsim3d learn-voyage --write-scene`.",
+    "registration.json has the clocks of the logs, which `modsim3d learn-voyage` adds to their times.",
 )
 
 

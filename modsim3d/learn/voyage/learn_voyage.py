@@ -4,20 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
+from modsim3d.core.text import counted
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.io.input_files import inputs_noted
-from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions, least_confidence
+from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.learning import LearnResult
-from modsim3d.learn.model_selection import left_out
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.report_page import Sources
+from modsim3d.learn.request import LearnRequest
 from modsim3d.learn.voyage.attitude import read_attitude
 from modsim3d.learn.voyage.camera_registration import (
     KnownMeans,
@@ -30,7 +33,15 @@ from modsim3d.learn.voyage.camera_registration import (
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.deconvolution import report_less_truth_noise
 from modsim3d.learn.voyage.exclusions import stale_limit_s
-from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registered, Registrar, VoyageOptions, labelled_voyage
+from modsim3d.learn.voyage.labelled_voyage import (
+    CONDITION,
+    LabelledVoyage,
+    Registered,
+    Registrar,
+    VoyageOptions,
+    joined_voyages,
+    labelled_voyage,
+)
 from modsim3d.learn.voyage.log_to_scene import Correction, on_scene
 from modsim3d.learn.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.learn.voyage.logs.reading import read_log
@@ -43,10 +54,6 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 
 Method = Literal["confidence", "optimal", "centre"]
-NO_SHIFT = (
-    "--bias and --correct are not for --scene: a simulation of what was learned has neither vessels without a "
-    "transponder nor errors of truth, so that it would show another shift"
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,12 +91,9 @@ def learn_from(
     Raises:
         ModsimError: Nothing can be learned, or no frame is in a stretch.
     """
-    if options.bias:
-        raise ModsimError(NO_SHIFT)
     noise = TruthNoise.of(voyage.scene, position_m)
     labelled = voyage.labelled if noise.std.any() else with_sure_boxes(voyage.labelled)
     report, judged = learn_beside_unseen(labelled, settings, options, stretches)
-    report = replace(report, near_gate=replace(report.near_gate, simulated=False))
     report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
     told = VoyageReport.of(voyage, judged, taken_off, report, settings.replicates, settings.seed)
     return report, told
@@ -98,6 +102,107 @@ def learn_from(
 def with_sure_boxes(labelled: LabelledSet) -> LabelledSet:
     """The set of a scene whose vessels are surely where it has them, so that what is hidden of them is known."""
     return replace(labelled, annotations=replace(labelled.annotations, unsure_box=None))
+
+
+@dataclass(frozen=True, eq=False)
+class VoyageRequest:
+    """A scene, the logs of its cameras' detectors, and how a detector is learned; the rest is as for `learn_voyage`.
+
+    Attributes:
+        request: How it is learned, as from any labelled set.
+        logs: What the detector wrote.
+        cameras: The scene's camera of each log, or one for all; None where the log says it or there is one only.
+    """
+
+    request: LearnRequest
+    scene: Scene
+    logs: tuple[Path, ...]
+    cameras: tuple[str | None, ...] = (None,)
+    registration: Correction | Registrar | Registering | None = None
+    fixed: str | Sequence[str] = ()
+    known: str | Mapping[str, float] | KnownMeans | None = None
+    empty: str | None = None
+    position_noise: float | None = None
+    stale_s: float | None = None
+    attitude: Path | None = None
+    log_options: LogOptions = NO_OPTIONS
+
+    def __post_init__(self) -> None:
+        """Check what can be checked before a log is read.
+
+        Raises:
+            ModsimError: There is no log, not a name or a camera for each, or a value is wrong.
+        """
+        if self.registration is not None and (self.fixed or self.known):
+            caller = self.request.caller
+            raise ModsimError(f"{caller}: fixed and known are for a registration that is estimated, and one is given")
+        if not self.logs:
+            raise ModsimError("nothing to learn from: --detections is needed, the log of a camera's detector")
+        if self.request.conditions and len(self.request.conditions) != len(self.logs):
+            counts = f"{len(self.request.conditions)} conditions are named for {counted(len(self.logs), 'log')}"
+            raise ModsimError(f"{counts}: name each")
+        if len(self.cameras) not in (1, len(self.logs)):
+            given = f"--camera is given {len(self.cameras)} times, with {counted(len(self.logs), 'log')}"
+            raise ModsimError(f"{given}: give it once for all, or for each in their order")
+        check_known(parse_known(self.known), parse_fixed(self.fixed))
+
+    @cached_property
+    def position_m(self) -> float:
+        """Standard deviation of each coordinate of positions."""
+        return position_noise_m(self.scene, self.position_noise)
+
+    @cached_property
+    def stretches(self) -> tuple[TimeSpan, ...]:
+        """Stretches in which nothing floats but the scene's vessels."""
+        return () if self.empty is None else parse_stretches(self.empty, SceneClock.of(self.scene).start_s)
+
+    @property
+    def files(self) -> list[Path]:
+        """Files of the scene and of logs that are runs, which are not written over either."""
+        of_runs = [path for log in self.logs if (log / RUN_FILE).is_file() for path in read_of_run(log)]
+        return [*self.scene.copy.read, *of_runs]
+
+    def labelled(self) -> LabelledVoyage:
+        """The logs with the truth of the scene, once its cameras are registered.
+
+        Raises:
+            ModsimError: A log is wrong or given twice, or a camera cannot be registered.
+        """
+        attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
+        registration = self.registration
+        if registration is None:
+            least = MIN_CONFIDENCE if self.request.confidence is None else self.request.confidence
+            known, fixed = parse_known(self.known), parse_fixed(self.fixed)
+            registration = Registering(fixed, self.position_m, least, attitude, known)
+        names = self.request.conditions or (CONDITION,) * len(self.logs)
+        cameras = self.cameras * (len(self.logs) // len(self.cameras))
+        scene_logs, read = [], set()
+        for path, camera in zip(self.logs, cameras, strict=True):
+            if (path.resolve(), camera) in read:
+                raise ModsimError(f"--detections {path} is given twice: its frames would count twice")
+            read.add((path.resolve(), camera))
+            scene_logs.append(on_scene(read_log(path, self.log_options), self.scene, camera))
+        check_stretches(self.stretches, np.concatenate([log.time_s for log in scene_logs]))
+        stale_s = stale_limit_s(self.scene, self.stale_s)
+        options_of = (VoyageOptions(registration, stale_s, attitude, name) for name in names)
+        return joined_voyages([labelled_voyage(*each) for each in zip(scene_logs, options_of, strict=True)])
+
+    def learn(self, voyage: LabelledVoyage, read: Sequence[Path], call: str) -> VoyageResult:
+        """Learn a detector.
+
+        Args:
+            voyage: The logs with the truth of the scene.
+            read: Files that were read for it.
+            call: The command, or the call from Python, for the page.
+
+        Raises:
+            ModsimError: Nothing can be learned.
+        """
+        settings = self.request.settings(voyage.labelled, self.position_m)
+        report, told = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
+        files = (*dict.fromkeys([*read, *self.files]),)
+        sources = Sources((self.scene.path,) * len(self.logs), self.logs, (), files, settings, call)
+        return VoyageResult(report, files, sources, voyage_sections(told), told=told)
 
 
 def learn_voyage(
@@ -155,31 +260,21 @@ def learn_voyage(
             or nothing can be learned.
         TypeError: The scene, the log or the attitude is no path.
     """
-    path = as_path(log, "log")
-    if registration is not None and (fixed or known):
-        raise ModsimError("learn_voyage: fixed and known are for a registration that is estimated, and one is given")
-    with inputs_noted() as inputs:
+    request = LearnRequest.of(
+        "learn_voyage",
+        match=match,
+        least_iou=least_iou,
+        most_distance_px=most_distance_px,
+        confidence=confidence,
+        replicates=replicates,
+        seed=seed,
+        without=without,
+    )
+    measured = None if attitude is None else as_path(attitude, "attitude")
+    about = (registration, fixed, known, empty, position_noise, stale_s, measured, log_options)
+    logs = (as_path(log, "log"),)
+    with inputs_noted() as read:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-        read = on_scene(read_log(path, log_options), loaded, camera)
-        measured = None if attitude is None else read_attitude(as_path(attitude, "attitude"), loaded)
-        position_m = position_noise_m(loaded, position_noise)
-        stretches = parse_stretches(empty, SceneClock.of(loaded).start_s) if empty else ()
-        check_stretches(stretches, read.time_s)
-        if registration is None:
-            least = MIN_CONFIDENCE if confidence is None else confidence
-            registration = Registering(parse_fixed(fixed), position_m, least, measured, parse_known(known))
-            check_known(registration.known, registration.fixed)
-        voyage = labelled_voyage(read, VoyageOptions(registration, stale_limit_s(loaded, stale_s), measured))
-    rule = Rule(match or usual_method(voyage.labelled, position_m), least_iou, most_distance_px)
-    least = least_confidence(voyage.labelled, confidence)
-    settings = LearnSettings(rule, least, replicates, seed, without=left_out(without, "learn_voyage: without"))
-    report, told = learn_from(voyage, settings, LearnOptions(), stretches, position_m)
-    files = (*dict.fromkeys([*inputs, *read_besides(loaded, path)]),)
-    call = "modsim3d.learn_voyage(…).write(…) from Python"
-    sources = Sources((loaded.path,), (path,), (), files, settings, call)
-    return VoyageResult(report, files, sources, voyage_sections(told), told=told)
-
-
-def read_besides(scene: Scene, log: Path) -> list[Path]:
-    """Files of a scene and of a log that is a run, which are not written over either."""
-    return [*scene.copy.read, *(read_of_run(log) if (log / RUN_FILE).is_file() else [])]
+        voyage = VoyageRequest(request, loaded, logs, (camera,), *about)
+        labelled = voyage.labelled()
+    return voyage.learn(labelled, read, "modsim3d.learn_voyage(…).write(…) from Python")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -145,7 +145,7 @@ def _degrees(text: str, option: str, form: str) -> list[float]:
     return values
 
 
-def parse_labels(texts: Sequence[str]) -> dict[str, str]:
+def parse_labels(texts: Iterable[str]) -> dict[str, str]:
     """Labels by group, from texts such as `passenger=Ferry`.
 
     Raises:

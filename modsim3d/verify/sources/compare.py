@@ -109,7 +109,7 @@ AGREED_PX, AGREED_FIRST = 1.0, 1e6
 
 @dataclass(frozen=True, eq=False)
 class SourceComparison:
-    """Result of `modsim3d compare` over all frames that it looked at, and the figures of `compare.json`."""
+    """Result of `modsim3d check truth` over all frames that it looked at, and the figures of `compare.json`."""
 
     findings: Findings
     figures: ComparisonFigures
@@ -129,7 +129,7 @@ def compare_sources(
     """
     if scene.live:
         raise ModsimError(
-            f"{scene.title}: compare needs a scene whose steps are known, and this one is live: run it, and "
+            f"{scene.title}: check truth needs a scene whose steps are known, and this one is live: run it, and "
             "compare a scene with poses: {file: poses.jsonl} of its run directory"
         )
     steps = np.arange(0, scene.steps, every)

@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.document import Figure
 from modsim3d.scene.ais.messages import local_metres
 from modsim3d.scene.ais.scene_folder import CAMERA_HALF_ANGLE_RAD
 from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
 from modsim3d.view.pages.charts import colour_of, nice_ticks, svg, svg_text, tick_text
+from modsim3d.view.pages.tables import scrolling
 
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
@@ -78,7 +80,7 @@ class _MapArea:
         return on_map
 
 
-def traffic_map(traffic: AisTraffic) -> str:
+def traffic_map(traffic: AisTraffic) -> Figure:
     """The map: tracks, reports, positions that were removed, and the camera."""
     camera_m = np.array([traffic.camera.position_m[:2]])
     jumps_m = np.concatenate([vessel.jumps_m for vessel in traffic.vessels])
@@ -105,8 +107,8 @@ def traffic_map(traffic: AisTraffic) -> str:
         f" Of long tracks at most {most} points are drawn." if _any_longer(traffic, most) else "",
         f" The {MAX_NAMES} longest vessels have names." if len(traffic.vessels) > MAX_NAMES else "",
     ]
-    drawing = svg(WIDTH, round(area.height, 1), "map of the traffic", "\n".join(part for part in parts if part))
-    return _wide(drawing, "".join(caption))
+    content = "\n".join(part for part in parts if part)
+    return _wide(round(area.height, 1), "map of the traffic", content, "".join(caption))
 
 
 def _not_far(places_m: Array, others_m: Array) -> Array:
@@ -125,11 +127,9 @@ def _any_longer(traffic: AisTraffic, most: int) -> bool:
     return any(len(vessel.steps) > most for vessel in traffic.vessels)
 
 
-def _wide(drawing: str, caption: str) -> str:
+def _wide(height: float, label: str, content: str, caption: str) -> Figure:
     """A drawing that narrow screens scroll, so that its text stays legible."""
-    wide = drawing.replace('style="max-width:100%', 'style="max-width:100%;min-width:640px', 1)
-    inner = f'<div style="overflow-x:auto">\n{wide}</div>'
-    return f"<figure>\n{inner}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
+    return Figure(lambda: scrolling(svg(WIDTH, height, label, content, "long")), caption)
 
 
 def _grid(area: _MapArea) -> str:
@@ -242,7 +242,7 @@ def _names(traffic: AisTraffic, area: _MapArea) -> str:
     return f"<g {style}>{''.join(texts)}</g>"
 
 
-def presence_chart(traffic: AisTraffic, caption: str) -> str:
+def presence_chart(traffic: AisTraffic, caption: str) -> Figure:
     """A lane for each vessel: bars while it is in the scene, and dots at its reports."""
     shown = sorted(traffic.vessels, key=lambda vessel: (len(vessel.steps), vessel.mmsi))[:MAX_LANES]
     shown = sorted(shown, key=lambda vessel: vessel.mmsi)
@@ -257,7 +257,7 @@ def presence_chart(traffic: AisTraffic, caption: str) -> str:
             f'<text x="{x:.1f}" y="{height - 16:.1f}" text-anchor="middle" fill="var(--soft)">{seconds:g}</text>'
         )
     parts.append(f'<text x="{WIDTH - 12}" y="{height - 3:.1f}" text-anchor="end" fill="var(--soft)">seconds</text>')
-    return _wide(svg(WIDTH, height, "when each vessel is in the scene", "\n".join(parts)), caption)
+    return _wide(height, "when each vessel is in the scene", "\n".join(parts), caption)
 
 
 def _lane(vessel: VesselTrack, y: float, times_s: Array, scale: float) -> str:

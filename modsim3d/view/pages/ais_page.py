@@ -7,14 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from modsim3d.core.text import counted
+from modsim3d.core.document import Block, Document, Heading, Items, Table, Text
+from modsim3d.core.text import UNKNOWN, counted, percent_of
 from modsim3d.scene.ais.gathering import SHOWN_PROBLEMS
 from modsim3d.scene.ais.options import Options, time_text
 from modsim3d.scene.ais.scene_folder import REASONS, messages_read, messages_used, summary_rows, warning
 from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
-from modsim3d.view.pages import page
 from modsim3d.view.pages.ais_drawings import MAX_LANES, presence_chart, traffic_map
+from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance, file_input
 
 MAX_ROWS = 200
@@ -35,17 +36,6 @@ def ais_page(traffic: AisTraffic, command: str | None = None) -> str:
         traffic: What became of the reports.
         command: What the page says it was made by; the call from Python if None.
     """
-    body = [
-        *_result(traffic),
-        traffic_map(traffic),
-        *_vessels(traffic),
-        *_left_out(traffic),
-        *_messages(traffic),
-        *_jumps(traffic),
-        *_times(traffic),
-        *_values(traffic),
-        *_how(traffic),
-    ]
     rests_on = Provenance(
         page="traffic from AIS",
         made_by=command or "modsim3d.view.pages.ais_page.ais_page from Python",
@@ -55,10 +45,20 @@ def ais_page(traffic: AisTraffic, command: str | None = None) -> str:
         ),
         options=tuple((option, why) for option, why in _options(traffic)),
     )
-    return page.page("Traffic from AIS", body, rests_on)
+    blocks = [
+        traffic_map(traffic),
+        *_vessels(traffic),
+        *_left_out(traffic),
+        *_messages(traffic),
+        *_jumps(traffic),
+        *_times(traffic),
+        *_values(traffic),
+        *_how(traffic),
+    ]
+    return document_page(Document("Traffic from AIS", _result(traffic), blocks), rests_on)
 
 
-def _result(traffic: AisTraffic) -> list[str]:
+def _result(traffic: AisTraffic) -> list[Text]:
     kept, grid = len(traffic.vessels), traffic.grid
     span = f"from {_time(grid.start_s)} to {_time(grid.end_s)}"
     steps = f"{counted(len(grid.timestamps), 'step')}, one every {traffic.options.time_step_s:g} s"
@@ -71,9 +71,9 @@ def _result(traffic: AisTraffic) -> list[str]:
     bad = [f"Warning: {text}" for text in (warning(traffic),) if text]
     bad += [f"The farthest position is {far}."] if "where the plane" in far else []
     return [
-        page.paragraph(lead, "lead"),
-        *(page.paragraph(text, "bad") for text in bad),
-        page.paragraph(f"{used}; {removed}; {sizes}. Air draft is not in AIS: it is typical of the ship type."),
+        Text(lead, "lead"),
+        *(Text(text, "bad") for text in bad),
+        Text(f"{used}; {removed}; {sizes}. Air draft is not in AIS: it is typical of the ship type."),
     ]
 
 
@@ -96,7 +96,7 @@ def _reason(name: str, traffic: AisTraffic) -> str:
     return REASONS[name].format(max_speed_kn=traffic.options.max_speed_kn)
 
 
-def _vessels(traffic: AisTraffic) -> list[str]:
+def _vessels(traffic: AisTraffic) -> list[Block]:
     header = (
         *("MMSI", "name", "type", "label", "length, m", "beam, m", "air draft, m"),
         *("centre from antenna", "guessed from the type"),
@@ -104,7 +104,7 @@ def _vessels(traffic: AisTraffic) -> list[str]:
     rows = [
         (
             str(vessel.mmsi),
-            _shown(vessel.hull.name) or page.UNKNOWN,
+            _shown(vessel.hull.name) or UNKNOWN,
             vessel.hull.group.replace("_", " "),
             _shown(traffic.options.label(vessel.hull.group)),
             *(f"{value:g}" for value in (vessel.hull.length_m, vessel.hull.beam_m, vessel.hull.air_draft_m)),
@@ -117,7 +117,7 @@ def _vessels(traffic: AisTraffic) -> list[str]:
         "Ships report the place of their antenna; the scene has the centres of hulls, moved by what the table says. "
         "Where a size is guessed, it is that of a typical ship of the type, and the antenna is in the middle."
     )
-    return [page.heading("Vessels in the scene"), page.paragraph(said), *_limited(rows, header)]
+    return [Heading("Vessels in the scene"), Text(said), *_limited(rows, header)]
 
 
 def _offset(vessel: VesselTrack) -> str:
@@ -128,50 +128,49 @@ def _offset(vessel: VesselTrack) -> str:
     return ", ".join(part for part in (along, across) if part) or "the same"
 
 
-def _left_out(traffic: AisTraffic) -> list[str]:
+def _left_out(traffic: AisTraffic) -> list[Block]:
     lost = _lost(traffic)
     stations = sum(set(reasons) == {NOT_SHIPS} for reasons in traffic.left_out.values())
     others = "1 other sender is no ship" if stations == 1 else f"{stations:,} other senders are no ships"
     also = f" {others}: {REASONS[NOT_SHIPS]}." if stations else ""
-    parts = [page.heading("Vessels that are not in the scene")]
+    parts: list[Block] = [Heading("Vessels that are not in the scene")]
     if not lost:
-        return [*parts, page.paragraph(f"None: every vessel with a position is in the scene.{also}")]
+        return [*parts, Text(f"None: every vessel with a position is in the scene.{also}")]
     why = Counter(lost.values())
     if len(lost) > MAX_ROWS:  # too many to name: a log of a day, cut to a region
         groups = Counter(reason.rpartition(" (")[0] or reason for reason in lost.values())
         rows = [
             (reason, f"{count:,}") for reason, count in sorted(groups.items(), key=lambda item: (-item[1], item[0]))
         ]
-        return [*parts, *_limited(rows, ("reason, of its positions", "vessels")), page.paragraph(also.strip())]
+        return [*parts, *_limited(rows, ("reason, of its positions", "vessels")), Text(also.strip())]
     rows = [(str(mmsi), reason) for mmsi, reason in sorted(lost.items(), key=lambda item: (-why[item[1]], item))]
-    also_said = [page.paragraph(also.strip())] if also else []
-    return [*parts, *_limited(rows, ("MMSI", "why, with the number of its positions")), *also_said]
+    return [*parts, *_limited(rows, ("MMSI", "why, with the number of its positions")), Text(also.strip())]
 
 
-def _messages(traffic: AisTraffic) -> list[str]:
+def _messages(traffic: AisTraffic) -> list[Block]:
     read, used = messages_read(traffic), messages_used(traffic)
     particulars = traffic.dropped["particulars_only"]
     tables = dict(summary_rows(traffic))
     rows = [
         ("read", f"{read:,}", ""),
-        ("used as positions", f"{used:,}", _share(used, read)),
-        ("with names and dimensions only", f"{particulars:,}", _share(particulars, read)),
+        ("used as positions", f"{used:,}", percent_of(used, read)),
+        ("with names and dimensions only", f"{particulars:,}", percent_of(particulars, read)),
     ]
     rows += [
-        (f"dropped: {meaning}", f"{int(count):,}", _share(int(count), read))
+        (f"dropped: {meaning}", f"{int(count):,}", percent_of(int(count), read))
         for _, count, meaning in tables["messages dropped"]
     ]
-    parts = [page.heading("Messages"), page.table(rows, ("messages", "number", "share"))]
+    parts: list[Block] = [Heading("Messages"), Table("", ("messages", "number", "share"), rows)]
     for tally in traffic.files:
         if tally.problems:
             bad = sum(tally.dropped[reason] for reason in ("unreadable", "checksum", "undecodable"))
             shown = f", of which the first {len(tally.problems)}" if bad > SHOWN_PROBLEMS else ""
-            parts.append(page.paragraph(f"{_shown(tally.path.name)}: what could not be read{shown}:"))
-            parts.append(page.table([(_shown(problem),) for problem in tally.problems]))
+            parts.append(Text(f"{_shown(tally.path.name)}: what could not be read{shown}:"))
+            parts.append(Items([_shown(problem) for problem in tally.problems]))
     return parts
 
 
-def _jumps(traffic: AisTraffic) -> list[str]:
+def _jumps(traffic: AisTraffic) -> list[Block]:
     header = ("MMSI", "name", "seconds after the start", "w1, m", "w2, m", "off the track, m")
     rows = [row for vessel in traffic.vessels for row in _jump_rows(vessel)]
     limit = f"{traffic.options.max_speed_kn:g} kn"
@@ -179,8 +178,8 @@ def _jumps(traffic: AisTraffic) -> list[str]:
         f"A position is removed if the vessel can reach it only faster than {limit} from the one before, or the next "
         "one from it. The map has crosses there. All other positions are used as they were reported."
     )
-    parts = [page.heading("Positions removed as jumps"), page.paragraph(said)]
-    return [*parts, *(_limited(rows, header) if rows else [page.paragraph("There are none.")])]
+    parts: list[Block] = [Heading("Positions removed as jumps"), Text(said)]
+    return [*parts, *_limited(rows, header), Text("" if rows else "There are none.")]
 
 
 def _jump_rows(vessel: VesselTrack) -> list[tuple[str, ...]]:
@@ -188,12 +187,12 @@ def _jump_rows(vessel: VesselTrack) -> list[tuple[str, ...]]:
     off_m = np.linalg.norm(vessel.jumps_m - np.stack(way, axis=-1), axis=-1)
     places = zip(vessel.jumps_s.tolist(), vessel.jumps_m.tolist(), off_m.tolist(), strict=True)
     return [
-        (str(vessel.mmsi), _shown(vessel.hull.name) or page.UNKNOWN, f"{s:.0f}", f"{x:.0f}", f"{y:.0f}", f"{d:.0f}")
+        (str(vessel.mmsi), _shown(vessel.hull.name) or UNKNOWN, f"{s:.0f}", f"{x:.0f}", f"{y:.0f}", f"{d:.0f}")
         for s, (x, y), d in places
     ]
 
 
-def _times(traffic: AisTraffic) -> list[str]:
+def _times(traffic: AisTraffic) -> list[Block]:
     longest = f"{traffic.options.max_gap_s:g} s"
     said = (
         "Between two reports a vessel follows the curve that fits their positions, speeds and courses, or a straight "
@@ -206,7 +205,7 @@ def _times(traffic: AisTraffic) -> list[str]:
     rows = [_time_row(vessel, traffic) for vessel in traffic.vessels]
     shown = "" if len(rows) <= MAX_LANES else f", of the {MAX_LANES} vessels that are absent for longest"
     chart = presence_chart(traffic, f"When each vessel is in the scene{shown}. Dots are its reports.")
-    return [page.heading("Between the reports"), page.paragraph(said), chart, *_limited(rows, header)]
+    return [Heading("Between the reports"), Text(said), chart, *_limited(rows, header)]
 
 
 def _time_row(vessel: VesselTrack, traffic: AisTraffic) -> tuple[str, ...]:
@@ -215,20 +214,20 @@ def _time_row(vessel: VesselTrack, traffic: AisTraffic) -> tuple[str, ...]:
     present, steps = len(vessel.steps), len(traffic.grid.timestamps)
     return (
         str(vessel.mmsi),
-        _shown(vessel.hull.name) or page.UNKNOWN,
+        _shown(vessel.hull.name) or UNKNOWN,
         f"{vessel.messages:,}",
-        f"{np.median(apart_s):g}" if len(apart_s) else page.UNKNOWN,
-        f"{bridged.max():g}" if len(bridged) else page.UNKNOWN,
+        f"{np.median(apart_s):g}" if len(apart_s) else UNKNOWN,
+        f"{bridged.max():g}" if len(bridged) else UNKNOWN,
         f"{len(gaps)}",
-        f"{gaps.max():g}" if len(gaps) else page.UNKNOWN,
+        f"{gaps.max():g}" if len(gaps) else UNKNOWN,
         f"{present:,}",
-        _share(present, steps),
+        percent_of(present, steps),
     )
 
 
-def _values(traffic: AisTraffic) -> list[str]:
+def _values(traffic: AisTraffic) -> list[Block]:
     tables = dict(summary_rows(traffic))
-    parts = [page.heading("Values replaced and guessed")]
+    parts: list[Block] = [Heading("Values replaced and guessed")]
     for title, header, nothing in (
         (
             "values replaced, in messages",
@@ -238,14 +237,14 @@ def _values(traffic: AisTraffic) -> list[str]:
         ("defaults, in vessels", ("missing of a vessel: what stands for it", "vessels"), "Nothing was guessed."),
     ):
         rows = [(f"{meaning[:1].upper()}{meaning[1:]}", f"{int(count):,}") for _, count, meaning in tables[title]]
-        parts.append(page.table(rows, header) if rows else page.paragraph(nothing))
+        parts += [Table("", header, rows), Text("" if rows else nothing)]
     return parts
 
 
-def _how(traffic: AisTraffic) -> list[str]:
+def _how(traffic: AisTraffic) -> list[Block]:
     return [
-        page.heading("From latitude and longitude to metres"),
-        page.paragraph(
+        Heading("From latitude and longitude to metres"),
+        Text(
             "The sea is flat: latitude and longitude became metres east (w1) and north (w2) of the origin on the plane "
             f"that touches the Earth there. The farthest position is {_farthest(traffic).partition(',')[0]}.",
         ),
@@ -272,7 +271,7 @@ def _options(traffic: AisTraffic) -> list[tuple[str, str]]:
         rows.append((f"--{name} {value:g}", default if value == unless else given))
     if options.swap_coordinates:
         rows.append(("--swap-coordinates", given))
-    rows.append(("--labels type", given) if options.labels_by_type else ("--labels vessel", default))
+    rows.append(("--label type", given) if options.labels_by_type else ("--label Vessel, for all", default))
     return rows + [(f"--label {group}={_shown(label)}", given) for group, label in sorted(options.labels.items())]
 
 
@@ -281,20 +280,14 @@ def _farthest(traffic: AisTraffic) -> str:
     return " ".join(rows["farthest"])
 
 
-def _limited(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[str]:
+def _limited(rows: Sequence[Sequence[str]], header: Sequence[str]) -> list[Block]:
     """A table of the first rows, and a line that says how many there are."""
-    parts = [page.table(rows[:MAX_ROWS], header)]
-    if len(rows) > MAX_ROWS:
-        parts.append(page.paragraph(f"The first {MAX_ROWS} of {len(rows):,}; report.json has all vessels.", "soft"))
-    return parts
+    more = f"The first {MAX_ROWS} of {len(rows):,}; report.json has all vessels." if len(rows) > MAX_ROWS else ""
+    return [Table("", header, rows[:MAX_ROWS]), Text(more, "soft")]
 
 
 def _time(unix_s: float) -> str:
     return time_text(unix_s).replace("T", " ").replace("Z", " UTC")
-
-
-def _share(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.1f} %" if whole else page.UNKNOWN
 
 
 def _shown(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Charts as SVG inside a page, for what `modsim3d verify` and `modsim3d learn` write.
+"""Charts as SVG inside a page, for what `modsim3d check run` and `modsim3d learn` write.
 
 matplotlib does not draw them: it is an extra, and pages must do without it. Lines and text take the colours of the
 page, light or dark, from its CSS variables.
@@ -44,11 +44,6 @@ def _inked(colour: str) -> str:
 
 
 FOUND, ASKED = colour_of(0), colour_of(1)
-
-
-def figure(drawings: Sequence[str], caption: str) -> str:
-    """Drawings side by side with one caption."""
-    return f"<figure>\n{''.join(drawings)}\n<figcaption>{html.escape(caption)}</figcaption>\n</figure>"
 
 
 @dataclass(frozen=True)

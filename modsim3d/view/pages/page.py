@@ -25,10 +25,9 @@ from modsim3d.core.document import (
     Where,
     shown,
 )
-from modsim3d.core.text import UNKNOWN
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
-from modsim3d.view.pages.tables import TABLE_STYLE, facts, scrolling, table
+from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 
 # ---- How pages are printed ----
 
@@ -90,22 +89,6 @@ def _css_text(text: str) -> str:
     return '"' + re.sub(r"[^\w .,:;?!()%/+·–-]", lambda found: f"\\{ord(found[0]):x} ", text) + '"'
 
 
-__all__ = [
-    "STYLE",
-    "UNKNOWN",
-    "document_page",
-    "facts",
-    "folded",
-    "heading",
-    "image",
-    "listed",
-    "page",
-    "paragraph",
-    "scrolling",
-    "table",
-    "tiles",
-]
-
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2329; --paper: #fbfbf9; --soft: #5c6670; --line: #d5d9dc; --bad: #c22; }
 @media (prefers-color-scheme: dark) {
@@ -163,13 +146,15 @@ def html_of(block: Block) -> str:
         case Text(style="code"):
             return f"<p><code>{html.escape(block.text)}</code></p>"
         case Text():
-            return paragraph(block.text, block.style)
+            mark = f' class="{block.style}"' if block.style else ""
+            return f"<p{mark}>{html.escape(block.text)}</p>"
         case Items():
-            return listed(block.texts)
+            return "<ul>\n" + "\n".join(f"<li>{html.escape(text)}</li>" for text in block.texts) + "\n</ul>"
         case Tiles():
             return tiles(block.results)
         case Figure():
-            return f"<figure>\n{block.draw()}\n<figcaption>{html.escape(block.caption)}</figcaption>\n</figure>"
+            caption = f"<figcaption>{html.escape(block.caption)}</figcaption>\n" if block.caption else ""
+            return f"<figure>\n{block.draw()}\n{caption}</figure>"
         case Fold():
             return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
         case Beside():
@@ -181,26 +166,15 @@ def html_of(block: Block) -> str:
 
 def _table_html(block: Table) -> str:
     title = f"<h3>{html.escape(block.title)}</h3>\n" if block.title else ""
+    title += f'<p class="soft">{html.escape(block.about)}</p>\n' if block.about else ""
     if not block.header and all(len(row) == 2 for row in block.rows):
         return title + facts([(name, text) for name, text in block.texts])
     return title + table(block.rows, block.header, block.bad, soft=block.soft, notes=block.notes)
 
 
-def paragraph(text: str, kind: str = "") -> str:
-    """A paragraph of plain text."""
-    mark = f' class="{kind}"' if kind else ""
-    return f"<p{mark}>{html.escape(text)}</p>"
-
-
 def heading(text: str) -> str:
     """A section's heading."""
     return f"<h2>{html.escape(text)}</h2>"
-
-
-def listed(texts: Iterable[str], kind: str = "") -> str:
-    """A list of plain texts."""
-    mark = f' class="{kind}"' if kind else ""
-    return f"<ul{mark}>\n" + "\n".join(f"<li>{html.escape(text)}</li>" for text in texts) + "\n</ul>"
 
 
 def folded(title: str, content: str, opened: bool = False) -> str:

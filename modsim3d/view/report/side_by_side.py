@@ -52,7 +52,7 @@ def check_same_truth(first: StoredRun, second: StoredRun) -> None:
 def _other_truth(first: StoredRun, second: StoredRun, what: str) -> RunDirectoryError:
     return RunDirectoryError(
         f"{first.folder} and {second.folder} show different truth, in {what}. Runs are compared side by side if their "
-        f"detectors looked at the same: modsim3d detect {first.folder} --detector FILE or --seed N makes one"
+        f"detectors looked at the same: modsim3d detect {first.folder} --detector FILE or --detector-seed N makes one"
     )
 
 

@@ -38,7 +38,7 @@ trackers: [reference, {tracker: fragile, name: fatal, set: {fatal: true}}]
 """
 STILL = "{scene: harbour, steps: 3, seeds: {traffic: 8}, trackers: [reference]}"
 SEQUENTIAL = PLAIN + "require: [{score: hota, at_least: 0.1}]\nstop: sequential\nbatch: 1\n"
-MORTAL = ("exit", "nothing", "abort", "segfault", "kill", "term", "interrupt", "int")
+MORTAL = ("exit", "nothing", "segfault", "kill", "term", "interrupt")
 """How the tracker `mortal` ends its process, once for each of these."""
 _DEATHS = ", ".join(f"{{tracker: mortal, name: {how}, set: {{how: {how}}}}}" for how in MORTAL)
 MORTALS = f"{{scene: harbour, steps: 3, trackers: [reference, {_DEATHS}]}}"

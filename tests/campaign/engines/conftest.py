@@ -53,12 +53,10 @@ DEATHS = {
     "exit": lambda: os._exit(3),
     "nothing": lambda: os._exit(0),
     "system_exit": lambda: sys.exit(5),
-    "abort": os.abort,
     "segfault": segfault,
     "deaf": lambda: (os.closerange(3, 256), time.sleep(60)),
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "term": lambda: os.kill(os.getpid(), signal.SIGTERM),
-    "int": lambda: os.kill(os.getpid(), signal.SIGINT),
     "interrupt": interrupt,
 }
 """

@@ -25,7 +25,7 @@ def refused(call: Call, tmp_path: Path) -> Refused:
         out = tmp_path / "out" / "run"
         commands = [("run", scene, "--out", out, "--no-sheet", *options)]
         if not options:
-            commands.append(("check", scene))
+            commands.append(("check", "scene", scene))
         for command in commands:
             status, said = call(*command)
             assert status == 2, said

@@ -32,10 +32,10 @@ from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs
         (["run"], "SCENE"),
         (["fly"], "fly"),
         (["run", "simulation_1", "--seed", str(2**70)], "seed: Input should be less than"),
-        (["check", "simulaton_1"], "no shipped scene has this name (did you mean 'simulation_1'?)"),
-        (["check", "."], "this is a folder"),
-        (["check", "x" * 5000], "File name too long"),
-        (["check", "/dev/null"], "this is a device, a file was expected"),
+        (["check", "scene", "simulaton_1"], "no shipped scene has this name (did you mean 'simulation_1'?)"),
+        (["check", "scene", "."], "this is a folder"),
+        (["check", "scene", "x" * 5000], "File name too long"),
+        (["check", "scene", "/dev/null"], "this is a device, a file was expected"),
     ],
     ids=lambda value: "-".join(value)[:40] if isinstance(value, list) else "",
 )
@@ -56,7 +56,7 @@ def test_a_folder_with_a_shipped_scenes_name_does_not_hide_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "simulation_1").mkdir()
-    assert call("check", "simulation_1")[0] == 0
+    assert call("check", "scene", "simulation_1")[0] == 0
 
 
 # ---- output folders ---------------------------------------------------------------------------------------------
@@ -198,7 +198,7 @@ def test_unknown_renderers_are_told_by_a_real_process(
 def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs, prepared: Path) -> None:
     inputs.set("vessels", "\ud800", GOOD["vessels"]["vehicle2"])
     inputs.set("scene", "sed", 1)
-    done = process("check", inputs.write(), program=prepared)
+    done = process("check", "scene", inputs.write(), program=prepared)
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr.startswith("modsim3d: scene ")

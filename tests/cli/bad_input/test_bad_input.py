@@ -23,7 +23,7 @@ from tests.cli.bad_input.builders import (
 
 
 def test_the_scene_that_these_tests_spoil_is_good(inputs: Inputs, call: Call) -> None:
-    status, said = call("check", inputs.write())
+    status, said = call("check", "scene", inputs.write())
     assert (status, "no problems found" in said) == (0, True), said
 
 
@@ -237,10 +237,10 @@ def test_camera_inside_a_vessel_names_both_and_the_time(inputs: Inputs, refused:
     refused(inputs.write(), part, "allow_camera_inside: true")
     refused(inputs.write(), part, options=("--steps", 3))
     inputs.set("scene", "steps", 2)
-    assert call("check", inputs.write())[0] == 0
+    assert call("check", "scene", inputs.write())[0] == 0
     inputs.set("scene", "steps", 3)
     inputs.set("scene", "annotation/allow_camera_inside", True)
-    assert call("check", inputs.write())[0] == 0
+    assert call("check", "scene", inputs.write())[0] == 0
 
 
 def test_rings_that_do_not_fit_name_the_vessel_and_its_size(inputs: Inputs, refused: Refused) -> None:
@@ -343,7 +343,7 @@ def test_numbers_and_booleans_are_those_of_yaml_1_2(inputs: Inputs, call: Call, 
     text = scene.read_text()
     scene.write_text(re.sub(r"1\.0e-05", "1e-5", text))
     assert "1e-5" in scene.read_text()
-    assert call("check", scene)[0] == 0
+    assert call("check", "scene", scene)[0] == 0
     scene.write_text(text.replace("annotation:", "annotation:\n  allow_camera_inside: no"))
     refused(scene, "annotation.allow_camera_inside: true or false is needed (got 'no')")
 

@@ -292,11 +292,13 @@ def test_many_problems_are_counted_and_not_kept() -> None:
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        (("--truth", "gt.json", "--detections", "dt.json"), "--run and --truth are matched differently unless --match"),
-        (("--iou", "0.3"), "--iou is for --match confidence or optimal, not for provenance"),
-        (("--match", "centre", "--iou", "0.3"), "--iou is for --match confidence or optimal, not for centre"),
-        (("--distance", "9"), "--distance is for --match centre, not for provenance"),
-        (("--match", "optimal", "--distance", "9"), "--distance is for --match centre, not for optimal"),
+        (
+            ("--truth", "gt.json", "--detections", "dt.json"),
+            "runs and files are matched differently unless a rule is named: give --match",
+        ),
+        (("--match", "provenance:0.3"), "--match provenance:0.3: needs confidence or optimal, with a least IoU"),
+        (("--match", "near"), "--match near: needs confidence or optimal"),
+        (("--match", "centre:far"), "--match centre:far: needs confidence or optimal"),
     ],
     ids=" ".join,
 )
@@ -304,7 +306,7 @@ def test_a_matching_rule_that_is_not_clear_is_refused(
     inputs: Inputs, call: Call, tmp_path: Path, options: tuple[str, ...], part: str
 ) -> None:
     run_scene(load_scene(inputs.write()), tmp_path / "run")
-    status, said = call("learn", "--run", tmp_path / "run", *options, "--out", tmp_path / "d.yaml")
+    status, said = call("learn", tmp_path / "run", *options, "--out", tmp_path / "d.yaml")
     assert status == 2 and "Traceback" not in said
     assert part in said and len(said.splitlines()) == 1
     assert not (tmp_path / "d.yaml").exists()

@@ -35,7 +35,7 @@ def test_a_wrong_setting_is_one_error(
     inputs: Inputs, call: Call, options: list[str], part: str, tmp_path: Path
 ) -> None:
     scene, out = inputs.write(), tmp_path / "out"
-    for command in (["check", str(scene)], ["run", str(scene), "--out", str(out)]):
+    for command in (["check", "scene", str(scene)], ["run", str(scene), "--out", str(out)]):
         status, said = call(*command, *options)
         assert status == 2
         assert part in " ".join(said.split())
@@ -53,8 +53,8 @@ def test_a_detector_and_a_condition_in_its_place_are_refused(inputs: Inputs, cal
 
 def test_the_last_value_of_a_repeated_key_counts(inputs: Inputs, call: Call) -> None:
     scene = str(inputs.write())
-    assert call("check", scene, "--set", "annotation.mode=7", "--set", "annotation.mode=0")[0] == 0
-    assert call("check", scene, "--set", "annotation.mode=0", "--set", "annotation.mode=7")[0] == 2
+    assert call("check", "scene", scene, "--set", "annotation.mode=7", "--set", "annotation.mode=0")[0] == 0
+    assert call("check", "scene", scene, "--set", "annotation.mode=0", "--set", "annotation.mode=7")[0] == 2
 
 
 def test_a_truth_that_is_kept_cannot_be_set(inputs: Inputs, call: Call, tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.cli.run_summary import run_warnings
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import ASHORE, GOOD, Refused, lens
+from tests.command_line import call
 
 LANE = {"waypoints_m": [[-400, 0], [400, 0]], "width_m": 120, "per_hour": 60, "kinds": ["motorboat"]}
 OWN = {"own": {"waypoints_m": [[0, -300], [0, 300]], "speed_m_s": 4}}
@@ -98,7 +98,5 @@ def test_vessels_without_room_are_warned_of(
     assert left_out > 0
     result = run_scene(loaded, tmp_path / "run")
     assert any(warning.startswith(said) for warning in run_warnings(loaded, result))
-    monkeypatch.setattr("sys.argv", ["modsim3d", "check", str(scene), "--json"])
-    with pytest.raises(SystemExit):
-        main.main()
+    assert call(monkeypatch, "check", "scene", scene, "--json") == 0
     assert any(warning.startswith(said) for warning in json.loads(capsys.readouterr().out)["warnings"])

@@ -205,7 +205,7 @@ def test_a_file_of_another_kind_is_not_repeated_as_a_sequence(call: Call, inputs
     run, out = tmp_path / "run", tmp_path / "out.yaml"
     call("run", inputs.write(), "--out", run, "--no-sheet")
     (tmp_path / "file").write_text("root:secret:0:0\nother:secret\n")
-    status, said = call("learn", "--run", run, "--out", out, "--sequence", tmp_path / "file", "--interval", 1)
+    status, said = call("learn", run, "--out", out, "--sequence", tmp_path / "file", "--interval", 1)
     assert status == 2
     assert "--sequence:\n  names no state in any line" in said
     assert "secret" not in said

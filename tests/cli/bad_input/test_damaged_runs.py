@@ -92,15 +92,15 @@ def replace_value(run: Path, name: str, column: str, row: int, value: Any) -> No
 
 def commands(run: Path, out: Path) -> dict[str, tuple[object, ...]]:
     return {
-        "picture": ("view", run, "--frame", 0, "--out", out / "picture.png"),
-        "film": ("view", run, "--film", "detections", "--to", 2, "--out", out / "film.gif"),
-        "sheet": ("view", run, "--sheet", "--overwrite"),
+        "picture": ("view", "frame", run, 0, "--out", out / "picture.png"),
+        "film": ("view", "film", run, "--kind", "detections", "--end", 2, "--out", out / "film.gif"),
+        "sheet": ("view", "sheet", run, "--overwrite"),
         "report": ("report", run, "--out", out / "report.html"),
-        "verify": ("verify", run, "--out", out / "verified"),
-        "learn": ("learn", "--run", run, "--out", out / "detector.yaml", "--replicates", 20),
+        "verify": ("check", "run", run, "--out", out / "verified"),
+        "learn": ("learn", run, "--out", out / "detector.yaml", "--replicates", 20),
         "export": ("export", run, "--format", "coco", "--out", out / "coco"),
         "detect": ("detect", run, "--out", out / "run"),
-        "rerun": ("rerun", run, "--out", out / "run.rrd"),
+        "rerun": ("export", run, "--format", "rerun", "--out", out),
     }
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import modsim3d
-from modsim3d.cli.main import app
+from modsim3d.cli import main
 from modsim3d.core.errors import OutputError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
@@ -26,9 +26,7 @@ from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
 
 COMMANDS = {
-    str(command.name): list(inspect.signature(command.callback, eval_str=True).parameters.values())
-    for command in app.registered_commands
-    if command.callback is not None
+    name: list(inspect.signature(function, eval_str=True).parameters.values()) for _, name, function, _ in main.COMMANDS
 }
 
 
@@ -55,19 +53,24 @@ def run(finished: Path, tmp_path: Path) -> Path:
 
 def test_the_tables_of_these_tests_have_every_command_and_every_path_that_one_is_given() -> None:
     named = {name.partition(":")[0] for name in writers.WRITERS}
-    assert named | {*writers.FOLDER_WRITERS, *writers.CONTINUING, *writers.NO_WRITERS} == COMMANDS.keys()
+    others = {*writers.FOLDER_WRITERS, *writers.CONTINUING, *writers.INTO_RUNS, *writers.NO_WRITERS}
+    assert named | others == COMMANDS.keys()
     defaults = set()
     for name, parameters in COMMANDS.items():
         paths = {each.name for each in parameters if "Path" in str(each.annotation)}
         assert paths <= writers.READ | writers.WRITTEN, f"{name}: is it read or written?"
         writes = name not in writers.NO_WRITERS
         replaces = "overwrite" in {each.name for each in parameters}
-        assert writes == bool(paths & writers.WRITTEN) == (replaces or name in writers.CONTINUING), name
+        assert (
+            writes
+            == (bool(paths & writers.WRITTEN) or name in writers.INTO_RUNS)
+            == (replaces or name in writers.CONTINUING)
+        ), name
         optional = {each.name for each in parameters if each.default is None}
         # The first three write nothing without it, and the page of a campaign does not lie in a run.
         if name in named and "out" in optional and name not in writers.NO_DEFAULT:
             defaults.add(name)
-    assert {name.partition(":")[0] for name in writers.DEFAULTS} == defaults
+    assert {name.partition(":")[0] for name in writers.DEFAULTS} == defaults | {*writers.INTO_RUNS}
 
 
 @pytest.mark.parametrize(("names", "line"), writers.DEFAULTS.values(), ids=writers.DEFAULTS)
@@ -134,7 +137,7 @@ def test_files_are_the_same_by_what_they_are_and_not_by_their_names(tmp_path, mo
 @pytest.mark.parametrize("name", [".d.yaml.lock", ".d.partial.yaml"])
 def test_what_lies_beside_an_output_while_it_is_written_is_no_input(run: Path, call: Call, tmp_path, name) -> None:
     (tmp_path / name).write_text("usual\n")
-    line = ("learn", "--run", run, "--sequence", tmp_path / name, "--interval", 1, "--out", tmp_path / "d.yaml")
+    line = ("learn", run, "--sequence", tmp_path / name, "--interval", 1, "--out", tmp_path / "d.yaml")
     status, said = call(*line, "--overwrite")
     assert status == 2
     assert str(tmp_path / name) in said
@@ -161,20 +164,11 @@ def mot(folder: Path) -> tuple[object, ...]:
     return ("learn", "--truth", folder / "gt" / "gt.txt", "--detections", folder / "det.txt", "--replicates", 20)
 
 
-@pytest.mark.parametrize(
-    ("make", "option", "name"),
-    [
-        (yolo, "--out", "data.yaml"),
-        (yolo, "--page", "labels/a.txt"),
-        (mot, "--out", "seqinfo.ini"),
-        (mot, "--page", "det.txt"),
-    ],
-)
-def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path, make, option, name) -> None:
+@pytest.mark.parametrize(("make", "name"), [(yolo, "data.yaml"), (mot, "seqinfo.ini")])
+def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path, make, name) -> None:
     line = make(tmp_path)
     before = content(tmp_path)
-    other = ("--out", tmp_path / "d.yaml") if option == "--page" else ()
-    status, said = call(*line, option, tmp_path / name, *other, "--overwrite")
+    status, said = call(*line, "--out", tmp_path / name, "--overwrite")
     assert status == 2
     assert f"{tmp_path / name} is read by this command" in said
     assert content(tmp_path) == before
@@ -220,7 +214,7 @@ def test_nothing_is_written_among_the_unfinished_files_of_the_run_that_is_read(r
 
 def test_frames_of_a_film_are_not_written_among_them_either(run: Path, call: Call) -> None:
     (run / "unfinished").mkdir()
-    status, said = call("view", run, "--film", "ids", "--format", "png", "--out", run / "unfinished" / "ids")
+    status, said = call("view", "film", run, "--kind", "ids", "--format", "png", "--out", run / "unfinished" / "ids")
     assert status == 2
     assert "which this command reads" in said
     assert not (run / "unfinished" / "ids").exists()
@@ -286,11 +280,13 @@ def test_a_run_does_not_replace_a_file_that_a_hard_link_leads_to(inputs: Inputs,
     assert content(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", [name for name in writers.FOLDER_WRITERS if name != "campaign-run"])  # reuses its own
+@pytest.mark.parametrize(
+    "name", [name for name in writers.FOLDER_WRITERS if name != "campaign reproduce"]
+)  # reuses its own
 def test_a_folder_that_holds_something_is_refused_without_overwrite(run: Path, call: Call, tmp_path, name) -> None:
     lines = {
         "run": ("run", tmp_path / "scene.yaml", "--steps", 3, "--source", "analytic", "--no-sheet"),
-        "detect": ("detect", run, "--seed", 3),
+        "detect": ("detect", run, "--detector-seed", 3),
         "ais": ("ais", SAMPLES / "danish.csv"),
     }
     out = tmp_path / "new"
@@ -326,9 +322,9 @@ def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_pa
     monkeypatch.chdir(tmp_path)
     small_campaign(tmp_path)
     before = content(tmp_path)
-    lines = {"check": ("scene.yaml",), "scenes": (), "repeat": ("run",), "stream": ("scene.yaml", "--steps", 3)}
-    lines["campaign-status"] = ("campaign",)
-    assert call(name, *lines[name])[0] == 0
+    lines = {"check scene": ("scene.yaml",), "scenes": (), "check repeat": ("run",)}
+    lines |= {"stream": ("scene.yaml", "--steps", 3), "campaign status": ("campaign",), "campaign plan": ("example",)}
+    assert call(*name.split(), *lines[name])[0] == 0
     assert content(tmp_path) == before
 
 

@@ -77,13 +77,20 @@ def test_a_folder_that_cannot_be_made_is_told(run, call: Call, tmp_path, name: s
     "line",
     [
         lambda run: ("report", run, "--out", run / "truth.parquet"),
-        lambda run: ("view", run, "--frame", 3, "--out", run / "listed.png"),
-        lambda run: ("view", run, "--film", "ids", "--out", run / "listed.gif"),
-        lambda run: ("learn", "--run", run, "--out", run / "run.json"),
-        lambda run: ("learn", "--run", run, "--out", run.parent / "d.yaml", "--page", run / "detections.parquet"),
+        lambda run: ("view", "frame", run, 3, "--out", run / "listed.png"),
+        lambda run: ("view", "film", run, "--kind", "ids", "--out", run / "listed.gif"),
+        lambda run: ("learn", run, "--out", run / "run.json"),
         lambda run: ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
-        lambda run: ("learn", *pair(run), "--out", run.parent / "d.yaml", "--page", run.parent / "link" / "dt.json"),
-        lambda run: ("verify", run, "--detector", run.parent / "coco" / "verify.json", "--out", run.parent / "coco"),
+        lambda run: ("learn", *pair(run), "--out", run.parent / "link" / "dt.json"),
+        lambda run: (
+            "check",
+            "run",
+            run,
+            "--detector",
+            run.parent / "coco" / "verify.json",
+            "--out",
+            run.parent / "coco",
+        ),
     ],
 )
 def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, line) -> None:
@@ -142,11 +149,11 @@ def test_a_link_is_written_through(run, call: Call, tmp_path) -> None:
 
 FULL = [
     ("page.html", ("report",)),
-    ("picture.png", ("view", "--frame", "3")),
-    ("map.png", ("view", "--map")),
-    ("film.gif", ("view", "--film", "ids", "--width", "320")),
-    ("film.mp4", ("view", "--film", "ids", "--width", "320")),
-    ("film", ("view", "--film", "detections", "--format", "png", "--width", "1600")),
+    ("picture.png", ("view frame", "3")),
+    ("map.png", ("view map",)),
+    ("film.gif", ("view film", "--kind", "ids", "--width", "320")),
+    ("film.mp4", ("view film", "--kind", "ids", "--width", "320")),
+    ("film", ("view film", "--kind", "detections", "--format", "png", "--width", "1600")),
 ]
 
 
@@ -161,7 +168,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_n
     before = content(tmp_path)
     command, *options = words
     done = subprocess.run(
-        [prepared, command, str(run), *options, "--out", str(out), "--overwrite"],
+        [prepared, *command.split(), str(run), *options, "--out", str(out), "--overwrite"],
         capture_output=True,
         text=True,
         timeout=120,
@@ -179,7 +186,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_n
 @pytest.mark.parametrize("kind", ["gif", "mp4", "png"])
 def test_an_interrupted_film_leaves_what_was_there(run, call: Call, tmp_path, monkeypatch, kind):
     out = tmp_path / ("film" if kind == "png" else f"film.{kind}")
-    line = ("view", run, "--film", "ids", "--width", 160, "--every", 5, "--format", kind, "--out", out)
+    line = ("view", "film", run, "--kind", "ids", "--width", 160, "--every", 5, "--format", kind, "--out", out)
     assert call(*line)[0] == 0
     before = content(tmp_path)
     drawn = []
@@ -229,8 +236,8 @@ def test_an_output_that_is_a_link_in_a_circle_is_no_traceback(run, call: Call, t
 
 
 def test_a_page_that_is_the_detector_file_by_another_path_is_refused_as_such(run, call: Call, tmp_path) -> None:
-    (tmp_path / "link.html").symlink_to("d.yaml")
-    status, said = call("learn", "--run", run, "--out", tmp_path / "d.yaml", "--page", tmp_path / "link.html")
+    (tmp_path / "d.html").symlink_to("d.yaml")
+    status, said = call("learn", run, "--out", tmp_path / "d.yaml")
     assert status == 2
     assert "the page would be written over the detector file" in said
     assert content(tmp_path) == {}

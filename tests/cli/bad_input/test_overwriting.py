@@ -68,13 +68,13 @@ def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path,
     out, other, scene = tmp_path / "run", tmp_path / "other", inputs.write()
     assert call("run", scene, "--out", out, "--no-sheet")[0] == 0
     for command in (
-        *(("verify", out), ("view", out, "--sheet"), ("view", out, "--map")),
+        *(("check", "run", out), ("view", "sheet", out), ("view", "map", out)),
         *(("report", out, "--parts"), ("detect", out, "--out", other), ("report", out, other, "--parts")),
-        *(("view", out, "--film", kind, *SMALL) for kind in ("detections", "ids", "map", "all")),
-        *(("view", out, "--film", kind, *SMALL, "--format", "png") for kind in ("corners", "map")),
-        *(("view", out, "--film", kind, "--frame", "1", "--camera", "C0") for kind in ("detections", "scene")),
-        ("view", out, "--film", "corners", "--format", "gif", *SMALL),
-        ("compare", scene, "--out", out),
+        *(("view", "film", out, "--kind", kind, *SMALL) for kind in ("detections", "ids", "map", "all")),
+        *(("view", "film", out, "--kind", kind, *SMALL, "--format", "png") for kind in ("corners", "map")),
+        *(("view", "frame", out, "1", "--kind", kind, "--camera", "C0") for kind in ("detections", "scene")),
+        ("view", "film", out, "--kind", "corners", "--format", "gif", *SMALL),
+        ("check", "truth", scene, "--out", out),
     ):
         status, said = call(*command)
         assert status in (0, 1), said
@@ -226,7 +226,7 @@ def test_a_run_whose_scene_folder_also_holds_other_files_is_opened_and_replaced(
     out, scene = tmp_path / "run", inputs.write()
     assert call("run", scene, "--out", out)[0] == 0
     notes = write(out, {"scene/notes.txt": "mine", "scene/.DS_Store": "the system's"})
-    for arguments in (("repeat", out), ("run", scene, "--out", out, "--overwrite"), ("report", out)):
+    for arguments in (("check", "repeat", out), ("run", scene, "--out", out, "--overwrite"), ("report", out)):
         status, said = call(*arguments)
         assert status == 0, said
     assert notes.items() <= content(out).items()

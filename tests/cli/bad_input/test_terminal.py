@@ -29,7 +29,7 @@ def test_control_characters_of_names_and_values_are_shown_and_not_obeyed(inputs:
     ]:
         inputs.set(file, path, value)
     inputs.data["scene"][HOSTILE] = 1
-    status, said = call("check", inputs.write())
+    status, said = call("check", "scene", inputs.write())
     assert status == 2
     assert not CONTROL.search(said)
     for part in (f"{SHOWN}: unknown key", f"{SHOWN}.json: no such file", f"{SHOWN}.yaml: no such", rf"{SHOWN}\nx.json"):
@@ -37,7 +37,7 @@ def test_control_characters_of_names_and_values_are_shown_and_not_obeyed(inputs:
 
 
 def test_control_characters_of_arguments_are_not_obeyed(call: Call) -> None:
-    for arguments in (("check", HOSTILE), ("check", "x", HOSTILE), ("run", "x", f"--{HOSTILE}")):
+    for arguments in (("check", "scene", HOSTILE), ("check", "scene", "x", HOSTILE), ("run", "x", f"--{HOSTILE}")):
         status, said = call(*arguments)
         assert status == 2
         assert not CONTROL.search(said)
@@ -45,7 +45,10 @@ def test_control_characters_of_arguments_are_not_obeyed(call: Call) -> None:
 
 def test_an_argument_that_is_not_utf_8_is_refused(call: Call, tmp_path: Path) -> None:
     name = os.fsdecode(b"x\xff")
-    for line in (("check", tmp_path / f"{name}.yaml"), ("run", "harbour", "--steps", 2, "--out", tmp_path / name)):
+    for line in (
+        ("check", "scene", tmp_path / f"{name}.yaml"),
+        ("run", "harbour", "--steps", 2, "--out", tmp_path / name),
+    ):
         status, said = call(*line)
         assert status == 2
         assert r"x\udcff" in said and "is not UTF-8" in said
@@ -96,7 +99,9 @@ def test_any_encoding_of_the_output_will_do(
     run = tmp_path / "rün"
     assert call("run", inputs.write(), "--out", run, "--no-sheet")[0] == 0
     environment = {**os.environ, "PYTHONIOENCODING": encoding}
-    done = subprocess.run([prepared, "verify", run], capture_output=True, timeout=120, env=environment, check=False)
+    done = subprocess.run(
+        [prepared, "check", "run", run], capture_output=True, timeout=120, env=environment, check=False
+    )
     assert done.returncode in (0, 1)
     assert b"Traceback" not in done.stderr
     assert b"performance state" in done.stdout
@@ -105,7 +110,7 @@ def test_any_encoding_of_the_output_will_do(
 
 @pytest.mark.parametrize("megabytes", [50, 400])
 def test_too_little_address_space_is_one_line(megabytes: int) -> None:
-    done = process("check", "simulation_1", prefix=f"ulimit -v {megabytes * 1024};")
+    done = process("check", "scene", "simulation_1", prefix=f"ulimit -v {megabytes * 1024};")
     said = done.stderr.decode()
     assert done.returncode == 2
     assert said == (
@@ -128,7 +133,7 @@ def test_lack_of_memory_and_of_libraries_is_one_line(
         raise error
 
     monkeypatch.setattr("modsim3d.scene.reading.load_scene", fail)
-    status, said = call("check", "simulation_1")
+    status, said = call("check", "scene", "simulation_1")
     assert status == 2
     assert said.startswith(part)
     assert said.count("\n") == 1

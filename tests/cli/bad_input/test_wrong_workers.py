@@ -9,11 +9,11 @@ import pytest
 from tests.cli.bad_input.builders import Call, Inputs
 
 
-@pytest.mark.parametrize("command", ["run", "detect", "repeat", "view"])
+@pytest.mark.parametrize("command", ["run", "detect", "check repeat", "view film"])
 @pytest.mark.parametrize("wrong", ["0", "-2", "1.5", "all", "Auto", "1_0", "٣", "9" * 5000, "", "1025"])
 def test_a_wrong_number_of_workers_is_one_line(call: Call, tmp_path: Path, command: str, wrong: str) -> None:
-    out = () if command == "repeat" else ("--out", tmp_path / "out")
-    status, said = call(command, tmp_path / "any", f"--workers={wrong}", *out)
+    out = () if command == "check repeat" else ("--out", tmp_path / "out")
+    status, said = call(*command.split(), tmp_path / "any", f"--workers={wrong}", *out)
     assert status == 2
     assert said.startswith("modsim3d: --workers: needs a number of processes from 1 to 1024, or 'auto' (got ")
     assert wrong[:50] in said
@@ -29,5 +29,5 @@ def test_auto_is_taken(inputs: Inputs, call: Call, tmp_path: Path, monkeypatch: 
     assert status == 0, said
     assert asked
     asked.clear()
-    assert call("repeat", tmp_path / "run", "--workers", "auto")[0] == 0
+    assert call("check", "repeat", tmp_path / "run", "--workers", "auto")[0] == 0
     assert asked

@@ -20,9 +20,9 @@ Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
 WRITERS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
-    "rerun": ("run.rrd", lambda run, out: ("rerun", run, "--out", out)),
-    "verify": ("verify.json", lambda run, out: ("verify", run, "--out", out.parent)),
-    "compare": ("compare.html", lambda run, out: ("compare", scene_file(run), "--out", out.parent)),
+    "export: rerun": ("run.rrd", lambda run, out: ("export", run, "--format", "rerun", "--out", out.parent)),
+    "check run": ("verify.json", lambda run, out: ("check", "run", run, "--out", out.parent)),
+    "check truth": ("compare.html", lambda run, out: ("check", "truth", scene_file(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "export: ais": ("ais.nmea", lambda run, out: ("export", run, "--format", "ais", "--out", out.parent)),
     "export: mot": ("frames.csv", lambda run, out: ("export", run, "--format", "mot", "--out", out.parent)),
@@ -36,76 +36,75 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
     "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
     "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
-    "campaign-table": ("means.csv", lambda run, out: ("campaign-table", small_campaign(run.parent), "--out", out)),
-    "campaign-report": ("page.html", lambda run, out: ("campaign-report", small_campaign(run.parent), "--out", out)),
-    "learn": ("detector.yaml", lambda run, out: ("learn", "--run", run, *QUICK, "--out", out)),
-    "learn: scene": (
+    "campaign table": ("means.csv", lambda run, out: ("campaign", "table", small_campaign(run.parent), "--out", out)),
+    "campaign report": ("page.html", lambda run, out: ("campaign", "report", small_campaign(run.parent), "--out", out)),
+    "learn": ("detector.yaml", lambda run, out: ("learn", run, *QUICK, "--out", out)),
+    "learn-voyage": (
         "detector.yaml",
         lambda run, out: (
-            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
+            *("learn-voyage", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
             *("--fixed", "all", "--out", out),
         ),
     ),
-    "learn: written scene": (
+    "learn-voyage: written scene": (
         "detector.yaml",
         lambda run, out: (
-            *("learn", "--scene", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
+            *("learn-voyage", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
             *("--fixed", "all", "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
         ),
     ),
-    "learn: page": (
-        "page.html",
-        lambda run, out: ("learn", "--run", run, *QUICK, "--out", out.with_name("d.yaml"), "--page", out),
-    ),
-    "guess": (
+    "learn: page": ("d.html", lambda run, out: ("learn", run, *QUICK, "--out", out.with_name("d.yaml"))),
+    "learn: guess": (
         "guess.yaml",
         lambda run, out: (
-            *("guess", run / "scene" / "detector.yaml", "--from", "noon_clear", "--to", "foggy_cloudy", "--out", out),
+            *("learn", "--detector", run / "scene" / "detector.yaml", "--from-condition", "noon_clear"),
+            *("--to-condition", "foggy_cloudy", "--out", out),
         ),
     ),
-    "view: picture": ("picture.png", lambda run, out: ("view", run, "--frame", 3, "--width", 160, "--out", out)),
-    "view: map": ("map.png", lambda run, out: ("view", run, "--map", "--width", 160, "--out", out)),
-    "view: film": (
+    "view frame": ("picture.png", lambda run, out: ("view", "frame", run, 3, "--width", 160, "--out", out)),
+    "view map": ("map.png", lambda run, out: ("view", "map", run, "--width", 160, "--out", out)),
+    "view film": (
         "film.gif",
-        lambda run, out: ("view", run, "--film", "ids", "--to", 1, "--width", 160, "--out", out),
+        lambda run, out: ("view", "film", run, "--kind", "ids", "--end", 1, "--width", 160, "--out", out),
     ),
 }
 """Those that write files, by the command: the name of a file that it writes, and its command line."""
 TRACKS = "step,track,x_min_px,y_min_px,x_max_px,y_max_px\n5,1,100,100,120,110\n"
 """Tracks of somebody's own, which `score` reads from `tracks.csv` beside the run."""
 INPUTS: dict[str, Callable[[Path], Path]] = {
-    "compare": scene_file,
-    "guess": lambda run: run / "scene" / "detector.yaml",
-    "campaign-table": lambda run: small_campaign(run.parent) / "plan.json",
-    "campaign-report": lambda run: small_campaign(run.parent) / "plan.json",
+    "check truth": scene_file,
+    "learn: guess": lambda run: run / "scene" / "detector.yaml",
+    "campaign table": lambda run: small_campaign(run.parent) / "plan.json",
+    "campaign report": lambda run: small_campaign(run.parent) / "plan.json",
     "detect: truth": lambda run: run.parent / "coco" / "gt.json",
 }
 """A file in the run that a command reads which does not read the run itself."""
-FOLDER_WRITERS = ("run", "detect", "ais", "campaign-run")
+FOLDER_WRITERS = ("run", "detect", "ais", "campaign reproduce")
 """Those that write a folder of their own, which they alone recognise."""
-NO_DEFAULT = ("compare", "score", "campaign-table", "campaign-report")
-CONTINUING = ("campaign",)
+NO_DEFAULT = ("check truth", "score", "campaign table", "campaign report")
+CONTINUING = ("campaign run",)
 """Those that go on with a folder of their own and never replace one, so that they have no `--overwrite`."""
-NO_WRITERS = ("check", "scenes", "repeat", "stream", "campaign-status")
+INTO_RUNS = ("view sheet",)
+"""Those that write into the run that they are given, and nowhere else."""
+NO_WRITERS = ("check scene", "scenes", "check repeat", "stream", "campaign status", "campaign plan")
 DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]] = {
     "report": (("report.html",), lambda run: ("report", run)),
-    "rerun": (("run.rrd",), lambda run: ("rerun", run)),
-    "verify": (("verify.json", "verify.html"), lambda run: ("verify", run)),
-    "verify: out": (("verify.json", "verify.html"), lambda run: ("verify", run, "--out", run)),
-    "view: picture": (("ids_000003.png",), lambda run: ("view", run, "--film", "ids", "--frame", 3)),
-    "view: map": (("map_000039.png",), lambda run: ("view", run, "--map")),
-    "view: film": (("ids.gif",), lambda run: ("view", run, "--film", "ids", "--to", 1, "--format", "gif")),
-    "view: frames": (
+    "check run": (("verify.json", "verify.html"), lambda run: ("check", "run", run)),
+    "check run: out": (("verify.json", "verify.html"), lambda run: ("check", "run", run, "--out", run)),
+    "view frame": (("ids_000003.png",), lambda run: ("view", "frame", run, 3, "--kind", "ids")),
+    "view map": (("map_000039.png",), lambda run: ("view", "map", run)),
+    "view film": (("ids.gif",), lambda run: ("view", "film", run, "--kind", "ids", "--end", 1, "--format", "gif")),
+    "view film: frames": (
         ("corners/frame_000000.png",),
-        lambda run: ("view", run, "--film", "corners", "--to", 1, "--format", "png"),
+        lambda run: ("view", "film", run, "--kind", "corners", "--end", 1, "--format", "png"),
     ),
-    "view: sheet": (("contact_sheet.png",), lambda run: ("view", run, "--sheet")),
+    "view sheet": (("contact_sheet.png",), lambda run: ("view", "sheet", run)),
 }
 """What a command writes into the run directory unless told otherwise."""
 READ = {
     *("scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"),
-    *("images", "attitude", "like"),
+    *("images", "attitude", "like", "runs"),
 }
 """Parameters that name what is read."""
-WRITTEN = {"out", "page", "cache", "write_scene"}
+WRITTEN = {"out", "cache", "write_scene"}
 """Parameters that name what is written."""

@@ -10,13 +10,13 @@ import pytest
 import typer
 
 import modsim3d
-from modsim3d.cli.detect import read_options
-from modsim3d.cli.learn_voyage import asked_voyage
 from modsim3d.cli.main import app
 from modsim3d.core.errors import ModsimError
+from modsim3d.learn.request import LearnRequest
 from modsim3d.learn.voyage.camera_registration import FIXED_NAMES
-from modsim3d.learn.voyage.learn_voyage import Method, learn_voyage
+from modsim3d.learn.voyage.learn_voyage import Method, VoyageRequest, learn_voyage
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction
+from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from tests.cli.bad_input.builders import Call
 from tests.learn.voyage.test_logs import LOGS, options
@@ -86,8 +86,7 @@ def test_registration_is_applied_to_the_camera_and_to_the_clock(strait: Scene, v
 def test_the_command_learns_from_a_log(call: Call, voyage: Path, tmp_path: Path) -> None:
     out = tmp_path / "detector.yaml"
     line = (
-        "learn",
-        "--scene",
+        "learn-voyage",
         voyage / "run" / "scene" / "strait.json",
         "--fixed",
         "all",
@@ -109,14 +108,14 @@ def test_the_command_learns_from_a_log(call: Call, voyage: Path, tmp_path: Path)
 
 
 WRONG = {
-    "--truth too": (("--truth", "gt.json"), "give it without --truth"),
-    "--run too": (("--run", "run"), "give it without --run"),
-    "no log": ((), "--scene needs --detections"),
+    "no log": ((), "--detections is needed, the log of a camera's detector"),
     "another camera": (("--detections", "run", "--camera", "mast"), "has no camera 'mast'"),
-    "no start": (("--detections", "run", "--start", "noon"), "--start"),
-    "conditions": (("--detections", "run", "--condition", "a", "--condition", "b"), "with 1 logs: name each"),
-    "a size": (("--detections", "run", "--image-size", "10,10"), "--image-size is not for --scene"),
-    "another time": (("--detections", "run", "--start", "9000"), "is from 0 s to 4.6 s"),
+    "no start": (("--detections", "run", "--log-start", "noon"), "--log-start"),
+    "conditions": (
+        ("--detections", "run", "--condition", "a", "--condition", "b"),
+        "2 conditions are named for 1 log: name each",
+    ),
+    "another time": (("--detections", "run", "--log-start", "9000"), "is from 0 s to 4.6 s"),
 }
 
 
@@ -124,32 +123,21 @@ WRONG = {
 def test_what_does_not_go_together_is_refused(call: Call, voyage: Path, tmp_path: Path, given, said: str) -> None:
     given = [voyage / each if each == "run" else each for each in given]
     scene = voyage / "run" / "scene" / "strait.json"
-    status, text = call("learn", "--scene", scene, "--fixed", "all", *given, "--out", tmp_path / "d.yaml")
+    status, text = call("learn-voyage", scene, "--fixed", "all", *given, "--out", tmp_path / "d.yaml")
     assert status == 2
     assert said in text
     assert "Traceback" not in text
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "given", [("--camera", "bow"), ("--start", 0), ("--images", "gt.json"), ("--fixed", "all"), ("--empty", "0-9")]
-)
-def test_options_of_a_voyage_need_a_scene(call: Call, tmp_path: Path, given) -> None:
-    status, text = call("learn", *given, "--out", tmp_path / "d.yaml")
-    assert status == 2
-    assert f"{given[0]} is for --scene" in text
-
-
 def test_logs_that_name_no_camera_are_of_those_that_are_given(voyage: Path) -> None:
     """`--camera` names that of each log, in their order."""
-    folder, scene = voyage / "csv", str(voyage / "run" / "scene" / "strait.json")
+    folder, loaded = voyage / "csv", load_scene(voyage / "run" / "scene" / "strait.json")
     logs = [folder / "detections_bow.csv", folder / "detections_quay.csv"]
 
     def views(*cameras: str) -> list[str]:
-        asked = asked_voyage(scene, None, None, cameras, None, None, None, "all", None, None, None, None, None, False)
-        assert asked is not None
-        options = read_options(None, None, False, None, 0, None, None)
-        return [view.camera.name for view in asked.labelled(logs, [], options, None).views]
+        asked = VoyageRequest(LearnRequest.of("test"), loaded, tuple(logs), cameras, fixed="all")
+        return [view.camera.name for view in asked.labelled().views]
 
     assert views("bow", "quay") == ["bow", "quay"]
     logs[1] = logs[0]
@@ -160,7 +148,9 @@ def test_logs_that_name_no_camera_are_of_those_that_are_given(voyage: Path) -> N
 
 
 def test_fixed_names_are_those_of_the_help() -> None:
-    (said,) = (each.help for each in typer.main.get_command(app).commands["learn"].params if each.name == "fixed")
+    (said,) = (
+        each.help for each in typer.main.get_command(app).commands["learn-voyage"].params if each.name == "fixed"
+    )
     assert said.partition(": ")[2] == f"{', '.join(FIXED_NAMES)}; or all."
 
 
@@ -179,7 +169,7 @@ def test_hidden_parts_leave_box_errors_out_where_positions_are_not_surely_known(
     strait: Scene, voyage: Path, position_m: float, mode: int
 ) -> None:
     scene = replace(strait, annotation=replace(strait.annotation, mode=mode))
-    given = {"registration": NO_CORRECTION, "position_noise": position_m, "replicates": 2, "without": WITHOUT}
+    given = {"registration": NO_CORRECTION, "position_noise": position_m, "replicates": 20, "without": WITHOUT}
     found = learn_voyage(scene, voyage / "run", camera="bow", match="confidence", **given)
     pairs = found.report.learned.observed.pairs
     hidden = found.told.voyage.labelled.annotations.visible_fraction[pairs.rows] < 0.99
@@ -198,7 +188,7 @@ def test_boxes_match_by_centres_where_positions_are_not_surely_known(strait: Sce
             registration=NO_CORRECTION,
             position_noise=position_m,
             match=match,
-            replicates=2,
+            replicates=20,
             without=WITHOUT,
         )
         return found.report.matched_by.partition(" at")[0]

@@ -92,7 +92,7 @@ def test_an_empty_stretch_outside_the_log_is_refused_before_registration(
     with pytest.raises(InputError, match=r"no frame lies in it; they are from -3\.7 s to 56"):
         learn_voyage(scene, log, camera="bow", registration=never, empty=stretch)
     monkeypatch.setattr(labelled_voyage, "labelled_voyage", never)
-    line = ("learn", "--scene", scene, "--detections", log, "--camera", "bow", "--empty", stretch)
+    line = ("learn-voyage", scene, "--detections", log, "--camera", "bow", "--empty", stretch)
     status, said = call(*line, "--out", tmp_path / "d.yaml")
     assert (status, "no frame lies in it" in " ".join(said.split())) == (2, True)
 
@@ -131,9 +131,11 @@ def test_the_detector_is_learned_back_and_is_visibly_worse_without_registration(
 def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
     call: Call, folder: Path, tmp_path: Path
 ) -> None:
-    given = ("--scene", folder / "strait.json", "--detections", folder / "bow.csv", *OPTIONS)
+    given = (folder / "strait.json", "--detections", folder / "bow.csv", *OPTIONS)
     out, scene = tmp_path / "detector.yaml", tmp_path / "scene"
-    status, said = call("learn", *given, "--fixed", "roll,k1", "--out", out, "--write-scene", scene, "--empty", "0-9")
+    status, said = call(
+        "learn-voyage", *given, "--fixed", "roll,k1", "--out", out, "--write-scene", scene, "--empty", "0-9"
+    )
     text = " ".join(said.split())
     assert status == 0, said
     assert "Camera 'bow' was registered by" in text
@@ -157,7 +159,7 @@ def test_the_command_tells_the_registration_writes_the_page_and_the_scene(
 
 def test_a_detector_is_no_file_of_the_written_scene(call: Call, voyage: Path, tmp_path: Path) -> None:
     scene, out = voyage / "run" / "scene" / "strait.json", tmp_path / "scene" / "scene.yaml"
-    line = ("learn", "--scene", scene, "--detections", voyage / "run", "--fixed", "all", "--out", out)
+    line = ("learn-voyage", scene, "--detections", voyage / "run", "--fixed", "all", "--out", out)
     status, said = call(*line, "--write-scene", out.parent)
     assert status == 2
     assert "is a file of the scene: give --out another folder or name" in " ".join(said.split())
@@ -179,7 +181,7 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
         folder / "bow.csv": (astern, "the camera looks another way than"),
     }
     for log, (scene, problem) in wrong.items():
-        line = ("learn", "--scene", scene, "--detections", log, *OPTIONS, "--out", tmp_path / "d.yaml")
+        line = ("learn-voyage", scene, "--detections", log, *OPTIONS, "--out", tmp_path / "d.yaml")
         status, said = call(*line)
         assert status == 2
         assert problem in " ".join(said.split())
@@ -202,15 +204,12 @@ def test_a_log_that_cannot_be_of_the_scene_is_refused_with_the_reason(call: Call
         (("--position-noise", "-1"), "must be metres from 0 to 100 (got -1)"),
         (("--position-noise", "1e4"), "must be metres from 0 to 100 (got 10000)"),
         (("--camera", "bow", "--camera", "quay"), "--camera is given 2 times, with 1 log:"),
-        (("--position-noise", "2", "--iou", "0.4"), "not for centre, which AIS is matched by unless --match says"),
-        (("--bias",), "--bias and --correct are not for --scene"),
-        (("--correct",), "--bias and --correct are not for --scene"),
     ],
 )
 def test_wrong_options_of_a_voyage_are_refused(call: Call, voyage: Path, tmp_path: Path, given, problem: str) -> None:
     scene = voyage / "run" / "scene" / "strait.json"
     fixed = () if "--fixed" in given else ("--fixed", "all")
-    line = ("learn", "--scene", scene, "--detections", voyage / "run", "--out", tmp_path / "d.yaml", *fixed, *given)
+    line = ("learn-voyage", scene, "--detections", voyage / "run", "--out", tmp_path / "d.yaml", *fixed, *given)
     status, said = call(*line)
     assert status == 2
     assert problem in " ".join(said.split())
@@ -240,7 +239,7 @@ def test_a_file_that_exists_is_refused_before_the_log_is_read(call: Call, folder
         there = tmp_path / taken
         there.parent.mkdir(exist_ok=True)
         there.write_text("mine")
-        line = ("learn", "--scene", folder / "strait.json", "--detections", folder / "none.csv")
+        line = ("learn-voyage", folder / "strait.json", "--detections", folder / "none.csv")
         status, said = call(*line, "--out", tmp_path / "d.yaml", "--write-scene", tmp_path / "scene")
         assert status == 2
         assert f"{there} exists: use --overwrite" in said

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import modsim3d
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.atomic_write import write_files
@@ -79,7 +78,12 @@ def test_a_second_registration_finds_nothing(log: Path, first: Registered, writt
     assert second.registration.rms_before_px == pytest.approx(first.registration.rms_after_px, rel=0.05)
 
 
-def test_two_registrations_of_a_camera_are_refused(log: Path, first: Registered) -> None:
+def test_a_clock_is_kept_where_a_camera_is_not_registered_again_and_two_registrations_are_refused(
+    log: Path, first: Registered, written: Path
+) -> None:
+    scene = load_scene(written)
+    noted = json.loads(scene_files(scene, (), written)[written / "registration.json"])
+    assert noted["cameras"]["shore"]["clock_s"] == noted_clock_s(scene.path, "shore") != 0
     with pytest.raises(ModsimError, match="camera 'shore' was registered in several logs: join them, or give one"):
         scene_files(load_scene(log.parent / "ais"), [first, first], log.parent / "twice")
 
@@ -100,40 +104,22 @@ def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path)
     }
 
 
-def test_a_run_takes_the_folder(written: Path) -> None:
-    frames = list(modsim3d.simulate_frames(load_scene(written, steps=3)))
-    assert len(frames) == 3
-
-
-def test_a_clock_is_kept_where_a_camera_is_not_registered_again(written: Path) -> None:
-    scene = load_scene(written)
-    noted = json.loads(scene_files(scene, (), written)[written / "registration.json"])
-    assert noted["cameras"]["shore"]["clock_s"] == noted_clock_s(scene.path, "shore") != 0
-
-
-@pytest.mark.parametrize("name", ["", "tracker_input_shore.jsonl", "detections_shore.json", "detections.parquet"])
-def test_the_clock_is_not_added_to_a_run(run: Path, written: Path, name: str) -> None:
+def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run(run: Path, log: Path, written: Path) -> None:
     """Whose times are the scene's own."""
-    (found,) = on_scene(read_log(run / name), load_scene(written)).cameras
-    assert found.clock_s == 0
-    assert found.time_s[0] == 0
-
-
-def test_the_clock_is_added_to_a_file_that_is_none_of_the_runs(run: Path, log: Path, written: Path) -> None:
+    scene = load_scene(written)
+    for name in ("", "tracker_input_shore.jsonl", "detections_shore.json", "detections.parquet"):
+        (found,) = on_scene(read_log(run / name), scene).cameras
+        assert (found.clock_s, found.time_s[0]) == (0, 0), name
     shutil.copy(log, run / "log.csv")
-    (found,) = on_scene(read_log(run / "log.csv"), load_scene(written)).cameras
+    (found,) = on_scene(read_log(run / "log.csv"), scene).cameras
     assert found.clock_s == noted_clock_s(written / "scene.yaml", "shore")
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[]", "must be a mapping with cameras (got [])"),
-        ('{"cameras": {"shore": {"clock_s": "3"}}}', "cameras.shore.clock_s: must be the seconds to add"),
-    ],
-)
-def test_a_wrong_note_of_a_clock_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    (tmp_path / "registration.json").write_text(text)
-    with pytest.raises(InputError) as error:
-        noted_clock_s(tmp_path / "scene.yaml", "shore")
-    assert said in str(error.value)
+def test_a_wrong_note_of_a_clock_is_refused(tmp_path: Path) -> None:
+    for text, said in (
+        ("[]", r"must be a mapping with cameras \(got \[\]\)"),
+        ('{"cameras": {"shore": {"clock_s": "3"}}}', r"cameras\.shore\.clock_s: must be the seconds to add"),
+    ):
+        (tmp_path / "registration.json").write_text(text)
+        with pytest.raises(InputError, match=said):
+            noted_clock_s(tmp_path / "scene.yaml", "shore")

@@ -86,7 +86,7 @@ def test_a_step_without_a_frame_has_a_line_that_says_so(tmp_path: Path) -> None:
 
 def test_a_detector_that_needs_all_targets_gives_the_lines_of_its_run(tmp_path: Path) -> None:
     scene = load_scene("strait", steps=4, source="analytic", settings={"detector.dropout.anchor": "state_rate"})
-    assert scene.detector.needs_census
+    assert scene.detector.needs_target_statistics
     run_scene(scene, tmp_path / "run")
     lines = by_camera(list(step_lines(scene, one_by_one=True)))
     assert lines["bow"] == (tmp_path / "run" / "tracker_input_bow.jsonl").read_bytes()

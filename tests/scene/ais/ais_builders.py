@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from modsim3d.cli import main
 from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.traffic import AisTraffic, read_traffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
@@ -60,14 +56,6 @@ def traffic_of(*paths: Path, **options: Any) -> AisTraffic:
 def only(traffic: AisTraffic) -> VesselTrack:
     (vessel,) = traffic.vessels
     return vessel
-
-
-def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Exit status of `modsim3d ARGUMENTS`."""
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code or 0)
 
 
 def read_json(path: Path) -> Any:

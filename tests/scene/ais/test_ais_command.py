@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, command, old_file, read_json, row
+from tests.command_line import call as command
+from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, old_file, read_json, row
 
 DANISH = SAMPLES / "danish.csv"
 
@@ -31,7 +32,7 @@ def test_scene_folder_is_made_and_said_and_runs_as_typed(monkeypatch, tmp_path, 
         "ais.html",
     }
     assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100
-    assert command(monkeypatch, "check", out / "scene.yaml") == 0
+    assert command(monkeypatch, "check", "scene", out / "scene.yaml") == 0
     run = ("run", out, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")
     assert command(monkeypatch, *run) == 0
 
@@ -214,7 +215,7 @@ def test_negative_degrees_can_be_given(monkeypatch, tmp_path):
 @pytest.mark.parametrize("name", SAMPLE_NAMES)
 def test_same_files_give_the_same_bytes(monkeypatch, tmp_path, name):
     for out in ("a", "b"):
-        assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / out, "--labels", "type") == 0
+        assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / out, "--label", "type") == 0
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 

@@ -12,7 +12,8 @@ import pytest
 
 from modsim3d.scene.ais.messages import SeaRegion
 from modsim3d.view.pages.ais_page import MAX_ROWS, ais_page
-from tests.scene.ais.ais_builders import SAMPLES, command, old_file, row, traffic_of
+from tests.command_line import call as command
+from tests.scene.ais.ais_builders import SAMPLES, old_file, row, traffic_of
 
 
 def text_of(written: str) -> str:
@@ -67,7 +68,7 @@ def test_the_page_begins_with_the_result(said):
         "219000005|outside the region (3)|",
         "1 other sender is no ship: base stations, aids to navigation, aircraft, beacons.",
         "dropped: faster than 60 kn from the position before|2|2.4 %|",
-        "row 83: LAT is not a number (got 'x56')|",
+        "row 83: LAT is not a number (got 'x56')",
         "219000002|X|16|20|20|1|300|282|48.5 %|",
         "Length missing: typical of the ship type|1|",
         "--max-gap 120|given|",

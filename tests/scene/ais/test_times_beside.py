@@ -12,7 +12,8 @@ import pytest
 
 from modsim3d.core.errors import InputError
 from modsim3d.scene.ais.read_nmea import read_nmea, time_beside
-from tests.scene.ais.ais_builders import command, old_file, read_json, row, traffic_of
+from tests.command_line import call as command
+from tests.scene.ais.ais_builders import old_file, read_json, row, traffic_of
 from tests.scene.ais.test_ais_readers import TYPE_1, TYPE_5, log, tagged
 
 MOMENT_S = datetime(2024, 2, 5, 10, 44, 8, tzinfo=UTC).timestamp()

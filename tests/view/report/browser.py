@@ -126,6 +126,10 @@ class Browser:
             raise RuntimeError(json.dumps(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
+    def settle(self) -> None:
+        """Let the browser draw, and scroll, what it was asked for."""
+        self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
+
     def press(self, key: str, shift: bool = False) -> None:
         """Press a key as a user does."""
         text = {"text": key} if len(key) == 1 else {}

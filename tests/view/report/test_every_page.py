@@ -7,14 +7,12 @@ import html
 import json
 import os
 import re
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.core.errors import InputError
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.report_page import Sources
@@ -24,6 +22,7 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.view.pages.provenance import CHANGED, Provenance, file_input, run_inputs, top_line
 from tests.campaign.campaigns import run_campaign_file
+from tests.command_line import call
 from tests.view.made_tracks import perfect, write_csv
 from tests.view.report.axe import grave_violations
 from tests.view.report.browser import Browser
@@ -39,12 +38,12 @@ CAMPAIGN = {
     "require": [{"score": "hota", "at_least": 0.0}, {"score": "hota", "at_least": 0.9}],
 }
 COMMANDS = {
-    "verify": "verify run --out verify",
-    "compare": "compare harbour --steps 2 --out compare",
-    "learn": "learn --run run --replicates 20 --out learn/detector.yaml",
+    "verify": "check run run --out verify",
+    "compare": "check truth harbour --steps 2 --out compare",
+    "learn": "learn run --replicates 20 --out learn/detector.yaml",
     "score": "score run tracks.csv --threshold 0.4 --out score",
     "report": "report run --out run.html",
-    "campaign": "campaign-report campaign --out campaign.html",
+    "campaign": "campaign report campaign --out campaign.html",
 }
 PAGES = {
     "verify": "verify/verify.html",
@@ -57,10 +56,8 @@ PAGES = {
 
 
 def command(words: str) -> int:
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
-        patch.setattr(sys, "argv", ["modsim3d", *words.split(), "--quiet"])
-        main.main()
-    return stopped.value.code
+    with pytest.MonkeyPatch.context() as patch:
+        return call(patch, *words.split(), "--quiet")
 
 
 @pytest.fixture(scope="module")

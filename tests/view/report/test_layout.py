@@ -75,19 +75,15 @@ def player_value(browser: Browser, expression: str) -> Any:
     return browser.run(f"(() => {{ {scripts}; return {expression}; }})()")
 
 
-def settle(browser: Browser) -> None:
-    browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
-
-
 @pytest.mark.parametrize("which", ["page", "crowd_page"])
 def test_at_each_size_nothing_overlaps_or_sticks_out_and_focus_shows_whole(browser, which, request, tmp_path):
     browser.open(request.getfixturevalue(which), DESK)
     for size in (DESK, TABLET, PHONE):
         browser.resize(size)
-        settle(browser)
+        browser.settle()
         for scheme in ("light", "dark"):
             browser.scheme(scheme)
-            settle(browser)
+            browser.settle()
             browser.run("scrollTo(0, 0)")  # where the focus was may be anywhere
             picture = tmp_path / f"{size[0]}_{scheme}.png"
             browser.screenshot(picture)
@@ -183,7 +179,7 @@ def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(b
     assert shown <= 500 < whole
     before = pixels(browser, "timeline")
     browser.run(f"player.choose({vessels - 1})")
-    settle(browser)
+    browser.settle()
     after = pixels(browser, "timeline")
     top, rows_top, rows = browser.run("(t => [t.topOf(t.followed), t.rowsTop, t.rowsPx])(player.timeline)")
     assert rows_top <= top <= rows_top + rows - row

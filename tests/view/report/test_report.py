@@ -6,7 +6,6 @@ import hashlib
 import json
 import re
 import shutil
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -17,7 +16,6 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.cli import main
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.run import run_scene
@@ -29,6 +27,7 @@ from modsim3d.view.report.packing import NONE, in_quanta
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.recorder import quantum_px
 from modsim3d.view.report.report import write_report
+from tests.command_line import call
 from tests.run_folders import interrupt
 from tests.scenes import mistaken_strait, write_scene
 from tests.view.report.conftest import STEPS
@@ -252,13 +251,6 @@ def test_interrupted_run_shows_what_is_there_and_says_so(tmp_path, page):
     shared = min(cut.steps, STEPS) * len(facts["cameras"])
     np.testing.assert_array_equal(columns["truthStart"][:shared], whole["truthStart"][:shared])
     np.testing.assert_array_equal(columns["confidence"][: whole["drawnStart"][shared]][:100], whole["confidence"][:100])
-
-
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
 
 
 def test_command_says_where_the_page_is(monkeypatch, capsys, run_folder, tmp_path):

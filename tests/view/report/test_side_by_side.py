@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.cli import main
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
@@ -170,34 +169,16 @@ def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page,
     assert browser.run("player.followed") in near
 
 
-def call(monkeypatch, capsys, *arguments) -> tuple[int, str]:
-    monkeypatch.setattr("sys.argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    told = capsys.readouterr()
-    return int(stopped.value.code), " ".join((told.out + told.err).split())
-
-
-def test_the_command_takes_two_runs(monkeypatch, capsys, mistaken_folder, other_folder, run_folder, tmp_path):
-    out = tmp_path / "two.html"
-    assert call(monkeypatch, capsys, "report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0
+def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_folder, tmp_path):
+    out, refused = tmp_path / "two.html", tmp_path / "no.html"
+    assert call("report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0
     facts = json.loads(out.read_text().partition('id="facts-B">')[2].partition("</script>")[0])
     assert facts["every"] == 20
-    status, told = call(monkeypatch, capsys, "report", mistaken_folder, run_folder, "--out", tmp_path / "no.html")
-    assert status == 2 and "show different truth" in told
-    status, told = call(
-        monkeypatch,
-        capsys,
-        "report",
-        mistaken_folder,
-        other_folder,
-        "--tracks",
-        "tracks",
-        "--out",
-        tmp_path / "no.html",
-    )
-    assert status == 2 and "--tracks is for one run" in told
-    assert not (tmp_path / "no.html").exists()
+    status, said = call("report", mistaken_folder, run_folder, "--out", refused)
+    assert status == 2 and "show different truth" in " ".join(said.split())
+    status, said = call("report", mistaken_folder, other_folder, "--tracks", "tracks", "--out", refused)
+    assert status == 2 and "--tracks is for one run" in " ".join(said.split())
+    assert not refused.exists()
 
 
 def test_the_same_runs_give_the_same_bytes(mistaken_folder, other_folder, tmp_path):

@@ -26,11 +26,6 @@ def middle(browser: Browser, selector: str = "#picture") -> tuple[float, float]:
     return x, y
 
 
-def frame(browser: Browser) -> None:
-    """Let the browser draw, and scroll, what it was asked for."""
-    browser.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
-
-
 def within_reach(browser: Browser) -> bool:
     """Whether the view's middle is in the image, and the view is no larger than the image nor smaller than a 20th."""
     x, y, width, aspect, wide, high = browser.run(
@@ -46,7 +41,7 @@ def test_one_finger_scrolls_the_page_over_the_image_and_over_the_timeline(phone)
         x, y = middle(phone, selector)
         before = phone.run(f"[scrollY, {VIEW}, player.index]")
         phone.fingers(*([(x, y - down)] for down in range(0, 201, 20)))
-        frame(phone)
+        phone.settle()
         scrolled, view, index = phone.run(f"[scrollY, {VIEW}, player.index]")
         assert scrolled > before[0] + 100, selector
         assert [view, index] == before[1:], selector

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
-import pytest
 
-from modsim3d.cli import main
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view import palette
 from modsim3d.view.report.report import write_report
+from tests.command_line import call
 from tests.view.made_tracks import FALSE_TRACK, write_csv
 from tests.view.report.conftest import FALSE, SWAP
 from tests.view.report.test_page_in_browser import differ, pixels
@@ -97,13 +94,6 @@ def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
         assert part in with_tracks
 
 
-def call(monkeypatch, *arguments) -> int:
-    monkeypatch.setattr(sys, "argv", ["modsim3d", *map(str, arguments)])
-    with pytest.raises(SystemExit) as stopped:
-        main.main()
-    return int(stopped.value.code)
-
-
 def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_folder, rows, followed, tmp_path):
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
     assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", out, "--every", 20) == 0
@@ -117,7 +107,7 @@ def test_how_boxes_are_compared_is_an_option_and_in_the_legend(
     monkeypatch, browser, run_folder, rows, followed, tmp_path
 ):
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
-    options = ("--similarity", "centre", "--scale", 150, "--threshold", 0.3, "--every", 20)
+    options = ("--similarity", "centre:150", "--threshold", 0.3, "--every", 20)
     assert call(monkeypatch, "report", run_folder, "--tracks", file, *options, "--out", out) == 0
     browser.open(out)
     legend = browser.run("document.querySelector('#legend').textContent")

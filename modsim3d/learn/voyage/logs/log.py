@@ -124,7 +124,7 @@ class DetectionLog:
         if start is None:
             return self
         if self.clock is Clock.UTC:
-            problem = "the log has times in UTC: leave --start out, which is for logs that count from 0"
+            problem = "the log has times in UTC: leave --log-start out, which is for logs that count from 0"
             raise InputError(self.source, [problem])
         return replace(self, time_s=self.time_s + start.time_s, clock=start.clock)
 

@@ -58,7 +58,11 @@ def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
         label = _label(int(numbers[7]), options.labels) if classes and len(numbers) > 7 else None
         rows.add(frames[int(numbers[0]) - 1], where, [x - 1, y - 1, width, height], label, numbers[6])
     known = "seqLength in seqinfo.ini" if info.frames >= last else "the frame numbers up to the last with a detection"
-    at = "" if options.start else "; its first frame is taken to be the scene's first step (--start gives another time)"
+    at = (
+        ""
+        if options.start
+        else "; its first frame is taken to be the scene's first step (--log-start gives another time)"
+    )
     return rows.log(Clock.STEP, f"{known}, {rate_hz:g} Hz{at}", notes=said)
 
 

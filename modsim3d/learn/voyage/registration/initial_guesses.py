@@ -13,7 +13,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.text import counted
+from modsim3d.core.text import counted, duration_text
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, Unknowns, usual_px
@@ -207,8 +207,8 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
         apart = first - high if first > high else last - low
         raise ModsimError(
             f"registration: the detections are from {first:,.1f} to {last:,.1f} s and the scene from {low:,.1f} to"
-            f" {high:,.1f} s: the clocks are {_duration(abs(apart))} apart, and at most {searched_s:g} s are searched."
-            " Check the time zone and the start of the log"
+            f" {high:,.1f} s: the clocks are {duration_text(abs(apart))} apart, and at most {searched_s:g} s are"
+            " searched. Check the time zone and the start of the log"
         )
 
 
@@ -268,12 +268,6 @@ def _check_bearings(model: BoxModel, boxes_px: Array, what: str) -> None:
             f"registration: all {what} lie within {high - low:.1f}° of one bearing; at least"
             f" {MIN_BEARINGS_DEG:g}° are needed to tell the clock, the yaw and the lens apart"
         )
-
-
-def _duration(seconds: float) -> str:
-    if seconds >= 5400:
-        return f"{seconds / 3600:,.1f} hours"
-    return f"{seconds / 60:.0f} minutes" if seconds >= 120 else f"{seconds:.0f} s"
 
 
 CLOCK_STEP_S = 0.5

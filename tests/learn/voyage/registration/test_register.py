@@ -110,10 +110,16 @@ def test_given_mean_errors_are_taken_off(scene: Scene, found: BoxesAtTimes) -> N
     assert holds(registration, "pitch_deg")
 
 
-def test_clocks_hours_apart_are_refused(scene: Scene, found: BoxesAtTimes) -> None:
+def test_clocks_hours_apart_another_camera_and_mirrored_images_are_refused(scene: Scene, found: BoxesAtTimes) -> None:
     late = BoxesAtTimes(found.times_s + 7200, found.frame, found.boxes_px)
     with pytest.raises(ModsimError, match=r"the clocks are 2\.0 hours apart.*Check the time zone"):
         register(scene, "quay", late)
+    wrong = r"do not fit the vessels of .*mirrored detections.*another place, camera or time; .*pixels of another size"
+    with pytest.raises(ModsimError, match=wrong):
+        register(scene, "bow", found, searched_s=10)
+    boxes = found.boxes_px[:, [2, 1, 0, 3]] * (-1, 1, -1, 1) + np.array([1920, 0] * 2)
+    with pytest.raises(ModsimError, match=r"Mirrored ones fit better: the images may be mirrored, or upside down$"):
+        register(scene, "quay", BoxesAtTimes(found.times_s, found.frame, boxes), searched_s=10)
 
 
 @pytest.mark.parametrize("noise_m", [0.0, 1.0])
@@ -131,18 +137,6 @@ def test_rivals_that_match_nothing_in_the_end_do_not_end_a_registration(
     beside = register(scene, "quay", some, searched_s=10, noise_m=noise_m)
     ends = [[(each.value, each.high) for each in done.estimates] for done in (beside, alone)]
     np.testing.assert_array_equal(*ends)
-
-
-def test_a_log_of_another_camera_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
-    wrong = r"do not fit the vessels of .*mirrored detections.*another place, camera or time; .*pixels of another size"
-    with pytest.raises(ModsimError, match=wrong):
-        register(scene, "bow", found, searched_s=10)
-
-
-def test_mirrored_images_are_said_to_be(scene: Scene, found: BoxesAtTimes) -> None:
-    boxes = found.boxes_px[:, [2, 1, 0, 3]] * (-1, 1, -1, 1) + np.array([1920, 0] * 2)
-    with pytest.raises(ModsimError, match=r"Mirrored ones fit better: the images may be mirrored, or upside down$"):
-        register(scene, "quay", BoxesAtTimes(found.times_s, found.frame, boxes), searched_s=10)
 
 
 def test_a_camera_that_looks_another_way_is_refused_with_the_yaw_that_fits(scene: Scene) -> None:
@@ -173,33 +167,22 @@ def test_one_bearing_is_refused(scene: Scene, found: BoxesAtTimes) -> None:
         register(scene, "quay", some(found, np.repeat(middle, 10)))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_names_that_do_not_exist_and_wrong_detections_are_refused(scene: Scene, found: BoxesAtTimes) -> None:
+    for options, message in (
         ({"fixed": [*SHORT, "k1"]}, "all parameters are fixed"),
         ({"fixed": ["ptch"]}, "no parameter 'ptch' .did you mean 'pitch'"),
         ({"camera": "quai"}, "no camera 'quai'"),
-    ],
-)
-def test_names_that_do_not_exist_are_refused(
-    scene: Scene, found: BoxesAtTimes, options: dict[str, list[str]], message: str
-) -> None:
-    with pytest.raises(ModsimError, match=message):
-        register(scene, **{"camera": "quay", "found": found, **options})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("times_s", "frame", "boxes", "message"),
-    [
-        ([0.0, 0.0], [0], [[0, 0, 1, 1]], "must ascend, but 0 s follows 0 s"),
-        ([0.0, 1.0], [2], [[0, 0, 1, 1]], "not among the 2 frames"),
-        ([0.0, 1.0], [0, 1], [[0, 0, 1, 1]], "shapes"),
-        ([0.0, np.nan], [0], [[0, 0, 1, 1]], "not a finite number"),
-    ],
-)
-def test_wrong_detections_are_refused(times_s: list, frame: list, boxes: list, message: str) -> None:
-    with pytest.raises(ModsimError, match=message):
-        BoxesAtTimes(np.array(times_s), np.array(frame), np.array(boxes, dtype=float))
+    ):
+        with pytest.raises(ModsimError, match=message):
+            register(scene, **{"camera": "quay", "found": found, **options})  # type: ignore[arg-type]
+    for times_s, frame, message in (
+        ([0.0, 0.0], [0], "must ascend, but 0 s follows 0 s"),
+        ([0.0, 1.0], [2], "not among the 2 frames"),
+        ([0.0, 1.0], [0, 1], "shapes"),
+        ([0.0, np.nan], [0], "not a finite number"),
+    ):
+        with pytest.raises(ModsimError, match=message):
+            BoxesAtTimes(np.array(times_s), np.array(frame), np.array([[0.0, 0, 1, 1]]))
 
 
 def test_boats_that_turn_all_the_time_tell_the_clock_by_ais() -> None:

@@ -8,31 +8,19 @@ from functools import cache
 import numpy as np
 
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import LearnSettings, learn
-from modsim3d.learn.matches import Observed
-from modsim3d.learn.states import Transitions
+from modsim3d.formats.matching import Rule
 from modsim3d.learn.voyage.reference_error import View
 from modsim3d.scene.scene import Scene
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import detector_file, learned_in, observed_in
 
 VESSELS, STEPS, STEP_S = 12, 300, 4.0
-DETECTOR = {
-    "labels": ["boat"],
-    "confidence_threshold": 0.2,
-    "initial_state": "all",
-    "transition_matrix": [[1.0]],
-    "false_positives": {"model": "calibrated"},
-    "states": {
-        "all": {
-            "confusion": [[0.9], [0.1]],
-            "false_positive_labels": [1.0],
-            "false_discovery_rate": 0.1,
-            "box_error": {"unit": "px", "mean": [0.0] * 4, "covariance": np.eye(4).tolist()},
-            "confidence": {"true": {"mean": 0.7, "std": 0.1}, "false": {"mean": 0.5, "std": 0.1}},
-        }
-    },
-}
+DETECTOR = detector_file(
+    "all",
+    false=0.1,
+    box_error={"unit": "px", "mean": [0.0] * 4, "covariance": np.eye(4).tolist()},
+    confidence={"true": {"mean": 0.7, "std": 0.1}, "false": {"mean": 0.5, "std": 0.1}},
+) | {"false_positives": {"model": "calibrated"}}
 
 
 @cache
@@ -118,7 +106,4 @@ def noisy_set(scene, view, times, seed, position_m, lasting_s, covariance, kept=
 
 
 def learned_from(labelled, replicates=60, without=("places", "sizes", "merges", "splits", "duplicates")):
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    matched = match(labelled, Rule("provenance"), 0.2)
-    observed = Observed(labelled, matched, ("all",), state, 0.2, frozenset(without))
-    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=replicates))
+    return learned_in(observed_in(labelled, Rule("provenance"), without, "all"), replicates=replicates)

@@ -13,13 +13,20 @@ from modsim3d.learn.voyage.non_ais.tracklets import Behaviour, things_of
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.voyage.unseen.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, observed
 
+NOTHING = truth([], [], np.empty((0, 4)))
 
-def set_of(image, x, y, size=40.0, frames=60, rate_hz=2.0, seas=SEA):
+
+def set_of(image, x, y, size=40.0, **frames):
+    """Detections at places, and nothing annotated."""
     size = np.broadcast_to(size, len(image))
-    rows = found(image, 0 * np.asarray(image), boxes_at(np.array(x), np.array(y), size), np.full(len(image), 0.9))
+    return set_of_boxes(image, boxes_at(np.array(x), np.array(y), size), **frames)
+
+
+def set_of_boxes(image, boxes, annotated=NOTHING, frames=60, rate_hz=2.0, seas=SEA):
+    rows = found(image, 0 * np.asarray(image), boxes, np.full(len(image), 0.9))
     seas = np.broadcast_to(seas, (frames, 3))
     shots = images(frames, (WIDTH_PX, HEIGHT_PX), np.arange(frames) / rate_hz, np.array(seas))
-    return LabelledSet(("boat",), ("all",), shots, truth([], [], np.empty((0, 4))), rows.by_image())
+    return LabelledSet(("boat",), ("all",), shots, annotated.by_image(), rows.by_image())
 
 
 def linked(labelled):
@@ -29,7 +36,7 @@ def linked(labelled):
 def test_what_nears_is_one_thing_though_it_seems_to_go_ever_faster():
     """At 1 Hz and 12 px, by up to a twentieth of its length a second each second."""
     frame = np.arange(40)
-    assert linked(set_of(frame, 100 + 0.3 * frame**2.0, np.full(40, 400.0), 12.0, 40, 1.0)).count == 1
+    assert linked(set_of(frame, 100 + 0.3 * frame**2.0, np.full(40, 400.0), 12.0, frames=40, rate_hz=1.0)).count == 1
 
 
 def test_a_thing_is_followed_over_a_gap_as_long_as_it_was_seen_and_not_over_a_longer_one():
@@ -43,8 +50,7 @@ def test_a_thing_that_comes_into_view_and_leaves_it_is_one_thing():
     left = 1300 - 14.0 * frame  # 140 px wide, in an image of 1200 px
     boxes = np.clip(np.column_stack([left, 0 * left + 400, left + 140, 0 * left + 440]), 0, [[WIDTH_PX, 700] * 2])
     seen = boxes[:, 2] - boxes[:, 0] > 1
-    rows = found(frame[seen], 0 * frame[seen], boxes[seen], np.full(seen.sum(), 0.9)).by_image()
-    labelled = replace(set_of(frame[:1], [0.0], [0.0], frames=120), results=rows)
+    labelled = set_of_boxes(frame[seen], boxes[seen], frames=120)
     links = linked(labelled)
     assert links.count == 1
     assert things_of(links, labelled.images).cut.tolist() == [True]
@@ -57,11 +63,8 @@ def test_a_thing_that_a_known_vessel_hides_in_part_is_one_thing():
     known = np.tile([350.0, 380, 450, 410], (60, 1))
     behind = (left > 290) & (left + 60 < 510)
     low[behind, 3] = 380
-    rows = found(frame, 0 * frame, low, np.full(60, 0.9)).by_image()
-    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
-    links = link(observed(labelled))
     assert behind.sum() > 10
-    assert links.count == 1
+    assert linked(set_of_boxes(frame, low, truth(frame, 0 * frame, known))).count == 1
 
 
 def test_things_that_cross_keep_their_numbers():
@@ -80,10 +83,8 @@ def test_a_thing_that_another_one_hides_in_part_is_one_thing():
     over = (behind + 60 > before) & (behind < before + 200)
     low[over, 3] = 378
     near = np.column_stack([before, 0 * before + 380, before + 200, 0 * before + 430])
-    boxes, image = np.concatenate([low, near]), np.tile(frame, 2)
-    rows = found(image, 0 * image, boxes, np.full(120, 0.9)).by_image()
     assert over.sum() > 10
-    assert linked(replace(set_of(frame[:1], [0.0], [0.0]), results=rows)).count == 2
+    assert linked(set_of_boxes(np.tile(frame, 2), np.concatenate([low, near]))).count == 2
 
 
 def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
@@ -93,9 +94,7 @@ def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
     piece = np.tile([590.0, 395, 610, 400], (4, 1))  # of the known vessel, beside the other one
     stray = np.array([[490.0, 397, 535, 427]])  # one frame earlier, near where the other one will be
     boxes, image = np.concatenate([whole, piece, stray]), np.r_[frame, 41:45, 40]
-    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
-    labelled = replace(set_of(frame[:1], [0.0], [0.0]), results=rows, annotations=truth(frame, 0 * frame, known))
-    links = link(observed(labelled))
+    links = linked(set_of_boxes(image, boxes, truth(frame, 0 * frame, known)))
     of_whole = links.link[np.isclose(links.sizes_px[:, 0], 60.0)]
     assert len(of_whole) > 50
     assert len(set(of_whole.tolist())) == 1
@@ -122,8 +121,7 @@ def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_one
     image = np.tile(frame, 4)
     boxes = np.concatenate([measured(known, error_px), measured(large, 30.0), measured(large, 30.0), silent])
     annotated = truth(np.tile(frame, 2), np.zeros(600), np.concatenate([known, large]), identity=np.repeat([0, 1], 300))
-    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
-    labelled = replace(set_of(frame[:1], [0.0], [0.0], frames=300), results=rows, annotations=annotated.by_image())
+    labelled = set_of_boxes(image, boxes, annotated, frames=300)
     links = link(observed(labelled, Rule("centre", most_distance_px=30)))
     ours = (links.places_px[:, 0] < 300) & (links.places_px[:, 1] < 250)
     things = things_of(links, labelled.images)
@@ -131,8 +129,7 @@ def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_one
     np.testing.assert_allclose(links.jitter.size_px, np.sqrt(2) * error_px, rtol=0.2)
     assert len(of_silent) == 1
     assert things.perhaps_vessel[of_silent].all()
-    alone = replace(labelled, annotations=truth([], [], np.empty((0, 4))))
-    steady = link(observed(alone))
+    steady = linked(replace(labelled, annotations=NOTHING))
     assert steady.jitter is STEADY
     pieces = len(np.unique(steady.link[(steady.places_px[:, 0] < 300) & (steady.places_px[:, 1] < 250)]))
     assert (pieces > 5) == (error_px > 2)
@@ -147,12 +144,8 @@ def test_errors_of_large_known_vessels_do_not_link_small_clutter():
     clutter = boxes_at(rng.uniform(400, 800, count), rng.uniform(620, 680, count), rng.uniform(6, 24, count))
     image = np.r_[np.tile(frame, 3), single]
     boxes = np.concatenate([known + rng.normal(0, 15, known.shape), clutter])
-    rows = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
-    labelled = replace(
-        set_of(frame[:1], [0.0], [0.0], frames=600),
-        results=rows,
-        annotations=truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600)).by_image(),
-    )
+    annotated = truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600))
+    labelled = set_of_boxes(image, boxes, annotated, frames=600)
     judged = classify_unmatched(observed(labelled, Rule("centre")))
     assert judged.links.jitter.place_px.min() > 10
     assert judged.things.lasted_s.max() <= 30
@@ -170,11 +163,7 @@ def test_jitter_is_that_of_boxes_in_full_view():
     seen = known + np.where(wild, rng.normal(0, 10, known.shape), rng.normal(0, 1, known.shape))
     unsure = np.repeat([False, False, True, False], 200)
     annotated = replace(truth(rows, 0 * rows, known, identity=np.repeat(np.arange(4), 200)), unsure_box=unsure)
-    labelled = replace(
-        set_of(frame[:1], [0.0], [0.0], frames=200),
-        results=found(rows, 0 * rows, seen, np.full(800, 0.9)).by_image(),
-        annotations=annotated.by_image(),
-    )
+    labelled = set_of_boxes(rows, seen, annotated, frames=200)
     jitter = jitter_of(observed(labelled, Rule("centre")), 3.0)
     np.testing.assert_allclose(jitter.place_px, 1.0, rtol=0.25)  # √2 · 1 px / √2 corners
     assert jitter_of(observed(labelled, Rule("centre")), 0.4) is STEADY

@@ -11,8 +11,8 @@ from modsim3d.formats.labelled import Annotations, Results
 from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings
-from modsim3d.learn.matching_bias import simulated
 from modsim3d.learn.model_selection import RICHER
+from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
 from modsim3d.learn.voyage.non_ais.rates import RateSource, TimeSpan, parse_stretches
 from modsim3d.learn.voyage.non_ais.report import learn_beside_unseen, rows_of, sentences

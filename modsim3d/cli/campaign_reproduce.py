@@ -1,0 +1,197 @@
+"""The command `modsim3d campaign reproduce`: a run of a campaign again, to be looked at."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modsim3d.cli.shared import (
+    INTERRUPTED,
+    CampaignArgument,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    VerboseOption,
+    print_line,
+    print_written,
+    progress,
+)
+from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, timed, warn
+
+if TYPE_CHECKING:
+    from modsim3d.campaign.folder import CampaignFolder
+    from modsim3d.campaign.keys import ScoreKeys
+    from modsim3d.campaign.reproduce import RunAgain
+    from modsim3d.campaign.worst_film import MomentFilm
+
+NOT_THE_SAME = 1
+"""Exit status if the run does not come out as in the campaign."""
+HEADER = ("", "in the campaign", "again")
+
+
+def campaign_reproduce_command(
+    campaign: CampaignArgument,
+    number: Annotated[int, typer.Argument(min=0, metavar="NUMBER", help="Number of the run, as in its tables.")],
+    out: Annotated[
+        Path, typer.Option(metavar="RUN", help="Run directory to write; its tracks go to RUN_tracks beside it.")
+    ],
+    film: Annotated[
+        bool, typer.Option("--film", help="Film ten seconds around the moment at which the run went wrong.")
+    ] = False,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
+
+    A run that is there already, and is this one, is not made a second time; any other is refused without --overwrite.
+
+    Exit status 1 if it does not come out as in the campaign. A run that crashed crashes again: its error is told.
+
+    Example: modsim3d campaign reproduce runs/example 12 --out runs/example/runs/12 --film
+    """
+    from modsim3d.campaign.folder import opened_campaign
+    from modsim3d.campaign.reproduce import make_again
+    from modsim3d.campaign.work.row import CRASHED, rules_of
+    from modsim3d.campaign.worst_film import film_moment, film_path
+    from modsim3d.io.overwrite_guard import check_free
+    from modsim3d.view.films.files import check_encoder
+
+    opened = opened_campaign(campaign)
+    if film:
+        check_encoder("mp4")
+        check_free(film_path(out), overwrite)
+    try:
+        with timed("run, tracks and scores"), progress(f"run {number}", opened.keys.steps) as advance:
+            again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
+    except KeyboardInterrupt:
+        say("\nmodsim3d: interrupted; the same command goes on", err=True)
+        raise typer.Exit(INTERRUPTED) from None
+    moment = None
+    moment_s = None if again.row is None else again.row["worst_s"]
+    if film and moment_s is not None:
+        with timed("film"), progress("drawn", None) as advance:
+            moment = film_moment(
+                out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance
+            )
+    _print_run(again)
+    if film and moment is None:
+        warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))
+    _print_outcome(opened, again, moment)
+    say_json(_json(opened, again, moment))
+    crashed_before = again.before is not None and again.before["status"] == CRASHED
+    if not again.same or (again.error is not None and not crashed_before):
+        raise typer.Exit(NOT_THE_SAME)
+
+
+def _print_run(again: RunAgain) -> None:
+    from modsim3d.campaign.plan import text_of
+
+    run = again.run
+    rows = [
+        ("scene", run.condition.scene),
+        *((key, text_of(value)) for key, value in run.condition.values.items()),
+        ("traffic seed", str(run.traffic_seed)),
+        ("detector seed", str(run.detector_seed)),
+        ("tracker", run.tracker.label),
+    ]
+    print_table(open_console(), f"run {run.number}", rows)
+
+
+def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> None:
+    console, out, tracks = open_console(), shlex.quote(str(again.folder)), shlex.quote(str(again.tracks))
+    if again.row is not None:
+        print_table(console, "scores", _score_rows(campaign, again), header=HEADER, right=(1, 2))
+    print_line(console, "")
+    for sentence in _sentences(again):
+        print_prose(console, sentence, "bold")
+    if again.error is not None:
+        print_line(console, f"\n{again.error}\n  {again.raised_at}")
+        if (again.folder / "run.json").is_file():
+            print_written(console, [again.folder])
+            print_line(console, f"\nnext\n  modsim3d view film {out}")
+        return
+    for path in again.reused:
+        print_line(console, f"{path} was there already")
+    new = [path for path in (again.folder, again.tracks) if path not in again.reused]
+    print_written(console, [*new, *([film.path] if film else [])])
+    moment_s = (again.row or {}).get("worst_s")
+    options = _score_options(campaign.keys.score)
+    print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")
+    if film is None and moment_s is not None:
+        print_line(console, f"  modsim3d view frame {out} {moment_s}s --tracks {tracks} --crop vessels")
+    print_line(console, f"  modsim3d report {out} --tracks {tracks}")
+
+
+def _sentences(again: RunAgain) -> list[str]:
+    """Sentences on the outcome of the run."""
+    found = []
+    if again.error is not None:
+        crashed = again.before is not None and again.before["error"] is not None
+        same = crashed and again.before is not None and again.before["error"] == again.error
+        told = "with the error that the campaign has" if same else "with another error than in the campaign"
+        found.append(f"The run crashed again, {told}." if crashed else "The run crashed.")
+    elif again.before is None:
+        found.append("The campaign has not done this run, so there is nothing to compare.")
+    elif again.before["error"] is not None:
+        found.append(f"The run crashed in the campaign ({again.before['error']}), and did not now.")
+    elif again.differing:
+        found.append(f"{len(again.differing)} columns are not as in the campaign: {', '.join(again.differing[:5])}.")
+    else:
+        found.append("Every column is as in the campaign.")
+    if again.versions:
+        told = ", ".join(f"{name} {then or 'none'} → {now or 'none'}" for name, (then, now) in again.versions.items())
+        found.append(f"The campaign was made with other versions: {told}.")
+    return found
+
+
+def _score_rows(campaign: CampaignFolder, again: RunAgain) -> list[tuple[str, ...]]:
+    from modsim3d.campaign.verdicts.seed_values import columns_of
+    from modsim3d.core.text import number
+    from modsim3d.tracking.score_text import COLUMNS
+
+    row, before = again.row or {}, again.before or {}
+    known = {key: (name, decimals) for name, key, decimals in COLUMNS}
+    keys = dict.fromkeys(
+        [*(column for each in campaign.keys.require for column in columns_of(campaign.plan, each)), *known]
+    )
+    rows = [
+        (known.get(key, (key, 3))[0], *(number(each.get(key), known.get(key, (key, 3))[1]) for each in (before, row)))
+        for key in keys
+    ]
+    return [*rows, ("went wrong at, s", *(number(each.get("worst_s"), 2) for each in (before, row)))]
+
+
+def _score_options(keys: ScoreKeys) -> str:
+    """The options of `modsim3d score` that give the rules of a campaign."""
+    names = {"scale_px": "scale", "gap_s": "gap"}
+    given = keys.model_dump(exclude_defaults=True)
+    return "".join(f" --{names.get(name, name.replace('_', '-'))} {value}" for name, value in given.items())
+
+
+def _json(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> dict[str, Any]:
+    run = again.run
+    return {
+        "format": 1,
+        "command": "campaign reproduce",
+        "campaign": campaign.path,
+        "run": run.number,
+        "scene": run.condition.scene,
+        "values": run.condition.values,
+        "traffic_seed": run.traffic_seed,
+        "detector_seed": run.detector_seed,
+        "tracker": run.tracker.label,
+        "folder": again.folder,
+        "tracks": again.tracks,
+        "same": again.same,
+        "error": again.error,
+        "raised_at": again.raised_at or None,
+        "differing": again.differing,
+        "versions": again.versions,
+        "row": again.row,
+        "film": None if film is None else vars(film),
+    }

@@ -1,0 +1,276 @@
+"""The commands `modsim3d check`: a scene or another file, a run, its repetition, and sources of truth side by side."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from modsim3d.cli.run_summary import scene_warnings, traffic_in_words
+from modsim3d.cli.shared import (
+    EveryOption,
+    FinishedRunArgument,
+    FromOption,
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    SceneArgument,
+    SetOption,
+    StateOption,
+    StepsOption,
+    VerboseOption,
+    WorkersOption,
+    print_line,
+    print_rows,
+    print_written,
+    progress,
+    typed_command,
+)
+from modsim3d.cli.terminal import open_console, print_document, say_json, tell, tell_files, timed, warn
+from modsim3d.core.errors import ModsimError
+
+if TYPE_CHECKING:
+    from modsim3d.detector.model import DetectorModel
+    from modsim3d.runs.repeat_run import RepeatedFile, Repetition
+    from modsim3d.scene.scene import Scene
+
+# ---- `modsim3d check scene` ----
+
+
+def check_scene_command(
+    scene: SceneArgument,
+    settings: SetOption = None,
+    state: StateOption = None,
+    state_from: FromOption = None,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Read a scene and every file that it names, and list everything that is wrong.
+
+    Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene, and of
+    vessels for which drawn traffic has no room, of meshes that do not fit their vessels, and of keys of the detector
+    file that nothing reads.
+
+    Example: modsim3d check scene strait
+    """
+    from modsim3d.runs.camera_sequences import blind_at_first
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
+
+    with timed("reading the scene"):
+        loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
+    tell_files(loaded.copy.read)
+    console = open_console()
+    warnings = [*scene_warnings(loaded), *blind_at_first(loaded)]
+    found = f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
+    print_line(console, f"{loaded.path}: {found}")
+    print_rows(console, "", _rows(loaded))
+    for warning in warnings:
+        warn(warning)
+    say_json(_check_json(loaded, warnings))
+
+
+def _rows(scene: Scene) -> list[tuple[str, str]]:
+    return [
+        ("vessels", f"{len(scene.vessels)}{_drawn(scene)}"),
+        ("cameras", f"{len(scene.cameras)}: {', '.join(camera.name for camera in scene.cameras)}"),
+        ("traffic", traffic_in_words(scene)),
+        ("steps", "as they come" if scene.live else str(scene.steps)),
+        ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
+        *_state_rows(scene.detector),
+    ]
+
+
+def _state_rows(detector: DetectorModel) -> list[tuple[str, str]]:
+    shares = detector.stationary_shares
+    if len(shares) < 2:
+        return []
+    unforced = ", while no schedule forces one" if detector.performance.schedule else ""
+    named = ", ".join(f"{state} {share:.1%}" for state, share in shares.items())
+    return [("states", f"in the long run {named}{unforced}")]
+
+
+def _drawn(scene: Scene) -> str:
+    return f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
+
+
+def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
+    return {
+        "format": 1,
+        "command": "check scene",
+        "scene": scene.name,
+        "path": scene.path,
+        "files": list(scene.copy.read),
+        "vessels": [vessel.name for vessel in scene.vessels],
+        "cameras": [camera.name for camera in scene.cameras],
+        "steps": None if scene.live else scene.steps,
+        "traffic_seed": scene.traffic_seed,
+        "mode": scene.annotation.mode,
+        "source": scene.annotation.source,
+        "stationary_shares": scene.detector.stationary_shares,
+        "warnings": warnings,
+    }
+
+
+# ---- `modsim3d check run` ----
+
+
+def check_run_command(
+    context: typer.Context,
+    run: FinishedRunArgument,
+    detector: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Detector file to hold the run against.", show_default="the run's own"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for verify.json and verify.html.", show_default="RUN")
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Check that a run obeys its detector file: every parameter as given and as measured, with a verdict.
+
+    Exit status 1 if a verdict is against the run.
+
+    Example: modsim3d check run runs/first
+    """
+    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.stored_run import open_run
+    from modsim3d.verify import verify_run as verify_report
+    from modsim3d.verify.verify_run import verify_run
+
+    with timed("opening the run"):
+        opened = open_run(run)
+    folder = run if out is None else out
+    paths = [folder / name for name in verify_report.FILES]
+    read = [*read_of_run(run), *([detector] if detector else [])]
+    tell_files(read)
+    with claimed(paths, overwrite=overwrite, inputs=read):
+        with timed("checks"):
+            verified = verify_run(opened, detector)
+        with timed("files"):
+            verify_report.write_report(verified, folder, typed_command(context))
+    verification = verified.verification
+    console = open_console()
+    print_document(console, verify_report.document(verified))
+    print_written(console, paths)
+    said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
+    say_json({"command": "check run", **verify_report.report_data(verified), **said, "written": paths})
+    if not verification.obeys:
+        raise typer.Exit(1)
+
+
+# ---- `modsim3d check truth` ----
+
+
+def check_truth_command(
+    context: typer.Context,
+    scene: SceneArgument,
+    steps: StepsOption = None,
+    settings: SetOption = None,
+    every: EveryOption = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for compare.json and compare.html.", show_default="nothing written"),
+    ] = None,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Check the rendered truth of a scene against ID buffers and geometry, and the idealised rectangle rule against it.
+
+    Exit status 1 if a difference is unexplained.
+
+    Example: modsim3d check truth harbour --every 5 --out runs/compared
+    """
+    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.runs.pipeline import open_renderer
+    from modsim3d.scene.reading import load_scene
+    from modsim3d.scene.settings import read_settings
+    from modsim3d.verify.sources import report as compare_report
+    from modsim3d.verify.sources.compare import compare_sources
+
+    with timed("reading the scene"):
+        loaded = load_scene(scene, steps=steps, source="rendered", settings=read_settings(settings or ()))
+    written = [out / name for name in compare_report.FILES] if out is not None else []
+    tell_files(loaded.copy.read)
+    with claimed(written, overwrite=overwrite, inputs=loaded.copy.read), open_renderer(loaded) as renderer:
+        if renderer is None:
+            raise ModsimError("check truth needs the rendered source")
+        tell("OpenGL", renderer.context.description)
+        with timed("comparison"), progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:
+            comparison = compare_sources(loaded, renderer, every=every, progress=advance)
+        if out is not None:
+            compare_report.write_report(comparison, loaded, renderer, out, typed_command(context), scene)
+    figures = comparison.figures
+    console = open_console()
+    print_document(console, compare_report.document(comparison, loaded))
+    written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
+    print_written(console, written)
+    say_json({"command": "check truth", **asdict(figures), "written": written})
+    if figures.unexplained:
+        raise typer.Exit(1)
+
+
+# ---- `modsim3d check repeat` ----
+
+
+def check_repeat_command(
+    run: FinishedRunArgument,
+    workers: WorkersOption = 1,
+    quiet: QuietOption = False,
+    verbose: VerboseOption = False,
+    json: JsonOption = False,
+) -> None:
+    """Repeat a run from the copy of its scene into a temporary folder, and compare every file, byte by byte.
+
+    Also checks that the stored files are still what run.json lists. Exit status 1 if a byte differs.
+
+    Example: modsim3d check repeat runs/first
+    """
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.repeat_run import repeat_run
+    from modsim3d.runs.stored_run import read_finished
+
+    with timed("opening the run"):
+        stored = read_finished(run)  # damage to the tables is for the comparison to tell
+    tell_files(read_of_run(run))
+    bar = progress(stored.scene.name, stored.scene.steps)
+    with timed("repetition"), TemporaryDirectory(prefix="modsim3d_repeat_") as folder, bar as advance:
+        repetition = repeat_run(stored, Path(folder) / "again", workers=workers, progress=advance)
+    _print_repetition(repetition)
+    say_json({"format": 1, "command": "check repeat", "folder": run, "same": repetition.same, **asdict(repetition)})
+    if not repetition.same:
+        raise typer.Exit(1)
+
+
+def _print_repetition(repetition: Repetition) -> None:
+    console = open_console()
+    print_rows(console, "files", [(file.name, _said(file, repetition.listed)) for file in repetition.files])
+    versions = [(item.name, f"then {item.then or 'none'}", f"now {item.now or 'none'}") for item in repetition.versions]
+    print_rows(console, "made with other versions", versions)
+    wrong = sum(not file.same for file in repetition.files)
+    if not wrong:
+        print_line(console, f"\nall {len(repetition.files)} files are the same", "bold")
+        return
+    print_line(console, f"\n{wrong} of {len(repetition.files)} files are not the same", "bold red")
+
+
+def _said(file: RepeatedFile, listed: bool) -> str:
+    """Outcome for one file."""
+    same = "the bytes that were written" if file.stored else "the same bytes"
+    made = "" if file.is_input else f"repeated: {file.repeated or same}"
+    if file.name == "run.json" and not file.repeated:
+        made = "repeated: the same, versions aside"
+    stored = f"stored: {file.stored}" if file.stored else "as written" if file.is_input and listed else ""
+    if file.is_input and not listed and not stored:
+        stored = "not listed in run.json, which an older version wrote"
+    return "; ".join(filter(None, [stored, made]))

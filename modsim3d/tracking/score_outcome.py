@@ -1,0 +1,161 @@
+"""Outcome of all tracks of a run, in a sentence and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from typing import Any
+
+from modsim3d.core.text import UNKNOWN
+from modsim3d.tracking.oracle import RAW, SMOOTHED
+from modsim3d.tracking.run_scores import ScoredTracks, TrackScores
+from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, keys_of
+from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode
+from modsim3d.tracking.scores.scored import Rules
+
+ONE_RUN = (
+    "One run is one sample: over seeds the HOTA of a tracker has a standard deviation of up to 0.1, so compare "
+    "trackers over many traffic seeds."
+)
+
+NOISY_BOXES = 0.3
+"""Below this HOTA of the raw boxes with perfect association, IoU is the wrong similarity."""
+
+
+def conclusion_of(scores: ScoredTracks) -> str:
+    """The outcome: of the best tracker in the images, and of each in the world."""
+    said = []
+    if scores.trackers:
+        outcomes = [
+            TrackerOutcome(each.name, keys_of(each.scores), length_bins(each.scores.occlusions))
+            for each in scores.trackers
+        ]
+        said.append(conclusion(outcomes, keys_of(scores.references[SMOOTHED])))
+    if scores.world:
+        said.append(world_conclusion(scores))
+    return " ".join(said)
+
+
+def remarks_of(scores: ScoredTracks) -> str:
+    """Remarks to read before using the scores in the images."""
+    raw = keys_of(scores.references[RAW])["hota"]
+    if scores.rules.similarity.name != "iou" or raw is None or raw >= NOISY_BOXES:
+        return ONE_RUN
+    return (
+        f"{ONE_RUN} The raw boxes with perfect association have HOTA {raw:.2f} only: here IoU scores the noise of the "
+        "boxes more than the trackers. Compare centres (--similarity centre)."
+    )
+
+
+def world_conclusion(scores: ScoredTracks) -> str:
+    """The outcome of tracks in the world, a sentence for each tracker."""
+    said = []
+    for each in scores.world:
+        keys = each.scores.flat()
+        rmse, share = keys["rmse_m"], keys["followed_share"]
+        if rmse is None:
+            said.append(f"{each.name} follows no vessel in the world.")
+            continue
+        met = keys["encounters"]
+        said.append(
+            f"{each.name} follows vessels in the world with an error of {rmse:.1f} m (RMSE), for "
+            f"{UNKNOWN if share is None else f'{100 * share:.0f} %'} of the time that it should"
+            + (f", and {keys['encounters_established']} of the {met} that met own ship." if met else ".")
+        )
+    return " ".join(said)
+
+
+def survived_and_judged(occlusions: Sequence[OcclusionEpisode]) -> tuple[int, int]:
+    """How many occlusions tracks survived, and of how many."""
+    judged = [each.survived for each in occlusions if each.survived is not None]
+    return sum(judged), len(judged)
+
+
+def length_bins(occlusions: Sequence[OcclusionEpisode]) -> tuple[LengthBin, ...]:
+    """Occlusions by length, those that a track could survive."""
+    bins = []
+    for low, high in pairwise((0, *LENGTH_EDGES_S, float("inf"))):
+        survived, judged = survived_and_judged([each for each in occlusions if low <= each.length_s < high])
+        name = f"longer than {low:g} s" if high == float("inf") else f"of {low:g} to {high:g} s"
+        bins.append(LengthBin(name, judged, survived))
+    return tuple(bins)
+
+
+# ---- Scores as JSON ----
+
+FORMAT = 1
+
+
+def score_data(scores: ScoredTracks) -> dict[str, Any]:
+    """Content of `score.json`."""
+    return {
+        "format": FORMAT,
+        "scene": scores.run.scene.name,
+        "run": scores.run.folder,
+        "conclusion": conclusion_of(scores),
+        "rules": _rules(scores.rules),
+        "trackers": [_tracker(each) for each in scores.trackers],
+        "references": {name: found.as_json() for name, found in scores.references.items()},
+        "seeds": _seeds(scores),
+        "world": world_data(scores),
+    }
+
+
+def _rules(rules: Rules) -> dict[str, Any]:
+    similarity, distance = rules.similarity, rules.set_distance
+    return {
+        "truth": rules.truth,
+        "gap_s": rules.gap_s,
+        "similarity": similarity.name,
+        "scale_px": similarity.scale_px,
+        "threshold": similarity.least,
+        "by_class": rules.by_class,
+        "cameras": rules.cameras or None,
+        "gospa_c_px": distance.cutoff,
+        "gospa_p": distance.power,
+    }
+
+
+def _tracker(each: TrackScores) -> dict[str, Any]:
+    origin = each.track_set.origin
+    return {
+        "name": each.name,
+        "tracks": each.path,
+        "tracker": origin and origin.tracker,
+        "settings": origin and origin.settings,
+        "chosen": origin and origin.chosen,
+        "package": origin and origin.package,
+        **each.scores.as_json(),
+    }
+
+
+def _seeds(scores: ScoredTracks) -> dict[str, Any] | None:
+    if scores.seeds is None:
+        return None
+    return {
+        "detector_seeds": scores.seeds.seeds,
+        "scores": {
+            name: {
+                key: {part: getattr(spread, part) for part in ("values", "mean", "deviation", "interval")}
+                for key, spread in spreads.items()
+            }
+            for name, spreads in scores.seeds.spreads.items()
+        },
+    }
+
+
+def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
+    """Entries of world tracks in `score.json`."""
+    return [
+        {
+            "name": each.name,
+            "tracks": each.path,
+            "gate_m": each.scores.gate_m,
+            "gospa_c_m": each.scores.set_distance.cutoff,
+            "gospa_p": each.scores.set_distance.power,
+            **each.scores.flat(),
+            "each_encounter": [asdict(met) for met in each.scores.encounters],
+        }
+        for each in scores.world
+    ]

@@ -1,0 +1,168 @@
+"""Request for a film or a picture: what it shows of a run, checked before anything is read or drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+from modsim3d.core.errors import ModsimError, RendererError
+from modsim3d.render.context import open_context
+from modsim3d.runs.counts import NOTHING_WRONG
+from modsim3d.runs.selection import Selection
+from modsim3d.view.films.plan import (
+    ALL,
+    KINDS,
+    SEVERAL_WIDTH_PX,
+    WIDTH_PX,
+    FilmPlan,
+    crop_to_vessels,
+    mistakes_in,
+    parse_crop,
+    vessels_in,
+)
+from modsim3d.view.followed_tracks import FollowedTracks
+from modsim3d.view.map_picture import check_matplotlib
+from modsim3d.view.pictures.canvas import Box
+from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
+
+WITH_LOOK = ("scene", "detections", "all")
+WITH_TRACKS = ("detections", "all")
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a scene is to look, as `--look` says it.
+
+    Attributes:
+        shaded: In light and shade, or plain; that of the kind if None.
+        visibility_m: Meteorological visibility; clear air if None.
+        night: Whether it is dark.
+    """
+
+    shaded: bool | None = None
+    visibility_m: float | None = None
+    night: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """A look such as `plain`, or `night,fog:800`.
+
+        Raises:
+            ModsimError: A word is none of `shaded`, `plain`, `night` and `fog:M`, or they contradict each other.
+        """
+        words = [word.strip() for word in text.split(",")]
+        fogs = [word.removeprefix("fog:") for word in words if word.startswith("fog:")]
+        try:
+            visibilities = [float(fog) for fog in fogs]
+        except ValueError:
+            visibilities = []
+        strange = {*words} - {"shaded", "plain", "night", *(f"fog:{fog}" for fog in fogs)}
+        if strange or len(visibilities) != len(fogs) or len(fogs) > 1 or {"shaded", "plain"} <= {*words}:
+            raise ModsimError(
+                f"--look {text}: needs shaded or plain, night, fog:M with the visibility in metres, as in night,fog:800"
+            )
+        shaded = "shaded" in words if {"shaded", "plain"} & {*words} else None
+        look = cls(shaded, visibilities[0] if visibilities else None, "night" in words)
+        look.style()
+        return look
+
+    @property
+    def weather(self) -> bool:
+        """Whether there is fog, or it is dark."""
+        return self.visibility_m is not None or self.night
+
+    def style(self) -> RenderStyle:
+        """The style of a scene that looks so.
+
+        Raises:
+            ModsimError: The visibility is no distance, or weather is asked for in a plain picture.
+        """
+        return RenderStyle(self.shaded is not False, self.visibility_m, self.night)
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """Content of a picture or of each picture of a film.
+
+    Attributes:
+        kind: One of `KINDS`, or `all` for detections, scene and IDs side by side.
+        layers: Names of layers to draw over the image; those of the kind if None.
+        crop: Part of the image: x_min,y_min,x_max,y_max in pixels, or `vessels`; all of it if None.
+        width: Width of the picture in pixels; the usual one if None.
+        look: How scenes look.
+        with_tracks: Whether tracks of a tracker are drawn.
+    """
+
+    kind: str = "detections"
+    layers: Sequence[str] | None = None
+    crop: str | None = None
+    width: int | None = None
+    look: Look = field(default_factory=Look)
+    with_tracks: bool = False
+
+    def __post_init__(self) -> None:
+        """Check what can be checked without a run.
+
+        Raises:
+            ModsimError: Parts of the request do not go together, or there is no such layer.
+        """
+        if self.with_tracks and self.kind not in WITH_TRACKS:
+            raise ModsimError(f"--tracks works with --kind detections and all, not with {self.kind}")
+        if self.look != Look() and self.kind not in WITH_LOOK:
+            raise ModsimError(f"--look works with --kind scene, detections and all, not with {self.kind}")
+        if self.width is not None and self.width % 2:
+            even = f"{self.width - 1} or {self.width + 1}"
+            raise ModsimError(f"--width {self.width}: films need an even width, such as {even}")
+        if self.layers is not None:
+            Layers.of(self.layers)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Some of `KINDS`, shown side by side."""
+        return ALL if self.kind == "all" else tuple(kind for kind in KINDS if kind == self.kind)
+
+    def plan(self, selection: Selection, tracks: FollowedTracks | None = None) -> FilmPlan:
+        """Plan of the pictures of some frames of a run.
+
+        Raises:
+            ModsimError: A part of the image is not in it, or a library that this needs is not there.
+        """
+        style, boxes_on_scene = self._style()
+        if self.kind == "map":
+            check_matplotlib()
+        crops: tuple[Box, ...] = ()
+        if self.crop is not None:
+            crops = crop_to_vessels(selection) if self.crop == "vessels" else parse_crop(selection, self.crop)
+        kinds = {*self.kinds}
+        several = self.kind != "map" and (len(kinds) > 1 or len(selection.cameras) > 1)
+        return FilmPlan(
+            self.kinds,
+            selection.cameras,
+            self.width or (SEVERAL_WIDTH_PX if several else WIDTH_PX),
+            None if self.layers is None else Layers.of(self.layers),
+            crops,
+            style,
+            boxes_on_scene,
+            selection.run.steps,
+            mistakes=mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
+            tracks=tracks,
+            vessels=vessels_in(selection, crops) if kinds & {"scene", "ids", "corners"} else (),
+        )
+
+    def _style(self) -> tuple[RenderStyle, bool]:
+        """How scenes look, and whether boxes are drawn on such pictures too."""
+        style = self.look.style()
+        boxes_on_scene = self.look.shaded is True or self.look.weather
+        # Unless shaded pictures are asked for, boxes stay on the plain style, in which they are seen best.
+        if not style.shaded or not (boxes_on_scene or self.kind in ("scene", "all")):
+            return PLAIN_STYLE, False
+        try:
+            with open_context():  # a library may have no driver
+                pass
+        except RendererError as error:
+            if boxes_on_scene:
+                raise RendererError(f"shaded pictures need OpenGL; use --look plain without it: {error}") from error
+            return PLAIN_STYLE, False
+        return style, boxes_on_scene
