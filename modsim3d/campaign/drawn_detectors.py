@@ -241,8 +241,12 @@ def _covariance(std: Array, correlation: Array) -> Array:
 def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
     """The numbers of a state as the detector file writes them, by their keys in it."""
     written: dict[str, Any] = {}
+    shares = [key for key in values if key.startswith("persistence.score.")]
+    whole = float(sum(values[key].sum() for key in shares))
     for key, value in values.items():
         name = key.rpartition(".")[2]
+        if key in shares and whole > 1:
+            value = (1 - _DIGITS) * value / whole
         if name == "box_error_std":
             value = _covariance(value, values["box_error_correlation"])
         elif name == "quantiles":

@@ -90,12 +90,14 @@ class _DetectedVessels:
         targets: The n vessels; a merged one has the box around both.
         row: Row of the annotated target, shape (n,).
         partner: Row of the smaller of two merged targets, else -1, shape (n,).
+        level: Probability of a smaller confidence where one score decides on misses and confidence, shape (n,).
     """
 
     targets: Targets
     row: Indices
     partner: Indices
     label: Indices
+    level: Array | None
 
     def unscored(
         self, rows: Indices | slice, kind: Indices, boxes_px: Array, errors_px: Array, redrawn: Mask, uniforms: Array
@@ -167,20 +169,30 @@ class Detector:
 
     def _detected(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _DetectedVessels:
         candidates = targets if len(passed) == len(targets) else select(targets, passed)
-        label = self._classifier.classify(frames, states, candidates, self._noise.uniforms(frames, candidates))
+        label, level = self._classified(frames, states, candidates)
         detected = np.flatnonzero(label >= 0)
-        rows, label = passed[detected], label[detected]
+        rows, label, level = passed[detected], label[detected], None if level is None else level[detected]
         kept = select(targets, rows)
         boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
         pairs = self.model.merges_and_splits.merged_pairs(self._pair_noise, frames, kept)
         if not len(pairs):
-            return _DetectedVessels(kept, rows, partner, label)
+            return _DetectedVessels(kept, rows, partner, label, level)
         larger, smaller = pairs.T
         boxes[larger], partner[larger] = unions(boxes[larger], boxes[smaller]), rows[smaller]
         alone = np.ones(len(rows), dtype=bool)
         alone[smaller] = False
         rest = alone.nonzero()[0]
-        return _DetectedVessels(select(replace(kept, boxes_px=boxes), rest), rows[rest], partner[rest], label[rest])
+        level = None if level is None else level[rest]
+        vessels = select(replace(kept, boxes_px=boxes), rest)
+        return _DetectedVessels(vessels, rows[rest], partner[rest], label[rest], level)
+
+    def _classified(self, frames: CameraFrames, states: Indices, targets: Targets) -> tuple[Indices, Array | None]:
+        """Label of each target, −1 where it is missed, and the level of its confidence where the same score decides."""
+        uniforms, score = self._noise.uniforms(frames, targets), self.model.persistence.score
+        if score is None:
+            return self._classifier.classify(frames, states, targets, uniforms), None
+        scores = self._noise.scores(score, frames, targets)
+        return self._classifier.classify_scored(frames, states, targets, uniforms, scores)
 
     def _true_detections(
         self, frames: CameraFrames, detected: _DetectedVessels, placed: MisplacedBoxes, events: Events
@@ -192,6 +204,8 @@ class Detector:
         kind[events.split] = SPLIT
         errors = np.where((kind == TRUE)[:, None], placed.errors_px, np.nan)
         uniforms = self._noise.score_uniforms(frames, detected.targets)
+        if detected.level is not None:
+            uniforms[:, 0] = detected.level
         return detected.unscored(slice(None), kind, boxes, errors, placed.redrawn, uniforms)
 
     def _duplicates(

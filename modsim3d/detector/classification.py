@@ -9,7 +9,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
-from modsim3d.core.random_streams import Purpose, Streams
+from modsim3d.core.random_streams import GRID, Purpose, Streams, on_grid
 from modsim3d.detector.draws import choose, cumulative
 from modsim3d.detector.dropout import Dropout, anchor, shifted_rate
 from modsim3d.detector.model import DetectorModel
@@ -36,6 +36,8 @@ class ConfusionClassifier:
         distributions = cumulative(np.swapaxes(model.column("confusion"), 1, 2))
         misses = _miss_rates(distributions)
         intercepts = np.zeros_like(misses)
+        for state, of_labels in model.dropout.intercepts.items():
+            intercepts[state] = of_labels
         if model.dropout.anchored:
             for state, label in np.ndindex(*misses.shape):
                 intercepts[state, label] = anchor(
@@ -64,6 +66,22 @@ class ConfusionClassifier:
         label = choose(self.distributions[state, targets.label], uniforms)
         background = self.distributions.shape[1]
         return np.where(label >= background, -1, label)
+
+    def classify_scored(
+        self, frames: CameraFrames, states: Indices, targets: Targets, uniforms: Array, scores: Array
+    ) -> tuple[Indices, Array]:
+        """Detected label of each target, −1 where it is missed, and how sure the detector is of it, from 0 to 1.
+
+        A target is missed where its score, uniform in (0, 1), is below the chance of a miss p, and the detector is as
+        sure as (score − p) / (1 − p). The label comes from another number, with its share of the column. Shapes (n,).
+        """
+        state = states[targets.frame]
+        missed = self.miss_rates(state, targets)
+        usual = 1 - _miss_rates(self.distributions)[state, targets.label]
+        label = choose(self.distributions[state, targets.label], np.minimum(uniforms * usual, np.nextafter(usual, 0)))
+        found = (scores >= missed) & (missed < 1)
+        level = (scores - missed) / np.where(found, 1 - missed, 1.0)
+        return np.where(found, label, -1), on_grid(np.clip(level, 0, 1 - GRID))
 
 
 _LEAST = 1e-300

@@ -36,7 +36,22 @@ def distance_m(targets: Targets) -> Array:
     return np.maximum(targets.depth_m, _MIN_DISTANCE_M)
 
 
-ATTRIBUTES = {"visible_fraction": visible_fraction, "size_px": size_px, "distance_m": distance_m}
+WHOLLY_VISIBLE = 0.999
+"""Seen share from which a vessel counts as wholly visible: the rest may be rounding."""
+
+
+def partly_hidden(targets: Targets) -> Array:
+    """One where something of the vessel is hidden, else 0; NaN where that is unknown, shape (n,)."""
+    seen = targets.visible_fraction
+    return np.where(np.isnan(seen), np.nan, seen < WHOLLY_VISIBLE)
+
+
+ATTRIBUTES = {
+    "visible_fraction": visible_fraction,
+    "partly_hidden": partly_hidden,
+    "size_px": size_px,
+    "distance_m": distance_m,
+}
 
 
 class Effect(Protocol):
@@ -96,11 +111,13 @@ class Dropout:
         effects: Effects of the vessel's attributes; their log-odds add up.
         anchored: Whether each state's rate is held as the average over the scene.
         own: Effects of single states, by index of the state; each replaces the shared one of its attribute there.
+        intercepts: Log-odds added to all misses of each label, by index of the state; none where a state has none.
     """
 
     effects: tuple[Effect, ...] = ()
     anchored: bool = False
     own: Mapping[int, tuple[Effect, ...]] = field(default_factory=dict)
+    intercepts: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def every_effect(self) -> tuple[Effect, ...]:

@@ -33,6 +33,41 @@ _MAX_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the 
 
 
 @dataclass(frozen=True)
+class LatentScore:
+    """A standard normal number of each vessel in each camera, behind its misses and its confidence.
+
+    A vessel is missed where the number's probability is below the chance of a miss; above it the number says how sure
+    the detector is. It is a sum: a part that the vessel keeps, autoregressive parts, and white noise.
+
+    Attributes:
+        vessel_share: Share of the variance that a vessel keeps.
+        shares: Share of the variance of each autoregressive part.
+        times_s: Its correlation time.
+    """
+
+    vessel_share: float
+    shares: tuple[float, ...] = ()
+    times_s: tuple[float, ...] = ()
+
+    @property
+    def white_share(self) -> float:
+        """Share of the variance that is new at every step."""
+        return max(1.0 - self.vessel_share - sum(self.shares), 0.0)
+
+    @property
+    def memory_s(self) -> float:
+        """Time in which it is forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.vessel_share else max(self.times_s, default=0.0)
+
+    def correlation(self, apart_s: Array) -> Array:
+        """Correlation of a vessel's numbers at times above 0 apart, same shape."""
+        correlation = np.full(np.shape(apart_s), self.vessel_share)
+        for share, time_s in zip(self.shares, self.times_s, strict=True):
+            correlation = correlation + share * np.exp(-apart_s / time_s)
+        return correlation
+
+
+@dataclass(frozen=True)
 class Persistence:
     """How long misses, confusions, box errors, confidence and merges persist, and what a vessel keeps for a whole run.
 
@@ -44,6 +79,8 @@ class Persistence:
         class_vessel_share: Share of the variance of the latent number of misses and confusions that each vessel keeps
             in each camera, in [0, 1).
         box_vessel_share: That of the latent numbers of box errors.
+        score: The number behind misses and confidence, None if they are drawn apart; `class_s` and
+            `class_vessel_share` are then those of the label alone.
     """
 
     class_s: float = 0.0
@@ -52,11 +89,19 @@ class Persistence:
     merge_s: float = 0.0
     class_vessel_share: float = 0.0
     box_vessel_share: float = 0.0
+    score: LatentScore | None = None
 
     @property
     def class_memory_s(self) -> float:
         """Time in which misses and confusions are forgotten; endless where vessels keep a share."""
+        if self.score is not None:
+            return self.score.memory_s
         return NEVER_CHANGES_S if self.class_vessel_share else self.class_s
+
+    @property
+    def confidence_memory_s(self) -> float:
+        """Time in which confidence is forgotten; endless where vessels keep a share."""
+        return self.confidence_s if self.score is None else self.score.memory_s
 
     @property
     def box_memory_s(self) -> float:
@@ -143,6 +188,19 @@ class AutoregressiveScore(Autoregressive):
         return grid_normals(streams.uniforms(Purpose.CONFIDENCE, camera, vessel, first=first, count=count)[:, :1])
 
 
+@dataclass(frozen=True)
+class AutoregressivePart(Autoregressive):
+    """An autoregressive part of the score of a vessel, of width 1."""
+
+    width: int = 1
+    ordinal: int = 0
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """Independent standard normal numbers, shape (count, 1)."""
+        uniforms = streams.uniforms(Purpose.SCORE, camera, vessel, str(self.ordinal), first=first, count=count)
+        return grid_normals(uniforms)
+
+
 @functools.lru_cache(_DECAYS_KEPT)
 def decay(seconds: float, correlation_s: float) -> float:
     """e^(−Δt/τ), one at a time: how a run is split must not show in how an array of exponentials is rounded."""
@@ -198,7 +256,7 @@ class VesselNoise:
     def __init__(self, persistence: Persistence, streams: Streams, clock: Clock) -> None:
         """Read the times of steps from a clock where noise persists."""
         self._persistence, self._streams, self._clock = persistence, streams, clock
-        self._walks: dict[tuple[type[Process], str, tuple[str, ...]], Walk] = {}
+        self._walks: dict[tuple[Process, str, tuple[str, ...]], Walk] = {}
 
     def uniforms(self, frames: CameraFrames, targets: Targets) -> Array:
         """Uniform numbers for class and dropout, shape (n,)."""
@@ -244,8 +302,18 @@ class VesselNoise:
             uniforms[:, 0] = np.clip(level, _UNIFORM_STEP, 1 - _UNIFORM_STEP)
         return uniforms
 
+    def scores(self, score: LatentScore, frames: CameraFrames, targets: Targets) -> Array:
+        """Probabilities of the normal numbers behind misses and confidence, uniform in (0, 1), shape (n,)."""
+        total = math.sqrt(score.vessel_share) * self._kept_by_vessels(Purpose.SCORE_VESSEL, frames, targets)[:, 0]
+        for ordinal, (share, time_s) in enumerate(zip(score.shares, score.times_s, strict=True)):
+            walked = self._walked(AutoregressivePart(time_s, ordinal=ordinal), frames, targets)[:, 0]
+            total = total + math.sqrt(share) * walked
+        white = grid_normals(target_uniforms(self._streams, Purpose.SCORE_WHITE, frames, targets))[:, 0]
+        total = total + math.sqrt(score.white_share) * white
+        return np.clip(on_grid(special.ndtr(total), _UNIFORM_STEP), _UNIFORM_STEP, 1 - _UNIFORM_STEP)
+
     def _walked(self, process: Process, frames: CameraFrames, targets: Targets) -> Array:
-        key = (type(process), frames.camera, targets.vessel_ids)
+        key = (process, frames.camera, targets.vessel_ids)
         if key not in self._walks:
             self._walks[key] = Walk(process, self._streams, self._clock, frames.camera, targets.vessel_ids)
         return self._walks[key].at(frames.steps[targets.frame], targets.vessel)

@@ -133,18 +133,22 @@ ScoreForm = Literal["normal", "quantiles", "shared"]
 
 @dataclass(frozen=True)
 class ConfidenceForm:
-    """The distributions of confidence of true and of false detections in each state, and its slopes, None without."""
+    """The distributions of confidence of true and of false detections in each state, and its slopes, None without.
+
+    `scored` says that confidence persists with the score behind misses, and has no correlation time of its own.
+    """
 
     true: tuple[ScoreForm, ...]
     false: tuple[ScoreForm, ...]
     slopes: tuple[SlopeForm | None, ...]
     notes: tuple[str, ...]
     confidence_s: float = 0.0
+    scored: bool = False
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """The distributions of each state, the slopes, and the correlation time."""
         learned = self.laws(observed, resampling)
-        if self.confidence_s <= 0:
+        if self.confidence_s <= 0 or self.scored:
             return learned
         column = consecutive_scores(observed, learned).column(resampling)
         return replace(learned, confidence_s=Entry(Key(("persistence", "confidence_s")), column))
@@ -213,8 +217,13 @@ class NoConfidenceForm:
         return SureOfEverything()
 
 
-def choose_confidence(observed: Observed) -> ConfidenceForm | OneConfidenceForm | NoConfidenceForm:
-    """Choose the distribution of confidences of each state and kind, and their slopes."""
+def choose_confidence(
+    observed: Observed, scored: bool = False
+) -> ConfidenceForm | OneConfidenceForm | NoConfidenceForm:
+    """Choose the distribution of confidences of each state and kind, and their slopes.
+
+    `scored` says that the score behind misses stands behind them too.
+    """
     if not observed.labelled.scored:
         return NoConfidenceForm()
     if "confidence" in observed.without:
@@ -246,7 +255,7 @@ def choose_confidence(observed: Observed) -> ConfidenceForm | OneConfidenceForm 
                 chosen[kind].append("normal" if far < _NORMAL_ENOUGH else "quantiles")
     form = ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(slopes), ())
     confidence_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, form, notes)
-    return replace(form, notes=tuple(notes), confidence_s=confidence_s)
+    return replace(form, notes=tuple(notes), confidence_s=confidence_s, scored=scored)
 
 
 def consecutive_scores(observed: Observed, learned: LearnedConfidence) -> ConsecutiveScores:

@@ -8,12 +8,17 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.detector.dropout import WHOLLY_VISIBLE
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.persistence import THINGS_NEEDED
 
 MISSES_FOR_EACH = 20
 """Misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996) ask for 10)."""
+LOG_ODDS_QUANTILES = 32
+"""Numbers that stand for the distribution of log-odds over a learning set."""
+REFERENCES = {"visible_fraction": 1.0, "partly_hidden": 0.0}
+"""References of the effects that change the odds by units: a vessel that is wholly visible."""
 _STEPS = 60
 
 
@@ -33,7 +38,7 @@ class EffectTerm:
     @property
     def doublings(self) -> bool:
         """Whether the odds change by doublings of the attribute, or by units."""
-        return self.attribute != "visible_fraction" and not self.by_units
+        return self.attribute not in REFERENCES and not self.by_units
 
     @property
     def slope_key(self) -> str:
@@ -57,8 +62,10 @@ class EffectTerm:
 def attribute_values(observed: Observed) -> dict[str, Array]:
     """Values of each attribute for the annotations that count, NaN where unknown, shapes (n,), by key in the file."""
     annotations = observed.labelled.annotations
+    visible = annotations.visible_fraction[observed.rows]
     return {
-        "visible_fraction": annotations.visible_fraction[observed.rows],
+        "visible_fraction": visible,
+        "partly_hidden": np.where(np.isnan(visible), np.nan, visible < WHOLLY_VISIBLE),
         "size_px": annotations.size_px[observed.rows],
         "distance_m": annotations.depth_m[observed.rows],
     }
@@ -73,7 +80,10 @@ class MissFit:
         errors: Standard errors of the estimate, shape (effects,).
         errors_of_things: Those of things that are missed or seen together, shape (effects,); 0 with few things.
         rates: Miss rate of each state and label, shape (1 + replicates, states, k), NaN where there was nothing. A mean
-            over all annotations of the label, whatever their state: the rate that `anchor: state_rate` keeps.
+            over all annotations of the label, whatever their state.
+        intercepts: Log-odds of a miss at the references less those of the rate, of the same shape, 0 where all or
+            nothing was missed.
+        log_odds: Quantiles of what the effects add, over all annotations of the label, shape (states, k, quantiles).
         chance: Probability of a miss of each annotation in its own state, shape (n,).
     """
 
@@ -81,6 +91,8 @@ class MissFit:
     errors: Array
     errors_of_things: Array
     rates: Array
+    intercepts: Array
+    log_odds: Array
     chance: Array
 
     def log_likelihood(self, missed: Mask) -> float:
@@ -125,10 +137,16 @@ def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: 
     every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
     full = np.where(fitted, 0.0, every[group])
     full[fitted] = chance
-    rates = _anchored(observed, amounts, holds, thetas, usable, every, resampling)
+    rates = _mean_rates(observed, amounts, holds, thetas, usable, every, resampling)
+    intercepts, learned = np.zeros_like(rates), np.zeros((states, k, LOG_ODDS_QUANTILES))
+    for place, cell in enumerate(np.flatnonzero(usable)):
+        state, label = divmod(int(cell), k)
+        intercepts[:, state, label] = thetas[:, place] - special.logit(rates[:, state, label])
+        added = (amounts[observed.label == label] * holds[state]) @ thetas[0, count:]
+        learned[state, label] = np.quantile(added, (np.arange(LOG_ODDS_QUANTILES) + 0.5) / LOG_ODDS_QUANTILES)
     errors = np.sqrt(np.diag(inverse))[count:] / scale
     errors_of_things = _errors_of_things(observed, fitted, scores @ inverse)[count:] / scale
-    return MissFit(thetas[:, count:] / scale, errors, errors_of_things, rates, full)
+    return MissFit(thetas[:, count:] / scale, errors, errors_of_things, rates, intercepts, learned, full)
 
 
 def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Array:
@@ -218,7 +236,7 @@ def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
     return np.where(sound[:, None], bounded, scores @ inverse)
 
 
-def _anchored(
+def _mean_rates(
     observed: Observed,
     amounts: Array,
     holds: Mask,

@@ -108,11 +108,12 @@ def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
     multiple_boxes = choose_multiple_boxes(observed)
     if clutter == "auto" and not leaves_room(observed):
         clutter, multiple_boxes = "per_image", multiple_boxes.noting(NO_ROOM)
+    classes = choose_classes(observed)
     return DetectorForm(
-        choose_classes(observed),
+        classes,
         choose_box_errors(observed),
         choose_false_positives(observed, clutter),
-        choose_confidence(observed),
+        choose_confidence(observed, classes.scored),
         multiple_boxes,
     )
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted
 from modsim3d.learn.bootstrap import (
     SIGNIFICANT,
@@ -19,14 +19,16 @@ from modsim3d.learn.bootstrap import (
     Resampling,
     columns_of_one,
     digits,
+    nested,
     ratio,
     resample,
     spread,
     widened,
 )
-from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, EffectTerm, MissFit, attribute_values, fit_misses
+from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, REFERENCES, EffectTerm, MissFit, attribute_values, fit_misses
+from modsim3d.learn.latent_score import LearnedScore, behaves_like_a_score, latent_share, learned_score, miss_lags
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
-from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_no_steps, why_none
+from modsim3d.learn.persistence import Consecutive, vessel_noise, why_no_steps, why_none
 
 # ---- Effects on misses that performance states have for themselves ----
 
@@ -120,46 +122,6 @@ def _of_each(shared: EffectTerm, enough: list[int], states: int) -> list[EffectT
     return [*common, *(replace(shared, state=state) for state in sorted(enough[len(common) :]))]
 
 
-# ---- Misses of which each thing keeps a share of the noise for as long as it is seen ----
-
-_SHARES = np.linspace(0, 0.99, 100)
-_CHANCES = 50
-
-
-def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
-    """Products of the residuals of misses at all times between.
-
-    Args:
-        observed: The misses.
-        chance: Fitted chance of each to be missed, shape (n,).
-        slopes: Number of slopes that were fitted beside the rates of each state and label.
-    """
-    residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
-    size = residual**2 / variance
-
-    def compare(earlier: Indices, later: Indices) -> tuple[Array, Array]:
-        """A miss that is read from the same number as another, scaled by how large both squares are."""
-        first, second = chance[earlier], chance[later]
-        same = np.minimum(first, second) - first * second
-        return residual[earlier] * residual[later], same * (size[earlier] + size[later]) / 2
-
-    group = observed.state * len(observed.labelled.labels) + observed.label
-    return LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
-
-
-def latent_share(chance: Array) -> Callable[[Array], Array]:
-    """Function from the correlation of misses to the share of the latent normal number that things keep.
-
-    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
-    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
-    """
-    varied = chance[(chance > 0) & (chance < 1)]
-    p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
-    both = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - _SHARES) / (1 + _SHARES)))
-    level = (both - p**2).sum(axis=0) / (p - p**2).sum()
-    return lambda found: np.interp(found, level, _SHARES)
-
-
 def crowds(observed: Observed, labels: int) -> Array:
     """Mean number of sightings of the same thing in the same state, of each sighting, shape (states, labels)."""
     thing = np.where(observed.thing >= 0, observed.thing, -1 - np.arange(len(observed.rows)))
@@ -178,27 +140,32 @@ _TRIALS = 200
 class ClassForm:
     """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist.
 
-    `things_keep` says whether each thing keeps a share of the noise for as long as it is seen.
+    `things_keep` says whether each thing keeps a share of the noise for as long as it is seen, `scored` whether one
+    score stands behind misses and confidence.
     """
 
     effects: tuple[EffectTerm, ...]
     class_s: float
     notes: tuple[str, ...]
     things_keep: bool = False
+    scored: bool = False
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedClasses:
         """Confusion matrices of each state, slopes of the effects, and the correlation time of misses."""
         fit = fit_misses(observed, self.effects, resampling) if self.effects else None
-        class_s, share, kept, level = None, None, 0.0, 0.0
-        if self.class_s > 0:
-            chance = fit if self.effects else _plain_fit(observed)
-            if self.things_keep and chance is not None:
-                table = miss_lags(observed, chance.chance, len(self.effects))
-                noise = vessel_noise(table, resampling, latent_share(chance.chance))
+        class_s, share, kept, level, score = None, None, 0.0, 0.0, None
+        chances = fit if self.effects else _plain_fit(observed)
+        if self.scored and chances is not None:
+            score = learned_score(observed, chances.chance, len(self.effects), resampling)
+            kept, level = kept_share(observed, self.class_s), score.level
+        elif self.class_s > 0:
+            if self.things_keep and chances is not None:
+                table = miss_lags(observed, chances.chance, len(self.effects))
+                noise = vessel_noise(table, resampling, latent_share(chances.chance))
                 share, level = Entry(Key(("persistence", "class_vessel_share")), noise.share), noise.level
                 time_s = noise.time_s
             else:
-                time_s = consecutive_misses(observed, chance).column(resampling)
+                time_s = consecutive_misses(observed, chances).column(resampling)
             class_s = Entry(Key(("persistence", "class_s")), time_s)
             kept = kept_share(observed, float(class_s.estimate))
         crowd = crowds(observed, len(observed.labelled.labels))
@@ -206,7 +173,9 @@ class ClassForm:
         inflation = float(by_label.max())
         slopes = () if fit is None else _slopes(observed, self.effects, fit, inflation)
         confusion = _confusion(observed, fit, resampling, by_label)
-        return LearnedClasses(slopes, class_s, share, confusion, inflation)
+        intercepts = () if fit is None else _intercepts(observed, fit)
+        log_odds = None if fit is None else fit.log_odds
+        return LearnedClasses(slopes, class_s, share, score, intercepts, confusion, inflation, log_odds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,31 +192,44 @@ class LearnedClasses:
 
     Attributes:
         class_vessel_share: Share of the latent noise that each thing keeps; None if there is none.
+        score: The score behind misses and confidence; None if they are drawn apart.
+        intercepts: Log-odds of a miss at the references less those of the mean rate, of each state, shape (k,).
         confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
         inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
             frames.
+        log_odds: Quantiles of what the effects add in the learning set, shape (states, k, quantiles).
     """
 
     effects: tuple[LearnedEffect, ...]
     class_s: Entry | None
     class_vessel_share: Entry | None
+    score: LearnedScore | None
+    intercepts: tuple[Entry, ...]
     confusion: tuple[Entry, ...]
     inflation: float
+    log_odds: Array | None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """Dropout and the persistence of misses."""
         sections: dict[str, dict[str, Any]] = {}
         if self.effects:
-            sections["dropout"] = {"model": "logistic", "anchor": "state_rate"} | self._effects_of(None)
+            sections["dropout"] = {"model": "logistic"} | self._effects_of(None)
         if self.class_s is not None and self.class_s.estimate > 0:
             sections["persistence"] = {"class_s": digits(self.class_s.estimate)}
             if self.class_vessel_share is not None:
                 sections["persistence"]["class_vessel_share"] = digits(self.class_vessel_share.estimate)
+        if self.score is not None:
+            sections["persistence"] = {"score": self.score.section()}
         return sections
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """The confusion matrix, and effects that are the state's own."""
+        """The confusion matrix, effects that are the state's own, and the intercepts."""
         own = self._effects_of(state)
+        if self.log_odds is not None:
+            own |= {
+                "intercept": nested(self.intercepts[state].estimate),
+                "learned_log_odds": [[round(float(each), 3) for each in row] for row in self.log_odds[state]],
+            }
         confusion = {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
         return confusion | ({"dropout": own} if own else {})
 
@@ -269,8 +251,10 @@ def choose_classes(observed: Observed) -> ClassForm:
     candidates = () if "effects" in observed.without else _candidates(observed, notes)
     effects, fit = _significant(observed, candidates, notes)
     class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, effects, fit, notes)
-    things_keep = class_s > 0 and _things_keep(observed, effects, fit, notes)
-    return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep)
+    chance = fit if effects else _plain_fit(observed)
+    scored = class_s > 0 and chance is not None and behaves_like_a_score(observed, chance.chance, notes)
+    things_keep = class_s > 0 and not scored and _things_keep(observed, effects, fit, notes)
+    return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep, scored)
 
 
 def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
@@ -285,8 +269,7 @@ def _candidates(observed: Observed, notes: list[str]) -> tuple[EffectTerm, ...]:
         elif np.ptp(known) < 1e-6 * max(abs(float(known.max())), 1.0):
             notes.append(f"dropout.{name}: none; constant")
         else:
-            reference = 1.0 if name == "visible_fraction" else float(f"{np.median(known):.3g}")
-            chosen.append(EffectTerm(name, reference))
+            chosen.append(EffectTerm(name, REFERENCES.get(name, float(f"{np.median(known):.3g}"))))
     misses = int(observed.missed.sum())
     rarer, needed = min(misses, len(observed.rows) - misses), MISSES_FOR_EACH * len(chosen)
     if rarer >= needed:
@@ -303,6 +286,11 @@ def _significant(
     runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed)) if effects else None
     while effects and runs is not None:
         fit = fit_misses(observed, effects, runs)
+        hidden = next((effect for effect in effects if effect.attribute == "partly_hidden"), None)
+        if fit is None and hidden is not None and len(effects) > 1:
+            notes.append("dropout.partly_hidden: none; the visible fraction says as much")
+            effects = tuple(effect for effect in effects if effect is not hidden)
+            continue
         if fit is None:
             count = len(observed.rows)
             notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")
@@ -416,6 +404,14 @@ def _slopes(
         key = Key(("dropout", effect.attribute, effect.slope_key), state)
         learned.append(LearnedEffect(effect, Entry(key, column)))
     return tuple(learned)
+
+
+def _intercepts(observed: Observed, fit: MissFit) -> tuple[Entry, ...]:
+    """Intercepts of each state, one for each label."""
+    labels, count = observed.labelled.labels, np.array(float(len(observed.rows)))
+    keys = [Key(("dropout", "intercept"), name, (labels,)) for name in observed.states]
+    columns = [Column(fit.intercepts[:, index], "mean", np.full(len(labels), count)) for index in range(len(keys))]
+    return tuple(Entry(key, column) for key, column in zip(keys, columns, strict=True))
 
 
 def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:

@@ -16,6 +16,7 @@ RICHER = (
     "student_t",
     "effects",
     "persistence",
+    "score",
     "vessels",
     "sizes",
     "places",
@@ -26,10 +27,13 @@ RICHER = (
     "merges",
     "splits",
 )
-"""What learning may add to the plain model, and can be told to leave out: box errors that grow with the box, or partly
-do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; the share of misses and
-box errors that each vessel keeps; sizes and places of false positives, and how long they last; confidence of true and
-false detections apart; its slopes; duplicates, merges and splits."""
+"""What learning may add to the plain model, and can be told to leave out.
+
+Box errors that grow with the box, or partly do; heavy tails; effects on misses; persistence of misses, box errors,
+confidence and merges; one score behind misses and confidence; the share of misses and box errors that each vessel
+keeps; sizes and places of false positives, and how long they last; confidence of true and false detections apart; its
+slopes; duplicates, merges and splits.
+"""
 
 
 class LearnedPart(Protocol):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -84,26 +85,49 @@ class LagTable:
 
     def fit(self, resampling: Resampling) -> Fits:
         """The fit of each row of the resampling."""
-        both = np.column_stack([self.products, self.same])
-        cell = (self.lag[:, None] * 2 + np.arange(2)).ravel()
-        sums = resampling.counts(np.repeat(self.image, 2), cell, (len(self.lag_s), 2), both.ravel())
-        return self._fits(sums)
+        return self._fits(self.ratios(resampling))
 
     def without_each(self) -> Fits:
         """The fits without each of the things."""
+        return self._fits(self.ratios_without_each())
+
+    def ratios(self, resampling: Resampling) -> Array:
+        """Sum of the products over that of the same noise at each lag, of each row of the resampling, (rows, b)."""
+        both = np.column_stack([self.products, self.same])
+        cell = (self.lag[:, None] * 2 + np.arange(2)).ravel()
+        return _ratios(resampling.counts(np.repeat(self.image, 2), cell, (len(self.lag_s), 2), both.ravel()))
+
+    def ratios_without_each(self) -> Array:
+        """Those ratios without each of the things, shape (things, b)."""
         shape = self.things, len(self.lag_s)
         cell = self.thing * shape[1] + self.lag
         each = np.stack(
             [np.bincount(cell, column, minlength=shape[0] * shape[1]) for column in (self.products, self.same)], axis=-1
         ).reshape(*shape, 2)
-        return self._fits(each.sum(axis=0) - each)
+        return _ratios(each.sum(axis=0) - each)
 
-    def _fits(self, sums: Array) -> Fits:
-        """Least squares over the lags, weighed by how many things have each; sums have shape (rows, b, 2)."""
+    @cached_property
+    def weight(self) -> Array:
+        """How many things have each lag, shape (b,)."""
         whole = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64)
         by_thing = np.bincount(self.thing * len(self.lag_s) + self.lag, self.same, minlength=self.things * len(whole))
-        weight = whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300)
-        found = sums[..., 0] / np.where(sums[..., 1] > 0, sums[..., 1], np.inf)
+        weight: Array = whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300)
+        return weight
+
+    def uncrowded(self, ratios: Array) -> Array:
+        """Ratios (rows, b) to which what the mean of all sightings took of them is added.
+
+        It took its part of the level at which they stay, which is that of the longest third of the lags.
+        """
+        late = slice(-max(len(self.lag_s) // 3, 1), None)
+        level = np.clip(np.average(ratios[:, late], axis=1, weights=self.weight[late]), 0, _LARGEST)
+        taken = (self.crowding * level / (1 - self.crowding * (1 - level)))[:, None]
+        added: Array = ratios * (1 - taken) + taken
+        return added
+
+    def _fits(self, found: Array) -> Fits:
+        """Least squares over the lags, weighed by how many things have each; ratios have shape (rows, b)."""
+        whole, weight = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64), self.weight
         grid = np.geomspace(0.2 * self.lag_s[0], max(self.lag_s[-1] / _LONG, self.lag_s[0]), _GRID)
         kept = self._kept(grid, whole)
         lost = 1 - kept
@@ -135,6 +159,11 @@ class LagTable:
         return kept
 
 
+def _ratios(sums: Array) -> Array:
+    ratios: Array = sums[..., 0] / np.where(sums[..., 1] > 0, sums[..., 1], np.inf)
+    return ratios
+
+
 @dataclass(frozen=True, eq=False)
 class Fits:
     """Correlation times in seconds, and shares of the variance of residuals that things keep; shapes (rows,)."""
@@ -164,7 +193,7 @@ def vessel_noise(table: LagTable, resampling: Resampling, latent: Callable[[Arra
     count = np.array(float(table.things))
 
     def column(values: Array, left_out: Array, kind: Kind) -> Column:
-        scaled, least = to_scale(values, kind), np.array(_jackknife(to_scale(left_out, kind)))
+        scaled, least = to_scale(values, kind), jackknife(to_scale(left_out, kind))
         return Column(from_scale(widened(scaled, least), kind), kind, count)
 
     share = column(latent(fits.levels), latent(without.levels), "fraction")
@@ -178,16 +207,17 @@ def why_none(table: LagTable) -> str:
     if len(table.lag_s) < 2 * _LONG or not np.any(table.same > 0):
         return "nothing is seen often enough"
     level = table.fit(Resampling(np.ones((1, int(table.image.max()) + 1)), np.zeros(0, dtype=np.int64))).levels[0]
-    errors = level / max(_jackknife(table.without_each().levels), 1e-12)
+    errors = level / max(float(jackknife(table.without_each().levels)), 1e-12)
     if errors < SIGNIFICANT:
         return f"{errors:.1f} standard errors from 0 with {table.things} things, needs {SIGNIFICANT}"
     return ""
 
 
-def _jackknife(left_out: Array) -> float:
-    """Standard error of a number from its values without each of several things, shape (v,)."""
+def jackknife(left_out: Array) -> Array:
+    """Standard errors (...) from values without each of several things, shape (v, ...)."""
     count = len(left_out)
-    return float(np.sqrt((count - 1) / count * ((left_out - left_out.mean()) ** 2).sum()))
+    errors: Array = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
+    return errors
 
 
 def _lags(longest: int) -> list[int]:

@@ -130,6 +130,7 @@ class CountedPairs:
         apart_s: Time of each lag, shape (K,).
         found: Near pairs in each image at each lag, shape (I, K).
         chance: How many would lie near each other by chance, shape (I, K).
+        pairs: Pairs of false positives, near or not, shape (I, K).
         seen_twice: How many would if all stayed for ever, shape (I, K).
         false: False positives in each image, shape (I,).
         expected: Their mean number, shape (I,).
@@ -138,6 +139,7 @@ class CountedPairs:
     apart_s: Array
     found: Array
     chance: Array
+    pairs: Array
     seen_twice: Array
     false: Array
     expected: Array
@@ -149,16 +151,24 @@ class CountedPairs:
             self.apart_s[kept],
             self.found[:, kept],
             self.chance[:, kept],
+            self.pairs[:, kept],
             self.seen_twice[:, kept],
             self.false,
             self.expected,
         )
 
-    @property
-    def beyond_chance(self) -> bool:
-        """Whether so many pairs in neighbouring frames come by chance once in two thousand sets at most."""
-        found, chance = self.found[:, 0].sum(), self.chance[:, 0].sum()
-        return bool(found > 0 and special.gammainc(found, max(chance, 1e-9)) < 1 / _ONE_IN)
+    def beyond_chance(self, far: Displacements) -> bool:
+        """Whether so many pairs in neighbouring frames come by chance once in two thousand sets at most.
+
+        If none stays, pairs in neighbouring frames are near each other as often as those far apart: of all near ones,
+        those in neighbouring frames are a binomial number (Przyborowski and Wilenski (1940), "Homogeneity of results in
+        testing samples from Poisson series").
+        """
+        found, near = float(self.found[:, 0].sum()), float(far.near(0.0).sum())
+        pairs = float(self.pairs[:, 0].sum())
+        if found == 0 or not len(far.alike):
+            return False
+        return bool(special.betainc(found, near + 1, pairs / (pairs + len(far.alike))) < 1 / _ONE_IN)
 
     def fit(self, weights: Array, lifetimes_s: Array) -> tuple[Array, Array]:
         """Lifetime and share of weighted images (rows, I), out of some lifetimes; shapes (rows,)."""
@@ -280,7 +290,7 @@ def find_lasting(
         return NotLasting(_NONE)
     far = far_pairs(observed, ordered, sightings)
     at_rest = _count(observed, sightings, expected, lags, far, 0.0)
-    if not known and not at_rest.beyond_chance:
+    if not known and not at_rest.beyond_chance(far):
         found, chance = at_rest.found[:, 0].sum(), at_rest.chance[:, 0].sum()
         return NotLasting(
             f"{found:,.0f} false detections have another near their place in the next frame, and {chance:,.3g} would "
@@ -315,13 +325,14 @@ def _count(
     """Count near pairs of false positives that drift at a speed."""
     images = len(observed.labelled.images)
     false = np.bincount(sightings.image, minlength=images).astype(float)
-    found, chance, twice = (np.zeros((images, len(lags))) for _ in range(3))
+    found, chance, pairs, twice = (np.zeros((images, len(lags))) for _ in range(4))
     for k, lag in enumerate(lags):
         way = speed_px_s * lag.apart_s
         near = lag.moves.near(way)
         by_chance = float(far.near(way).mean()) if len(far.alike) else 0.0
         first, second = lag.frames
         found[:, k] = np.bincount(sightings.image[lag.rows[0, near]], minlength=images)
-        np.add.at(chance[:, k], first, by_chance * false[first] * false[second])
+        np.add.at(pairs[:, k], first, false[first] * false[second])
+        chance[:, k] = by_chance * pairs[:, k]
         np.add.at(twice[:, k], first, np.minimum(expected[first], expected[second]))
-    return CountedPairs(np.array([lag.apart_s for lag in lags]), found, chance, twice, false, expected)
+    return CountedPairs(np.array([lag.apart_s for lag in lags]), found, chance, pairs, twice, false, expected)

@@ -20,7 +20,6 @@ _OF_THE_WAY = 0.25
 _MAX_OFF_GAP = 0.25
 _LAGS = 28
 _FAR_PAIRS = 100_000
-_FAR_TRIES = 40_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,17 +133,25 @@ def lags_of(ordered: OrderedFrames, sightings: FalseSightings, most_s: float) ->
 
 
 def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
-    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time."""
-    rng = np.random.default_rng(0)
-    first, second = rng.integers(0, len(ordered.images), (2, _FAR_TRIES))
-    other = ordered.sequence[first] != ordered.sequence[second]
+    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time.
+
+    All of them, or so many that are drawn: of few false positives every pair counts, since a chance that is estimated
+    as 0 would make one pair of neighbours look like one that stays.
+    """
+    images, count = observed.labelled.images, len(sightings)
+    if count * (count - 1) // 2 <= _FAR_PAIRS:
+        first, second = np.triu_indices(count, 1)
+    else:
+        first, second = np.random.default_rng(0).integers(0, count, (2, _FAR_PAIRS))
+    used = np.isin(sightings.image, ordered.images)
+    image, later = sightings.image[first], sightings.image[second]
+    usable = used[first] & used[second]
+    other = usable & (images.sequence[image] != images.sequence[later])
     if not other.any():
-        other = np.abs(ordered.time_s[first] - ordered.time_s[second]) > ordered.span_s / 2
-    sizes = observed.labelled.images.sizes_px[ordered.images]
-    alike = (sizes[first] == sizes[second]).all(axis=1) | np.isnan(sizes[first, 0])
+        other = usable & (np.abs(images.time_s[image] - images.time_s[later]) > ordered.span_s / 2)
+    alike = (images.sizes_px[image] == images.sizes_px[later]).all(axis=1) | np.isnan(images.sizes_px[image, 0])
     chosen = other & alike
-    rows = _row_pairs(sightings.image, ordered.images[first[chosen]], ordered.images[second[chosen]])
-    return Displacements.between(sightings, *rows[:, :_FAR_PAIRS])
+    return Displacements.between(sightings, first[chosen], second[chosen])
 
 
 def _row_pairs(image: Indices, first: Indices, second: Indices) -> Indices:

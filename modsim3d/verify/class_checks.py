@@ -19,6 +19,7 @@ from modsim3d.detector.persistence import Persistence
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure, Rate
 from modsim3d.verify.parameters import Parameter
+from modsim3d.verify.score_checks import memory_checks, off_diagonal
 
 # ---- Pairs of rows of one track ----
 
@@ -230,13 +231,14 @@ def _entry(
         known = outcome >= 0
         share = (high - low) / np.where(expected.missed[rows] < 1, 1 - expected.missed[rows], 1)
         rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
-    return _share(model, evidence, rows, happened, low, high)
+    return _share(model, evidence, rows, happened, (low, high), expected.missed[rows])
 
 
 def _share(
-    model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, low: Array, high: Array
+    model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, bounds: tuple[Array, Array], missed: Array
 ) -> Measure | None:
-    """How often a uniform number was between the bounds `low` and `high` of each row, shapes (n,)."""
+    """How often a uniform number was between the bounds (low, high) of each row, given its chance of a miss, (n,)."""
+    low, high = bounds
     if len(rows) < MIN_CHANCES:
         return None
     probability = high - low
@@ -256,6 +258,11 @@ def _share(
         factor = max(asked / alone, 1.0)
     else:
         factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
+    score = model.persistence.score
+    if score is not None and spread.any():
+        # A label's share of the detected is drawn apart: its number strays as that of the detected does.
+        amount = np.where(high >= 1, 1.0, probability / np.maximum(1 - missed, 1e-12))
+        factor += max(off_diagonal(*evidence.instances.tracks(rows), score, missed, amount) / float(spread.sum()), 0.0)
     if len(rows) / factor < MIN_CHANCES:
         return None
     mean, count = float(probability.mean()), int(happened.sum())
@@ -278,7 +285,16 @@ def _overall_checks(model: DetectorModel, evidence: Evidence, expected: Expected
     rows = np.flatnonzero(expected.passed)
     missed = evidence.instances.outcome[rows] == -1
     low, high = expected.edges[rows, -2], expected.edges[rows, -1]
-    overall = None if note else _share(model, evidence, rows, missed, low, high)
+    overall = None if note else _share(model, evidence, rows, missed, (low, high), expected.missed[rows])
+    score, chance = model.persistence.score, expected.missed[rows]
+    if score is not None:
+        tracks = evidence.instances.tracks(rows)
+        memory = [] if note else memory_checks(*tracks, score, chance, missed.astype(np.float64))
+        return [
+            Parameter("dropout, all states", DetectorPart.CLASS, overall, in_file=False, note=note),
+            *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
+            *memory,
+        ]
     shared = bool(model.persistence.class_vessel_share)
     persistence = None if note or shared else _persistence(model, evidence, expected)
     said = _SHARED_NOTE if shared else correlation_note(persistence)
@@ -401,7 +417,9 @@ def _effect(
     if information < 1e-9 * max(float((spread * amount**2).sum()), 1e-300):
         return None
     variance = information
-    if model.persistence.class_vessel_share:
+    if model.persistence.score is not None:
+        variance += off_diagonal(*instances.tracks(rows), model.persistence.score, p, free)
+    elif model.persistence.class_vessel_share:
         bounds = 1 - p, np.ones(len(p))
         variance = variance_of_sum(*instances.tracks(rows), model.persistence, bounds, free)
     elif model.persistence.class_s > 0:

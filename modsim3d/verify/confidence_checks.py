@@ -24,10 +24,12 @@ from modsim3d.detector.confidence import (
     pair_score,
 )
 from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_pairs
 from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.parameters import Law, Parameter
+from modsim3d.verify.score_checks import sum_over_pairs
 
 # ---- What confidence that persists does to its checks ----
 
@@ -39,11 +41,15 @@ _MAX_CORRELATION = 1 - 1e-9
 
 @dataclass(frozen=True, eq=False)
 class KeptScores:
-    """Confidences that persist along tracks: rows of tracks (n, k), times (n,), and the correlation time."""
+    """Confidences that persist along tracks: rows of tracks (n, k), times (n,), and the correlation time or the score.
+
+    Of a score, confidences of detections correlate at most as the score does.
+    """
 
     tracks: Indices
     times_s: Array
     correlation_s: float
+    score: LatentScore | None = None
 
     def inflation(self, of_mean: Array, of_square: Array) -> Array:
         """Variances of sums over rows, over those of independent rows, shape (k,).
@@ -54,12 +60,29 @@ class KeptScores:
         """
         alone = (of_mean**2 + of_square**2).sum(axis=0)
         total = alone.copy()
+        if self.score is not None and len(of_mean) > 1:
+            of_score = self.score.correlation
+
+            def value(later: Indices, earlier: Indices, apart_s: Array) -> Array:
+                kept = of_score(apart_s)[:, None]
+                squares = kept**2 * of_square[later] * of_square[earlier]
+                pairs: Array = kept * of_mean[later] * of_mean[earlier] + squares
+                return pairs
+
+            total = total + 2 * sum_over_pairs(self.tracks, self.times_s, value)
+        elif self.score is None:
+            total = total + self._of_time(of_mean, of_square)
+        result: Array = np.maximum(total, _STEP * alone) / np.maximum(alone, 1e-300)
+        return result
+
+    def _of_time(self, of_mean: Array, of_square: Array) -> Array:
+        """Covariances that a correlation time makes, shape (k,)."""
+        total = np.zeros(of_mean.shape[1])
         for later, earlier, apart in lag_pairs(self.tracks, self.times_s, self.correlation_s):
             kept = np.exp(-apart / self.correlation_s)
             total += 2 * (kept @ (of_mean[later] * of_mean[earlier]))
             total += 2 * (kept**2 @ (of_square[later] * of_square[earlier]))
-        result: Array = np.maximum(total, _STEP * alone) / np.maximum(alone, 1e-300)
-        return result
+        return total
 
     @property
     def of_shares(self) -> float:
@@ -263,11 +286,12 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
             path = f"states.{state.name}.confidence{name}"
             parameters += [
                 Parameter(f"{path}.{entry}", DetectorPart.CONFIDENCE, measure, asked, state=state.name).unless(note)
-                for entry, asked, measure in _measures(law, scores, found, threshold, model.persistence.confidence_s)
+                for entry, asked, measure in _measures(law, scores, found, threshold, model.persistence)
             ]
-    persistence = None if note else score_persistence(model, evidence)
-    about = note or correlation_note(persistence)
-    parameters.append(Parameter("persistence.confidence_s", DetectorPart.CONFIDENCE, persistence, note=about))
+    if model.persistence.score is None:
+        persistence = None if note else score_persistence(model, evidence)
+        about = note or correlation_note(persistence)
+        parameters.append(Parameter("persistence.confidence_s", DetectorPart.CONFIDENCE, persistence, note=about))
     every = np.concatenate([evidence.true_detections.confidence, evidence.false_detections.confidence])
     asked = model.operating_threshold
     least, key = (threshold, "confidence_threshold") if asked is None else (asked, "operating_threshold")
@@ -309,14 +333,15 @@ Number = tuple[str, float, Measure | None]
 
 
 def _measures(
-    law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections, threshold: float, correlation_s: float
+    law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections, threshold: float, persistence: Persistence
 ) -> list[Number]:
     slopes = [
         ("visibility_slope", law.visibility_slope, -found.hidden),
         ("size_slope", law.size_slope, -found.halvings),
     ]
     check = SCORE_CHECKS.get(model_name(SCORES, scores))
-    kept = KeptScores(found.tracks, found.times_s, correlation_s) if correlation_s > 0 else None
+    persists = persistence.confidence_s > 0 or persistence.score is not None
+    kept = KeptScores(found.tracks, found.times_s, persistence.confidence_s, persistence.score) if persists else None
     return [] if check is None else check(scores, [slope for slope in slopes if slope[1]], found, threshold, kept)
 
 

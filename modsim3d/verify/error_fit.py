@@ -377,7 +377,7 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     if not parts:
         return none_of(Draw.CONFIDENCE, "")
     image, vessel, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    kept_s = model.persistence.confidence_s
+    kept_s = model.persistence.confidence_memory_s
     return _standardised(Draw.CONFIDENCE, evidence, image, vessel, values[:, None], kept_s)
 
 

@@ -16,6 +16,7 @@ from modsim3d.verify.class_checks import at_each, miss_probabilities
 from modsim3d.verify.error_parameters import parameter_names
 from modsim3d.verify.evidence import Evidence
 from modsim3d.verify.parameters import TestResult, Verification
+from modsim3d.verify.score_checks import miss_covariance
 from modsim3d.view.pages import charts
 
 # ---- Runs of frames in which a vessel is missed ----
@@ -41,6 +42,9 @@ def run_lengths(evidence: Evidence) -> Indices:
 def asked_run_lengths(model: DetectorModel, evidence: Evidence, miss_probability: Array, most: int) -> Array:
     """Expected number of runs of 1, 2, ... `most` misses, shape (most,), given the probability of each miss, (n,)."""
     before, share = evidence.instances.before, model.persistence.class_vessel_share
+    score = model.persistence.score
+    if score is not None:
+        share = score.vessel_share
     if not share:
         again = missed_again(model, evidence, miss_probability)
         return expected_run_lengths(miss_probability, again, before, most)
@@ -53,12 +57,17 @@ def asked_run_lengths(model: DetectorModel, evidence: Evidence, miss_probability
 
 def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Array) -> Array:
     """Probability of a miss given that the frame before was one, shape (n,); the plain one without a frame before."""
-    instances, tau = evidence.instances, model.persistence.class_s
-    if tau <= 0:
+    instances, tau, score = evidence.instances, model.persistence.class_s, model.persistence.score
+    if tau <= 0 and score is None:
         return miss_probability
     before = np.where(instances.before >= 0, instances.before, 0)
-    kept = np.exp(-(instances.time_s - instances.time_s[before]) / tau)
-    earlier = miss_probability[before]
+    earlier, apart_s = miss_probability[before], instances.time_s - instances.time_s[before]
+    if score is not None:  # of the memory beyond the frame before, only what vessels keep counts
+        changing = (score.correlation(apart_s) - score.vessel_share) / (1 - score.vessel_share)
+        covariance = miss_covariance(miss_probability, earlier, changing)
+        again = miss_probability + covariance / np.maximum(earlier, 1e-12)
+        return np.where(instances.before >= 0, np.minimum(again, 1), miss_probability)
+    kept = np.exp(-apart_s / tau)
     same = np.minimum(1.0, miss_probability / np.where(earlier > 0, earlier, 1))
     return np.where(instances.before >= 0, kept * same + (1 - kept) * miss_probability, miss_probability)
 

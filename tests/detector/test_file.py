@@ -142,7 +142,7 @@ BAD = [
     ("states.fog.confidence", {"mean": 67, "std": 0.1}, "states.fog.confidence.mean: Input should be less"),
     ("states.fog.drop_out", 0.3, "states.fog.drop_out: unknown key"),
     ("dropout", {"model": "logistc"}, "dropout.model: Input should be 'confusion', 'logistic' or 'table'"),
-    ("dropout", {"model": "logistic"}, "needs at least one of visible_fraction, size_px, distance_m"),
+    ("dropout", {"model": "logistic"}, "needs at least one of visible_fraction, partly_hidden, size_px, distance_m"),
     ("dropout", {"model": "confusion", "size_px": SLOPE}, "model confusion has no size_px"),
     ("dropout", {"model": "table", "size_px": SLOPE}, "size_px: model table needs edges and odds"),
     ("dropout", {"model": "logistic", "size_px": {"per_unit": 1}}, "a reference at which nothing changes"),

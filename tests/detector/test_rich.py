@@ -33,7 +33,7 @@ def rich_targets(seed: int = 3) -> Targets:
     boxes[100:200, 4] = np.nan
     boxes[random.random((STEPS, VESSELS)) < 0.1] = np.nan
     targets = make_targets(boxes, np.arange(VESSELS) % 3)
-    targets.visible_fraction[:] = random.uniform(0, 1, len(targets))
+    targets.visible_fraction[:] = np.minimum(random.uniform(0, 1.2, len(targets)), 1)
     targets.depth_m[:] = random.uniform(50, 3300, len(targets))
     return targets
 

@@ -14,6 +14,7 @@ from modsim3d.detector.chain import Detector, target_statistics, used_models
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.file.writing import with_miss_rate
 from modsim3d.detector.records import TRUE, CameraFrames, Targets
 from modsim3d.formats.labelled_video.detect_truth import check_needs
 from modsim3d.verify.class_checks import class_checks
@@ -80,6 +81,49 @@ def test_anchored_misses_have_the_rate_of_each_state_on_average_over_the_scene()
             assert abs(rates[targets.label == label].mean() - asked[label]) < 3.1e-5
 
 
+def test_an_intercept_makes_the_chance_of_a_miss_the_same_in_every_scene() -> None:
+    frames, targets = scene()
+    model = parse_detector(own_data(intercept=[0.4, -1.0]))
+    assert not model.needs_target_statistics
+    near = dataclasses.replace(targets, depth_m=targets.depth_m / 4)
+    for seen in (targets, near):
+        classifier = ConfusionClassifier.from_model(model, target_statistics(model, [(frames, seen)]))
+        width, height = (seen.boxes_px[:, 2:] - seen.boxes_px[:, :2]).T
+        added = np.array([0.4, -1.0])[seen.label] - 0.5 * np.log2(np.sqrt(width * height) / 50)
+        odds = special.logit(np.array([0.4, 0.4]))[seen.label] + added + 0.03 * (seen.depth_m - 200)
+        rates = classifier.miss_rates(np.full(len(seen), FOG_STATE), seen)
+        assert np.allclose(rates, special.expit(odds), atol=1e-9)
+
+
+def test_a_miss_rate_is_the_mean_over_the_learning_set() -> None:
+    learned = [[-2.0, 0.0, 3.0], [-1.0, 1.0, 1.0]]
+    data = own_data(intercept=[0.4, -1.0], learned_log_odds=learned)
+    data["states"]["fog"]["dropout"] |= {"intercept": [0.1, 0.2]}
+    changed = with_miss_rate(data, 0.7, "fog", "detector.states.fog.miss_rate")
+    assert changed["states"]["clear"] == data["states"]["clear"]
+    dropout = changed["states"]["fog"]["dropout"]
+    assert dropout["distance_m"] == FOG
+    odds = special.logit(0.7) + np.array(dropout["intercept"])[:, None] + np.array(learned)
+    assert np.allclose(special.expit(odds).mean(axis=1), 0.7, atol=1e-9)
+    assert parse_detector(changed).dropout.intercepts == {0: (0.4, -1.0), 1: tuple(dropout["intercept"])}
+    without = with_miss_rate(own_data(intercept=[0.4, -1.0]), 0.7, None, "detector.miss_rate")
+    assert parse_detector(without).dropout.intercepts[FOG_STATE] == (0.4, -1.0)
+
+
+@pytest.mark.parametrize(
+    ("dropout", "problem"),
+    [
+        ({"intercept": [0.1]}, "has 1 entries, must have one for each of the labels"),
+        ({"intercept": [0.1, 0.2], "anchor": "state_rate"}, "dropout.intercept: anchor state_rate holds"),
+        ({"learned_log_odds": [[0.0], [0.0]]}, "learned_log_odds goes with an intercept"),
+        ({"model": "confusion", "intercept": [0.1, 0.2], "size_px": None, "distance_m": None}, "has no intercept"),
+    ],
+)
+def test_an_intercept_that_fits_nothing_is_an_error(dropout: dict[str, Any], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        parse_detector(own_data(**dropout))
+
+
 @pytest.mark.parametrize("anchor", ["none", "state_rate"])
 def test_an_own_effect_that_equals_the_shared_one_changes_nothing(anchor: str) -> None:
     frames, targets = scene(500)
@@ -119,7 +163,7 @@ def test_a_state_may_be_the_only_one_with_effects() -> None:
             {"distance_m": FOG},
             "states.fog.dropout: model confusion has no distance_m: choose model logistic or table",
         ),
-        ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, size_px, distance_m"),
+        ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, partly_hidden"),
     ],
 )
 def test_a_bad_effect_of_a_state_is_told_with_its_path(

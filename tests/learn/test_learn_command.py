@@ -105,7 +105,7 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     assert total == 90
     assert outside(asked, learned.intervals(1 - 0.01 / total)) == {}
     model = parse_detector(learned.detector())
-    assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and model.dropout.anchored
+    assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and not model.needs_target_statistics
     # And not because they are as wide as can be.
     intervals = {each.key.path: each for each in learned.intervals(0.95)}
     for path, most in (("states.clear.box_error_std", 1.25), ("persistence.class_s", 1.7), ("persistence.box_s", 1.2)):

@@ -10,7 +10,9 @@ import pytest
 import yaml
 
 from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
+from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.bootstrap import resample
@@ -21,6 +23,7 @@ from modsim3d.learn.misses import own_effects
 from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
 from modsim3d.scene.settings import choose_detector
+from tests.detector.detector_builders import make_targets
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.scored_sets import detector
 
@@ -28,7 +31,7 @@ FRAMES, BOATS, STATES = 900, 3, ("clear", "fog")
 SLOPES = {"clear": 0.004, "fog": 0.03}
 
 
-def content(slopes: dict[str, float]):
+def content(slopes: dict[str, float], anchor: str = "state_rate"):
     """A detector of two states whose misses follow the distance."""
     data = detector({"mean": 0.7, "std": 0.1})
     state = data["states"]["usual"] | {"confusion": [[0.6], [0.4]], "false_discovery_rate": 0.0}
@@ -36,23 +39,29 @@ def content(slopes: dict[str, float]):
     return data | {
         "initial_state": "clear",
         "transition_matrix": [[0.5, 0.5], [0.5, 0.5]],
-        "dropout": {"model": "logistic", "anchor": "state_rate"},
+        "dropout": {"model": "logistic", "anchor": anchor},
         "states": {name: state | {"dropout": own[name]} for name in slopes},
     }
 
 
-def observed_in(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Observed:
-    """A simulated run of 900 images, two thirds of them in clear air."""
+def observed_in(
+    slopes: dict[str, float],
+    seed: int,
+    without: frozenset[str] = frozenset(),
+    far_m: float = 400,
+    anchor: str = "state_rate",
+) -> Observed:
+    """A simulated run of 900 images, two thirds of them in clear air, of boats up to a distance."""
     rng = np.random.default_rng(seed)
     image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
     corner = np.column_stack([100 + 250.0 * boat, np.full(len(boat), 300.0)])
     annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
-    annotations = dataclasses.replace(annotations, depth_m=rng.uniform(50, 400, len(image)))
+    annotations = dataclasses.replace(annotations, depth_m=rng.uniform(50, far_m, len(image)))
     labelled = LabelledSet(
         ("boat",), STATES, images(FRAMES, (1000.0, 800.0), np.arange(FRAMES) / 2.0), annotations, found([], [], [], [])
     )
     state = (np.arange(FRAMES) >= FRAMES * 2 // 3).astype(np.int64)
-    labelled = simulated(labelled, state, parse_detector(content(slopes)), seed)
+    labelled = simulated(labelled, state, parse_detector(content(slopes, anchor)), seed)
     return Observed(labelled, match(labelled, Rule(), 0.2), STATES, state, 0.2, without)
 
 
@@ -77,15 +86,34 @@ def test_slopes_that_differ_are_those_of_the_states_again(learned) -> None:
         assert missed.high[-1, 0] - missed.low[-1, 0] < 0.2
     file = learned.detector()
     assert "distance_m" not in file["dropout"]
-    assert [state["dropout"].keys() for state in file["states"].values()] == [{"distance_m"}] * 2
-    assert parse_detector(file).dropout.anchored
+    own = {"distance_m", "intercept", "learned_log_odds"}
+    assert [state["dropout"].keys() for state in file["states"].values()] == [own] * 2
+    assert not parse_detector(file).needs_target_statistics
     assert any("states.NAME.dropout.distance_m: a slope for each state" in note for note in learned.notes)
+
+
+def test_a_learned_detector_misses_as_much_as_the_true_one_in_a_scene_of_other_distances() -> None:
+    near = observed_in(SLOPES, 5, far_m=280, anchor="none")
+    learned = learn(near, Transitions(np.zeros((2, 2))), LearnSettings(replicates=60))
+    far = observed_in(SLOPES, 6, anchor="none")
+    annotations = far.labelled.annotations
+    targets = make_targets(annotations.boxes_px[:, None], [0])
+    targets = dataclasses.replace(targets, depth_m=annotations.depth_m)
+    rates = [
+        ConfusionClassifier.from_model(model, TargetStatistics()).miss_rates(far.state, targets)
+        for model in (parse_detector(content(SLOPES, "none")), parse_detector(learned.detector()))
+    ]
+    for state, name in enumerate(STATES):
+        true, again = (each[far.state == state].mean() for each in rates)
+        mean_of_learning = learned.detector()["states"][name]["confusion"][-1][0]
+        assert mean_of_learning < true - 0.06  # near boats were found more often
+        assert again == pytest.approx(true, abs=0.05)
 
 
 def test_slopes_that_do_not_differ_are_one(learned) -> None:
     same = learned_again(dict.fromkeys(STATES, 0.01), 4)
-    assert same.detector()["dropout"].keys() == {"model", "anchor", "distance_m"}
-    assert not any("dropout" in state for state in same.detector()["states"].values())
+    assert same.detector()["dropout"].keys() == {"model", "distance_m"}
+    assert not any("distance_m" in state["dropout"] for state in same.detector()["states"].values())
     assert any("states.NAME.dropout.distance_m: the same in all states" in note for note in same.notes)
 
 

@@ -33,12 +33,13 @@ from modsim3d.detector.file.schema_models import (
     ConfidenceKeys,
     EffectsSection,
     PerformanceSection,
+    PersistenceSection,
     ScoreSection,
     SizeSection,
 )
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
-from modsim3d.detector.persistence import Persistence
+from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.detector.records import Gates
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
@@ -101,7 +102,12 @@ def _dropout_problems(file: DetectorFile) -> list[str]:
     if model != "confusion" and not any(each.effects() for each in (file.dropout, *_own_dropout(file).values())):
         return [f"dropout: model {model} needs at least one of {', '.join(ATTRIBUTES)}"]
     misfits = {name: own.misfit(model) for name, own in _own_dropout(file).items()}
-    return [f"states.{name}.dropout: {misfit} (dropout.model)" for name, misfit in misfits.items() if misfit]
+    anchored = "anchor state_rate holds the state's rate whatever it is: choose anchor none, or leave it out"
+    sections = {"dropout": file.dropout} | {f"states.{name}.dropout": own for name, own in _own_dropout(file).items()}
+    given = [path for path, section in sections.items() if section.intercept is not None]
+    return [f"states.{name}.dropout: {misfit} (dropout.model)" for name, misfit in misfits.items() if misfit] + [
+        f"{path}.intercept: {anchored}" for path in given if file.dropout.anchor == "state_rate"
+    ]
 
 
 def _own_dropout(file: DetectorFile) -> dict[str, EffectsSection]:
@@ -273,7 +279,7 @@ def _model(content: DetectorFile) -> DetectorModel:
         transition_interval_s=content.transition_interval_s,
         dropout=_dropout(content),
         gates=Gates(**content.gates.model_dump()),
-        persistence=Persistence(**content.persistence.model_dump()),
+        persistence=_persistence(content.persistence),
         false_positives=_false_positives(content.false_positives),
         merges_and_splits=MergesAndSplits(
             **{field.name: getattr(content.false_positives, field.name) for field in fields(MergesAndSplits)}
@@ -326,7 +332,12 @@ def _scores(section: ScoreSection) -> ConfidenceLaw:
 
 def _dropout(content: DetectorFile) -> Dropout:
     own = {index: _effects(section.dropout) for index, section in enumerate(content.states.values())}
-    dropout = Dropout(_effects(content.dropout), own={index: effects for index, effects in own.items() if effects})
+    of_states = [section.dropout.intercept or content.dropout.intercept for section in content.states.values()]
+    dropout = Dropout(
+        _effects(content.dropout),
+        own={index: effects for index, effects in own.items() if effects},
+        intercepts={index: tuple(intercept) for index, intercept in enumerate(of_states) if intercept is not None},
+    )
     return replace(dropout, anchored=bool(dropout.every_effect) and content.dropout.anchor == "state_rate")
 
 
@@ -358,6 +369,13 @@ def _sizes(section: SizeSection) -> Sizes | None:
     if section.px is None:
         return None
     return FixedSize(*section.px) if section.log_std is None else LognormalSize(*section.px, section.log_std)
+
+
+def _persistence(section: PersistenceSection) -> Persistence:
+    numbers, score = section.model_dump(exclude={"score"}), section.score
+    if score is None:
+        return Persistence(**numbers)
+    return Persistence(**numbers, score=LatentScore(score.vessel_share, tuple(score.shares), tuple(score.times_s)))
 
 
 def _performance(section: PerformanceSection, states: list[str]) -> Performance:

@@ -55,12 +55,24 @@ class EffectSection(Strict):
         return self
 
 
+def _one_for_each_label(value: list[Any], info: ValidationInfo) -> list[Any]:
+    labels: Sequence[str] = (info.context or {}).get("labels", ())
+    if labels and len(value) != len(labels):
+        raise ValueError(f"has {len(value)} entries, must have one for each of the labels {', '.join(labels)}")
+    return value
+
+
 class EffectsSection(Strict):
     """Effects of what a vessel looks like on its misses; those of a state replace the shared ones."""
 
     visible_fraction: EffectSection | None = None
+    partly_hidden: EffectSection | None = None
     size_px: EffectSection | None = None
     distance_m: EffectSection | None = None
+    intercept: Annotated[list[Number], AfterValidator(_one_for_each_label)] | None = None
+    learned_log_odds: (
+        Annotated[list[Annotated[list[Number], Field(min_length=1)]], AfterValidator(_one_for_each_label)] | None
+    ) = None
 
     def effects(self) -> dict[str, EffectSection]:
         """Effects that are given."""
@@ -69,6 +81,10 @@ class EffectsSection(Strict):
 
     def misfit(self, model: str) -> str | None:
         """Problem of the effects under the name of the model of all of them; None if there is none."""
+        if self.learned_log_odds is not None and self.intercept is None:
+            return "learned_log_odds goes with an intercept, which a miss_rate finds anew from them"
+        if model == "confusion" and self.intercept is not None:
+            return "model confusion has no intercept: choose model logistic or table"
         for name, effect in self.effects().items():
             if model == "confusion":
                 return f"model confusion has no {name}: choose model logistic or table"
@@ -102,6 +118,23 @@ class GatesSection(Strict):
     max_detections: Annotated[int, Field(strict=True, gt=0)] | None = None
 
 
+class LatentScoreSection(Strict):
+    """The number behind misses and confidence: shares of its variance, and the times in which some are forgotten."""
+
+    vessel_share: Fraction = 0.0
+    shares: list[Probability] = Field(default_factory=list)
+    times_s: list[Positive] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _shares_fit(self) -> LatentScoreSection:
+        if len(self.shares) != len(self.times_s):
+            raise ValueError(f"has {len(self.shares)} shares and {len(self.times_s)} times_s: one belongs to each")
+        total = self.vessel_share + sum(self.shares)
+        if total > 1 + 1e-9:
+            raise ValueError(f"vessel_share and shares sum to {total:g}, must not exceed 1")
+        return self
+
+
 class PersistenceSection(Strict):
     """Correlation times, and shares of the noise that a vessel keeps; 0 is none."""
 
@@ -111,6 +144,13 @@ class PersistenceSection(Strict):
     merge_s: NotNegative = 0.0
     class_vessel_share: Fraction = 0.0
     box_vessel_share: Fraction = 0.0
+    score: LatentScoreSection | None = None
+
+    @model_validator(mode="after")
+    def _one_memory(self) -> PersistenceSection:
+        if self.score is not None and self.confidence_s:
+            raise ValueError("confidence_s: with a score, confidence lasts as the score's parts do: leave it out")
+        return self
 
 
 class SizeSection(Strict):

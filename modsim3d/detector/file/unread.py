@@ -127,6 +127,8 @@ def _unread_effects(file: DetectorFile, states: list[str]) -> Iterator[UnreadKey
             works = " and ".join(f"detector.states.{state}.dropout.{name}" for state in states)
             dead = all(name in effects for effects in sections.values())
             yield UnreadKey(f"dropout.{name}", f"each state has its own: set {works}", is_dead=dead)
+    for path in ("dropout", *sections):
+        yield UnreadKey(f"{path}.learned_log_odds", "only miss_rate reads it: set detector.miss_rate", ("miss_rate",))
     for path, effects in {"dropout": file.dropout.effects(), **sections}.items():
         for name, effect in effects.items():
             slope = f"{path}.{name}.{'per_doubling' if effect.per_unit is None else 'per_unit'}"

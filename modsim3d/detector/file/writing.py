@@ -9,6 +9,7 @@ import numpy as np
 import yaml
 
 from modsim3d.core.errors import InputError
+from modsim3d.detector.dropout import anchor
 from modsim3d.io.strict_text import NUMBERS
 from modsim3d.io.validation import nearest, shown
 
@@ -44,7 +45,8 @@ def is_miss_rate(parts: tuple[str, ...]) -> bool:
 def with_miss_rate(content: Mapping[str, Any], rate: object, state: str | None, option: str) -> dict[str, Any]:
     """The content of a detector file in which every label is missed at one rate.
 
-    The other rows of the confusion matrix keep their proportions in each column.
+    The other rows of the confusion matrix keep their proportions in each column. Where misses follow what vessels look
+    like and the file has the log-odds that this added in its learning set, the rate is that of the learning set again.
 
     Args:
         content: The content; what is wrong with it is left to its own checks.
@@ -63,13 +65,15 @@ def with_miss_rate(content: Mapping[str, Any], rate: object, state: str | None, 
     if state is not None and state not in states:
         raise InputError(option, [f"the detector has no state '{state}' ({nearest(state, states)})"])
     changed = {
-        name: _section(section, float(rate), f"{option}: states.{name}") if state in (None, name) else section
+        name: _section(section, content.get("dropout"), float(rate), f"{option}: states.{name}")
+        if state in (None, name)
+        else section
         for name, section in states.items()
     }
     return {**content, "states": changed}
 
 
-def _section(section: Any, rate: float, where: str) -> Any:
+def _section(section: Any, shared: Any, rate: float, where: str) -> Any:
     try:
         matrix = np.array(section["confusion"], dtype=np.float64)
     except (TypeError, KeyError, ValueError):
@@ -83,4 +87,16 @@ def _section(section: Any, rate: float, where: str) -> Any:
             where, [f"column {column} of its confusion matrix has nothing but misses, so no miss rate fits"]
         )
     rows = np.vstack([matrix[:-1] * ((1 - rate) / found), np.full(matrix.shape[1], rate)])
-    return {**section, "confusion": np.round(rows, 12).tolist()}
+    return {**section, "confusion": np.round(rows, 12).tolist()} | _intercept(section.get("dropout"), shared, rate)
+
+
+def _intercept(own: Any, shared: Any, rate: float) -> dict[str, Any]:
+    """Intercept with which the mean rate over the learning set is `rate`; empty without log-odds of that set."""
+    key = "learned_log_odds"
+    source = next((each for each in (own, shared) if isinstance(each, Mapping) and key in each), None)
+    try:
+        learned = [np.array(quantiles, dtype=np.float64) for quantiles in source[key]] if source else []
+    except (TypeError, ValueError):
+        return {}
+    intercept = [round(anchor(rate, quantiles, np.ones(len(quantiles))), 12) for quantiles in learned]
+    return {"dropout": {**(own if isinstance(own, Mapping) else {}), "intercept": intercept}} if learned else {}

@@ -10,6 +10,7 @@ from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.report.campaign_page import cautions
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.campaign.workers import LOST, Death, ProcessPool, ThisProcess
+from modsim3d.core.document import Text
 from tests.campaign.engines.campaigns import MORTAL, Campaigns, content
 
 CRASHES = {
@@ -35,7 +36,7 @@ def test_a_run_that_ends_its_process_once_has_crashed_and_one_that_is_killed_is_
     assert killed_sentence(result.folder) == (
         "Killed from outside, and their work tried again: 1 worker (SIGKILL 1×); runs under way: 4 (campaign.log)."
     )
-    assert (killed_sentence(result.folder), "") in cautions(result.folder, result.table)
+    assert Text(killed_sentence(result.folder)) in cautions(result.folder, result.table)
     again = campaigns.run("mortal", ThisProcess, tmp_path / "out")
     assert again is not None and again.table.equals(result.table)
 

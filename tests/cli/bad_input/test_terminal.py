@@ -104,7 +104,7 @@ def test_any_encoding_of_the_output_will_do(
     )
     assert done.returncode in (0, 1)
     assert b"Traceback" not in done.stderr
-    assert b"performance state" in done.stdout
+    assert b"Performance state" in done.stdout
     assert process("scenes", PYTHONIOENCODING=encoding).returncode == 0
 
 

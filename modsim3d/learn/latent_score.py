@@ -1,0 +1,193 @@
+"""The score behind misses and confidence: whether there is one, and how long it is remembered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import optimize, special
+
+from modsim3d.core.arrays import Array, Indices
+from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, widened
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.persistence import LagTable, jackknife
+
+# ---- Misses of which each thing keeps a share of the noise for as long as it is seen ----
+
+_SHARES = np.linspace(0, 0.99, 100)
+_CHANCES = 50
+
+
+def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
+    """Products of the residuals of misses at all times between.
+
+    Args:
+        observed: The misses.
+        chance: Fitted chance of each to be missed, shape (n,).
+        slopes: Number of slopes that were fitted beside the rates of each state and label.
+    """
+    residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
+    size = residual**2 / variance
+
+    def compare(earlier: Indices, later: Indices) -> tuple[Array, Array]:
+        """A miss that is read from the same number as another, scaled by how large both squares are."""
+        first, second = chance[earlier], chance[later]
+        same = np.minimum(first, second) - first * second
+        return residual[earlier] * residual[later], same * (size[earlier] + size[later]) / 2
+
+    group = observed.state * len(observed.labelled.labels) + observed.label
+    return LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
+
+
+def latent_share(chance: Array) -> Callable[[Array], Array]:
+    """Function from the correlation of misses to the share of the latent normal number that things keep.
+
+    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
+    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
+    """
+    level = _level_of(chance)
+    return lambda found: np.interp(found, level, _SHARES)
+
+
+def _level_of(chance: Array) -> Array:
+    """Correlation of misses for each of `_SHARES`, shape (100,)."""
+    varied = chance[(chance > 0) & (chance < 1)]
+    p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
+    level: Array = (_both_missed(p) - p**2).sum(axis=0) / (p - p**2).sum()
+    return level
+
+
+def _both_missed(p: Array) -> Array:
+    """Probability that two misses of a chance (n, 1) happen together, for each of `_SHARES`, shape (n, 100)."""
+    both: Array = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - _SHARES) / (1 + _SHARES)))
+    return both
+
+
+# ---- Whether confidence falls before a miss ----
+
+_LOST_NEEDED = 20
+"""Detections that are followed by a miss, from which a score is told from two numbers that are drawn apart."""
+_NODES = (np.arange(400) + 0.5) / 400
+
+
+def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) -> bool:
+    """Whether detections before a miss are unsure as one score makes them, and not as sure as any other.
+
+    Args:
+        observed: The misses and confidences.
+        chance: Fitted chance of each annotation to be missed, shape (n,).
+        notes: Why there is no score is added to them.
+    """
+    if not observed.labelled.scored or {"score", "confidence"} & observed.without:
+        return False
+    level = np.full(len(observed.rows), np.nan)
+    confidence = observed.labelled.results.confidence[observed.detection[observed.found]]
+    for state in range(len(observed.states)):
+        ours = observed.state[observed.found] == state
+        rank = np.argsort(np.argsort(confidence[ours], kind="stable"))
+        level[observed.found[ours]] = (rank + 0.5) / max(int(ours.sum()), 1)
+    earlier, later = observed.steps.earlier, observed.steps.later
+    known = np.isfinite(level[earlier])
+    lost = known & (observed.missed[later] > 0)
+    if lost.sum() < _LOST_NEEDED:
+        notes.append(f"persistence.score: none; had {lost.sum()} detections before a miss, needs {_LOST_NEEDED}")
+        return False
+    p = float(chance[earlier[lost]].mean())
+    correlation = _correlation_of_losses(float(observed.missed[later[known]].mean()), p)
+    expected, found = _mean_level_before_a_miss(p, correlation), float(level[earlier[lost]].mean())
+    if found < (0.5 + expected) / 2:
+        return True
+    notes.append(
+        f"persistence.score: none; detections before a miss are surer than {found:.0%} of all, with a score than "
+        f"{expected:.0%}"
+    )
+    return False
+
+
+def _correlation_of_losses(lost: float, p: float) -> float:
+    """Correlation of two scores with which a share of the found with a chance p of a miss is lost a frame later."""
+    return float(np.interp(-lost, -(p - _both_missed(np.array([p]))) / (1 - p), _SHARES))
+
+
+def _mean_level_before_a_miss(p: float, correlation: float) -> float:
+    """Mean level of confidence where the score, with a chance p of a miss, is below it one frame later."""
+    z = special.ndtri(p + (1 - p) * _NODES)
+    lost = special.ndtr((special.ndtri(p) - correlation * z) / np.sqrt(1 - correlation**2))
+    return float((lost * _NODES).sum() / lost.sum())
+
+
+# ---- How long the score is remembered ----
+
+_TIMES_APART = 4.0
+_LONGEST = 3.0
+"""Correlation times that the longest times between must last."""
+_EXACT = 1e3
+"""Weight of the sum of all shares, which is one, against that of the lags."""
+_GREATEST_SHARE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedScore:
+    """Shares of the score that things keep and that are forgotten in some times; `level` is that of kept residuals."""
+
+    vessel_share: Entry
+    shares: Entry
+    times_s: tuple[float, ...]
+    level: float
+
+    def section(self) -> dict[str, Any]:
+        """The score in a detector file."""
+        return {
+            "vessel_share": digits(self.vessel_share.estimate),
+            "shares": nested(np.floor(self.shares.estimate * 1e6) / 1e6),
+            "times_s": [digits(time_s) for time_s in self.times_s],
+        }
+
+
+def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Resampling) -> LearnedScore:
+    """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag.
+
+    Times of the autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory
+    that only fades, and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need
+    no test of whether they are there.
+    """
+    table = miss_lags(observed, chance, slopes)
+    first = float(table.lag_s[0])
+    parts = 1 + int(np.log(max(table.lag_s[-1] / _LONGEST / first, 1.0)) / np.log(_TIMES_APART))
+    times_s = first * np.array([_TIMES_APART**part for part in range(parts)])
+    latent = latent_share(chance)
+    found, without = (
+        _shares(table, latent(table.uncrowded(ratios)), times_s)
+        for ratios in (table.ratios(resampling), table.ratios_without_each())
+    )
+    count = np.array(float(table.things))
+    path = ("persistence", "score")
+
+    def column(values: Array, left_out: Array) -> Column:
+        return Column(widened(values, jackknife(left_out)), "capped", count + np.zeros(values.shape[1:]))
+
+    kept = column(found[:, 0], without[:, 0])
+    axes = (tuple(f"{time_s:.3g} s" for time_s in times_s),)
+    shares = Entry(Key((*path, "shares"), axes=axes), column(found[:, 1:], without[:, 1:]))
+    level = float(_level_of(chance)[np.searchsorted(_SHARES, min(found[0, 0], _SHARES[-1]))])
+    return LearnedScore(Entry(Key((*path, "vessel_share")), kept), shares, tuple(times_s.tolist()), level)
+
+
+def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
+    """Shares that are kept, then those of each time, from correlations of scores (rows, b), shape (rows, 1 + parts).
+
+    The rest of the variance is white noise, so all shares sum to one.
+    """
+    decays = np.exp(-table.lag_s[:, None] / times_s)
+    design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
+    weight = np.sqrt(table.weight / table.weight.max())[:, None]
+    system = np.vstack([weight * design, np.full((1, design.shape[1]), _EXACT)])
+    found = [optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation]
+    shares = np.stack(found)
+    over = np.maximum(shares.sum(axis=1), 1.0)[:, None]
+    shares = shares / over
+    shares[:, 0] = np.minimum(shares[:, 0], _GREATEST_SHARE)
+    result: Array = shares
+    return result

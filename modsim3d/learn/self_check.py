@@ -1,0 +1,218 @@
+"""Whether a learned detector behaves as the real one where it was not learned.
+
+The data are split in two. Each half is simulated by what was learned from the other, over its own annotations, and what
+matters to a tracker is counted in the real results and in the simulated ones. The detector that is written is learned
+from all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.boxes import centres, iou, sizes
+from modsim3d.core.errors import ModsimError
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.matching import image_pairs, match
+from modsim3d.learn.bootstrap import resample
+from modsim3d.learn.learned import Learned, LearnSettings, choose_form
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.simulated_results import simulated
+
+SEEDS = 20
+"""Simulated runs that each half is compared with."""
+LEVEL = 0.05
+"""Probability that any of the numbers is said to differ by chance."""
+MIN_COUNT = 20
+"""What a number must be counted from, in the real results."""
+_BLOCKS = 4
+_ON_A_VESSEL = 0.1
+
+Counts = dict[str, tuple[float, float]]
+"""Sum and number of what is averaged, by name."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A number of the real results and of the simulated ones: their mean, and their spread over seeds."""
+
+    name: str
+    real: float
+    simulated: float
+    spread: float
+    p_value: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether both surely differ; p-values are adjusted for the number of comparisons."""
+        return self.p_value < LEVEL
+
+
+def self_check(learned: Learned, settings: LearnSettings, seeds: int = SEEDS) -> tuple[Comparison, ...]:
+    """Comparisons where the detector was not learned, those that differ most first.
+
+    Raises:
+        ModsimError: There is too little to split, or the sizes of images are not known.
+    """
+    observed = learned.observed
+    real: Counts = {}
+    drawn: list[Counts] = [{} for _ in range(seeds)]
+    half = _first_half(observed)
+    for ours in (half, ~half):
+        unseen = replace(observed, image_state=np.where(ours, observed.image_state, -1))
+        seen = replace(observed, image_state=np.where(ours, -1, observed.image_state))
+        if not len(unseen.found) or not len(seen.found):
+            raise ModsimError("one half of the data has no matches: there is too little to check what was learned")
+        form = choose_form(seen, settings.clutter)
+        numbers = form.estimate(seen, resample(seen.labelled.images, 0, 0))
+        other = replace(learned, observed=seen, form=form, numbers=numbers)
+        model = parse_detector(other.detector(), "what was learned from one half")
+        _add(real, counts_of(unseen, observed))
+        for seed in range(seeds):
+            labelled = simulated(observed.labelled, unseen.image_state, model, settings.seed + seed)
+            matched = match(labelled, settings.rule, settings.threshold)
+            _add(drawn[seed], counts_of(replace(unseen, labelled=labelled, matched=matched), observed))
+    return tuple(sorted(_compared(real, drawn), key=lambda each: each.p_value))
+
+
+def _first_half(observed: Observed) -> Mask:
+    """Images of one half: whole films, or every other quarter of a single one."""
+    images = observed.labelled.images
+    used = observed.image_state >= 0
+    films, film = np.unique(np.column_stack([images.source, images.sequence]), axis=0, return_inverse=True)
+    film = film.ravel()
+    number = np.bincount(film[used], minlength=len(films))
+    if np.count_nonzero(number) > 1:
+        first, held = np.zeros(len(films), dtype=bool), [0, 0]
+        for each in np.argsort(-number, kind="stable").tolist():
+            first[each] = held[0] <= held[1]
+            held[0 if first[each] else 1] += int(number[each])
+        return first[film]
+    order = np.argsort(np.where(np.isfinite(images.time_s), images.time_s, np.arange(len(film))), kind="stable")
+    block = np.empty(len(film), dtype=np.int64)
+    block[order] = np.arange(len(film)) * _BLOCKS // max(len(film), 1)
+    half: Mask = block % 2 == 0
+    return half
+
+
+def _add(total: Counts, more: Counts) -> None:
+    for name, (amount, number) in more.items():
+        before = total.get(name, (0.0, 0.0))
+        total[name] = before[0] + amount, before[1] + number
+
+
+def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[Comparison]:
+    """Comparisons with the p-values of Student's t, adjusted by the method of Holm (1979)."""
+    rows = []
+    for name, (amount, number) in real.items():
+        again = [each[name] for each in drawn if each.get(name, (0.0, 0.0))[1] > 0]
+        if number < MIN_COUNT or len(again) < len(drawn):
+            continue
+        means = np.array([total / whole for total, whole in again])
+        mean, spread, seen = float(means.mean()), float(means.std(ddof=1)), amount / number
+        strays = (seen - mean) / max(spread * np.sqrt(1 + 1 / len(means)), 1e-12)
+        p_value = 2 * float(special.stdtr(len(means) - 1, -abs(strays)))
+        rows.append(Comparison(name, seen, mean, spread, p_value))
+    least = 0.0
+    for rank, row in enumerate(sorted(rows, key=lambda each: each.p_value)):
+        least = max(least, min(1.0, (len(rows) - rank) * row.p_value))
+        yield replace(row, p_value=least)
+
+
+# ---- What is counted ----
+
+
+def counts_of(observed: Observed, whole: Observed) -> Counts:
+    """What a tracker feels of some results; ranges of size and distance are those of the `whole` data."""
+    found = observed.missed == 0
+    counts = {"share found": _mean(found)}
+    counts |= _by_range(observed, whole, found)
+    counts |= _of_boxes(observed) | _of_time(observed, found) | _of_false(observed)
+    return counts
+
+
+def _mean(values: Array | Mask) -> tuple[float, float]:
+    return float(np.sum(values)), float(len(values))
+
+
+def _by_range(observed: Observed, whole: Observed, found: Mask) -> Counts:
+    """Share found by thirds of size and of distance, and of the visible share where it is known."""
+    counts: Counts = {}
+    columns = {"px large": "size_px", "m away": "depth_m"}
+    for unit, column in columns.items():
+        values = getattr(observed.labelled.annotations, column)
+        every = values[whole.rows]
+        if not np.isfinite(every).all() or np.ptp(every) == 0:
+            continue
+        low, high = (float(f"{edge:.2g}") for edge in np.quantile(every, [1 / 3, 2 / 3]))
+        ours = values[observed.rows]
+        for name, chosen in (
+            (f"share found, below {low:g} {unit}", ours < low),
+            (f"share found, {low:g} to {high:g} {unit}", (ours >= low) & (ours < high)),
+            (f"share found, above {high:g} {unit}", ours >= high),
+        ):
+            counts[name] = _mean(found[chosen])
+    visible = observed.labelled.annotations.visible_fraction[observed.rows]
+    for name, chosen in (("under half visible", visible < 0.5), ("wholly visible", visible > 0.99)):
+        counts[f"share found, {name}"] = _mean(found[chosen])
+    return counts
+
+
+def _of_boxes(observed: Observed) -> Counts:
+    """How well boxes fit, and by how much the centre's error changes from frame to frame."""
+    labelled, rows = observed.labelled, observed.rows[observed.found]
+    boxes = labelled.results.boxes_px[observed.detection[observed.found]]
+    true = labelled.annotations.boxes_px[rows]
+    error = np.full((len(observed.rows), 2), np.nan)
+    error[observed.found] = (centres(boxes) - centres(true)) / np.maximum(sizes(true), 1.0)
+    change = np.abs(error[observed.steps.later] - error[observed.steps.earlier])
+    known = np.isfinite(change).all(axis=1)
+    names = ("change of the centre across", "change of the centre down")
+    return {
+        "mean IoU of matches": _mean(iou(boxes, true)),
+        **{f"{name}, in sides": _mean(change[known, k]) for k, name in enumerate(names)},
+    }
+
+
+def _of_time(observed: Observed, found: Mask) -> Counts:
+    """Lengths of runs of sightings and of gaps between them, and the confidence before a miss."""
+    steps = observed.steps
+    counts: Counts = {}
+    if not len(steps):
+        return counts
+    length = np.ones(len(found))
+    for later, earlier in zip(steps.later.tolist(), steps.earlier.tolist(), strict=True):
+        if found[later] == found[earlier]:
+            length[later] = length[earlier] + 1
+    ended = steps.earlier[found[steps.later] != found[steps.earlier]]
+    runs, gaps = length[ended[found[ended]]], length[ended[~found[ended]]]
+    counts |= {"frames of a run of sightings": _mean(runs), "frames of a gap": _mean(gaps)}
+    counts["share of gaps of one frame"] = _mean(gaps == 1)
+    if observed.labelled.scored:
+        confidence = np.full(len(found), np.nan)
+        confidence[observed.found] = observed.labelled.results.confidence[observed.detection[observed.found]]
+        counts["confidence of matches"] = _mean(confidence[observed.found])
+        lost = found[steps.earlier] & ~found[steps.later] & np.isfinite(confidence[steps.earlier])
+        counts["confidence before a miss"] = _mean(confidence[steps.earlier[lost]])
+    return counts
+
+
+def _of_false(observed: Observed) -> Counts:
+    """False detections of an image, and the share of them that lies on a vessel."""
+    results, annotations = observed.labelled.results, observed.labelled.annotations
+    images, false = np.flatnonzero(observed.image_state >= 0), observed.false
+    false = false[np.argsort(results.image[false], kind="stable")]
+    order = np.argsort(annotations.image, kind="stable")
+    on_vessel = np.zeros(len(false), dtype=bool)
+    for first, second in image_pairs(results.image[false], annotations.image[order], len(observed.image_state)):
+        near = iou(results.boxes_px[false[first]], annotations.boxes_px[order[second]]) > _ON_A_VESSEL
+        on_vessel[first[near]] = True
+    number = np.bincount(results.image[false], minlength=len(observed.image_state))[images]
+    return {
+        "false detections an image": _mean(number.astype(np.float64)),
+        "share of false detections on a vessel": _mean(on_vessel),
+    }

@@ -1,0 +1,107 @@
+"""One score behind misses and confidence: chances and levels hold exactly, and its memory is the one that was asked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from modsim3d.core.errors import InputError
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import TRUE, Detections, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
+from tests.detector.detector_builders import (
+    all_bytes,
+    centred,
+    clock,
+    detect_in_chunks,
+    make_frames,
+    make_targets,
+    one_state_data,
+    same_boxes,
+)
+
+VESSELS, FRAMES, STEP_S, MISS_RATE = 3000, 40, 0.5, 0.25
+SCORE = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1, 6]}
+
+
+def seen(vessels: int = VESSELS) -> Targets:
+    return make_targets(same_boxes(FRAMES, vessels, centred(600, 600)), [0] * vessels)
+
+
+def detector(score: dict[str, Any] = SCORE, **persistence: Any) -> Detector:
+    confusion = [[0.6, 0.1], [0.15, 0.6], [MISS_RATE, 0.3]]
+    quantiles = {"quantiles": [0.25, 0.95]}
+    confidence = {"true": quantiles, "false": quantiles}
+    data = one_state_data(false_discovery_rate=0, confusion=confusion, confidence=confidence)
+    data |= {"persistence": {"score": score, **persistence}}
+    return Detector(parse_detector(data), 5, TargetStatistics(), clock(STEP_S))
+
+
+def by_frame(found: Detections, values: np.ndarray, fill: float) -> np.ndarray:
+    true = found.kind == TRUE
+    result = np.full(FRAMES * VESSELS, fill)
+    result[found.target[true]] = values[true]
+    return result.reshape(FRAMES, VESSELS)
+
+
+@pytest.fixture(scope="module")
+def found() -> Detections:
+    return detector().detect(make_frames(FRAMES, time_step_s=STEP_S), seen())
+
+
+def test_at_any_time_misses_labels_and_confidences_have_their_chances(found: Detections) -> None:
+    missed = by_frame(found, np.zeros(len(found)), 1.0)
+    confidence, label = by_frame(found, found.confidence, np.nan), by_frame(found, found.label, -1)
+    for frame in (0, 1, FRAMES - 1):
+        error = np.sqrt(MISS_RATE * (1 - MISS_RATE) / VESSELS)
+        assert abs(missed[frame].mean() - MISS_RATE) < 4 * error
+        assert abs((label[frame] == 1).mean() - 0.15) < 4 * np.sqrt(0.15 * 0.85 / VESSELS)
+        seen_ones = confidence[frame][missed[frame] == 0]
+        assert stats.kstest((seen_ones - 0.25) / 0.7, "uniform").pvalue > 1e-3
+
+
+def test_misses_have_the_correlation_of_their_scores(found: Detections) -> None:
+    missed = by_frame(found, np.zeros(len(found)), 1.0)
+    z = special.ndtri(MISS_RATE)
+    for lag in (1, 2, 4, 8, 16, 32):
+        apart_s = lag * STEP_S
+        correlation = 0.3 + 0.2 * np.exp(-apart_s / 1) + 0.4 * np.exp(-apart_s / 6)
+        both = stats.multivariate_normal([0, 0], [[1, correlation], [correlation, 1]]).cdf([z, z])
+        of_vessels = (missed[:-lag] * missed[lag:]).mean(axis=0)
+        assert abs(of_vessels.mean() - both) < 4 * of_vessels.std() / np.sqrt(VESSELS)
+
+
+def test_a_vessel_grows_unsure_before_it_is_lost(found: Detections) -> None:
+    missed = by_frame(found, np.zeros(len(found)), 1.0)
+    confidence = by_frame(found, found.confidence, np.nan)[:-1]
+    lost = missed[1:][missed[:-1] == 0]
+    sure = confidence[missed[:-1] == 0]
+    shares = [lost[(sure > low) & (sure <= low + 0.14)].mean() for low in (0.25, 0.39, 0.53, 0.67, 0.81)]
+    assert np.all(np.diff(shares) < 0) and shares[0] > 10 * shares[-1]
+
+
+def test_the_frames_before_and_other_vessels_change_nothing() -> None:
+    frames, few = make_frames(FRAMES, time_step_s=STEP_S), seen(20)
+    whole = detector().detect(frames, few)
+    assert all_bytes(detect_in_chunks(detector(), frames, few, [0, 17, FRAMES])) == all_bytes(whole)
+    alone = detector().detect(frames, seen(1))
+    ours = (whole.kind == TRUE) & (whole.target % 20 == 0)
+    np.testing.assert_array_equal(whole.confidence[ours], alone.confidence[alone.kind == TRUE])
+
+
+@pytest.mark.parametrize(
+    ("score", "others", "problem"),
+    [
+        ({"vessel_share": 0.7, "shares": [0.4], "times_s": [1]}, {}, "sum to 1.1, must not exceed 1"),
+        ({"shares": [0.4]}, {}, "1 shares and 0 times_s"),
+        ({"shares": [0.4], "times_s": [0]}, {}, "times_s"),
+        (SCORE, {"confidence_s": 1.0}, "confidence_s: with a score"),
+    ],
+)
+def test_a_score_that_cannot_be_is_an_error(score: dict[str, Any], others: dict[str, float], problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        detector(score, **others)

@@ -1,0 +1,86 @@
+"""A score behind misses and confidence: learned again where it is, and not where both are drawn apart."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.persistence import LatentScore
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.simulated_results import simulated
+from modsim3d.learn.states import Transitions
+from modsim3d.scene.settings import choose_detector
+from tests.formats.labelled_sets import found, images, truth
+from tests.learn.scored_sets import detector
+
+FRAMES, BOATS, STEP_S, MISS_RATE = 500, 40, 0.5, 0.3
+ASKED = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1.0, 6.0]}
+
+
+def learned_again(persistence: dict[str, Any], seed: int, without: frozenset[str] = frozenset()) -> Learned:
+    image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
+    corner = np.column_stack([100 + 250.0 * (boat % 8), 200 + 250.0 * (boat // 8)])
+    annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
+    frames = images(FRAMES, (2200.0, 1600.0), np.arange(FRAMES) * STEP_S)
+    labelled = LabelledSet(("boat",), ("usual",), frames, annotations, found([], [], [], []))
+    data = detector({"mean": 0.6, "std": 0.15}) | {"persistence": persistence}
+    data["states"]["usual"] |= {"confusion": [[1 - MISS_RATE], [MISS_RATE]], "false_discovery_rate": 0.05}
+    state = np.zeros(FRAMES, dtype=np.int64)
+    labelled = simulated(labelled, state, parse_detector(data), seed)
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
+    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=40, without=without))
+
+
+@pytest.fixture(scope="module")
+def learned() -> Learned:
+    return learned_again({"score": ASKED}, 1)
+
+
+def test_the_memory_of_a_score_is_learned_again(learned: Learned) -> None:
+    model = parse_detector(learned.detector())
+    score = model.persistence.score
+    assert score is not None and model.persistence.confidence_s == model.persistence.class_s == 0
+    asked = LatentScore(0.3, (0.2, 0.4), (1.0, 6.0))
+    apart_s = np.array([0.5, 1, 2, 4, 8, 16])
+    assert np.abs(score.correlation(apart_s) - asked.correlation(apart_s)).max() < 0.08
+    intervals = {each.key.path: each for each in learned.intervals(0.99)}
+    kept = intervals["persistence.score.vessel_share"]
+    assert kept.low <= 0.3 <= kept.high < 0.6
+    assert intervals["states.usual.confusion"].high[-1, 0] > MISS_RATE > intervals["states.usual.confusion"].low[-1, 0]
+
+
+def test_misses_and_confidences_that_are_drawn_apart_have_no_score() -> None:
+    apart = learned_again({"class_s": 2.0, "confidence_s": 2.0}, 2)
+    persistence = parse_detector(apart.detector()).persistence
+    assert persistence.score is None and persistence.class_s == pytest.approx(2, rel=0.2)
+    assert persistence.confidence_s == pytest.approx(2, rel=0.2)
+    assert any(note.startswith("persistence.score: none; detections before a miss") for note in apart.notes)
+
+
+def test_a_score_can_be_left_out() -> None:
+    without = learned_again({"score": ASKED}, 1, frozenset({"score"}))
+    persistence = parse_detector(without.detector()).persistence
+    assert persistence.score is None and persistence.class_s > 0 and persistence.confidence_s > 0
+
+
+def test_a_campaign_draws_scores_that_can_be(learned: Learned, tmp_path) -> None:
+    text = yaml.safe_dump(learned.detector())
+    path = tmp_path / "learned.yaml"
+    path.write_text(text)
+    known = LearnedUncertainty.model_validate(json.loads(uncertainty_text(learned, text)))
+    shares = []
+    for seed in range(40):
+        drawn = drawn_detector(known, seed)
+        model, _ = choose_detector(path, settings=drawn, may_be_unread=True)
+        assert model.persistence.score is not None
+        shares.append(model.persistence.score.vessel_share)
+    assert 0.02 < np.std(shares) < 0.2

@@ -1,0 +1,67 @@
+"""A learned detector is compared with the real one where it was not learned."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.matches import Observed
+from modsim3d.learn.self_check import Comparison, self_check
+from modsim3d.learn.simulated_results import simulated
+from modsim3d.learn.states import Transitions
+from tests.formats.labelled_sets import found, images, truth
+from tests.learn.scored_sets import detector
+
+FRAMES, BOATS, STEP_S, SEEDS = 400, 20, 0.5, 12
+SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
+
+
+def compared(without: frozenset[str] = frozenset(), seed: int = 1, frames: int = FRAMES) -> dict[str, Comparison]:
+    """Comparisons of a simulated detector in place of a real one, in two films, by name."""
+    image, boat = np.repeat(np.arange(frames), BOATS), np.tile(np.arange(BOATS), frames)
+    corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
+    side = 30.0 + 4 * boat[:, None]
+    identity = boat + BOATS * (image >= frames // 2)
+    annotations = truth(image, 0 * image, np.hstack([corner, corner + side]), identity=identity)
+    half = np.arange(frames) >= frames // 2
+    pictures = images(frames, (1400.0, 1100.0), np.arange(frames) * STEP_S)
+    pictures = dataclasses.replace(pictures, sequence=half.astype(np.int64))
+    data: dict[str, Any] = detector({"mean": 0.6, "std": 0.15}) | {"persistence": SCORE}
+    data["states"]["usual"] |= {"confusion": [[0.7], [0.3]], "false_discovery_rate": 0.1}
+    state = np.zeros(frames, dtype=np.int64)
+    labelled = LabelledSet(("boat",), ("usual",), pictures, annotations, found([], [], [], []))
+    labelled = simulated(labelled, state, parse_detector(data), seed)
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
+    settings = LearnSettings(replicates=20, without=without)
+    rows = self_check(learn(observed, Transitions(np.zeros((1, 1))), settings), settings, SEEDS)
+    assert [row.p_value for row in rows] == sorted(row.p_value for row in rows)
+    return {row.name: row for row in rows}
+
+
+def test_a_detector_of_the_models_that_are_learned_is_found_again() -> None:
+    rows = compared()
+    assert not [row for row in rows.values() if row.differs]
+    for name in ("share found", "frames of a gap", "confidence before a miss", "false detections an image"):
+        assert rows[name].real == pytest.approx(rows[name].simulated, rel=0.2)
+        assert 0 < rows[name].spread < rows[name].real
+
+
+def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps() -> None:
+    rows = compared(frozenset({"persistence", "score", "vessels"}))
+    for name in ("frames of a gap", "frames of a run of sightings", "confidence before a miss"):
+        assert rows[name].differs
+    assert rows["frames of a gap"].simulated < 0.7 * rows["frames of a gap"].real
+    assert not rows["mean IoU of matches"].differs
+
+
+def test_half_of_next_to_nothing_is_an_error() -> None:
+    with pytest.raises(ModsimError, match="one half of the data has no matches"):
+        compared(frames=1)
