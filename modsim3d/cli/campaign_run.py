@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.completion import complete_campaign
 from modsim3d.cli.shared import (
     INTERRUPTED,
     JsonOption,
@@ -20,6 +19,7 @@ from modsim3d.cli.shared import (
     Stopped,
     VerboseOption,
     WorkersOption,
+    complete_campaign,
     print_line,
     print_path,
     stoppable,

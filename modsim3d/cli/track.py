@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.completion import complete_tracker
 from modsim3d.cli.shared import (
     FinishedRunArgument,
     JsonOption,
     OverwriteOption,
     QuietOption,
     VerboseOption,
+    complete_tracker,
     print_line,
     print_written,
     progress,

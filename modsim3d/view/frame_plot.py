@@ -10,10 +10,9 @@ from modsim3d.runs.counts import faults_of
 from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view.films.plan import part_around
-from modsim3d.view.outcome_words import WEATHER
 from modsim3d.view.pictures.canvas import NOMINAL_PX, TEXT_PX, Box, Window
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
-from modsim3d.view.pictures.layers import DETECTIONS, Layers
+from modsim3d.view.pictures.layers import DETECTIONS, WEATHER, Layers
 from modsim3d.view.pictures.legend import detection_entries, legend
 
 try:

@@ -18,7 +18,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_marks import view_of
-from modsim3d.view.outcome_words import NAMES, is_a
+from modsim3d.view.pictures.layers import NAMES, is_a
 from modsim3d.world.vessel_motion import PosesInWaves
 
 # ---- Where parts of a run are put into a recording, and at which time ----

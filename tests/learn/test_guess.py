@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.cli.guess import _rows
+from modsim3d.cli.learn import _rows
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import load_detector, parse_detector, shipped_detectors
@@ -244,7 +244,7 @@ def test_what_cannot_be_guessed_from_is_one_error(
 
 
 def test_the_error_components_are_those_of_the_comment() -> None:
-    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/guess.py writes them
+    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/learn.py writes them
 
 
 @pytest.mark.parametrize("others", [("--to-condition", "foggy_cloudy"), ("--detector", "rich.yaml", "run")])

@@ -18,10 +18,9 @@ from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import frame_plot
-from modsim3d.view.outcome_words import NAMES, WEATHER
 from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
-from modsim3d.view.pictures.layers import DETECTIONS
+from modsim3d.view.pictures.layers import DETECTIONS, NAMES, WEATHER
 from modsim3d.view.pictures.plain import below_horizon
 from tests.scenes import mistaken_strait
 

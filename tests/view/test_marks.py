@@ -20,12 +20,11 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
 from modsim3d.view.films.renderer import FilmRenderer
-from modsim3d.view.outcome_words import NAMES, WEATHER, fate, is_a
 from modsim3d.view.pictures import contact_sheet, frame_picture
 from modsim3d.view.pictures.canvas import Label, Window, text_size
 from modsim3d.view.pictures.contact_sheet import pick_highlights
 from modsim3d.view.pictures.frame_picture import CameraView
-from modsim3d.view.pictures.layers import DETECTIONS, Layers
+from modsim3d.view.pictures.layers import DETECTIONS, NAMES, WEATHER, Layers, fate, is_a
 from modsim3d.view.pictures.legend import detection_entries
 from modsim3d.view.sea_and_sky import RenderStyle
 from tests.scenes import crossing, mistaken_strait

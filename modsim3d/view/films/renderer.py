@@ -25,10 +25,10 @@ from modsim3d.view.lights import ground_speeds
 from modsim3d.view.map_marks import BirdsEye
 from modsim3d.view.map_names import MapName
 from modsim3d.view.map_picture import Map
-from modsim3d.view.outcome_words import WEATHER
 from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.frame_picture import NO_TRACKS, CameraView, FrameTracks, frame_picture
 from modsim3d.view.pictures.id_buffer import ids_picture
+from modsim3d.view.pictures.layers import WEATHER
 from modsim3d.view.pictures.plain import open_id_renderer
 from modsim3d.view.sea_and_sky import RenderStyle
 from modsim3d.view.shaded_picture import ShadedPictureRenderer

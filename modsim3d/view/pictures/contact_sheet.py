@@ -25,10 +25,9 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.outcome_words import WEATHER, fate
 from modsim3d.view.pictures.canvas import ARROW_HEAD, Box, Canvas, Label, Window, font, text_size
 from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
-from modsim3d.view.pictures.layers import DETECTIONS
+from modsim3d.view.pictures.layers import DETECTIONS, WEATHER, fate
 from modsim3d.view.pictures.legend import detection_entries, legend
 from modsim3d.view.pictures.plain import background, open_id_renderer
 from modsim3d.world.bodies import PREFIX

@@ -16,10 +16,9 @@ from modsim3d.runs.frames import Frame
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
-from modsim3d.view.outcome_words import is_a
 from modsim3d.view.palette import Colour, vessel_colour
 from modsim3d.view.pictures.canvas import Box, Canvas, Label, Window, draw_labels
-from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.layers import Layers, is_a
 from modsim3d.view.pictures.plain import Solids, background, draw_horizon, fill_solids
 
 # ---- Hidden parts of vessels, hatched in their colours over what hides them ----

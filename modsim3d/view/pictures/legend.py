@@ -13,11 +13,10 @@ from PIL import Image
 from modsim3d.runs.counts import Outcome
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import TRAIL_S
-from modsim3d.view.outcome_words import NAMES
 from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import MIN_TEXT_PX, Box, Canvas, font, text_size, words_apart
 from modsim3d.view.pictures.frame_picture import draw_detection, draw_tether
-from modsim3d.view.pictures.layers import Layers
+from modsim3d.view.pictures.layers import NAMES, Layers
 
 MIN_SHARE, MAX_ROOM = 0.7, 2.0
 """How small the text of a crowded legend may become, as a share of its size, and how far it may exceed its room."""
