@@ -168,9 +168,14 @@ def _score_rows(campaign: CampaignFolder, again: RunAgain) -> list[tuple[str, ..
 
 def _score_options(keys: ScoreKeys) -> str:
     """The options of `modsim3d score` that give the rules of a campaign."""
-    names = {"scale_px": "scale", "gap_s": "gap"}
     given = keys.model_dump(exclude_defaults=True)
-    return "".join(f" --{names.get(name, name.replace('_', '-'))} {value}" for name, value in given.items())
+    names = {"truth": "vessels", "similarity": "similarity", "threshold": "threshold", "gap_s": "gap"}
+    options = {option: f"{given[name]}" for name, option in names.items() if name in given}
+    if keys.scale_px is not None:
+        options["similarity"] = f"{keys.similarity}:{keys.scale_px}"
+    if {"gospa_c", "gospa_p"} & given.keys():
+        options["gospa"] = f"{keys.gospa_c}:{keys.gospa_p}"
+    return "".join(f" --{option} {value}" for option, value in options.items())
 
 
 def _json(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) -> dict[str, Any]:

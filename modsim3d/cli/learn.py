@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -143,6 +144,12 @@ def learn_command(
     replicates: ReplicatesOption = 300,
     seed: BootstrapSeedOption = 0,
     beta: BetaOption = 2.0,
+    no_check: Annotated[
+        bool,
+        typer.Option(
+            "--no-check", help="Do not compare with the real results where it was not learned.", rich_help_panel=NUMBERS
+        ),
+    ] = False,
     detector: Annotated[
         Path | None,
         under(GUESS, "FILE", "Detector file or shipped name that is changed from one condition to another."),
@@ -171,6 +178,7 @@ def learn_command(
         context,
         image_size_px=None if image_size is None else parsed_size(image_size),
         horizon=None if horizon is None else parsed_horizon(horizon),
+        check=not no_check,
     )
     out = out_file(out, Path("detector.yaml"))
     written = detector_files(out)
@@ -248,6 +256,7 @@ def learn_json(report: LearnReport, written: Sequence[Path], command: str = "lea
         "numbers": [number for each in learned.intervals(report.level) for number in _numbers(each)],
         "lost_average_precision": report.shares
         and {share.kind.value: share.gain_points for share in report.shares.shares},
+        "self_check": report.check and [asdict(each) for each in report.check.comparisons],
         "warning": report.warning,
         "remarks": list(report.remarks),
         "left_simple": list(learned.notes),

@@ -40,6 +40,8 @@ OLD_NAMES = {
     "report --scale": "report --similarity centre:PX",
     "rerun": "export --format rerun --out DIR",
     "run --render": "run --set annotation.render=PART",
+    "score --gospa-c": "score --gospa C",
+    "score --gospa-p": "score --gospa C:P",
     "score --scale": "score --similarity centre:PX",
     "score --truth": "score --vessels annotated|full",
     "verify": "check run",

@@ -20,6 +20,7 @@ from modsim3d.cli.shared import (
     typed_command,
 )
 from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed
+from modsim3d.core.errors import ModsimError
 
 
 def score_command(
@@ -43,10 +44,12 @@ def score_command(
         float, typer.Option(metavar="SECONDS", help="After so long outside the image a vessel is a new one.")
     ] = 2.0,
     by_class: Annotated[bool, typer.Option("--by-class", help="Score each class by itself too.")] = False,
-    gospa_c: Annotated[
-        float | None, typer.Option(metavar="C", help="Cutoff of GOSPA.", show_default="100 px, in the world 50 m")
+    gospa: Annotated[
+        str | None,
+        typer.Option(
+            metavar="C[:P]", help="Cutoff of GOSPA, and its power.", show_default="100 px, in the world 50 m; power 1"
+        ),
     ] = None,
-    gospa_p: Annotated[float, typer.Option(metavar="P", help="Power of GOSPA.")] = 1.0,
     gate: Annotated[
         float | None,
         typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
@@ -82,6 +85,7 @@ def score_command(
         opened = open_run(run)
     paths = [] if out is None else [out / file for file in FILES]
     name, scale_px = parse_similarity(similarity)
+    cutoff, power = parse_gospa(gospa)
     read = [*read_of_run(run), *tracks]
     tell_files(read)
     with claimed(paths, overwrite=overwrite, inputs=read):
@@ -95,8 +99,8 @@ def score_command(
                 threshold=threshold,
                 gap_s=gap,
                 by_class=by_class,
-                gospa_c=gospa_c,
-                gospa_p=gospa_p,
+                gospa_c=cutoff,
+                gospa_p=power,
                 gate_m=gate,
                 cameras=camera,
                 seeds=seeds,
@@ -109,3 +113,18 @@ def score_command(
     print_document(console, document(scores))
     print_written(console, paths)
     say_json({"command": "score", **score_data(scores), "written": paths})
+
+
+def parse_gospa(text: str | None) -> tuple[float | None, float]:
+    """Cutoff of GOSPA, None for the usual one, and its power, from a text such as `70` or `70:2`.
+
+    Raises:
+        ModsimError: It is no such text.
+    """
+    if text is None:
+        return None, 1.0
+    cutoff, colon, power = text.partition(":")
+    try:
+        return float(cutoff), float(power) if colon else 1.0
+    except ValueError:
+        raise ModsimError(f"--gospa {text}: needs a cutoff, and its power as in 70:2") from None

@@ -17,6 +17,7 @@ from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.learned import LearnSettings, check_size, learn
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.report import LearnReport, NearGate
+from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import (
     StateMap,
     Transitions,
@@ -93,6 +94,7 @@ class LearnOptions:
         interval_s: Time between transitions.
         level: Level of the confidence intervals.
         beta: How many times more recall weighs than precision in F-beta.
+        check: Whether to compare with the real results where it was not learned.
     """
 
     states: tuple[str, ...] = ()
@@ -101,6 +103,7 @@ class LearnOptions:
     interval_s: float | None = None
     level: float = 0.95
     beta: float = 2.0
+    check: bool = False
 
 
 def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: LearnOptions) -> LearnReport:
@@ -144,6 +147,7 @@ def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: Lear
         warning=gate_warning(labelled, matched, settings.rule),
         remarks_on_data=(*dict.fromkeys(labelled.notes), *_remarks(observed)),
         near_gate=_near_gate(observed, settings.rule),
+        check=SelfCheck.of(learned, settings) if options.check else None,
     )
 
 

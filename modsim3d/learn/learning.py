@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -195,7 +195,8 @@ class LearnInputs:
         """
         interval_s = self.runs[-1].scene.detector.transition_interval_s if self.runs else None
         settings = request.settings(self.labelled)
-        report = labelled_sets.learn_detector(self.labelled, settings, request.options(interval_s))
+        options = replace(request.options(interval_s), check=request.check)
+        report = labelled_sets.learn_detector(self.labelled, settings, options)
         return LearnResult(
             report, self.files, Sources(self.truth, self.detections, self.runs, self.read, settings, call)
         )
@@ -220,6 +221,7 @@ def learn_detector(
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
     horizon: float | tuple[float, float, float, float] | None = None,
+    check: bool = True,
 ) -> LearnResult:
     """Learn a detector from its results on a labelled set, with intervals that say how well each number is known.
 
@@ -248,6 +250,8 @@ def learn_detector(
         image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
         frame_rate_hz: Frames in a second, where the files do not say.
         horizon: Row of the horizon in images that do not say theirs, or x and y of two of its points.
+        check: Compare with the real results where it was not learned: what is learned from each half of the data is
+            simulated over the other. It takes several times as long as to learn.
 
     Raises:
         ModsimError: A file cannot be read, an argument is wrong, or nothing can be learned from this.
@@ -269,6 +273,7 @@ def learn_detector(
         image_size_px=image_size_px,
         frame_rate_hz=frame_rate_hz,
         horizon=horizon,
+        check=check,
     )
     if run is not None and (truth is not None or detections is not None):
         raise ModsimError("give truth and detections, or run: not both")

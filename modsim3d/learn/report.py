@@ -16,6 +16,7 @@ from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.figures import Figures
 from modsim3d.learn.learned import Learned
+from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import StateMap
 
 
@@ -72,6 +73,7 @@ class LearnReport:
         remarks_on_data: What the numbers have to be read with: entries left out, labels that are off.
         near_gate: What matching by IoU cuts off.
         warning: That most matches are lost to the rule, so that the numbers mean little; None where they are not.
+        check: Comparison with the real results where it was not learned; None where that was not asked for.
     """
 
     labelled: LabelledSet
@@ -88,11 +90,17 @@ class LearnReport:
     remarks_on_data: tuple[str, ...] = ()
     near_gate: NearGate = NearGate()
     warning: str | None = None
+    check: SelfCheck | None = None
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """Everything that the numbers have to be read with, one for each state where it is of states."""
-        return *self.remarks_on_data, *self.near_gate.remarks
+        return *self.remarks_on_check, *self.remarks_on_data, *self.near_gate.remarks
+
+    @property
+    def remarks_on_check(self) -> tuple[str, ...]:
+        """What came of the check where it was not learned; none where that was not asked for."""
+        return () if self.check is None else (self.check.sentence,)
 
     @property
     def states_differ(self) -> bool:

@@ -344,7 +344,11 @@ def document(
         sources: The labelled sets, as they were given.
         sections: Further sections, which come before the figures.
     """
-    cautions = [*report.remarks_on_data, *([report.near_gate.remark] if report.near_gate.shares else [])]
+    cautions = [
+        *report.remarks_on_check,
+        *report.remarks_on_data,
+        *([report.near_gate.remark] if report.near_gate.shares else []),
+    ]
     return Document(
         f"{name}: a detector learned from {counted(len(report.labelled.images), 'image')}",
         [
@@ -362,6 +366,7 @@ def document(
             Heading("Box errors"),
             Beside(list(_scatters(report))),
             *_share_chart(report),
+            *_reality(report),
             Heading("Figures"),
             *tables(report),
             Heading("Left simple"),
@@ -413,6 +418,25 @@ _POINTS = (
     "Average precision: by all points it is the area under the interpolated curve; COCO's tools average that curve at "
     "101 levels of recall, and the 11-point form at 11, so the three differ by up to a step of the curve."
 )
+
+
+def _reality(report: LearnReport) -> list[Block]:
+    """Real and simulated numbers where the detector was not learned."""
+    rows = () if report.check is None else report.check.comparisons
+    cells = [
+        (each.name, f"{each.real:.3g}", f"{each.simulated:.3g}", f"{each.spread:.2g}", f"{each.p_value:.2g}")
+        for each in rows
+    ]
+    said = (
+        "Spread is the standard deviation over simulated seeds. The p-value is that of a real number from the same "
+        "distribution, adjusted for the number of lines; below 0.05 the two differ. Above it no difference was found, "
+        "which is no proof that there is none."
+    )
+    return [
+        Heading("Where it was not learned"),
+        Table("", ("", "real", "simulated", "spread", "p-value"), cells),
+        Text(said if rows else "", "soft"),
+    ]
 
 
 def _curve_charts(report: LearnReport) -> list[Block]:

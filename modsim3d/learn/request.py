@@ -33,6 +33,7 @@ class LearnRequest(Strict):
         beta: How many times more recall weighs than precision in F-beta.
         category_offset: Number to add to the category IDs of COCO results.
         skip_bad: Whether wrong entries of the files are left out.
+        check: Whether to compare with the real results where it was not learned; voyages have no such check.
     """
 
     caller: str
@@ -58,6 +59,7 @@ class LearnRequest(Strict):
     horizon: Number | tuple[Number, Number, Number, Number] | None = None
     category_offset: int = 0
     skip_bad: bool = False
+    check: bool = True
 
     @classmethod
     def of(cls, caller: str, **given: Any) -> Self:

@@ -16,6 +16,7 @@ from scipy import special
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.boxes import centres, iou, sizes
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import listed
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.matching import image_pairs, match
 from modsim3d.learn.bootstrap import resample
@@ -52,7 +53,36 @@ class RealityComparison:
         return self.p_value < LEVEL
 
 
-def self_check(learned: Learned, settings: LearnSettings, seeds: int = SEEDS) -> tuple[RealityComparison, ...]:
+@dataclass(frozen=True)
+class SelfCheck:
+    """Comparisons where the detector was not learned, those that differ most first; why there are none, if so."""
+
+    comparisons: tuple[RealityComparison, ...] = ()
+    why_none: str = ""
+
+    @classmethod
+    def of(cls, learned: Learned, settings: LearnSettings) -> SelfCheck:
+        """The check of what was learned, or why it cannot be made."""
+        try:
+            return cls(self_check(learned, settings, SEEDS))
+        except ModsimError as error:
+            return cls(why_none=str(error))
+
+    @property
+    def sentence(self) -> str:
+        """What came of it, with what differs first."""
+        if self.why_none:
+            return f"Not checked where it was not learned: {self.why_none}"
+        differing = [each for each in self.comparisons if each.differs]
+        checked = (
+            f"Learned from one half of the data and simulated {SEEDS} times over the other, and the other way round, "
+            f"{len(differing)} of {len(self.comparisons)} numbers differ from the real results"
+        )
+        some = [f"{each.name} {each.real:.3g} in place of {each.simulated:.3g}" for each in differing]
+        return f"{checked}{': ' if some else ''}{listed(some) if some else ''}"
+
+
+def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[RealityComparison, ...]:
     """Comparisons where the detector was not learned, those that differ most first.
 
     Raises:

@@ -161,7 +161,7 @@ def _refuse_image_rules(rules: Rules) -> None:
     )
     if named := [name for name, value, other in zip(options, values, usual, strict=True) if value != other]:
         what = f"{' and '.join(named)}: for tracks in the images, and none are given"
-        raise ModsimError(f"{what}: leave out; tracks in the world have --gate, --gospa-c and --gospa-p")
+        raise ModsimError(f"{what}: leave out; tracks in the world have --gate and --gospa")
 
 
 def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:

@@ -159,7 +159,7 @@ def rows_of_the_page():
     """What the page's table of scores has to say, a row for each score, from the code."""
     special = {
         "gospa": "its `gospa_missed`",
-        "ospa": "`--gospa-c` in each frame with a vessel",
+        "ospa": "`--gospa` in each frame with a vessel",
         "gospa_missed": "all missed",
         "misses": "all vessel-frames",
         "mostly_lost": "all appearances",

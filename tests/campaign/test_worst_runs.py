@@ -177,7 +177,7 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(
     out = tmp_path / "again"
     said = modsim3d("campaign", "reproduce", campaign.folder.path, 15, "--out", out)
     assert said.status == 0 and "Every column is as in the campaign." in said.out
-    assert f"modsim3d score {out} {out}_tracks --similarity centre --scale 200.0" in said.out
+    assert f"modsim3d score {out} {out}_tracks --similarity centre:200.0" in said.out
     planned = campaign.folder.plan.run(15)
     settings = {"detector.operating_threshold": 0.2}
     seeds = {"seed": planned.traffic_seed, "detector_seed": planned.detector_seed}

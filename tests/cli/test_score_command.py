@@ -17,7 +17,7 @@ def tracks(run: Path, tmp_path: Path) -> Path:
 
 
 def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsim3d, run: Path, tracks: Path) -> None:
-    said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa-c", 70, "--seeds", 2)
+    said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa", 70, "--seeds", 2)
     assert said.status == 0
     for part in (
         *("reference  ", "oracle association, smoothed", "oracle association, raw boxes", "occlusions survived"),
@@ -75,8 +75,9 @@ def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
         (("--similarity", "iou:10"), "a scale is for similarity centre"),
         (("--threshold", 0), "--threshold must be above 0 and at most 1 (got 0)"),
         (("--gap", -1), "--gap must be 0 or more seconds (got -1)"),
-        (("--gospa-c", "nan"), "--gospa-c must be above 0"),
-        (("--gospa-p", 0.5), "--gospa-p must be from 1 to 10 (got 0.5)"),
+        (("--gospa", "nan"), "--gospa C: must be above 0"),
+        (("--gospa", "70:0.5"), "--gospa C:P: must have a power from 1 to 10 (got 0.5)"),
+        (("--gospa", "70:a"), "--gospa 70:a: needs a cutoff"),
         (("--gate", 5), "--gate is for tracks in the world, and none are given"),
         (("--seeds", 1), "--seeds must be from 2 to 1000 (got 1)"),
     ],

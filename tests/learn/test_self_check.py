@@ -7,21 +7,34 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from modsim3d.cli.learn import learn_json
+from modsim3d.cli.main import app
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.learn.learning import learn_detector
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.self_check import RealityComparison, self_check
 from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions
+from modsim3d.runs.run import run_scene
+from modsim3d.scene.reading import load_scene
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.scored_sets import detector
 
 FRAMES, BOATS, STEP_S, SEEDS = 400, 20, 0.5, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
+
+
+@pytest.fixture(scope="module")
+def short_run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("short") / "run"
+    run_scene(load_scene("simulation_1", steps=150), folder)
+    return folder
 
 
 def compared(
@@ -67,3 +80,18 @@ def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps() -> None:
 def test_half_of_next_to_nothing_is_an_error() -> None:
     with pytest.raises(ModsimError, match="one half of the data has no matches"):
         compared(frames=1)
+
+
+def test_the_command_says_what_differs_first_and_can_leave_the_check_out(short_run, tmp_path) -> None:
+    result = learn_detector(run=short_run, replicates=20)
+    check = result.report.check
+    assert check is not None and len(check.comparisons) > 10 and result.report.remarks[0] == check.sentence
+    assert check.sentence.startswith("Learned from one half of the data and simulated 3 times over the other")
+    content = learn_json(result.report, [])["self_check"]
+    assert [each["name"] for each in content] == [each.name for each in check.comparisons]
+    without = learn_detector(run=short_run, replicates=20, check=False)
+    assert without.report.check is None and learn_json(without.report, [])["self_check"] is None
+    assert without.content == result.content
+    out = tmp_path / "detector.yaml"
+    said = CliRunner().invoke(app, ["learn", str(short_run), "--out", str(out), "--replicates", "20", "--no-check"])
+    assert said.exit_code == 0 and "Where it was not learned" not in said.output + out.with_suffix(".html").read_text()

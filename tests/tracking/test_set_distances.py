@@ -64,10 +64,10 @@ def test_without_frames_there_is_no_distance(four_frames: Scored) -> None:
 
 def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
     for cutoff in (0, -1, 1e200, np.inf, np.nan):
-        with pytest.raises(ModsimError, match="--gospa-c must be above 0 and at most 1,000,000"):
+        with pytest.raises(ModsimError, match="--gospa C: must be above 0 and at most 1,000,000"):
             SetDistance(cutoff=cutoff, power=10)
     for power in (0.9, 11, np.nan):
-        with pytest.raises(ModsimError, match="--gospa-p must be from 1 to 10"):
+        with pytest.raises(ModsimError, match="--gospa C:P: must have a power from 1 to 10"):
             SetDistance(power=power)
 
 

@@ -39,9 +39,9 @@ class SetDistance:
             ModsimError: One is out of range.
         """
         if not 0 < self.cutoff <= LARGEST_CUTOFF:
-            raise ModsimError(f"--gospa-c must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
+            raise ModsimError(f"--gospa C: must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
         if not 1 <= self.power <= 10:
-            raise ModsimError(f"--gospa-p must be from 1 to 10 (got {self.power:g})")
+            raise ModsimError(f"--gospa C:P: must have a power from 1 to 10 (got {self.power:g})")
 
 
 @dataclass(frozen=True)
