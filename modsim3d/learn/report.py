@@ -99,7 +99,7 @@ class LearnReport:
 
     @property
     def remarks_on_check(self) -> tuple[str, ...]:
-        """What came of the check where it was not learned; none where that was not asked for."""
+        """Outcome of the check where it was not learned; none where that was not asked for."""
         return () if self.check is None else (self.check.sentence,)
 
     @property

@@ -70,7 +70,7 @@ class SelfCheck:
 
     @property
     def sentence(self) -> str:
-        """What came of it, with what differs first."""
+        """Outcome, with what differs first."""
         if self.why_none:
             return f"Not checked where it was not learned: {self.why_none}"
         differing = [each for each in self.comparisons if each.differs]
