@@ -165,7 +165,7 @@ def learn_voyage_command(
         tuple(detections or ()),
         tuple(camera or (None,)),
         None,
-        fixed or (),
+        () if fixed is None else fixed,
         known,
         empty,
         position_noise,

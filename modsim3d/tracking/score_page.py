@@ -15,8 +15,15 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.io.atomic_write import write_files
 from modsim3d.tracking.oracle import REFERENCES, SMOOTHED
-from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
-from modsim3d.tracking.score_outcome import conclusion_of, remarks_of, score_data, survived_and_judged
+from modsim3d.tracking.score_outcome import (
+    ScoredTracks,
+    TrackScores,
+    WorldTrackScores,
+    conclusion_of,
+    remarks_of,
+    score_data,
+    survived_and_judged,
+)
 from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode

@@ -16,8 +16,7 @@ from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.oracle import reference_tracks
-from modsim3d.tracking.run_scores import ScoredTracks, TrackScores, WorldTrackScores
-from modsim3d.tracking.score_outcome import conclusion_of
+from modsim3d.tracking.score_outcome import ScoredTracks, TrackScores, WorldTrackScores, conclusion_of
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scored import Rules, SetDistance
 from modsim3d.tracking.scores.scoring import score_tracks

@@ -168,7 +168,8 @@ class Similarity:
         """
         if self.name == "centre" and self.scale_px is None:
             raise ModsimError(
-                "similarity centre needs a scale, the distance in pixels at which it is 0: --similarity centre:PX"
+                "similarity centre needs scale_px, the distance in pixels at which it is 0 (on the command line, "
+                "--similarity centre:PX)"
             )
         if self.name == "iou" and self.scale_px is not None:
             raise ModsimError("a scale is for similarity centre, not for iou")

@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
-from matplotlib.legend_handler import HandlerBase
-from matplotlib.lines import Line2D
-from matplotlib.patches import Polygon, Rectangle
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.geometry.camera import Camera
@@ -246,7 +243,7 @@ class VesselMark:
 
     def __init__(self, sheet: MapSheet, index: int) -> None:
         """Draw the whole track, and put the rest where `show` finds it."""
-        from modsim3d.view.map_marks import ArrowSymbol, HullSymbol  # it needs matplotlib
+        from modsim3d.view.map_key import ArrowSymbol, HullSymbol  # it needs matplotlib
 
         birds_eye, scene = sheet.birds_eye, sheet.birds_eye.scene
         self._sheet, self._index, self._vessel = sheet, index, scene.vessels[index]
@@ -431,50 +428,3 @@ def draw_obstacles(sheet: MapSheet) -> None:
         middle, (x0, y0, x1, y1) = shown.representative_point(), shown.bounds
         name = sheet.names.add(obstacle.name, fontsize=7, color=SOIL)
         name.place_m, name.half_m = np.array([middle.x, middle.y]), np.array([x1 - x0, y1 - y0]) / 2
-
-
-# ---- The key of a map: symbols for what the lines and areas of matplotlib do not show by themselves ----
-
-if TYPE_CHECKING:
-    from matplotlib.artist import Artist
-
-BOX_PT = (11.0, 5.0)
-"""Length and beam of a hull in the key."""
-ARROW_PT = 11.0
-"""Length of an arrowhead in the key."""
-
-
-class HullSymbol(HandlerBase):
-    """A hull with the tick before its bow."""
-
-    def create_artists(self, _: Any, handle: Any, *place: Any) -> list[Artist]:
-        """The hull in the colours of its handle, and the tick."""
-        x, y, width, height, _, transform = place
-        (length, beam), left, middle = BOX_PT, -x + 2, -y + height / 2
-        hull = Rectangle((left, middle - beam / 2), length, beam, transform=transform)
-        _coloured(hull, handle)
-        ends = [left + length, width - x]
-        return [Line2D(ends, [middle, middle], color="black", lw=1.0, transform=transform), hull]
-
-
-class ArrowSymbol(HandlerBase):
-    """An arrowhead to the right."""
-
-    def __init__(self, shape: Array) -> None:
-        """An arrowhead of a shape whose length is 1, shape (n, 2)."""
-        super().__init__()
-        self._shape = shape
-
-    def create_artists(self, _: Any, handle: Any, *place: Any) -> list[Artist]:
-        """The arrowhead in the colours of its handle."""
-        x, y, width, height, _, transform = place
-        middle = np.array([-x + width / 2, -y + height / 2])
-        arrow = Polygon(middle + ARROW_PT * self._shape, transform=transform)
-        _coloured(arrow, handle)
-        return [arrow]
-
-
-def _coloured(patch: Polygon | Rectangle, handle: Any) -> None:
-    patch.set_facecolor(handle.get_facecolor())
-    patch.set_edgecolor(handle.get_edgecolor())
-    patch.set_linewidth(handle.get_linewidth())

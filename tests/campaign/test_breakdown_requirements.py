@@ -164,9 +164,9 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
     file.write_text(yaml.safe_dump(keys), encoding="utf-8")
     said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
     assert said.status in (1, 3), said.err
-    _, _, means = said.out.partition("mean scores")
-    assert "those of requirements are above" in means
-    for column in ("range.100 to 200.recall", "range.400 to 800.recall", "state.excellent.hota"):
+    _, _, means = said.out.partition("Means")
+    assert "those of the requirements, above" in " ".join(means.split())
+    for column in ("recall in range 100 to 200", "recall in range 400 to 800", "HOTA in state excellent"):
         assert column in means
     (line,) = [line for line in means.splitlines() if line.startswith("reference")]
     assert line.split()[2:4] == ["–", "0.321"] and not line.split()[4].startswith("[")  # nothing is in the first range

@@ -97,6 +97,6 @@ def test_states_that_do_not_fit_the_conditions_are_refused_at_once():
     text = str(raised.value)
     assert "did you mean 'night'?" in text
     assert "condition 'day' is already in state 'good'" in text
-    assert "--state worse: must be NAME=CONDITION" in text
+    assert "--states worse: must be NAME=CONDITION" in text
     assert "state 'good' is given twice" in text
     assert parse_states(["good=day, fog"], ["day", "night", "fog"]).states == {"good": ("day", "fog")}

@@ -311,8 +311,8 @@ def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run:
     ("rules", "said"),
     [
         ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
-        ({"similarity": "centre", "scale_px": 9.0}, "--similarity and --scale: for tracks in the images"),
-        ({"truth": "full"}, "--truth: for tracks in the images"),
+        ({"similarity": "centre", "scale_px": 9.0}, "--similarity: for tracks in the images"),
+        ({"truth": "full"}, "--vessels: for tracks in the images"),
         ({"by_class": True}, "--by-class: for"),
         ({"gap_s": 5.0}, "--gap: for"),
     ],

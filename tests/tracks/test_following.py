@@ -87,9 +87,9 @@ def test_centre_similarity_falls_linearly_to_the_scale() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"name": "centre"}, "similarity centre needs a scale"),
-        ({"scale_px": 5.0}, "--scale is for --similarity centre"),
-        ({"name": "centre", "scale_px": 0.0}, "--scale must be above 0"),
+        ({"name": "centre"}, "similarity centre needs scale_px"),
+        ({"scale_px": 5.0}, "a scale is for similarity centre"),
+        ({"name": "centre", "scale_px": 0.0}, "the scale of similarity centre must be above 0"),
         ({"least": 0.0}, "--threshold must be above 0"),
         ({"least": 1.5}, "--threshold must be above 0 and at most 1"),
     ],

@@ -385,7 +385,7 @@ UTC_ROW = "2024-01-04T10:00Z,1,2,3,4,boat,1"
         ("0,1,2,3,4,boats,1", {}, r"no label 'boats' \(did you mean 'boat'\?\)"),
         (UTC_ROW, {}, r"its times are UTC .* does not say when it starts"),
         (ROW, {"images": Path("gt.json")}, r"--images:\n +is for COCO results, and .*log.csv says itself"),
-        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave --start out"),
+        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave --log-start out"),
     ],
     ids=["labels", "UTC", "images are for COCO", "a start is for logs that count from zero"],
 )

@@ -74,7 +74,7 @@ def test_the_page_begins_with_the_result(said):
         "--max-gap 120|given|",
         "--time-step 1|by default|",
         "--region 55.9,11.9,56.2,12.3|given|",
-        "--labels type|given|",
+        "--label type|given|",
     ],
 )
 def test_the_page_says(said, line):

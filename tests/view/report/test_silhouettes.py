@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
-from modsim3d.truth.outlines import outline
-from modsim3d.view.report import silhouettes as painting
+from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.view.report.silhouette_edges import contours
 from modsim3d.view.report.silhouettes import OutlineStore, Shapes, in_front, outline_numbers, painting_order, shapes
 from modsim3d.world.bodies import vessel_bodies
@@ -92,7 +91,7 @@ def test_what_planes_say_of_who_is_in_front_holds_at_depths_that_do_not_overlap(
     farthest = [part.vertices_camera[..., 2].max(axis=1) for part in outlines.parts]
     assert len(nearest) == 1
     everywhere = np.zeros(len(outlines)), np.full(len(outlines), np.inf)
-    monkeypatch.setattr(painting, "_depths_m", lambda outlines: everywhere)
+    monkeypatch.setattr(Outlines, "depths_m", lambda outlines: everywhere)
     slow = set(zip(*(rows.tolist() for rows in in_front(outlines, 40, NONE)), strict=True))
     assert len(slow) > 10
     assert slow <= fast
