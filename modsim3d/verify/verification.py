@@ -24,7 +24,7 @@ CHECKED: Mapping[DetectorPart, Collection[str]] = {
     DetectorPart.FALSE_POSITIVES: RATE_CHECKS.keys(),
     DetectorPart.CONFIDENCE: SCORE_CHECKS.keys(),
 }
-"""The models of each part that have checks, by the names in `detector.parts.MODELS`."""
+"""The models of each part that have checks, by the names in `detector.chain.MODELS`."""
 
 
 def verify_evidence(model: DetectorModel, evidence: Evidence, table: MomentTable | None = None) -> Verification:

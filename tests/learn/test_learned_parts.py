@@ -14,9 +14,8 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LEARNERS, LearnSettings
 from modsim3d.learn.report_page import tables
+from tests.detector.test_parts import WITHOUT_LEARNER
 from tests.formats.labelled_sets import found, images, truth
-
-NOT_LEARNED = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES, "thesis")}
 
 
 def estimates() -> dict[tuple[str, str], str]:
@@ -38,7 +37,7 @@ def test_every_model_that_is_learned_is_one_that_a_detector_has() -> None:
 
 def test_the_report_says_of_every_registered_model_whether_it_is_learned() -> None:
     expected = {
-        (part, name): "not learned" if (part, name) in NOT_LEARNED else "learned"
+        (part, name): "not learned" if (part, name) in WITHOUT_LEARNER else "learned"
         for part, models in MODELS.items()
         for name in models
     }
