@@ -245,7 +245,7 @@ def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
     whole = float(sum(values[key].sum() for key in shares))
     for key, value in values.items():
         name = key.rpartition(".")[2]
-        if key in shares and whole > 1:
+        if key in shares and whole >= 1:
             value = (1 - _DIGITS) * value / whole
         if name == "box_error_std":
             value = _covariance(value, values["box_error_correlation"])

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import optimize, special
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, widened
+from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, widened
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.persistence import LagTable, jackknife
 
@@ -130,12 +130,18 @@ _GREATEST_SHARE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class LearnedScore:
-    """Shares of the score that things keep and that are forgotten in some times; `level` is that of kept residuals."""
+    """Shares of the score that things keep and that are forgotten in some times.
+
+    Attributes:
+        level: Correlation of residuals of misses that stays.
+        label_s: Correlation time of labels, which the score does not draw; 0 if they do not persist.
+    """
 
     vessel_share: Entry
     shares: Entry
     times_s: tuple[float, ...]
     level: float
+    label_s: float
 
     def section(self) -> dict[str, Any]:
         """The score in a detector file."""
@@ -172,7 +178,31 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
     axes = (tuple(f"{time_s:.3g} s" for time_s in times_s),)
     shares = Entry(Key((*path, "shares"), axes=axes), column(found[:, 1:], without[:, 1:]))
     level = float(_level_of(chance)[np.searchsorted(_SHARES, min(found[0, 0], _SHARES[-1]))])
-    return LearnedScore(Entry(Key((*path, "vessel_share")), kept), shares, tuple(times_s.tolist()), level)
+    label_s = label_memory_s(observed)
+    return LearnedScore(Entry(Key((*path, "vessel_share")), kept), shares, tuple(times_s.tolist()), level, label_s)
+
+
+def label_memory_s(observed: Observed) -> float:
+    """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance.
+
+    A label is kept with probability κ = e^(−Δt/τ) and else drawn anew, so that a share κ + (1 − κ)·Σ p² of consecutive
+    ones agrees.
+    """
+    earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s
+    seen_as, labels = observed.seen_as, len(observed.labelled.labels)
+    both = (seen_as[earlier] < labels) & (seen_as[later] < labels)
+    cell = observed.state * labels + observed.label
+    counts = np.zeros((len(observed.states) * labels, labels))
+    found = seen_as < labels
+    np.add.at(counts, (cell[found], seen_as[found]), 1)
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    by_chance = float((shares[cell[later[both]]] ** 2).sum(axis=1).mean()) if both.any() else 1.0
+    if by_chance >= 1 - 1e-9:
+        return 0.0
+    agree = float((seen_as[earlier[both]] == seen_as[later[both]]).mean())
+    kept = min((agree - by_chance) / (1 - by_chance), _GREATEST_SHARE)
+    errors = np.sqrt(by_chance * (1 - by_chance) / both.sum()) / (1 - by_chance)
+    return float(-np.median(apart_s[both]) / np.log(kept)) if kept > SIGNIFICANT * errors else 0.0
 
 
 def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:

@@ -219,7 +219,8 @@ class LearnedClasses:
             if self.class_vessel_share is not None:
                 sections["persistence"]["class_vessel_share"] = digits(self.class_vessel_share.estimate)
         if self.score is not None:
-            sections["persistence"] = {"score": self.score.section()}
+            memory = {"class_s": digits(self.score.label_s)} if self.score.label_s else {}
+            sections["persistence"] = memory | {"score": self.score.section()}
         return sections
 
     def state_section(self, state: int) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 The data are split in two. Each half is simulated by what was learned from the other, over its own annotations, and what
 matters to a tracker is counted in the real results and in the simulated ones. The detector that is written is learned
-from all.
+from all data.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.boxes import centres, iou, sizes
-from modsim3d.core.errors import ModsimError
+from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import listed
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.matching import image_pairs, match
-from modsim3d.learn.bootstrap import resample
+from modsim3d.learn.bootstrap import Entry, resample, with_entries
 from modsim3d.learn.learned import Learned, LearnSettings, choose_form
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.simulated_results import simulated
@@ -39,7 +40,7 @@ Counts = dict[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class RealityComparison:
-    """A number of the real results and of the simulated ones: their mean, and their spread over seeds."""
+    """A number of the real results and of the simulated ones: their mean and spread over seeds, of one half."""
 
     name: str
     real: float
@@ -85,72 +86,111 @@ class SelfCheck:
 def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[RealityComparison, ...]:
     """Comparisons where the detector was not learned, those that differ most first.
 
+    Each half stands for itself: summed, what one half has too much the other would have too little. A seed has a
+    replicate of the learned numbers, so that the spread over seeds has what learning from a half leaves open.
+
     Raises:
         ModsimError: There is too little to split, or the sizes of images are not known.
     """
     observed = learned.observed
-    real: Counts = {}
-    drawn: list[Counts] = [{} for _ in range(seeds)]
     half = _first_half(observed)
-    for ours in (half, ~half):
+    compared: list[dict[str, RealityComparison]] = []
+    for number, ours in enumerate((half, ~half)):
         unseen = replace(observed, image_state=np.where(ours, observed.image_state, -1))
         seen = replace(observed, image_state=np.where(ours, -1, observed.image_state))
         if not len(unseen.found) or not len(seen.found):
-            raise ModsimError("one half of the data has no matches: there is too little to check what was learned")
-        form = choose_form(seen, settings.clutter)
-        numbers = form.estimate(seen, resample(seen.labelled.images, 0, 0))
-        other = replace(learned, observed=seen, form=form, numbers=numbers)
-        model = parse_detector(other.detector(), "what was learned from one half")
-        _add(real, counts_of(unseen, observed))
-        for seed in range(seeds):
-            labelled = simulated(observed.labelled, unseen.image_state, model, settings.seed + seed)
+            raise ModsimError("one half of the data has no matches, so nothing learned from the other can be checked")
+        real, drawn = counts_of(unseen, observed), []
+        for seed, model in enumerate(_models_of(seen, learned, settings, seeds)):
+            labelled = simulated(observed.labelled, unseen.image_state, model, settings.seed + number * seeds + seed)
             matched = match(labelled, settings.rule, settings.threshold)
-            _add(drawn[seed], counts_of(replace(unseen, labelled=labelled, matched=matched), observed))
-    return tuple(sorted(_compared(real, drawn), key=lambda each: each.p_value))
+            drawn.append(counts_of(replace(unseen, labelled=labelled, matched=matched), observed))
+        compared.append({each.name: each for each in _compared(real, drawn)})
+    rows = [_worse(*(half_of[name] for half_of in compared)) for name in compared[0] if name in compared[1]]
+    if not rows:
+        raise ModsimError(f"nothing is counted {MIN_COUNT} times in both halves of the data")
+    return tuple(_adjusted(sorted(rows, key=lambda row: row.p_value)))
+
+
+def _models_of(seen: Observed, learned: Learned, settings: LearnSettings, seeds: int) -> Iterator[DetectorModel]:
+    """Detectors learned from one half: replicates of its numbers, the estimate where one is no detector."""
+    form = choose_form(seen, settings.clutter)
+    resampling = resample(seen.labelled.images, seeds, settings.seed, learned.run_s)
+    numbers = form.estimate(seen, resampling)
+
+    def model_of(row: int) -> DetectorModel:
+        chosen = with_entries(numbers, lambda entry: _replicate(entry, row))
+        return parse_detector(replace(learned, observed=seen, form=form, numbers=chosen).detector(), "one half")
+
+    estimate = model_of(0)
+    for row in range(1, seeds + 1):
+        try:
+            yield model_of(row)
+        except InputError:
+            yield estimate
+
+
+def _replicate(entry: Entry, row: int) -> Entry:
+    """The entry with a replicate as its estimate, where that is known."""
+    values = entry.column.values
+    chosen = np.where(np.isfinite(values[row]), values[row], values[0])
+    return replace(entry, column=replace(entry.column, values=chosen[None]))
 
 
 def _first_half(observed: Observed) -> Mask:
-    """Images of one half: whole films, or every other quarter of a single one."""
-    images = observed.labelled.images
-    used = observed.image_state >= 0
-    films, film = np.unique(np.column_stack([images.source, images.sequence]), axis=0, return_inverse=True)
+    """Images of one half of each state: whole films, or every other quarter of a single one.
+
+    The cameras of a run see the same vessels, and are one film.
+    """
+    images, half = observed.labelled.images, np.zeros(len(observed.image_state), dtype=bool)
+    sequence = images.sequence if observed.labelled.results.origin is None else np.zeros_like(images.sequence)
+    _, film = np.unique(np.column_stack([images.source, sequence]), axis=0, return_inverse=True)
     film = film.ravel()
-    number = np.bincount(film[used], minlength=len(films))
-    if np.count_nonzero(number) > 1:
-        first, held = np.zeros(len(films), dtype=bool), [0, 0]
-        for each in np.argsort(-number, kind="stable").tolist():
-            first[each] = held[0] <= held[1]
-            held[0 if first[each] else 1] += int(number[each])
-        return first[film]
-    order = np.argsort(np.where(np.isfinite(images.time_s), images.time_s, np.arange(len(film))), kind="stable")
-    block = np.empty(len(film), dtype=np.int64)
-    block[order] = np.arange(len(film)) * _BLOCKS // max(len(film), 1)
-    half: Mask = block % 2 == 0
+    for state in range(len(observed.states)):
+        ours = np.flatnonzero(observed.image_state == state)
+        number = np.bincount(film[ours], minlength=int(film.max(initial=0)) + 1)
+        if np.count_nonzero(number) > 1:
+            chosen, sizes_of_halves = np.zeros(len(number), dtype=bool), [0, 0]
+            for each in np.argsort(-number, kind="stable").tolist():
+                chosen[each] = sizes_of_halves[0] <= sizes_of_halves[1]
+                sizes_of_halves[0 if chosen[each] else 1] += int(number[each])
+            half[ours] = chosen[film[ours]]
+        else:
+            time_s = np.where(np.isfinite(images.time_s[ours]), images.time_s[ours], np.arange(len(ours)))
+            rank = np.unique(time_s, return_inverse=True)[1].ravel()
+            half[ours] = (rank * _BLOCKS // max(int(rank.max(initial=0)) + 1, 1)) % 2 == 0
     return half
 
 
-def _add(total: Counts, more: Counts) -> None:
-    for name, (amount, number) in more.items():
-        before = total.get(name, (0.0, 0.0))
-        total[name] = before[0] + amount, before[1] + number
-
-
 def _compared(real: Counts, drawn: Sequence[Counts]) -> Iterator[RealityComparison]:
-    """Comparisons with the p-values of Student's t, adjusted by the method of Holm (1979)."""
-    rows = []
+    """Comparisons with the p-values of Student's t; 0 where the simulated results have no such case at all."""
     for name, (amount, number) in real.items():
-        again = [each[name] for each in drawn if each.get(name, (0.0, 0.0))[1] > 0]
-        if number < MIN_COUNT or len(again) < len(drawn):
+        if number < MIN_COUNT:
             continue
-        means = np.array([total / whole for total, whole in again])
-        mean, spread, seen = float(means.mean()), float(means.std(ddof=1)), amount / number
-        strays = (seen - mean) / max(spread * np.sqrt(1 + 1 / len(means)), 1e-12)
-        p_value = 2 * float(special.stdtr(len(means) - 1, -abs(strays)))
-        rows.append(RealityComparison(name, seen, mean, spread, p_value))
-    least = 0.0
-    for rank, row in enumerate(sorted(rows, key=lambda each: each.p_value)):
-        least = max(least, min(1.0, (len(rows) - rank) * row.p_value))
-        yield replace(row, p_value=least)
+        means = np.array(
+            [total / whole for total, whole in (each.get(name, (0.0, 0.0)) for each in drawn) if whole > 0]
+        )
+        value = amount / number
+        if len(means) < 2:
+            yield RealityComparison(name, value, float("nan"), float("nan"), 0.0)
+            continue
+        mean, spread = float(means.mean()), max(float(means.std(ddof=1)), 1 / number)
+        deviation = (value - mean) / (spread * np.sqrt(1 + 1 / len(means)))
+        yield RealityComparison(name, value, mean, spread, 2 * float(special.stdtr(len(means) - 1, -abs(deviation))))
+
+
+def _worse(first: RealityComparison, second: RealityComparison) -> RealityComparison:
+    """The half that differs more, with the p-value of the smaller of two (Bonferroni)."""
+    chosen = min(first, second, key=lambda row: row.p_value)
+    return replace(chosen, p_value=min(1.0, 2 * chosen.p_value))
+
+
+def _adjusted(rows: Sequence[RealityComparison]) -> Iterator[RealityComparison]:
+    """Rows in the order of their p-values, which are adjusted for their number by the method of Holm (1979)."""
+    highest = 0.0
+    for rank, row in enumerate(rows):
+        highest = max(highest, min(1.0, (len(rows) - rank) * row.p_value))
+        yield replace(row, p_value=highest)
 
 
 # ---- What is counted ----
@@ -220,6 +260,10 @@ def _of_time(observed: Observed, found: Mask) -> Counts:
             length[later] = length[earlier] + 1
     ended = steps.earlier[found[steps.later] != found[steps.earlier]]
     runs, gaps = length[ended[found[ended]]], length[ended[~found[ended]]]
+    label, labels = observed.seen_as, len(observed.labelled.labels)
+    both = (label[steps.later] < labels) & (label[steps.earlier] < labels)
+    if labels > 1:
+        counts["share of labels that change"] = _mean((label[steps.later] != label[steps.earlier])[both])
     counts |= {"frames of a run of sightings": _mean(runs), "frames of a gap": _mean(gaps)}
     counts["share of gaps of one frame"] = _mean(gaps == 1)
     if observed.labelled.scored:

@@ -250,7 +250,10 @@ def _share(
         kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
         return kept
 
-    if model.persistence.class_vessel_share:
+    score = model.persistence.score
+    if score is not None and bool((high >= 1).all()):
+        factor = 1.0  # misses come from the score alone
+    elif model.persistence.class_vessel_share:
         if model.merges_and_splits.merges and not low.any():  # which vessels merge changes what the others keep
             return None
         amount, alone = np.ones(len(rows)), max(float(spread.sum()), 1e-300)
@@ -258,7 +261,6 @@ def _share(
         factor = max(asked / alone, 1.0)
     else:
         factor = inflation(*evidence.instances.tracks(rows), model.persistence.class_s, spread, covariance)
-    score = model.persistence.score
     if score is not None and spread.any():
         # A label's share of the detected is drawn apart: its number strays as that of the detected does.
         amount = np.where(high >= 1, 1.0, probability / np.maximum(1 - missed, 1e-12))

@@ -52,7 +52,7 @@ def sum_over_pairs(tracks: Indices, times_s: Array, value: Callable[[Indices, In
     _, series = np.unique(tracks[order], axis=0, return_inverse=True)
     series, count = series.ravel(), np.bincount(series.ravel())
     most = int(count.max(initial=1))
-    lags, means = [], []
+    lags, means = [0], [np.zeros(value(order[:1], order[:1], times_s[:1]).shape[1])]
     for lag in sorted({base << power for base in (2, 3) for power in range(most.bit_length())} | {1}):
         near = np.flatnonzero(series[lag:] == series[:-lag]) if lag < most else np.empty(0, dtype=np.int64)
         if len(near):
@@ -88,6 +88,8 @@ def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: A
         chance: Of a miss, shape (n,).
         missed: One for a miss, else 0, shape (n,).
     """
+    if not len(chance):
+        return []
     order = np.lexsort((times_s, *tracks.T[::-1]))
     _, series = np.unique(tracks[order], axis=0, return_inverse=True)
     series, times_s, chance = series.ravel(), times_s[order], chance[order]

@@ -71,7 +71,7 @@ def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--similarity", "centre"), "similarity centre needs a scale"),
+        (("--similarity", "centre"), "similarity centre needs scale_px"),
         (("--similarity", "iou:10"), "a scale is for similarity centre"),
         (("--threshold", 0), "--threshold must be above 0 and at most 1 (got 0)"),
         (("--gap", -1), "--gap must be 0 or more seconds (got -1)"),

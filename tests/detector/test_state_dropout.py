@@ -106,6 +106,8 @@ def test_a_miss_rate_is_the_mean_over_the_learning_set() -> None:
     odds = special.logit(0.7) + np.array(dropout["intercept"])[:, None] + np.array(learned)
     assert np.allclose(special.expit(odds).mean(axis=1), 0.7, atol=1e-9)
     assert parse_detector(changed).dropout.intercepts == {0: (0.4, -1.0), 1: tuple(dropout["intercept"])}
+    for wrong in ([-1.0, 0.0], [[0.1], []], "x"):
+        assert with_miss_rate(own_data(learned_log_odds=wrong), 0.3, None, "x")["dropout"]["learned_log_odds"] == wrong
     without = with_miss_rate(own_data(intercept=[0.4, -1.0]), 0.7, None, "detector.miss_rate")
     assert parse_detector(without).dropout.intercepts[FOG_STATE] == (0.4, -1.0)
 
@@ -115,6 +117,7 @@ def test_a_miss_rate_is_the_mean_over_the_learning_set() -> None:
     [
         ({"intercept": [0.1]}, "has 1 entries, must have one for each of the labels"),
         ({"intercept": [0.1, 0.2], "anchor": "state_rate"}, "dropout.intercept: anchor state_rate holds"),
+        ({"partly_hidden": {"per_doubling": 1, "reference": 1}}, "partly_hidden: is 0 or 1, which nothing doubles"),
         ({"learned_log_odds": [[0.0], [0.0]]}, "learned_log_odds goes with an intercept"),
         ({"model": "confusion", "intercept": [0.1, 0.2], "size_px": None, "distance_m": None}, "has no intercept"),
     ],

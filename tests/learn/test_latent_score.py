@@ -26,14 +26,22 @@ FRAMES, BOATS, STEP_S, MISS_RATE = 500, 40, 0.5, 0.3
 ASKED = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1.0, 6.0]}
 
 
-def learned_again(persistence: dict[str, Any], seed: int, without: frozenset[str] = frozenset()) -> Learned:
+def learned_again(
+    persistence: dict[str, Any],
+    seed: int,
+    without: frozenset[str] = frozenset(),
+    confusion: tuple[tuple[float, ...], ...] = ((1 - MISS_RATE,), (MISS_RATE,)),
+) -> Learned:
     image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
     corner = np.column_stack([100 + 250.0 * (boat % 8), 200 + 250.0 * (boat // 8)])
-    annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
+    names = ("boat", "ship")[: len(confusion[0])]
+    annotations = truth(image, boat % len(names), np.hstack([corner, corner + 60]), identity=boat)
     frames = images(FRAMES, (2200.0, 1600.0), np.arange(FRAMES) * STEP_S)
-    labelled = LabelledSet(("boat",), ("usual",), frames, annotations, found([], [], [], []))
-    data = detector({"mean": 0.6, "std": 0.15}) | {"persistence": persistence}
-    data["states"]["usual"] |= {"confusion": [[1 - MISS_RATE], [MISS_RATE]], "false_discovery_rate": 0.05}
+    labelled = LabelledSet(names, ("usual",), frames, annotations, found([], [], [], []))
+    data = detector({"mean": 0.6, "std": 0.15}) | {"persistence": persistence, "labels": list(names)}
+    of_false = [1 / len(names)] * len(names)
+    usual = {"confusion": [list(row) for row in confusion], "false_discovery_rate": 0.05}
+    data["states"]["usual"] |= usual | {"false_positive_labels": of_false}
     state = np.zeros(FRAMES, dtype=np.int64)
     labelled = simulated(labelled, state, parse_detector(data), seed)
     observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
@@ -56,6 +64,15 @@ def test_the_memory_of_a_score_is_learned_again(learned: Learned) -> None:
     kept = intervals["persistence.score.vessel_share"]
     assert kept.low <= 0.3 <= kept.high < 0.6
     assert intervals["states.usual.confusion"].high[-1, 0] > MISS_RATE > intervals["states.usual.confusion"].low[-1, 0]
+
+
+def test_labels_that_persist_do_so_beside_a_score() -> None:
+    two = ((0.5, 0.2), (0.2, 0.5), (0.3, 0.3))
+    persistence = parse_detector(
+        learned_again({"score": ASKED, "class_s": 5.0}, 3, confusion=two).detector()
+    ).persistence
+    assert persistence.score is not None and persistence.class_s == pytest.approx(5, rel=0.3)
+    assert parse_detector(learned_again({"score": ASKED}, 3, confusion=two).detector()).persistence.class_s == 0
 
 
 def test_misses_and_confidences_that_are_drawn_apart_have_no_score() -> None:

@@ -95,3 +95,30 @@ def test_the_command_says_what_differs_first_and_can_leave_the_check_out(short_r
     out = tmp_path / "detector.yaml"
     said = CliRunner().invoke(app, ["learn", str(short_run), "--out", str(out), "--replicates", "20", "--no-check"])
     assert said.exit_code == 0 and "Where it was not learned" not in said.output + out.with_suffix(".html").read_text()
+
+
+def test_halves_that_differ_in_opposite_ways_are_told() -> None:
+    """Summed over both halves, what is learned from each would make up for the other."""
+    image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
+    corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
+    annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
+    film = (np.arange(FRAMES) >= FRAMES // 2).astype(np.int64)
+    pictures = images(FRAMES, (1400.0, 1100.0), np.arange(FRAMES) * STEP_S)
+    pictures = dataclasses.replace(pictures, sequence=film)
+    labelled = LabelledSet(("boat",), ("usual",), pictures, annotations, found([], [], [], []))
+    data = detector({"mean": 0.6, "std": 0.15}) | {"initial_state": "easy", "transition_matrix": [[1, 0], [0, 1]]}
+    usual = data["states"]["usual"]
+    data["states"] = {
+        name: usual | {"confusion": [[1 - miss], [miss]]} for name, miss in (("easy", 0.1), ("hard", 0.6))
+    }
+    labelled = simulated(labelled, film, parse_detector(data), 1)
+    labelled = dataclasses.replace(  # as of files, which do not say what a detection came from
+        labelled, results=dataclasses.replace(labelled.results, origin=None, kind=None, partner=None)
+    )
+    state = np.zeros(FRAMES, dtype=np.int64)
+    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2)
+    settings = LearnSettings(replicates=20)
+    rows = {
+        row.name: row for row in self_check(learn(observed, Transitions(np.zeros((1, 1))), settings), settings, SEEDS)
+    }
+    assert rows["share found"].differs

@@ -156,7 +156,7 @@ def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect:
         score_run(run, [tracks, tracks])
     with pytest.raises(ModsimError, match="there are no tracks to score"):
         score_run(run, [])
-    with pytest.raises(ModsimError, match="similarity centre needs a scale"):
+    with pytest.raises(ModsimError, match="similarity centre needs scale_px"):
         score_run(run, tracks, similarity="centre")
     with pytest.raises(TypeError, match="tracks"):
         score_run(run, [3])  # type: ignore[list-item]

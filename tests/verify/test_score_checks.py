@@ -56,3 +56,10 @@ def test_a_memory_as_asked_passes_and_another_one_does_not() -> None:
         missed = (drawn(wrong, 1, 9)[0] < chance).astype(float)
         found = memory_checks(TRACKS, TIMES_S, SCORE, chance, missed)
         assert min(each.measure.p_value() for each in found) < 1e-3
+
+
+def test_vessels_that_are_seen_once_have_no_memory() -> None:
+    tracks, times_s, chance = np.arange(5)[:, None], np.zeros(5), np.full(5, 0.3)
+    assert off_diagonal(tracks, times_s, SCORE, chance, np.ones(5)) == 0
+    assert all(each.measure is None for each in memory_checks(tracks, times_s, SCORE, chance, np.zeros(5)))
+    assert memory_checks(tracks[:0], times_s[:0], SCORE, chance[:0], chance[:0]) == []

@@ -81,6 +81,9 @@ class EffectsSection(Strict):
 
     def misfit(self, model: str) -> str | None:
         """Problem of the effects under the name of the model of all of them; None if there is none."""
+        hidden = self.partly_hidden
+        if hidden is not None and hidden.per_doubling is not None:
+            return "partly_hidden: is 0 or 1, which nothing doubles: it must have per_unit and a reference of 0 or 1"
         if self.learned_log_odds is not None and self.intercept is None:
             return "learned_log_odds goes with an intercept, which a miss_rate finds anew from them"
         if model == "confusion" and self.intercept is not None:

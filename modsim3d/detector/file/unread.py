@@ -150,6 +150,10 @@ def _switched_off(file: DetectorFile) -> Iterator[UnreadKey]:
             false_positives.persistence and false_positives.persistence.share,
         ),
     ]
+    if file.persistence.score is not None and len(file.labels) == 1:
+        for name in ("class_s", "class_vessel_share"):
+            why = "with a score it is that of the label, and there is one: set detector.persistence.score"
+            yield UnreadKey(f"persistence.{name}", why, ("persistence.score", "labels"), is_dead=True)
     for name, state in file.states.items():
         path = f"states.{name}.confidence"
         switches.append((f"{path}.size_reference_px", f"{path}.size_slope", state.confidence.size_slope))

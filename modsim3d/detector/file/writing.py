@@ -98,5 +98,7 @@ def _intercept(own: Any, shared: Any, rate: float) -> dict[str, Any]:
         learned = [np.array(quantiles, dtype=np.float64) for quantiles in source[key]] if source else []
     except (TypeError, ValueError):
         return {}
+    if any(quantiles.ndim != 1 or not len(quantiles) for quantiles in learned):
+        return {}  # which the check of the file says
     intercept = [round(anchor(rate, quantiles, np.ones(len(quantiles))), 12) for quantiles in learned]
     return {"dropout": {**(own if isinstance(own, Mapping) else {}), "intercept": intercept}} if learned else {}
