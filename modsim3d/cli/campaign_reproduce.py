@@ -19,7 +19,8 @@ from modsim3d.cli.shared import (
     print_written,
     progress,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, timed, warn
+from modsim3d.cli.terminal import open_console, say, say_json, timed, warn
+from modsim3d.cli.terminal_tables import print_prose, print_table
 
 if TYPE_CHECKING:
     from modsim3d.campaign.folder import CampaignFolder

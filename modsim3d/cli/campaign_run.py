@@ -24,17 +24,8 @@ from modsim3d.cli.shared import (
     print_path,
     stoppable,
 )
-from modsim3d.cli.terminal import (
-    open_console,
-    print_blocks,
-    print_prose,
-    print_table,
-    say,
-    say_json,
-    tell_files,
-    timed,
-    warn,
-)
+from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal_tables import print_blocks, print_prose, print_table
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -120,7 +111,7 @@ def campaign_run_command(
     from modsim3d.campaign.folder import killed_sentence
     from modsim3d.campaign.means import same_detections
     from modsim3d.campaign.running import run_plan
-    from modsim3d.cli.campaign_progress import campaign_progress
+    from modsim3d.cli.campaign_text import campaign_progress
 
     if shard is not None and cluster is not None:
         raise ModsimError("--shard is for jobs without a scheduler: leave out --cluster, or --shard")

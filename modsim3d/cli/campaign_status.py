@@ -20,7 +20,8 @@ from modsim3d.cli.shared import (
     progress,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_blocks, print_prose, say, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed
+from modsim3d.cli.terminal_tables import print_blocks, print_prose
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -65,8 +66,7 @@ def campaign_status_command(
 def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
     from modsim3d.campaign.folder import killed_sentence
     from modsim3d.campaign.report.campaign_page import crash_sections, requirement_blocks
-    from modsim3d.cli.campaign_progress import present_text
-    from modsim3d.cli.campaign_text import MAX_ROWS
+    from modsim3d.cli.campaign_text import MAX_ROWS, present_text
 
     console = open_console()
     print_line(console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold")
@@ -85,7 +85,7 @@ def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
 
 
 def _how(found: Present) -> list[str]:
-    from modsim3d.cli.campaign_text import duration_text
+    from modsim3d.cli.campaign_text import time_left_text
 
     if found.finished:
         early = found.total - found.done
@@ -97,7 +97,7 @@ def _how(found: Present) -> list[str]:
         return [*lines, "nobody holds its folder: the same command, without --shard, writes results and verdicts"]
     if found.worked_on_by is None:
         return [*lines, "nobody holds its folder: the same command goes on (parts of a job array are not seen here)"]
-    return [*lines, f"worked on by {found.worked_on_by}, {duration_text(found.left_s)}"]
+    return [*lines, f"worked on by {found.worked_on_by}, {time_left_text(found.left_s)}"]
 
 
 # ---- The command `modsim3d campaign table` ----

@@ -29,7 +29,8 @@ from modsim3d.cli.shared import (
     progress,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_document, say_json, tell, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
+from modsim3d.cli.terminal_tables import print_document
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:

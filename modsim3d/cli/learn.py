@@ -33,7 +33,8 @@ from modsim3d.cli.shared import (
     typed_command,
     under,
 )
-from modsim3d.cli.terminal import open_console, print_document, print_prose, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, say_json, tell_files, timed, warn
+from modsim3d.cli.terminal_tables import print_document, print_prose
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:

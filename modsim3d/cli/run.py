@@ -40,7 +40,8 @@ from modsim3d.cli.shared import (
     print_path,
     progress,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say, say_json, tell, tell_files, timed, warn
+from modsim3d.cli.terminal import open_console, say, say_json, tell, tell_files, timed, warn
+from modsim3d.cli.terminal_tables import print_prose, print_table
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from modsim3d.cli.shared import print_line, print_path
-from modsim3d.cli.terminal import open_console, print_table, warn
+from modsim3d.cli.terminal import open_console, warn
+from modsim3d.cli.terminal_tables import print_table
 
 if TYPE_CHECKING:
     from modsim3d.runs.counts import Counts

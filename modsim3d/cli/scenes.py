@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from modsim3d.cli.shared import JsonOption, print_line
-from modsim3d.cli.terminal import open_console, print_prose, say_json
+from modsim3d.cli.terminal import open_console, say_json
+from modsim3d.cli.terminal_tables import print_prose
 
 
 def scenes_command(json: JsonOption = False) -> None:

@@ -19,7 +19,8 @@ from modsim3d.cli.shared import (
     print_written,
     typed_command,
 )
-from modsim3d.cli.terminal import open_console, print_document, say_json, tell_files, timed
+from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
+from modsim3d.cli.terminal_tables import print_document
 from modsim3d.core.errors import ModsimError
 
 

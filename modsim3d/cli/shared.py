@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, print_table
+from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console
+from modsim3d.cli.terminal_tables import print_table
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.input_files import data_folder
 

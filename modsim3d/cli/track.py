@@ -19,7 +19,8 @@ from modsim3d.cli.shared import (
     print_written,
     progress,
 )
-from modsim3d.cli.terminal import open_console, print_prose, print_table, say_json, tell, tell_files, timed
+from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
+from modsim3d.cli.terminal_tables import print_prose, print_table
 
 if TYPE_CHECKING:
     from modsim3d.tracking.track_run import TrackCounts, TrackResult

@@ -333,7 +333,7 @@ def _group(state: str | None, units: int, entries: Sequence[Entry]) -> dict[str,
 
 
 def _width(entry: Entry) -> dict[str, Any]:
-    """How well a number is known."""
+    """Observations that a count is worth, or the spread of another number on its scale."""
     column = entry.column
     if column.kind in COUNTED:
         return {"observations": nested(column.independent)}

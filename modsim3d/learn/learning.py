@@ -187,7 +187,7 @@ class LearnInputs:
         """Learn a detector.
 
         Args:
-            request: How.
+            request: Models, matching rule, intervals and whether to compare with the real results.
             call: The command, or the call from Python, for the page.
 
         Raises:

@@ -108,7 +108,7 @@ class LagTable:
 
     @cached_property
     def weight(self) -> Array:
-        """How many things have each lag, shape (b,)."""
+        """Number of things that have each lag, as equal ones, shape (b,)."""
         whole = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64)
         by_thing = np.bincount(self.thing * len(self.lag_s) + self.lag, self.same, minlength=self.things * len(whole))
         weight: Array = whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300)

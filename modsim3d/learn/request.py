@@ -20,7 +20,7 @@ Method = Literal["confidence", "optimal", "centre", "provenance"]
 
 
 class LearnRequest(Strict):
-    """How a detector is learned, from whatever labelled set; what is not listed is as for `modsim3d.learn_detector`.
+    """Choices of learning from whatever labelled set; what is not listed is as for `modsim3d.learn_detector`.
 
     Attributes:
         caller: What messages call the request.
@@ -93,7 +93,7 @@ class LearnRequest(Strict):
         )
 
     def settings(self, labelled: LabelledSet, position_m: float = 0.0) -> LearnSettings:
-        """How a detector is learned from a labelled set.
+        """Settings of learning from a labelled set.
 
         Args:
             labelled: The set.

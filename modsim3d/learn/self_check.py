@@ -233,7 +233,7 @@ def _by_range(observed: Observed, whole: Observed, found: Mask) -> Counts:
 
 
 def _of_boxes(observed: Observed) -> Counts:
-    """How well boxes fit, and by how much the centre's error changes from frame to frame."""
+    """IoU of matches, and changes of the centre's error from frame to frame."""
     labelled, rows = observed.labelled, observed.rows[observed.found]
     boxes = labelled.results.boxes_px[observed.detection[observed.found]]
     true = labelled.annotations.boxes_px[rows]

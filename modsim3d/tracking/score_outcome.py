@@ -71,7 +71,7 @@ def world_conclusion(scores: ScoredTracks) -> str:
 
 
 def survived_and_judged(occlusions: Sequence[OcclusionEpisode]) -> tuple[int, int]:
-    """How many occlusions tracks survived, and of how many."""
+    """Number of occlusions that tracks survived, and of all."""
     judged = [each.survived for each in occlusions if each.survived is not None]
     return sum(judged), len(judged)
 

@@ -26,7 +26,7 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.cli.campaign_run import exit_status
-from modsim3d.cli.terminal import print_blocks
+from modsim3d.cli.terminal_tables import print_blocks
 from modsim3d.core.errors import ModsimError, OutputError
 from modsim3d.io.overwrite_guard import locked_folder
 from tests.campaign.campaigns import checked_campaign

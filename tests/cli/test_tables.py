@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modsim3d.cli.shared import print_path
-from modsim3d.cli.terminal import open_console, print_prose, print_table
+from modsim3d.cli.terminal import open_console
+from modsim3d.cli.terminal_tables import print_prose, print_table
 from tests.cli.conftest import Modsim3d
 
 WIDTHS = (40, 60, 80, 120, 200)

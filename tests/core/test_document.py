@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 
-from modsim3d.cli.terminal import open_console, print_document
+from modsim3d.cli.terminal import open_console
+from modsim3d.cli.terminal_tables import print_document
 from modsim3d.core.document import (
     Beside,
     Cell,
