@@ -67,6 +67,40 @@ class LatentScore:
         return correlation
 
 
+@dataclass(frozen=True, eq=False)
+class BoxMemory:
+    """Memory of the numbers behind box errors: of e_x, e_y, e_w, e_h, and of the scale of heavy tails.
+
+    Each is a sum as of `LatentScore`; parts of the same time run side by side.
+
+    Attributes:
+        vessel_share: Share of the variance that a vessel keeps, shape (5,).
+        shares: Share of the variance of each autoregressive part, shape (parts, 5).
+        times_s: Its correlation time, shape (parts,).
+    """
+
+    vessel_share: Array
+    shares: Array
+    times_s: Array
+
+    @property
+    def white_share(self) -> Array:
+        """Share of the variance that is new at every step, shape (5,)."""
+        white: Array = np.maximum(1.0 - self.vessel_share - self.shares.sum(axis=0), 0.0)
+        return white
+
+    @property
+    def memory_s(self) -> float:
+        """Time in which all is forgotten; endless where vessels keep a share."""
+        return NEVER_CHANGES_S if self.vessel_share.any() else float(self.times_s.max(initial=0.0))
+
+    def correlation(self, apart_s: Array) -> Array:
+        """Correlation of a vessel's numbers at times above 0 apart, shape (..., 5)."""
+        decays = np.exp(-np.asarray(apart_s)[..., None] / self.times_s)
+        correlation: Array = self.vessel_share + decays @ self.shares
+        return correlation
+
+
 @dataclass(frozen=True)
 class Persistence:
     """How long misses, confusions, box errors, confidence and merges persist, and what a vessel keeps for a whole run.
@@ -81,6 +115,7 @@ class Persistence:
         box_vessel_share: That of the latent numbers of box errors.
         score: The number behind misses and confidence, None if they are drawn apart; `class_s` and
             `class_vessel_share` are then those of the label alone.
+        box: Memory of each component of box errors, in place of `box_s` and `box_vessel_share`; None without.
     """
 
     class_s: float = 0.0
@@ -90,6 +125,7 @@ class Persistence:
     class_vessel_share: float = 0.0
     box_vessel_share: float = 0.0
     score: LatentScore | None = None
+    box: BoxMemory | None = None
 
     @property
     def class_memory_s(self) -> float:
@@ -106,6 +142,8 @@ class Persistence:
     @property
     def box_memory_s(self) -> float:
         """Time in which box errors are forgotten; endless where vessels keep a share."""
+        if self.box is not None:
+            return self.box.memory_s
         return NEVER_CHANGES_S if self.box_vessel_share else self.box_s
 
 
@@ -201,6 +239,19 @@ class AutoregressivePart(Autoregressive):
         return grid_normals(uniforms)
 
 
+@dataclass(frozen=True)
+class BoxErrorPart(Autoregressive):
+    """An autoregressive part of the numbers behind a box error, of width 5."""
+
+    width: int = ERROR_NORMALS + 1
+    ordinal: int = 0
+
+    def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
+        """Independent standard normal numbers, shape (count, 5)."""
+        uniforms = streams.uniforms(Purpose.BOX_ERROR_PART, camera, vessel, str(self.ordinal), first=first, count=count)
+        return grid_normals(uniforms)
+
+
 @functools.lru_cache(_DECAYS_KEPT)
 def decay(seconds: float, correlation_s: float) -> float:
     """e^(−Δt/τ), one at a time: how a run is split must not show in how an array of exponentials is rounded."""
@@ -275,6 +326,8 @@ class VesselNoise:
     def normals(self, frames: CameraFrames, targets: Targets, extra: int = 0) -> Array:
         """Standard normal numbers that box errors are made from, shape (n, 4 + extra)."""
         persistence = self._persistence
+        if persistence.box is not None:
+            return self._remembered(persistence.box, frames, targets, extra)
         if persistence.box_s:
             normals = self._walked(Autoregressive(persistence.box_s, ERROR_NORMALS + extra), frames, targets)
         else:
@@ -285,6 +338,17 @@ class VesselNoise:
         kept = self._kept_by_vessels(Purpose.BOX_ERROR_VESSEL, frames, targets)
         errors = with_share(share, kept, normals[:, :ERROR_NORMALS])
         return np.concatenate([errors, normals[:, ERROR_NORMALS:]], axis=1)
+
+    def _remembered(self, memory: BoxMemory, frames: CameraFrames, targets: Targets, extra: int) -> Array:
+        """Numbers each component of which has a memory of its own, shape (n, 4 + extra)."""
+        width = ERROR_NORMALS + extra
+        kept = self._kept_by_vessels(Purpose.BOX_ERROR_PART_VESSEL, frames, targets)[:, :width]
+        total = np.sqrt(memory.vessel_share[:width]) * kept
+        for ordinal, (shares, time_s) in enumerate(zip(memory.shares, memory.times_s.tolist(), strict=True)):
+            walked = self._walked(BoxErrorPart(time_s, ordinal=ordinal), frames, targets)[:, :width]
+            total = total + np.sqrt(shares[:width]) * walked
+        white = latent_normals(self._streams, BOX_ERROR_STREAMS, frames, targets, extra)
+        return total + np.sqrt(memory.white_share[:width]) * white
 
     def _kept_by_vessels(self, purpose: Purpose, frames: CameraFrames, targets: Targets) -> Array:
         """Standard normal numbers that belong to the camera and the vessel of each target, shape (n, width)."""

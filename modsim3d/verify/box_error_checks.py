@@ -10,7 +10,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import clip, inside_image, move, sizes
-from modsim3d.detector.box_error import symmetric_root
+from modsim3d.detector.box_error import error_root
 from modsim3d.detector.chain import DetectorPart, model_name
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, standardised
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX
@@ -23,13 +23,14 @@ from modsim3d.verify.error_parameters import LIKELIHOODS, PLAIN, ErrorParameters
 from modsim3d.verify.evidence import Evidence, unknown_rest_note
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
 from modsim3d.verify.parameters import Parameter
+from modsim3d.verify.score_checks import LAGS
 
 # ---- How long box errors persist ----
 
 MIN_PAIRS = 100
 _REPLAYS, _REPLAYS_AT_ONCE = 300, 50
 _MAX_DRAWS = 2000
-_KNOWN, _MIN_SHARE = 10.0, 1e-3
+_KNOWN, _MIN_SHARE, _MAX_SCALE = 10.0, 1e-3, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +40,12 @@ class Replayed:
     Attributes:
         errors: Standard errors of each state's step, shapes (p,).
         products: Mean product of whitened errors with those one frame before, in each replay, shape (replays,).
+        lagged: That of each component with those `LAGS` frames before, shape (replays, lags, 4).
     """
 
     errors: list[Array]
     products: Array
+    lagged: Array
 
 
 def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Replayed | None:
@@ -54,7 +57,8 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     now, before = turn_pairs(model, evidence, _instances_of(evidence, fits))
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
-    found = []
+    found, lagged = [], []
+    lags = _lagged_pairs(tracks, times_s)
     width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, _REPLAYS, _REPLAYS_AT_ONCE):
         latent = latent_paths(tracks, times_s, model.persistence, rng, _REPLAYS_AT_ONCE, width)
@@ -66,7 +70,61 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
             residual = statistics[..., :4] - fit.step.expected[:, :4]
             whitened[:, ours] = np.einsum("nij,cnj->cni", fit.step.roots, residual, optimize=True)
         found.append(_products(whitened, now, before))
-    return Replayed([np.concatenate(step).std(axis=0) for step in steps], np.concatenate(found))
+        lagged.append(_lagged_products(whitened, lags))
+    errors = [np.concatenate(step).std(axis=0) for step in steps]
+    return Replayed(errors, np.concatenate(found), np.concatenate(lagged))
+
+
+def _lagged_pairs(tracks: Indices, times_s: Array) -> list[tuple[Indices, Indices]]:
+    """Rows of one track so many of its frames apart, later and earlier, for each of `LAGS`."""
+    order = np.lexsort((times_s, *tracks.T[::-1]))
+    same = tracks[order]
+    pairs = []
+    for lag in LAGS:
+        near = np.flatnonzero((same[lag:] == same[:-lag]).all(axis=1))
+        pairs.append((order[near + lag], order[near]))
+    return pairs
+
+
+def _lagged_products(whitened: Array, lags: list[tuple[Indices, Indices]]) -> Array:
+    """Mean products of each component of whitened errors (..., n, 4) at each lag, shape (..., lags, 4)."""
+    none = np.zeros((*whitened.shape[:-2], 4))
+    products = [
+        (whitened[..., later, :] * whitened[..., earlier, :]).mean(axis=-2) if len(later) else none
+        for later, earlier in lags
+    ]
+    return np.stack(products, axis=-2)
+
+
+def memory_checks(
+    model: DetectorModel, evidence: Evidence, fits: list[StateFit], replayed: Replayed | None
+) -> list[Parameter]:
+    """Correlation of each component of box errors some frames apart, where each has a memory of its own."""
+    memory = model.persistence.box
+    if memory is None:
+        return []
+    parameters = []
+    rows = _instances_of(evidence, fits) if fits else np.empty(0, dtype=np.int64)
+    tracks, times_s = evidence.instances.tracks(rows)
+    pairs = _lagged_pairs(tracks, times_s)
+    whitened = np.concatenate([_own_scale(fit.step.whitened) for fit in fits]) if fits else np.empty((0, 4))
+    found = _lagged_products(whitened, pairs)
+    for k, (lag, (later, earlier)) in enumerate(zip(LAGS, pairs, strict=True)):
+        for j, component in enumerate(ERROR_COMPONENTS):
+            measure = None
+            if replayed is not None and len(later) >= MIN_PAIRS:
+                asked = float(memory.correlation(times_s[later] - times_s[earlier])[:, j].mean())
+                replays = replayed.lagged[:, k, j]
+                left, error = float(replays.mean()), float(replays.std(ddof=1))
+                scale = min(max(asked / left if left > _KNOWN * error / len(replays) ** 0.5 else 1.0, 1.0), _MAX_SCALE)
+                off = float(found[k, j]) - left
+                skewness = float(((replays - left) ** 3).mean()) / error**3
+                numbers = asked + scale * off, asked, scale * error
+                measure = Estimate(*numbers, len(later), skewness, statistic=off / error, possible=CORRELATION)
+            apart = f"{lag} {'frame' if lag == 1 else 'frames'} apart"
+            name = f"persistence.box: correlation of {component}, {apart}"
+            parameters.append(Parameter(name, DetectorPart.BOX_ERROR, measure, in_file=False))
+    return parameters
 
 
 def box_persistence(
@@ -85,8 +143,7 @@ def box_persistence(
         asked, left, error, known = 0.0, 0.0, (4 * len(now)) ** -0.5, math.inf
     else:
         times_s = evidence.instances.time_s[_instances_of(evidence, fits)]
-        share = model.persistence.box_vessel_share
-        asked = share + (1 - share) * float(_kept(times_s[now] - times_s[before], model.persistence.box_s).mean())
+        asked = _asked(model.persistence, times_s[now] - times_s[before])
         left, error = float(replayed.products.mean()), float(replayed.products.std())
         known = error / math.sqrt(len(replayed.products))
     # Truncation leaves part of a correlation: replays show which, or the boxes do where the correlation is small.
@@ -94,6 +151,14 @@ def box_persistence(
     scale = 1 / max(share, _MIN_SHARE)
     off = product - left
     return Estimate(asked + off * scale, asked, error * scale, len(now), statistic=off / error, possible=CORRELATION)
+
+
+def _asked(persistence: Persistence, apart_s: Array) -> float:
+    """Mean correlation of the numbers behind the four components so far apart in time."""
+    if persistence.box is not None:
+        return float(persistence.box.correlation(apart_s)[..., :ERROR_NORMALS].mean())
+    share = persistence.box_vessel_share
+    return share + (1 - share) * float(_kept(apart_s, persistence.box_s).mean())
 
 
 def _instances_of(evidence: Evidence, fits: list[StateFit]) -> Indices:
@@ -145,13 +210,26 @@ def latent_paths(
     order = np.lexsort((times_s, *tracks.T[::-1]))
     starts = np.append(True, (tracks[order][1:] != tracks[order][:-1]).any(axis=1))
     apart = np.diff(times_s[order], prepend=0.0)
-    kept = np.where(starts, 0.0, _kept(np.maximum(apart, 0), persistence.box_s))
-    paths = rng.standard_normal((len(order), count, width))
-    for i in np.flatnonzero(kept > 0).tolist():
-        paths[i] = kept[i] * paths[i - 1] + np.sqrt(1 - kept[i] ** 2) * paths[i]
-    if persistence.box_vessel_share:
-        own = rng.standard_normal((int(starts.sum()), count, ERROR_NORMALS))[np.cumsum(starts) - 1]
-        paths[..., :ERROR_NORMALS] = with_share(persistence.box_vessel_share, own, paths[..., :ERROR_NORMALS])
+
+    def walked(time_s: float) -> Array:
+        kept = np.where(starts, 0.0, _kept(np.maximum(apart, 0), time_s))
+        walk = rng.standard_normal((len(order), count, width))
+        for i in np.flatnonzero(kept > 0).tolist():
+            walk[i] = kept[i] * walk[i - 1] + np.sqrt(1 - kept[i] ** 2) * walk[i]
+        return walk
+
+    memory = persistence.box
+    if memory is not None:
+        paths = np.sqrt(memory.white_share[:width]) * rng.standard_normal((len(order), count, width))
+        own = rng.standard_normal((int(starts.sum()), count, width))[np.cumsum(starts) - 1]
+        paths += np.sqrt(memory.vessel_share[:width]) * own
+        for shares, time_s in zip(memory.shares, memory.times_s.tolist(), strict=True):
+            paths += np.sqrt(shares[:width]) * walked(time_s)
+    else:
+        paths = walked(persistence.box_s)
+        if persistence.box_vessel_share:
+            own = rng.standard_normal((int(starts.sum()), count, ERROR_NORMALS))[np.cumsum(starts) - 1]
+            paths[..., :ERROR_NORMALS] = with_share(persistence.box_vessel_share, own, paths[..., :ERROR_NORMALS])
     result = np.empty_like(paths)
     result[order] = paths
     return np.swapaxes(result, 0, 1)
@@ -184,7 +262,7 @@ def replayed_errors(law: ErrorParameters, sample: StateErrors, latent: Array, rn
 def _root(law: ErrorParameters) -> Array:
     """Matrix from latent numbers to standardised errors, by the root of the file's covariance, shape (4, 4)."""
     covariance = law.correlation * np.outer(law.std, law.std)
-    return symmetric_root(covariance) / law.std[:, None]
+    return error_root(covariance, law.distribution) / law.std[:, None]
 
 
 MIN_DETECTIONS = 150
@@ -238,8 +316,13 @@ def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> lis
     return [
         *parameters,
         _box_check(evidence),
-        Parameter("persistence.box_s", DetectorPart.BOX_ERROR, persistence, note=correlation_note(persistence)),
+        Parameter(_persistence_key(model), DetectorPart.BOX_ERROR, persistence, note=correlation_note(persistence)),
+        *memory_checks(model, evidence, found, replayed),
     ]
+
+
+def _persistence_key(model: DetectorModel) -> str:
+    return "persistence.box_s" if model.persistence.box is None else "persistence.box: correlation, 1 frame apart"
 
 
 def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:

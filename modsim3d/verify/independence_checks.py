@@ -300,7 +300,7 @@ def independence_checks(model: DetectorModel, evidence: Evidence, fits: Sequence
 def _repeated_errors(model: DetectorModel, evidence: Evidence, fits: Sequence[StateFit]) -> Parameter:
     """Whether the four errors of a box are those of another box, to the last bit: drawn numbers never are."""
     measure = None
-    if fits and model.persistence.box_s < NEVER_CHANGES_S:
+    if fits and (model.persistence.box is not None or model.persistence.box_s < NEVER_CHANGES_S):
         errors = evidence.true_detections.errors_px[np.concatenate([fit.rows for fit in fits])]
         measure = Exact(len(errors) - len(np.unique(errors, axis=0)), len(errors))
     return Parameter(f"{Draw.BOX_ERROR}: none comes twice", GROUP, measure, in_file=False)

@@ -18,7 +18,7 @@ from modsim3d.core.arrays import Array, read_only
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, PrecisionRecall, QuantileScores, StateConfidence
-from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, BoxErrorLaw
+from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, BoxErrorLaw
 from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope
 from modsim3d.detector.false_positive_placement import Placement
 from modsim3d.detector.false_positives import (
@@ -30,6 +30,7 @@ from modsim3d.detector.false_positives import (
 )
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
 from modsim3d.detector.file.schema_models import (
+    BoxMemorySection,
     ConfidenceKeys,
     EffectsSection,
     PerformanceSection,
@@ -39,7 +40,7 @@ from modsim3d.detector.file.schema_models import (
 )
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
-from modsim3d.detector.persistence import LatentScore, Persistence
+from modsim3d.detector.persistence import BoxMemory, LatentScore, Persistence
 from modsim3d.detector.records import Gates
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
@@ -308,8 +309,12 @@ def _box_error(section: BoxErrorSection) -> BoxErrorLaw:
         covariance=read_only((covariance + covariance.T) / 2),
         unit=section.unit,
         growth=read_only(section.growth or np.zeros(4)),
-        distribution=distribution(**{key: getattr(section, key) for key in distribution.keys}),
+        distribution=distribution(**{key: _value(getattr(section, key)) for key in distribution.keys}),
     )
+
+
+def _value(value: float | list[float]) -> float | tuple[float, ...]:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def _confidence(keys: ConfidenceKeys, threshold: float) -> StateConfidence:
@@ -372,10 +377,19 @@ def _sizes(section: SizeSection) -> Sizes | None:
 
 
 def _persistence(section: PersistenceSection) -> Persistence:
-    numbers, score = section.model_dump(exclude={"score"}), section.score
-    if score is None:
-        return Persistence(**numbers)
-    return Persistence(**numbers, score=LatentScore(score.vessel_share, tuple(score.shares), tuple(score.times_s)))
+    score, box = section.score, section.box
+    return Persistence(
+        **section.model_dump(exclude={"score", "box"}),
+        score=None if score is None else LatentScore(score.vessel_share, tuple(score.shares), tuple(score.times_s)),
+        box=None if box is None else _box_memory(box),
+    )
+
+
+def _box_memory(section: BoxMemorySection) -> BoxMemory:
+    """Memory with a scale that is new at every step where the section says nothing of it."""
+    columns = np.zeros((1 + len(section.shares), ERROR_NORMALS + 1))
+    columns[:, : len(section.vessel_share)] = [section.vessel_share, *section.shares]
+    return BoxMemory(read_only(columns[0]), read_only(columns[1:]), read_only(section.times_s))
 
 
 def _performance(section: PerformanceSection, states: list[str]) -> Performance:

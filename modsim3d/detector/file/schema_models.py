@@ -138,6 +138,34 @@ class LatentScoreSection(Strict):
         return self
 
 
+class BoxMemorySection(Strict):
+    """Memory of the components of box errors: shares of their variances, and the times in which some are forgotten.
+
+    Lists have a number each for e_x, e_y, e_w, e_h and, where tails are heavy, for how large the errors are.
+    """
+
+    vessel_share: list[Fraction]
+    shares: list[list[Probability]] = Field(default_factory=list)
+    times_s: list[Positive] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _shares_fit(self) -> BoxMemorySection:
+        if len(self.shares) != len(self.times_s):
+            raise ValueError(
+                f"has {len(self.shares)} lists of shares and {len(self.times_s)} times_s: one belongs to each"
+            )
+        for key, numbers in [("vessel_share", self.vessel_share), *(("shares", each) for each in self.shares)]:
+            if len(numbers) not in (4, 5) or len(numbers) != len(self.vessel_share):
+                raise ValueError(
+                    f"{key} has {len(numbers)} numbers, must have one each for e_x, e_y, e_w, e_h, and may have one "
+                    "for how large errors are: 4 in all lists, or 5"
+                )
+        totals = [sum(column) for column in zip(self.vessel_share, *self.shares, strict=True)]
+        if max(totals) > 1 + 1e-9:
+            raise ValueError(f"vessel_share and shares of a component sum to {max(totals):g}, must not exceed 1")
+        return self
+
+
 class PersistenceSection(Strict):
     """Correlation times, and shares of the noise that a vessel keeps; 0 is none."""
 
@@ -148,11 +176,14 @@ class PersistenceSection(Strict):
     class_vessel_share: Fraction = 0.0
     box_vessel_share: Fraction = 0.0
     score: LatentScoreSection | None = None
+    box: BoxMemorySection | None = None
 
     @model_validator(mode="after")
     def _one_memory(self) -> PersistenceSection:
         if self.score is not None and self.confidence_s:
             raise ValueError("confidence_s: with a score, confidence lasts as the score's parts do: leave it out")
+        if self.box is not None and (self.box_s or self.box_vessel_share):
+            raise ValueError("box_s, box_vessel_share: with a memory of each component, box, leave them out")
         return self
 
 

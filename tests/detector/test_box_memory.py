@@ -1,0 +1,102 @@
+"""Box errors each component of which has a memory of its own: correlations are the file's, and `verify` holds them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import InputError
+from modsim3d.detector.chain import Detector
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.records import TRUE
+from modsim3d.detector.target_statistics import TargetStatistics
+from modsim3d.scene.reading import load_scene
+from modsim3d.verify.error_fit import MomentTable
+from modsim3d.verify.evidence import ManyDetections
+from modsim3d.verify.verification import verify_evidence
+from tests.detector.detector_builders import centred, clock, make_frames, make_targets, one_state_data, same_boxes
+from tests.detector_variants import variant
+
+MEMORY = {
+    "vessel_share": [0.1, 0.5, 0.0, 0.2, 0.3],
+    "shares": [[0.5, 0.1, 0.0, 0.3, 0.2], [0.3, 0.4, 0.2, 0.5, 0.5]],
+    "times_s": [0.1, 0.8],
+}
+PLAIN = {"unit": "px", "mean": [0, 0, 0, 0], "covariance": np.diag([4.0, 4.0, 9.0, 1.0]).tolist()}
+GROSS = PLAIN | {"law": "contaminated_normal", "gross_share": 0.2, "gross_ratio": [40, 40, 40, 40]}
+FRAMES, VESSELS, STEP_S = 1500, 60, 0.1
+
+
+def errors_of(error: dict[str, Any], frames: int = FRAMES) -> np.ndarray:
+    """Errors (frames, vessels, 4) of vessels that are always found."""
+    seen = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
+    model = parse_detector(one_state_data(**seen, box_error=error) | {"persistence": {"box": MEMORY}})
+    found = Detector(model, 2, TargetStatistics(), clock()).detect(
+        make_frames(frames), make_targets(same_boxes(frames, VESSELS, centred(2000, 1500)))
+    )
+    errors = np.full((frames * VESSELS, 4), np.nan)
+    errors[found.target[found.kind == TRUE]] = found.errors_px[found.kind == TRUE]
+    return errors.reshape(frames, VESSELS, 4)
+
+
+def asked(component: int, lag: int) -> float:
+    shares = [part[component] for part in MEMORY["shares"]]
+    decays = [np.exp(-lag * STEP_S / time_s) for time_s in MEMORY["times_s"]]
+    return float(MEMORY["vessel_share"][component] + np.dot(shares, decays))
+
+
+@pytest.fixture(scope="module")
+def errors() -> np.ndarray:
+    return errors_of(PLAIN) / np.sqrt([4.0, 4.0, 9.0, 1.0])
+
+
+def test_each_component_correlates_with_itself_as_the_file_says(errors: np.ndarray) -> None:
+    for component in range(4):
+        for lag in (1, 5, 40):
+            found = (errors[lag:, :, component] * errors[:-lag, :, component]).mean(axis=0)  # one mean of each vessel
+            assert abs(found.mean() - asked(component, lag)) < 4 * found.std(ddof=1) / np.sqrt(VESSELS)
+        one = (errors[..., component] ** 2).mean(axis=0)
+        assert abs(one.mean() - 1) < 4 * one.std(ddof=1) / np.sqrt(VESSELS)
+
+
+def test_gross_errors_stay_as_long_as_the_fifth_number_says() -> None:
+    gross = np.abs(errors_of(GROSS)[..., 0]) > 1.5  # fine errors are 40 times as small
+    assert gross.mean() == pytest.approx(0.2 * 0.7, abs=0.04)
+    near, far = (np.corrcoef(gross[lag:].ravel(), gross[:-lag].ravel())[0, 1] for lag in (1, 1000))
+    assert near > 0.35 and 0.05 < far < 0.3  # of a normal number with correlations 0.82 and 0.3 that decides at 20 %
+
+
+def test_how_a_run_is_split_does_not_show(errors: np.ndarray) -> None:
+    np.testing.assert_array_equal(errors_of(PLAIN, 30) / np.sqrt([4.0, 4.0, 9.0, 1.0]), errors[:30])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"vessel_share": [0.5, 0.1]}, "vessel_share has 2 numbers, must have one each for e_x, e_y, e_w, e_h"),
+        ({"shares": [[0.1] * 4, [0.1] * 5]}, "shares has 4 numbers"),
+        ({"times_s": [1.0]}, "has 2 lists of shares and 1 times_s"),
+        ({"vessel_share": [0.9, 0, 0, 0, 0]}, "of a component sum to 1.7, must not exceed 1"),
+    ],
+)
+def test_a_memory_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse_detector(one_state_data() | {"persistence": {"box": MEMORY | changes}})
+    with pytest.raises(InputError, match="with a memory of each component, box, leave them out"):
+        parse_detector(one_state_data() | {"persistence": {"box": MEMORY, "box_s": 1.0}})
+
+
+def test_honest_errors_obey_and_those_of_another_memory_are_named() -> None:
+    many = ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
+    shorter = MEMORY | {"times_s": [0.1, 0.1]}
+    asked_for, made_with = (
+        parse_detector(variant("plain") | {"persistence": {"box": each}}) for each in (MEMORY, shorter)
+    )
+    table = MomentTable()
+    for seed in range(2):
+        found = verify_evidence(asked_for, many.detect(asked_for, seed), table)
+        assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
+    wrong = verify_evidence(asked_for, many.detect(made_with, 0), table)
+    assert any(verdict.parameter.name.startswith("persistence.box") for verdict in wrong.failed)
