@@ -33,8 +33,11 @@ _ADDED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("misses by visibility, size, distance", ("effects",)),
     ("misses and errors that persist", ("persistence",)),
     ("places, sizes and lives of false alarms", ("sizes", "places", "lasting")),
-    ("confidence, merges, splits, tails", ("confidence", "slopes", "duplicates", "merges", "splits", "student_t")),
-    ("vessels that are always harder, boxes always off to one side", ("vessels",)),
+    (
+        "confidence, merges, splits, tails",
+        ("confidence", "slopes", "duplicates", "merges", "splits", "student_t", "gross"),
+    ),
+    ("vessels that are always harder, boxes always off to one side", ("vessels", "components")),
     ("misses as confidences that fall below the threshold", ("score",)),
 )
 

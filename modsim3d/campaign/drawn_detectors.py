@@ -21,7 +21,13 @@ from scipy import special
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
-from modsim3d.detector.file.schema import GREATEST_FALSE_DISCOVERY_RATE, MAX_DEGREES, MIN_DEGREES
+from modsim3d.detector.file.schema import (
+    GREATEST_FALSE_DISCOVERY_RATE,
+    MAX_DEGREES,
+    MAX_GROSS_RATIO,
+    MAX_GROSS_SHARE,
+    MIN_DEGREES,
+)
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Strict, describe
@@ -243,10 +249,14 @@ def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
     written: dict[str, Any] = {}
     shares = [key for key in values if key.startswith("persistence.score.")]
     whole = float(sum(values[key].sum() for key in shares))
+    of_boxes = [key for key in values if key.startswith("persistence.box.")]
+    columns = sum(np.atleast_2d(values[key]).sum(axis=0) for key in of_boxes)
     for key, value in values.items():
         name = key.rpartition(".")[2]
         if key in shares and whole >= 1:
             value = (1 - _DIGITS) * value / whole
+        if key in of_boxes:
+            value = value / np.maximum(columns, 1.0) * (1 - _DIGITS)
         if name == "box_error_std":
             value = _covariance(value, values["box_error_correlation"])
         elif name == "quantiles":
@@ -261,12 +271,16 @@ _BOX_ERROR_KEYS = {
     "box_error_std": "box_error.covariance",
     "box_error_growth": "box_error.growth",
     "box_error_degrees_of_freedom": "box_error.degrees_of_freedom",
+    "box_error_gross_share": "box_error.gross_share",
+    "box_error_gross_ratio": "box_error.gross_ratio",
 }
 _WRITERS: dict[str, Callable[[Array], Any]] = {
     "confusion": columns_of_one,
     "false_positive_labels": columns_of_one,
     "box_error_growth": lambda value: nested(np.maximum(value, 0.0)),
     "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, MIN_DEGREES, MAX_DEGREES)),
+    "box_error_gross_share": lambda value: nested(np.clip(value, _ROUNDING, MAX_GROSS_SHARE)),
+    "box_error_gross_ratio": lambda value: nested(np.clip(value, 1 + _ROUNDING, MAX_GROSS_RATIO)),
     "density": lambda value: nested(np.round(value / value.max(), 6)),
     "quantiles": lambda value: nested(np.maximum.accumulate(value)),
     "false_discovery_rate": lambda value: nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE)),

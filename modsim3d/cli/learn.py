@@ -85,8 +85,8 @@ WithoutOption = Annotated[
     under(
         MODELS,
         "MODEL,...",
-        "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, score, "
-        "vessels, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
+        "Models to leave out, whatever the data carry: relative, mixed, student_t, gross, effects, persistence, score, "
+        "vessels, components, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
     ),
 ]
 LevelOption = Annotated[float, under(NUMBERS, "P", "Confidence level of the intervals.")]

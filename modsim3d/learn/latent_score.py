@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize, special
+from scipy import special
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, widened
+from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, digits, nested
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.persistence import LagTable, jackknife
+from modsim3d.learn.persistence import (
+    GREATEST_SHARE,
+    LATENT_SHARES,
+    LagTable,
+    both_missed,
+    in_seconds,
+    latent_share,
+    level_of,
+    memory_shares,
+    replace_values,
+)
 
 # ---- Misses of which each thing keeps a share of the noise for as long as it is seen ----
-
-_SHARES = np.linspace(0, 0.99, 100)
-_CHANCES = 50
 
 
 def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
@@ -39,30 +45,6 @@ def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
 
     group = observed.state * len(observed.labelled.labels) + observed.label
     return LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
-
-
-def latent_share(chance: Array) -> Callable[[Array], Array]:
-    """Function from the correlation of misses to the share of the latent normal number that things keep.
-
-    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
-    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
-    """
-    level = _level_of(chance)
-    return lambda found: np.interp(found, level, _SHARES)
-
-
-def _level_of(chance: Array) -> Array:
-    """Correlation of misses for each of `_SHARES`, shape (100,)."""
-    varied = chance[(chance > 0) & (chance < 1)]
-    p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
-    level: Array = (_both_missed(p) - p**2).sum(axis=0) / (p - p**2).sum()
-    return level
-
-
-def _both_missed(p: Array) -> Array:
-    """Probability that two misses of a chance (n, 1) happen together, for each of `_SHARES`, shape (n, 100)."""
-    both: Array = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - _SHARES) / (1 + _SHARES)))
-    return both
 
 
 # ---- Whether confidence falls before a miss ----
@@ -108,7 +90,7 @@ def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) ->
 
 def _correlation_of_losses(lost: float, p: float) -> float:
     """Correlation of two scores with which a share of the found with a chance p of a miss is lost a frame later."""
-    return float(np.interp(-lost, -(p - _both_missed(np.array([p]))) / (1 - p), _SHARES))
+    return float(np.interp(-lost, -(p - both_missed(np.array([p]))) / (1 - p), LATENT_SHARES))
 
 
 def _mean_level_before_a_miss(p: float, correlation: float) -> float:
@@ -119,13 +101,6 @@ def _mean_level_before_a_miss(p: float, correlation: float) -> float:
 
 
 # ---- How long the score is remembered ----
-
-_TIMES_APART = 4.0
-_LONGEST = 3.0
-"""Correlation times that the longest times between must last."""
-_EXACT = 1e3
-"""Weight of the sum of all shares, which is one, against that of the lags."""
-_GREATEST_SHARE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,26 +135,17 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
     no test of whether they are there.
     """
     table = miss_lags(observed, chance, slopes)
-    first = float(table.lag_s[0])
-    parts = 1 + int(np.log(max(table.lag_s[-1] / _LONGEST / first, 1.0)) / np.log(_TIMES_APART))
-    times_s = first * np.array([_TIMES_APART**part for part in range(parts)])
-    latent = latent_share(chance)
-    found, without = (
-        _shares(table, latent(table.uncrowded(ratios)), times_s)
-        for ratios in (table.ratios(resampling), table.ratios_without_each())
-    )
-    count = np.array(float(table.things))
+    times_s, found = memory_shares(table, latent_share(chance), resampling)
     path = ("persistence", "score")
-
-    def column(values: Array, left_out: Array) -> Column:
-        return Column(widened(values, jackknife(left_out)), "capped", count + np.zeros(values.shape[1:]))
-
-    kept = column(found[:, 0], without[:, 0])
-    axes = (tuple(f"{time_s:.3g} s" for time_s in times_s),)
-    shares = Entry(Key((*path, "shares"), axes=axes), column(found[:, 1:], without[:, 1:]))
-    level = float(_level_of(chance)[np.searchsorted(_SHARES, min(found[0, 0], _SHARES[-1]))])
-    label_s = label_memory_s(observed)
-    return LearnedScore(Entry(Key((*path, "vessel_share")), kept), shares, tuple(times_s.tolist()), level, label_s)
+    kept, shares = replace_values(found, found.values[:, 0]), replace_values(found, found.values[:, 1:])
+    level = float(level_of(chance)[np.searchsorted(LATENT_SHARES, min(float(kept.estimate), LATENT_SHARES[-1]))])
+    return LearnedScore(
+        Entry(Key((*path, "vessel_share")), kept),
+        Entry(Key((*path, "shares"), axes=(in_seconds(times_s),)), shares),
+        tuple(times_s.tolist()),
+        level,
+        label_memory_s(observed),
+    )
 
 
 def label_memory_s(observed: Observed) -> float:
@@ -200,24 +166,6 @@ def label_memory_s(observed: Observed) -> float:
     if by_chance >= 1 - 1e-9:
         return 0.0
     agree = float((seen_as[earlier[both]] == seen_as[later[both]]).mean())
-    kept = min((agree - by_chance) / (1 - by_chance), _GREATEST_SHARE)
+    kept = min((agree - by_chance) / (1 - by_chance), GREATEST_SHARE)
     errors = np.sqrt(by_chance * (1 - by_chance) / both.sum()) / (1 - by_chance)
     return float(-np.median(apart_s[both]) / np.log(kept)) if kept > SIGNIFICANT * errors else 0.0
-
-
-def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
-    """Shares that are kept, then those of each time, from correlations of scores (rows, b), shape (rows, 1 + parts).
-
-    The rest of the variance is white noise, so all shares sum to one.
-    """
-    decays = np.exp(-table.lag_s[:, None] / times_s)
-    design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
-    weight = np.sqrt(table.weight / table.weight.max())[:, None]
-    system = np.vstack([weight * design, np.full((1, design.shape[1]), _EXACT)])
-    found = [optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation]
-    shares = np.stack(found)
-    over = np.maximum(shares.sum(axis=1), 1.0)[:, None]
-    shares = shares / over
-    shares[:, 0] = np.minimum(shares[:, 0], _GREATEST_SHARE)
-    result: Array = shares
-    return result

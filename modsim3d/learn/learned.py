@@ -302,7 +302,7 @@ def _is_written(entry: Entry) -> bool:
     """Whether the number stands in the detector file."""
     if entry.key.names[-1] == "confusion":
         return True
-    absent = entry.key.names[0] == "persistence" and not np.all(entry.estimate > 0)
+    absent = entry.key.names[0] == "persistence" and not np.any(entry.estimate > 0)
     return entry.key.remark != NOT_WRITTEN and not absent and bool(np.all(np.isfinite(entry.estimate)))
 
 

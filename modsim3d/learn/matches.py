@@ -11,17 +11,17 @@ from scipy import optimize
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, errors_between, move, sizes
+from modsim3d.detector.draws import ContaminatedNormal
 from modsim3d.detector.false_positive_placement import depths_px, sea_levels
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
 from modsim3d.learn.box_errors.fit import ErrorFit, fit_errors, fit_without_gate
-from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_student_t
+from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_gross_errors, fit_student_t
 from modsim3d.learn.counted_types import CountedAs, counted_as
 from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
 
 # ---- The likeliest distribution of each kind for the box errors of a state ----
 
-_WHOLE_NEEDED = 10
 _REGULAR = 1e-8
 _MIN_RATIO = 1e-6
 _MIN_SHARE, _MEAN_TO_STD = 0.05, np.sqrt(np.pi / 2)
@@ -59,19 +59,29 @@ class ErrorFits:
         found = self.fit(unit, heavy, least)
         return -np.inf if found is None or not found.settled else found.value
 
+    def contaminated(self, unit: Unit) -> ErrorFit | None:
+        """Normal errors as if matching cut off nothing, some of which are gross; None where the errors determine none.
+
+        Mean and covariance are those of normal errors, so that they are the data's whatever the tails.
+        """
+        start = self._start(unit, heavy=False) if len(self.edges) else None
+        if start is None:
+            return None
+        fit = fit_without_gate(start, self.edges)
+        standard = fit.model.uncorrelated(self.over_spread(fit.model))
+        share, ratio = fit_gross_errors(standard, np.ones((1, len(standard))))
+        gross = ContaminatedNormal(float(share[0]), tuple(ratio[0].tolist()))
+        return replace(fit, model=replace(fit.model, gross=gross))
+
+    def of_law(self, unit: Unit, law: str) -> ErrorFit | None:
+        """Fit of a distribution by the name that `box_error.law` has in a detector file."""
+        return self.contaminated(unit) if law == "contaminated_normal" else self.chosen(unit, law == "student_t")
+
     def unclipped(self, relative: bool) -> Array:
         """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
-        edges, chosen = self.edges, self._unclipped
+        edges, chosen = self.edges, self.edges.unclipped
         errors: Array = edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
         return errors
-
-    @cached_property
-    def _unclipped(self) -> Mask:
-        edges = self.edges
-        chosen = edges.whole & edges.known.all(axis=1)
-        if chosen.sum() < _WHOLE_NEEDED:
-            chosen = edges.whole if edges.whole.any() else np.ones(len(edges), dtype=bool)
-        return chosen
 
     def _start(self, unit: Unit, heavy: bool) -> ErrorModel | None:
         """A distribution near the likeliest one; None where errors are too few or determine each other."""
@@ -118,9 +128,14 @@ class ErrorFits:
 
     def over_spread(self, model: ErrorModel) -> Array:
         """Errors of `unclipped` boxes less their mean over their standard deviation by a distribution, shape (m, 4)."""
-        mean, std = model.at(self.edges.sides_px[self._unclipped])
-        errors: Array = (self.edges.errors_px[self._unclipped] - mean) / std
+        mean, std = model.at(self.edges.sides_px[self.edges.unclipped])
+        errors: Array = (self.edges.errors_px[self.edges.unclipped] - mean) / std
         return errors
+
+    def log_spread(self, model: ErrorModel) -> float:
+        """Logarithm of the determinant of the root of the covariance of `unclipped` errors, summed over them."""
+        _, std = model.at(self.edges.sides_px[self.edges.unclipped])
+        return float(np.log(std).sum() + len(std) * np.linalg.slogdet(model.correlation)[1] / 2)
 
 
 def _regular(errors: Array) -> bool:

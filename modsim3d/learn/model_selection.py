@@ -14,10 +14,12 @@ RICHER = (
     "relative",
     "mixed",
     "student_t",
+    "gross",
     "effects",
     "persistence",
     "score",
     "vessels",
+    "components",
     "sizes",
     "places",
     "lasting",
@@ -29,10 +31,10 @@ RICHER = (
 )
 """What learning may add to the plain model, and can be told to leave out.
 
-Box errors that grow with the box, or partly do; heavy tails; effects on misses; persistence of misses, box errors,
-confidence and merges; one score behind misses and confidence; the share of misses and box errors that each vessel
-keeps; sizes and places of false positives, and how long they last; confidence of true and false detections apart; its
-slopes; duplicates, merges and splits.
+Box errors that grow with the box, or partly do; heavy tails, or gross errors; effects on misses; persistence of misses,
+box errors, confidence and merges; one score behind misses and confidence; the share of misses and box errors that each
+vessel keeps; sizes and places of false positives, and how long they last; confidence of true and false
+detections apart; its slopes; duplicates, merges and splits.
 """
 
 

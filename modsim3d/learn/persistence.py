@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.labelled import Images, LabelledSet
@@ -224,6 +224,87 @@ def _lags(longest: int) -> list[int]:
     """1, 2, 3, 4, 6, 8, 12, 16, ... sightings apart, where things are seen so often."""
     lags = {1} | {scale * 2**power for scale in (2, 3) for power in range(longest.bit_length())}
     return [lag for lag in sorted(lags) if lag < longest]
+
+
+# ---- The correlation of numbers behind what happens or does not, and how they fade ----
+
+LATENT_SHARES = np.linspace(0, 0.99, 100)
+_CHANCES = 50
+_TIMES_APART = 4.0
+_LONGEST = 3.0
+"""Correlation times that the longest times between must last."""
+_EXACT = 1e3
+"""Weight of the sum of all shares, which is one, against that of the lags."""
+GREATEST_SHARE = 0.95
+
+
+def latent_share(chance: Array) -> Callable[[Array], Array]:
+    """Function from the correlation of misses to the share of the latent normal number that things keep.
+
+    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
+    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
+    """
+    level = level_of(chance)
+    return lambda found: np.interp(found, level, LATENT_SHARES)
+
+
+def level_of(chance: Array) -> Array:
+    """Correlation of misses for each of `LATENT_SHARES`, shape (100,)."""
+    varied = chance[(chance > 0) & (chance < 1)]
+    p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
+    level: Array = (both_missed(p) - p**2).sum(axis=0) / (p - p**2).sum()
+    return level
+
+
+def both_missed(p: Array) -> Array:
+    """Probability that two misses of a chance (n, 1) happen together, for each of `LATENT_SHARES`, shape (n, 100)."""
+    both: Array = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - LATENT_SHARES) / (1 + LATENT_SHARES)))
+    return both
+
+
+def memory_shares(table: LagTable, latent: Callable[[Array], Array], resampling: Resampling) -> tuple[Array, Column]:
+    """Times of the autoregressive parts (parts,), and the share that things keep, then those of the parts.
+
+    `latent` turns the correlation of residuals into that of the numbers behind them. Replicates spread at least as when
+    single things are left out.
+    """
+    first = float(table.lag_s[0])
+    parts = 1 + int(np.log(max(table.lag_s[-1] / _LONGEST / first, 1.0)) / np.log(_TIMES_APART))
+    times_s = first * np.array([_TIMES_APART**part for part in range(parts)])
+    found, without = (
+        _shares(table, latent(table.uncrowded(ratios)), times_s)
+        for ratios in (table.ratios(resampling), table.ratios_without_each())
+    )
+    values = widened(found, jackknife(without))
+    return times_s, Column(values, "capped", np.full(values.shape[1:], float(table.things)))
+
+
+def replace_values(column: Column, values: Array) -> Column:
+    """A column with some of its values; they rest on as much."""
+    return Column(values, column.kind, np.broadcast_to(column.counts.flat[0], values.shape[1:]))
+
+
+def in_seconds(times_s: Array) -> tuple[str, ...]:
+    """Names of parts by their correlation times (parts,)."""
+    return tuple(f"{time_s:.3g} s" for time_s in times_s)
+
+
+def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
+    """Shares that are kept, then those of each time, from correlations of scores (rows, b), shape (rows, 1 + parts).
+
+    The rest of the variance is white noise, so all shares sum to one.
+    """
+    decays = np.exp(-table.lag_s[:, None] / times_s)
+    design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
+    weight = np.sqrt(table.weight / table.weight.max())[:, None]
+    system = np.vstack([weight * design, np.full((1, design.shape[1]), _EXACT)])
+    found = [optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation]
+    shares = np.stack(found)
+    over = np.maximum(shares.sum(axis=1), 1.0)[:, None]
+    shares = shares / over
+    shares[:, 0] = np.minimum(shares[:, 0], GREATEST_SHARE)
+    result: Array = shares
+    return result
 
 
 # ---- Correlation in time that is lost to the mean of few sightings ----

@@ -24,7 +24,16 @@ from modsim3d.learn.bootstrap import (
 from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit
-from modsim3d.learn.box_errors.persistence import WhiteErrors, consecutive_errors, correlation_left, white_errors
+from modsim3d.learn.box_errors.persistence import (
+    ComponentMemory,
+    WhiteErrors,
+    component_lags,
+    component_memory,
+    components_differ,
+    consecutive_errors,
+    correlation_left,
+    white_errors,
+)
 from modsim3d.learn.matches import ErrorFits, ErrorSource, Observed, Pairs, kept_share
 from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_none
 
@@ -164,13 +173,15 @@ class StateErrorForm:
 class BoxErrorForm:
     """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist.
 
-    `things_keep` says whether each thing keeps a share of the errors for as long as it is seen.
+    `things_keep` says whether each thing keeps a share of the errors for as long as it is seen, and `components`
+    whether each component has a memory of its own.
     """
 
     states: tuple[StateErrorForm, ...]
     box_s: float
     notes: tuple[str, ...]
     things_keep: bool = False
+    components: bool = False
 
     @property
     def relative(self) -> bool:
@@ -180,7 +191,7 @@ class BoxErrorForm:
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
-        found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
+        found = [each.of_law(form.unit, form.law) for each, form in zip(fits, self.states, strict=True)]
         persistence = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
         box_s = 0.0 if persistence.box_s is None else float(persistence.box_s.estimate)
         kept, learned, used = kept_share(observed, box_s), [], []
@@ -193,16 +204,19 @@ class BoxErrorForm:
         if persistence.white is not None and persistence.vessel_share is not None:
             share = float(persistence.vessel_share.estimate)
             states = with_things(states, observed.labelled, persistence.white, observed.states, share)
+        if persistence.memory is not None:
+            return LearnedBoxErrors(states, None, None, tuple(used), persistence.memory)
         return LearnedBoxErrors(states, persistence.box_s, persistence.vessel_share, tuple(used))
 
     def _persistence(self, observed: Observed, fits: Sequence[ErrorFits], resampling: Resampling) -> ErrorPersistence:
         consecutive, models = _consecutive(observed, fits, self.states)
         time, share = Key(("persistence", "box_s")), Key(("persistence", "box_vessel_share"))
+        memory = component_memory(*component_lags(observed, models), resampling) if self.components else None
         if not self.things_keep:
-            return ErrorPersistence(Entry(time, consecutive.column(resampling)))
+            return ErrorPersistence(Entry(time, consecutive.column(resampling)), memory=memory)
         white = white_errors(observed, models)
         noise = vessel_noise(error_lags(observed.labelled, white), resampling, latent_share(white))
-        return ErrorPersistence(Entry(time, noise.time_s), Entry(share, noise.share), white)
+        return ErrorPersistence(Entry(time, noise.time_s), Entry(share, noise.share), white, memory)
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +226,7 @@ class ErrorPersistence:
     box_s: Entry | None = None
     vessel_share: Entry | None = None
     white: WhiteErrors | None = None
+    memory: ComponentMemory | None = None
 
 
 def _consecutive(
@@ -221,11 +236,10 @@ def _consecutive(
 
     And those laws.
     """
-    heavy = [form.law != "normal" for form in forms]
     models: list[ErrorModel | None] = []
-    for tails in (heavy, [False] * len(heavy)):
+    for laws in ([form.law for form in forms], ["normal"] * len(forms)):
         models = [
-            _own_model(each, form.source, form.unit, tail) for each, form, tail in zip(fits, forms, tails, strict=True)
+            _own_model(each, form.source, form.unit, law) for each, form, law in zip(fits, forms, laws, strict=True)
         ]
         found = consecutive_errors(observed, models)
         if len(found):
@@ -233,9 +247,9 @@ def _consecutive(
     return found, models
 
 
-def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, heavy: bool = False) -> ErrorModel | None:
+def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, law: str = "normal") -> ErrorModel | None:
     """The likeliest distribution of a state's own errors; None where it has too few."""
-    fit = fits.chosen(unit, heavy) if source is ErrorSource.OWN_STATE else None
+    fit = fits.of_law(unit, law) if source is ErrorSource.OWN_STATE else None
     return None if fit is None else fit.model
 
 
@@ -254,9 +268,12 @@ class LearnedBoxErrors:
     box_s: Entry | None
     box_vessel_share: Entry | None
     used: tuple[UsedMatches, ...]
+    memory: ComponentMemory | None = None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """The persistence of errors."""
+        if self.memory is not None:
+            return {"persistence": {"box": self.memory.section()}}
         if self.box_s is None or self.box_s.estimate <= 0:
             return {}
         section = {"box_s": nested(self.box_s.estimate)}
@@ -280,10 +297,10 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
         law = ChosenLaw(plain_unit(each, observed.without))
         if source is ErrorSource.OWN_STATE:
             law = choose_law(each, kept, observed.without)
-        kind = "student_t" if law.heavy else law.unit
+        kind = law.unit if law.law == "normal" else law.law
         notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
-        fit = each.chosen(law.unit, law.heavy)
-        if fit is not None and not fit.settled:
+        fit = each.of_law(law.unit, law.law)
+        if fit is not None and not fit.settled and law.law != "contaminated_normal":
             notes.append(
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
                 "how far errors spread beyond it"
@@ -293,9 +310,12 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
                 f"states.{name}.box_error: degrees_of_freedom at the least that is fitted, {MIN_DEGREES:g}; tails so "
                 "heavy leave the spread of the errors uncertain"
             )
-        forms.append(StateErrorForm(law.unit, source, "student_t" if law.heavy else "normal"))
+        forms.append(StateErrorForm(law.unit, source, law.law))
     things_keep = box_s > 0 and _things_keep(observed, fits, forms, notes)
-    return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep)
+    components = False
+    if box_s > 0 and not {"vessels", "components"} & observed.without:
+        components = components_differ(component_lags(observed, _consecutive(observed, fits, forms)[1])[0])
+    return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep, components)
 
 
 def _source(observed: Observed, state: int, notes: list[str]) -> ErrorSource:

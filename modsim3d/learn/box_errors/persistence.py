@@ -9,14 +9,28 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.learn.bootstrap import Entry, Key, Resampling, digits, nested
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
 from modsim3d.learn.matches import Observed, Pairs
-from modsim3d.learn.persistence import Consecutive, steps_between, stretches_of
+from modsim3d.learn.persistence import (
+    THINGS_NEEDED,
+    Compare,
+    Consecutive,
+    LagTable,
+    in_seconds,
+    latent_share,
+    memory_shares,
+    replace_values,
+    steps_between,
+    stretches_of,
+)
 
 _ROUNDS = 4
 """Rounds in which a correlation time and what follows from it settle."""
@@ -75,7 +89,7 @@ def white_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> Whi
 
 
 def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
-    return np.array([model is not None and model.heavy for model in models], dtype=bool)
+    return np.array([model is not None and model.tailed for model in models], dtype=bool)
 
 
 @functools.lru_cache(1)
@@ -166,8 +180,7 @@ def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:
         if model is None or not len(rows):
             continue
         mean, std = model.at(edges.sides_px[rows])
-        if model.heavy:
-            std = std * np.sqrt((model.freedom - 2) / model.freedom)  # but for the tails
+        std = std * model.core
         scaled = OUTWARD * std[:, None]
         spread = np.sqrt(np.einsum("mij,jk,mik->mi", scaled, model.correlation, scaled))
         inside = mean @ OUTWARD.T + _REACH * spread <= edges.inward_px[rows]
@@ -199,7 +212,98 @@ def _whitened(
         moved = edges.outward_px[rows[ours]][:, chosen] - mean @ OUTWARD[chosen].T
         turned = np.einsum("mji,mj->mi", vectors, moved) / np.sqrt(np.maximum(values, 1e-300))
         found = np.einsum("mij,mj->mi", vectors, turned)
-        if model.heavy:
+        if model.tailed:
             found *= np.sqrt(len(chosen)) / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
         white[ours] = found
     return white
+
+
+# ---- The memory of each component of a box error ----
+
+MEMORY_COMPONENTS = (*ERROR_COMPONENTS, "size of errors")
+_ALIKE_P = 1e-3
+"""Chance below which components that all last alike would differ so much."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComponentMemory:
+    """Shares of the numbers behind e_x, e_y, e_w, e_h, and behind the size of errors with heavy tails, in c columns.
+
+    `vessel_share` has shape (c,), `shares` (parts, c).
+    """
+
+    vessel_share: Entry
+    shares: Entry
+    times_s: tuple[float, ...]
+
+    def section(self) -> dict[str, Any]:
+        """The memory in a detector file."""
+        return {
+            "vessel_share": nested(np.floor(self.vessel_share.estimate * 1e6) / 1e6),
+            "shares": nested(np.floor(self.shares.estimate * 1e6) / 1e6),
+            "times_s": [digits(time_s) for time_s in self.times_s],
+        }
+
+
+def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[LagTable], float]:
+    """Products at all times between of each component, and of the size of errors where tails are heavy.
+
+    Also the share of large errors, 0 without heavy tails.
+    """
+    pairs = observed.pairs
+    rows = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
+    latent, large = np.zeros((len(rows), 4)), np.zeros(len(rows), dtype=bool)
+    state = pairs.state[rows]
+    for index, model in enumerate(models):
+        ours = np.flatnonzero(state == index)
+        if model is None or not len(ours):
+            continue
+        latent[ours], large[ours] = model.latent(_standard(pairs, model, rows[ours]))
+        latent[ours] = (latent[ours] - latent[ours].mean(axis=0)) / np.maximum(latent[ours].std(axis=0), _MIN_CHANGE)
+    size = large - np.bincount(state, large)[state] / np.maximum(np.bincount(state), 1)[state]
+    numbers = [*latent.T, size] if large.any() else [*latent.T]
+
+    def compare(number: Array) -> Compare:
+        return lambda earlier, later: (
+            number[earlier] * number[later],
+            (number[earlier] ** 2 + number[later] ** 2) / 2,
+        )
+
+    tables = [LagTable.of(observed.labelled, pairs.rows[rows], state, compare(number)) for number in numbers]
+    return tables, float(large.mean()) if len(rows) else 0.0
+
+
+def components_differ(tables: Sequence[LagTable]) -> bool:
+    """Whether the four components clearly last differently long: mean correlations over all lags, less their mean.
+
+    Their covariance is that of leaving single things out.
+    """
+    first = tables[0]
+    if first.things < THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
+        return False
+    one = Resampling(np.ones((1, int(first.image.max()) + 1)), np.zeros(0, dtype=np.int64))
+    found = np.array([np.average(table.ratios(one)[0], weights=table.weight) for table in tables[:4]])
+    left_out = np.array([np.average(table.ratios_without_each(), axis=1, weights=table.weight) for table in tables[:4]])
+    apart, strays = found[:3] - found[3], left_out[:3] - left_out[3]
+    count = strays.shape[1]
+    covariance = np.cov(strays, bias=True) * (count - 1)
+    distance = float(apart @ np.linalg.pinv(covariance) @ apart)
+    return bool(special.fdtrc(3, count - 3, distance * (count - 3) / (3 * (count - 1))) < _ALIKE_P)
+
+
+def component_memory(tables: Sequence[LagTable], large: float, resampling: Resampling) -> ComponentMemory:
+    """Shares of each component with replicates."""
+    latent = latent_share(np.full(2, large)) if len(tables) > 4 else None
+    columns = []
+    for k, table in enumerate(tables):
+        times_s, column = memory_shares(table, latent if k == 4 and latent is not None else np.asarray, resampling)
+        columns.append(column)
+    joined = np.stack([column.values for column in columns], axis=-1)
+    names = MEMORY_COMPONENTS[: len(tables)]
+    path = ("persistence", "box")
+    kept, shares = (replace_values(columns[0], values) for values in (joined[:, 0], joined[:, 1:]))
+    return ComponentMemory(
+        Entry(Key((*path, "vessel_share"), axes=(names,)), kept),
+        Entry(Key((*path, "shares"), axes=(in_seconds(times_s), names)), shares),
+        tuple(times_s.tolist()),
+    )
