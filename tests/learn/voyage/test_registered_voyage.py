@@ -14,7 +14,6 @@ import pytest
 import modsim3d
 from modsim3d.core.errors import InputError
 from modsim3d.learn.voyage import labelled_voyage
-from modsim3d.learn.voyage.camera_registration import correction_of
 from modsim3d.learn.voyage.coverage import unmatched_stretches
 from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
 from modsim3d.learn.voyage.log_to_scene import Correction
@@ -58,7 +57,7 @@ def test_clock_pitch_and_yaw_come_back(learned: VoyageResult) -> None:
 
 def test_the_correction_changes_camera_and_clock_as_the_registration_says(learned: VoyageResult) -> None:
     registration = learned.registered[0].registration
-    correction = correction_of(registration)
+    correction = registration.correction
     scene = learned.told.voyage.scene
     camera = next(each for each in scene.cameras if each.name == "bow")
     mount, changed = camera.mount, correction.camera(camera)
