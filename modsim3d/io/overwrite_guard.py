@@ -243,7 +243,7 @@ def _check_folder(path: Path) -> None:
 
 
 def check_not_read(path: Path, inputs: Iterable[Path]) -> None:
-    """Check that a file or folder that is written is not what is read, by whatever name; raises OutputError if it
+    """Check that a file or folder that is written is not what is read, by whatever name. Raises OutputError if it
     is."""
     written = {identity(place): place for place in (path, partial_of(path), lock_of(path))}
     for read in inputs:

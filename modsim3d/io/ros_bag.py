@@ -71,7 +71,7 @@ def is_bag(path: Path) -> bool:
 def read_bag(
     path: Path, what: str, chosen: Callable[[Mapping[str, str]], Container[str]], read: Callable[[BagMessage], T]
 ) -> Iterator[T]:
-    """What `read` takes from the messages of some topics of a bag, in order of time. `path` is the bag's folder, or a
+    """Results of `read` for the messages of some topics of a bag, in order of time. `path` is the bag's folder, or a
     file in it; a file in MCAP may also be alone. `chosen` gives the wanted topics from the types of all. Raises
     InputError if the bag cannot be read, and ModsimError if rosbags is not installed."""
     source, store = f"{what} {path}", message_types(f"reading {what} from a ROS 2 bag")

@@ -203,7 +203,7 @@ class _CameraSet:
         return NO_CORRECTION if self.registration is None else self.registration.correction
 
     def _offsets(self) -> Array:
-        """How far vessels are off their reports, see `with_moved_vessels`; 0 where positions are surely known."""
+        """Offsets of vessels from their reports, see `with_moved_vessels`; 0 where positions are surely known."""
         given = self.options.registration
         if self.registration is None or not isinstance(given, Registering) or not given.position_m:
             return np.zeros((len(self.scene.vessels), 3))

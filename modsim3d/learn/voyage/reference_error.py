@@ -1,4 +1,4 @@
-"""How well AIS tells where a vessel is, where it heads and how large it is."""
+"""Precision with which AIS tells where a vessel is, where it heads and how large it is."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
 
 
 def registration_lead(registered: Registered) -> str:
-    """How much it rests on, and the residuals before and after."""
+    """Basis of a registration, and its residuals before and after."""
     found = registered.registration
     before = f"{found.rms_before_px:.3g} px" if math.isfinite(found.rms_before_px) else "more than the lens shows"
     moved = ", with vessels off their reports as fits them best" if found.values.vessels.any() else ""

@@ -189,8 +189,8 @@ def _beside_others(sides: Array) -> Mask:
 
 
 def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array:
-    """How far n detections lie from where k things are expected, along and below the horizon, shape (n, k, 2). By the
-    sides that are sure; if none is, by how far the two are apart, which is 0 where they overlap."""
+    """Distances of n detections from where k things are expected, along and below the horizon, (n, k, 2). By the sides
+    that are sure; if none is, by how far the two are apart, which is 0 where they overlap."""
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2)
     off = (measured[:, None] - expected[None]).reshape(usable.shape)
     number = usable.sum(axis=2)

@@ -213,7 +213,7 @@ def _effects(
 
 
 def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResiduals) -> float:
-    """How many rows count as one, because box errors last: the ratio of variances with and without clusters."""
+    """Number of rows that count as one, because box errors last: the ratio of variances with and without clusters."""
     part = Linear(columns(linear, free), linear.residuals)
     alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
     ratio = part.known_by(blocks_of(residuals)).errors / np.maximum(alone, 1e-300)

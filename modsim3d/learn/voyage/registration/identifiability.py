@@ -1,4 +1,4 @@
-"""How well the values are known, when errors of one vessel's boxes go together.
+"""Precision of the values, when errors of one vessel's boxes go together.
 Box errors of a vessel are correlated in time, and its dimensions, its antenna and the delay of its reports are wrong in
 all frames alike. So vessels are the clusters of a sandwich covariance, with the bias-reduced correction CR2 and the
 degrees of freedom of Bell & McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage

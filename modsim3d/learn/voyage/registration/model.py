@@ -108,7 +108,7 @@ class KnownTraffic:
 
     @cached_property
     def _travelled_m(self) -> Array:
-        """How far vessels have come since the first of the times, along and across their headings, shape (S, V, 2)."""
+        """Distances come since the first of the times, along and across the vessels' headings, (S, V, 2)."""
         moved, heading = np.diff(self.places_m[..., :2], axis=0), self.places_m[..., 3]
         midway = (heading[1:] + heading[:-1]) / 2
         cosine, sine = np.cos(midway), np.sin(midway)
