@@ -21,11 +21,8 @@ if TYPE_CHECKING:
 
 @contextmanager
 def put_in_place(path: Path) -> Iterator[Path]:
-    """A path to write a file to; the file gets its final name when it is complete, and is removed on an error.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
+    """A path to write a file to; the file gets its final name when it is complete, and is removed on an error. Raises
+    OutputError if the file cannot be written."""
     with ExitStack() as writing, _told_of(path):
         yield writing.enter_context(written_whole(path))
         writing.close()
@@ -33,10 +30,7 @@ def put_in_place(path: Path) -> Iterator[Path]:
 
 def write_files(contents: Mapping[Path, bytes | str]) -> None:
     """Write files; none of them gets its place before all of them are complete. Folders are made where there are none.
-
-    Raises:
-        OutputError: A file cannot be written.
-    """
+    Raises OutputError if a file cannot be written."""
     with ExitStack() as places:
         for path, content in contents.items():
             with _told_of(path):
@@ -64,15 +58,9 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def put_folder_in_place(folder: Path, pattern: str) -> Iterator[Path]:
-    """A folder to write files to; it gets its final name when all of them are complete, and is removed on an error.
-
-    Args:
-        folder: The final folder; one that is there is replaced.
-        pattern: Names of the files that it may hold.
-
-    Raises:
-        OutputError: The folder cannot be written, or the one that is there holds other files.
-    """
+    """A folder to write files to; it gets its final name when all of them are complete, and is removed on an error. A
+    folder that is there is replaced. Raises OutputError if it cannot be written, or holds files whose names do not
+    match the pattern."""
     final, partial = Path(os.path.realpath(folder)), partial_of(folder)
     before = partial.with_name(f".{final.name}.replaced")
     try:
@@ -158,8 +146,7 @@ def sync_folder(folder: Path) -> None:
 
 def json_text(content: Any) -> bytes:
     """JSON for people to read: two spaces of indentation, and a line break at the end."""
-    options = orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS | orjson.OPT_APPEND_NEWLINE
-    return orjson.dumps(content, option=options)
+    return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS | orjson.OPT_APPEND_NEWLINE)
 
 
 def encoded(picture: Image | ArrayLike, ending: str = ".png", **options: Any) -> bytes:

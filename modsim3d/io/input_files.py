@@ -23,61 +23,36 @@ if TYPE_CHECKING:
 
 # ---- What an input may cost ----
 
-MAX_TEXT_BYTES = 1 << 29
-"""Of a file that is read as a whole: seven million poses. What is parsed from it takes up to ten times as much."""
-MAX_UNPACK_RATIO = 100
-"""Bytes that a gzipped file may unpack to for each of its own: tables reach 20, a file that is all one byte 1000."""
-FREE_UNPACKED_BYTES = 1 << 23
-"""Bytes that any gzipped file may unpack to."""
-PIECE_BYTES = 1 << 20
-"""Read at once. A single read would reserve memory for the whole budget."""
-MAX_YAML_BYTES = 1 << 20
-"""Of a scene or detector in YAML, which takes two seconds a megabyte. A thousand vessels with tracks need half."""
-MAX_YAML_VALUES = 200_000
-"""Once aliases and merge keys are written out, which can multiply a file of ten lines to any size."""
-YAML_CHARACTERS_PER_VALUE = 64
-"""A long text counts as a value for each so many characters, since an alias can repeat it too."""
-MAX_JSON_VALUES = 2_000_000
-"""Of a file of vessels or a scene in JSON; each takes up to 100 bytes of memory. A thousand vessels are 10,000."""
-POSE_BYTES_PER_VALUE = 8
-"""A pose file may have more values than that if they are as long as those of poses, which take 12 bytes each."""
-MAX_POSES = 200_000_000
-"""Vessels times steps, present or not: 33 bytes each in memory. Two thousand vessels for a day take 173 million."""
-COCO_BYTES_PER_VALUE = 4
-"""A COCO file may have more values than other JSON if they are as long as the numbers of its masks, 123.4 and 56."""
-MAX_PROBLEMS = 10_000
-"""Wrong entries of one file after which no more of it is read, unless they are to be left out."""
-MAX_BAD_ROWS = 50_000
-"""Without the cells of the header, in 16 MB of a table of AIS, after which no more is read: a third of its rows."""
-MAX_LINE_CHARACTERS = 10_000
-"""Of a line of numbers: MOT has ten of them, YOLO six."""
+MAX_TEXT_BYTES = 1 << 29  # of a file read as a whole: seven million poses. What is parsed takes up to ten times as much
+MAX_UNPACK_RATIO = 100  # a gzipped file may unpack to so many times its size: tables reach 20, one repeated byte 1000
+FREE_UNPACKED_BYTES = 1 << 23  # bytes that any gzipped file may unpack to
+PIECE_BYTES = 1 << 20  # read at once. A single read would reserve memory for the whole budget
+MAX_YAML_BYTES = 1 << 20  # of a scene or detector, two seconds a megabyte; a thousand vessels with tracks need half
+MAX_YAML_VALUES = 200_000  # with aliases and merge keys written out, which can multiply ten lines to any size
+YAML_CHARACTERS_PER_VALUE = 64  # a long text counts as several values, since an alias can repeat it too
+MAX_JSON_VALUES = 2_000_000  # of vessels or a scene, each up to 100 bytes of memory; a thousand vessels are 10,000
+POSE_BYTES_PER_VALUE = 8  # a pose file may have more values if they are as long as those of poses, 12 bytes each
+MAX_POSES = 200_000_000  # vessels times steps, present or not, at 33 bytes: 2000 vessels for a day take 173 million
+COCO_BYTES_PER_VALUE = 4  # a COCO file may have more values if they are as long as those of its masks, 123.4 and 56
+MAX_PROBLEMS = 10_000  # wrong entries of one file after which no more of it is read, unless they are to be left out
+MAX_BAD_ROWS = 50_000  # in 16 MB of a table of AIS, a third of its rows, after which no more is read
+MAX_LINE_CHARACTERS = 10_000  # of a line of numbers: MOT has ten of them, YOLO six
+# Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
+# three hours at 10 Hz, and a vessel every minute and a half in a longer night.
 FREE_FRAMES, FRAMES_A_ROW = 100_000, 1_000
-"""Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
-three hours at 10 Hz, and a vessel every minute and a half in a longer night."""
-MAX_FRAMES = 1_000_000
-"""Of a MOT sequence: nine hours at 30 Hz. Learning takes 2.4 kB for each, with 300 replicates."""
-MAX_PAIRS = 10_000_000
-"""Of detections and annotations that could match: COCO's largest sets have two million."""
-MAX_TABLE_CELLS = 15_000_000
-"""Of the confusion matrices of all states with all replicates, at 50 bytes each: 220 classes with 300 replicates."""
-MAX_IMAGE_BYTES = 1 << 29
-"""Of an image whose size is to be known: some kinds are read as a whole for it."""
-
+MAX_FRAMES = 1_000_000  # of a MOT sequence: nine hours at 30 Hz. Learning takes 2.4 kB for each, with 300 replicates
+MAX_PAIRS = 10_000_000  # of detections and annotations that could match: COCO's largest sets have two million
+MAX_TABLE_CELLS = 15_000_000  # of all confusion matrices, at 50 bytes each: 220 classes with 300 replicates
+MAX_IMAGE_BYTES = 1 << 29  # of an image whose size is to be known: some kinds are read as a whole for it
 
 _GZIP = b"\x1f\x8b"
-_KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
+_DEVICES = dict.fromkeys((stat.S_IFCHR, stat.S_IFBLK), "a device")
+_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", **_DEVICES}
 _BOMB = (
     "unpacks to more than {ratio} times its own size, as files do that are made to fill the memory: if it is what you "
     "want to read, unpack it first"
 )
 _FAULTS = (OSError, EOFError, zlib.error, UnicodeDecodeError)
-
 
 _noted: ContextVar[tuple[list[Path], ...]] = ContextVar("_noted", default=())
 
@@ -101,17 +76,10 @@ def note_input(path: Path) -> None:
 
 @contextmanager
 def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator[io.BufferedReader]:
-    """The bytes of an input file after its byte order mark, unpacked if it is gzipped; its name does not matter.
-
-    Args:
-        path: The file.
-        what: What it is, for errors.
-        most_bytes: Budget of what comes out; None for a reader that keeps little of it.
-
-    Raises:
-        InputError: It is no ordinary file, cannot be read or unpacked, is no UTF-8, or exceeds a budget; also later,
-            while it is read and decoded.
-    """
+    """The bytes of an input file after its byte order mark, unpacked if it is gzipped; its name does not matter. `what`
+    is what errors call it, `most_bytes` the budget of what comes out; None for a reader that keeps little of it. Raises
+    InputError, also later while it is read and decoded, if it is no ordinary file, cannot be read or unpacked, is no
+    UTF-8, or exceeds a budget."""
     source = f"{what} {path}"
     note_input(path)
     try:
@@ -192,19 +160,10 @@ def file_sha256(path: Path) -> str:
 
 
 def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
-    """The text of an input file, unpacked if it is gzipped; its name does not matter.
-
-    Its lines end with line feeds, it has no byte order mark, and letters with accents are one character each (NFC):
-    files of Macs have them apart, so that one name would be two.
-
-    Args:
-        path: The file.
-        what: What it is, for errors.
-        most_bytes: Budget of the text; None for that of all texts.
-
-    Raises:
-        InputError: As `open_input`.
-    """
+    """The text of an input file, unpacked if it is gzipped; its name does not matter. Its lines end with line feeds, it
+    has no byte order mark, and letters with accents are one character each (NFC): files of Macs have them apart, so
+    that one name would be two. The budget is that of all texts where `most_bytes` is None. Raises InputError as
+    `open_input`."""
     with open_input(path, what, most_bytes or MAX_TEXT_BYTES) as file:
         content = bytearray()
         while piece := file.read(PIECE_BYTES):

@@ -14,11 +14,9 @@ LOST = "is a number in scientific notation that has lost digits: write identitie
 ROUNDED = "are all numbers that single precision can hold: digits were lost, write identities as whole numbers"
 _FIRST_ROUNDED, _LAST_ROUNDED, _FEW_ROUNDED = 2**24, 2**53, 4
 """Smaller numbers are exact, larger ones are no MMSI; so many are all held by chance in one of 65,000 files of MMSI."""
-_MAX_DIGITS = 15
-"""No identity has more; readers refuse larger numbers."""
+_MAX_DIGITS = 15  # no identity has more; readers refuse larger numbers
 _UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-_MIN_COVERED, _SLACK = 0.1, 1.05
-"""Shares of the span that the last time reaches in the right unit."""
+_MIN_COVERED, _SLACK = 0.1, 1.05  # shares of the span that the last time reaches in the right unit
 
 
 def no_commas(first_line: str) -> str:
@@ -38,10 +36,8 @@ def has_lost_digits(identity: str) -> bool:
 
 
 def are_rounded(identities: Iterable[object]) -> bool:
-    """Whether identities, of which others than whole numbers are passed over, went through single precision.
-
-    Many MMSI end in 000, of which it holds every second or all: these tell nothing.
-    """
+    """Whether the whole numbers among identities went through single precision. Many MMSI end in 000, of which it holds
+    every second or all: these tell nothing."""
     whole = (each for each in identities if isinstance(each, int) and each % 1000)
     large = {each for each in whole if _FIRST_ROUNDED <= each < _LAST_ROUNDED}
     return len(large) >= _FEW_ROUNDED and all(int(np.float32(each)) == each for each in large)

@@ -1,5 +1,4 @@
 """Guards of the files that a command may write: none that another process writes, none that it reads, and none unasked.
-
 A lock on an output, which the system releases when the process ends, lets one writer at a time."""
 
 from __future__ import annotations
@@ -18,29 +17,21 @@ from modsim3d.io.atomic_write import make_folder, partial_of
 
 # ---- One writer at a time ----
 
-LOCK_FILE = ".modsim3d.lock"
-"""The lock of a folder, inside it."""
+LOCK_FILE = ".modsim3d.lock"  # the lock of a folder, inside it
 HOLDER_BYTES = 500
 
 
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder that is written to; one that is made for it and stays empty is removed again.
-
-    Raises:
-        OutputError: Another process, which the message names, writes to the folder.
-        OSError: The folder or the lock in it cannot be made.
-    """
+    """Hold the lock of a folder that is written to; one that is made for it and stays empty is removed again. Raises
+    OutputError if another process, which the message names, writes to the folder, and OSError if the folder or the lock
+    in it cannot be made."""
     with _made_for_it(folder), _locked(folder / LOCK_FILE, folder):
         yield
 
 
 def holder_of(folder: Path) -> str | None:
-    """The process that writes to a folder; None if there is none.
-
-    Raises:
-        OSError: The lock in it cannot be read.
-    """
+    """The process that writes to a folder; None if there is none. Raises OSError if the lock in it cannot be read."""
     try:
         descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -57,11 +48,7 @@ def holder_of(folder: Path) -> str | None:
 @contextmanager
 def locked_file(path: Path) -> Iterator[None]:
     """Hold the lock of a file that is written; it lies beside the file, whose folder is made as by `locked_folder`.
-
-    Raises:
-        OutputError: Another process, which the message names, writes the file.
-        OSError: The folder or the lock in it cannot be made.
-    """
+    Raises OutputError if another process, which the message names, writes the file, and OSError as `locked_folder`."""
     lock = lock_of(path)
     with _made_for_it(lock.parent), _locked(lock, path):
         yield
@@ -132,17 +119,13 @@ def _holder(descriptor: int) -> str:
 
 
 def _this_process() -> str:
-    program = Path(sys.argv[0]).name
-    command = (
-        f"modsim3d {' '.join(sys.argv[1:2])}"
-        if program in ("modsim3d", "__main__.py", "main.py")
-        else program or "Python"
-    )
+    command = Path(sys.argv[0]).name or "Python"
+    if command in ("modsim3d", "__main__.py", "main.py"):
+        command = f"modsim3d {' '.join(sys.argv[1:2])}"
     return f"{command}, process {os.getpid()} on {platform.node()}"
 
 
-_held: set[int] = set()
-"""Descriptors of the locks that this process holds."""
+_held: set[int] = set()  # descriptors of the locks that this process holds
 
 
 def _leave_to_the_parent() -> None:
@@ -157,10 +140,7 @@ os.register_at_fork(after_in_child=_leave_to_the_parent)
 
 # ---- Guard of the files that a command writes ----
 
-# ---- Which file a path leads to ----
-
-Identity = tuple[int, int]
-"""Device and number of a file or folder, which all its names share."""
+Identity = tuple[int, int]  # device and number of a file or folder, which all its names share
 
 
 def identity(path: Path) -> Identity | None:
@@ -188,16 +168,9 @@ def is_inside(path: Path, folder: Path) -> bool:
 
 @contextmanager
 def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[None]:
-    """Check that files may be written, before the work, and hold their locks until they are.
-
-    Args:
-        paths: The files; folders that are not there are made.
-        overwrite: Replace files that are there.
-        inputs: What the command reads: files, which are never replaced, and folders, in which nothing is written.
-
-    Raises:
-        OutputError: One of the files may not be written, or cannot be.
-    """
+    """Check that files may be written, before the work, and hold their locks until they are; folders that are not there
+    are made. `inputs` is what the command reads: files, which are never replaced, and folders, in which nothing is
+    written. Raises OutputError if one of the files may not be written, or cannot be."""
     inputs = tuple(inputs)
     with _claimed((path, partial(check_free, path, overwrite, inputs)) for path in paths):
         yield
@@ -205,11 +178,8 @@ def claimed(paths: Iterable[Path], *, overwrite: bool, inputs: Iterable[Path] = 
 
 @contextmanager
 def claimed_folders(patterns: Mapping[Path, str], *, overwrite: bool, inputs: Iterable[Path] = ()) -> Iterator[None]:
-    """Claim folders all of whose files are written; each has the pattern of the names that it may hold.
-
-    Raises:
-        OutputError: One of the folders may not be written, or cannot be.
-    """
+    """Claim folders all of whose files are written; each has the pattern of the names that it may hold. Raises
+    OutputError if one of the folders may not be written, or cannot be."""
     inputs = tuple(inputs)
 
     def check(path: Path, pattern: str) -> None:
@@ -235,11 +205,8 @@ def _claimed(checks: Iterable[tuple[Path, Callable[[], None]]]) -> Iterator[None
 
 
 def check_free_folder(path: Path, pattern: str, overwrite: bool) -> None:
-    """Check that a folder may be written; see `claimed_folders`.
-
-    Raises:
-        OutputError: It is a file, holds other files than those of its pattern, or any that are not to be overwritten.
-    """
+    """Check that a folder may be written; see `claimed_folders`. Raises OutputError if it is a file, holds other files
+    than those of its pattern, or any that are not to be overwritten."""
     if not path.exists() and not path.is_symlink():
         return
     if not path.is_dir():
@@ -252,11 +219,8 @@ def check_free_folder(path: Path, pattern: str, overwrite: bool) -> None:
 
 
 def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that a file may be written; see `claimed`.
-
-    Raises:
-        OutputError: It is a folder, a device or a link to itself, is an input, or exists and is not to be overwritten.
-    """
+    """Check that a file may be written; see `claimed`. Raises OutputError if it is a folder, a device or a link to
+    itself, is an input, or exists and is not to be overwritten."""
     if Path(os.path.realpath(path)).is_symlink():
         raise OutputError(f"{path} is a link that leads to itself: choose another name")
     check_not_read(path, inputs)
@@ -279,11 +243,8 @@ def _check_folder(path: Path) -> None:
 
 
 def check_not_read(path: Path, inputs: Iterable[Path]) -> None:
-    """Check that a file or folder that is written is not what is read, by whatever name; see `claimed`.
-
-    Raises:
-        OutputError: It is.
-    """
+    """Check that a file or folder that is written is not what is read, by whatever name. Raises OutputError if it
+    is."""
     written = {identity(place): place for place in (path, partial_of(path), lock_of(path))}
     for read in inputs:
         if (found := identity(read)) is not None and found in written:

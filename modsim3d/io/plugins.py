@@ -27,19 +27,12 @@ _MADE = re.compile(r"^(\.\./)+(bin|Scripts)/|(^|/)__(pycache|editable)__|^[^/]*\
 
 @dataclass(frozen=True)
 class Plugin:
-    """The origin of a part.
+    """The origin of a part."""
 
-    Attributes:
-        group: Entry point group.
-        name: What scene files and commands call it.
-        package: Name and version of the package.
-        files: SHA-256 of the package's own files by their paths, as they were when Python loaded it.
-    """
-
-    group: str
-    name: str
-    package: str
-    files: Mapping[str, str] = field(default_factory=dict, hash=False)
+    group: str  # of its entry point
+    name: str  # what scene files and commands call it
+    package: str  # with its version
+    files: Mapping[str, str] = field(default_factory=dict, hash=False)  # SHA-256 by path, as Python loaded them
 
     def __str__(self) -> str:
         """Text for messages."""
@@ -62,17 +55,9 @@ def plugin_names(group: str) -> tuple[str, ...]:
 
 
 def load_plugin(group: str, name: str, path: str, built_in: Iterable[str] = ()) -> tuple[object, Plugin]:
-    """The object that an entry point names, and its origin.
-
-    Args:
-        group: Entry point group.
-        name: What the scene file or the command calls it.
-        path: The key or option that names it, for errors.
-        built_in: Names that need no plug-in, for the hint at an unknown name.
-
-    Raises:
-        InputError: There is no such plug-in, more than one, or it cannot be imported.
-    """
+    """The object that an entry point names, and its origin. `path` is the key or option that names it, for errors;
+    `built_in` are names that need no plug-in, for the hint at an unknown one. Raises InputError if there is no such
+    plug-in, more than one, or it cannot be imported."""
     found = list(entry_points(group=group, name=name))
     if not found:
         hint = nearest(name, [*built_in, *plugin_names(group)])
@@ -96,15 +81,9 @@ _LOADED: WeakKeyDictionary[ModuleType, dict[str, str]] = WeakKeyDictionary()
 
 
 def changed_plugins(plugins: Mapping[str, Mapping[str, str]], since: str) -> list[str]:
-    """The files of plug-ins that are not as expected, one line for each.
-
-    Args:
-        plugins: Checksums of the files of each plug-in, by its `key`.
-        since: When they were as expected.
-
-    Raises:
-        InputError: A plug-in is not installed, or cannot be loaded.
-    """
+    """The files of plug-ins that are not as expected, one line for each. `plugins` has the checksums of the files of
+    each plug-in by its `key`, as they were at `since`. Raises InputError if a plug-in is not installed, or cannot be
+    loaded."""
     problems = []
     for key, expected in plugins.items():
         group, _, name = key.partition(":")
@@ -124,10 +103,8 @@ def differing(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
 
 def own_files(point: EntryPoint) -> dict[str, str]:
     """SHA-256 of the files of a plug-in's package by their paths, sorted; what Python and installers make is left out.
-
-    They are those in the record of its distribution, and all files in its packages but for hidden ones: what was
-    downloaded into them is in no record, and neither is an editable installation.
-    """
+    They are those in the record of its distribution, and all files in its packages but for hidden ones: neither files
+    downloaded into them nor an editable installation are in the record."""
     dist = point.dist
     found = {file.as_posix(): Path(str(dist.locate_file(file))) for file in dist.files or ()} if dist else {}
     for module in {point.module, *(each.module for each in (dist.entry_points if dist else ()))}:

@@ -29,15 +29,12 @@ from modsim3d.core.errors import ModsimError
 # ---- A worker in a process of its own ----
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
-IN_HAND = 2
-"""Pieces that a worker process has at once: the one that it does, and the next."""
-_END = b""
-"""The message after the last piece."""
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""Processes share the cores; threads of each would only wait for each other."""
+IN_HAND = 2  # pieces that a worker process has at once: the one that it does, and the next
+_END = b""  # the message after the last piece
+# Processes share the cores; threads of each would only wait for each other.
+_ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
-Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]
-"""Where the result goes, the work and the piece."""
+Task = tuple[Future[Any], Callable[[Any, Any], Any], Any]  # where the result goes, the work and the piece
 
 
 class DiedError(Exception):
@@ -45,11 +42,9 @@ class DiedError(Exception):
 
 
 class WorkerProcess:
-    """A worker in a process of its own.
-
-    Nobody else holds the other end of its pipe, so that the pipe ends when the process dies, whatever it was doing. In
-    a queue that several processes share, half a result would be waited for without end.
-    """
+    """A worker in a process of its own. Nobody else holds the other end of its pipe, which therefore ends when the
+    process dies, whatever it was doing; in a queue of several processes, half a result would be waited for without
+    end."""
 
     def __init__(self, fork: bool, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """Start the process, a fork of this one or a new interpreter; `set_up` of `arguments` opens its worker."""
@@ -69,11 +64,8 @@ class WorkerProcess:
                 self._wait = new_interpreter(other_end, "-c", code).wait
 
     def do_all(self, tasks: SimpleQueue[Task | None], enough: int) -> None:
-        """Have tasks done until None comes, and wait for the end of the process.
-
-        Where there are `enough` tasks for all workers, the process has its next one before it has done one, so that it
-        need not wait for this process.
-        """
+        """Have tasks done until None comes, and wait for the end of the process. Where there are `enough` tasks for all
+        workers, the process has its next one before it has done one, so that it need not wait for this process."""
         begun: deque[Future[Any]] = deque()
         more = True
         while True:
@@ -125,11 +117,8 @@ class WorkerProcess:
 
 
 def end_with_parent(parent: int | None = None) -> None:
-    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers.
-
-    Args:
-        parent: Number of the parent; if it has ended already, this process ends now.
-    """
+    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers. If
+    the parent of the given number has ended already, this process ends now."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     if parent is not None and os.getppid() != parent:
@@ -137,17 +126,11 @@ def end_with_parent(parent: int | None = None) -> None:
 
 
 def new_interpreter(pipe: Connection, *arguments: str) -> subprocess.Popen[bytes]:
-    """A new Python that finds the modules that this one finds, and holds a pipe under the same number.
-
-    It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what was
-    interrupted. What it prints goes to standard error, because standard output is the command's.
-
-    Args:
-        pipe: Its end of the pipe.
-        *arguments: Options of Python that say what it does.
-    """
+    """A new Python with the given options, which finds the modules that this one finds, and holds a pipe under the same
+    number. It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what
+    was interrupted. What it prints goes to standard error, because standard output is the command's."""
     paths = [path or str(Path.cwd()) for path in sys.path]
-    environment = {**dict.fromkeys(_ONE_THREAD, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    environment = {**_ONE_THREAD, **os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     return subprocess.Popen(
         [sys.executable, "-P", *arguments],  # -P: the working directory may hold files that are named like modules
         env=environment,
@@ -171,11 +154,8 @@ def serve(pipe_number: int, parent: int) -> None:
 
 
 def _set_up_of(message: bytes) -> tuple[Callable[..., AbstractContextManager[Any]], tuple[Any, ...]]:
-    """Function that sets up a worker, and its arguments.
-
-    Where a new interpreter cannot read them, as those of a class that it cannot import, setting up raises the error: so
-    it is told as any other error of setting up.
-    """
+    """Function that sets up a worker, and its arguments. Where a new interpreter cannot read them, as those of a class
+    that it cannot import, setting up raises the error: so it is told as any other error of setting up."""
     try:
         set_up, arguments = ForkingPickler.loads(message)
     except Exception as error:
@@ -237,10 +217,8 @@ def _answer(pipe: Connection, problem: Exception | None, worker: Any, message: b
 
 
 def may_fork() -> bool:
-    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise.
-
-    A process of `multiprocessing` may not fork others.
-    """
+    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise. A process of
+    `multiprocessing` may not fork others."""
     if multiprocessing.parent_process() is not None:
         return False
     tasks = Path("/proc/self/task")
@@ -248,25 +226,18 @@ def may_fork() -> bool:
 
 
 MAX_WORKERS = 1024
-AHEAD = 3
-"""Pieces that may wait for each worker; it bounds the memory."""
+AHEAD = 3  # pieces that may wait for each worker; it bounds the memory
 
 T = TypeVar("T")
 P = TypeVar("P")
 W = TypeVar("W")
 W_co = TypeVar("W_co", covariant=True)
-
-
-WorkerCount = int | Literal["auto"]
-"""Number of worker processes; `auto`: one for each CPU that this process may use."""
+WorkerCount = int | Literal["auto"]  # number of worker processes; `auto`: one for each CPU that this process may use
 
 
 def worker_count(workers: WorkerCount, name: str = "workers") -> int:
-    """The number of workers that is asked for; `name` is what an error calls it.
-
-    Raises:
-        ModsimError: It is neither such a number nor `auto`.
-    """
+    """The number of workers that is asked for; `name` is what an error calls it. Raises ModsimError if it is neither
+    such a number nor `auto`."""
     if isinstance(workers, str) and workers == "auto":
         return min(_usable_cpus(), MAX_WORKERS)
     if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MAX_WORKERS:
@@ -276,18 +247,13 @@ def worker_count(workers: WorkerCount, name: str = "workers") -> int:
 
 
 def parse_workers(text: str) -> WorkerCount:
-    """The value of the option `--workers`.
-
-    Raises:
-        ModsimError: It is neither a number of workers nor `auto`.
-    """
+    """The value of the option `--workers`. Raises ModsimError if it is neither a number of workers nor `auto`."""
     value: Any = int(text) if re.fullmatch("[0-9]{1,9}", text) else text
     worker_count(value, "--workers")
     return value  # type: ignore[no-any-return]
 
 
 def _usable_cpus() -> int:
-    """The number of CPUs that this process may use."""
     if hasattr(os, "process_cpu_count"):  # from Python 3.13 on
         return os.process_cpu_count() or 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -297,15 +263,9 @@ class Workers(Protocol[W_co]):
     """One or several workers of one type, each in a process of its own or the only one in this process."""
 
     def map(self, work: Callable[[W_co, P], T], pieces: Iterable[P]) -> Iterator[T]:
-        """Do the work on each piece, and give the results in the order of the pieces.
-
-        Args:
-            work: Called with a worker and a piece. Other processes must be able to import it.
-            pieces: A few are taken ahead of the results.
-
-        Raises:
-            ModsimError: A worker process could not be set up, or died.
-        """
+        """Do the work on each piece, with a worker, and give the results in the order of the pieces, of which a few are
+        taken ahead. Other processes must be able to import `work`. Raises ModsimError if a worker process could not be
+        set up, or died."""
 
 
 def open_workers(
@@ -315,18 +275,10 @@ def open_workers(
     *arguments: Any,
     here_too: bool = False,
 ) -> AbstractContextManager[Workers[W]]:
-    """One worker in this process, or several in processes of their own.
-
-    Args:
-        workers: Number of workers, or `auto`.
-        if_killed: What a user should do if a worker process dies.
-        set_up: Opens a worker. Called once in each process with `arguments`, which must be picklable.
-        *arguments: Arguments of `set_up`.
-        here_too: Of several workers, one is in this process and works while it waits for the others.
-
-    Raises:
-        ModsimError: This is no number of workers.
-    """
+    """One worker in this process, or several in processes of their own. `set_up` opens a worker: it is called once in
+    each process with `arguments`, which must be picklable. `if_killed` is what a user should do if a worker process
+    dies. With `here_too`, one of several workers is in this process and works while it waits for the others. Raises
+    ModsimError if this is no number of workers."""
     return _opened(worker_count(workers), if_killed, set_up, arguments, here_too)
 
 
@@ -363,10 +315,8 @@ class _ThisProcess(Generic[W]):
 
 
 class _Processes(Generic[W]):
-    """Worker processes, each with a thread here that hands it pieces and waits for the results.
-
-    `do_here` does a piece in this process too, with a worker of its own, while it waits for a result.
-    """
+    """Worker processes, each with a thread here that hands it pieces and waits for the results. `do_here` does a piece
+    in this process too, with a worker of its own, while it waits for a result."""
 
     def __init__(self, processes: list[WorkerProcess], workers: int, if_killed: str) -> None:
         self._processes = processes

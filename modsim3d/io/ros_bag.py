@@ -14,18 +14,15 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-BAG_FILE = "metadata.yaml"
-"""File that every bag has in its folder."""
+BAG_FILE = "metadata.yaml"  # file that every bag has in its folder
 BAG_ENDINGS = (".mcap", ".db3")
 NANO = 1_000_000_000
 
 DETECTIONS_2D, DETECTIONS_3D = "vision_msgs/msg/Detection2DArray", "vision_msgs/msg/Detection3DArray"
 ODOMETRY = "nav_msgs/msg/Odometry"
 _DETECTION = (
-    "std_msgs/Header header\n"
-    "vision_msgs/ObjectHypothesisWithPose[] results\n"
-    "vision_msgs/BoundingBox{0}D bbox\n"
-    "string id\n"
+    "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+    "vision_msgs/BoundingBox{0}D bbox\nstring id\n"
 )
 VISION_MSGS = {
     "vision_msgs/msg/Point2D": "float64 x\nfloat64 y\n",
@@ -54,11 +51,7 @@ class BagMessage(NamedTuple):
 
 
 def message_types(needed_by: str) -> Typestore:
-    """The types of all messages that are written or read.
-
-    Raises:
-        ModsimError: rosbags is not installed; the message names what it is needed by.
-    """
+    """The types of all messages that are written or read. Raises ModsimError, with what needs them, without rosbags."""
     try:
         import rosbags.highlevel  # noqa: F401
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -78,18 +71,9 @@ def is_bag(path: Path) -> bool:
 def read_bag(
     path: Path, what: str, chosen: Callable[[Mapping[str, str]], Container[str]], read: Callable[[BagMessage], T]
 ) -> Iterator[T]:
-    """Content of the messages of some topics of a bag, in order of time.
-
-    Args:
-        path: Its folder, or a file in it; a file in MCAP may also be alone.
-        what: What is read, for messages.
-        chosen: The topics that are wanted, of all with their types.
-        read: Takes from a message what is wanted of it.
-
-    Raises:
-        InputError: It cannot be read.
-        ModsimError: rosbags is not installed.
-    """
+    """Results of `read` for the messages of some topics of a bag, in order of time. `path` is the bag's folder, or a
+    file in it; a file in MCAP may also be alone. `chosen` gives the wanted topics from the types of all. Raises
+    InputError if the bag cannot be read, and ModsimError if rosbags is not installed."""
     source, store = f"{what} {path}", message_types(f"reading {what} from a ROS 2 bag")
     from rosbags.highlevel import AnyReader
 

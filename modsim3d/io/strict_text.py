@@ -19,8 +19,6 @@ from modsim3d.io import input_files
 from modsim3d.io.input_files import composed, read_text
 from modsim3d.io.validation import join_path, shown
 
-# ---- YAML files with the types, numbers and booleans of YAML 1.2, without repeated keys, and within a ----
-
 try:
     from yaml.cyaml import CParser  # type: ignore[attr-defined]
 except ImportError:  # PyYAML without its C library, which is ten times as fast
@@ -30,8 +28,6 @@ _CORE = "tag:yaml.org,2002:"
 _MERGE = f"{_CORE}merge"
 _REPEATED_CHARACTERS = 100_000
 """A faulty text of at most this length is parsed again by PyYAML's own parser, whose messages say more."""
-
-
 _TEXTS_KEPT, _KEPT_CHARACTERS = 16, 100_000
 """How many values are kept for whoever reads the same text again, and of how long texts at most."""
 
@@ -104,16 +100,10 @@ _Yaml12.yaml_implicit_resolvers = {
     for first, resolvers in Resolver.yaml_implicit_resolvers.items()
 }
 _Yaml12.add_implicit_resolver(f"{_CORE}bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
+_FINITE = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
 NUMBERS = (
     (f"{_CORE}int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789")),
-    (
-        f"{_CORE}float",
-        re.compile(
-            r"^(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-            r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"
-        ),
-        list("-+.0123456789"),
-    ),
+    (f"{_CORE}float", re.compile(rf"^(?:{_FINITE}|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"), list("-+.0123456789")),
 )
 """Tag, pattern and first characters of the texts that are numbers."""
 for _number in NUMBERS:
@@ -184,20 +174,14 @@ if CParser is not None:
 
 
 def load_yaml(path: Path, what: str) -> Any:
-    """The content of a YAML file, with the types, numbers and booleans of YAML 1.2.
-
-    Raises:
-        InputError: The file cannot be read, exceeds a budget or is not valid YAML; the message names line and column.
-    """
+    """The content of a YAML file, with the types, numbers and booleans of YAML 1.2. Raises InputError, with line and
+    column, if the file cannot be read, exceeds a budget or is not valid YAML."""
     return parse_yaml(read_text(path, what, input_files.MAX_YAML_BYTES), f"{what} {path}")
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """The content of a text of YAML, as `load_yaml` has that of a file; messages call the text `source`.
-
-    Raises:
-        InputError: The text exceeds a budget or is not valid YAML.
-    """
+    """The content of a text of YAML, as `load_yaml` has that of a file; messages call the text `source`. Raises
+    InputError if the text exceeds a budget or is not valid YAML."""
     try:
         return pickle.loads(_pickled(text)) if len(text) <= _KEPT_CHARACTERS else _parsed(text)
     except yaml.MarkedYAMLError as error:
@@ -221,7 +205,6 @@ def _pickled(text: str) -> bytes:
 
 
 def _parsed(text: str) -> Any:
-    """The value of a text of YAML."""
     try:
         return _FastLoader(text).get_single_data()
     except yaml.YAMLError:
@@ -238,7 +221,6 @@ class _Pairs(list[tuple[str, Any]]):
 
 
 def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
-    """Paths of the keys that appear more than once in a JSON object."""
     if not isinstance(content, list):
         return []
     pairs = content if isinstance(content, _Pairs) else list(enumerate(content))
@@ -253,16 +235,8 @@ def _repeated_keys(content: Any, path: tuple[object, ...]) -> list[str]:
 
 
 def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:
-    """The content of a JSON file; repeated keys are refused.
-
-    Args:
-        path: The file.
-        what: What it is, for errors.
-        bytes_per_value: As in `check_values`.
-
-    Raises:
-        InputError: The file cannot be read, exceeds a budget or is not valid JSON; the message names line and column.
-    """
+    """The content of a JSON file; `bytes_per_value` as in `check_values`. Raises InputError, with line and column, if
+    the file cannot be read, exceeds a budget, is not valid JSON or repeats a key."""
     text = read_text(path, what)
     if not text.strip():
         raise InputError(f"{what} {path}", ["the file is empty"])
@@ -271,16 +245,9 @@ def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:
 
 
 def check_values(text: str, source: str, bytes_per_value: int | None = None) -> None:
-    """Refuse a JSON text with more values than the budget, before they fill the memory.
-
-    Args:
-        text: JSON. Its commas and opening brackets are counted, those within texts too.
-        source: Name of the source, for errors.
-        bytes_per_value: A text may have more values than the budget if it is so many bytes long for each of them.
-
-    Raises:
-        InputError: There are too many.
-    """
+    """Refuse a JSON text with more values than the budget, before they fill the memory. Its commas and opening brackets
+    are counted, those within texts too. The budget is exceeded without harm where the text has `bytes_per_value` bytes
+    for each value. Raises InputError if there are too many."""
     most = max(input_files.MAX_JSON_VALUES, len(text) // bytes_per_value if bytes_per_value else 0)
     count = sum(text.count(mark) for mark in ",[{")
     if count > most:
@@ -289,17 +256,8 @@ def check_values(text: str, source: str, bytes_per_value: int | None = None) -> 
 
 
 def parse_json(text: str, source: str, first_line: int = 1, whole: str = "file") -> Any:
-    """The value of a JSON text; repeated keys are refused.
-
-    Args:
-        text: JSON.
-        source: Name of the source, for errors.
-        first_line: Number of the text's first line in the source.
-        whole: What the text is, for errors: `file` or `line`.
-
-    Raises:
-        InputError: It is not valid JSON; the message names line and column.
-    """
+    """The value of a JSON text, whose first line is the `first_line`-th of the source; `whole` is what errors call the
+    text, `file` or `line`. Raises InputError, with line and column, if it is not valid JSON or repeats a key."""
     repeated = False
 
     def mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -20,23 +20,16 @@ from modsim3d.io.input_files import note_input, read_text
 from modsim3d.io.misreadings import LOST, ROUNDED, SCIENTIFIC, are_rounded, has_lost_digits, no_commas
 from modsim3d.io.validation import nearest, shown
 
-_MOST = 10
-"""Rows that are named; the others are counted."""
+_MOST = 10  # rows that are named; the others are counted
 
 
 @dataclass
 class RowProblems:
-    """The wrong rows of a file, collected over the checks of one stage.
-
-    Attributes:
-        source: The file.
-        line: Number of each row in the file, shape (k,).
-        word: What a row is called in messages.
-    """
+    """The wrong rows of a file, collected over the checks of one stage."""
 
     source: str
-    line: Indices
-    word: str = "line"
+    line: Indices  # numbers of the rows in the file, (k,)
+    word: str = "line"  # what messages call a row
     _found: dict[int, str] = field(default_factory=dict)
     _wrong: set[int] = field(default_factory=set)
 
@@ -48,11 +41,7 @@ class RowProblems:
             self._found.setdefault(row, say(row))
 
     def settle(self) -> None:
-        """End a stage.
-
-        Raises:
-            InputError: There are wrong rows.
-        """
+        """End a stage. Raises InputError if there are wrong rows."""
         if not self._wrong:
             return
         told = sorted(self._found)[:_MOST]
@@ -63,40 +52,23 @@ class RowProblems:
 
 
 _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
-_MAX_NUMBER = 1e15
-"""A larger number is no identity and no place, and neighbours of it cannot be told apart."""
+_MAX_NUMBER = 1e15  # a larger number is no identity and no place, and neighbours of it cannot be told apart
 
 
 @dataclass(frozen=True, eq=False)
 class TextTable:
-    """The k rows of a file.
+    """The k rows of a file."""
 
-    Attributes:
-        columns: Texts by the column's name, without white space around them, each shape (k,).
-        problems: What is wrong with the rows.
-    """
-
-    columns: dict[str, pa.ChunkedArray]
+    columns: dict[str, pa.ChunkedArray]  # texts without white space around them, each (k,)
     problems: RowProblems
 
     @classmethod
     def of(cls, text: str, names: Sequence[str], source: str, first_line: int = 1) -> TextTable:
-        """The rows of a text; empty lines are passed over.
-
-        Args:
-            text: Lines of cells.
-            names: Name of each cell of a line.
-            source: The file, for messages.
-            first_line: Number of the text's first line in the file.
-
-        Raises:
-            InputError: A line has another number of cells.
-        """
+        """The rows of a text, of which each line holds the cells `names`; empty lines are passed over. `first_line` is
+        the number of the text's first line in the file `source`. Raises InputError for a line with another number of
+        cells."""
         rows, other = _cells(text, names, source)
-        empty = pc.equal(pc.binary_length(rows[0]), 0)
-        for column in rows[1:]:
-            empty = pc.and_(empty, pc.equal(pc.binary_length(column), 0))
-        kept = ~np.asarray(empty, dtype=bool)
+        kept = np.any([_mask(pc.greater(pc.binary_length(column), 0)) for column in rows], axis=0)
         count = len(kept) + len(other)
         line = np.delete(np.arange(count), [number - 1 for number, _, _ in other]) + first_line
         if wrong := [(number, cells, line_text) for number, cells, line_text in other if line_text.strip()]:
@@ -113,15 +85,8 @@ class TextTable:
 
     @classmethod
     def read(cls, path: Path, what: str) -> TextTable:
-        """Read a table with a line of names, as CSV or, if its name says so, as Parquet.
-
-        Args:
-            path: The file.
-            what: What it is, for messages.
-
-        Raises:
-            InputError: It cannot be read.
-        """
+        """Read a table with a line of names, as CSV or, if its name says so, as Parquet; `what` names it in messages.
+        Raises InputError if it cannot be read."""
         source = f"{what} {path}"
         if path.suffix == ".parquet":
             return cls(*_parquet(path, source))
@@ -141,10 +106,8 @@ class TextTable:
         return name in self.columns
 
     def numbers(self, name: str, *, missing: Sequence[str] = ()) -> Array:
-        """A column of finite numbers, shape (k,).
-
-        Cells with one of the texts of `missing` are NaN, and so is a column that is not there if there are such texts.
-        """
+        """A column of finite numbers, (k,). Cells with one of the texts of `missing` are nan, and so is a column that
+        is not there if there are such texts."""
         if missing and not self.has(name):
             return np.full(len(self), np.nan)
         texts = self.columns[name]
@@ -158,7 +121,7 @@ class TextTable:
         return np.where(too_large, np.nan, values)
 
     def whole_numbers(self, name: str, least: int) -> Indices:
-        """A column of whole numbers; one that is wrong is `NOBODY`, and a problem, shape (k,)."""
+        """A column of whole numbers, (k,); a wrong one is a problem, and `NOBODY`."""
         values = self.numbers(name)
         bad = ~np.isnan(values) & ((values != np.floor(values)) | (values < least))
         self.problems.refuse(
@@ -167,7 +130,7 @@ class TextTable:
         return np.where(bad | np.isnan(values), NOBODY, values).astype(np.int64)
 
     def identities(self, name: str, least: int) -> Indices:
-        """A column of whole numbers that are names, none of which may have lost digits, shape (k,)."""
+        """A column of whole numbers that are names, none of which may have lost digits, (k,)."""
         values = self.whole_numbers(name, least)
         lost = _mask(pc.match_substring_regex(self.columns[name], SCIENTIFIC))
         lost[lost] = [has_lost_digits(self.columns[name][row].as_py()) for row in np.flatnonzero(lost).tolist()]
@@ -178,10 +141,8 @@ class TextTable:
         return values
 
     def names(self, name: str, known: Sequence[str], *, needed: bool = True) -> Indices:
-        """A column of names as indices of those that are known, shape (k,).
-
-        `NOBODY` where a cell is empty or the column is not there, unless it is needed.
-        """
+        """A column of names as indices of the `known` ones, (k,). `NOBODY` where a cell is empty or the column is not
+        there, unless it is `needed`."""
         if not needed and not self.has(name):
             return np.full(len(self), NOBODY)
         texts = self.columns[name]
@@ -200,11 +161,8 @@ class TextTable:
 
 
 def named_lines(path: Path, what: str) -> tuple[list[str], str]:
-    """The names in the first line of a text with commas, and the lines after it.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """The names in the first line of a text with commas, and the lines after it. Raises InputError if it cannot be
+    read."""
     head, _, body = read_text(path, what).partition("\n")
     return [name.strip().strip('"') for name in head.split(",")], body
 

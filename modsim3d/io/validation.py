@@ -20,16 +20,12 @@ LEAST, MOST = 1e-9, 1e9
 
 
 class Limits:
-    """Limits of a number in the annotation of a field; text and truth values are no numbers.
-
-    `Field` has the same limits, but a model with many numbers takes twice as long to build with it.
-    """
+    """Limits of a number in the annotation of a field; text and truth values are no numbers. `Field` has the same
+    limits, but a model with many numbers takes twice as long to build with it."""
 
     def __init__(self, check: Callable[[float], float] | None = None, **limits: float | bool) -> None:
-        """Take limits as `Field` has them: `ge`, `gt`, `le` and `lt`, and `allow_inf_nan` for a float.
-
-        `check` is given a number within the limits and returns it, as that of an `AfterValidator`.
-        """
+        """Take limits as `Field` has them: `ge`, `gt`, `le` and `lt`, and `allow_inf_nan` for a float. `check` is given
+        a number within the limits and returns it, as that of an `AfterValidator`."""
         self._check = check
         self._limits: dict[str, Any] = limits
 
@@ -51,8 +47,7 @@ Positive = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, gt=0, le=MOST
 NotNegative = Annotated[float, Limits(_not_tiny, allow_inf_nan=False, ge=0, le=MOST)]
 Probability = Annotated[float, Limits(ge=0, le=1)]
 Count = Annotated[int, Limits(ge=0)]
-# Far beyond any scene; squares and products do not overflow.
-MAX_COORDINATE_M = 1e9
+MAX_COORDINATE_M = 1e9  # far beyond any scene; squares and products do not overflow
 Metres = Annotated[float, Limits(allow_inf_nan=False, ge=-MAX_COORDINATE_M, le=MAX_COORDINATE_M)]
 Rate = Annotated[float, Limits(allow_inf_nan=False, ge=-1e6, le=1e6)]
 
@@ -105,11 +100,9 @@ def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[Ba
 
 
 _PLAIN_WORDS = {
-    "dict_type": "a mapping of keys is needed",
-    "model_type": "a mapping of keys is needed",
+    **dict.fromkeys(("dict_type", "model_type"), "a mapping of keys is needed"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
     "invalid_key": "a key must be text",
-    "list_type": "a list is needed",
-    "tuple_type": "a list is needed",
     "too_long": "a list of {max_length} is needed",
     "finite_number": "a finite number is needed",
     "string_type": "text is needed",
@@ -118,8 +111,7 @@ _PLAIN_WORDS = {
 }
 """Messages for readers of YAML in place of pydantic's, which use the words of Python."""
 
-MOST_PROBLEMS = 50
-"""Most problems that are reported of one section."""
+MOST_PROBLEMS = 50  # most problems that are reported of one section
 MAX_COMPARED, LONGEST_COMPARED = 1000, 100
 """Names that are compared with a wrong one, and their length: comparing takes time by the square of the length."""
 _KINDS = {bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list", dict: "a mapping"}
@@ -154,14 +146,8 @@ def kind_of(value: object) -> str:
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
     """One line for each problem that pydantic found, such as `cameras.C0.skew: Input should be a number (got 'x')`.
-
-    Args:
-        error: The error of the model's validation.
-        model: The model, for the names of its keys.
-        *prefix: Keys that lead to the model in the file.
-    """
-    lines: list[str] = []
-    items = error.errors(include_url=False)
+    `prefix` are the keys that lead to the model in the file."""
+    lines, items = [], error.errors(include_url=False)
     for item in items[:MOST_PROBLEMS]:
         location = item["loc"]
         path = join_path(*prefix, *location)
@@ -187,16 +173,12 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
 
 # ---- Detection conditions ----
 
-CONDITIONS = "conditions"
-"""Name of the shipped folder, with the conditions that the thesis measured."""
+CONDITIONS = "conditions"  # name of the shipped folder, with the conditions that the thesis measured
 
 
 def conditions_in(folder: StrPath = CONDITIONS) -> dict[str, Path]:
-    """The detector files of a folder by their names, without their endings; `conditions` is the shipped folder.
-
-    Raises:
-        InputError: There is no such folder, or no detector file in it.
-    """
+    """The detector files of a folder by their names, without their endings; `conditions` is the shipped folder. Raises
+    InputError if there is no such folder, or no detector file in it."""
     place = data_folder("scenes") / "detectors" / CONDITIONS if str(folder) == CONDITIONS else Path(folder)
     found = {path.stem: path for path in sorted(place.glob("*.yaml"))} if place.is_dir() else {}
     if not found:
@@ -206,11 +188,7 @@ def conditions_in(folder: StrPath = CONDITIONS) -> dict[str, Path]:
 
 
 def find_condition(name: str, folder: StrPath = CONDITIONS) -> Path:
-    """The detector file of a condition; see `conditions_in`.
-
-    Raises:
-        InputError: There is none of this name.
-    """
+    """The detector file of a condition; see `conditions_in`. Raises InputError if there is none of this name."""
     files = conditions_in(folder)
     if name not in files:
         alike = [known for known in files if name in known]

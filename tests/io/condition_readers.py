@@ -1,11 +1,9 @@
 """Readers of foreign files, each with a small file that is right."""
 
-from __future__ import annotations
-
 import math
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,21 +13,17 @@ from pyais import encode_dict
 from pyarrow import csv as pa_csv
 
 import modsim3d
+from modsim3d import LogOptions, RunRows, StoredRun, read_tracks, read_world_tracks
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair, read_truth
 from modsim3d.io.ros_bag import ODOMETRY
 from modsim3d.learn.voyage.attitude import read_attitude
 from modsim3d.learn.voyage.labelled_voyage import VoyageOptions, labelled_voyage
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, on_scene
-from modsim3d.learn.voyage.logs.log import LogOptions
 from modsim3d.learn.voyage.logs.reading import read_log
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.scene_folder import warning
 from modsim3d.scene.ais.traffic import read_traffic
-from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.world_reading import read_world_tracks
 from tests.formats.labelled_files import CHANGES, HEIGHT, WIDTH, Video, coco, mot, yolo
 from tests.learn.voyage.test_logs_as_written import bag
 from tests.scene.ais.ais_builders import OLD_HEADER
@@ -47,31 +41,20 @@ VIDEO = Video.of()
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader of foreign files.
+    """A reader of foreign files."""
 
-    Attributes:
-        rows: The right file, in raw text by role; constant columns are part of the form.
-        form: Row or rows to text.
-        read: Reads a file in a folder.
-        size: Width and height of the images, 1 where boxes are shares.
-        boxes: What its boxes are: corner and size, corners, or centre and size.
-        separator: Between the cells; empty in JSON.
-        name: Of the file.
-        text: Whether the file is a text; others are made of the text when they are read.
-    """
-
-    rows: tuple[Row, ...]
-    form: Callable[[tuple[Row, ...]], str]
-    read: Callable[[Path], Reading]
-    size: tuple[float, float] = (WIDTH, HEIGHT)
-    separator: str = ","
+    rows: tuple[Row, ...]  # the right file, in raw text by role; constant columns are part of the form
+    form: Callable[[tuple[Row, ...]], str]  # rows to text
+    read: Callable[[Path], Reading]  # a file in a folder
+    size: tuple[float, float] = (WIDTH, HEIGHT)  # of the images, 1 where boxes are shares
+    separator: str = ","  # between the cells; empty in JSON
     name: str = "file.txt"
-    text: bool = True
-    boxes: str = "right"
-    roles: frozenset[str] = field(init=False)
+    text: bool = True  # others are made of the text when they are read
+    boxes: str = "right"  # corner and size, corners, or centre and size
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "roles", frozenset(self.rows[0]))
+    @property
+    def roles(self) -> frozenset[str]:
+        return frozenset(self.rows[0])
 
 
 def columns(names: str, header: str = "", separator: str = ",") -> Callable[[tuple[Row, ...]], str]:
@@ -85,49 +68,27 @@ def columns(names: str, header: str = "", separator: str = ",") -> Callable[[tup
     return form
 
 
-def video_rows(
-    boxes: np.ndarray[Any, Any], first_px: float = 0.0, **more: Callable[[int, int], str]
-) -> tuple[Row, ...]:
+def video_rows(boxes: np.ndarray[Any, Any], first_px: float = 0, **more: Callable[[int, int], str]) -> tuple[Row, ...]:
     """A row for each box of the video, with its frame and identity."""
-    return tuple(
-        {
-            "frame": str(k + 1),
-            "id": str(j + 1),
-            **{
-                role: repr(round(float(n) + (first_px if role in "xy" else 0), 3))
-                for role, n in zip(BOX, boxes[k, j], strict=True)
-            },
-            **{role: of(k, j) for role, of in more.items()},
-        }
-        for k in range(len(boxes))
-        for j in range(boxes.shape[1])
-    )
+    rows = []
+    for k, j in np.ndindex(boxes.shape[:2]):
+        sides = (boxes[k, j] + np.array([first_px, first_px, 0, 0])).round(3).tolist()
+        others = {role: of(k, j) for role, of in more.items()}
+        rows.append({"frame": str(k + 1), "id": str(j + 1), **dict(zip(BOX, map(repr, sides), strict=True)), **others})
+    return tuple(rows)
 
 
-def labelled(which: int, files: Callable[[Path], Any], **options: Any) -> Callable[[Path], Reading]:
-    """Reads a pair of files of which one is given."""
+def labelled(which: int, files: Callable[[Path], Any], alone: bool = False) -> Callable[[Path], Reading]:
+    """Reads a pair of files of which one is given, or that of the truth alone."""
 
     def read(path: Path) -> Reading:
         content = path.read_bytes()
         pair = list(files(path.parent))
         assert pair[which] == path
         path.write_bytes(content)
-        found = read_pair("day", *pair, ReadOptions(**options))
-        return (found.labels, found.annotations, found.results, len(found.images)), tuple(found.notes)
-
-    return read
-
-
-def truth_alone(files: Callable[[Path], Any]) -> Callable[[Path], Reading]:
-    """Reads a file of truth without detections."""
-
-    def read(path: Path) -> Reading:
-        content = path.read_bytes()
-        files(path.parent)
-        path.write_bytes(content)
-        found, _ = read_truth(path)
-        left_out = f"{found.annotations.ignored.sum()} are left out"  # which detect says
-        return (found.labels, found.annotations, len(found.images)), (*found.notes, left_out)
+        found = read_truth(path)[0] if alone else read_pair("day", *pair, ReadOptions())
+        left_out = [f"{found.annotations.ignored.sum()} are left out"] * alone  # which detect says
+        return (found.labels, found.annotations, found.results, len(found.images)), (*found.notes, *left_out)
 
     return read
 
@@ -190,17 +151,17 @@ def all_readers(folder: Path) -> dict[str, Reader]:
             separator="", name="dt.json",
         ),
     }  # fmt: skip
-    for kind_of_file, files in (("MOT", mot_files), ("COCO", coco_files)):
-        found[f"{kind_of_file} truth alone"] = replace(found[f"{kind_of_file} truth"], read=truth_alone(files))
+    for form, files in (("MOT", mot_files), ("COCO", coco_files)):
+        found[f"{form} truth alone"] = replace(found[f"{form} truth"], read=labelled(0, files, alone=True))
     still = Video(*(np.repeat(boxes[:1], 12, axis=0) for boxes in (VIDEO.true, VIDEO.found)))
 
     def yolo_rows(of_frame: np.ndarray[Any, Any], **more: Callable[[int, int], str]) -> tuple[Row, ...]:
-        shares = (CHANGES["shares"](*CHANGES["centres"](*box)) for box in of_frame)
-        return tuple(
-            {"class": str(j % 3), **{role: f"{n:.8f}" for role, n in zip(BOX, share, strict=True)}}
-            | {role: of(0, j) for role, of in more.items()}
-            for j, share in enumerate(shares)
-        )
+        rows = []
+        for j, box in enumerate(of_frame):
+            shares = [f"{n:.8f}" for n in CHANGES["shares"](*CHANGES["centres"](*box))]
+            others = {role: of(0, j) for role, of in more.items()}
+            rows.append({"class": str(j % 3), **dict(zip(BOX, shares, strict=True)), **others})
+        return tuple(rows)
 
     def yolo_read(which: int) -> Callable[[Path], Reading]:
         def read(path: Path) -> Reading:
@@ -212,11 +173,10 @@ def all_readers(folder: Path) -> dict[str, Reader]:
 
         return read
 
-    for which, name, names in ((0, "labels", "class x y w h"), (1, "detections", "class x y w h score")):
+    for which, name in enumerate(("labels", "detections")):
         rows = yolo_rows(still.found[0], score=score) if which else yolo_rows(still.true[0])
-        found[f"YOLO {name}"] = Reader(
-            rows, columns(names, separator=" "), yolo_read(which), (1.0, 1.0), " ", boxes="centres"
-        )
+        line = columns("class x y w h" + " score" * which, separator=" ")
+        found[f"YOLO {name}"] = Reader(rows, line, yolo_read(which), (1.0, 1.0), " ", boxes="centres")
     run = sea_run(folder / "run")
     found |= voyage_readers(run)
     found |= track_readers(run)
@@ -294,9 +254,8 @@ def voyage_readers(run: StoredRun) -> dict[str, Reader]:
 
     def log(convert: Callable[[Path], Path] = lambda path: path, **options: Any) -> Callable[[Path], Reading]:
         def read(path: Path) -> Reading:
-            found = labelled_voyage(
-                on_scene(read_log(convert(path), LogOptions(**options)), scene), VoyageOptions(NO_CORRECTION)
-            ).labelled
+            read_on_scene = on_scene(read_log(convert(path), LogOptions(**options)), scene)
+            found = labelled_voyage(read_on_scene, VoyageOptions(NO_CORRECTION)).labelled
             return (found.labels, found.images.time_s, found.annotations, found.results), tuple(found.notes)
 
         return read
@@ -313,9 +272,7 @@ def voyage_readers(run: StoredRun) -> dict[str, Reader]:
     table = columns("time x y w h label score", "time_s,left,top,width,height,label,score")
     logs = {
         "log CSV": Reader(rows("right"), table, log(frame_rate_hz=2), size, name="log.csv"),
-        "log Parquet": Reader(
-            rows("right"), table, log(parquet, frame_rate_hz=2), size, name="log.csv", text=False
-        ),
+        "log Parquet": Reader(rows("right"), table, log(parquet, frame_rate_hz=2), size, name="log.csv", text=False),
         "log lines": Reader(rows("corners", mark='"'), log_lines, log(), size, "", "log.jsonl", boxes="corners"),
         "log thesis": Reader(rows("centres", mark='"'), thesis_log, log(), size, "", "log.json", boxes="centres"),
         "log COCO": Reader(
@@ -341,9 +298,8 @@ def attitude_reader() -> Reader:
         read = read_attitude(path, scene)
         return (read.time_s, read.angles_rad), ()
 
-    times = scene.times_s(0, scene.steps)[:100]
-    own = scene.own_ships[0]
-    headings = scene.poses.poses(0, 100).headings_rad[:, own]
+    times = scene.times_s(0, 100)
+    headings = scene.poses.poses(0, 100).headings_rad[:, scene.own_ships[0]]
     return Reader(
         tuple(
             {"time": f"{t:.3f}", "roll": f"{0.02 * math.sin(t):.6f}", "pitch": f"{0.01 * math.cos(t):.6f}",
@@ -385,8 +341,10 @@ def track_readers(run: StoredRun) -> dict[str, Reader]:
         shutil.rmtree(path.parent / "bag", ignore_errors=True)
         return world(write_bag(path.parent / "bag", {"/tracks": (ODOMETRY, messages)}))
 
-    names = "camera,{},track,x_min_px,y_min_px,x_max_px,y_max_px"
-    size = (1280, 720)
+    names, size = "camera,{},track,x_min_px,y_min_px,x_max_px,y_max_px", (1280, 720)
+    by_step = columns("bow frame id x y w h", names.format("step"))
+    by_time = columns("bow time id x y w h", names.format("time_s"))
+    on_the_sea = columns("time id w1 w2 v1 v2", "time_s,track,w1_m,w2_m,v1_m_s,v2_m_s")
     places, speeds = PLACES_M[:, [CROSSER, 3]].reshape(-1, 2), np.tile(VELOCITIES_M_S[[CROSSER, 3]], (len(TIMES_S), 1))
     sea = tuple(
         {"time": f"{TIMES_S[n // 2]:g}", "id": str(n % 2 + 11), "w1": f"{p[0]:.3f}", "w2": f"{p[1]:.3f}",
@@ -394,27 +352,9 @@ def track_readers(run: StoredRun) -> dict[str, Reader]:
         for n, (p, v) in enumerate(zip(places, speeds, strict=True))
     )  # fmt: skip
     return {
-        "tracks by step": Reader(
-            of(0, True),
-            columns("bow frame id x y w h", names.format("step")),
-            image,
-            size,
-            name="t.csv",
-            boxes="corners",
-        ),
-        "tracks by time": Reader(
-            of(0, True),
-            columns("bow time id x y w h", names.format("time_s")),
-            image,
-            size,
-            name="t.csv",
-            boxes="corners",
-        ),
+        "tracks by step": Reader(of(0, True), by_step, image, size, name="t.csv", boxes="corners"),
+        "tracks by time": Reader(of(0, True), by_time, image, size, name="t.csv", boxes="corners"),
         "tracks MOT": Reader(of(1, False), columns("frame id x y w h 1 -1 -1 -1"), image, size, name="bow.txt"),
-        "tracks on the sea": Reader(
-            sea, columns("time id w1 w2 v1 v2", "time_s,track,w1_m,w2_m,v1_m_s,v2_m_s"), world, name="w.csv"
-        ),
-        "tracks in a ROS bag": Reader(
-            sea, columns("time id w1 w2 v1 v2", "time_s,track,w1_m,w2_m,v1_m_s,v2_m_s"), ros, name="w.csv", text=False
-        ),
+        "tracks on the sea": Reader(sea, on_the_sea, world, name="w.csv"),
+        "tracks in a ROS bag": Reader(sea, on_the_sea, ros, name="w.csv", text=False),
     }

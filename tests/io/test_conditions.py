@@ -4,8 +4,6 @@ Each reader has a small file that is right, as rows of raw text by role. Each co
 the text of the whole file. The file is then refused, or a note says what is odd, or what was meant is read.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections import Counter
@@ -15,39 +13,32 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from modsim3d.core.errors import ModsimError
 from tests.formats.labelled_files import HEIGHT, WIDTH
 from tests.io.condition_readers import BOX, START_UNIX_S, Reader, Reading, Row, all_readers
 
-
-@pytest.fixture(scope="module")
-def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Reader]:
-    return all_readers(tmp_path_factory.mktemp("readers"))
-
-
 # ---- conditions ----
 
 Spoiled = Callable[[Reader], tuple[Row, ...] | None]
+Change = Callable[..., tuple[float, ...]]
 
 
-def each_of(role: str, change: Callable[[str], str]) -> Spoiled:
-    """All values of a role, changed; None where a reader has not got it."""
-    return lambda reader: (
-        tuple(row | {role: change(row[role])} for row in reader.rows) if role in reader.roles else None
-    )
+def rows_with(role: str, change: Callable[[Row], Row]) -> Spoiled:
+    """All rows, changed; None where a reader has not got a role."""
+    return lambda reader: tuple(row | change(row) for row in reader.rows) if role in reader.roles else None
+
+
+def each_of(role: str, change: str | Callable[[str], str], *more: str, of: str = "") -> Spoiled:
+    """All values of some roles, changed by a function or a text, in which `{}` stands for what was there; None where a
+    reader has not got the first role, or that which is named by `of`."""
+    new = change.format if isinstance(change, str) else change
+    return rows_with(of or role, lambda row: {each: new(row[each]) for each in (role, *more)})
 
 
 def of_ais(role: str, change: Callable[[str], str], *more: str) -> Spoiled:
     """Roles of the table of AIS reports alone."""
-
-    def spoil(reader: Reader) -> tuple[Row, ...] | None:
-        if "latitude" not in reader.roles:
-            return None
-        return tuple(row | {each: change(row[each]) for each in (role, *more)} for row in reader.rows)
-
-    return spoil
+    return each_of(role, change, *more, of="latitude")
 
 
 def number(change: Callable[[float], float]) -> Callable[[str], str]:
@@ -60,9 +51,6 @@ def times(change: Callable[[float], float], stamps: bool = True) -> Spoiled:
     return lambda reader: None if "latitude" in reader.roles or not (stamps or reader.text) else spoil(reader)
 
 
-Change = Callable[..., tuple[float, ...]]
-
-
 def boxes(change: Change | None, corners: Change | None = None, centres: Change | None = None) -> Spoiled:
     """All boxes in another form; of files with corners, and with centres, the change may be another."""
 
@@ -70,11 +58,9 @@ def boxes(change: Change | None, corners: Change | None = None, centres: Change 
         use = {"right": change, "corners": corners, "centres": centres or change}[reader.boxes]
         if use is None or not {*BOX} <= reader.roles:
             return None
-        return tuple(
-            row
-            | dict(zip(BOX, (f"{n:.9g}" for n in use(*(float(row[role]) for role in BOX), *reader.size)), strict=True))
-            for row in reader.rows
-        )
+        numbers = (use(*(float(row[role]) for role in BOX), *reader.size) for row in reader.rows)
+        texts = ((f"{n:.9g}" for n in four) for four in numbers)
+        return tuple(row | dict(zip(BOX, four, strict=True)) for row, four in zip(reader.rows, texts, strict=True))
 
     return spoil
 
@@ -91,21 +77,17 @@ def from_zero(empty: bool) -> Spoiled:
     return spoil
 
 
-def quoted(reader: Reader, role: str, text: str) -> tuple[Row, ...] | None:
+def quoted(role: str, text: str) -> Spoiled:
     """A flag of JSON as text."""
-    return None if reader.separator or role not in reader.roles else tuple(row | {role: text} for row in reader.rows)
+    return lambda reader: None if reader.separator else each_of(role, text)(reader)
 
 
 ROWS: dict[str, Spoiled] = {
-    "identities in scientific notation": each_of("id", lambda text: "2.19E+08"),
-    "identities as 7.0": each_of("id", lambda text: f"{text}.0"),
-    "identities as 7.5": each_of("id", lambda text: f"{text}.5"),
-    "identities below 0": each_of("id", lambda text: "-7"),
-    "identities of 15 digits": each_of("id", lambda text: "219012345678901"),
+    "identities in scientific notation": each_of("id", "2.19E+08"), "identities as 7.0": each_of("id", "{}.0"),
+    "identities as 7.5": each_of("id", "{}.5"), "identities below 0": each_of("id", "-7"),
+    "identities of 15 digits": each_of("id", "219012345678901"),
     "identities through single precision": of_ais("id", lambda text: f"{float(np.float32(text)):.0f}"),
-    "identities as words": lambda reader: (
-        None if reader.name == "w.csv" else each_of("id", lambda text: "'vessel'")(reader)
-    ),
+    "identities as words": lambda reader: None if reader.name == "w.csv" else each_of("id", "'vessel'")(reader),
     "identities of a few ships through single precision": lambda reader: (
         tuple(
             row | {"id": str(16 * (13_688_271 + int(row["id"]) % 40 + 50 * (4 * n // len(reader.rows))))}
@@ -114,20 +96,14 @@ ROWS: dict[str, Spoiled] = {
         if "id" in reader.roles and "latitude" not in reader.roles
         else None
     ),
-    "images as 1.0": each_of("image", lambda text: f"{text}.0"),
-    "images as 1.5": each_of("image", lambda text: f"{text}.5"),
-    "images as text": each_of("image", lambda text: f'"{text}"'),
-    "frames as 1.0": each_of("frame", lambda text: f"{text}.0"),
-    "frames as 1.5": each_of("frame", lambda text: f"{text}.5"),
-    "frames from 0": from_zero(False),
-    "frames from 0, the first empty": from_zero(True),
-    "frames below 0": each_of("frame", lambda text: f"-{text}"),
-    "frames in scientific notation": each_of("frame", lambda text: "1E+08"),
-    "times in milliseconds": times(lambda time: 1000 * time),
-    "times in microseconds": times(lambda time: 1e6 * time),
+    "images as 1.0": each_of("image", "{}.0"), "images as 1.5": each_of("image", "{}.5"),
+    "images as text": each_of("image", '"{}"'),
+    "frames as 1.0": each_of("frame", "{}.0"), "frames as 1.5": each_of("frame", "{}.5"),
+    "frames from 0": from_zero(False), "frames from 0, the first empty": from_zero(True),
+    "frames below 0": each_of("frame", "-{}"), "frames in scientific notation": each_of("frame", "1E+08"),
+    "times in milliseconds": times(lambda time: 1000 * time), "times in microseconds": times(lambda time: 1e6 * time),
     "times in nanoseconds": times(lambda time: 1e9 * time, stamps=False),
-    "times of 1970": times(lambda time: 86_400 * 200 + time),
-    "times of an identity": times(lambda time: 219_012_345),
+    "times of 1970": times(lambda time: 86_400 * 200 + time), "times of an identity": times(lambda time: 219_012_345),
     "times of today": times(lambda time: START_UNIX_S + time),
     "frame numbers as times": times(lambda time: round(2 * time)),
     "one time": lambda reader: times(lambda time: 3.0, stamps=False)(reader) if reader.separator else None,
@@ -150,83 +126,53 @@ ROWS: dict[str, Spoiled] = {
         lambda a, b, c, d, W, H: (a / W, b / H, c / W, d / H),
     ),
     "per cent of the image": boxes(
-        lambda x, y, w, h, W, H: (100 * x / W, 100 * y / H, 100 * w / W, 100 * h / H),
-        lambda a, b, c, d, W, H: (100 * a / W, 100 * b / H, 100 * c / W, 100 * d / H),
+        *[lambda a, b, c, d, W, H: (100 * a / W, 100 * b / H, 100 * c / W, 100 * d / H)] * 2
     ),
     "y from below": boxes(
         lambda x, y, w, h, W, H: (x, H - y - h, w, h) if W > 1 else (x, 1 - y, w, h),
         lambda a, b, c, d, W, H: (a, H - d, c, H - b),
         lambda x, y, w, h, W, H: (x, H - y, w, h),
     ),
-    "boxes of an image twice as large": boxes(
-        lambda x, y, w, h, *_: (2 * x, 2 * y, 2 * w, 2 * h), lambda a, b, c, d, *_: (2 * a, 2 * b, 2 * c, 2 * d)
-    ),
+    "boxes of an image twice as large": boxes(*[lambda a, b, c, d, *_: (2 * a, 2 * b, 2 * c, 2 * d)] * 2),
     "sizes below 0": boxes(lambda x, y, w, h, *_: (x, y, -w, -h), lambda a, b, c, d, *_: (c, d, a, b)),
     "boxes without area": boxes(lambda x, y, w, h, *_: (x, y, 0, 0), lambda a, b, c, d, *_: (a, b, a, b)),
-    "boxes in scientific notation": boxes(
-        lambda x, y, w, h, *_: (1e9, 1e9, w, h), lambda a, b, c, d, *_: (1e9, 1e9, 2e9, 2e9)
-    ),
+    "boxes in scientific notation": boxes(lambda x, y, w, h, *_: (1e9, 1e9, w, h), lambda *_: (1e9, 1e9, 2e9, 2e9)),
     "confidences in per cent": each_of("score", number(lambda score: 100 * score)),
     "confidences of 8 bits": each_of("score", number(lambda score: round(255 * score))),
     "confidences as logits": each_of("score", number(lambda score: math.log(score / (1 - score)))),
-    "confidences of -1": each_of("score", lambda text: "-1"),
-    "confidences all 1": each_of("score", lambda text: "1"),
+    "confidences of -1": each_of("score", "-1"), "confidences all 1": each_of("score", "1"),
     "confidences as flags": each_of("score", lambda text: str(int(float(text) > 0.5))),
-    "classes as 1.5": each_of("class", lambda text: f"{text}.5"),
-    "classes as 1.0": each_of("class", lambda text: f"{text}.0"),
-    "classes below 0": each_of("class", lambda text: "-1"),
+    "classes as 1.5": each_of("class", "{}.5"), "classes as 1.0": each_of("class", "{}.0"),
+    "classes below 0": each_of("class", "-1"),
     "classes beyond the list": each_of("class", lambda text: str(int(text) + 70)),
     "labels of others": each_of("label", lambda text: '"tanker"' if text.startswith('"') else "tanker"),
-    "labels as numbers": each_of("label", lambda text: "1"),
-    "flags of 2": each_of("flag", lambda text: "2"),
-    "flags of 0.5": each_of("flag", lambda text: "0.5"),
-    "flags '0'": lambda reader: quoted(reader, "flag", '"0"'),
-    "flags 'false'": lambda reader: quoted(reader, "flag", '"false"'),
-    "flags '1'": lambda reader: quoted(reader, "flag", '"1"'),
-    "flags 'no'": lambda reader: quoted(reader, "flag", '"no"'),
-    "flags as lists": lambda reader: quoted(reader, "flag", "[0]"),
+    "labels as numbers": each_of("label", "1"),
+    "flags of 2": each_of("flag", "2"), "flags of 0.5": each_of("flag", "0.5"),
+    **{f"flags '{word}'": quoted("flag", f'"{word}"') for word in ("0", "false", "1", "no")},
+    "flags as lists": quoted("flag", "[0]"),
     "visibility in per cent": each_of("visible", number(lambda share: 100 * share)),
-    "visibility of 0": each_of("visible", lambda text: "0"),
-    "visibility of -1": each_of("visible", lambda text: "-1"),
-    "visibility as words": each_of("visible", lambda text: "full"),
+    "visibility of 0": each_of("visible", "0"), "visibility of -1": each_of("visible", "-1"),
+    "visibility as words": each_of("visible", "full"),
     "angles in degrees": each_of("heading", number(math.degrees)),
-    "compass headings": lambda reader: (
-        each_of("heading", number(lambda angle: math.pi / 2 - angle + 1))(reader) if "roll" in reader.roles else None
-    ),
+    "compass headings": each_of("heading", number(lambda angle: math.pi / 2 - angle + 1), of="roll"),
     "roll in degrees": each_of("roll", number(lambda angle: 50 * math.degrees(angle))),
     "axes exchanged": lambda reader: (
-        tuple(row | {"w1": row["w2"], "w2": row["w1"], "v1": row["v2"], "v2": row["v1"]} for row in reader.rows)
-        if "w1" in reader.roles
-        else tuple(row | {"latitude": row["longitude"], "longitude": row["latitude"]} for row in reader.rows)
-        if "latitude" in reader.roles
-        else None
+        rows_with("w1", lambda row: {"w1": row["w2"], "w2": row["w1"], "v1": row["v2"], "v2": row["v1"]})(reader)
+        or rows_with("latitude", lambda row: {"latitude": row["longitude"], "longitude": row["latitude"]})(reader)
     ),
-    "w2 to starboard": lambda reader: (
-        tuple(row | {"w2": f"{-float(row['w2']):g}", "v2": f"{-float(row['v2']):g}"} for row in reader.rows)
-        if "w1" in reader.roles
-        else None
-    ),
-    "kilometres": lambda reader: (
-        tuple(row | {axis: f"{float(row[axis]) / 1000:.9g}" for axis in ("w1", "w2")} for row in reader.rows)
-        if "w1" in reader.roles
-        else None
-    ),
-    "millimetres": lambda reader: (
-        tuple(row | {axis: f"{float(row[axis]) * 1000:.9g}" for axis in ("w1", "w2")} for row in reader.rows)
-        if "w1" in reader.roles
-        else None
-    ),
+    "w2 to starboard": each_of("w2", lambda text: f"{-float(text):g}", "v2"),
+    "kilometres": each_of("w1", lambda text: f"{float(text) / 1000:.9g}", "w2"),
+    "millimetres": each_of("w1", lambda text: f"{float(text) * 1000:.9g}", "w2"),
     "degrees in radians": of_ais("latitude", number(math.radians), "longitude"),
     "dates of 1899": of_ais("time", lambda text: "1899-12-30T" + text[11:]),
     "dates to come": of_ais("time", lambda text: "2099" + text[4:]),
-    "no dates": of_ais("time", lambda text: text[11:]),
-    "dates of 1980": of_ais("time", lambda text: "1980" + text[4:]),
-    "Unix times in milliseconds": each_of("unix", lambda text: f"{text}000"),
-    "Unix times in nanoseconds": each_of("unix", lambda text: f"{text}000000000"),
+    "no dates": of_ais("time", lambda text: text[11:]), "dates of 1980": of_ais("time", lambda text: "1980" + text[4:]),
+    "Unix times in milliseconds": each_of("unix", "{}000"),
+    "Unix times in nanoseconds": each_of("unix", "{}000000000"),
     "Unix times of 1980": each_of("unix", lambda text: str(int(text) - 24 * 365 * 86_400)),
     "Unix times to come": each_of("unix", lambda text: str(int(text) + 76 * 365 * 86_400)),
-    "an identity beside sentences": each_of("unix", lambda text: "219012345"),
-    "a station beside sentences": each_of("unix", lambda text: "1234567890"),
+    "an identity beside sentences": each_of("unix", "219012345"),
+    "a station beside sentences": each_of("unix", "1234567890"),
     "a counter beside sentences": lambda reader: (
         tuple(row | {"unix": str(1_234_567_890 + 11 * n)} for n, row in enumerate(reader.rows))
         if "unix" in reader.roles
@@ -235,10 +181,9 @@ ROWS: dict[str, Spoiled] = {
     "local dates beside sentences": each_of("unix", lambda text: f"2024-01-04 10:{int(text) // 60 % 60:02}:00 CET"),
 }  # fmt: skip
 TEXTS: dict[str, Callable[[str, str], bytes | None]] = {
-    "a byte order mark": lambda text, _: b"\xef\xbb\xbf" + text.encode(),
-    "UTF-16": lambda text, _: text.encode("utf-16"),
+    "a byte order mark": lambda text, _: f"\ufeff{text}".encode(), "no content": lambda text, _: b"",
+    "UTF-16": lambda text, _: text.encode("utf-16"), "CR": lambda text, _: text.replace("\n", "\r").encode(),
     "CR LF": lambda text, _: text.replace("\n", "\r\n").encode(),
-    "CR": lambda text, _: text.replace("\n", "\r").encode(),
     "blank lines at the end": lambda text, _: f"{text}\n\n".encode(),
     "no end of the last line": lambda text, _: text.rstrip("\n").encode(),
     "a zero byte": lambda text, _: f"{text}\0".encode(),
@@ -254,21 +199,16 @@ TEXTS: dict[str, Callable[[str, str], bytes | None]] = {
     "quotes": lambda text, comma: (
         "".join('"' + line.replace(",", '","') + '"\n' for line in text.splitlines()).encode() if comma == "," else None
     ),
-    "no content": lambda text, _: b"",
-}
+}  # fmt: skip
 """From the right text and its separator."""
 
 
 def same(one: Any, other: Any) -> bool:
     """Whether two results are equal, arrays to the last digits that files have."""
     if isinstance(one, np.ndarray):
-        if one.shape != np.shape(other):
-            return False
-        return (
-            bool(np.allclose(one, other, atol=1e-3, equal_nan=True))
-            if one.dtype.kind in "fiub"
-            else bool((one == other).all())
-        )
+        if one.shape != np.shape(other) or one.dtype.kind not in "fiub":
+            return np.array_equal(one, other)
+        return np.allclose(one, other, atol=1e-3, equal_nan=True)
     if is_dataclass(one):
         return type(one) is type(other) and all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
     if isinstance(one, list | tuple):
@@ -316,18 +256,7 @@ KINDS = {
     "text": TEXTS.keys(),
     "identities": ("identities", "images"),
     "frames": ("frames",),
-    "times": (
-        "times",
-        "one time",
-        "frame numbers",
-        "dates",
-        "no dates",
-        "local",
-        "Unix",
-        "an id",
-        "a station",
-        "a counter",
-    ),
+    "times": ("times", "one time", "frame numbers", "dates", "no dates", "local", "Unix", "an id", "a "),
     "boxes": ("corners", "centres", "x and y", "shares", "per cent", "y from", "boxes", "sizes"),
     "confidences": ("confidences",),
     "classes": ("classes", "labels"),
@@ -356,16 +285,11 @@ def page(outcomes: dict[tuple[str, str], str]) -> str:
             cells.append(told + f" +{counts['SILENT']}" * bool(counts["SILENT"]) if counts else "")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     whole = Counter(outcomes.values())
-    done = (
+    told = (
         f"{whole['refused']} are refused, {whole['noted']} named in a remark and {whole['read']} read as they are meant"
     )
-    lines += [
-        "",
-        f"Of {whole.total()} conditions {done}.",
-        "",
-        f"{whole['SILENT']} cannot be told from a right file:",
-        "",
-    ]
+    lines += ["", f"Of {whole.total()} conditions {told}.", ""]
+    lines += [f"{whole['SILENT']} cannot be told from a right file:", ""]
     for reason in dict.fromkeys(UNDECIDABLE.values()):
         where = dict.fromkeys(what for (_, what), why in UNDECIDABLE.items() if why == reason)
         who = dict.fromkeys(name for (name, _), why in UNDECIDABLE.items() if why == reason)
@@ -373,10 +297,10 @@ def page(outcomes: dict[tuple[str, str], str]) -> str:
     return "\n" + "\n".join(lines) + "\n\n"
 
 
-def test_no_file_is_misread_without_a_word(readers: dict[str, Reader], tmp_path: Path) -> None:
+def test_no_file_is_misread_without_a_word(tmp_path: Path) -> None:
     """The page has the outcomes: with MODSIM3D_WRITE_PAGE=1 they are written there, to be looked at and committed."""
     outcomes: dict[tuple[str, str], str] = {}
-    for place, (name, reader) in enumerate(readers.items()):
+    for place, (name, reader) in enumerate(all_readers(tmp_path).items()):
         folder = tmp_path / str(place)
         folder.mkdir()
         path = folder / reader.name

@@ -11,12 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d import InputError, ModsimError, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.io.plugins import POSE_SOURCES, SHAPES, WAVE_LEVELS, load_plugin, plugin_names
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.world.second_order_waves import LEVELS, Axis, find_level, level_axes
 from modsim3d.world.vessels import find_shape, shape_problem, shoebox, signed_volume
 from tests.plugin_site import site
@@ -25,10 +21,10 @@ from tests.scenes import crossing, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "tests" / "plugin_example"
+MODULE = (EXAMPLE / "modsim3d_drift.py").read_text(encoding="utf-8")
 DOCUMENT = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n## A tracker\n")[0]
 """The sections before that of trackers, whose package tests/tracking/test_plugged_in.py tests."""
-
-
+DRIFT = {"drift": {"current_m_s": [0.5, 0.1], "gap_m": 30}}
 __all__ = ["site"]  # a fixture
 
 
@@ -49,23 +45,18 @@ def scene_with(folder, poses=None, waves=None, steps=5):
     return path
 
 
-DRIFT = {"drift": {"current_m_s": [0.5, 0.1], "gap_m": 30}}
-
-
-def test_the_document_quotes_the_package_that_is_tested():
-    project, module = ((EXAMPLE / name).read_text(encoding="utf-8") for name in ("pyproject.toml", "modsim3d_drift.py"))
-    assert blocks("toml") == [project]
-    assert blocks("python") == [module]
-
-
-def test_each_part_of_the_example_is_ten_lines_or_fewer():
-    parts = (EXAMPLE / "modsim3d_drift.py").read_text(encoding="utf-8").split("\n\n\n")[1:]
+def test_the_document_quotes_the_package_that_is_tested_of_which_each_part_is_ten_lines_or_fewer():
+    assert blocks("toml") == [(EXAMPLE / "pyproject.toml").read_text(encoding="utf-8")]
+    assert blocks("python") == [MODULE]
+    parts = MODULE.split("\n\n\n")[1:]
     assert [part.split("(")[0] for part in parts] == ["class Drift", "SWELL = ", "def barge"]
     assert max(len(part.strip().splitlines()) for part in parts) <= 10
 
 
 def test_poses_of_a_plugged_in_source_are_what_it_says(site, tmp_path):
     site.add_project(EXAMPLE)
+    found, plugin = load_plugin(POSE_SOURCES, "drift", "poses.drift")
+    assert (found.__name__, str(plugin)) == ("Drift", "the plug-in 'drift' of modsim3d-drift 1.0")
     scene = load_scene(scene_with(tmp_path, DRIFT))
     poses = scene.poses.poses(0, 5)
     assert poses.present.all()
@@ -78,9 +69,9 @@ def test_a_real_process_runs_it_with_workers_and_records_its_version(site, tmp_p
     site.add_project(EXAMPLE)
     path = scene_with(tmp_path, DRIFT, steps=600)
     run_scene(load_scene(path), tmp_path / "here")
-    command = ["-m", "modsim3d.cli.main", "run", str(path), "--out", str(tmp_path / "two"), "--no-sheet"]
+    options = ["--out", str(tmp_path / "two"), "--no-sheet", "--workers", "2"]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
-    line = [sys.executable, *command, "--workers", "2"]
+    line = [sys.executable, "-m", "modsim3d.cli.main", "run", str(path), *options]
     done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     files = run_files(tmp_path / "two")
@@ -94,14 +85,12 @@ def test_another_version_or_another_file_of_the_same_version_does_not_continue_a
     interrupt(load_scene(path), out)
     metadata, module = next(site.folder.glob("*.dist-info")) / "METADATA", site.folder / "modsim3d_drift.py"
     released = metadata.read_text()
-    metadata.write_text(released.replace("1.0", "1.1"))
-    with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
-        run_scene(load_scene(path), out, resume=True)
-    metadata.write_text(released)
-    module.write_text(module.read_text() + "# edited\n")
-    del sys.modules["modsim3d_drift"]  # as in a new process
-    with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
-        run_scene(load_scene(path), out, resume=True)
+    for version, edit in (("1.1", ""), ("1.0", "# edited\n")):
+        metadata.write_text(released.replace("1.0", version))
+        module.write_text(module.read_text() + edit)
+        sys.modules.pop("modsim3d_drift", None)  # as in a new process
+        with pytest.raises(ModsimError, match="another scene, seed, settings or version"):
+            run_scene(load_scene(path), out, resume=True)
     scene = load_scene(path)
     run_scene(scene, out, overwrite=True)
     (digest,) = json.loads((out / "run.json").read_text())["plugins_sha256"].values()
@@ -114,15 +103,11 @@ def problems_of(path):
     return caught.value.problems
 
 
-def test_wrong_keys_of_a_plugin_are_told_with_their_path(site, tmp_path):
+def test_wrong_keys_and_names_of_plugins_are_told_with_their_path_and_what_there_is(site, tmp_path):
     site.add_project(EXAMPLE)
     (first, second) = problems_of(scene_with(tmp_path, {"drift": {"gap": 3}}))
     assert first == "poses.drift.current_m_s: missing"
     assert second == "poses.drift.gap: unknown key (did you mean 'gap_m'?)"
-
-
-def test_unknown_name_lists_what_there_is(site, tmp_path):
-    site.add_project(EXAMPLE)
     assert plugin_names(POSE_SOURCES) == ("drift",)
     (problem,) = problems_of(scene_with(tmp_path, {"drft": {}}))
     assert problem.startswith("poses.drft: nothing is called 'drft' here") and "did you mean 'drift'?" in problem
@@ -130,10 +115,6 @@ def test_unknown_name_lists_what_there_is(site, tmp_path):
     assert "known: file, circular" in problem and "drift" in problem
     (problem,) = problems_of(scene_with(tmp_path, waves={"level": "hugely"}))
     assert problem.startswith("waves.level: ") and "did you mean 'huge'?" in problem
-
-
-def test_two_packages_with_one_name_are_an_error_that_names_both(site, tmp_path):
-    site.add_project(EXAMPLE)
     site.add("other", "2.0", "other", "class Drift: ...", {POSE_SOURCES: {"drift": "other:Drift"}})
     (problem,) = problems_of(scene_with(tmp_path, DRIFT))
     assert problem.startswith("poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'")
@@ -186,8 +167,7 @@ def test_a_plugin_that_does_not_do_what_it_must_is_told_in_one_message(site, tmp
 
 
 def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
-    (source,) = blocks("python")
-    site.add("my-sea", "0.3", "my_sea", source, {WAVE_LEVELS: {"swell": "my_sea:SWELL", "wrong": "my_sea:Axis"}})
+    site.add("my-sea", "0.3", "my_sea", MODULE, {WAVE_LEVELS: {"swell": "my_sea:SWELL", "wrong": "my_sea:Axis"}})
     axes, plugin = find_level("swell")
     assert axes == (Axis(0.99, 0.995, 4e-5), Axis(0.99, 0.995, 6e-5), Axis(sigma_rad=1e-5))
     assert plugin.package == "my-sea 0.3"
@@ -198,14 +178,12 @@ def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
     assert "must be three modsim3d.plugins.Axis, for roll, pitch, yaw" in problem
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_own_wave_levels_need_no_plugin(level):
-    assert find_level(level) == (level_axes(level), None)
+def test_own_wave_levels_need_no_plugin():
+    assert [find_level(level) for level in LEVELS] == [(level_axes(level), None) for level in LEVELS]
 
 
 def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
-    (source,) = blocks("python")
-    site.add("yard", "1", "yard", source + "\nlaunch = 3\ndef sink(): return 1 / 0\n", {
+    site.add("yard", "1", "yard", MODULE + "\nlaunch = 3\ndef sink(): return 1 / 0\n", {
         SHAPES: {"barge": "yard:barge", "launch": "yard:launch", "sink": "yard:sink"}
     })  # fmt: skip
     solid, plugin = find_shape("barge", "vessels.a.shape")
@@ -225,28 +203,16 @@ def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
 
 
 def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_shape_and_names_its_package(site, tmp_path):
-    (source,) = blocks("python")
-    site.add("yard", "1", "yard", source, {SHAPES: {"barge": "yard:barge"}})
+    site.add("yard", "1", "yard", MODULE, {SHAPES: {"barge": "yard:barge"}})
     path = crossing(tmp_path)
-    plain = load_scene(path)
-    keys = json.loads(path.read_text())
-    keys["vessels"]["boat"]["mesh"] = "barge"
-    path.write_text(json.dumps(keys))
-    scene = load_scene(path)
+    plain, scene = load_scene(path), load_scene(path, settings={"vessels.boat.mesh": "barge"})
     assert [plugin.package for plugin in scene.plugins] == ["yard 1"]
     assert scene.vessels[0].has_mesh
     for one, other in zip(simulate_frames(scene), simulate_frames(plain), strict=True):
         np.testing.assert_array_equal(one.truth.visible_px, other.truth.visible_px)
         np.testing.assert_array_equal(one.truth.full_boxes_px, other.truth.full_boxes_px)
-    keys["vessels"]["boat"]["mesh"] = "bargee"
-    path.write_text(json.dumps(keys))
     with pytest.raises(InputError, match=r"vessels\.boat\.mesh: nothing is called 'bargee' here.*barge"):
-        load_scene(path)
-
-
-def spoilt(change):
-    vertices, faces = shoebox().vertices.copy(), shoebox().faces.copy()
-    return change(vertices, faces)
+        load_scene(path, settings={"vessels.boat.mesh": "bargee"})
 
 
 @pytest.mark.parametrize(
@@ -266,22 +232,15 @@ def spoilt(change):
     ],
 )
 def test_what_is_no_shape_of_a_vessel_is_told(change, part):
-    assert part in shape_problem(*spoilt(change))
-    assert shape_problem(*spoilt(lambda v, f: (v, f))) is None
-
-
-def test_entry_points_of_the_example_can_be_loaded_by_group_and_name(site):
-    site.add_project(EXAMPLE)
-    found, plugin = load_plugin(POSE_SOURCES, "drift", "poses.drift")
-    assert found.__name__ == "Drift"
-    assert str(plugin) == "the plug-in 'drift' of modsim3d-drift 1.0"
+    vertices, faces = shoebox().vertices, shoebox().faces
+    assert part in shape_problem(*change(vertices, faces))
+    assert shape_problem(vertices, faces) is None
 
 
 LIVE = """
 from typing import ClassVar
 import numpy as np
-from modsim3d.plugins import LivePoses, Poses, SourceKeys
-from modsim3d.plugins import Strict
+from modsim3d.plugins import LivePoses, Poses, SourceKeys, Strict
 
 class Radio(SourceKeys, Strict):
     generated: ClassVar[bool] = False
@@ -324,11 +283,8 @@ def test_live_source_of_a_plugin_runs_and_its_faults_are_told(site, tmp_path, fa
 
 LOGGED = """
 from typing import ClassVar
-
 from pydantic import BaseModel
-
 from modsim3d.plugins import SourceKeys, load_poses
-
 
 class Logged(SourceKeys, BaseModel):
     generated: ClassVar[bool] = False
@@ -346,14 +302,12 @@ class Logged(SourceKeys, BaseModel):
 
 def test_files_that_a_source_names_are_in_the_scenes_copy_and_checksum(site, tmp_path):
     site.add("logged", "1.0", "logged", LOGGED, {POSE_SOURCES: {"logged": "logged:Logged"}})
-    source = tmp_path / "source"
+    source, sums = tmp_path / "source", []
     (source / "logs").mkdir(parents=True)
     path = scene_with(source, {"logged": {"log": "logs/monday.jsonl"}})
     step = '{"%d.0": {"a": {"center_position_m": [%d, 0, 0], "heading_rad": 0}}}\n'
-    log = source / "logs" / "monday.jsonl"
-    sums = []
     for place in (100, 90):
-        log.write_text("".join(step % (i, place) for i in range(5)))
+        (source / "logs" / "monday.jsonl").write_text("".join(step % (i, place) for i in range(5)))
         sums.append(load_scene(path).sha256)
     assert sums[0] != sums[1]
     run_scene(load_scene(path), tmp_path / "run")

@@ -1,16 +1,14 @@
 """Work in this process and work shared between several give the same results, in order."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
@@ -45,26 +43,26 @@ def test_results_come_in_the_order_of_the_pieces(count: int) -> None:
         assert list(workers.map(times, [])) == []
 
 
-@pytest.mark.parametrize("count", [1, 2])
-def test_an_error_in_setting_up_a_worker_is_told(count: int) -> None:
-    with (
-        pytest.raises(ModsimError, match="a factor is positive"),
-        open_workers(count, "try again", open_factor, -1) as workers,
-    ):
-        list(workers.map(times, [1]))
+def work_with(count: int, set_up: Callable[..., Any], argument: Any, work: Callable[..., Any] = times) -> list[Any]:
+    with open_workers(count, "try again", set_up, argument) as workers:
+        return list(workers.map(work, range(9)))
 
 
-@contextmanager
-def open_file(path: Path) -> Iterator[bytes]:
-    yield path.read_bytes()
+DIED = r"a worker process died \(killed, or out of memory\); try again"
 
 
-def test_a_worker_that_cannot_be_set_up_for_another_reason_says_which(tmp_path: Path) -> None:
-    with (
-        pytest.raises(FileNotFoundError, match="missing"),
-        open_workers(2, "try again", open_file, tmp_path / "missing") as workers,
-    ):
-        list(workers.map(times, [1]))
+@pytest.mark.parametrize(
+    ("count", "set_up", "argument", "work", "error", "said"),
+    [
+        (1, open_factor, -1, times, ModsimError, "a factor is positive"),
+        (2, open_factor, -1, times, ModsimError, "a factor is positive"),
+        (2, open, "missing", times, FileNotFoundError, "missing"),
+        (2, open_factor, 3, kill_this_process, ModsimError, DIED),
+    ],
+)
+def test_what_goes_wrong_in_a_worker_is_told(count, set_up, argument, work, error, said: str) -> None:
+    with pytest.raises(error, match=said):
+        work_with(count, set_up, argument, work)
 
 
 def test_a_worker_whose_argument_a_new_interpreter_cannot_import_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -72,24 +70,25 @@ def test_a_worker_whose_argument_a_new_interpreter_cannot_import_says_so(monkeyp
     plugin = ModuleType("plugin_of_this_process")
     exec("class Choice: pass", plugin.__dict__)
     monkeypatch.setitem(sys.modules, plugin.__name__, plugin)
-    with (
-        pytest.raises(ModuleNotFoundError, match="plugin_of_this_process"),
-        open_workers(2, "try again", open_argument, plugin.Choice()) as workers,
-    ):
-        list(workers.map(times, range(5)))
+    with pytest.raises(ModuleNotFoundError, match="plugin_of_this_process"):
+        work_with(2, open_argument, plugin.Choice())
 
 
-def use_no_worker() -> None:
-    with open_workers(2, "try again", open_factor, 3):
-        pass
+def ends_within(seconds: float, work: Callable[[], object]) -> bool:
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    return not thread.is_alive()
 
 
 def test_new_interpreters_end_that_never_had_a_piece(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
-    using = threading.Thread(target=use_no_worker, daemon=True)
-    using.start()
-    using.join(30)
-    assert not using.is_alive()
+
+    def use_no_worker() -> None:
+        with open_workers(2, "try again", open_factor, 3):
+            pass
+
+    assert ends_within(30, use_no_worker)
 
 
 class TakenByAnother(SimpleQueue[Any]):
@@ -106,10 +105,7 @@ def test_closing_does_not_wait_for_a_task_that_a_worker_takes_meanwhile() -> Non
     processes: _Processes[int] = _Processes([], 2, "try again")
     processes._tasks = TakenByAnother()
     processes._tasks.put((Future(), times, 1))
-    closing = threading.Thread(target=processes.close, daemon=True)
-    closing.start()
-    closing.join(5)
-    assert not closing.is_alive()
+    assert ends_within(5, processes.close)
 
 
 class ToldByOthers:
@@ -137,19 +133,6 @@ def test_arguments_are_copied_before_a_worker_of_this_process_may_change_them(mo
     assert asked_by == argument.asked_by == [threading.current_thread().name]
 
 
-def test_a_worker_process_that_dies_is_told() -> None:
-    with (
-        pytest.raises(ModsimError, match=r"a worker process died \(killed, or out of memory\); try again"),
-        open_workers(2, "try again", open_factor, 3) as workers,
-    ):
-        list(workers.map(kill_this_process, [1]))
-
-
-@contextmanager
-def open_folder(folder: Path) -> Iterator[Path]:
-    yield folder
-
-
 def meet_another(folder: Path, piece: int) -> int:
     """Wait for another process that does a piece at the same time."""
     (folder / str(os.getpid())).touch()
@@ -160,7 +143,7 @@ def meet_another(folder: Path, piece: int) -> int:
 
 
 def test_one_of_several_workers_is_this_process(tmp_path: Path) -> None:
-    with open_workers(2, "try again", open_folder, tmp_path, here_too=True) as workers:
+    with open_workers(2, "try again", nullcontext, tmp_path, here_too=True) as workers:
         done_by = set(workers.map(meet_another, range(2)))
     assert os.getpid() in done_by
     assert len(done_by) == len(list(tmp_path.iterdir())) == 2
@@ -178,15 +161,9 @@ def die_while_the_result_is_sent(factor: int, piece: int) -> bytes:
     return bytes(100_000)
 
 
-def lose_a_worker_half_way_through_its_result() -> None:
-    with (
-        pytest.raises(ModsimError, match="a worker process died"),
-        open_workers(2, "try again", open_factor, 100_000) as workers,
-    ):
-        list(workers.map(die_while_the_result_is_sent, range(9)))
-
-
 def test_a_worker_process_that_dies_while_it_sends_its_result_is_told() -> None:
-    code = f"import {__name__} as test; test.{lose_a_worker_half_way_through_its_result.__name__}()"
+    """In a process of its own, since it once waited for ever."""
+    parts = "(2, test.open_factor, 100_000, test.die_while_the_result_is_sent, test.ModsimError, test.DIED)"
+    code = f"import {__name__} as test; test.test_what_goes_wrong_in_a_worker_is_told{parts}"
     root = Path(__file__).resolve().parents[1]
-    subprocess.run([sys.executable, "-c", code], cwd=root, check=True, timeout=60)  # it waited for ever
+    subprocess.run([sys.executable, "-c", code], cwd=root, check=True, timeout=60)

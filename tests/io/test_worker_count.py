@@ -1,7 +1,5 @@
 """`workers`: a number of processes, or `auto` for the CPUs that this process may use."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any
@@ -9,11 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, detect_run, load_scene, open_run, run_scene
 from modsim3d.io.processes import MAX_WORKERS, open_workers, parse_workers, worker_count
-from modsim3d.runs.run import detect_run, run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from tests.scenes import crossing
 
 
@@ -40,13 +35,14 @@ def test_anything_else_is_one_clear_error(wrong: Any) -> None:
 
 def test_functions_take_auto_and_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("modsim3d.io.processes._usable_cpus", lambda: 2)
-    scene = load_scene(crossing(tmp_path, 6), source="analytic")
-    for name, workers in (("one", 1), ("auto", "auto")):
-        run_scene(scene, tmp_path / name, workers=workers)  # type: ignore[arg-type]
-        detect_run(open_run(tmp_path / name), tmp_path / f"{name}_again", seed=2, workers=workers)  # type: ignore[arg-type]
-    for table in ("truth.parquet", "detections.parquet"):
-        assert (tmp_path / "one" / table).read_bytes() == (tmp_path / "auto" / table).read_bytes()
-        assert (tmp_path / "one_again" / table).read_bytes() == (tmp_path / "auto_again" / table).read_bytes()
+    scene, written = load_scene(crossing(tmp_path, 6), source="analytic"), []
+    for workers in (1, "auto"):
+        folders = [tmp_path / f"{workers}", tmp_path / f"{workers}_again"]
+        run_scene(scene, folders[0], workers=workers)  # type: ignore[arg-type]
+        detect_run(open_run(folders[0]), folders[1], seed=2, workers=workers)  # type: ignore[arg-type]
+        tables = [folder / table for folder in folders for table in ("truth.parquet", "detections.parquet")]
+        written.append([path.read_bytes() for path in tables])
+    assert written[0] == written[1]
     with pytest.raises(ModsimError, match="workers: needs a number"):
         run_scene(scene, tmp_path / "none", workers=0)
     assert not (tmp_path / "none").exists()

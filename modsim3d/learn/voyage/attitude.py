@@ -21,31 +21,22 @@ from modsim3d.world.poses.base import Poses
 from modsim3d.world.vessel_motion import PosesInWaves
 
 COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
-MAX_APART_S = 2.0
-"""Angles are linear between rows that are no further apart; in a longer gap they are not known."""
+MAX_APART_S = 2.0  # angles are linear between rows that are no further apart; in a longer gap they are not known
 _NEAR_S = 1e-6
 _UNDER_WAY, _MAX_OFF = 1.0, np.pi / 4
 """Metres a second above which the scene knows a heading, and how far headings may be off it."""
-_FOUR_TURNS = 8 * np.pi
-"""Headings may go on counting where a vessel turns round. Larger ones do so, or are degrees."""
-_MAX_TURN = 1.0
-"""A larger heading that changes by more radians between two rows, and in a second, is in degrees."""
+_FOUR_TURNS = 8 * np.pi  # headings may go on counting where a vessel turns round. Larger ones do so, or are degrees
+_MAX_TURN = 1.0  # a larger heading that changes by more radians between two rows, and in a second, is in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class Attitude:
-    """The attitude of the vessel that carries a camera, as the columns of `ownship.csv` have it.
+    """The attitude of the vessel that carries a camera, as the columns of `ownship.csv` have it. Roll, pitch and
+    heading are port side down, bow down, counter-clockwise from w1; the heading does not jump from π to −π."""
 
-    Attributes:
-        vessel: ID of the vessel.
-        time_s: Times since the scene's first step, ascending, shape (n,).
-        angles_rad: Roll, pitch and heading: port side down, bow down, counter-clockwise from w1; the heading does not
-            jump from π to −π, shape (n, 3).
-    """
-
-    vessel: str
-    time_s: Array
-    angles_rad: Array
+    vessel: str  # its ID
+    time_s: Array  # since the scene's first step, ascending, (n,)
+    angles_rad: Array  # (n, 3)
 
     def known(self, times_s: Array) -> Mask:
         """Whether the attitude is known at some times, shape (k,)."""
@@ -81,14 +72,10 @@ def _check(time_s: Array, angles_rad: Array, source: str, where: Sequence[str]) 
 
 
 def read_attitude(path: Path, scene: Scene) -> Attitude:
-    """The attitude in a table, as CSV or Parquet, such as the `ownship.csv` of `modsim3d export --format csv`.
-
-    Columns are a time, as in logs of detections, `roll_rad`, `pitch_rad`, `heading_rad`, and `vessel` if rows are of
-    several. A column `yaw_rad`, as `ownship.parquet` has, is added to the heading.
-
-    Raises:
-        InputError: It cannot be read, a row is wrong, or no camera is on board a vessel of it.
-    """
+    """The attitude in a table, as CSV or Parquet, such as the `ownship.csv` of `modsim3d export --format csv`. Columns
+    are a time, as in logs of detections, `roll_rad`, `pitch_rad`, `heading_rad`, and `vessel` if rows are of several. A
+    column `yaw_rad`, as `ownship.parquet` has, is added to the heading. Raises InputError if it cannot be read, a row
+    is wrong, or no camera is on board a vessel of it."""
     source = f"attitude {path}"
     carriers = [scene.vessel_names[index] for index in scene.own_ships]
     if not carriers:
@@ -153,8 +140,7 @@ def _check_headings(times_s: Array, headings_rad: Array, scene: Scene, vessel: s
 
 # ---- Where the vessels of a scene are at any time ----
 
-NEAR_S = 1e-6
-"""A time nearer than this to a step is that of the step."""
+NEAR_S = 1e-6  # a time nearer than this to a step is that of the step
 
 
 class Sampler:
@@ -166,14 +152,9 @@ class Sampler:
         self._every_s = scene.times_s(0, scene.steps)
 
     def at(self, times_s: Array) -> PosesInWaves:
-        """Poses of the V vessels at some times, waves included.
-
-        Places, heave and angles are linear between two steps, headings turn along the shorter arc, and a vessel is
-        there if it is there at both. At the time of a step they are those of the step, to the last bit.
-
-        Args:
-            times_s: Times since the first step, from 0 to that of the last, ascending, shape (n,).
-        """
+        """Poses of the V vessels, waves included, at ascending times since the first step (n,), from 0 to that of the
+        last. Places, heave and angles are linear between two steps, headings turn along the shorter arc, and a vessel
+        is there if it is there at both. At the time of a step they are those of the step, to the last bit."""
         scene, every = self._scene, self._every_s
         before = np.clip(np.searchsorted(every, times_s + NEAR_S, side="right") - 1, 0, scene.steps - 1)
         after = np.minimum(before + 1, scene.steps - 1)
@@ -194,7 +175,7 @@ class Sampler:
         return PosesInWaves(poses, *self._turned(poses, angles, times_s))
 
     def _turned(self, poses: Poses, angles_rad: Array, times_s: Array) -> tuple[Array, Array]:
-        """Roll, pitch and yaw with what was measured, shape (n, V, 3), and the rotations that follow."""
+        """Roll, pitch and yaw with what was measured, (n, V, 3), and the rotations that follow."""
         scene, attitude = self._scene, self._attitude
         moved = set() if scene.waves is None else set(scene.motion.moved)
         if attitude is not None:

@@ -8,14 +8,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import number_in
 from modsim3d.io.validation import nearest, shown
 from modsim3d.learn.learn_detector import MIN_CONFIDENCE
 from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.clock import read_reports
-from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction
+from modsim3d.learn.voyage.log_to_scene import CameraLog
 from modsim3d.learn.voyage.reference_error import POSITION_M, TruthNoise
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.learn.voyage.registration.parameters import SHARED_NAMES, SHORT
@@ -28,15 +28,9 @@ from modsim3d.world.poses.replay import RecordedPoses
 
 
 def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
-    """A scene whose vessels are off their reports by antennas and delays.
-
-    A report that is late says where a vessel was; before its first and after its last pose a vessel is at that pose.
-
-    Args:
-        scene: The scene.
-        offsets: Antenna towards the bow and to port of the centre in metres, and delay of reports in seconds, of each
-            vessel, shape (V, 3).
-    """
+    """A scene whose vessels are off their reports by `offsets` (V, 3): antenna towards the bow and to port of the
+    centre in metres, and delay of reports in seconds. A report that is late says where a vessel was; before its first
+    and after its last pose a vessel is at that pose."""
     if not offsets.any():
         return scene
     every_s, known = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
@@ -61,17 +55,9 @@ def with_moved_vessels(scene: Scene, offsets: Array) -> Scene:
 
 @dataclass(frozen=True)
 class KnownMeans:
-    """Means known beforehand; None where nothing is.
-
-        KnownMeans(mean_x_px=1.5, delay_s=2)
-
-    Attributes:
-        mean_x_px: Mean error of the boxes' centres in x, in pixels: detected less true.
-        mean_y_px: That in y.
-        mean_width_share: Mean error of the boxes' widths, as a share of the true ones.
-        mean_height_share: That of the heights.
-        delay_s: Mean delay of position reports, in seconds: a report says where a vessel was so long before its time.
-    """
+    """Means known beforehand, None where nothing is: `KnownMeans(mean_x_px=1.5, delay_s=2)`. Those of x, y, width and
+    height are mean errors of boxes, detected less true: in pixels of the centres, as shares of the true sizes. A
+    position report says where a vessel was `delay_s` seconds before its time, on average."""
 
     mean_x_px: float | None = None
     mean_y_px: float | None = None
@@ -105,11 +91,8 @@ _FORM = f"must be NAME=VALUE,..., such as mean_x=1.5,delay=2, with the names {',
 
 
 def parse_known(given: str | Mapping[str, float] | KnownMeans | None) -> KnownMeans:
-    """Means from a text such as `mean_x=1.5,delay=2`, or a mapping of names to values.
-
-    Raises:
-        InputError: A name is unknown or there twice, or a value is no number or too large.
-    """
+    """Means from a text such as `mean_x=1.5,delay=2`, or a mapping of names to values. Raises InputError if a name is
+    unknown or there twice, or a value is no number or too large."""
     if given is None or isinstance(given, KnownMeans):
         return given or NOTHING_KNOWN
     known, problems = NOTHING_KNOWN, []
@@ -138,31 +121,21 @@ def _pairs(given: str | Mapping[str, float]) -> list[tuple[str, object]]:
     return [(name.strip(), value.strip()) for name, _, value in pairs]
 
 
-ALL = "all"
-"""The name in `fixed` that stands for all parameters: then nothing is registered."""
+ALL = "all"  # the name in `fixed` that stands for all parameters: then nothing is registered
 SHORT_OF = {full: short for short, full in SHORT.items()}
 FIXED_NAMES = tuple(SHORT_OF.get(name, name) for name in SHARED_NAMES if name not in BY_RULE)
 """What `fixed` takes: the parameters that are registered, by their names without units."""
 OFFSETS_M = 5.0
 """How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
-MAX_NOISE_M = 100.0
-"""Positions that are worse do not tell which vessel a camera sees."""
+MAX_NOISE_M = 100.0  # positions that are worse do not tell which vessel a camera sees
 _SIZES = frozenset({"length", "beam", "air draft"})
 
 
-def is_from_ais(scene: Scene) -> bool:
-    """Whether `modsim3d ais` made the scene: its report lies beside it."""
-    return read_reports(scene.path) is not None
-
-
 def position_noise_m(scene: Scene, given: float | None) -> float:
-    """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without.
-
-    Raises:
-        InputError: The given one is negative, or so large that positions say nothing.
-    """
+    """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without. Raises
+    InputError if the given one is negative, or so large that positions say nothing."""
     if given is None:
-        return POSITION_M if is_from_ais(scene) else 0.0
+        return POSITION_M if read_reports(scene.path) else 0.0
     if not 0 <= given <= MAX_NOISE_M:
         raise InputError("--position-noise", [f"must be metres from 0 to {MAX_NOISE_M:g} (got {given:g})"])
     return given
@@ -170,51 +143,34 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Registering:
-    """How cameras are registered.
-
-        Registering(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")
-
-    Attributes:
-        fixed: Names of parameters that stay as the scene has them.
-        position_m: Standard deviation of each coordinate of positions.
-        least_confidence: Least confidence of a detection that takes part.
-        attitude: That of own ship as it was measured.
-        known: Means that are known beforehand.
-    """
+    """Options of registration: `Registering(("pitch",), position_m=10).of(scene, camera_log, "detections night.csv")`.
+    Parameters in `fixed` stay as the scene has them, and detections below `least_confidence` take no part."""
 
     fixed: tuple[str, ...] = ()
-    position_m: float = 0.0
+    position_m: float = 0.0  # standard deviation of each coordinate of positions
     least_confidence: float = MIN_CONFIDENCE
     attitude: Attitude | None = None
     known: KnownMeans = NOTHING_KNOWN
 
     def of(self, scene: Scene, log: CameraLog, source: str) -> Registration | None:
-        """The registration of a camera; None if all of it is fixed.
-
-        Args:
-            scene: The scene.
-            log: The frames of the camera.
-            source: What messages call the log.
-
-        Raises:
-            ModsimError: It cannot be known, with the reason.
-        """
+        """The registration of the camera of a log, which messages call `source`; None if all of it is fixed. Raises
+        ModsimError, with the reason, if it cannot be known."""
         if ALL in self.fixed:
             return None
         camera = scene.cameras[log.camera]
         attitude = self.attitude if self.attitude and self.attitude.vessel == camera.mount.vessel else None
         known = attitude.known(log.time_s) if attitude else np.ones(len(log.time_s), dtype=bool)
-        sizes = not _SIZES & TruthNoise.of(scene).reasons.keys()
-        ais = is_from_ais(scene)
+        log = log.take(known)
+        sure = np.isnan(log.confidence) | (log.confidence >= self.least_confidence)
         try:
             return register(
                 scene,
                 camera.name,
-                _boxes(log, known, self.least_confidence),
+                BoxesAtTimes(log.time_s, log.frame[sure], log.boxes_px[sure]),
                 fixed=self.fixed,
                 mean_errors=self.known.mean_errors,
-                use_sizes=sizes,
-                offsets_m=OFFSETS_M if ais else None,
+                use_sizes=not _SIZES & TruthNoise.of(scene).reasons.keys(),
+                offsets_m=OFFSETS_M if read_reports(scene.path) else None,
                 noise_m=self.position_m,
                 attitude=attitude,
             )
@@ -227,19 +183,9 @@ class Registering:
             raise InputError(f"{source}, camera '{camera.name}'", [f"{text}; {measured}{way_out}"]) from None
 
 
-def correction_of(registration: Registration | None) -> Correction:
-    """Correction of the camera and of the clock of the log by a registration."""
-    if registration is None:
-        return NO_CORRECTION
-    return registration.correction
-
-
 def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Names of parameters from a text such as `pitch,yaw`, or a list of them; names with units, too.
-
-    Raises:
-        InputError: A name is not known, or `all` does not stand alone.
-    """
+    """Names of parameters from a text such as `pitch,yaw`, or a list of them; names with units, too. Raises InputError
+    if a name is not known, or `all` does not stand alone."""
     fixed = tuple(text.strip() for text in (names.split(",") if isinstance(names, str) else names or ()))
     known = (*FIXED_NAMES, ALL)
     if unknown := [name for name in fixed if SHORT_OF.get(name, name) not in known]:
@@ -250,17 +196,6 @@ def parse_fixed(names: str | Sequence[str] | None) -> tuple[str, ...]:
 
 
 def check_known(known: KnownMeans, fixed: tuple[str, ...]) -> None:
-    """Refuse means of boxes where nothing is registered.
-
-    Raises:
-        InputError: They are given, and all parameters are fixed.
-    """
+    """Refuse, with InputError, means of boxes where nothing is registered since all parameters are fixed."""
     if ALL in fixed and any(value is not None for value in known.mean_errors):
         raise InputError("--known", ["means of box errors are for registration, which --fixed all leaves out"])
-
-
-def _boxes(log: CameraLog, frames: Mask, least: float) -> BoxesAtTimes:
-    """The detections of some frames (n,) that are confident enough, or have no confidence."""
-    taken = log.take(frames)
-    sure = np.isnan(taken.confidence) | (taken.confidence >= least)
-    return BoxesAtTimes(taken.time_s, taken.frame[sure], taken.boxes_px[sure])

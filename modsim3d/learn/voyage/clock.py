@@ -29,11 +29,8 @@ REGISTRATION = "registration.json"
 
 
 def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:
-    """Notes on each camera beside a scene file, `clock_s` at least; empty if nothing was registered.
-
-    Raises:
-        InputError: The file is wrong.
-    """
+    """Notes on each camera beside a scene file, `clock_s` at least; empty if nothing was registered. Raises InputError
+    if the file is wrong."""
     path = scene.parent / REGISTRATION
     if not path.is_file():
         return {}
@@ -52,11 +49,8 @@ def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:
 
 
 def noted_clock_s(scene: Path, camera: str) -> float:
-    """Seconds to add to the times of a camera's logs, as noted beside a scene file; 0 if nothing is.
-
-    Raises:
-        InputError: The file is wrong.
-    """
+    """Seconds to add to the times of a camera's logs, as noted beside a scene file; 0 if nothing is. Raises InputError
+    if the file is wrong."""
     return float(noted_cameras(scene).get(camera, {"clock_s": 0.0})["clock_s"])
 
 
@@ -67,25 +61,17 @@ _BYTES_PER_VALUE = 3
 
 @dataclass(frozen=True, eq=False)
 class Reports:
-    """Facts about the reports that a scene's poses were made of.
+    """Facts about the reports that a scene's poses were made of. Times of each vessel's positions ascend from the first
+    step: `used_s`, empty for an older scene, and `jumps_s`, where it cannot have been and which were dropped."""
 
-    Attributes:
-        start_s: Unix time of the scene's first step.
-        used_s: Vessel → times of its positions since the first step, ascending; none for an older scene.
-        jumps_s: Vessel → times of the positions that it cannot have reached, and that were dropped.
-    """
-
-    start_s: float
+    start_s: float  # Unix time of the scene's first step
     used_s: Mapping[str, Array] = field(default_factory=dict)
     jumps_s: Mapping[str, Array] = field(default_factory=dict)
 
 
 def read_reports(scene: Path) -> Reports | None:
-    """The reports beside a scene file; None if the scene was not made from AIS.
-
-    Raises:
-        InputError: A file beside it is wrong.
-    """
+    """The reports beside a scene file; None if the scene was not made from AIS. Raises InputError if a file beside it
+    is wrong."""
     times, report = scene.parent / REPORT_TIMES, scene.parent / REPORT
     if times.is_file():
         source = f"report times {times}"
@@ -98,10 +84,7 @@ def read_reports(scene: Path) -> Reports | None:
             raise InputError(source, [f"vessels.{wrong[0]}: must have used_s and jumps_s, ascending seconds"])
         known = ({n: v for n, v in each.items() if v is not None} for each in (used, jumps))
         return Reports(_start(content, source), *known)
-    if report.is_file():
-        content = load_json(report, "report")
-        return Reports(_start(content, f"report {report}"))
-    return None
+    return Reports(_start(load_json(report, "report"), f"report {report}")) if report.is_file() else None
 
 
 def _start(content: Any, source: str) -> float:
@@ -123,25 +106,17 @@ def _times(entry: Any, key: str) -> Array | None:
 _NEAR_S = 1e-6
 _OUTSIDE_S = 0.1
 _HOUR_S = 3600.0
-_ZONES = 14.5
-"""No two zones are further apart from UTC, in hours."""
-_WHOLE_HOURS = 0.02
-"""Clocks that differ by whole hours up to this much of one are probably in two time zones."""
+_ZONES = 14.5  # no two zones are further apart from UTC, in hours
+_WHOLE_HOURS = 0.02  # clocks that differ by whole hours up to this much of one are probably in two time zones
 
 
 @dataclass(frozen=True)
 class SceneClock:
-    """When a scene is.
+    """Time and length of a scene."""
 
-    Attributes:
-        length_s: Time from the first step to the last.
-        first_s: The first time as its poses write it.
-        start_s: Unix time of the first step; None if the scene does not say.
-    """
-
-    length_s: float
-    first_s: float
-    start_s: float | None
+    length_s: float  # from the first step to the last
+    first_s: float  # the first time as its poses write it
+    start_s: float | None  # Unix time of the first step; None if the scene does not say
 
     @classmethod
     def of(cls, scene: Scene) -> SceneClock:
@@ -159,21 +134,9 @@ class SceneClock:
         return f"{zero:.12g} s to {zero + self.length_s:.12g} s"
 
 
-def scene_times(log: DetectionLog, scene: Scene, clock: SceneClock) -> Array:
-    """Times of the log's frames since the scene's first step, shape (F,).
-
-    Raises:
-        InputError: The log is in UTC and the scene does not say when it starts.
-    """
-    return on_scene_clock(log.time_s, log.clock, log.source, scene, clock)
-
-
 def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock: SceneClock) -> Array:
-    """Times by a clock, shape (n,), as times since the scene's first step, shape (n,).
-
-    Raises:
-        InputError: They are UTC and the scene does not say when it starts; `source` is what they are of.
-    """
+    """Times by a clock, (n,), as times since the scene's first step, (n,). Raises InputError, which names their
+    `source`, if they are UTC and the scene does not say when it starts."""
     if kind is Clock.STEP:
         return times_s
     if kind is Clock.STAMP:
@@ -190,16 +153,10 @@ def on_scene_clock(times_s: Array, kind: Clock, source: str, scene: Scene, clock
 
 
 def within_scene(log_s: Array, clock_s: float, length_s: float) -> tuple[Array, Mask]:
-    """Times of a log's frames by a registered clock, and which of them are within the scene, both of shape (F,).
-
-    A clock is not known to the millisecond. So a frame that it puts outside by less than half the time between two
-    frames, and by 0.1 s at most, is at the scene's first or last step.
-
-    Args:
-        log_s: Times since the scene's first step by the log's own clock, ascending, shape (F,).
-        clock_s: What is added to them; 0 if it was not registered.
-        length_s: Time of the scene's last step.
-    """
+    """Times of a log's F frames by a registered clock, and which of them are within the scene, from 0 to `length_s`:
+    (F,) each. `log_s` are ascending, since the scene's first step by the log's own clock, and `clock_s` is added to
+    them; 0 if it was not registered. A clock is not known to the millisecond: a frame that it puts outside by less than
+    half the time between two frames, and by 0.1 s at most, is at the scene's first or last step."""
     frame_s = float(np.diff(log_s).min()) if len(log_s) > 1 else 0.0
     outside_s = max(min(frame_s / 2, _OUTSIDE_S), _NEAR_S) if clock_s else _NEAR_S
     times_s = log_s + clock_s
@@ -208,17 +165,8 @@ def within_scene(log_s: Array, clock_s: float, length_s: float) -> tuple[Array, 
 
 
 def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneClock) -> None:
-    """Refuse a log most of whose frames are outside of the scene.
-
-    Args:
-        log: The log.
-        times_s: Times of its frames since the scene's first step, shape (F,).
-        scene: The scene.
-        clock: Its clock.
-
-    Raises:
-        InputError: With both spans.
-    """
+    """Refuse a log whose frames, at `times_s` (F,) since the scene's first step, are mostly outside of the scene.
+    Raises InputError with both spans."""
     outside = (times_s < -_NEAR_S) | (times_s > clock.length_s + _NEAR_S)
     if 2 * outside.sum() <= len(outside):
         return
@@ -229,14 +177,9 @@ def check_overlap(log: DetectionLog, times_s: Array, scene: Scene, clock: SceneC
         raise InputError(log.source, [f"{spans}: {what}{unit or '; give a part of the log, or a longer scene'}"])
     later = times_s.min() > clock.length_s
     apart_s = times_s.min() - clock.length_s if later else -times_s.max()
-    between_starts = times_s.min() / _HOUR_S
-    zones = ""
-    if (
-        log.clock is Clock.UTC
-        and 0.5 < abs(between_starts) < _ZONES
-        and abs(between_starts - round(between_starts)) < _WHOLE_HOURS
-    ):
-        zones = f"; the starts differ by {abs(round(between_starts))} h: is one of the clocks in local time?"
+    hours, zones = abs(times_s.min() / _HOUR_S), ""
+    if log.clock is Clock.UTC and 0.5 < hours < _ZONES and abs(hours - round(hours)) < _WHOLE_HOURS:
+        zones = f"; the starts differ by {round(hours)} h: is one of the clocks in local time?"
     order = "after the scene's last step" if later else "before the scene's first step"
     raise InputError(log.source, [f"{spans}: the log is {order}, by {duration_text(float(apart_s))}{zones}{unit}"])
 

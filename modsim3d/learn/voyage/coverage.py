@@ -29,19 +29,12 @@ _MAX_BINS = 9
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Annotations that were to be detected, by the camera that they are of.
-
-    Attributes:
-        camera: Name of the camera.
-        bearing_deg: Bearing from the camera's axis, to the right, shape (n,).
-        range_m: Horizontal range, shape (n,).
-        found: Whether it was matched, shape (n,).
-    """
+    """The n annotations of one camera that were to be detected."""
 
     camera: str
-    bearing_deg: Array
-    range_m: Array
-    found: Mask
+    bearing_deg: Array  # from the camera's axis, to the right, (n,)
+    range_m: Array  # horizontal, (n,)
+    found: Mask  # whether it was matched, (n,)
 
     @property
     def bearings_deg(self) -> Array:
@@ -58,6 +51,11 @@ class Coverage:
         first = max(int(np.searchsorted(series, self.range_m.min(), side="right")) - 1, 0)
         last = int(np.searchsorted(series, self.range_m.max(), side="right"))
         return series[first : last + 1]
+
+    def bearings_between(self, low_m: float, high_m: float) -> tuple[float, float]:
+        """The lowest and the highest bearing from one range up to another."""
+        inside = self.bearing_deg[(self.range_m >= low_m) & (self.range_m < high_m)]
+        return inside.min(), inside.max()
 
     def counts(self) -> tuple[Array, Array]:
         """Numbers matched and to be matched in each cell of bearing and range, shapes (bearings, ranges)."""
@@ -81,8 +79,8 @@ def coverages(observed: Observed, views: Sequence[View]) -> list[Coverage]:
     for name, camera in cameras.items():
         ours = rows[names == name]
         if len(ours):
-            bearing, range_m = bearings(camera, labelled.annotations.boxes_px[ours], labelled.annotations.depth_m[ours])
-            done.append(Coverage(name, bearing, range_m, matched.detection[ours] >= 0))
+            places = bearings(camera, labelled.annotations.boxes_px[ours], labelled.annotations.depth_m[ours])
+            done.append(Coverage(name, *places, matched.detection[ours] >= 0))
     return done
 
 
@@ -106,18 +104,12 @@ def range_table(coverage: Coverage) -> Table:
             f"{int(matched[k]):,}",
             f"{int(whole[k] - matched[k]):,}",
             f"{matched[k] / whole[k]:.0%}",
-            _bearings(coverage, edges[k], edges[k + 1]),
+            "{:+.0f}° to {:+.0f}°".format(*coverage.bearings_between(edges[k], edges[k + 1])),
         )
         for k in np.flatnonzero(whole)
     )
     header = ("range", "to be detected", "matched", "missed", "share matched", "bearings from the axis")
     return Table(f"What camera '{coverage.camera}' matched and missed, by range", header, rows)
-
-
-def _bearings(coverage: Coverage, low_m: float, high_m: float) -> str:
-    inside = (coverage.range_m >= low_m) & (coverage.range_m < high_m)
-    low, high = coverage.bearing_deg[inside].min(), coverage.bearing_deg[inside].max()
-    return f"{low:+.0f}° to {high:+.0f}°"
 
 
 def cells(coverage: Coverage) -> list[tuple[int, int, int, int]]:
@@ -135,27 +127,16 @@ _HALF = 0.5
 
 @dataclass(frozen=True, eq=False)
 class FrameStretch:
-    """Frames of one camera that follow each other.
+    """Frames of one camera that follow each other."""
 
-    Attributes:
-        what: The vessel that was missed, or what the detections were taken for.
-        camera: Name of the camera.
-        time_s: Times of the frames by the log's clock, since the scene's first step, shape (n,).
-        image: The frames, shape (n,).
-        boxes_px: True or detected box in each, shape (n, 4).
-        bearing_deg: Mean bearing from the camera's axis, to the right.
-        range_m: Mean range; NaN of detections.
-        start_s: Unix time of the scene's first step; None if the scene does not say.
-    """
-
-    what: str
+    what: str  # the vessel that was missed, or what the detections were taken for
     camera: str
-    time_s: Array
+    time_s: Array  # by the log's clock, since the scene's first step, (n,)
     image: Indices
-    boxes_px: Array
-    bearing_deg: float
-    range_m: float
-    start_s: float | None
+    boxes_px: Array  # the true or detected one in each frame, (n, 4)
+    bearing_deg: float  # mean, from the camera's axis, to the right
+    range_m: float  # mean; nan of detections
+    start_s: float | None  # Unix time of the scene's first step; None if the scene does not say
 
     def when(self, place: int) -> str:
         """The time of a frame by the log's clock, as `--empty` takes it: UTC if the scene says when it starts."""
@@ -176,6 +157,7 @@ def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> li
     for view in voyage.views:
         number[:] = -1
         number[view.images] = np.arange(len(view.images))
+        eye = next(other.camera for other in voyage.views if other.camera.name == view.camera.name)
         ours = np.flatnonzero(matched.sought & (number[labelled.annotations.image] >= 0))
         for who in np.unique(identity[ours]).tolist():
             rows = ours[identity[ours] == who]
@@ -183,12 +165,14 @@ def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> li
             rows, frame = rows[np.argsort(frame)], np.sort(frame)
             missed = matched.detection[rows] < 0
             apart = np.flatnonzero(np.diff(missed.astype(int)).astype(bool) | (np.diff(frame) > 1)) + 1
-            for part in np.split(np.arange(len(rows)), apart):
-                if missed[part[0]]:
+            for part in np.split(rows, apart):
+                if matched.detection[part[0]] < 0:
                     name = voyage.scene.vessel_names[who - view.first_identity]
-                    chosen = rows[part]
-                    boxes, depth = labelled.annotations.boxes_px[chosen], labelled.annotations.depth_m[chosen]
-                    found.append(_stretch(voyage, name, view.camera.name, chosen, boxes, depth, start_s))
+                    image, boxes = labelled.annotations.image[part], labelled.annotations.boxes_px[part]
+                    places = bearings(eye, boxes, labelled.annotations.depth_m[part])
+                    bearing, range_m = (float(values.mean()) for values in places)
+                    times = labelled.images.time_s[image], image
+                    found.append(FrameStretch(name, eye.name, *times, boxes, bearing, range_m, start_s))
     return sorted(found, key=lambda each: (-len(each.image), each.time_s[0]))
 
 
@@ -245,22 +229,6 @@ def _times(each: FrameStretch) -> tuple[str, str, str]:
     return each.when(0), each.when(-1), f"{len(each.image):,}"
 
 
-def _stretch(
-    voyage: LabelledVoyage,
-    name: str,
-    camera: str,
-    rows: Indices,
-    boxes_px: Array,
-    depth_m: Array,
-    start_s: float | None,
-) -> FrameStretch:
-    image = voyage.labelled.annotations.image[rows]
-    eye = next(view.camera for view in voyage.views if view.camera.name == camera)
-    bearing, range_m = bearings(eye, boxes_px, depth_m)
-    times = voyage.labelled.images.time_s[image]
-    return FrameStretch(name, camera, times, image, boxes_px, float(bearing.mean()), float(range_m.mean()), start_s)
-
-
 # ---- Drawings of a voyage ----
 
 _CELL = (78.0, 34.0)
@@ -276,11 +244,10 @@ def coverage_drawing(coverage: Coverage) -> str:
     bearings, ranges = coverage.bearings_deg, coverage.ranges_m
     wide, high = _CELL
     width = _LEFT + wide * (len(bearings) - 1) + 20
-    height = _TOP + high * (len(ranges) - 1) + _BELOW
-    foot = height - _BELOW
-    parts = [
-        f'<text x="{_LEFT}" y="12" font-weight="600">Share matched by camera {html.escape(coverage.camera)}</text>'
-    ]
+    foot = _TOP + high * (len(ranges) - 1)
+    height = foot + _BELOW
+    title = f"Share matched by camera {html.escape(coverage.camera)}"
+    parts = [f'<text x="{_LEFT}" y="12" font-weight="600">{title}</text>']
     for b, r, matched, whole in cells(coverage):
         x, y, share = _LEFT + b * wide, foot - (r + 1) * high, matched / whole
         red, green, blue = (_LOW + share * (_HIGH - _LOW)).round().astype(int).tolist()

@@ -23,36 +23,26 @@ from modsim3d.scene.scene import Scene
 
 # ---- The covariance of box errors without that part ----
 
-_MIN_PART = 1e-3
-"""A replicate whose rest is not positive keeps this share of a variance."""
+_MIN_PART = 1e-3  # a replicate whose rest is not positive keeps this share of a variance
 _MAX_CORRELATION = 0.999
-_ALIKE = 0.15
-"""By which share standard deviations as measured may differ from those of the law."""
+_ALIKE = 0.15  # by which share standard deviations as measured may differ from those of the law
 _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class LessNoise:
-    """Errors of one state, less those of truth.
+    """Errors of one state, less those of truth. A component, of e_x, e_y, e_w, e_h, of which they were not `taken_off`
+    is an upper bound. `at_least` are standard deviations of what changes from frame to frame, which is the detector's,
+    nan where frames do not tell; `noise_std` are those that errors of truth give, in the unit of the errors; those
+    before and after are means over the boxes."""
 
-    Attributes:
-        errors: What is written.
-        taken_off: Of which of e_x, e_y, e_w, e_h errors of truth were taken off; the others are upper bounds, (4,).
-        noise_std: Standard deviations that errors of truth give, in the unit of the errors, shape (4,).
-        before: Standard deviations that were learned, mean over the boxes, shape (4,).
-        after: The same, as written, shape (4,).
-        at_least: Standard deviations of what changes from frame to frame, which is the detector's, NaN where frames do
-            not tell, shape (4,).
-        share: Share of the whitened errors that was taken off, shape (rows,).
-    """
-
-    errors: LearnedErrors
-    taken_off: Mask
+    errors: LearnedErrors  # what is written
+    taken_off: Mask  # (4,), as are the next
     noise_std: Array
     before: Array
     after: Array
     at_least: Array
-    share: Array
+    share: Array  # of the whitened errors that was taken off, (rows,)
 
     @property
     def bounds(self) -> tuple[str, ...]:
@@ -70,23 +60,15 @@ def less_noise(
     at_least: Array,
     cut_off: bool = False,
 ) -> LessNoise:
-    """Take the covariance of errors of truth off, where the rest is surely positive.
-
+    """Take the covariance of errors of truth off the errors of a state, where the rest is surely positive: where its
+    interval of the level does not reach 0. `noise` is the covariance in the errors' unit, estimate and replicates,
+    (rows, 4, 4); `sides_px` are width, height, width and height of the boxes, (n, 4).
     The law keeps its form: of mixed errors, whose standard deviations grow with the side, both parts shrink alike.
     Correlations with a component that is an upper bound are unknown: they keep their estimate, but no replicates.
-
-    Args:
-        errors: The errors of a state.
-        noise: Covariance of errors of truth in their unit, estimate and replicates, shape (rows, 4, 4).
-        sides_px: Width, height, width and height of the boxes, shape (n, 4).
-        level: Level of the intervals that must not reach 0.
-        measured: Covariances of the errors themselves, to take it off, shape (rows, 4, 4). Errors of truth differ from
-            box to box, so that the likeliest law has not quite their covariance. Those of components that are far from
-            it, as wrong matches make them, are not used; but where they are smaller, they must surely be larger than
-            errors of truth. None if unknown.
-        at_least: Standard deviations of what changes from frame to frame, shape (4,).
-        cut_off: Whether the matching has cut off errors, which only the law knows.
-    """
+    The part is taken off the covariances `measured` of the errors themselves, (rows, 4, 4), None if unknown: errors of
+    truth differ from box to box, so that the likeliest law has not quite their covariance. Those of components that are
+    far from it, as wrong matches make them, are not used; but where they are smaller, they must surely be larger than
+    errors of truth. Matching may have `cut_off` errors, which only the law knows."""
     std, correlation = np.nan_to_num(errors.std.column.values), np.nan_to_num(errors.correlation.column.values)
     growth = np.zeros_like(std) if errors.growth is None else np.maximum(errors.growth.column.values, 0)
     products = _mean_products(std, growth, sides_px)
@@ -120,14 +102,9 @@ def less_noise(
 
 
 def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tuple[Array, Array]:
-    """Factors of the standard deviations of a law, shape (rows, 4), and its correlations, after a part is taken off.
-
-    Args:
-        products: Means over boxes of σ_j σ_k of the law, shape (rows, 4, 4).
-        rest: Covariances that are left, shape (rows, 4, 4).
-        correlation: Correlations of the law, shape (rows, 6).
-        taken: Of which components a part was taken off, shape (4,).
-    """
+    """Factors of the standard deviations of a law, (rows, 4), and its correlations (rows, 6), after a part is taken off
+    the components `taken` (4,). `products` are means over boxes of σ_j σ_k of the law, and `rest` the covariances that
+    are left, (rows, 4, 4) each."""
     variance = np.einsum("bii->bi", products)
     least = np.maximum(np.einsum("bii->bi", rest), _MIN_PART * variance)
     factors = np.sqrt(least / np.where(variance > 0, variance, 1.0))
@@ -141,12 +118,10 @@ def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tu
 
 
 def _as_measured(law: Array, measured: Array) -> Array:
-    """Covariances of the law (rows, 4, 4) with standard deviations as measured, where both are nearly the same.
-
-    A vessel that is not where it is thought to be makes errors of one component that are far from the law. The tails of
+    """Covariances of the law (rows, 4, 4) with standard deviations as measured, where both are nearly the same. A
+    vessel that is not where it is thought to be makes errors of one component that are far from the law. The tails of
     the law, which all components share, then are too wide for the others. Where all are alike, correlations are those
-    measured, too.
-    """
+    measured, too."""
     ratio = np.sqrt(np.einsum("bii->bi", measured) / np.maximum(np.einsum("bii->bi", law), 1e-300))
     alike = np.abs(ratio[0] - 1) <= _ALIKE
     if alike.all():
@@ -190,8 +165,7 @@ def _with(entry: Entry, values: Array) -> Entry:
 
 # ---- How long the detector's errors persist ----
 
-_LEAST = 0.01
-"""Correlation from one frame to the next that a replicate keeps: frames do not tell less from none."""
+_LEAST = 0.01  # correlation from one frame to the next that a replicate keeps: frames do not tell less from none
 
 
 def share_left(entry: Entry, part: Array) -> Entry:
@@ -201,10 +175,8 @@ def share_left(entry: Entry, part: Array) -> Entry:
 
 
 def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
-    """The correlation time of errors, less a part (rows,) of all errors that is kept for ever.
-
-    It was learned from frames that follow each other, so their correlation is what must come out.
-    """
+    """The correlation time of errors, less a part (rows,) of all errors that is kept for ever. It was learned from
+    frames that follow each other, so their correlation is what must come out."""
     correlation = np.exp(-gap_s / np.maximum(entry.column.values, 1e-9))
     left = np.clip((correlation - part) / (1 - part), 0, 1)
     left[1:] = np.maximum(left[1:], _LEAST)
@@ -212,51 +184,32 @@ def time_left(entry: Entry, part: Array, gap_s: float) -> Entry:
     return replace(entry, column=replace(entry.column, values=np.where(part > 0, time_s, entry.column.values)))
 
 
-_MAX_FRAMES = 500
-"""Frames that errors of truth are drawn in: they change over minutes."""
+_MAX_FRAMES = 500  # frames that errors of truth are drawn in: they change over minutes
 _MIN_PAIRS = 10
-_MAX_LOST = 0.02
-"""Where matching cuts off more boxes than this for each match, errors as measured are too small."""
-_SLOW = 5.0
-"""Errors of truth last for ever, compared with those of the detector, if they last so many times as long."""
+_MAX_LOST = 0.02  # where matching cuts off more boxes than this for each match, errors as measured are too small
+_SLOW = 5.0  # errors of truth last for ever, compared with those of the detector, if they last so many times as long
 
 
 @dataclass(frozen=True)
 class ComponentNoise:
-    """Errors of one component of boxes in one state.
-
-    Attributes:
-        state: The state.
-        component: `x`, `y`, `width` or `height`.
-        unit: `px`, or `of the side`.
-        std: Standard deviations: as learned, from errors of truth, at least, and as written; NaN where unknown.
-        upper_bound: Whether errors of truth were not taken off.
-    """
+    """Errors of one component of boxes in one state."""
 
     state: str
-    component: str
-    unit: str
-    std: tuple[float, ...]
-    upper_bound: bool
+    component: str  # `x`, `y`, `width` or `height`
+    unit: str  # `px`, or `of the side`
+    std: tuple[float, ...]  # as learned, from errors of truth, at least, and as written; nan where unknown
+    upper_bound: bool  # where errors of truth were not taken off
 
 
 @dataclass(frozen=True, eq=False)
 class TakenOff:
-    """A detector of which the errors of truth are taken off.
+    """A detector of which the errors of truth are taken off. Where these last far longer than those of the detector,
+    they are `slow`, and are taken off what persists as well."""
 
-    Attributes:
-        learned: What is written.
-        states: The errors of each state; None where too few boxes tell the errors of truth.
-        noise: The errors of truth.
-        moved: Number of vessels whose places registration has found.
-        slow: Whether errors of truth last far longer than those of the detector, so that they are taken off what
-            persists as well.
-    """
-
-    learned: Learned
-    states: tuple[LessNoise | None, ...]
+    learned: Learned  # what is written
+    states: tuple[LessNoise | None, ...]  # None where too few boxes tell the errors of truth
     noise: TruthNoise
-    moved: int
+    moved: int  # number of vessels whose places registration has found
     slow: bool
 
     def sentences(self) -> Iterator[str]:
@@ -265,14 +218,10 @@ class TakenOff:
         if not noise.std.any():
             yield "errors of truth: none are assumed"
             return
-        uncertain = "".join(
-            f", {name} of {count} vessel{'s' if count > 1 else ''}" for name, count in noise.reasons.items()
-        )
+        uncertain = "".join(f", {name} of {count} vessel{'s' * (count > 1)}" for name, count in noise.reasons.items())
         less = f"; less what registration found of {counted(self.moved, 'vessel')}" if self.moved else ""
-        yield (
-            f"errors of truth: positions to {noise.position_m:g} m in each direction, for {noise.position_s:g} s"
-            f"{uncertain}{less}"
-        )
+        positions = f"positions to {noise.position_m:g} m in each direction, for {noise.position_s:g} s"
+        yield f"errors of truth: {positions}{uncertain}{less}"
         for name, found in zip(self.learned.observed.states, self.states, strict=True):
             where = f"states.{name}.box_error.covariance"
             if found is None:
@@ -326,24 +275,15 @@ HEADER = ("state", "error of", "unit", "learned", "from errors of truth", "at le
 def take_off_truth_noise(
     learned: Learned, scene: Scene, views: Sequence[View], noise: TruthNoise, level: float = 0.95, seed: int = 0
 ) -> TakenOff:
-    """Take errors of truth off the learned box errors, where what is left is surely positive.
-
-    Args:
-        learned: What was learned; the identities of its annotations are indices of the scene's vessels, see `View`.
-        scene: The scene that truth was made from.
-        views: Its vessels as each camera saw them.
-        noise: How well the vessels are known.
-        level: Level of the intervals that must not reach 0.
-        seed: Seed of the draws of errors of truth.
-    """
+    """Take errors of truth off the learned box errors, where what is left is surely positive: where its interval of the
+    level does not reach 0. The identities of the learned annotations are indices of the scene's vessels, see `View`;
+    `seed` is that of the draws of errors of truth."""
     box_errors, rows = learned.numbers.box_errors, len(learned.resampling.weights)
     if not noise.std.any():
         return TakenOff(learned, (None,) * len(box_errors.states), noise, 0, False)
     jacobians = _Jacobians.of(learned, scene, views)
-    states = [
-        _state_less_noise(learned, index, jacobians, noise, level, seed + index)
-        for index in range(len(box_errors.states))
-    ]
+    numbers = range(len(box_errors.states))
+    states = [_state_less_noise(learned, index, jacobians, noise, level, seed + index) for index in numbers]
     box_s, share = box_errors.box_s, box_errors.box_vessel_share
     slow = box_s is not None and float(box_s.estimate) * _SLOW <= noise.position_s
     if slow and box_s is not None:
@@ -352,13 +292,9 @@ def take_off_truth_noise(
             share = share_left(share, part)
         else:
             box_s = time_left(box_s, part, frame_interval_s(learned.observed.labelled))
-    numbers = replace(
-        box_errors,
-        states=tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True)),
-        box_s=box_s,
-        box_vessel_share=share,
-    )
-    written = replace(learned, numbers=replace(learned.numbers, box_errors=numbers))
+    errors = tuple(old if new is None else new.errors for old, new in zip(box_errors.states, states, strict=True))
+    box_errors = replace(box_errors, states=errors, box_s=box_s, box_vessel_share=share)
+    written = replace(learned, numbers=replace(learned.numbers, box_errors=box_errors))
     return TakenOff(written, tuple(states), noise, len(np.unique(jacobians.vessel[jacobians.moved >= 0])), slow)
 
 
@@ -394,10 +330,8 @@ def report_less_truth_noise(
 
 @dataclass(frozen=True, eq=False)
 class _Jacobians:
-    """Derivatives of true boxes (n, 4, 8), with times, vessels and fits (n,), for pairs at `place` (n,).
-
-    See `TruthErrors` for `moved`.
-    """
+    """Derivatives of true boxes (n, 4, 8), with times, vessels and fits (n,), for pairs at `place` (n,). See
+    `TruthErrors` for `moved`."""
 
     place: Indices
     jacobians: Array
@@ -448,10 +382,8 @@ def _measured(learned: Learned, ours: Mask, relative: bool) -> Array:
 
 
 def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting_s: float) -> Array:
-    """Standard deviations of what changes of the errors to the next frame, shape (4,), NaN where few frames tell.
-
-    Less what changes of errors of truth with these variances (4,).
-    """
+    """Standard deviations of what changes of the errors to the next frame, shape (4,), NaN where few frames tell. Less
+    what changes of errors of truth with these variances (4,)."""
     pairs, place = learned.observed.pairs, np.flatnonzero(ours)
     steps = steps_between(learned.observed.labelled, pairs.rows[place])
     if len(steps) < _MIN_PAIRS:

@@ -21,15 +21,12 @@ from modsim3d.scene.sight import line_of_sight
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.vessel_motion import PosesInWaves
 
-STALE_S = 60.0
-"""A vessel under way that has not reported for so long before and after a frame is left out of it."""
+STALE_S = 60.0  # a vessel under way that has not reported for so long before and after a frame is left out of it
 SLOW_KN, SLOW_STALE_S = 2.0, 180.0
 """Below this speed transponders report every three minutes: of class B always, of class A when they are moored
 (ITU-R M.1371-5, Annex 1, Tables 1 and 2)."""
-LYING_M_S = 0.25
-"""A slower vessel does not move between its reports, which come every three minutes."""
-MAX_KN = 60.0
-"""A vessel that would be faster has jumped, unless the scene was made with another limit."""
+LYING_M_S = 0.25  # a slower vessel does not move between its reports, which come every three minutes
+MAX_KN = 60.0  # a vessel that would be faster has jumped, unless the scene was made with another limit
 BEYOND_S = 3.0
 """A vessel is there for so long before its first place and after its last one: clocks and reports may be late."""
 ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
@@ -46,19 +43,12 @@ class Reason(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Regions(Columns):
-    """Where vessels that are left out may be in n frames: k regions.
+    """The k regions where vessels that are left out may be in n frames."""
 
-    Attributes:
-        frame: Number of the frame, non-decreasing, shape (k,).
-        vessel: Index of the vessel, shape (k,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (k, 4).
-        depth_m: Distance along the axis of the camera, shape (k,).
-    """
-
-    frame: Indices
+    frame: Indices  # non-decreasing, (k,)
     vessel: Indices
-    boxes_px: Array
-    depth_m: Array
+    boxes_px: Array  # x_min, y_min, x_max, y_max, (k, 4)
+    depth_m: Array  # along the axis of the camera, (k,)
 
     def later(self, frames: int) -> Regions:
         """The regions with a number added to that of their frames."""
@@ -67,28 +57,18 @@ class Regions(Columns):
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """How well the places of V vessels are known at n times.
+    """Knowledge of the places of V vessels at n times. `guessed` has poses of the vessels that are off, straight
+    between the last place before and the first after, and of those just beyond their first or last one, straight on."""
 
-    Attributes:
-        reason: Reason → whether it holds, shape (n, V).
-        beyond: Whether a time is just before the first place of a vessel, or just after the last, shape (n, V).
-        since_s: Time to the nearest report, or to the nearest pose of the scene, 0 where unknown, shape (n, V).
-        guessed: Poses of the vessels that are off, straight between the last place before and the first after, and of
-            those just beyond their first or last one, straight on.
-    """
-
-    reason: Mapping[Reason, Mask]
-    beyond: Mask
-    since_s: Array
+    reason: Mapping[Reason, Mask]  # whether it holds, (n, V)
+    beyond: Mask  # whether a time is just before the first place of a vessel, or just after the last, (n, V)
+    since_s: Array  # time to the nearest report, or to the nearest pose of the scene, 0 where unknown, (n, V)
     guessed: Poses
 
 
 def stale_limit_s(scene: Scene, given: float | None) -> float:
-    """Least time without a report of a vessel under way that is left out: the given one, else 60 s.
-
-    Raises:
-        InputError: The given one is not positive, or the scene was not made from AIS.
-    """
+    """Least time without a report of a vessel under way that is left out: the given one, else 60 s. Raises InputError
+    if the given one is not positive, or the scene was not made from AIS."""
     if given is None:
         return STALE_S
     if not (np.isfinite(given) and given > 0):
@@ -100,21 +80,16 @@ def stale_limit_s(scene: Scene, given: float | None) -> float:
 
 
 class ReportAge:
-    """How well the places of a scene's vessels are known."""
+    """Age of the reports on a scene's vessels, None where it was not made from AIS. A vessel under way without a report
+    for `stale_s` is left out; slow ones have three minutes."""
 
     def __init__(self, scene: Scene, reports: Reports | None, stale_s: float = STALE_S) -> None:
-        """Look at the poses of all steps.
-
-        Args:
-            scene: The scene.
-            reports: When its vessels have reported, if it was made from AIS.
-            stale_s: Least time without a report of a vessel under way that is left out; slow ones have three minutes.
-        """
+        """Look at the poses of all steps."""
         self._scene, self._reports, self.stale_s = scene, reports, stale_s
         self._every_s, self._poses = scene.times_s(0, scene.steps), scene.poses.poses(0, scene.steps)
 
     def at(self, times_s: Array) -> Known:
-        """How well they are known at ascending times within the scene, shape (n,)."""
+        """Knowledge of the places at ascending times within the scene, (n,)."""
         count, vessels = len(times_s), len(self._scene.vessels)
         reason = {each: np.zeros((count, vessels), dtype=bool) for each in Reason}
         beyond, since_s = np.zeros((count, vessels), dtype=bool), np.zeros((count, vessels))
@@ -126,7 +101,7 @@ class ReportAge:
         return known
 
     def _fill(self, known: Known, column: int, name: str, steps: Indices, times_s: Array) -> None:
-        """Fill in the column of a vessel that is there at some steps, shape (k,)."""
+        """Fill in the column of a vessel that is there at some steps, (k,)."""
         at_s, places_m = self._every_s[steps], self._poses.positions_m[steps, column]
         early, late = times_s < at_s[0] - NEAR_S, times_s > at_s[-1] + NEAR_S
         inside = ~early & ~late
@@ -170,39 +145,19 @@ class ReportAge:
 
 @dataclass(frozen=True, eq=False)
 class Exclusions:
-    """Rows and regions left out of the frames of one camera.
+    """Rows and regions left out of the frames of one camera."""
 
-    Attributes:
-        rows: Whether each row of the truth is, shape (T,).
-        boxes_px: Where it may be instead, of those rows, shape (k, 4).
-        off: Where vessels may be that the truth lacks.
-        notes: A line for each vessel that is left out of frames in which it is, or would be.
-    """
-
-    rows: Mask
-    boxes_px: Array
-    off: Regions
-    notes: tuple[str, ...]
+    rows: Mask  # of the T rows of the truth, (T,)
+    boxes_px: Array  # where the vessels of those rows may be instead, (k, 4)
+    off: Regions  # where vessels may be that the truth lacks
+    notes: tuple[str, ...]  # a line for each vessel that is left out of frames in which it is, or would be
 
 
 def exclusions(
-    fresh: ReportAge,
-    scene: Scene,
-    camera: Camera,
-    camera_poses: CameraPoses,
-    times_s: Array,
-    seen: Regions,
+    fresh: ReportAge, scene: Scene, camera: Camera, camera_poses: CameraPoses, times_s: Array, seen: Regions
 ) -> Exclusions:
-    """Find the rows and regions that are left out of the n frames of a camera.
-
-    Args:
-        fresh: How well the places of the vessels are known.
-        scene: The scene.
-        camera: The camera.
-        camera_poses: From where it looks in each frame.
-        times_s: Ascending times of the frames, shape (n,).
-        seen: The T rows of the truth.
-    """
+    """Rows and regions that are left out of the n frames of a camera, at ascending times (n,); `camera_poses` has its
+    pose in each, and `seen` the T rows of the truth."""
     rows, pieces, boxes = np.zeros(len(seen.frame), dtype=bool), [_NOTHING], [np.empty((0, 4))]
     counts = {each: np.zeros(len(scene.vessels), dtype=np.int64) for each in Reason}
     beyond = np.zeros(len(scene.vessels), dtype=np.int64)
@@ -223,14 +178,12 @@ def exclusions(
         beyond += np.bincount(away.vessel[is_beyond], minlength=len(scene.vessels))
         counts[Reason.OFF] += np.bincount(away.vessel[~is_beyond], minlength=len(scene.vessels))
         pieces.append(away.later(first))
-    off = Regions.join(pieces)
     told = (*_told(scene, counts, len(times_s), fresh.stale_s), *_told_beyond(beyond))
-    return Exclusions(rows, np.concatenate(boxes), off, told)
+    return Exclusions(rows, np.concatenate(boxes), Regions.join(pieces), told)
 
 
 _NOTHING = Regions(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0))
-_AT_ONCE = 1_000_000
-"""Frames times vessels, at some 60 bytes each."""
+_AT_ONCE = 1_000_000  # frames times vessels, at some 60 bytes each
 
 
 def _told(scene: Scene, counts: Mapping[Reason, Indices], frames: int, stale_s: float) -> Iterator[str]:
@@ -264,11 +217,9 @@ def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, kn
 
 
 def _grown(regions: Regions, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
-    """Regions that are as much larger as the places may be off, across the line of sight or along it.
-
-    A vessel at distance r that is nearer by d has its waterline lower by the share d / (r − d) of the rows between that
-    and the horizon, and is larger by the same share. One that is farther moves by less.
-    """
+    """Regions that are as much larger as the places may be off, across the line of sight or along it. A vessel at
+    distance r that is nearer by d has its waterline lower by the share d / (r − d) of the rows between that and the
+    horizon, and is larger by the same share. One that is farther moves by less."""
     off_m = ALWAYS_OFF_M + OFF_M_S * known.since_s[regions.frame, regions.vessel]
     depth_m = np.maximum(regions.depth_m, camera.intrinsics.near_clip_m)
     share = off_m / np.maximum(depth_m - off_m, off_m)  # at most 1, which is off by half the distance

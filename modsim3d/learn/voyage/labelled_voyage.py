@@ -19,13 +19,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.io.atomic_write import json_text
 from modsim3d.learn.voyage.attitude import NEAR_S, Attitude, Sampler
-from modsim3d.learn.voyage.camera_registration import (
-    NOTHING_KNOWN,
-    KnownMeans,
-    Registering,
-    correction_of,
-    with_moved_vessels,
-)
+from modsim3d.learn.voyage.camera_registration import NOTHING_KNOWN, KnownMeans, Registering, with_moved_vessels
 from modsim3d.learn.voyage.clock import REGISTRATION, noted_cameras, read_reports, within_scene
 from modsim3d.learn.voyage.exclusions import STALE_S, Regions, ReportAge, exclusions
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction, SceneLog
@@ -46,16 +40,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class CameraTruth:
-    """Vessels that a camera sees in n frames.
+    """Vessels that a camera sees in n frames."""
 
-    Attributes:
-        truth: Its rows; `step` is the number of the frame.
-        half_planes: The sea's side of the horizon, shape (n, 3).
-        camera_poses: From where it looks.
-    """
-
-    truth: Truth
-    half_planes: Array
+    truth: Truth  # `step` is the number of the frame
+    half_planes: Array  # the sea's side of the horizon, (n, 3)
     camera_poses: CameraPoses
 
 
@@ -67,20 +55,10 @@ def camera_truth(
     renderer: IdRenderer | None,
     attitude: Attitude | None = None,
 ) -> CameraTruth:
-    """The truth of one camera at some times, as that of a run is made, hidden vessels included.
-
-    Args:
-        scene: The scene.
-        number: Number of the camera in the scene.
-        camera: The camera, which registration may have changed.
-        times_s: Times since the scene's first step at which the vessel that carries it is there, at least one,
-            ascending, shape (n,).
-        renderer: That of `open_renderer`.
-        attitude: That of own ship as it was measured, in place of the scene's waves.
-
-    Raises:
-        ModsimError: The camera has no place at a time.
-    """
+    """The truth of one camera, which registration may have changed, at some times, as that of a run is made, hidden
+    vessels included. Times since the scene's first step, (n,) with n >= 1, ascend, and the vessel that carries the
+    camera is there. The renderer is that of `open_renderer`; the attitude of own ship as it was measured replaces the
+    scene's waves. Raises ModsimError if the camera has no place at a time."""
     sampler, parts, looks, length = Sampler(scene, attitude), [], [], block_steps(scene)
     for first in range(0, len(times_s), length):
         frames = np.arange(first, min(first + length, len(times_s)))
@@ -96,31 +74,20 @@ def camera_truth(
 
 
 _POSES = ("camera_R_world", "positions_m")
-
-
 CONDITION = "voyage"
-_HIDDEN = 1e-3
-"""A vessel of which a larger share is hidden is partly hidden; a smaller one is a pixel's rounding."""
+_HIDDEN = 1e-3  # a vessel of which a larger share is hidden is partly hidden; a smaller one is a pixel's rounding
 
-Registrar = Callable[[Scene, CameraLog], Correction]
-"""Finds the correction of a camera from its log and the scene."""
+Registrar = Callable[[Scene, CameraLog], Correction]  # finds the correction of a camera from its log and the scene
 
 
 @dataclass(frozen=True)
 class VoyageOptions:
-    """How the truth of a voyage is made.
-
-    Attributes:
-        registration: What is added to the camera and to the clock, what finds it for each camera, or how each camera is
-            registered.
-        stale_s: Least time without a report of a vessel under way that is left out.
-        attitude: That of own ship as it was measured; its frames without one are left out.
-        condition: Name of the condition.
-    """
+    """Options of the truth of a voyage. The registration is what is added to the camera and to the clock, what finds it
+    for each camera, or how each camera is registered."""
 
     registration: Correction | Registrar | Registering = NO_CORRECTION
-    stale_s: float = STALE_S
-    attitude: Attitude | None = None
+    stale_s: float = STALE_S  # least time without a report of a vessel under way that is left out
+    attitude: Attitude | None = None  # of own ship as it was measured; its frames without one are left out
     condition: str = CONDITION
 
 
@@ -129,36 +96,22 @@ NO_OPTIONS = VoyageOptions()
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """The registration of one camera in one log.
+    """The registration of one camera in one log."""
 
-    Attributes:
-        source: What messages call the log.
-        registration: The registration.
-        clock_s: What was added to the log's times before, as is noted beside the scene.
-        known: Means that were known beforehand.
-    """
-
-    source: str
+    source: str  # what messages call the log
     registration: Registration
-    clock_s: float = 0.0
-    known: KnownMeans = NOTHING_KNOWN
+    clock_s: float = 0.0  # what was added to the log's times before, as is noted beside the scene
+    known: KnownMeans = NOTHING_KNOWN  # beforehand
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledVoyage:
-    """A labelled set, with what it was made by.
-
-    Attributes:
-        labelled: The set.
-        scene: The scene.
-        views: What each camera looked at; images are those of the set.
-        registered: The cameras that were registered.
-    """
+    """A labelled set, with what it was made by."""
 
     labelled: LabelledSet
     scene: Scene
-    views: tuple[View, ...]
-    registered: tuple[Registered, ...]
+    views: tuple[View, ...]  # what each camera looked at; images are those of the set
+    registered: tuple[Registered, ...]  # the cameras that were
 
 
 def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
@@ -176,14 +129,10 @@ def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
 
 
 def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> LabelledVoyage:
-    """The frames of a log with the truth of its scene, which is rendered as that of a run is.
-
-    Vessels whose AIS is stale, jumps or is off are ignored: detecting them counts neither for nor against a detector.
-
-    Raises:
-        InputError: No frame is within the scene, or boxes fit its vessels in another reading.
-        ModsimError: The truth cannot be made.
-    """
+    """The frames of a log with the truth of its scene, which is rendered as that of a run is. Vessels whose AIS is
+    stale, jumps or is off are ignored: detecting them counts neither for nor against a detector. Raises InputError if
+    no frame is within the scene, or boxes fit its vessels in another reading, and ModsimError if the truth cannot be
+    made."""
     known = _known(options)
     log = replace(log, scene=known.scene_of(log.scene))
     reports = read_reports(log.scene.path)
@@ -216,12 +165,7 @@ class _CameraSet:
     """The labelled set of one camera."""
 
     def __init__(
-        self,
-        log: SceneLog,
-        of_camera: CameraLog,
-        fresh: ReportAge,
-        options: VoyageOptions,
-        renderer: IdRenderer | None,
+        self, log: SceneLog, of_camera: CameraLog, fresh: ReportAge, options: VoyageOptions, renderer: IdRenderer | None
     ) -> None:
         """Take the frames that are within the scene."""
         self.scene, self.options, self.log, self.fresh = log.scene, options, log, fresh
@@ -235,9 +179,8 @@ class _CameraSet:
         carried = inside & _carrier_there(log.scene, carrier, times_s)
         self.notes = list(_said_of_frames(self.camera.name, inside, carried, carrier))
         if attitude is not None and attitude.vessel != carrier:
-            self.notes.append(
-                f"camera '{self.camera.name}' is not on board '{attitude.vessel}', so the attitude is not used for it"
-            )
+            elsewhere = f"is not on board '{attitude.vessel}', so the attitude is not used for it"
+            self.notes.append(f"camera '{self.camera.name}' {elsewhere}")
             attitude = None
         if attitude is not None:
             measured = attitude.known(times_s)
@@ -257,10 +200,10 @@ class _CameraSet:
         if not isinstance(given, Registering):
             return given(self.scene, of_camera)
         self.registration = given.of(self.scene, of_camera, self.log.source)
-        return correction_of(self.registration)
+        return NO_CORRECTION if self.registration is None else self.registration.correction
 
     def _offsets(self) -> Array:
-        """How far vessels are off their reports, see `with_moved_vessels`; 0 where positions are surely known."""
+        """Offsets of vessels from their reports, see `with_moved_vessels`; 0 where positions are surely known."""
         given = self.options.registration
         if self.registration is None or not isinstance(given, Registering) or not given.position_m:
             return np.zeros((len(self.scene.vessels), 3))
@@ -269,30 +212,26 @@ class _CameraSet:
     def voyage(self) -> LabelledVoyage:
         """The set with what it was made by."""
         view = View(self.camera, self.poses, np.arange(len(self.times_s)), moved=self.moved)
-        found = self.registration
-        registered = (
-            () if found is None else (Registered(self.log.source, found, self.frames.clock_s, _known(self.options)),)
-        )
-        return LabelledVoyage(self._labelled(), self.scene, (view,), registered)
+        registered = []
+        if self.registration is not None:
+            known = _known(self.options)
+            registered = [Registered(self.log.source, self.registration, self.frames.clock_s, known)]
+        return LabelledVoyage(self._labelled(), self.scene, (view,), tuple(registered))
 
     def _labelled(self) -> LabelledSet:
-        frames, number = self.frames, len(self.frames.names)
-        annotations = self._annotations(self.truth)
+        frames, annotations = self.frames, self._annotations(self.truth)
+        condition, source, sequence = np.zeros((3, len(frames.names)), dtype=np.int64)
         images = Images(
             names=frames.names,
-            sizes_px=np.tile(np.array(self.camera.intrinsics.image_size_px, dtype=np.float64), (number, 1)),
-            condition=np.zeros(number, dtype=np.int64),
-            source=np.zeros(number, dtype=np.int64),
-            sequence=np.zeros(number, dtype=np.int64),
+            sizes_px=np.tile(np.array(self.camera.intrinsics.image_size_px, dtype=np.float64), (len(source), 1)),
+            condition=condition,
+            source=source,
+            sequence=sequence,
             time_s=frames.time_s - frames.clock_s,  # by the log's clock, which is what a user reads
             half_planes=self.truth.half_planes,
         )
         results = Results(frames.frame, frames.label, frames.boxes_px, frames.confidence)
         return LabelledSet(self.log.labels, (self.options.condition,), images, annotations, results, tuple(self.notes))
-
-    def _partly_hidden(self, truth: Truth) -> Mask:
-        """Mask of the vessels that are annotated by the box of what is left of them, shape (n,)."""
-        return (self.scene.annotation.mode == 2) & (truth.visible_fraction < 1 - _HIDDEN)
 
     def _annotations(self, seen: CameraTruth) -> Annotations:
         """The annotated vessels, and the regions of those that are left out."""
@@ -308,6 +247,7 @@ class _CameraSet:
         boxes[out.rows] = out.boxes_px
         vessel = np.concatenate([truth.vessel, out.off.vessel])
         ignored = np.concatenate([out.rows | untold, np.ones(len(out.off.frame), dtype=bool)])
+        by_what_is_left = (self.scene.annotation.mode == 2) & (truth.visible_fraction < 1 - _HIDDEN)
         return Annotations(
             image=np.concatenate([truth.step, out.off.frame]),
             label=self.log.vessel_label[vessel],
@@ -317,17 +257,15 @@ class _CameraSet:
             identity=vessel,
             visible_fraction=np.concatenate([truth.visible_fraction, np.full(len(out.off.frame), np.nan)]),
             depth_m=np.concatenate([truth.depth_m, out.off.depth_m]),
-            unsure_box=np.concatenate([self._partly_hidden(truth), np.zeros(len(out.off.frame), dtype=bool)]),
+            unsure_box=np.concatenate([by_what_is_left, np.zeros(len(out.off.frame), dtype=bool)]),
         ).by_image()
 
 
 def _said_of_overlaps(scene: Scene, vessel: Indices, frames: int) -> Iterator[str]:
     """Sentences on vessels that overlap others in space, in which order the truth cannot tell, given their rows."""
     for column, count in zip(*np.unique(vessel, return_counts=True), strict=True):
-        yield (
-            f"vessel '{scene.vessel_names[column]}' is left out of frames: it overlaps another one in {count:,} of "
-            f"{frames:,}"
-        )
+        overlaps = f"it overlaps another one in {count:,} of {frames:,}"
+        yield f"vessel '{scene.vessel_names[column]}' is left out of frames: {overlaps}"
 
 
 def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
@@ -360,19 +298,10 @@ _HEAD = (
 
 
 def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) -> dict[Path, bytes | str]:
-    """The files of a copy of a scene whose cameras have the registered values.
-
-    The scene is `scene.yaml`, so that the folder stands for it. What `modsim3d ais` wrote beside the scene is copied
-    too, so that the copy knows as much of its vessels.
-
-    Args:
-        scene: The scene.
-        registered: The registration of each camera.
-        folder: Where the copy will be.
-
-    Raises:
-        ModsimError: A camera was registered in several logs, so that it has several values.
-    """
+    """The files of a copy of a scene, to be in a folder, whose cameras have the registered values. The scene is
+    `scene.yaml`, so that the folder stands for it. What `modsim3d ais` wrote beside the scene is copied too, so that
+    the copy knows as much of its vessels. Raises ModsimError if a camera was registered in several logs, so that it has
+    several values."""
     names = [each.registration.camera for each in registered]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ModsimError(f"--write-scene: camera '{twice[0]}' was registered in several logs: join them, or give one")
@@ -415,23 +344,17 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
 
 
 def _content(scene: Scene, registered: Sequence[Registered]) -> dict[str, Any]:
-    """Registered values: the clock is added to the times of the log, the others are in the scene already.
-
-    A camera that was not registered keeps what is noted of it beside the scene.
-    """
-    return {
-        "format": 1,
-        "cameras": dict(noted_cameras(scene.path))
-        | {
-            each.registration.camera: {
-                "log": each.source,
-                "clock_s": each.clock_s + each.registration.values["clock_s"],
-                "known": each.known.given(),
-                "added": {
-                    found.name: {"value": found.value, "low": found.low, "high": found.high, "held": found.held or None}
-                    for found in each.registration.estimates
-                },
-            }
-            for each in registered
-        },
-    }
+    """Registered values: the clock is added to the times of the log, the others are in the scene already. A camera that
+    was not registered keeps what is noted of it beside the scene."""
+    cameras = dict(noted_cameras(scene.path))
+    for each in registered:
+        cameras[each.registration.camera] = {
+            "log": each.source,
+            "clock_s": each.clock_s + each.registration.values["clock_s"],
+            "known": each.known.given(),
+            "added": {
+                found.name: {"value": found.value, "low": found.low, "high": found.high, "held": found.held or None}
+                for found in each.registration.estimates
+            },
+        }
+    return {"format": 1, "cameras": cameras}

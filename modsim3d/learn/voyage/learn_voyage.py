@@ -21,15 +21,9 @@ from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.report_page import Sources
 from modsim3d.learn.request import LearnRequest
+from modsim3d.learn.voyage import camera_registration
 from modsim3d.learn.voyage.attitude import read_attitude
-from modsim3d.learn.voyage.camera_registration import (
-    KnownMeans,
-    Registering,
-    check_known,
-    parse_fixed,
-    parse_known,
-    position_noise_m,
-)
+from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_fixed, parse_known
 from modsim3d.learn.voyage.clock import SceneClock
 from modsim3d.learn.voyage.deconvolution import report_less_truth_noise
 from modsim3d.learn.voyage.exclusions import stale_limit_s
@@ -79,24 +73,15 @@ def learn_from(
     stretches: tuple[TimeSpan, ...] = (),
     position_m: float = 0.0,
 ) -> tuple[LearnReport, VoyageReport]:
-    """Learn from a labelled voyage.
-
-    Args:
-        voyage: The voyage.
-        settings: How it is learned.
-        options: What is wanted besides.
-        stretches: Stretches in which nothing floats but the vessels of the scene.
-        position_m: Standard deviation of each coordinate of positions.
-
-    Raises:
-        ModsimError: Nothing can be learned, or no frame is in a stretch.
-    """
+    """Learn from a labelled voyage with `stretches` in which nothing floats but the vessels of the scene, and the
+    standard deviation of each coordinate of positions. Raises ModsimError if nothing can be learned, or no frame is in
+    a stretch."""
     noise = TruthNoise.of(voyage.scene, position_m)
     labelled = voyage.labelled if noise.std.any() else with_sure_boxes(voyage.labelled)
     report, judged = learn_beside_unseen(labelled, settings, options, stretches)
     report, taken_off = report_less_truth_noise(report, voyage.scene, voyage.views, noise)
-    told = VoyageReport.of(voyage, judged, taken_off, report, settings.replicates, settings.seed)
-    return report, told
+    rates = judged.own_rates(settings.replicates, settings.seed)
+    return report, VoyageReport(voyage, judged, taken_off, rates, report.level)
 
 
 def with_sure_boxes(labelled: LabelledSet) -> LabelledSet:
@@ -106,18 +91,12 @@ def with_sure_boxes(labelled: LabelledSet) -> LabelledSet:
 
 @dataclass(frozen=True, eq=False)
 class VoyageRequest:
-    """A scene, the logs of its cameras' detectors, and how a detector is learned; the rest is as for `learn_voyage`.
+    """A scene, the logs of its cameras' detectors, and how a detector is learned; the rest is as for `learn_voyage`."""
 
-    Attributes:
-        request: How it is learned, as from any labelled set.
-        logs: What the detector wrote.
-        cameras: The scene's camera of each log, or one for all; None where the log says it or there is one only.
-    """
-
-    request: LearnRequest
+    request: LearnRequest  # as from any labelled set
     scene: Scene
     logs: tuple[Path, ...]
-    cameras: tuple[str | None, ...] = (None,)
+    cameras: tuple[str | None, ...] = (None,)  # of each log, or one for all; None if the log says it or there is one
     registration: Correction | Registrar | Registering | None = None
     fixed: str | Sequence[str] = ()
     known: str | Mapping[str, float] | KnownMeans | None = None
@@ -128,11 +107,8 @@ class VoyageRequest:
     log_options: LogOptions = NO_OPTIONS
 
     def __post_init__(self) -> None:
-        """Check what can be checked before a log is read.
-
-        Raises:
-            ModsimError: There is no log, not a name or a camera for each, or a value is wrong.
-        """
+        """Check what can be checked before a log is read. Raises ModsimError if there is no log, not a name or a camera
+        for each, or a value is wrong."""
         if self.registration is not None and (self.fixed or self.known):
             caller = self.request.caller
             raise ModsimError(f"{caller}: fixed and known are for a registration that is estimated, and one is given")
@@ -144,12 +120,12 @@ class VoyageRequest:
         if len(self.cameras) not in (1, len(self.logs)):
             given = f"--camera is given {len(self.cameras)} times, with {counted(len(self.logs), 'log')}"
             raise ModsimError(f"{given}: give it once for all, or for each in their order")
-        check_known(parse_known(self.known), parse_fixed(self.fixed))
+        camera_registration.check_known(parse_known(self.known), parse_fixed(self.fixed))
 
     @cached_property
     def position_m(self) -> float:
         """Standard deviation of each coordinate of positions."""
-        return position_noise_m(self.scene, self.position_noise)
+        return camera_registration.position_noise_m(self.scene, self.position_noise)
 
     @cached_property
     def stretches(self) -> tuple[TimeSpan, ...]:
@@ -163,11 +139,8 @@ class VoyageRequest:
         return [*self.scene.copy.read, *of_runs]
 
     def labelled(self) -> LabelledVoyage:
-        """The logs with the truth of the scene, once its cameras are registered.
-
-        Raises:
-            ModsimError: A log is wrong or given twice, or a camera cannot be registered.
-        """
+        """The logs with the truth of the scene, once its cameras are registered. Raises ModsimError if a log is wrong
+        or given twice, or a camera cannot be registered."""
         attitude = None if self.attitude is None else read_attitude(self.attitude, self.scene)
         registration = self.registration
         if registration is None:
@@ -188,16 +161,8 @@ class VoyageRequest:
         return joined_voyages([labelled_voyage(*each) for each in zip(scene_logs, options_of, strict=True)])
 
     def learn(self, voyage: LabelledVoyage, read: Sequence[Path], call: str) -> VoyageResult:
-        """Learn a detector.
-
-        Args:
-            voyage: The logs with the truth of the scene.
-            read: Files that were read for it.
-            call: The command, or the call from Python, for the page.
-
-        Raises:
-            ModsimError: Nothing can be learned.
-        """
+        """Learn a detector from the logs with the truth of the scene. `read` are the files that were read for it, and
+        `call` is the command, or the call from Python, for the page. Raises ModsimError if nothing can be learned."""
         settings = self.request.settings(voyage.labelled, self.position_m)
         report, told = learn_from(voyage, settings, self.request.options(), self.stretches, self.position_m)
         files = (*dict.fromkeys([*read, *self.files]),)

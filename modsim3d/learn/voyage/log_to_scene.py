@@ -12,7 +12,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera import Camera, Distortion
 from modsim3d.io.validation import nearest, shown
-from modsim3d.learn.voyage.clock import REGISTRATION, SceneClock, check_overlap, noted_clock_s, scene_times
+from modsim3d.learn.voyage.clock import REGISTRATION, SceneClock, check_overlap, noted_clock_s, on_scene_clock
 from modsim3d.learn.voyage.logs.log import Clock, DetectionLog
 from modsim3d.learn.voyage.logs.reading import ros_name
 from modsim3d.scene.scene import Scene
@@ -20,39 +20,23 @@ from modsim3d.tracks.diagnosis import MOT, TOP_LEFT, BoxForm, BoxRows, implausib
 from modsim3d.truth.occlusion_order import hull_vertices
 from modsim3d.world.vessels import Solid
 
-_MAX_OUTSIDE = 0.01
-"""Share of the boxes that may lie outside the image."""
-ONE_LABEL = "vessel"
-"""What all vessels are called where a log names no classes and the scene has several."""
-
-
-FRAMES_IN_A_ROW = 20
-"""So many whole numbers in a row may be numbers of frames."""
+_MAX_OUTSIDE = 0.01  # share of the boxes that may lie outside the image
+ONE_LABEL = "vessel"  # what all vessels are called where a log names no classes and the scene has several
+FRAMES_IN_A_ROW = 20  # so many whole numbers in a row may be numbers of frames
 
 
 @dataclass(frozen=True, eq=False)
 class CameraLog:
-    """Log of one camera's detector: n frames and m detections.
+    """Log of one camera's detector: n frames and m detections. `time_s` counts from the scene's first step by the log's
+    own clock and what is noted of it beside the scene, `clock_s`, which was added to the log's own times."""
 
-    Attributes:
-        camera: Number of the camera in the scene.
-        time_s: Times since the scene's first step by the log's own clock and what is noted of it beside the scene,
-            ascending, shape (n,).
-        names: The frames as messages call them.
-        frame: Frame of each detection, non-decreasing, shape (m,).
-        label: Index into the labels of the `SceneLog`, shape (m,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
-        confidence: In [0, 1], NaN where not given, shape (m,).
-        clock_s: What was added to the log's own times.
-    """
-
-    camera: int
-    time_s: Array
-    names: tuple[str, ...]
-    frame: Indices
-    label: Indices
-    boxes_px: Array
-    confidence: Array
+    camera: int  # its number in the scene
+    time_s: Array  # ascending, (n,)
+    names: tuple[str, ...]  # of the frames, for messages
+    frame: Indices  # of each detection, non-decreasing, (m,)
+    label: Indices  # into the labels of the `SceneLog`, (m,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, (m, 4)
+    confidence: Array  # in [0, 1], nan where not given, (m,)
     clock_s: float = 0.0
 
     def take(self, frames: Mask) -> CameraLog:
@@ -66,27 +50,16 @@ class CameraLog:
 
 @dataclass(frozen=True, eq=False)
 class SceneLog:
-    """A log on its scene.
+    """A log on its scene."""
 
-    Attributes:
-        source: What messages call the log.
-        scene: The scene.
-        length_s: Time of the scene's last step.
-        labels: Names of the classes.
-        vessel_label: Index into the labels of each vessel of the scene, shape (V,).
-        cameras: The log of each camera that it has frames of.
-        notes: What was taken for granted.
-        form: That of the boxes in the file.
-    """
-
-    source: str
+    source: str  # what messages call the log
     scene: Scene
-    length_s: float
-    labels: tuple[str, ...]
-    vessel_label: Indices
-    cameras: tuple[CameraLog, ...]
-    notes: tuple[str, ...]
-    form: BoxForm = TOP_LEFT
+    length_s: float  # time of the scene's last step
+    labels: tuple[str, ...]  # of the classes
+    vessel_label: Indices  # index into the labels of each vessel of the scene, (V,)
+    cameras: tuple[CameraLog, ...]  # those that the log has frames of
+    notes: tuple[str, ...]  # what was taken for granted
+    form: BoxForm = TOP_LEFT  # of the boxes in the file
 
     @property
     def time_s(self) -> Array:
@@ -95,16 +68,8 @@ class SceneLog:
 
 
 def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> SceneLog:
-    """A log with the cameras, the clock and the labels of its scene.
-
-    Args:
-        log: The log.
-        scene: The scene.
-        camera: Name of the scene's camera whose frames are taken; all of those that the log names if None.
-
-    Raises:
-        InputError: The log does not fit the scene.
-    """
+    """A log with the cameras, the clock and the labels of its scene. Only the frames of `camera`, if given, are taken,
+    else those of all cameras that the log names. Raises InputError if the log does not fit the scene."""
     if scene.live:
         raise InputError(scene.title, ["its poses arrive while it runs: a scene with all poses is needed"])
     log, numbers = _with_cameras(log, scene, camera)
@@ -114,7 +79,7 @@ def on_scene(log: DetectionLog, scene: Scene, camera: str | None = None) -> Scen
     clock = SceneClock.of(scene)
     # What is noted is of the detector's clock, and a run has the scene's.
     clocks_s = [0.0 if log.of_run else noted_clock_s(scene.path, scene.cameras[number].name) for number in numbers]
-    times_s = scene_times(log, scene, clock) + np.array(clocks_s)[log.camera]
+    times_s = on_scene_clock(log.time_s, log.clock, log.source, scene, clock) + np.array(clocks_s)[log.camera]
     check_overlap(log, times_s, scene, clock)
     label = np.zeros(len(log.label), dtype=np.int64) if of_log is None else of_log[log.label]
     cameras = []
@@ -155,9 +120,8 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
     names = [camera.name for camera in scene.cameras]
     known = _names_in_logs(names)
     if None in log.cameras and len(log.cameras) > 1:
-        raise InputError(
-            log.source, ["some frames or detections name a camera and others do not: name it in all, or none"]
-        )
+        problem = "some frames or detections name a camera and others do not: name it in all, or none"
+        raise InputError(log.source, [problem])
     if wanted is not None:
         if wanted not in names:
             raise InputError("--camera", [f"{scene.title} has no camera {shown(wanted)} ({nearest(wanted, names)})"])
@@ -220,9 +184,7 @@ def _check_boxes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> lis
 
 def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, Indices | None, list[str]]:
     """The labels, that of each vessel (V,) and of each of the log's labels; None where all detections have the first.
-
-    The last of what it returns says what was taken for granted.
-    """
+    The last of what it returns says what was taken for granted."""
     known = scene.detector.labels
     used = tuple(dict.fromkeys(vessel.label for vessel in scene.vessels))
     alike = np.zeros(len(scene.vessels), dtype=np.int64)
@@ -250,25 +212,15 @@ def _labels(log: DetectionLog, scene: Scene) -> tuple[tuple[str, ...], Indices, 
 
 @dataclass(frozen=True)
 class Correction:
-    """Additions to the values of the scene and of the log; angles turn as those of a scene's camera do.
+    """Additions to the values of the scene's camera and of the log; angles turn as those of a scene's camera do."""
 
-    Attributes:
-        clock_s: Added to the times of the log to get those of the scene.
-        roll_deg: Added to the camera's roll.
-        pitch_deg: Added to its pitch; positive looks further down.
-        yaw_deg: Added to its yaw; positive looks further to port.
-        height_m: Added to its height.
-        focal_share: Added to the focal length, as a share of it.
-        k1: Added to the lens's first radial coefficient.
-    """
-
-    clock_s: float = 0.0
+    clock_s: float = 0.0  # to the times of the log, to get those of the scene
     roll_deg: float = 0.0
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0  # positive looks further down
+    yaw_deg: float = 0.0  # positive looks further to port
     height_m: float = 0.0
-    focal_share: float = 0.0
-    k1: float = 0.0
+    focal_share: float = 0.0  # of the focal length
+    k1: float = 0.0  # to the lens's first radial coefficient
 
     def camera(self, camera: Camera) -> Camera:
         """The camera with the changes; the same one if nothing of it changes."""
@@ -286,8 +238,8 @@ class Correction:
         f1, f2 = (focal * (1 + self.focal_share) for focal in lens.focal_px)
         distortion = lens.distortion
         if self.k1:
-            known = distortion or Distortion()
-            distortion = replace(known, k1=known.k1 + self.k1)
+            distortion = distortion or Distortion()
+            distortion = replace(distortion, k1=distortion.k1 + self.k1)
         return replace(camera, mount=mount, intrinsics=replace(lens, focal_px=(f1, f2), distortion=distortion))
 
 
@@ -296,8 +248,7 @@ NO_CORRECTION = Correction()
 
 # ---- The vertices of a solid that can make the edges of its box ----
 
-_FEW = 8
-"""A shoebox has no vertex to spare."""
+_FEW = 8  # a shoebox has no vertex to spare
 
 
 def hull_of(solid: Solid) -> Array:

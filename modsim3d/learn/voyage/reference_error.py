@@ -1,4 +1,4 @@
-"""How well AIS tells where a vessel is, where it heads and how large it is."""
+"""Precision with which AIS tells where a vessel is, where it heads and how large it is."""
 
 from __future__ import annotations
 
@@ -27,12 +27,10 @@ POSITION_S = 300.0
 """How long its error lasts: that of a GNSS receiver changes over minutes, with satellites and ionosphere."""
 PARAMETERS = ("east", "north", "heading", "length", "beam", "air draft", "antenna along", "antenna across")
 """What the truth of a box depends on, in metres and radians."""
-SLOW, CONSTANT = slice(0, 3), slice(3, 8)
-"""Those whose errors change over minutes, and those that a vessel keeps."""
+SLOW, CONSTANT = slice(0, 3), slice(3, 8)  # those whose errors change over minutes, and those that a vessel keeps
 _REPORTED_DEG, _FROM_COURSE_DEG, _UNKNOWN_DEG = 1.0, 6.0, 45.0
 """A heading as it is sent; course or bearing in its place, off by leeway and current; none at all."""
-_ROUNDED_M = float(np.sqrt(2 / 12))
-"""A length is the sum of two distances, each rounded to a metre."""
+_ROUNDED_M = float(np.sqrt(2 / 12))  # a length is the sum of two distances, each rounded to a metre
 _TYPICAL = 0.3
 """Spread of a dimension within a ship type, as a share: "100 to 180 m" and "10 to 14 m" in the table of types."""
 _ANTENNA = 0.23
@@ -43,30 +41,17 @@ _SAME_M = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class TruthNoise:
-    """Standard deviations of the errors of truth.
+    """Standard deviations of the errors of truth."""
 
-    Attributes:
-        std: Of the `PARAMETERS` of each vessel, shape (V, 8).
-        position_s: Correlation time of errors of position and heading.
-        reasons: What is uncertain besides positions → number of vessels.
-    """
-
-    std: Array
-    position_s: float
-    reasons: Mapping[str, int]
+    std: Array  # of the `PARAMETERS` of each vessel, (V, 8)
+    position_s: float  # correlation time of errors of position and heading
+    reasons: Mapping[str, int]  # what is uncertain besides positions → number of vessels
 
     @classmethod
     def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> TruthNoise:
-        """That of a scene. Of one that `modsim3d ais` made, its report says what was missing; of others only positions.
-
-        Args:
-            scene: The scene.
-            position_m: Standard deviation of each coordinate of a position.
-            position_s: Correlation time of its error.
-
-        Raises:
-            InputError: The report beside the scene cannot be read.
-        """
+        """That of a scene, with the standard deviation and the correlation time of each coordinate of a position. The
+        report of a scene that `modsim3d ais` made says what was missing; of others only positions are uncertain. Raises
+        InputError if the report beside the scene cannot be read."""
         file = scene.path.parent / REPORT
         content = load_json(file, "report") if file.is_file() else {}
         entries = content.get("vessels", {}) if isinstance(content, dict) else {}
@@ -99,10 +84,8 @@ def _heading_rad(entry: Mapping[str, Any]) -> float:
 
 
 def _dimensions(vessel: Vessel, entry: Mapping[str, Any]) -> tuple[Array, list[str]]:
-    """Spread of length, beam, air draft and the antenna's place, shape (5,), and which of them were typical ones.
-
-    What a user has changed in the scene since is taken to be known.
-    """
+    """Spread of length, beam, air draft and the antenna's place, (5,), and which of them were typical ones. What a user
+    has changed in the scene since is taken to be known."""
     std, missing = np.zeros(5), []
     for place, name in enumerate(("length", "beam", "air_draft")):
         value = float(getattr(vessel, f"{name}_m"))
@@ -119,41 +102,24 @@ def _dimensions(vessel: Vessel, entry: Mapping[str, Any]) -> tuple[Array, list[s
 
 # ---- By how much a true box changes with the place ----
 
-_STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)
-"""By how much places, headings and dimensions are moved to either side."""
+_STEPS = (0.5, 0.5, 0.005, 0.1, 0.1, 0.1)  # by how much places, headings and dimensions are moved to either side
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Frames of one camera, with a row for each of F frames.
+    """Frames of one camera, with a row for each of F frames."""
 
-    Attributes:
-        camera: The camera, as it was registered.
-        poses: Vessels in each frame.
-        images: Rows of the labelled set's images, shape (F,).
-        first_identity: The identity in these images of the scene's first vessel; `joined` sets count on.
-        moved: Which vessels registration has put where their detections are, shape (V,); None for none.
-    """
-
-    camera: Camera
-    poses: PosesInWaves
-    images: Indices
-    first_identity: int = 0
-    moved: Mask | None = None
+    camera: Camera  # as it was registered
+    poses: PosesInWaves  # vessels in each frame
+    images: Indices  # rows of the labelled set's images, (F,)
+    first_identity: int = 0  # in these images of the scene's first vessel; `joined` sets count on
+    moved: Mask | None = None  # which vessels registration has put where their detections are, (V,); None for none
 
 
 def box_jacobians(scene: Scene, view: View, frame: Indices, vessel: Indices) -> Array:
-    """Derivatives of boxes by the `PARAMETERS`, shape (n, 4, 8).
-
-    Boxes are whole ones, as if the image had no edge, given as centre x, centre y, width and height in pixels. They are
-    NaN for a vessel that is absent or partly behind the camera.
-
-    Args:
-        scene: The scene.
-        view: Its vessels as a camera saw them.
-        frame: Row of the view, shape (n,).
-        vessel: Index of the vessel, shape (n,).
-    """
+    """Derivatives of boxes by the `PARAMETERS`, (n, 4, 8), for rows `frame` of a view and indices `vessel` of the
+    scene, (n,) each. Boxes are whole ones, as if the image had no edge, given as centre x, centre y, width and height
+    in pixels. Derivatives are nan for a vessel that is absent or partly behind the camera."""
     placed = _Placed.of(scene, view, frame, vessel)
     result = np.full((len(frame), 4, len(PARAMETERS)), np.nan)
     for column, step in enumerate(_STEPS):
@@ -187,9 +153,8 @@ class _Placed:
         cameras = CameraPoses(cameras.camera_R_world[frame], cameras.positions_m[frame])
         padded = stacked([hull_of(each.solid) for each in scene.vessels])
         heading = poses.poses.headings_rad[frame, vessel]
-        positions = np.where(
-            poses.poses.present[frame, vessel][:, None], poses.poses.positions_m[frame, vessel], np.nan
-        )
+        present = poses.poses.present[frame, vessel]
+        positions = np.where(present[:, None], poses.poses.positions_m[frame, vessel], np.nan)
         turned = np.swapaxes(world_R_vehicle(heading), -1, -2) @ poses.world_R_vessel[frame, vessel]
         extents = np.array([each.extents_m for each in scene.vessels])[vessel]
         curved = scene.sea == "curved"
@@ -212,40 +177,28 @@ class _Placed:
 # ---- Covariances that errors of truth give to errors of boxes ----
 
 _DRAWS_AT_ONCE = 20
-_KNOWN_TO = 0.1
-"""Share to which standard deviations of errors of truth are known themselves: they are rules of thumb."""
+_KNOWN_TO = 0.1  # share to which standard deviations of errors of truth are known themselves: they are rules of thumb
 _SEEN = np.array([[1, 0, 0, 0], [0, 1, 0, 0.5]])
 """What registration looks at: bearing and waterline, from centre x, centre y, width and height."""
-_MOVED = slice(6, 8)
-"""The `PARAMETERS` that registration finds of a vessel."""
+_MOVED = slice(6, 8)  # the `PARAMETERS` that registration finds of a vessel
 _MIN_M = 0.01
-_SEEN_PX = 3.0
-"""Standard deviation of errors of bearing and waterline; it hardly matters where a vessel is seen often."""
+_SEEN_PX = 3.0  # standard deviation of errors of bearing and waterline; it hardly matters where a vessel is seen often
 
 
 @dataclass(frozen=True, eq=False)
 class TruthErrors:
-    """n true boxes and how they follow from their vessels.
+    """The errors that n true boxes have from those of their vessels."""
 
-    Attributes:
-        jacobians: From `box_jacobians`, shape (n, 4, 8).
-        time_s: Time of each, shape (n,).
-        vessel: Index of each vessel, shape (n,).
-        noise: How well the vessels are known.
-        unit_px: Unit of the learned errors, shape (n, 4).
-        moved: Number of the fit that has moved each, such as the camera and the vessel; −1 for none, shape (n,).
-    """
-
-    jacobians: Array
+    jacobians: Array  # from `box_jacobians`, (n, 4, 8)
     time_s: Array
     vessel: Indices
     noise: TruthNoise
-    unit_px: Array
-    moved: Indices
+    unit_px: Array  # unit of the learned errors, (n, 4)
+    moved: Indices  # number of the fit that has moved each, such as the camera and the vessel; −1 for none, (n,)
 
     @property
     def change(self) -> Array:
-        """Variance of that part of each error that changes with time, mean over the boxes, shape (4,)."""
+        """Variance of that part of each error that changes with time, mean over the boxes, (4,)."""
         part = (self.jacobians * self.noise.std[self.vessel][:, None])[..., SLOW] / self.unit_px[..., None]
         variance: Array = (part**2).sum(axis=2).mean(axis=0)
         return variance
@@ -265,9 +218,8 @@ class TruthErrors:
         """Errors of the boxes, some draws at a time, shape (some, n, 4)."""
         times, frame = np.unique(self.time_s, return_inverse=True)
         frame = frame.ravel()
-        std = self.noise.std[self.vessel]
-        slow_j = (self.jacobians * std[:, None])[..., SLOW]
-        constant_j = (self.jacobians * std[:, None])[..., CONSTANT]
+        scaled = self.jacobians * self.noise.std[self.vessel][:, None]
+        slow_j, constant_j = scaled[..., SLOW], scaled[..., CONSTANT]
         kept = np.exp(-np.diff(times, prepend=times[:1]) / self.noise.position_s)
         vessels, constants = len(self.noise.std), CONSTANT.stop - CONSTANT.start
         for first in range(0, draws, _DRAWS_AT_ONCE):

@@ -14,20 +14,9 @@ from modsim3d.core.document import Block, Figure, Heading, Items, Table, Text
 from modsim3d.core.text import counted
 from modsim3d.geometry.camera import Camera
 from modsim3d.learn.bootstrap import Column
-from modsim3d.learn.report import LearnReport
+from modsim3d.learn.voyage import coverage as sea_coverage
 from modsim3d.learn.voyage import deconvolution as truth_noise
-from modsim3d.learn.voyage.coverage import (
-    Coverage,
-    FrameStretch,
-    coverage_drawing,
-    coverages,
-    frame_sketch,
-    missed_stretches,
-    missed_table,
-    range_table,
-    unmatched_stretches,
-    unmatched_table,
-)
+from modsim3d.learn.voyage.coverage import Coverage, FrameStretch
 from modsim3d.learn.voyage.deconvolution import ComponentNoise, TakenOff
 from modsim3d.learn.voyage.labelled_voyage import LabelledVoyage, Registered
 from modsim3d.learn.voyage.non_ais import report as unseen
@@ -69,7 +58,7 @@ def registration_table(registered: Registered, scene: Scene) -> Table:
 
 
 def registration_lead(registered: Registered) -> str:
-    """How much it rests on, and the residuals before and after."""
+    """Basis of a registration, and its residuals before and after."""
     found = registered.registration
     before = f"{found.rms_before_px:.3g} px" if math.isfinite(found.rms_before_px) else "more than the lens shows"
     moved = ", with vessels off their reports as fits them best" if found.values.vessels.any() else ""
@@ -88,10 +77,9 @@ def delay_of(registered: Registered) -> RegisteredValue:
     return RegisteredValue(COMMON_DELAY, _WORDS[COMMON_DELAY], "s", given or 0.0, nan, nan, nan, rule)
 
 
-def exchanges(registration: Registration) -> Iterator[str]:
+def exchanges(registration: Registration) -> list[str]:
     """Sentences on values that cannot be told apart: by how much others would change if a held one were another."""
-    for group in registration.groups:
-        yield _exchange(group)
+    return [_exchange(group) for group in registration.groups]
 
 
 def amount(name: str, value: float, unit: str, error: float | None = None) -> str:
@@ -121,10 +109,8 @@ def _exchange(group: ConfoundedGroup) -> str:
 def _interval(estimate: RegisteredValue) -> str:
     if estimate.held or not np.isfinite(estimate.low):
         return ""
-    low, high = (
-        amount(estimate.name, end, estimate.unit, estimate.standard_error) for end in (estimate.low, estimate.high)
-    )
-    return f"{low} to {high}"
+    ends = estimate.low, estimate.high
+    return " to ".join(amount(estimate.name, end, estimate.unit, estimate.standard_error) for end in ends)
 
 
 def _values(camera: Camera) -> dict[str, str]:
@@ -143,49 +129,28 @@ NOT_REGISTERED = "Cameras and clocks were taken as the scene and the log have th
 
 @dataclass(frozen=True, eq=False)
 class VoyageReport:
-    """Report on a voyage besides the detector.
-
-    Attributes:
-        voyage: The labelled set, the cameras and their registrations.
-        judged: Which unmatched detections are of vessels without a transponder.
-        taken_off: What errors of truth were taken off the box errors.
-        rates: Rates of false positives in each state, as bounds and between them.
-        level: Level of their intervals.
-    """
+    """Report on a voyage besides the detector."""
 
     voyage: LabelledVoyage
-    judged: ClassifiedDetections
-    taken_off: TakenOff
-    rates: tuple[StateRates, ...]
-    level: float
-
-    @classmethod
-    def of(
-        cls,
-        voyage: LabelledVoyage,
-        judged: ClassifiedDetections,
-        taken_off: TakenOff,
-        report: LearnReport,
-        replicates: int,
-        seed: int,
-    ) -> VoyageReport:
-        """That of a report; the rates are resampled so many times."""
-        return cls(voyage, judged, taken_off, judged.own_rates(replicates, seed), report.level)
+    judged: ClassifiedDetections  # which unmatched detections are of vessels without a transponder
+    taken_off: TakenOff  # what errors of truth were taken off the box errors
+    rates: tuple[StateRates, ...]  # of false positives in each state, as bounds and between them
+    level: float  # of the intervals of the rates
 
     @cached_property
     def coverage(self) -> list[Coverage]:
         """Matches and misses of each camera."""
-        return coverages(self.judged.telling, self.voyage.views)
+        return sea_coverage.coverages(self.judged.telling, self.voyage.views)
 
     @cached_property
     def missed(self) -> list[FrameStretch]:
         """Stretches in which vessels were missed."""
-        return missed_stretches(self.voyage, self.judged)
+        return sea_coverage.missed_stretches(self.voyage, self.judged)
 
     @cached_property
     def unmatched(self) -> list[FrameStretch]:
         """Detections of nothing known."""
-        return unmatched_stretches(self.voyage, self.judged)
+        return sea_coverage.unmatched_stretches(self.voyage, self.judged)
 
 
 # ---- What `modsim3d learn --json` says of a voyage ----
@@ -226,7 +191,7 @@ def _registration_content(registered: Registered) -> dict[str, Any]:
             | {"held": each.held or None}
             for each in (*found.estimates, delay_of(registered), *found.vessels)
         ],
-        "held_by_rule": list(exchanges(found)),
+        "held_by_rule": exchanges(found),
     }
 
 
@@ -292,20 +257,20 @@ def _reference(told: VoyageReport) -> Iterator[Block]:
 def _coverage(told: VoyageReport) -> Iterator[Block]:
     yield Heading("Coverage of the sea")
     for coverage in told.coverage:
-        yield Figure(partial(coverage_drawing, coverage), _COVERAGE)
-        yield range_table(coverage)
+        yield Figure(partial(sea_coverage.coverage_drawing, coverage), _COVERAGE)
+        yield sea_coverage.range_table(coverage)
 
 
 def _worst(told: VoyageReport) -> Iterator[Block]:
     yield Heading("The longest without a match")
-    for stretches, table in (
-        (told.missed, missed_table(told.missed)),
-        (told.unmatched, unmatched_table(told.unmatched)),
+    for stretches, table_of in (
+        (told.missed, sea_coverage.missed_table),
+        (told.unmatched, sea_coverage.unmatched_table),
     ):
-        yield table
+        yield table_of(stretches)
         if stretches:
             yield Figure(partial(_sketches, told, stretches[:_DRAWN]), _KEY)
 
 
 def _sketches(told: VoyageReport, stretches: list[FrameStretch]) -> str:
-    return "".join(frame_sketch(told.voyage, told.judged, each) for each in stretches)
+    return "".join(sea_coverage.frame_sketch(told.voyage, told.judged, each) for each in stretches)

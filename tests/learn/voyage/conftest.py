@@ -1,20 +1,15 @@
 """A voyage that is simulated: a short run of the strait, exported in every format."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
+from modsim3d import Scene, load_scene, open_run, run_scene
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.registry import FORMATS
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
 from modsim3d.runs.streaming.lines import header_line, step_lines
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 
 STEPS = 24
 

@@ -1,7 +1,5 @@
 """Logs of detections in every format that is read."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time
@@ -13,35 +11,27 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, LogOptions, Scene
 from modsim3d.learn.voyage.log_to_scene import CameraLog, on_scene
-from modsim3d.learn.voyage.logs.log import Clock, DetectionLog, LogOptions, Start, utc_s
+from modsim3d.learn.voyage.logs.log import Clock, DetectionLog, Start, utc_s
 from modsim3d.learn.voyage.logs.reading import read_log
-from modsim3d.scene.scene import Scene
 
 HEAD = "time_s,left,top,width,height,label,score\n"
 LOGS = {
-    "run": ("run", {}),
-    "parquet": ("run/detections.parquet", {}),
-    "tracker input": ("run/tracker_input_bow.jsonl", {}),
-    "thesis JSON": ("run/detections_bow.json", {}),
-    "stream": ("stream.jsonl", {}),
-    "CSV": ("csv/detections_bow.csv", {}),
-    "COCO": ("coco/dt.json", {"images": "coco/gt.json"}),
-    "MOT": ("mot/modsim3d-all/bow/det/det.txt", {}),
-    "MCAP": ("mcap/detections", {}),
-    "MCAP file": ("mcap/detections/detections.mcap", {}),
-}
-"""Where each export of the bow camera is, and the options that it needs."""
+    "run": "run", "parquet": "run/detections.parquet", "tracker input": "run/tracker_input_bow.jsonl",
+    "thesis JSON": "run/detections_bow.json", "stream": "stream.jsonl", "CSV": "csv/detections_bow.csv",
+    "COCO": "coco/dt.json", "MOT": "mot/modsim3d-all/bow/det/det.txt",
+    "MCAP": "mcap/detections", "MCAP file": "mcap/detections/detections.mcap",
+}  # fmt: skip
+"""Where each export of the bow camera is."""
 
 
-def options(voyage: Path, given: dict[str, str]) -> LogOptions:
-    return LogOptions(**{name: voyage / value for name, value in given.items()})
+def options(voyage: Path, name: str) -> LogOptions:
+    return LogOptions(images=voyage / "coco" / "gt.json" if name == "COCO" else None)
 
 
 def log_of(voyage: Path, name: str) -> DetectionLog:
-    path, given = LOGS[name]
-    return read_log(voyage / path, options(voyage, given))
+    return read_log(voyage / LOGS[name], options(voyage, name))
 
 
 def columns(log: CameraLog) -> tuple[np.ndarray, np.ndarray]:
@@ -71,9 +61,7 @@ def test_logs_of_several_cameras_say_which(voyage: Path, strait: Scene) -> None:
         on_scene(log_of(voyage, "run"), strait, "mast")
 
 
-def coco(
-    folder: Path, images: list[dict[str, object]], found: Sequence[object] = (), **options: object
-) -> DetectionLog:
+def coco(folder: Path, images: list[dict[str, object]], found: Sequence[object] = (), **options) -> DetectionLog:
     """The log of a COCO file."""
     content = {"images": images, "annotations": found, "categories": [{"id": 3, "name": "boat"}]}
     (folder / "log.json").write_text(json.dumps(content))
@@ -84,10 +72,8 @@ def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
     entry = {"id": 7, "file_name": "a.png", "width": 640, "height": 480, "date_captured": "2024-01-04 10:00:00"}
     later = entry | {"id": 8, "date_captured": "2024-01-04T12:00:01.5+02:00"}
     log = coco(tmp_path, [entry, later], [{"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}])
-    assert log.clock is Clock.UTC
-    assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z"
-    assert log.frame.tolist() == [1]
-    assert log.boxes_px.tolist() == [[1, 2, 4, 6]]
+    assert (log.clock, log.span) == (Clock.UTC, "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z")
+    assert (log.frame.tolist(), log.boxes_px.tolist()) == ([1], [[1, 2, 4, 6]])
     assert np.isnan(log.confidence).all()
     assert log.size_px.tolist() == [[640, 480]] * 2
 
@@ -95,34 +81,15 @@ def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
 @pytest.mark.parametrize("captured", ["", 0, "2013-11-14 17:02:52", None])
 @pytest.mark.parametrize(("numbers", "times"), [((10, 13, 11), [1, 1.1, 1.3]), ((None, None, None), [0, 0.1, 0.2])])
 def test_images_that_date_captured_does_not_tell_apart_have_the_frame_rate(tmp_path: Path, captured, numbers, times):
-    images = [
-        {"id": k, "date_captured": captured} | ({} if number is None else {"frame_id": number})
-        for k, number in enumerate(numbers)
-    ]
+    images = [{"id": k, "date_captured": captured, "frame_id": number} for k, number in enumerate(numbers)]
     log = coco(tmp_path, images, frame_rate_hz=10)
     np.testing.assert_allclose(log.time_s, times)
     assert log.clock is Clock.STEP
     said = " ".join(log.notes)
-    if captured is not None:
-        assert "date_captured is empty or the same in several images, so their" in said
+    assert captured is None or "date_captured is empty or the same in several images, so their" in said
     assert ("places in the file are taken, at 10 Hz" in said) == (numbers[0] is None)
     with pytest.raises(InputError, match=r"a time is needed: .*, or --frame-rate|another image has the time"):
         coco(tmp_path, images)
-
-
-def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
-    """As detectors write them that do not know the IDs."""
-    images = [{"id": k, "file_name": f"day/{k:04d}.png", "time_s": k} for k in range(3)]
-    (tmp_path / "gt.json").write_text(json.dumps({"images": images, "categories": [{"id": 1, "name": "boat"}]}))
-    entry = {"category_id": 1, "bbox": [1, 2, 30, 40], "score": 0.5}
-    for name in ("0002", "0002.png", "day/0002.png"):
-        (tmp_path / "dt.json").write_text(json.dumps([entry | {"image_id": name}]))
-        log = read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
-        assert log.frame.tolist() == [2]
-        assert "taken for the names of the images' files" in log.notes[0]
-    (tmp_path / "dt.json").write_text(json.dumps([entry | {"image_id": "other"}]))
-    with pytest.raises(InputError, match="unknown image_id 'other'"):
-        read_log(tmp_path / "dt.json", LogOptions(images=tmp_path / "gt.json"))
 
 
 def frames_of_results(folder: Path, files: list[str], given: list[object], **keys: object) -> DetectionLog:
@@ -134,6 +101,17 @@ def frames_of_results(folder: Path, files: list[str], given: list[object], **key
     return read_log(folder / "dt.json", LogOptions(images=folder / "gt.json"))
 
 
+def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
+    """As detectors write them that do not know the IDs."""
+    files = [f"day/{k:04d}.png" for k in range(3)]
+    for name in ("0002", "0002.png", "day/0002.png"):
+        log = frames_of_results(tmp_path, files, [name])
+        assert log.frame.tolist() == [2]
+        assert "taken for the names of the images' files" in log.notes[0]
+    with pytest.raises(InputError, match="unknown image_id 'other'"):
+        frames_of_results(tmp_path, files, ["other"])
+
+
 def test_a_name_that_several_images_have_stands_for_none_and_one_beside_an_image_id_decides(tmp_path: Path) -> None:
     """Not for the last: both cameras' boxes would be on its images."""
     files = ["left/0001.jpg", "right/0001.jpg", "left/0002.jpg"]
@@ -141,8 +119,7 @@ def test_a_name_that_several_images_have_stands_for_none_and_one_beside_an_image
     with pytest.raises(InputError, match=r"\[0\]: unknown image_id '0001'"):
         frames_of_results(tmp_path, files, ["0001", "0002"])
     log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], [1], file_name="000001.jpg")
-    assert log.frame.tolist() == [0]
-    assert log.notes == ()
+    assert (log.frame.tolist(), log.notes) == ([0], ())
 
 
 @pytest.mark.parametrize(
@@ -161,19 +138,16 @@ def test_numbers_that_name_files_are_told_from_ids(tmp_path: Path, given, frames
     assert said in " ".join(log.notes) and bool(said) == bool(log.notes)
 
 
-@pytest.mark.parametrize(
-    "names", ["left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"]
-)
-def test_corners_have_the_names_that_detectors_give_them(tmp_path: Path, names: str) -> None:
-    log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
-    assert log.boxes_px.tolist() == [[1, 2, 30, 40]]
+def test_corners_have_the_names_that_detectors_give_them(tmp_path: Path) -> None:
+    for names in ("left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"):
+        log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
+        assert log.boxes_px.tolist() == [[1, 2, 30, 40]], names
 
 
 def test_images_with_times_of_their_own_keep_them_beside_a_frame_rate(tmp_path: Path) -> None:
     images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
     log = coco(tmp_path, images, frame_rate_hz=10)
-    assert log.span == "2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z"
-    assert log.notes == ()
+    assert (log.span, log.notes) == ("2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z", ())
 
 
 def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
@@ -194,8 +168,7 @@ def test_frames_without_detections_come_from_the_usual_gap_a_frame_rate_or_empty
     log = read_log(table(tmp_path, *boat_at(0, 0.5, 1)), LogOptions(frame_rate_hz=4))
     np.testing.assert_allclose(log.time_s, [0, 0.25, 0.5, 0.75, 1])
     log = read_log(table(tmp_path, *boat_at(0), "1.3,,,,,,", *boat_at(9)))
-    assert log.time_s.tolist() == [0, 1.3, 9]
-    assert log.frame.tolist() == [0, 2]
+    assert (log.time_s.tolist(), log.frame.tolist()) == ([0, 1.3, 9], [0, 2])
     assert "empty boxes" in log.frames_from
 
 
@@ -218,9 +191,7 @@ def test_parquet_is_read_as_csv_is_also_times_with_a_zone(tmp_path: Path) -> Non
         assert log.confidence.tolist() == [0.5, 0.25]
 
 
-def test_frames_that_lack_a_detection_and_cameras_that_are_named_here_and_there_are_refused(
-    tmp_path: Path, strait: Scene
-) -> None:
+def test_frames_that_lack_a_detection_and_cameras_that_are_named_here_and_there_are_refused(tmp_path, strait) -> None:
     path = table(tmp_path, "1,2,3,40,50,boat,0.9,bow", "2,2,3,40,50,boat,0.9,", head=HEAD.strip() + ",camera\n")
     with pytest.raises(InputError, match="some frames or detections name a camera and others do not"):
         on_scene(read_log(path), strait, "bow")
@@ -259,20 +230,23 @@ def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pyte
 
 
 ROW = "0,1,2,3,4,boat,0.5"
+DAY = {"date_captured": "2024-01-04"}
+
+
+def coco_of(*images: dict[str, object]) -> str:
+    numbered = [{"id": k + 1} | image for k, image in enumerate(images)]
+    return json.dumps({"images": numbered, "annotations": [], "categories": []})
+
+
 WRONG = {
-    "no time": (
-        "log.csv",
-        "left,top,width,height\n1,2,3,4\n",
-        "a column with the time is missing (got 'left', 'top'",
-    ),
+    "no time": ("log.csv", "left,top,width,height\n", "a column with the time is missing (got 'left', 'top'"),
+    "for spreadsheets": ("log.csv", f"sep=,\n{HEAD}{ROW}\n", "line 1 is for spreadsheets alone"),
     "no columns": (
-        "log.csv",
-        "utc;left;top\n1;2;3\n",
+        *("log.csv", "utc;left;top\n1;2;3\n"),
         "the time is missing (got 'utc;left;top': its cells have semicolons between them, must have commas)",
     ),
     "seconds as UTC": (
-        "log.csv",
-        "utc,left,top,width,height\n55,1,2,30,40\n",
+        *("log.csv", "utc,left,top,width,height\n55,1,2,30,40\n"),
         "line 2: utc must be a time such as 2024-01-04T10:00:00.250Z, or Unix time (got '55'): seconds since the",
     ),
     "no content": ("log.csv", "\n", "the file is empty"),
@@ -285,36 +259,24 @@ WRONG = {
     "no area": ("log.csv", f"{HEAD}{ROW}\n1,1,2,0,4,boat,0.5\n", "line 3: bbox has no area"),
     "some labels": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,,0.5\n", "line 2 has a class, and line 3 has none: give one"),
     "some scores": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,\n", "line 3: has no score (-1), but line 2 has 0.5"),
-    "a score in words": (
-        "log.csv",
-        f"{HEAD}{ROW}\n1,1,2,3,4,boat,high\n",
-        "line 3: score must be from 0 to 1 (got 'high')",
-    ),
+    "a score in words": ("log.csv", f"{HEAD}{ROW}\n1,1,2,3,4,boat,x\n", "line 3: score must be from 0 to 1 (got 'x')"),
     "nothing": ("log.csv", HEAD, "holds no frame: it needs the times"),
     "MOT without a rate": ("log.txt", "1,-1,1,2,3,4,0.5\n", "the frame rate is not known: give --frame-rate"),
     "a MOT frame": ("log.txt", "900000,-1,1,2,3,4,0.5\n", "frame must be a whole number from 1 to 101000"),
     "COCO without images": ("log.json", "[]", "give the COCO file of these with --images"),
     "COCO without times": (
-        "log.json",
-        '{"images": [{"id": 1}], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}',
+        *("log.json", coco_of({})),
         "images[0]: a time is needed: time_s, utc, date_captured, or --frame-rate, for their frame_id",
     ),
-    "COCO twice at a time": (
-        "log.json",
-        '{"images": [{"id": 1, "time_s": 1}, {"id": 2, "time_s": 1}], "annotations": [], "categories": []}',
-        "images[1]: another image has the time 1 s",
-    ),
+    "COCO twice at a time": ("log.json", coco_of(*[{"time_s": 1}] * 2), "images[1]: another image has the time 1 s"),
     "COCO all at one time": (
-        "log.json",
-        '{"images": [{"id": 1, "date_captured": "2024-01-04"}, {"id": 2, "date_captured": "2024-01-04"}, '
-        '{"id": 3, "date_captured": "2024-01-04"}], "annotations": [], "categories": []}',
+        *("log.json", coco_of(DAY, DAY, DAY)),
         "images[1]: another image has the time 2024-01-04T00:00:00Z, and 1 more; where cameras take images at one "
-        "time, each image must name its camera; where times are too coarse, --frame-rate takes their places in the "
-        "file",
+        "time, each image must name its camera; where times are too coarse, --frame-rate takes their places in "
+        "the file",
     ),
     "COCO at no time": (
-        "log.json",
-        '{"images": [{"id": 1, "date_captured": "noon"}], "annotations": [], "categories": []}',
+        *("log.json", coco_of({"date_captured": "noon"})),
         "images[0]: date_captured must be seconds, or a time such as 2024-01-04T10:00:00.250Z (got 'noon')",
     ),
     "half of COCO": ("log.json", '{"images": []}', "annotations: missing"),
@@ -358,11 +320,8 @@ def test_boxes_that_no_image_of_the_camera_has_are_refused(tmp_path: Path, strai
     problem = r"1 of 2 boxes lie outside the images of camera 'bow', of 1920 × 1080 px \(first at 0 s: 2000, 900 to"
     with pytest.raises(InputError, match=problem):
         on_scene(read_log(path), strait, "bow")
-    few = [f"{k / 100},100,900,30,40,boat,0.5" for k in range(200)]
-    assert (
-        len(on_scene(read_log(table(tmp_path, "0,-50,9,30,40,boat,0.5", *few)), strait, "bow").cameras[0].boxes_px)
-        == 201
-    )
+    few = table(tmp_path, "0,-50,9,30,40,boat,0.5", *(f"{k / 100},100,900,30,40,boat,0.5" for k in range(200)))
+    assert len(on_scene(read_log(few), strait, "bow").cameras[0].boxes_px) == 201
 
 
 def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:

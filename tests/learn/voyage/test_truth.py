@@ -1,7 +1,5 @@
 """The truth of a scene at the times of a log."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, Scene, load_scene
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.voyage.attitude import Sampler, read_attitude
+from modsim3d.learn.voyage.clock import within_scene
 from modsim3d.learn.voyage.labelled_voyage import VoyageOptions, camera_truth, labelled_voyage
 from modsim3d.learn.voyage.log_to_scene import Correction, SceneLog, on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from tests.scenes import crossing
 
 HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
+FRAMES_S = np.arange(5) * 0.2
 
 
 @pytest.fixture(scope="module")
@@ -30,23 +28,18 @@ def log(voyage: Path, strait: Scene) -> SceneLog:
 def test_at_the_steps_of_a_scene_its_truth_is_that_of_a_run(log: SceneLog, labelled: LabelledSet) -> None:
     """To the last bit, with waves, meshes, obstacles, and vessels that hide each other."""
     found = labelled_voyage(log).labelled
-    for mine, theirs in ((found.annotations, labelled.annotations), (found.images, labelled.images)):
-        for name in ("image", "label", "boxes_px", "visible_fraction", "depth_m", "ignored", "crowd"):
-            if hasattr(mine, name):
-                np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
-    for name in ("sizes_px", "sequence", "source", "time_s", "half_planes"):
-        np.testing.assert_array_equal(getattr(found.images, name), getattr(labelled.images, name))
+    for mine, theirs, names in (
+        (found.annotations, labelled.annotations, "image label boxes_px visible_fraction depth_m ignored crowd"),
+        (found.images, labelled.images, "sizes_px sequence source time_s half_planes"),
+    ):
+        for name in names.split():
+            np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
     assert (found.annotations.visible_fraction < 1).any()
 
 
-@pytest.fixture
-def crossed(tmp_path: Path) -> Scene:
-    return load_scene(crossing(tmp_path, 40), source="analytic")
-
-
-def test_between_two_steps_vessels_are_between_their_places(crossed: Scene) -> None:
-    times = crossed.times_s(0, 3)
-    step = float(times[1])
+def test_between_two_steps_vessels_are_between_their_places(tmp_path: Path) -> None:
+    crossed = load_scene(crossing(tmp_path, 40), source="analytic")
+    step = float(crossed.times_s(0, 3)[1])
     asked = np.array([0, 0.25 * step, step, 1.5 * step])
     found, known = Sampler(crossed).at(asked), crossed.motion.at(np.arange(3))
     shares = np.array([[1, 0, 0], [0.75, 0.25, 0], [0, 1, 0], [0, 0.5, 0.5]])
@@ -59,18 +52,10 @@ def test_headings_turn_along_the_shorter_arc() -> None:
     keys = {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "Vessel"}
     lens = {"focal_length_m": 0.02, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [320, 240]}
     camera = lens | {"image_size_px": [640, 480], "pose": {"position_m": [-60, 0, 4]}}
-    scene = Scene.from_dict(
-        {
-            "vessels": {"a": keys, "b": keys},
-            "poses": {
-                "positions_m": np.array([[[0, 0], [50, 0]], [[1, 0], [np.nan, np.nan]]]),
-                "headings_rad": np.array([[3.1, 0], [-3.1, np.nan]]),
-                "time_step_s": 1.0,
-            },
-            "cameras": {"shore": camera},
-            "detector": "thesis",
-        }
-    )
+    places = np.array([[[0, 0], [50, 0]], [[1, 0], [np.nan, np.nan]]])
+    poses = {"positions_m": places, "headings_rad": np.array([[3.1, 0], [-3.1, np.nan]]), "time_step_s": 1.0}
+    parts = {"vessels": {"a": keys, "b": keys}, "poses": poses, "cameras": {"shore": camera}, "detector": "thesis"}
+    scene = Scene.from_dict(parts)
     found = Sampler(scene).at(np.array([0.0, 0.5]))
     assert math.isclose(math.cos(found.poses.headings_rad[1, 0]), -1)
     assert found.poses.present.tolist() == [[True, True], [True, False]]
@@ -84,50 +69,54 @@ def test_a_clock_that_is_late_shows_what_was_before(log: SceneLog, labelled: Lab
     assert any("2 of 24 frames are before or after the scene" in note for note in found.notes)
 
 
-@pytest.mark.parametrize(
-    "correction",
-    [
-        Correction(pitch_deg=1.5),
-        Correction(yaw_deg=2),
-        Correction(roll_deg=3),
-        Correction(height_m=1),
-        Correction(focal_share=0.02),
-        Correction(k1=-0.05),
-    ],
-)
-def test_a_camera_that_is_changed_sees_what_such_a_camera_sees(tmp_path: Path, correction: Correction) -> None:
-    path = crossing(tmp_path, 5)
+CHANGES = {"pitch_deg": 1.5, "yaw_deg": 2, "roll_deg": 3, "height_m": 1, "focal_share": 0.02, "k1": -0.05}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_camera_that_is_changed_sees_what_such_a_camera_sees(tmp_path: Path, name: str) -> None:
+    correction, path = Correction(**{name: CHANGES[name]}), crossing(tmp_path, 5)
     scene = load_scene(path, source="analytic")
-    (name,) = (camera.name for camera in scene.cameras)
-    key = "pose" if scene.cameras[0].mount.vessel is None else "mount"
-    mount, lens = scene.cameras[0].mount, scene.copy.document["cameras"][name]
-    w1, w2, w3 = mount.position_m
-    place = {
-        "position_m": [w1, w2, w3 + correction.height_m],
-        "roll_rad": mount.roll_rad + math.radians(correction.roll_deg),
-        "pitch_rad": mount.pitch_rad + math.radians(correction.pitch_deg),
-        "yaw_rad": mount.yaw_rad + math.radians(correction.yaw_deg),
+    (camera,), times = scene.cameras, scene.times_s(0, 5)
+    assert camera.mount.vessel is None
+    lens = scene.copy.document["cameras"][camera.name]
+    w1, w2, w3 = camera.mount.position_m
+    turns = {
+        f"{axis}_rad": getattr(camera.mount, f"{axis}_rad") + math.radians(getattr(correction, f"{axis}_deg"))
+        for axis in ("roll", "pitch", "yaw")
     }
-    if mount.vessel is not None:
-        place["vessel"] = mount.vessel
     settings = {
-        f"cameras.{name}.{key}": place,
-        f"cameras.{name}.focal_length_m": lens["focal_length_m"] * (1 + correction.focal_share),
-        f"cameras.{name}.distortion": {"k1": correction.k1},
+        f"cameras.{camera.name}.pose": {"position_m": [w1, w2, w3 + correction.height_m], **turns},
+        f"cameras.{camera.name}.focal_length_m": lens["focal_length_m"] * (1 + correction.focal_share),
+        f"cameras.{camera.name}.distortion": {"k1": correction.k1},
     }
     other = load_scene(path, source="analytic", settings=settings)
-    times = scene.times_s(0, 5)
-    found = camera_truth(scene, 0, correction.camera(scene.cameras[0]), times, None)
-    expected = camera_truth(other, 0, other.cameras[0], times, None)
-    usual = camera_truth(scene, 0, scene.cameras[0], times, None)
+    found, expected, usual = (
+        camera_truth(of, 0, eye, times, None)
+        for of, eye in ((scene, correction.camera(camera)), (other, other.cameras[0]), (scene, camera))
+    )
     np.testing.assert_allclose(found.truth.full_boxes_px, expected.truth.full_boxes_px, atol=1e-6)
     np.testing.assert_allclose(found.half_planes, expected.half_planes, atol=1e-9)
     assert np.abs(found.truth.full_boxes_px - usual.truth.full_boxes_px).max() > 0.5
 
 
-def test_clocks_hours_apart_and_corrections_that_move_all_frames_out_are_refused(
-    voyage: Path, strait: Scene, log: SceneLog
-) -> None:
+def test_a_clock_that_is_off_by_less_than_half_a_frame_loses_no_frame() -> None:
+    times_s, inside = within_scene(FRAMES_S, -0.0007, 0.8)
+    assert inside.all()
+    assert times_s[0] == 0
+    np.testing.assert_allclose(times_s[1:], FRAMES_S[1:] - 0.0007)
+    late_s, inside = within_scene(FRAMES_S, 0.05, 0.8)
+    assert inside.all()
+    assert late_s[-1] == 0.8
+
+
+def test_frames_that_are_clearly_outside_are_left_out_without_a_registered_clock_all() -> None:
+    # Of frames every 0.02 s, 0.011 s is more than half.
+    for frames_s, clock_s in ((FRAMES_S, -0.15), (FRAMES_S * 0.1, -0.011), (FRAMES_S - 0.01, 0.0)):
+        assert within_scene(frames_s, clock_s, 0.8)[1].tolist() == [False, True, True, True, True]
+    assert within_scene(FRAMES_S - 1e-9, 0.0, 0.8)[1].all()
+
+
+def test_clocks_hours_apart_and_corrections_that_move_all_frames_out_are_refused(voyage, strait, log) -> None:
     text = r"has frames from 7200 s to 7204.6 s, and scene .* is from 0 s to 4.6 s: .* after the scene's last step"
     read = read_log(voyage / "run")
     with pytest.raises(InputError, match=text):
@@ -154,14 +143,11 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
 
 def test_an_attitude_in_milliseconds_is_refused_and_a_long_one_is_not(strait: Scene, tmp_path: Path) -> None:
     path = tmp_path / "attitude.csv"
-    for gap, says in ((100, "98% of its rows are after .*, of 4.6 s: they seem to be milliseconds"), (0.5, "")):
-        rows = [f"{k * gap:g},0,0,0\n" for k in range(46)]
-        path.write_text("".join(["time_s,roll_rad,pitch_rad,heading_rad\n", *rows]))
-        if says:
-            with pytest.raises(InputError, match=says):
-                read_attitude(path, strait)
-        else:
-            assert len(read_attitude(path, strait).time_s) == 46
+    path.write_text(HEAD + "".join(f"{k * 100:g},0,0,0\n" for k in range(46)))
+    with pytest.raises(InputError, match=r"98% of its rows are after .*, of 4.6 s: they seem to be milliseconds"):
+        read_attitude(path, strait)
+    path.write_text(HEAD + "".join(f"{k * 0.5:g},0,0,0\n" for k in range(46)))
+    assert len(read_attitude(path, strait).time_s) == 46
 
 
 def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting(strait: Scene, tmp_path: Path) -> None:
@@ -177,9 +163,8 @@ def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting
 
 
 def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
-    rows = [f"{time},0,0.01,0.02" for time in (1, 1.5, 2, 4.2, 4.6)]
     path = tmp_path / "attitude.csv"
-    path.write_text("\n".join(["time_s,roll_rad,pitch_rad,heading_rad", *rows]) + "\n")
+    path.write_text(HEAD + "".join(f"{time},0,0.01,0.02\n" for time in (1, 1.5, 2, 4.2, 4.6)))
     found = labelled_voyage(log, VoyageOptions(attitude=read_attitude(path, log.scene))).labelled
     bow = found.images.sequence == 0
     np.testing.assert_allclose(found.images.time_s[bow], [1, 1.2, 1.4, 1.6, 1.8, 2, 4.2, 4.4, 4.6])
@@ -192,10 +177,7 @@ WRONG = {
     "a number": (f"{HEAD}0,1,0,3\n1,x,0,3\n", "line 3: roll_rad must be a number"),
     "the order": (f"{HEAD}1,1,2,3\n0,1,2,3\n", "line 3: its time must be later than"),
     "one row": (f"{HEAD}1,1,2,3\n", r"at least two rows are needed \(got 1\)"),
-    "degrees": (
-        f"{HEAD}0,1,0,3\n1,2.5,0,190\n",
-        r"line 3: .* \(got 2.5, 0, 190\): are these",
-    ),
+    "degrees": (f"{HEAD}0,1,0,3\n1,2.5,0,190\n", r"line 3: .* \(got 2.5, 0, 190\): are these"),
     "degrees of headings": (
         f"{HEAD}0,1,0,350\n1,1,0,353.5\n",
         r"line 3: .* must be in radians \(got 1, 0, 353.5\): are these degrees",
@@ -204,10 +186,7 @@ WRONG = {
         f"{HEAD}0,1,0,190\n1,1,0,190.2\n",
         r"its headings are 92° off those of 'own' in .*: heading_rad counts .*, in radians: are these degrees",
     ),
-    "another day": (
-        f"{HEAD}90000,0,0,0\n90001,0,0,0\n",
-        "its rows are from 90000 s to",
-    ),
+    "another day": (f"{HEAD}90000,0,0,0\n90001,0,0,0\n", "its rows are from 90000 s to"),
     "compass": (
         f"{HEAD}0,0,0,1.57\n1,0,0,1.57\n",
         r"its headings are 90° off those of 'own' in .*: heading_rad counts counter-clockwise from w1",

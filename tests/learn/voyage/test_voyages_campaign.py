@@ -1,7 +1,5 @@
 """The campaign of simulated voyages: one is made again, and the committed page says what its numbers say."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -64,9 +62,8 @@ def test_scores_count_what_holds() -> None:
     numbers = [{"asked": 1.0, "value": value, "low": value - 1, "high": value + 1} for value in (0.5, 1.0, 3.0)]
     numbers.append({"asked": 1.0, "value": 5.0, "low": 4.0, "high": 6.0, "bound": 1.0})
     assert [holds(number) for number in numbers] == [True, True, False, True]
-    found = scores(
-        [{"cpu_s": 1.0, "detector": {"rate": number}} for number in numbers] + [{"cpu_s": 1, "refused": "no"}]
-    )
+    trials = [{"cpu_s": 1.0, "detector": {"rate": number}} for number in numbers]
+    found = scores([*trials, {"cpu_s": 1, "refused": "no"}])
     assert (found["voyages"], found["refused"]) == (5, {"no": 1})
     rate = found["detector"]["rate"]
     assert (rate["held"], rate["of"], rate["bounds"], rate["bias"]) == (3, 4, 1, 1.375)
@@ -83,9 +80,8 @@ def test_two_truths_are_compared_by_their_intervals() -> None:
 
 def test_with_unknown_vessels_box_errors_grow_where_others_are_matched(committed: dict[str, dict[str, Any]]) -> None:
     for film, causes in committed["pixels"]["causes"].items():
-        own, with_others = (
-            causes["some"][each.name][NUMBERS[0]] for each in (Truth.SAME_VESSELS, Truth.ALL_DETECTIONS)
-        )
+        truths = Truth.SAME_VESSELS, Truth.ALL_DETECTIONS
+        own, with_others = (causes["some"][each.name][NUMBERS[0]] for each in truths)
         many = causes["of_others"] > 0.05 * causes["matches"]
         assert (with_others > 1.5 * own) == many, film
     clocks = [film["clock"] for films in committed["pixels"]["registered"].values() for film in films.values()]
@@ -104,6 +100,5 @@ def test_errors_of_positions_are_as_large_and_last_as_long_as_asked() -> None:
         absent.add(tuple(np.flatnonzero(~poses.present.any(axis=0)).tolist()))
     moved = np.stack(off)
     assert moved.std() == pytest.approx(2.0, rel=0.1)
-    lasting = (moved[:, 30:] * moved[:, :-30]).mean() / moved.var()
-    assert lasting == pytest.approx(np.exp(-1), abs=0.1)
+    assert (moved[:, 30:] * moved[:, :-30]).mean() / moved.var() == pytest.approx(np.exp(-1), abs=0.1)
     assert all(len(each) == 3 for each in absent) and len(absent) > 10

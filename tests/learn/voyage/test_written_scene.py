@@ -1,33 +1,46 @@
-"""A scene that registration has written: every command takes it, and there is nothing left to register."""
-
-from __future__ import annotations
+"""A camera before a scene from AIS: the scene that its registration has written, and means known beforehand."""
 
 import json
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d import InputError, ModsimError, Scene, load_scene, run_scene
 from modsim3d.io.atomic_write import write_files
-from modsim3d.learn.voyage.camera_registration import Registering
+from modsim3d.learn.voyage import camera_registration
+from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_known, with_moved_vessels
 from modsim3d.learn.voyage.clock import noted_clock_s, read_reports
 from modsim3d.learn.voyage.exclusions import ReportAge
-from modsim3d.learn.voyage.labelled_voyage import Registered, scene_files
+from modsim3d.learn.voyage.labelled_voyage import (
+    LabelledVoyage,
+    Registered,
+    VoyageOptions,
+    labelled_voyage,
+    scene_files,
+)
 from modsim3d.learn.voyage.log_to_scene import on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.reference_error import TruthNoise
-from modsim3d.runs.run import run_scene
+from modsim3d.learn.voyage.registration.identifiability import ConfoundedGroup
+from modsim3d.learn.voyage.report import delay_of, exchanges, registration_table
 from modsim3d.scene.ais.options import Options
 from modsim3d.scene.ais.scene_folder import write_scene
 from modsim3d.scene.ais.traffic import read_traffic
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
+from tests.learn.voyage import strait_logs
 
-SAMPLE = Path("tests/data/ais/receiver.nmea")
-BENCHMARKS = Path("benchmarks/voyages")
+KNOWN = KnownMeans(mean_x_px=6.0, delay_s=2.0)
+
+
+def write_sample(folder: Path) -> None:
+    """The scene `ais` of the sample of a receiver."""
+    traffic = read_traffic([Path("tests/data/ais/receiver.nmea")], Options())
+    write_scene(traffic, folder / "ais", Path("benchmarks/voyages/one_label.yaml"))
 
 
 def registered(scene: Scene, log: Path) -> tuple[Registered, tuple[str, ...]]:
@@ -42,7 +55,7 @@ def registered(scene: Scene, log: Path) -> tuple[Registered, tuple[str, ...]]:
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The log of a camera that differs from that of the scene `ais` beside it, and whose clock is late."""
     folder = tmp_path_factory.mktemp("sample")
-    write_scene(read_traffic([SAMPLE], Options()), folder / "ais", BENCHMARKS / "one_label.yaml")
+    write_sample(folder)
     scene = folder / "ais" / "scene.yaml"
     scene.write_text(scene.read_text().replace("source: rendered", "source: analytic"))
     Voyage.of(load_scene(scene, steps=200), "shore", WRONG).write_log(0, folder / "log.csv")
@@ -61,13 +74,6 @@ def written(log: Path, first: Registered) -> Path:
     return log.parent / "written"
 
 
-@pytest.fixture(scope="module")
-def run(written: Path) -> Path:
-    """A run of the registered scene."""
-    run_scene(load_scene(written, steps=5), written.parent / "run")
-    return written.parent / "run"
-
-
 def test_a_second_registration_finds_nothing(log: Path, first: Registered, written: Path) -> None:
     second, notes = registered(load_scene(written), log)
     assert any("s are added to its times of camera 'shore'" in note for note in notes)
@@ -78,9 +84,7 @@ def test_a_second_registration_finds_nothing(log: Path, first: Registered, writt
     assert second.registration.rms_before_px == pytest.approx(first.registration.rms_after_px, rel=0.05)
 
 
-def test_a_clock_is_kept_where_a_camera_is_not_registered_again_and_two_registrations_are_refused(
-    log: Path, first: Registered, written: Path
-) -> None:
+def test_a_clock_is_kept_without_another_registration_and_two_are_refused(log, first, written) -> None:
     scene = load_scene(written)
     noted = json.loads(scene_files(scene, (), written)[written / "registration.json"])
     assert noted["cameras"]["shore"]["clock_s"] == noted_clock_s(scene.path, "shore") != 0
@@ -91,7 +95,7 @@ def test_a_clock_is_kept_where_a_camera_is_not_registered_again_and_two_registra
 def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path) -> None:
     was, now = load_scene(log.parent / "ais"), load_scene(written)
     assert now.name == "written"
-    assert [each.name for each in now.vessels] == [each.name for each in was.vessels]
+    assert now.vessel_names == was.vessel_names
     np.testing.assert_array_equal(now.poses.poses(0, 9).positions_m, was.poses.poses(0, 9).positions_m)
     np.testing.assert_array_equal(TruthNoise.of(now, 10).std, TruthNoise.of(was, 10).std)
     assert TruthNoise.of(now).reasons == TruthNoise.of(was).reasons
@@ -104,9 +108,10 @@ def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path)
     }
 
 
-def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run(run: Path, log: Path, written: Path) -> None:
+def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run(log: Path, written: Path) -> None:
     """Whose times are the scene's own."""
-    scene = load_scene(written)
+    scene, run = load_scene(written), written.parent / "run"
+    run_scene(load_scene(written, steps=5), run)
     for name in ("", "tracker_input_shore.jsonl", "detections_shore.json", "detections.parquet"):
         (found,) = on_scene(read_log(run / name), scene).cameras
         assert (found.clock_s, found.time_s[0]) == (0, 0), name
@@ -123,3 +128,83 @@ def test_a_wrong_note_of_a_clock_is_refused(tmp_path: Path) -> None:
         (tmp_path / "registration.json").write_text(text)
         with pytest.raises(InputError, match=said):
             noted_clock_s(tmp_path / "scene.yaml", "shore")
+
+
+# ---- Means that are known beforehand: given, taken off, and told ----
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> LabelledVoyage:
+    """A camera whose boxes are 6 px too far to the right, and vessels whose reports are two seconds late."""
+    folder = tmp_path_factory.mktemp("known")
+    write_sample(folder)
+    scene = load_scene(folder / "ais", source="analytic", steps=200)
+    found = Voyage.of(KNOWN.scene_of(scene), "shore", {}).detections(0)
+    log = strait_logs.written(
+        folder / "log.csv", found.times_s[found.frame], found.boxes_px + np.array([6.0, 0, 6.0, 0])
+    )
+    return labelled_voyage(on_scene(read_log(log), scene), VoyageOptions(Registering(("k1",), known=KNOWN)))
+
+
+def test_known_means_are_taken_off_and_the_truth_has_the_vessels_where_they_were(known: LabelledVoyage) -> None:
+    """Six pixels look like 0.24° of yaw, and two seconds of delay like as much of the clock."""
+    registration = known.registered[0].registration
+    assert registration["yaw_deg"].value == pytest.approx(0, abs=0.04)
+    assert registration["clock_s"].value == pytest.approx(0, abs=0.5)
+    assert registration["mean_x_px"].value == 6
+    moved = known.scene.poses.poses(100, 101).positions_m
+    reported = load_scene(known.scene.path).poses.poses(102, 103).positions_m
+    np.testing.assert_allclose(moved, reported, atol=1e-6)
+    assert "reports of vessels are taken to be 2 s late, as was given" in known.labelled.notes
+
+
+def test_known_means_are_told_in_the_table_and_beside_the_written_scene(known: LabelledVoyage) -> None:
+    (registered,) = known.registered
+    rows = {row[0]: row[-1] for row in registration_table(registered, known.scene).rows}
+    assert rows["mean box error in x"] == "given as +6 px"
+    assert rows["mean box error in y"] == "mean errors are taken to be zero"
+    assert rows["mean delay of all reports"] == "given as +2 s"
+    assert delay_of(registered).value == 2
+    files = scene_files(load_scene(known.scene.path), known.registered, Path("there"))
+    noted = json.loads(files[Path("there/registration.json")])["cameras"]["shore"]
+    assert noted["known"] == {"mean_x_px": 6, "delay_s": 2}
+
+
+def test_what_looks_alike_is_told_by_the_step_that_is_named(known: LabelledVoyage) -> None:
+    """Shares and coefficients are told for a step of 0.01, all others for one of their units."""
+    held = {"k1": (("focal_share", -0.08), ("yaw_deg", 2.0)), "mean_x_px": (("yaw_deg", -0.04),)}
+    groups = tuple(ConfoundedGroup(*each) for each in held.items())
+    assert exchanges(replace(known.registered[0].registration, groups=groups)) == [
+        "lens distortion k1 is held; +0.01 of it would look like -0.08 % of focal length, +0.02° of yaw of the camera",
+        "mean box error in x is held; +1 px of it would look like -0.04° of yaw of the camera",
+    ]
+
+
+def test_antennas_and_delays_are_taken_off_again_and_vessels_without_offsets_stay(strait: Scene) -> None:
+    reported, wrong = as_reported(strait, 0, AisErrors(along_m=3.0, across_m=1.0, delay_s=0.5))
+    scenes = strait, reported, with_moved_vessels(reported, wrong)
+    true, off, back = (each.poses.poses(0, strait.steps).positions_m[8:-8, :, :2] for each in scenes)
+    assert np.abs(off - true).max() > 3
+    assert np.abs(back - true).max() < 0.05
+    assert with_moved_vessels(strait, np.zeros((len(strait.vessels), 3))) is strait
+
+
+def test_names_and_values_are_read_and_what_is_no_mean_is_refused() -> None:
+    assert parse_known("mean_x=1.5, mean_height=-0.02,delay=2") == KnownMeans(1.5, None, None, -0.02, 2)
+    assert parse_known({"delay": 3}) == KnownMeans(delay_s=3)
+    assert parse_known(None) == KnownMeans()
+    for text, said in (
+        ("", "must be NAME=VALUE,..., such as mean_x=1.5,delay=2, with the names mean_x, mean_y, mean_width"),
+        ("mean_x", "(got 'mean_x')"),
+        ("mean_z=1", "no mean 'mean_z' (did you mean 'mean_y'?)"),
+        ("yaw=1", "no mean 'yaw' (known: mean_x, mean_y, mean_width, mean_height, delay)"),
+        ("delay=1,delay=2", "delay: is given twice"),
+        ("delay=soon", "delay: must be a number (got 'soon')"),
+        ("mean_width=-1", "mean_width: must be a share above -1 and below 1, such as 0.02 (got '-1')"),
+        ("mean_x=inf", "mean_x: must be a number (got 'inf')"),
+    ):
+        with pytest.raises(InputError, match=re.escape(said)):
+            parse_known(text)
+    with pytest.raises(InputError, match="--fixed all leaves out"):
+        camera_registration.check_known(KnownMeans(mean_x_px=1), ("all",))
+    camera_registration.check_known(KnownMeans(delay_s=1), ("all",))

@@ -1,9 +1,7 @@
 """COCO: results with the file of their images, or one file whose annotations have scores.
-
 The time of an image is its `time_s`, `utc` or `date_captured`. Many tools leave the last empty, or write the same into
 all images: then, with a frame rate, the time is that of its `frame_id`, or else of its place in the file. The camera of
-an image is `camera`, or `sequence` (or `video_id`) where that is a text or there are several.
-"""
+an image is `camera`, or `sequence` (or `video_id`) where that is a text or there are several."""
 
 from __future__ import annotations
 
@@ -28,17 +26,9 @@ SECTIONS = ("images", "annotations", "categories")
 
 
 def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) -> DetectionLog:
-    """The log of a COCO file.
-
-    Args:
-        path: The file of the detections.
-        content: Its content: a list of results, or a mapping with images, annotations and categories.
-        images: Content of the file of the images; None where `content` has them.
-        options: What the files do not say.
-
-    Raises:
-        InputError: The files are wrong; each problem names the index of its entry.
-    """
+    """The log of a COCO file: its content is a list of results, or a mapping with images, annotations and categories.
+    `images` is the content of the file of the images; None where `content` has them. Raises InputError if the files are
+    wrong; each problem names the index of its entry."""
     source = f"detections {path}"
     problems = Problems(source, options.skip_bad)
     where = source if options.images is None else f"images {options.images}"
@@ -69,10 +59,6 @@ def read_coco_log(path: Path, content: Any, images: Any, options: LogOptions) ->
     return rows.log(clock, f"the images of {(options.images or path).name}", numbers, notes)
 
 
-def _key(value: Any) -> Any:
-    return value if isinstance(value, str | int | float) else None
-
-
 def _frames(
     truth: Mapping[str, Any], source: str, options: LogOptions, rows: LogRows
 ) -> tuple[dict[Any, int], Clock, list[str]]:
@@ -91,9 +77,9 @@ def _frames(
     frame_of: dict[Any, int] = {}
     problems, again = [], []
     for index, (entry, camera, (time_s, _)) in enumerate(zip(truth["images"], cameras, times, strict=True)):
-        where, identity = f"images[{index}]", _key(entry.get("id"))
-        if identity is None or identity in frame_of:
-            problems.append(f"{where}: must have an id of its own (got {shown(entry.get('id'))})")
+        where, identity = f"images[{index}]", entry.get("id")
+        if not isinstance(identity, str | int | float) or identity in frame_of:
+            problems.append(f"{where}: must have an id of its own (got {shown(identity)})")
         elif rows.has(camera, time_s):
             again.append(f"{where}: another image has the time {time_text(time_s) if utc else f'{time_s:.12g} s'}")
         else:
@@ -177,11 +163,7 @@ _Frame = tuple[str, str | None, float, bool, list[tuple[str, list[float], str | 
 
 
 def read_lines_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a file with a frame on each line.
-
-    Raises:
-        InputError: A line is wrong.
-    """
+    """The log of a file with a frame on each line. Raises InputError if a line is wrong."""
     source = f"detections {path}"
     text = read_text(path, "detections")
     check_values(text, source, 4)
@@ -196,11 +178,8 @@ def read_lines_log(path: Path, options: LogOptions) -> DetectionLog:
 
 
 def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions) -> DetectionLog:
-    """The log of a mapping from times to detections by name (Jessen & Mohr (2023), Figure 7.17).
-
-    Raises:
-        InputError: An entry is wrong.
-    """
+    """The log of a mapping from times to detections by name (Jessen & Mohr (2023), Figure 7.17). Raises InputError if
+    an entry is wrong."""
     source = f"detections {path}"
     problems = Problems(source, options.skip_bad)
     frames: list[_Frame] = []

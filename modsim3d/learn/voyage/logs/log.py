@@ -22,8 +22,7 @@ from modsim3d.scene.ais.options import time_text
 from modsim3d.tracks.diagnosis import CORNERS, TOP_LEFT, BoxForm
 
 NO_LABEL = -1
-_SHARES = 2.0
-"""Boxes in shares of an image are no further from its corner than this."""
+_SHARES = 2.0  # boxes in shares of an image are no further from its corner than this
 
 
 class Clock(Enum):
@@ -70,41 +69,23 @@ NO_OPTIONS = LogOptions()
 
 @dataclass(frozen=True, eq=False)
 class DetectionLog:
-    """F frames in order of camera and time, and D detections in order of frame.
+    """F frames in order of camera and time, and D detections in order of frame."""
 
-    Attributes:
-        source: What messages call the log.
-        clock: What the times count from.
-        cameras: Name of each camera; None for the one of a log that names none.
-        camera: Camera of each frame, shape (F,).
-        time_s: Time of each frame; Unix time if the clock is `UTC`, shape (F,).
-        size_px: Width and height of each frame, NaN where unknown, shape (F, 2).
-        labels: Names of the classes; none if the log names no classes.
-        frame: Frame of each detection, non-decreasing, shape (D,).
-        label: Index into the labels, −1 without, shape (D,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (D, 4).
-        confidence: In [0, 1], NaN where not given, shape (D,).
-        frames_from: How the frames are known, those without detections included.
-        notes: What the reader left out or took for granted.
-        of_run: Whether a run wrote it, so that its clock is the scene's own.
-        form: That of the boxes in the file.
-    """
-
-    source: str
+    source: str  # what messages call the log
     clock: Clock
-    cameras: tuple[str | None, ...]
-    camera: Indices
-    time_s: Array
-    size_px: Array
-    labels: tuple[str, ...]
-    frame: Indices
-    label: Indices
-    boxes_px: Array
-    confidence: Array
-    frames_from: str
-    notes: tuple[str, ...] = ()
-    of_run: bool = False
-    form: BoxForm = TOP_LEFT
+    cameras: tuple[str | None, ...]  # names; None for the one of a log that names none
+    camera: Indices  # of each frame, (F,)
+    time_s: Array  # of each frame; Unix time if the clock is `UTC`, (F,)
+    size_px: Array  # width and height of each frame, nan where unknown, (F, 2)
+    labels: tuple[str, ...]  # names of the classes; none if the log names no classes
+    frame: Indices  # of each detection, non-decreasing, (D,)
+    label: Indices  # index into the labels, −1 without, (D,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, (D, 4)
+    confidence: Array  # in [0, 1], nan where not given, (D,)
+    frames_from: str  # how the frames are known, those without detections included
+    notes: tuple[str, ...] = ()  # what the reader left out or took for granted
+    of_run: bool = False  # whether a run wrote it, so that its clock is the scene's own
+    form: BoxForm = TOP_LEFT  # of the boxes in the file
 
     @property
     def span(self) -> str:
@@ -116,11 +97,8 @@ class DetectionLog:
         return time_text(time_s) if self.clock is Clock.UTC else f"{time_s:.12g} s"
 
     def shifted(self, start: Start | None) -> DetectionLog:
-        """The log with the time of its zero.
-
-        Raises:
-            InputError: One is given, and the log has times that need none.
-        """
+        """The log with the time of its zero. Raises InputError if one is given, and the log has times that need
+        none."""
         if start is None:
             return self
         if self.clock is Clock.UTC:
@@ -153,19 +131,12 @@ class DetectionLog:
 
 @dataclass
 class LogRows:
-    """Frames and detections as they are read; detections name their frame by its number here.
+    """Frames and detections as they are read; detections name their frame by its number here."""
 
-    Attributes:
-        source: What messages call the log.
-        problems: Collects what is wrong with its entries.
-        confidences: How its confidences are read; None if it gives none.
-        form: That of its boxes.
-    """
-
-    source: str
+    source: str  # what messages call the log
     problems: Problems
-    confidences: Confidences | None = None
-    form: BoxForm = TOP_LEFT
+    confidences: Confidences | None = None  # how they are read; None if it gives none
+    form: BoxForm = TOP_LEFT  # of its boxes
     _frames: dict[tuple[str | None, float], int] = field(default_factory=dict)
     _sizes: list[tuple[float, float]] = field(default_factory=list)
     _labels: dict[str, int] = field(default_factory=dict)
@@ -185,15 +156,9 @@ class LogRows:
         return (camera, time_s) in self._frames
 
     def add(self, frame: int, where: str, box: Sequence[float], label: str | None, confidence: object = None) -> None:
-        """Append a detection with its left, top, width and height; a problem if it is wrong.
-
-        Args:
-            frame: Number of its frame.
-            where: Its place in the file.
-            box: The four numbers in pixels.
-            label: Name of its class; None if the log names none.
-            confidence: As in the file.
-        """
+        """Append a detection with its left, top, width and height in pixels; a problem if it is wrong. `frame` is the
+        number of its frame, `where` its place in the file, and the confidence as in the file; the label is None if the
+        log names none."""
         score: float | None = np.nan
         if self.confidences is not None:
             score = self.confidences.read(NOT_GIVEN if confidence is None else confidence, where, self.problems)
@@ -210,17 +175,9 @@ class LogRows:
     def log(
         self, clock: Clock, frames_from: str, labels: Mapping[str, int] | None = None, notes: Sequence[str] = ()
     ) -> DetectionLog:
-        """The log.
-
-        Args:
-            clock: What its times count from.
-            frames_from: How its frames are known.
-            labels: Names of all classes with their numbers in the order of the file; those that were met if None.
-            notes: What the reader took for granted.
-
-        Raises:
-            InputError: Entries are wrong, it has no frame, or only some detections have a class.
-        """
+        """The log. `frames_from` says how its frames are known; `labels` are the names of all classes with their
+        numbers in the order of the file, those that were met if None; `notes` say what the reader took for granted.
+        Raises InputError if entries are wrong, it has no frame, or only some detections have a class."""
         notes = [*notes, *self.problems.settle(), *(self.confidences.notes if self.confidences else [])]
         if not self._frames:
             raise InputError(self.source, ["holds no frame: it needs the times of some, with or without detections"])
@@ -240,9 +197,7 @@ class LogRows:
         camera = np.array([index[name] for name, _ in self._frames], dtype=np.int64)
         time_s = np.array([time for _, time in self._frames])
         order_of_frames = np.lexsort((time_s, camera))
-        place_of = np.empty(len(time_s), dtype=np.int64)
-        place_of[order_of_frames] = np.arange(len(time_s))
-        frame = place_of[np.array([row[0] for row in self._rows], dtype=np.int64)]
+        frame = np.argsort(order_of_frames)[np.array([row[0] for row in self._rows], dtype=np.int64)]
         boxes_px = from_top_left(np.array(self._boxes, dtype=np.float64).reshape(-1, 4))
         if len(boxes_px) and (np.abs(boxes_px) <= _SHARES).all():
             problem = f"all boxes lie within {_SHARES:g} px of the image's corner: give pixels, not shares of the image"
@@ -283,14 +238,11 @@ def _once(log: DetectionLog) -> DetectionLog:
 
 # ---- Times in logs ----
 
-MIN_UNIX_S = 1e8
-"""A number of seconds from here on, March 1973, is Unix time: no scene lasts three years."""
+MIN_UNIX_S = 1e8  # a number of seconds from here on, March 1973, is Unix time: no scene lasts three years
 MAX_S = 1e11
 MIXED = "some times are UTC and others are not (from 1e8 on, seconds are Unix time; are these nanoseconds?)"
-TIME_FORM = "2024-01-04T10:00:00.250Z"
-"""A time as messages show it."""
-_EXIF_DAY = re.compile(r"(\d{4}):(\d\d):(\d\d)(?= )")
-"""As cameras write a date into their images: 2024:01:04 10:00:00."""
+TIME_FORM = "2024-01-04T10:00:00.250Z"  # a time as messages show it
+_EXIF_DAY = re.compile(r"(\d{4}):(\d\d):(\d\d)(?= )")  # as cameras write a date into their images: 2024:01:04 10:00:00
 
 
 def utc_s(text: str) -> float:

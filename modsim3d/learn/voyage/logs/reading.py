@@ -31,11 +31,8 @@ from modsim3d.tracks.diagnosis import CENTRE, MOT
 
 
 def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a file of frame, −1, x, y, width, height, confidence and perhaps a class.
-
-    Raises:
-        InputError: The file is wrong, or its frame rate is not known.
-    """
+    """The log of a file of frame, −1, x, y, width, height, confidence and perhaps a class. Raises InputError if the
+    file is wrong, or its frame rate is not known."""
     source = f"detections {path}"
     problems = Problems(source, options.skip_bad)
     info = sequence_info(path, (math.nan, math.nan), source)
@@ -58,12 +55,8 @@ def read_mot_log(path: Path, options: LogOptions) -> DetectionLog:
         label = _label(int(numbers[7]), options.labels) if classes and len(numbers) > 7 else None
         rows.add(frames[int(numbers[0]) - 1], where, [x - 1, y - 1, width, height], label, numbers[6])
     known = "seqLength in seqinfo.ini" if info.frames >= last else "the frame numbers up to the last with a detection"
-    at = (
-        ""
-        if options.start
-        else "; its first frame is taken to be the scene's first step (--log-start gives another time)"
-    )
-    return rows.log(Clock.STEP, f"{known}, {rate_hz:g} Hz{at}", notes=said)
+    at = "; its first frame is taken to be the scene's first step (--log-start gives another time)"
+    return rows.log(Clock.STEP, f"{known}, {rate_hz:g} Hz{'' if options.start else at}", notes=said)
 
 
 def _label(number: int, labels: tuple[str, ...]) -> str:
@@ -74,11 +67,7 @@ def _label(number: int, labels: tuple[str, ...]) -> str:
 
 
 def read_run_log(folder: Path) -> DetectionLog:
-    """The log of all cameras of a run; nothing of its truth is read.
-
-    Raises:
-        ModsimError: It is no run.
-    """
+    """The log of all cameras of a run; nothing of its truth is read. Raises ModsimError if it is no run."""
     run, source = opened_run(folder), f"detections {folder}"
     problems = Problems(source)
     rows = LogRows(source, problems, Confidences("confidence", 0, 1, True, ""))
@@ -96,14 +85,9 @@ def read_run_log(folder: Path) -> DetectionLog:
 
 
 def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a bag: its folder, or a file of it.
-
-    A camera is the first part of its topic's name: `/bow/detections` is that of `bow`.
-
-    Raises:
-        InputError: It cannot be read, or has no such topic.
-        ModsimError: rosbags is not installed.
-    """
+    """The log of a bag: its folder, or a file of it. A camera is the first part of its topic's name: `/bow/detections`
+    is that of `bow`. Raises InputError if it cannot be read, or has no such topic, and ModsimError if rosbags is not
+    installed."""
     source = f"detections {path}"
     messages = list(read_bag(path, "detections", partial(_chosen, source), _message))
     problems = Problems(source, options.skip_bad)
@@ -179,20 +163,13 @@ _KNOWN = "a run folder, a ROS 2 bag, COCO .json, MOT .txt, .csv, .parquet, or .j
 
 
 def read_log(path: Path, options: LogOptions = NO_OPTIONS) -> DetectionLog:
-    """Read a log of detections, whose kind its name and its beginning tell.
-
-    Raises:
-        InputError: It cannot be read, is of no known kind, or is wrong.
-    """
+    """Read a log of detections, whose kind its name and its beginning tell. Raises InputError if it cannot be read, is
+    of no known kind, or is wrong."""
     log = _reader(path, options)
     if options.images is not None and ".json" not in path.suffixes:
         raise InputError("--images", [f"is for COCO results, and {path} says itself when its images were taken"])
-    return replace(log.shifted(options.start), of_run=_is_of_run(path))
-
-
-def _is_of_run(path: Path) -> bool:
-    """Whether a log is a run, or a file that a run has written into its folder."""
-    return (path / RUN_FILE).is_file() or path.name in files_of_run(path.parent)
+    of_run = (path / RUN_FILE).is_file() or path.name in files_of_run(path.parent)  # the run, or a file in its folder
+    return replace(log.shifted(options.start), of_run=of_run)
 
 
 def _reader(path: Path, options: LogOptions) -> DetectionLog:

@@ -33,40 +33,27 @@ from modsim3d.tracks.diagnosis import CENTRE, CORNERS, TOP_LEFT, BoxForm
 
 _OFF = 0.25
 """A gap may be so much of an interval away from a whole number of them: times are often those of the file's writing."""
-_MAX_OFF = 0.05
-"""Share of the gaps that may be further off where the interval is taken from the times themselves."""
+_MAX_OFF = 0.05  # share of the gaps that may be further off where the interval is taken from the times themselves
 
 
 @dataclass(frozen=True, eq=False)
 class Filled:
-    """Times of all frames of a camera: those with detections, and those that must have been between.
+    """Frames of a camera that must have been between those with detections."""
 
-    Attributes:
-        time_s: The times that were added, shape (k,).
-        rate_hz: The frame rate.
-        longest_s: The longest time without any detection.
-    """
-
-    time_s: Array
+    time_s: Array  # the times that were added, (k,)
     rate_hz: float
-    longest_s: float
+    longest_s: float  # the longest time without any detection
 
 
 def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
-    """The frames without detections between those with.
-
-    Args:
-        time_s: Ascending times of the frames with detections, shape (n,).
-        rate_hz: The frame rate; if None, that of the usual gap between two frames.
-        source: What messages call the log.
-
-    Raises:
-        InputError: The times do not fit a frame rate, or there would be too many frames.
-    """
+    """The frames without detections between those with, whose times (n,) ascend; the frame rate is that of the usual
+    gap between two frames if None. Raises InputError if the times do not fit a frame rate, or there would be too many
+    frames."""
     gaps = np.diff(time_s)
     if not len(gaps):
         return Filled(np.empty(0), rate_hz or 1.0, 0.0)
-    interval = 1 / rate_hz if rate_hz else _usual(gaps)
+    # The usual gap is that which most of those that are no multiple of it are near to: the median of the short half.
+    interval = 1 / rate_hz if rate_hz else float(np.median(np.sort(gaps)[: max(1, (len(gaps) + 1) // 2)]))
     count = np.maximum(np.rint(gaps / interval), 1)
     off = np.abs(gaps / interval - count) > _OFF
     if off.mean() > (0 if rate_hz else _MAX_OFF):
@@ -87,12 +74,6 @@ def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
     return Filled(np.concatenate([np.empty(0), *between]), 1 / interval, float(gaps.max()))
 
 
-def _usual(gaps: Array) -> float:
-    """The gap that most of those that are no multiple of it are near to, shape (n,): the median of the short half."""
-    short = np.sort(gaps)[: max(1, (len(gaps) + 1) // 2)]
-    return float(np.median(short))
-
-
 _TIMES, _SCORES, _LABELS = ("utc", "time_s", "time", "timestamp"), ("score", "confidence"), ("label", "class")
 _EDGES = BoxForm("left, top, right, bottom", ("left", "top", "right", "bottom"), 0, CORNERS.to_corners)
 _SIDES = BoxForm("left, top, width, height", ("left", "top", "width", "height"), 0, TOP_LEFT.to_corners)
@@ -105,14 +86,10 @@ _NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; 
 
 
 def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
-    """The log of a table with a line of names.
-
-    The frames are those of a file beside it, `frames…` beside `detections…`, as runs and exports have; or those of
-    its rows, where some have empty boxes; or those that the frame rate adds between the rows' times.
-
-    Raises:
-        InputError: The file cannot be read, or is wrong; each problem names its line.
-    """
+    """The log of a table with a line of names. The frames are those of a file beside it, `frames…` beside
+    `detections…`, as runs and exports have; or those of its rows, where some have empty boxes; or those that the frame
+    rate adds between the rows' times. Raises InputError if the file cannot be read, or is wrong; each problem names its
+    line."""
     source = f"detections {path}"
     table = TextTable.read(path, "detections")
     time_s, clock = times_of(table, source)
@@ -159,16 +136,12 @@ def _texts(table: TextTable, name: str) -> list[str | None]:
 
 
 def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
-    """The time of each row, shape (k,), and what it counts from.
-
-    Raises:
-        InputError: There is no column of times, or a time is wrong.
-    """
+    """The time of each row, (k,), and what it counts from. Raises InputError if there is no column of times, or a time
+    is wrong."""
     name = _first(table, _TIMES)
     if not name:
-        raise InputError(
-            source, [f"line 1: a column with the time is missing (got {_got(table)}); needed are {_NEEDED}"]
-        )
+        problem = f"line 1: a column with the time is missing (got {_got(table)}); needed are {_NEEDED}"
+        raise InputError(source, [problem])
     texts = table.columns[name].to_pylist()
     times = np.array([seconds(text) for text in texts])
     of_utc = np.isnan(times)

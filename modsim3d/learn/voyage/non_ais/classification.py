@@ -30,27 +30,18 @@ from modsim3d.learn.voyage.non_ais.tracklets import MIN_S, DurationTypes, Things
 # ---- Where a vessel without a transponder passes a known one ----
 
 _SAME_IOU = 0.5
-_NEAR, _MIN_NEAR_PX = 0.25, 5.0
-"""How far about a vessel its box may be off, in heights of it and in pixels."""
-_PASSES = 0.5
-"""The largest share of the life of what passes a vessel in which the two are close."""
-_MOSTLY = 0.5
-"""Share of a detection that lies in a box which it may be of."""
+_NEAR, _MIN_NEAR_PX = 0.25, 5.0  # how far about a vessel its box may be off, in heights of it and in pixels
+_PASSES = 0.5  # the largest share of the life of what passes a vessel in which the two are close
+_MOSTLY = 0.5  # share of a detection that lies in a box which it may be of
 
 
 @dataclass(frozen=True, eq=False)
 class CrossingTracks:
-    """Boxes of vessels without a transponder in each image from the first detection to the last, by image.
+    """Boxes of vessels without a transponder in each image from the first detection to the last, by image."""
 
-    Attributes:
-        image: Shape (n,), non-decreasing.
-        boxes_px: Shape (n, 4).
-        thing: Number of the thing that each is of, shape (n,).
-    """
-
-    image: Indices
-    boxes_px: Array
-    thing: Indices
+    image: Indices  # (n,), non-decreasing
+    boxes_px: Array  # (n, 4)
+    thing: Indices  # that each is of, (n,)
 
     @classmethod
     def of(cls, links: Links, chosen: Mask, labelled: LabelledSet) -> CrossingTracks:
@@ -72,32 +63,22 @@ class CrossingTracks:
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Annotations and detections without information, since a vessel without a transponder is there.
+    """Annotations and detections without information, since a vessel without a transponder is there."""
 
-    Attributes:
-        annotations: Which annotations, shape (T,).
-        results: Which detections, shape (D,).
-    """
-
-    annotations: Mask
-    results: Mask
+    annotations: Mask  # (T,)
+    results: Mask  # (D,)
 
 
 def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, matched: Matched) -> Crossings:
-    """Known vessels whose box one of the tracks comes close to, and the detections about them; also those at borders.
-
-    Args:
-        tracks: The vessels without a transponder.
-        links: The unmatched detections.
-        labelled: The set.
-        matched: Its matches.
-    """
+    """Known vessels whose box a track of a vessel without a transponder comes close to, and the detections about them;
+    also those at borders."""
     known, results, number = labelled.annotations, labelled.results, len(labelled.images)
     rows, places = _meetings(tracks, labelled, matched.rule)
     met, beside = np.zeros(len(known), dtype=bool), np.zeros(len(tracks.image), dtype=bool)
     met[rows] = beside[places] = True
     found = np.append(met, False)[matched.annotation]
-    for there_image, there_px in ((known.image[met], known.boxes_px[met]), _some(tracks, beside)):
+    passing = tracks.image[beside], tracks.boxes_px[beside]
+    for there_image, there_px in ((known.image[met], known.boxes_px[met]), passing):
         for row, place in image_pairs(results.image, there_image, number):
             boxes = results.boxes_px[row]
             inside = intersections(boxes, there_px[place]) >= _MOSTLY * areas(boxes)
@@ -107,10 +88,8 @@ def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, match
 
 
 def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tuple[Indices, Indices]:
-    """Annotations and places of a track that touch in an image, or of which a detection may match the other, (n,).
-
-    What stays with one known vessel for most of its life does not pass it: its truth may be off.
-    """
+    """Annotations and places of a track that touch in an image, or of which a detection may match the other, (n,). What
+    stays with one known vessel for most of its life does not pass it: its truth may be off."""
     known, none = labelled.annotations, np.empty(0, dtype=np.int64)
     reach_px = rule.most_distance_px if rule.method == "centre" else 0.0
     met: list[tuple[Indices, Indices, Mask]] = [(none, none, np.empty(0, dtype=bool))]
@@ -123,23 +102,20 @@ def _meetings(tracks: CrossingTracks, labelled: LabelledSet, rule: Rule) -> tupl
         met.append((row[meet], place[meet], touch[meet]))
     rows, places, touch = (np.concatenate(columns) for columns in zip(*met, strict=True))
     # How long each thing is with each known vessel: in touch, and near enough to be matched with it.
-    couples, couple = np.unique(
-        np.column_stack([tracks.thing[places], known.identity[rows]]), axis=0, return_inverse=True
-    )
+    pairs = np.column_stack([tracks.thing[places], known.identity[rows]])
+    couples, couple = np.unique(pairs, axis=0, return_inverse=True)
+    couple = couple.ravel()
     most = _PASSES * np.bincount(tracks.thing, minlength=1)[couples[:, 0]]
     passes = np.zeros(len(rows), dtype=bool)
     for chosen in (touch, np.ones(len(rows), dtype=bool)):
-        together = np.bincount(couple.ravel()[chosen], minlength=len(couples))
-        passes |= chosen & (together <= most)[couple.ravel()]
+        together = np.bincount(couple[chosen], minlength=len(couples))
+        passes |= chosen & (together <= most)[couple]
     return rows[passes], places[passes]
 
 
 def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
-    """Linked detections of known vessels that come into view or leave it, as places among the links.
-
-    Where positions are not surely known, such a vessel may be in view a few frames earlier or later than the truth has
-    it.
-    """
+    """Linked detections of known vessels that come into view or leave it, as places among the links. Where positions
+    are not surely known, such a vessel may be in view a few frames earlier or later than the truth has it."""
     known, images = labelled.annotations, labelled.images
     of_known = _border(known.boxes_px, images.sizes_px[known.image])
     rows = np.flatnonzero(of_known.any(axis=1))
@@ -162,11 +138,9 @@ def at_the_border(links: Links, labelled: LabelledSet) -> Indices:
 
 
 def _below_horizon(labelled: LabelledSet, image: Indices, boxes_px: Array) -> Array:
-    """How far the upper and the lower edge of boxes (n, 4) lie below the horizon of their images, shape (n, 2).
-
-    On board, pitch moves the picture from frame to frame by more than the height of a far vessel. Where the horizon is
-    unknown, edges are rows of the image.
-    """
+    """Distances of the upper and the lower edge of boxes (n, 4) below the horizon of their images, (n, 2). On board,
+    pitch moves the picture from frame to frame by more than the height of a far vessel. Where the horizon is unknown,
+    edges are rows of the image."""
     a, b, c = labelled.images.half_planes[image].T
     with np.errstate(divide="ignore", invalid="ignore"):
         horizon = -(a * (boxes_px[:, 0] + boxes_px[:, 2]) / 2 + c) / b
@@ -196,37 +170,22 @@ def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matched, thr
     return np.unique(np.concatenate([faint[:0], *found]))
 
 
-def _some(tracks: CrossingTracks, chosen: Mask) -> tuple[Indices, Array]:
-    return tracks.image[chosen], tracks.boxes_px[chosen]
-
-
-_LIKELY, _PERHAPS = 0.5, 0.1
-"""Probabilities from which a thing is taken for a vessel, and from which it may be one."""
+_LIKELY, _PERHAPS = 0.5, 0.1  # probabilities from which a thing is taken for a vessel, and from which it may be one
 _RUN_TIMES = 12.0
 _MIN_RUNS = 24
 
 
 @dataclass(frozen=True, eq=False)
 class ClassifiedDetections:
-    """Classes of the unmatched detections of a labelled set.
+    """Classes of the unmatched detections of a labelled set."""
 
-    Attributes:
-        observed: The set with its matches, before anything is left out.
-        links: The unmatched detections, linked.
-        things: What they are of.
-        kinds: The mixture of lifetimes, in one row.
-        stretches: The stretches marked as empty.
-        empty: Which images lie in them, shape (I,).
-        least_s: Least mean lifetime of what lasts as vessels do.
-    """
-
-    observed: Observed
-    links: Links
-    things: Things
-    kinds: DurationTypes
-    stretches: tuple[TimeSpan, ...]
-    empty: Mask
-    least_s: float
+    observed: Observed  # the set with its matches, before anything is left out
+    links: Links  # the unmatched detections, linked
+    things: Things  # what they are of
+    kinds: DurationTypes  # the mixture of lifetimes, in one row
+    stretches: tuple[TimeSpan, ...]  # those marked as empty
+    empty: Mask  # which images lie in them, (I,)
+    least_s: float  # least mean lifetime of what lasts as vessels do
 
     @cached_property
     def lasting(self) -> Array:
@@ -303,10 +262,8 @@ class ClassifiedDetections:
         return self.rates(resampling, self.observed.image_state, self.observed.states)
 
     def corrected(self, learned: Learned) -> Learned:
-        """Correct what was learned from `labelled` by the rate of false positives that is used.
-
-        Detections are left out or kept as a whole; the mixture knows that a few of either are of the other kind.
-        """
+        """Correct what was learned from `labelled` by the rate of false positives that is used. Detections are left out
+        or kept as a whole; the mixture knows that a few of either are of the other kind."""
         states = learned.observed.states
         rates = self.rates(learned.resampling, learned.observed.image_state, states)
         free = dict(zip(states, _free_share(learned.observed), strict=True))
@@ -327,16 +284,9 @@ class ClassifiedDetections:
 def classify_unmatched(
     observed: Observed, stretches: tuple[TimeSpan, ...] = (), least_s: float = MIN_S
 ) -> ClassifiedDetections:
-    """Link the unmatched detections of a voyage and judge them.
-
-    Args:
-        observed: The set, matched; of its images those with a state take part.
-        stretches: Stretches in which nothing floats but known vessels, on the clock of the images.
-        least_s: Least mean lifetime of what lasts as vessels do.
-
-    Raises:
-        InputError: No image lies in a stretch that is marked as empty.
-    """
+    """Link the unmatched detections of a voyage, in images with a state, and judge them. In the stretches, on the clock
+    of the images, nothing floats but known vessels; `least_s` is the least mean lifetime of what lasts as vessels do.
+    Raises InputError if no image lies in a stretch that is marked as empty."""
     images = observed.labelled.images
     counts = observed.image_state >= 0
     check_stretches(stretches, images.time_s, counts)
@@ -358,10 +308,8 @@ def _free_share(observed: Observed) -> Array:
 
 
 def _scaled_share(column: Column, rate: StateRates, free: float) -> Column:
-    """The share of false detections with the rate that is used.
-
-    Of the odds of being false, the part `free`, those that are no second boxes or parts, changes with the rate.
-    """
+    """The share of false detections with the rate that is used. Of the odds of being false, the part `free`, those that
+    are no second boxes or parts, changes with the rate."""
     share_before = np.clip(column.values, 0, 1 - 1e-12)
     odds = share_before / (1 - share_before) * (1 - free + free * rate.factor)
     share = odds / (1 + odds)

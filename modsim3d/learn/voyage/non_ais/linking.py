@@ -1,8 +1,6 @@
 """False detections linked over time: which of them are the same thing, seen again.
-
 Things move at a constant velocity, along and below the horizon, so that a camera that rolls and pitches does not break
-the links.
-"""
+the links."""
 
 from __future__ import annotations
 
@@ -19,10 +17,9 @@ from modsim3d.formats.matching import image_pairs
 from modsim3d.learn.matches import FalseSightings, Observed
 from modsim3d.learn.persistence import frame_interval_s
 
-# ---- By how much boxes ----
+# ---- By how much boxes jump ----
 
-_SMALLEST = 0.25
-"""Share of the matched boxes that are called small; errors of larger ones are often larger in pixels."""
+_SMALLEST = 0.25  # share of the matched boxes that are called small; errors of larger ones are often larger in pixels
 _MIN_CHANGES = 20
 _MUCH_SMALLER = 1 / 3
 """Boxes of a smaller share of their side err by less in proportion: nothing shows that errors stay as large."""
@@ -30,20 +27,14 @@ _MUCH_SMALLER = 1 / 3
 
 @dataclass(frozen=True, eq=False)
 class Jitter:
-    """Standard deviations of what the error of a small box changes by between two frames.
+    """Standard deviations of what the error of a small box changes by between two frames."""
 
-    Attributes:
-        place_px: Of the centre, in x and y, shape (2,).
-        size_px: Of width and height, shape (2,).
-        side_px: Median of the square root of the area of the boxes that show it.
-    """
-
-    place_px: Array
-    size_px: Array
-    side_px: float
+    place_px: Array  # of the centre, in x and y, (2,)
+    size_px: Array  # of width and height, (2,)
+    side_px: float  # median of the square root of the area of the boxes that show it
 
     def off_px(self, side_px: Array | float) -> Array:
-        """How far centres of boxes of some sides are apart, for a standard deviation in x and y, shape of the sides."""
+        """Distance of centres of boxes of some sides for a standard deviation in x and y, in the shape of the sides."""
         return float(np.hypot(*self.place_px)) * self._share(side_px)
 
     def resized_px(self, side_px: Array | float) -> Array:
@@ -81,47 +72,35 @@ def jitter_of(observed: Observed, longest_s: float) -> Jitter:
 
 # ---- Things followed from frame to frame ----
 
-MAX_HIDDEN_S = 30.0
-"""The longest that a thing may be hidden."""
-_MIN_SEEN = 5
-"""Detections of a thing that may be missed for longer than usual."""
-_NEAR, _MIN_NEAR_PX = 0.6, 5.0
-"""How far off a box may lie, in sides of it, and in pixels."""
-_SPEED_SIDES_S = 1.0
-"""How fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one."""
+MAX_HIDDEN_S = 30.0  # the longest that a thing may be hidden
+_MIN_SEEN = 5  # detections of a thing that may be missed for longer than usual
+_NEAR, _MIN_NEAR_PX = 0.6, 5.0  # how far off a box may lie, in sides of it, and in pixels
+_SPEED_SIDES_S = 1.0  # how fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one
 _MAX_WAY_SIDES = 2.0
 _MAX_LOG_RATIO = np.log(2.0)
 _GATE_STDS = 3.0
 """A box may also be as far off, and as much larger or smaller, as so many standard deviations of the jitter."""
-_ASPECT = 3.0
-"""Width over height of a thing whose width was never seen."""
-_VAGUE = 0.5
-"""How far off a thing counts to be along an axis where no side tells, in reaches."""
+_ASPECT = 3.0  # width over height of a thing whose width was never seen
+_VAGUE = 0.5  # how far off a thing counts to be along an axis where no side tells, in reaches
 _NOTHING = 1.001
-_BESIDE_PX = 5.0
-"""A side so near to another detection's box may be hidden by what is there."""
+_BESIDE_PX = 5.0  # a side so near to another detection's box may be hidden by what is there
 _MEMORY, _MIN_MEMORY, _MEMORY_S = 12, 5, 6.0
 """Detections that a velocity is made from; not many more than in so long, since what nears seems to go ever faster."""
-_AXES = np.array([0, 1, 0, 1])
-"""Axis of the left, upper, right and lower side."""
+_AXES = np.array([0, 1, 0, 1])  # axis of the left, upper, right and lower side
 
 
 @dataclass(eq=False)
 class _Thing:
-    """A thing: its number, how often, when first and when last it was seen.
-
-    Its sides (4,), which of them are known (4,), its velocity along and below the horizon (2,), and how many detections
-    tell where it is along each (2,).
-    """
+    """A thing that is followed."""
 
     number: int
-    seen: int
+    seen: int  # how often
     first_s: float
     last_s: float
-    sides: Array
-    known: Mask
-    velocity: Array
-    told: Array
+    sides: Array  # (4,)
+    known: Mask  # which of the sides are, (4,)
+    velocity: Array  # along and below the horizon, (2,)
+    told: Array  # how many detections tell where it is along each, (2,)
 
     def lost(self, now: float, longest_s: float) -> bool:
         """Whether it is another thing if it is seen again: it may be hidden for as long as it was followed."""
@@ -152,15 +131,9 @@ class _Thing:
 
 
 def follow(time_s: Array, sides: Array, sure: Mask, longest_s: float, jitter: Jitter) -> Indices:
-    """Number the detections of one sequence by what they are of, from 0 up, shape (n,).
-
-    Args:
-        time_s: Time of each, ascending, shape (n,).
-        sides: Left, upper, right and lower side, shape (n, 4).
-        sure: Which of them nothing cuts off, shape (n, 4).
-        longest_s: How long a thing may be missed at least before it is another one.
-        jitter: By how much small boxes change through the detector's errors.
-    """
+    """Number the detections of one sequence by what they are of, from 0 up, (n,). Times (n,) ascend; sides are left,
+    upper, right and lower, (n, 4), and `sure` ones are those that nothing cuts off. A thing that is missed for longer
+    than `longest_s` may be another one."""
     numbers, things, count = np.full(len(time_s), -1), list[_Thing](), 0
     edges = np.flatnonzero(np.diff(time_s)) + 1
     for ours in np.split(np.arange(len(time_s)), edges) if len(time_s) else []:
@@ -216,10 +189,8 @@ def _beside_others(sides: Array) -> Mask:
 
 
 def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array:
-    """How far n detections lie from where k things are expected, along and below the horizon, shape (n, k, 2).
-
-    By the sides that are sure; if none is, by how far the two are apart, which is 0 where they overlap.
-    """
+    """Distances of n detections from where k things are expected, along and below the horizon, (n, k, 2). By the sides
+    that are sure; if none is, by how far the two are apart, which is 0 where they overlap."""
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2)
     off = (measured[:, None] - expected[None]).reshape(usable.shape)
     number = usable.sum(axis=2)
@@ -241,42 +212,28 @@ def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Ji
 
 # ---- The four sides of unmatched detections ----
 
-AT_BORDER_PX = 5.0
-"""A side so near to the image's border may be cut by it."""
+AT_BORDER_PX = 5.0  # a side so near to the image's border may be cut by it
 _BESIDE, _NEAR_PX = 0.25, 5.0
 """A side so near to a known vessel's box may be hidden by it: beside it in heights of the box, and in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Sides of n detections.
+    """Sides of n detections."""
 
-    Attributes:
-        places_px: Left, upper, right and lower side, along and below the horizon, shape (n, 4).
-        sure: Whether each is a side of the whole thing, as nothing cuts it off there, shape (n, 4).
-        at_border: Whether the image's left or right border may cut it, shape (n,).
-    """
-
-    places_px: Array
-    sure: Mask
-    at_border: Mask
+    places_px: Array  # left, upper, right and lower side, along and below the horizon, (n, 4)
+    sure: Mask  # whether each is a side of the whole thing, as nothing cuts it off there, (n, 4)
+    at_border: Mask  # whether the image's left or right border may cut it, (n,)
 
     @classmethod
     def of(cls, sightings: FalseSightings, known: Annotations, images: int) -> Sides:
         """Sides of false detections beside known vessels, in so many images."""
         centre, half = np.column_stack([sightings.along_px, sightings.depth_px]), sightings.sizes_px / 2
-        cut = _at_border(sightings)
-        sure: Mask = ~(cut | _hidden(sightings, known, images))
-        return cls(np.concatenate([centre - half, centre + half], axis=1), sure, cut[:, 0] | cut[:, 2])
-
-
-def _at_border(sightings: FalseSightings) -> Mask:
-    """Mask of the sides at the border of their image, shape (n, 4)."""
-    boxes = sightings.boxes_px
-    with np.errstate(invalid="ignore"):
-        near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
-    cut: Mask = np.concatenate([near, far], axis=1)
-    return cut
+        boxes = sightings.boxes_px
+        with np.errstate(invalid="ignore"):
+            near, far = boxes[:, :2] <= AT_BORDER_PX, boxes[:, 2:] >= sightings.image_px - AT_BORDER_PX
+        sure: Mask = ~(np.concatenate([near, far], axis=1) | _hidden(sightings, known, images))
+        return cls(np.concatenate([centre - half, centre + half], axis=1), sure, near[:, 0] | far[:, 0])
 
 
 def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
@@ -295,41 +252,25 @@ def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
 
 MAX_GAP_S = 3.0
 """A thing that is not detected for longer is another one when it is detected again, unless it was followed as long."""
-MIN_GAP_FRAMES = 3
-"""Usual gaps between frames that a thing may be missed for in any case."""
+MIN_GAP_FRAMES = 3  # usual gaps between frames that a thing may be missed for in any case
 
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Detections linked to things.
+    """Detections linked to things."""
 
-    Attributes:
-        rows: Rows of the results that are linked, shape (n,).
-        link: Number of the thing that each is of, from 0 up, shape (n,).
-        image: Image of each, shape (n,).
-        time_s: Time of each, shape (n,).
-        places_px: Distance along and below the horizon of the centre, shape (n, 2).
-        bottom_px: Distance below the horizon of the middle of the lower edge, NaN where no horizon is known, (n,).
-        sizes_px: Width and height, shape (n, 2).
-        whole: Whether nothing cuts off a side, shape (n,).
-        at_border: Whether the image's left or right border may cut it, shape (n,).
-        gap_s: Usual time between frames.
-        longest_gap_s: Longest time between two detections of a thing that is not hidden.
-        jitter: By how much small boxes change through the detector's errors.
-    """
-
-    rows: Indices
-    link: Indices
+    rows: Indices  # of the results that are linked, (n,)
+    link: Indices  # number of the thing that each is of, from 0 up
     image: Indices
     time_s: Array
-    places_px: Array
-    bottom_px: Array
-    sizes_px: Array
-    whole: Mask
-    at_border: Mask
-    gap_s: float
-    longest_gap_s: float
-    jitter: Jitter
+    places_px: Array  # of the centre along and below the horizon, (n, 2)
+    bottom_px: Array  # of the middle of the lower edge below the horizon, nan where no horizon is known
+    sizes_px: Array  # width and height, (n, 2)
+    whole: Mask  # whether nothing cuts off a side
+    at_border: Mask  # whether the image's left or right border may cut it
+    gap_s: float  # usual time between frames
+    longest_gap_s: float  # between two detections of a thing that is not hidden
+    jitter: Jitter  # by how much small boxes change through the detector's errors
 
     @property
     def count(self) -> int:
@@ -354,17 +295,7 @@ def link(observed: Observed) -> Links:
         first = int(numbers.max()) + 1
     alone = np.flatnonzero(numbers < 0)
     numbers[alone] = first + np.arange(len(alone))
-    return Links(
-        observed.false_positives,
-        numbers,
-        sightings.image,
-        time_s,
-        np.column_stack([sightings.along_px, sightings.depth_px]),
-        np.where(sightings.known, sides.places_px[:, 3], np.nan),
-        sightings.sizes_px,
-        np.asarray(sides.sure.all(axis=1)),
-        sides.at_border,
-        gap_s,
-        longest,
-        jitter,
-    )
+    places = np.column_stack([sightings.along_px, sightings.depth_px])
+    bottom = np.where(sightings.known, sides.places_px[:, 3], np.nan)
+    about = sightings.image, time_s, places, bottom, sightings.sizes_px, np.asarray(sides.sure.all(axis=1))
+    return Links(observed.false_positives, numbers, *about, sides.at_border, gap_s, longest, jitter)

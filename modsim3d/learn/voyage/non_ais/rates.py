@@ -28,56 +28,32 @@ class RateSource(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """Unmatched detections, and what speaks for each being of a vessel without a transponder.
+    """Unmatched detections, and what speaks for each being of a vessel without a transponder."""
 
-    Attributes:
-        image: Image of each of n detections, shape (n,).
-        duration: Which of D durations its thing has, shape (n,).
-        tells: Which tell something; the others lie where vessels pass each other or come into view, shape (n,).
-        lasting: Probability that things of a duration last as vessels do, in each replicate, shape (rows, D).
-        likely: Whether these are taken for vessels, shape (D,).
-        perhaps: Whether they may be vessels, shape (D,).
-        empty: Which images lie in stretches marked as empty, shape (I,).
-    """
-
-    image: Indices
-    duration: Indices
-    tells: Mask
-    lasting: Array
-    likely: Mask
-    perhaps: Mask
-    empty: Mask
+    image: Indices  # of each of n detections, (n,)
+    duration: Indices  # which of D durations its thing has, (n,)
+    tells: Mask  # which tell something; the others lie where vessels pass each other or come into view, (n,)
+    lasting: Array  # probability that things of a duration last as vessels do, in each replicate, (rows, D)
+    likely: Mask  # which of these are taken for vessels, (D,)
+    perhaps: Mask  # which may be vessels, (D,)
+    empty: Mask  # which images lie in stretches marked as empty, (I,)
 
 
 @dataclass(frozen=True, eq=False)
 class StateRates:
-    """False positives in an image of one state.
-
-    Attributes:
-        state: Its name.
-        images: Number of its images.
-        unmatched: Detections that match nothing, but for second boxes and parts of known vessels.
-        taken_for_vessels: Those of them that are taken for a vessel's.
-        upper: If all of them are false, those that tell nothing, too.
-        lower: If all that may be a vessel's are of vessels.
-        mixture: By the mixture; None if nothing lasts as vessels do.
-        empty: In the stretches marked as empty; None if none of its images lies in one.
-        vessel_share: Share of the unmatched detections that tell something that are of vessels, by the mixture.
-        kept: The rate of those that are learned from.
-        units: Number of runs or images that were resampled.
-    """
+    """False positives in an image of one state."""
 
     state: str
     images: int
-    unmatched: int
-    taken_for_vessels: int
-    upper: Column
-    lower: Column
-    mixture: Column | None
-    empty: Column | None
-    vessel_share: Column
-    kept: Column
-    units: int
+    unmatched: int  # detections that match nothing, but for second boxes and parts of known vessels
+    taken_for_vessels: int  # those of them that are taken for a vessel's
+    upper: Column  # if all of them are false, those that tell nothing, too
+    lower: Column  # if all that may be a vessel's are of vessels
+    mixture: Column | None  # by the mixture; None if nothing lasts as vessels do
+    empty: Column | None  # in the stretches marked as empty; None if none of its images lies in one
+    vessel_share: Column  # of the unmatched detections that tell something those of vessels, by the mixture
+    kept: Column  # the rate of those that are learned from
+    units: int  # number of runs or images that were resampled
 
     @property
     def source(self) -> RateSource:
@@ -106,16 +82,9 @@ def rates_of(
     found: bool,
     inflation: float,
 ) -> tuple[StateRates, ...]:
-    """The rates in each state.
-
-    Args:
-        weighing: The unmatched detections.
-        resampling: Weights of the images.
-        image_state: State of each image, −1 for none, shape (I,).
-        states: Their names.
-        found: Whether the data show things that last as vessels do.
-        inflation: Factor by which flicker that stays raises the variance of the number of its detections.
-    """
+    """The rates in each state; the state of each image is -1 for none, (I,). `found` says that the data show things
+    that last as vessels do, and `inflation` is the factor by which flicker that stays raises the variance of the number
+    of its detections."""
     weights = resampling.weights
     rates = []
     for index, name in enumerate(states):
@@ -164,15 +133,11 @@ _FORM = (
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """From one time to another, both in seconds since the scene's first step.
-
-    Attributes:
-        start_s: Unix time of that step if the stretch was given in UTC, to show it so.
-    """
+    """From one time to another, both in seconds since the scene's first step."""
 
     first_s: float
     last_s: float
-    start_s: float | None = field(default=None, compare=False)
+    start_s: float | None = field(default=None, compare=False)  # Unix time of that step if given in UTC, to show it so
 
     def __str__(self) -> str:
         """As it is given."""
@@ -186,25 +151,13 @@ class TimeSpan:
 
 
 def parse_stretches(text: str, start_s: float | None) -> tuple[TimeSpan, ...]:
-    """Stretches from a text such as `120-300,900-1000`, or with UTC times and a slash between them.
-
-    Args:
-        text: What was given to `--empty`.
-        start_s: Unix time of the scene's first step; None if the scene does not say.
-
-    Raises:
-        InputError: A part has another form, ends before it begins, or is in UTC and the scene does not say when it is.
-    """
-    stretches, problems = [], []
-    for part in (each.strip() for each in text.split(",")):
-        found = _stretch(part, start_s)
-        if isinstance(found, str):
-            problems.append(found)
-        else:
-            stretches.append(found)
-    if problems:
+    """Stretches from a text such as `120-300,900-1000`, or with UTC times and a slash between them. `start_s` is the
+    Unix time of the scene's first step; None if the scene does not say. Raises InputError if a part has another form,
+    ends before it begins, or is in UTC and the scene does not say when it is."""
+    found = [_stretch(part.strip(), start_s) for part in text.split(",")]
+    if problems := [each for each in found if isinstance(each, str)]:
         raise InputError("--empty", problems)
-    return tuple(stretches)
+    return tuple(each for each in found if isinstance(each, TimeSpan))
 
 
 def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
@@ -216,16 +169,8 @@ def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
 
 
 def check_stretches(stretches: tuple[TimeSpan, ...], time_s: Array, counts: Mask | None = None) -> None:
-    """Refuse a stretch without frames.
-
-    Args:
-        stretches: The stretches.
-        time_s: Times of all frames, at least one, shape (n,).
-        counts: Which frames count; all if None, shape (n,).
-
-    Raises:
-        InputError: No frame that counts lies in a stretch.
-    """
+    """Refuse a stretch in which none of the times (n,) of all frames lies, n >= 1, that counts; all count if `counts`
+    is None. Raises InputError."""
     for stretch in stretches:
         inside = in_stretches((stretch,), time_s)
         if not (inside if counts is None else inside & counts).any():

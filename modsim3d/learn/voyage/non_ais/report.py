@@ -21,17 +21,7 @@ from modsim3d.learn.voyage.non_ais.rates import RateSource, StateRates, TimeSpan
 from modsim3d.learn.voyage.non_ais.tracklets import MIN_RATIO, MIN_S, Behaviour
 
 TITLE = "False positives in an image, where not everything that floats has a transponder"
-HEADER = (
-    "state",
-    "images",
-    "unmatched",
-    "like vessels",
-    "least",
-    "by lifetimes",
-    "most",
-    "in empty stretches",
-    "used",
-)
+HEADER = ("state", "images", "unmatched", "like vessels", "least", "by lifetimes", "most", "in empty stretches", "used")
 
 
 def rows_of(rates: Sequence[StateRates], level: float) -> list[tuple[str, ...]]:
@@ -56,10 +46,8 @@ def sentences(judged: ClassifiedDetections, rates: Sequence[StateRates]) -> Iter
         yield "the frames have no times, so no detection can be followed: all unmatched detections count as false"
         return
     if not judged.kinds.found:
-        yield (
-            f"no unmatched detections last as vessels do ({least} on average at least): all of them count as false "
-            "positives"
-        )
+        short = f"no unmatched detections last as vessels do ({least} on average at least)"
+        yield f"{short}: all of them count as false positives"
         if longer := int(np.count_nonzero(judged.kinds.longer[judged.kinds.of_thing])):
             yield (
                 f"the rate of false positives may be an upper bound: {counted(longer, 'thing', 'things')} seen for "
@@ -125,22 +113,11 @@ def learn_beside_unseen(
     stretches: tuple[TimeSpan, ...] = (),
     least_s: float = MIN_S,
 ) -> tuple[LearnReport, ClassifiedDetections]:
-    """Learn a detector; detections that behave like a vessel which is not annotated are neither hits nor false.
-
-    Args:
-        labelled: The annotations are vessels with a transponder.
-        settings: How it is learned.
-        options: What is wanted besides.
-        stretches: Stretches in which nothing floats but what is annotated, on the clock of the images.
-        least_s: Least mean lifetime of what lasts as vessels do.
-
-    Returns:
-        The report, whose rates of false positives are those of `ClassifiedDetections` and whose remarks say which these
-        are, and the classified detections.
-
-    Raises:
-        ModsimError: As `learn_detector`; also if no frame lies in a stretch that is marked as empty.
-    """
+    """Learn a detector from a set whose annotations are vessels with a transponder; detections that behave like a
+    vessel which is not annotated are neither hits nor false. In the stretches, on the clock of the images, nothing
+    floats but what is annotated; `least_s` is the least mean lifetime of what lasts as vessels do. The report has the
+    rates of false positives of the classified detections, and says which these are. Raises ModsimError as
+    `learn_detector`; also if no frame lies in a stretch that is marked as empty."""
     conditions = labelled.conditions
     states = parse_states(options.states, conditions) if options.states else each_its_own(conditions)
     image_state = states.of_images(labelled.images, conditions)

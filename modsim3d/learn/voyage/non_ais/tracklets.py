@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from modsim3d.core.statistics import MAD_TO_STD
 from modsim3d.formats.labelled import Images
 from modsim3d.learn.voyage.non_ais.linking import Links
 
-_MIN_SEEN = 5
-"""Detections that are needed to see how a thing moves; with fewer nothing speaks against a vessel."""
+_MIN_SEEN = 5  # detections that are needed to see how a thing moves; with fewer nothing speaks against a vessel
 _MAX_OFF, _MAX_OFF_PX, _MAX_RESIZED = 0.35, 5.0, 0.4
 """Median distance from the middle of the detections before and after, in sides and in pixels; spread of log sides."""
-_MIN_SHARE = 0.25
-"""Share of the frames of its life in which a vessel is detected at least."""
+_MIN_SHARE = 0.25  # share of the frames of its life in which a vessel is detected at least
 _ABOVE, _MIN_ABOVE_PX = 0.25, 3.0
 """How far above the horizon a vessel's lower edge may seem to be, in heights and in pixels."""
 _UNSTEADY_STDS = 1.5
@@ -48,23 +45,14 @@ class Behaviour(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Things:
-    """N linked things.
+    """N linked things."""
 
-    Attributes:
-        detections: How often each was detected, shape (N,).
-        first_image: Image in which each was first detected, shape (N,).
-        frames: Frames from the first detection to the last, both included, by the usual gap, shape (N,).
-        lasted_s: Time from the first detection to the last, shape (N,).
-        cut: Whether the frames end before the thing surely did, shape (N,).
-        behaviour: Of `Behaviour`, shape (N,).
-    """
-
-    detections: Indices
-    first_image: Indices
-    frames: Indices
-    lasted_s: Array
-    cut: Mask
-    behaviour: Indices
+    detections: Indices  # how often each was detected, (N,)
+    first_image: Indices  # in which each was detected
+    frames: Indices  # from the first detection to the last, both included, by the usual gap
+    lasted_s: Array  # from the first detection to the last
+    cut: Mask  # whether the frames end before the thing surely did
+    behaviour: Indices  # of `Behaviour`
 
     @property
     def perhaps_vessel(self) -> Mask:
@@ -80,7 +68,7 @@ class Things:
 
 
 def things_of(links: Links, images: Images) -> Things:
-    """How long things last and how they move."""
+    """Durations and movements of the linked things."""
     count, order = links.count, np.lexsort((links.time_s, links.link))
     link = links.link[order]
     starts = np.searchsorted(link, np.arange(count))
@@ -104,7 +92,7 @@ def things_of(links: Links, images: Images) -> Things:
 
 
 def _behaviour(links: Links, rows: Indices, share: float) -> Behaviour:
-    """How a thing behaves that was detected in some rows, in order of time, shape (n,)."""
+    """Behaviour of a thing that was detected in some rows, in order of time, (n,)."""
     place, size, time_s = links.places_px[rows], links.sizes_px[rows], links.time_s[rows]
     below = links.bottom_px[rows]
     if np.isfinite(below).any() and np.nanmedian(below + np.maximum(_ABOVE * size[:, 1], _MIN_ABOVE_PX)) < 0:
@@ -132,63 +120,42 @@ def _ends_s(images: Images) -> Array:
 
 # ---- Two kinds of durations ----
 
-MIN_S = 30.0
-"""What lasts as vessels do lasts so long on average at least."""
+MIN_S = 30.0  # what lasts as vessels do lasts so long on average at least
 MIN_RATIO = 3.0
 """And so many times as long as flicker that stays: that lasts no longer on average than the least over this."""
 _STEPS = 60
-_SURE = 6.0
-"""Gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets."""
-_MIN_WEIGHT = 0.05
-"""In a replicate without any of the few things that last, they are still known to be there."""
+_SURE = 6.0  # gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets
+_MIN_WEIGHT = 0.05  # in a replicate without any of the few things that last, they are still known to be there
 _SINGLE, _SHORT, _LONG = range(3)
 
 
 @dataclass(frozen=True, eq=False)
 class DurationTypes:
-    """Durations that are alike, and the mixture fitted to them in each replicate.
+    """Durations that are alike, and the mixture fitted to them in each replicate. Things of a `longer` duration move
+    like a vessel and were seen for longer than flicker lasts on average at most. `unsteady` ones last as vessels do and
+    jump: they count as false, and may be vessels."""
 
-    Attributes:
-        of_thing: Which duration each of N things has, shape (N,).
-        lasting: Probability that a thing of each duration is of the longer kind, shape (rows, durations).
-        short_s, long_s: Mean lifetimes of flicker that stays and of the longer kind, shape (rows,).
-        found: Whether the data show a longer kind; else `lasting` is 0.
-        longer: Whether things of each duration move like a vessel and were seen for longer than flicker lasts on
-            average at most, shape (durations,).
-        unsteady: Whether they last as vessels do and jump: they count as false, and may be vessels; (durations,).
-        inflation: Factor by which flicker that stays raises the variance of the number of its detections.
-    """
-
-    of_thing: Indices
-    lasting: Array
-    short_s: Array
-    long_s: Array
-    found: bool
-    longer: Mask
-    unsteady: Mask
-    inflation: float
+    of_thing: Indices  # which duration each of N things has, (N,)
+    lasting: Array  # probability that a thing of each duration is of the longer kind, (rows, durations)
+    short_s: Array  # mean lifetime of flicker that stays, (rows,)
+    long_s: Array  # mean lifetime of the longer kind, (rows,)
+    found: bool  # whether the data show a longer kind; else `lasting` is 0
+    longer: Mask  # (durations,)
+    unsteady: Mask  # (durations,)
+    inflation: float  # factor by which flicker that stays raises the variance of the number of its detections
 
     def at_least(self, probability: float) -> Mask:
-        """Mask of the durations that may be of vessels with such a probability, shape (durations,).
-
-        Those of things that were seen for long, where the data do not show whether there is a longer kind; and always
-        those of things that last and jump.
-        """
+        """Mask of the durations that may be of vessels with such a probability, (durations,). Those of things that were
+        seen for long, where the data do not show whether there is a longer kind; and always those of things that last
+        and jump."""
         likely: Mask = self.lasting[0] >= probability
         return (likely if self.found else self.longer) | self.unsteady
 
 
 def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = MIN_S) -> DurationTypes:
-    """Fit the mixture to the durations of N things, of which each has a weight in each replicate.
-
-    Things that do not move like a vessel are left out, and are surely of no longer kind, however long they last.
-
-    Args:
-        things: The things.
-        weights: In the first row one each, shape (rows, N).
-        gap_s: Usual time between frames.
-        least_s: Least mean lifetime of the longer kind.
-    """
+    """Fit the mixture to the durations of N things; each has a weight in each replicate, (rows, N), one in the first
+    row. Things that do not move like a vessel are left out, and are surely of no longer kind, however long they last.
+    `gap_s` is the usual time between frames, and `least_s` the least mean lifetime of the longer kind."""
     perhaps = things.perhaps_vessel
     keys = np.column_stack([things.frames, things.cut, perhaps, things.unsteady]).astype(np.int64)
     values, of_thing = np.unique(keys.reshape(-1, 4), axis=0, return_inverse=True)
@@ -205,9 +172,8 @@ def kinds_of(things: Things, weights: Array, gap_s: float, least_s: float = MIN_
     lasted_s = (durations.frames - 1) * gap_s
     longer = durations.perhaps & (lasted_s > least_s / MIN_RATIO)
     unsteady = values[:, 3].astype(bool) & (lasted_s >= least_s)
-    return DurationTypes(
-        of_thing, lasting, fit.short * gap_s, long_s, found, longer, unsteady, durations.inflation(fit)
-    )
+    inflation = durations.inflation(fit)
+    return DurationTypes(of_thing, lasting, fit.short * gap_s, long_s, found, longer, unsteady, inflation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,12 +195,6 @@ class _Durations:
     perhaps: Mask
     counts: Array
     least: float
-
-    @cached_property
-    def trials(self) -> Array:
-        """Frames after which each could have ended, shape (D,)."""
-        trials: Array = np.subtract(self.frames, self.cut, dtype=np.float64)
-        return trials
 
     def fit(self, with_long: bool, rows: int | None = None) -> _Fit:
         """The likeliest mixture of each row, with or without the longer kind."""
@@ -278,7 +238,8 @@ class _Durations:
         return density
 
     def _mean(self, weights: Array) -> Array:
-        """Mean number of frames: all frames over all ends, shape (rows,)."""
+        """Mean number of frames: all frames after which each could have ended over all ends, (rows,)."""
         ends = (weights * (1 - self.cut)).sum(axis=1)
-        mean: Array = (weights * self.trials).sum(axis=1) / np.maximum(ends, 0.5)
+        trials = np.subtract(self.frames, self.cut, dtype=np.float64)
+        mean: Array = (weights * trials).sum(axis=1) / np.maximum(ends, 0.5)
         return mean

@@ -9,31 +9,22 @@ import numpy as np
 from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import ModsimError
-from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
+from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, same_frame
 from modsim3d.learn.voyage.registration.parameters import Values
 
 
 @dataclass(frozen=True, eq=False)
 class BoxesAtTimes:
-    """n detected boxes in F frames of one camera.
+    """n detected boxes in F frames of one camera, those without boxes included. Times by the detector's clock count as
+    the scene does: from its first step on."""
 
-    Attributes:
-        times_s: Time of each frame by the detector's clock, counted as the scene counts: from its first step on,
-            ascending, shape (F,). Frames without boxes are included.
-        frame: Index of each box's frame, shape (n,).
-        boxes_px: Left, top, right and bottom edge, shape (n, 4).
-    """
-
-    times_s: Array
-    frame: Indices
-    boxes_px: Array
+    times_s: Array  # of each frame, ascending, (F,)
+    frame: Indices  # of each box, (n,)
+    boxes_px: Array  # left, top, right and bottom edge, (n, 4)
 
     def __post_init__(self) -> None:
-        """Check the shapes.
-
-        Raises:
-            ModsimError: Shapes do not fit, times do not ascend, a box has no frame, or a number is not finite.
-        """
+        """Raise ModsimError if shapes do not fit, times do not ascend, a box has no frame, or a number is not
+        finite."""
         count = len(self.frame)
         if self.times_s.ndim != 1 or self.boxes_px.shape != (count, 4):
             found = f"times {self.times_s.shape}, frames {self.frame.shape}, boxes {self.boxes_px.shape}"
@@ -60,38 +51,24 @@ class BoxesAtTimes:
 
 # ---- Detections matched to vessels ----
 
-EDGE_PX = 3.0
-"""An edge this near the image's border may be cut by it."""
-FARTHEST = 0.75
-"""How far from the image's centre, in shares of its size, a point may be by the scene's own lens."""
+EDGE_PX = 3.0  # an edge this near the image's border may be cut by it
+FARTHEST = 0.75  # how far from the image's centre, in shares of its size, a point may be by the scene's own lens
 SIZE_RATIO = 2.5
-LESS_SURE = 0.5
-"""A match is clear if it is nearer, by this factor, than the next vessel and the next detection."""
+LESS_SURE = 0.5  # a match is clear if it is nearer, by this factor, than the next vessel and the next detection
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings(Columns):
-    """Matched detections, n rows in order of frame.
+    """Matched detections, n rows in order of frame."""
 
-    Attributes:
-        detection: Row of the detected box, shape (n,).
-        frame: Index of the frame, shape (n,).
-        time_s: Its time by the detector's clock, shape (n,).
-        vessel: Index into the scene's vessels, shape (n,).
-        boxes_px: Detected left, top, right and bottom edge, shape (n, 4).
-        usable: Which of these edges are neither cut by the image nor hidden, shape (n, 4).
-        expected_px: The box that the values give with which it was matched, not cut at the image, shape (n, 4).
-        corners_m: The vertex of the vessel that makes each edge, in VCF, shape (n, 4, 3).
-    """
-
-    detection: Indices
+    detection: Indices  # row of the detected box
     frame: Indices
-    time_s: Array
+    time_s: Array  # of the frame, by the detector's clock
     vessel: Indices
-    boxes_px: Array
-    usable: Mask
-    expected_px: Array
-    corners_m: Array
+    boxes_px: Array  # detected left, top, right and bottom edge, (n, 4)
+    usable: Mask  # which of these edges are neither cut by the image nor hidden, (n, 4)
+    expected_px: Array  # the box that the values give with which it was matched, not cut at the image, (n, 4)
+    corners_m: Array  # the vertex of the vessel that makes each edge, in VCF, (n, 4, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,17 +108,10 @@ def inside(boxes_px: Array, size_px: Array) -> Mask:
 
 
 def match(found: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int], gates_px: Array) -> Sightings:
-    """Detections that are each other's nearest with a vessel of the same frame, and clearly so.
-
-    The distance is that of the centre's column and the lower edge in shares of the gate, and that of the widths.
-
-    Args:
-        found: The detections.
-        predicted: The vessels.
-        size_px: Width and height of the image.
-        gates_px: Greatest distance in columns and in rows of each predicted box, shape (m, 2).
-    """
-    box, row = _same_frame(found.frame, predicted.frame)
+    """Detections that are each other's nearest with a vessel of the same frame, and clearly so. The distance is that of
+    the centre's column and the lower edge in shares of the gate, and that of the widths. `gates_px` are the greatest
+    distances in columns and in rows of each predicted box, (m, 2)."""
+    box, row = same_frame(found.frame, predicted.frame)
     detected, expected = found.boxes_px[box], clip(predicted.boxes_px, size_px)[row]
     gates = gates_px[row]
     across = (detected[:, [0, 2]] - expected[:, [0, 2]]).mean(axis=1) / gates[:, 0]
@@ -155,18 +125,10 @@ def match(found: BoxesAtTimes, predicted: Predictions, size_px: tuple[int, int],
     box, row = box[clear], row[clear]
     order = np.lexsort((row, predicted.frame[row]))
     box, row = box[order], row[order]
-    usable = predicted.usable[row] & inside(found.boxes_px[box], np.array(size_px, dtype=np.float64))
-    frame = predicted.frame[row]
-    return Sightings(
-        detection=box,
-        frame=frame,
-        time_s=found.times_s[frame],
-        vessel=predicted.vessel[row],
-        boxes_px=found.boxes_px[box],
-        usable=usable,
-        expected_px=predicted.boxes_px[row],
-        corners_m=predicted.corners_m[row],
-    )
+    frame, boxes = predicted.frame[row], found.boxes_px[box]
+    usable = predicted.usable[row] & inside(boxes, np.array(size_px, dtype=np.float64))
+    columns = predicted.vessel[row], boxes, usable, predicted.boxes_px[row], predicted.corners_m[row]
+    return Sightings(box, frame, found.times_s[frame], *columns)
 
 
 def _clearest(owner: Indices, distance: Array) -> Mask:
@@ -179,11 +141,3 @@ def _clearest(owner: Indices, distance: Array) -> Mask:
     clear = np.zeros(len(order), dtype=bool)
     clear[order] = first & (distance[order] <= LESS_SURE * following)
     return clear
-
-
-def _same_frame(first: Indices, second: Indices) -> tuple[Indices, Indices]:
-    """All pairs of rows of two columns of frames that are in the same frame; the second ascends."""
-    start, stop = np.searchsorted(second, first, side="left"), np.searchsorted(second, first, side="right")
-    count = stop - start
-    row = np.repeat(np.arange(len(first)), count)
-    return row, np.repeat(start - (np.cumsum(count) - count), count) + np.arange(len(row))

@@ -24,47 +24,33 @@ from modsim3d.learn.voyage.registration.parameters import (
 # ---- Errors of positions that last ----
 
 LASTS_S = 300.0
-KNOT_S, MAX_KNOTS = 3.0, 60
-"""The drift is linear between knots, of which a vessel has at most so many."""
+KNOT_S, MAX_KNOTS = 3.0, 60  # the drift is linear between knots, of which a vessel has at most so many
 TINY = 1e-9
 ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """A linear fit of p values of the camera and of the vessels' drifts.
+    """A linear fit of p values of the camera and of the vessels' drifts."""
 
-    Attributes:
-        change: Change of the values, shape (p,).
-        off: How far each row's vessel is off its reports, along and across in metres, and how late, shape (m, 3).
-        steady: The same of a vessel that did not drift, so that it stays put among what is seen of it, shape (m, 3).
-        errors_px: What is left of the residuals, shape (m,).
-        spreads_px: Spread of what is left of each row, shape (m,).
-    """
-
-    change: Array
-    off: Array
-    steady: Array
-    errors_px: Array
-    spreads_px: Array
+    change: Array  # of the values, (p,)
+    off: Array  # how far each row's vessel is off its reports, along and across in metres, and how late, (m, 3)
+    steady: Array  # the same of a vessel that did not drift, so that it stays put among what is seen of it, (m, 3)
+    errors_px: Array  # what is left of the residuals, (m,)
+    spreads_px: Array  # of what is left of each row, (m,)
 
 
 def drift_axes(time_s: Array, vessel: Indices, constant: Array, noise_m: float) -> Array:
-    """How far unit normals put the vessel of each row off: along and across in metres, late in s, shape (m, 3, q).
-
-    Args:
-        time_s: Time of each row, shape (m,).
-        vessel: Its vessel, which has its own normals, shape (m,).
-        constant: Standard deviations of what is constant: along, across and delay, shape (3,).
-        noise_m: Standard deviation of the drift along and across.
-    """
+    """Distances by which unit normals, its own for each vessel, put the vessel of each row off: along and across in
+    metres, late in s, (m, 3, q). `constant` are standard deviations of what is constant: along, across and delay, (3,);
+    `noise_m` is that of the drift along and across."""
     parts = [(rows, _hats(time_s[rows])) for rows in clusters(vessel)]
     most = max((hats.shape[1] for _, hats in parts), default=0)
-    drifting, staying = np.zeros((len(time_s), 3, 2, most)), np.zeros((len(time_s), 3, 3))
+    drifting = np.zeros((len(time_s), 3, 2, most))
     for rows, hats in parts:
         for axis in range(2):
             drifting[rows, axis, axis, : hats.shape[1]] = noise_m * hats
-    staying[:] = np.diag(constant)
+    staying = np.tile(np.diag(constant), (len(time_s), 1, 1))
     return np.concatenate([drifting.reshape(len(time_s), 3, 2 * most), staying], axis=2)
 
 
@@ -86,17 +72,10 @@ def fit_drift(
     axes: Array,
     together: float,
 ) -> Drift:
-    """Fit values of the camera, and where the vessels are.
-
-    Args:
-        residuals: The rows.
-        px: Residuals with all vessels where their reports put them, shape (m,).
-        first_px: What is left of them by the last fit, shape (m,).
-        slopes_px: Derivatives by the values, shape (m, p).
-        own_px: Derivatives by along, across and delay of the row's vessel, per metre and second, shape (m, 3).
-        axes: See `drift_axes`, shape (m, 3, q).
-        together: How many rows count as one.
-    """
+    """Fit p values of the camera, and where the vessels are. `px` (m,) are residuals with all vessels where their
+    reports put them, and `first_px` what is left of them by the last fit. `slopes_px` (m, p) are derivatives by the
+    values, and `own_px` (m, 3) by along, across and delay of the row's vessel, per metre and second; for `axes` see
+    `drift_axes`. So many rows `together` count as one."""
     axes_px = (own_px[:, :, None] * axes).sum(axis=1)
     errors, change, normals = first_px, np.zeros(slopes_px.shape[1]), np.zeros(axes_px.shape)
     groups, p = list(clusters(residuals.vessel)), slopes_px.shape[1]
@@ -130,35 +109,24 @@ def _steady(rest: Array, slopes: Array, groups: Sequence[Indices], far_m: Array)
     return steady
 
 
-BLOCK_S = 10.0
-"""Stretches of time within which a vessel's box errors are taken to go together."""
+BLOCK_S = 10.0  # stretches of time within which a vessel's box errors are taken to go together
 PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
 """A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
 OWN = slice(len(SHARED_NAMES), len(PROBED))
-DELAY_S = 0.5
-"""Standard deviation, over vessels, of how late reports are, where offsets are expected."""
-FIRST_M = 5.0
-"""That of constant errors in the first fit, where none are expected."""
+DELAY_S = 0.5  # standard deviation, over vessels, of how late reports are, where offsets are expected
+FIRST_M = 5.0  # that of constant errors in the first fit, where none are expected
 EFFECT_ROUNDS, DRIFT_ROUNDS = 2, 6
-SAME = 0.003
-"""The drifts stay if no value changes by more, in plausible distances."""
+SAME = 0.003  # the drifts stay if no value changes by more, in plausible distances
 
 
 @dataclass(frozen=True, eq=False)
 class Estimated:
-    """The last fit.
-
-    Attributes:
-        aligned: The values and their matches.
-        linear: The fit near them, a column for each of `PROBED`.
-        effects: What is wrong with single vessels.
-        known: How well the free shared values are known.
-    """
+    """The last fit."""
 
     aligned: Alignment
-    linear: Linear
+    linear: Linear  # near the values of the alignment, a column for each of `PROBED`
     effects: VesselEffects
-    known: Knowledge
+    known: Knowledge  # of the free shared values
 
 
 def estimate(
@@ -173,11 +141,8 @@ def estimate(
 
 
 def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
-    """The fit as a regression in plausible distances, with a column for each of `PROBED`.
-
-    Raises:
-        ModsimError: There is nothing to fit.
-    """
+    """The fit as a regression in plausible distances, with a column for each of `PROBED`. Raises ModsimError if there
+    is nothing to fit."""
     if not len(aligned.residuals.row):
         raise ModsimError("registration: no match is left")
     px, slopes = _px_and_slopes(aligner, aligned)
@@ -208,11 +173,8 @@ def _px_and_slopes(aligner: Aligner, aligned: Alignment) -> tuple[Array, Array]:
 
 
 def _with_mean_speeds(aligner: Aligner, aligned: Alignment, slopes: Array) -> Array:
-    """Slopes by the clock and by delays as if vessels kept their mean speed of a minute, shape (m, 14).
-
-    The speed from one report to the next has the errors of both. A fit would take their pattern for a mark by which
-    to set the clock.
-    """
+    """Slopes by the clock and by delays as if vessels kept their mean speed of a minute, (m, 14). The speed from one
+    report to the next has the errors of both; a fit would take their pattern for a mark by which to set the clock."""
     residuals = aligned.residuals
     clock, delay = PROBED.index("clock_s"), PROBED.index(COMMON_DELAY)
     along, across, delay_s = plausible(OF_A_VESSEL_NAMES)
@@ -251,7 +213,7 @@ def _effects(
 
 
 def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResiduals) -> float:
-    """How many rows count as one, because box errors last: the ratio of variances with and without clusters."""
+    """Number of rows that count as one, because box errors last: the ratio of variances with and without clusters."""
     part = Linear(columns(linear, free), linear.residuals)
     alone = np.sqrt(np.diagonal(np.linalg.pinv(part.information, hermitian=True)))
     ratio = part.known_by(blocks_of(residuals)).errors / np.maximum(alone, 1e-300)
@@ -267,7 +229,7 @@ def _without(linear: Linear, aligned: Alignment) -> Array:
 def _known(
     linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: VesselEffects, together: float
 ) -> Knowledge:
-    """How well the free shared values are known; vessels are clusters, and share what is wrong with them."""
+    """Knowledge of the free shared values; vessels are clusters, and share what is wrong with them."""
     part = Linear(columns(linear, free), linear.residuals)
     blocks, vessel = blocks_of(aligned.residuals), aligned.residuals.vessel
     if not effects.spreads.any():
@@ -280,33 +242,21 @@ def _known(
 
 @dataclass(frozen=True, eq=False)
 class _Round:
-    """One fit with drifts.
+    """One fit with drifts."""
 
-    Attributes:
-        aligned: The new values, with the matches of the old ones.
-        change: Change of the free shared values, in plausible distances, shape (p,).
-        linear: The fit near the old values, a column for each of `PROBED`.
-        rows: The same with the residuals that are left where all vessels are as they are reported.
-        axes: What unit normals of the row's vessel add, shape (m, q).
-        drifts: The same without what is estimated of the constant errors, shape (m, r).
-    """
-
-    aligned: Alignment
-    change: Array
-    linear: Linear
-    rows: Linear
-    axes: Array
-    drifts: Array
+    aligned: Alignment  # the new values, with the matches of the old ones
+    change: Array  # of the free shared values, in plausible distances, (p,)
+    linear: Linear  # near the old values, a column for each of `PROBED`
+    rows: Linear  # the same with the residuals that are left where all vessels are as they are reported
+    axes: Array  # what unit normals of the row's vessel add, (m, q)
+    drifts: Array  # the same without what is estimated of the constant errors, (m, r)
 
 
 def _with_drift(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None, noise_m: float
 ) -> Estimated:
-    """Estimate a drift of positions besides, by linear fits: all but the wrong matches is nearly linear.
-
-    Raises:
-        ModsimError: Positions drift so far that no match is left.
-    """
+    """Estimate a drift of positions besides, by linear fits: all but the wrong matches is nearly linear. Raises
+    ModsimError if positions drift so far that no match is left."""
     late = np.array([0.0, 0.0, 0.0 if offsets_m is None else DELAY_S])
     first_m = FIRST_M if offsets_m is None else offsets_m
     constant, together = np.array([first_m, first_m, 0.0]) + late, 1.0
@@ -339,17 +289,9 @@ def _round(
     noise_m: float,
     together: float,
 ) -> _Round:
-    """Fit the shared values and where vessels are, near the values of an alignment.
-
-    Args:
-        aligner: What is fitted.
-        aligned: The alignment.
-        free: Names of the shared values that may change.
-        constant: Standard deviations of constant errors: along, across and delay, shape (3,).
-        late: The same of those that are not estimated.
-        noise_m: That of the drift.
-        together: How many rows count as one.
-    """
+    """Fit the free shared values and where vessels are, near the values of an alignment. `constant` are standard
+    deviations of constant errors, along, across and delay, (3,), `late` those that are not estimated, and `noise_m`
+    that of the drift. So many rows `together` count as one."""
     residuals = aligned.residuals
     vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
     px, slopes = _px_and_slopes(aligner, aligned)
@@ -368,14 +310,9 @@ def _round(
     cuts = np.cumsum([len(PROBED), axes_px.shape[1], drifts_px.shape[1]])
     by_value, by_axis, by_drift, off = np.split(linear.slopes, cuts, axis=1)
     values = _changed(aligned.values, free, drift.change, vessel, drift.steady)
-    return _Round(
-        Alignment(values, aligned.sightings, residuals, aligned.spreads_px),
-        drift.change,
-        Linear(by_value, linear.residuals),
-        Linear(by_value, linear.residuals - off[:, 0]),
-        by_axis,
-        by_drift,
-    )
+    moved = Alignment(values, aligned.sightings, residuals, aligned.spreads_px)
+    reported = Linear(by_value, linear.residuals - off[:, 0])
+    return _Round(moved, drift.change, Linear(by_value, linear.residuals), reported, by_axis, by_drift)
 
 
 def _changed(values: Values, free: tuple[str, ...], change: Array, vessel: Indices, off: Array) -> Values:

@@ -13,14 +13,7 @@ from modsim3d.core.boxes import sizes
 from modsim3d.core.statistics import MAD_TO_STD
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Predictions, Sightings, match, predict
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies
-from modsim3d.learn.voyage.registration.parameters import (
-    MEAN_ERRORS,
-    OF_A_VESSEL,
-    PLACE,
-    SHARED_NAMES,
-    Values,
-    plausible,
-)
+from modsim3d.learn.voyage.registration.parameters import MEAN_ERRORS, NAMES, PLACE, SHARED_NAMES, Values, plausible
 
 # ---- What a match says ----
 
@@ -33,29 +26,20 @@ OF_MEAN_ERRORS = np.array(
     [[1, 0, 0, 0], [1, 0, -0.5, 0], [1, 0, 0.5, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=np.float64
 )
 """Each kind from the errors of the box in x, y, width and height in pixels, shape (6, 4)."""
-SIDE = np.array([0, 0, 0, 1, 0, 1])
-"""Whether a kind's error grows with the box's width (0) or height (1)."""
+SIDE = np.array([0, 0, 0, 1, 0, 1])  # whether a kind's error grows with the box's width (0) or height (1)
 MIN_PX = 0.3
 BINS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class SightingResiduals:
-    """Residuals of n sightings: m rows, one for each sighting and kind that its usable edges allow.
-
-    Attributes:
-        sightings: The sightings.
-        row: Index of the sighting, shape (m,).
-        kind: Index into `KINDS`, shape (m,).
-        observed_px: What was detected, shape (m,).
-        size_px: Expected width or height, whichever the kind's error grows with, shape (m,).
-    """
+    """Residuals of n sightings: m rows, one for each sighting and kind that its usable edges allow."""
 
     sightings: Sightings
-    row: Indices
-    kind: Indices
-    observed_px: Array
-    size_px: Array
+    row: Indices  # of the sighting, (m,)
+    kind: Indices  # into `KINDS`, (m,)
+    observed_px: Array  # what was detected, (m,)
+    size_px: Array  # expected width or height, whichever the kind's error grows with, (m,)
 
     @classmethod
     def of(cls, sightings: Sightings, *, use_sizes: bool) -> SightingResiduals:
@@ -76,13 +60,12 @@ class SightingResiduals:
 
     def px(self, model: BoxModel, values: Values) -> Array:
         """Detected less expected in pixels, shape (m,)."""
-        seen = self.sightings
-        edges = model.edges(values, seen.time_s, seen.vessel, seen.corners_m)
-        return self.observed_px - self._of_edges(edges) - self._mean_errors(values)
-
-    def _of_edges(self, edges_px: Array) -> Array:
-        used = OF_EDGES[self.kind]
-        return np.asarray((used * np.where(used == 0, 0.0, edges_px[self.row])).sum(axis=1))
+        seen, used = self.sightings, OF_EDGES[self.kind]
+        edges = model.edges(values, seen.time_s, seen.vessel, seen.corners_m)[self.row]
+        expected = (used * np.where(used == 0, 0.0, edges)).sum(axis=1)
+        first = PLACE[MEAN_ERRORS[0].name]
+        shift: Array = self.of_mean_errors @ values.shared[first : first + len(MEAN_ERRORS)]
+        return np.asarray(self.observed_px - expected - shift)
 
     @cached_property
     def of_mean_errors(self) -> Array:
@@ -91,17 +74,10 @@ class SightingResiduals:
         unit[:, 2:] = np.maximum(sizes(self.sightings.expected_px[self.row]), 1.0)
         return np.asarray(OF_MEAN_ERRORS[self.kind] * unit)
 
-    def _mean_errors(self, values: Values) -> Array:
-        first = PLACE[MEAN_ERRORS[0].name]
-        shift: Array = self.of_mean_errors @ values.shared[first : first + len(MEAN_ERRORS)]
-        return shift
-
     def spreads_px(self, residuals_px: Array) -> Array:
-        """Spread of each row's residual in pixels, shape (m,): by kind, and by size where there are enough rows.
-
-        The spread is 1.48 times the median absolute residual, which no wrong match pulls. It is measured about zero in
-        bins of size, and interpolated in the logarithm of the size.
-        """
+        """Spread of each row's residual in pixels, (m,): by kind, and by size where there are enough rows. The spread
+        is 1.48 times the median absolute residual, which no wrong match pulls. It is measured about zero in bins of
+        size, and interpolated in the logarithm of the size."""
         spread = np.ones(len(self.row))
         for kind in range(len(KINDS)):
             rows = np.flatnonzero(self.kind == kind)
@@ -117,28 +93,20 @@ class SightingResiduals:
 
 # ---- The values that fit matched detections best ----
 
-SOFT = 1.5
-"""Spreads beyond which a residual counts less (the soft loss of `scipy.optimize.least_squares`)."""
+SOFT = 1.5  # spreads beyond which a residual counts less (the soft loss of `scipy.optimize.least_squares`)
 MOST = 12
-STEP = 1e-3
-"""Step of the numerical derivatives, in plausible distances."""
+STEP = 1e-3  # step of the numerical derivatives, in plausible distances
 MEAN_NAMES = tuple(parameter.name for parameter in MEAN_ERRORS)
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Parameters that a fit looks for, as one vector.
+    """Parameters that a fit looks for, as one vector. `spreads` say how far the values of vessels are from zero, as
+    standard deviations; a value with zero is not looked for."""
 
-    Attributes:
-        shared: Names of shared ones, in the order of `SHARED`.
-        spreads: How far the values of vessels are from zero, as standard deviations of along, across and delay, shape
-            (3,); a value with zero is not looked for.
-        vessels: Indices of the vessels whose values are looked for, shape (k,).
-    """
-
-    shared: tuple[str, ...]
-    spreads: Array
-    vessels: Indices
+    shared: tuple[str, ...]  # names of shared ones, in the order of `SHARED`
+    spreads: Array  # of along, across and delay, (3,)
+    vessels: Indices  # those whose values are looked for, (k,)
 
     @property
     def own(self) -> Indices:
@@ -166,10 +134,8 @@ class Unknowns:
 
 
 def derivatives(model: BoxModel, residuals: SightingResiduals, values: Values, names: tuple[str, ...]) -> Array:
-    """Derivatives of residuals in pixels by named parameters, in pixels per unit, shape (m, len(names)).
-
-    Of a vessel's parameter it is the derivative of the vessel's own rows.
-    """
+    """Derivatives of residuals in pixels by named parameters, in pixels per unit, (m, len(names)). Of a vessel's
+    parameter it is the derivative of the vessel's own rows."""
     columns = np.empty((len(residuals.row), len(names)))
     here = residuals.px(model, values)
     for column, (name, scale) in enumerate(zip(names, plausible(names), strict=True)):
@@ -191,13 +157,10 @@ def fit(
     tied: bool = False,
     most: int | None = None,
 ) -> Values:
-    """The values that fit best, from a start; see `Unknowns` for those that are looked for.
-
-    With `tied`, shared ones are held near the scene's values, each as by one measurement with the plausible distance
-    as its standard deviation, so that what the data do not determine stays where it is. `most` ends a rough fit after
-    so many evaluations.
-    """
-    vessel_names = [OF_A_VESSEL[own].name for own in unknowns.own]
+    """The values that fit best, from a start; see `Unknowns` for those that are looked for. With `tied`, shared ones
+    are held near the scene's values, each as by one measurement with the plausible distance as its standard deviation,
+    so that what the data do not determine stays where it is. `most` ends a rough fit after so many evaluations."""
+    vessel_names = [NAMES[own] for own in unknowns.own]
     place = np.full(len(model.hulls_m), -1)
     place[unknowns.vessels] = np.arange(len(unknowns.vessels))
     row_of, count = place[residuals.vessel], len(unknowns.shared)
@@ -229,16 +192,12 @@ def fit(
 FIRST = ("clock_s", "yaw_deg", "pitch_deg")
 THEN = (*FIRST, "roll_deg", "height_m", "focal_share")
 GATES_DEG = (1.5, 1.0, 0.6)
-GATE_SHARE = 0.3
-"""A gate grows by this share of the box's size, as errors of boxes do."""
-SPREADS = 4.5
-"""The last gates in spreads of the residuals."""
+GATE_SHARE = 0.3  # a gate grows by this share of the box's size, as errors of boxes do
+SPREADS = 4.5  # the last gates in spreads of the residuals
 MAX_ROUNDS = 10
-SAME = 0.003
-"""The matches stay if fewer than this share of them change."""
+SAME = 0.003  # the matches stay if fewer than this share of them change
 MIN_FIT = 10
-ROUGH = 4
-"""Iterations of a rough fit."""
+ROUGH = 4  # iterations of a rough fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,18 +212,13 @@ class Alignment:
 
 @dataclass(frozen=True, eq=False)
 class Aligner:
-    """Input of an alignment from the scene and the detections.
-
-    Attributes:
-        free: Names of the shared parameters that may change.
-        use_sizes: Whether widths and heights count.
-    """
+    """Input of an alignment from the scene and the detections."""
 
     model: BoxModel
     hiding: HidingBodies
     found: BoxesAtTimes
-    free: tuple[str, ...]
-    use_sizes: bool
+    free: tuple[str, ...]  # names of the shared parameters that may change
+    use_sizes: bool  # so that widths and heights count
 
     def first(self, start: Values) -> Alignment:
         """A rough alignment from a guess."""

@@ -1,12 +1,10 @@
-"""How well the values are known, when errors of one vessel's boxes go together.
-
+"""Precision of the values, when errors of one vessel's boxes go together.
 Box errors of a vessel are correlated in time, and its dimensions, its antenna and the delay of its reports are wrong in
 all frames alike. So vessels are the clusters of a sandwich covariance, with the bias-reduced correction CR2 and the
 degrees of freedom of Bell & McCaffrey (2002), "Bias reduction in standard errors for linear regression with multi-stage
 samples", Survey Methodology 28. What rests on few vessels gets few degrees of freedom and so a wide interval. A second
 sandwich, with stretches of time of a vessel as clusters, bounds it from below, because what one vessel alone determines
-leaves no residual by which the first could judge. With offsets of vessels, so does what their spreads would give.
-"""
+leaves no residual by which the first could judge. With offsets of vessels, so does what their spreads would give."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.learn.voyage.registration.parameters import SHARED, SHARED_NAMES, plausible
+from modsim3d.learn.voyage.registration.parameters import SHARED, plausible
 
 LEVEL = 0.95
 MAX_DEGREES = 1e4
@@ -26,46 +24,31 @@ FULL = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """Estimates of p values: covariance, half widths and errors.
+    """Precision of p estimated values."""
 
-    Attributes:
-        covariance: Shape (p, p).
-        half_widths: Half of the 95 % interval of each, shape (p,).
-        errors: Standard error of each, shape (p,).
-    """
-
-    covariance: Array
-    half_widths: Array
-    errors: Array
+    covariance: Array  # (p, p)
+    half_widths: Array  # half of the 95 % interval of each, (p,)
+    errors: Array  # standard error of each, (p,)
 
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """A fit as a linear regression with unit errors: what its covariance follows from.
+    """A fit as a linear regression with unit errors: what its covariance follows from."""
 
-    Attributes:
-        slopes: Derivatives of the scaled residuals, shape (m, p).
-        residuals: Scaled residuals as the loss takes them, shape (m,).
-    """
-
-    slopes: Array
-    residuals: Array
+    slopes: Array  # derivatives of the scaled residuals, (m, p)
+    residuals: Array  # scaled, as the loss takes them, (m,)
 
     @classmethod
     def of_soft_loss(cls, slopes: Array, residuals: Array, soft: float) -> Linear:
-        """The regression that a fit with the soft loss equals near its solution.
-
-        With the influence ψ(r) = r / √(1 + (r / soft)²), the information is the mean of ψ' times the slopes' product.
-        """
+        """The regression that a fit with the soft loss equals near its solution. With the influence ψ(r) = r / √(1 + (r
+        / soft)²), the information is the mean of ψ' times the slopes' product."""
         growth = 1 + (residuals / soft) ** 2
         kept = float(np.mean(growth**-1.5)) if len(residuals) else 1.0
         return cls(np.sqrt(kept) * slopes, residuals / np.sqrt(growth) / np.sqrt(kept))
 
     def whitened(self, shared: Array, cluster: Indices) -> Linear:
         """Regression whose rows share errors in a cluster: `shared` holds their standard deviations, shape (m, q).
-
-        Their covariance is 1 + Z Zᵀ; the rows are multiplied by its inverse root.
-        """
+        Their covariance is 1 + Z Zᵀ; the rows are multiplied by its inverse root."""
         slopes, residuals = self.slopes.copy(), self.residuals.copy()
         for rows in clusters(cluster):
             basis, upper = np.linalg.qr(shared[rows])
@@ -103,10 +86,8 @@ class Linear:
         return Knowledge(covariance, half, errors)
 
     def known_by_model(self, together: float, degrees: float) -> Knowledge:
-        """Covariance and intervals if the rows' errors are as the whitening has them.
-
-        `together` rows count as one, and the spreads of what vessels share have so many degrees of freedom.
-        """
+        """Covariance and intervals if the rows' errors are as the whitening has them. `together` rows count as one, and
+        the spreads of what vessels share have so many degrees of freedom."""
         covariance = together * np.linalg.pinv(self.information, hermitian=True)
         errors = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         return Knowledge(np.asarray(covariance), errors * student_t.ppf((1 + LEVEL) / 2, degrees), errors)
@@ -122,16 +103,10 @@ def wider(first: Knowledge, second: Knowledge) -> Knowledge:
 
 
 def _degrees(reaches: Array, squares: Array, bread: Array) -> Array:
-    """Degrees of freedom of each value (Bell & McCaffrey, 2002), from unit errors, shape (p,).
-
-    The variance estimate is a sum of squares of correlated normals, one for each cluster; its first two moments are
-    those of a scaled chi-square.
-
-    Args:
-        reaches: Slopes times weights of each cluster, shape (clusters, p, p).
-        squares: Squared weights of each cluster, shape (clusters, p).
-        bread: Inverse of the information, shape (p, p).
-    """
+    """Degrees of freedom of each value, (p,), from unit errors (Bell & McCaffrey, 2002). The variance estimate is a sum
+    of squares of correlated normals, one for each cluster; its first two moments are those of a scaled chi-square.
+    `reaches` are slopes times weights of each cluster, (clusters, p, p), `squares` squared weights, (clusters, p), and
+    `bread` the inverse of the information, (p, p)."""
     degrees = np.empty(squares.shape[1])
     for value in range(len(degrees)):
         reach = reaches[:, :, value]
@@ -157,8 +132,7 @@ def clusters(cluster: Indices) -> Iterator[Indices]:
 # ---- What the data determine, and what they cannot tell apart ----
 
 COMMON_DELAY = "common_delay_s"
-KNOWN = 0.5
-"""A value is determined if its standard error is below this share of its plausible distance."""
+KNOWN = 0.5  # a value is determined if its standard error is below this share of its plausible distance
 IN_GROUP = 0.2
 """Components of a singular vector, or exchanges in plausible distances, below this are left out of a group."""
 GIVEN_UP_FIRST = (
@@ -170,38 +144,26 @@ GIVEN_UP_FIRST = (
 
 @dataclass(frozen=True)
 class ConfoundedGroup:
-    """Parameters that the data cannot tell apart.
+    """Parameters that the data cannot tell apart."""
 
-    Attributes:
-        held: The one that is held, and by which the others would change.
-        exchange: Other names, and by how much each changes when `held` grows by one of its units.
-    """
-
-    held: str
-    exchange: tuple[tuple[str, float], ...]
+    held: str  # the one that is held
+    exchange: tuple[tuple[str, float], ...]  # other names, and their changes when `held` grows by one of its units
 
     def words(self) -> str:
         """For example: `mean_y_px is held; 1 px of it looks like +0.044° of pitch_deg`."""
-        units = {parameter.name: parameter.unit for parameter in SHARED} | {COMMON_DELAY: "s"}
+        units = {each.name: each.unit if each.unit in ("", "°") else f" {each.unit}" for each in SHARED}
+        units[COMMON_DELAY] = " s"
         if not self.exchange:
             return f"{self.held}: the detections say nothing of it"
         one = "0.01" if units[self.held] == "" else "1"
-        parts = [f"{change * float(one):+.3g}{_gap(units[name])} of {name}" for name, change in self.exchange]
-        return f"{self.held} is held; {one}{_gap(units[self.held])} of it looks like {', '.join(parts)}"
-
-
-def _gap(unit: str) -> str:
-    return unit if unit in ("", "°") else f" {unit}"
+        parts = [f"{change * float(one):+.3g}{units[name]} of {name}" for name, change in self.exchange]
+        return f"{self.held} is held; {one}{units[self.held]} of it looks like {', '.join(parts)}"
 
 
 def undetermined(linear: Linear, names: tuple[str, ...], cluster: Indices) -> list[ConfoundedGroup]:
-    """Named values that are held because the data do not determine them, each with its group.
-
-    Args:
-        linear: The fit, in plausible distances, a column for each name.
-        names: The names.
-        cluster: Stretches of time of a vessel, within which errors go together, shape (m,).
-    """
+    """Named values that are held because the data do not determine them, each with its group. The fit, in plausible
+    distances, has a column for each name; `cluster` (m,) are stretches of time of a vessel, within which errors go
+    together."""
     kept, groups = list(range(len(names))), []
     while kept:
         part = Linear(linear.slopes[:, kept], linear.residuals)
@@ -226,20 +188,11 @@ def directions(linear: Linear, known: Knowledge) -> tuple[Array, Array]:
 
 def exchange(linear: Linear, names: tuple[str, ...], held: str, others: list[str]) -> ConfoundedGroup:
     """By how much others change if a held value were another, from the least squares of the slopes."""
-    columns = [names.index(name) for name in others]
-    if not columns:
+    if not others:
         return ConfoundedGroup(held, ())
-    slope = linear.slopes[:, names.index(held)]
-    share, *_ = np.linalg.lstsq(linear.slopes[:, columns], slope, rcond=None)
-    scales = {
-        **dict(zip(SHARED_NAMES, plausible(SHARED_NAMES), strict=True)),
-        COMMON_DELAY: plausible(["delay_s"])[0],
-    }
-    sizes = np.abs(share) * np.linalg.norm(linear.slopes[:, columns], axis=0)
-    carried = sizes >= IN_GROUP * max(float(np.linalg.norm(slope)), 1e-300)
-    changes = [
-        (name, float(-change * scales[name] / scales[held]))
-        for name, change, large in zip(others, share, carried, strict=True)
-        if large
-    ]
-    return ConfoundedGroup(held, tuple(changes))
+    slope, slopes = linear.slopes[:, names.index(held)], linear.slopes[:, [names.index(name) for name in others]]
+    share, *_ = np.linalg.lstsq(slopes, slope, rcond=None)
+    own, *scales = plausible("delay_s" if name == COMMON_DELAY else name for name in (held, *others))
+    changes = -share * scales / own
+    carried = np.abs(share) * np.linalg.norm(slopes, axis=0) >= IN_GROUP * max(float(np.linalg.norm(slope)), 1e-300)
+    return ConfoundedGroup(held, tuple((others[k], float(changes[k])) for k in np.flatnonzero(carried)))

@@ -1,8 +1,6 @@
 """Where a fit starts: the guess of the search from which the detections are explained best.
-
 The clock has several local optima. On board, the waves' motion looks much the same a period later. So guesses are
-aligned one by one, with vessels off their reports where that is expected, and compared.
-"""
+aligned one by one, with vessels off their reports where that is expected, and compared."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from modsim3d.core.text import counted, duration_text
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, Unknowns, usual_px
-from modsim3d.learn.voyage.registration.model import BoxModel
+from modsim3d.learn.voyage.registration.model import BoxModel, same_frame
 from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.scene.scene import Scene
 
@@ -32,19 +30,12 @@ APART_S = 2.0
 
 @dataclass(frozen=True)
 class Guess:
-    """A clock and a turn, and how many detections vote for them.
+    """A clock and a turn, and how many detections vote for them."""
 
-    Attributes:
-        clock_s: Seconds to add to the detector's times.
-        yaw_deg: Turn of the camera to port.
-        pitch_deg: Turn down.
-        votes: Detections of the searched frames that they explain.
-    """
-
-    clock_s: float
-    yaw_deg: float
-    pitch_deg: float
-    votes: int
+    clock_s: float  # to add to the detector's times
+    yaw_deg: float  # turn of the camera to port
+    pitch_deg: float  # turn down
+    votes: int  # detections of the searched frames that they explain
 
     def values(self, vessels: int) -> Values:
         """As a start of a fit."""
@@ -53,17 +44,11 @@ class Guess:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Guesses, best first, and what chance would have given.
+    """Guesses, best first, and what chance would have given."""
 
-    Attributes:
-        guesses: At most one every `APART_S` seconds of the clock.
-        chance: Votes of the best cell for mirrored detections.
-        searched: Number of detections that could vote.
-    """
-
-    guesses: tuple[Guess, ...]
-    chance: int
-    searched: int
+    guesses: tuple[Guess, ...]  # at most one every `APART_S` seconds of the clock
+    chance: int  # votes of the best cell for mirrored detections
+    searched: int  # number of detections that could vote
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +62,8 @@ class _Seen:
 
 
 def search(model: BoxModel, found: BoxesAtTimes, clocks_s: Array, most_turn_rad: float, most: int = 6) -> Search:
-    """Vote over clocks, shape (c,), and turns to the side of at most so much.
-
-    Args:
-        model: The vessels before the camera.
-        found: The detections.
-        clocks_s: Offsets of the clock to try, ascending.
-        most_turn_rad: π for all directions around.
-        most: Number of guesses.
-    """
+    """Vote over offsets of the clock, ascending, (c,), and turns to the side of at most so much, π for all directions
+    around. `most` is the number of guesses."""
     some = found.some(SEARCHED_FRAMES)
     lens = model.traffic.camera.intrinsics
     seen, mirrored = _directions(lens, some), _directions(lens, _mirrored(lens, some))
@@ -149,10 +127,7 @@ def _tables(model: BoxModel, times_s: Array, most_turn_rad: float) -> _Seen:
 
 def _votes(seen: _Seen, vessels: _Seen, most_turn_rad: float) -> tuple[int, float, float]:
     """Votes of the best cell and its turn to the side and down, in radians."""
-    start, stop = (np.searchsorted(vessels.frame, seen.frame, side=side) for side in ("left", "right"))
-    count = stop - start
-    box = np.repeat(np.arange(len(seen.frame)), count)
-    row = np.repeat(start - (np.cumsum(count) - count), count) + np.arange(len(box))
+    box, row = same_frame(seen.frame, vessels.frame)
     side = np.remainder(seen.azimuth[box] - vessels.azimuth[row] + np.pi, 2 * np.pi) - np.pi
     down = seen.down[box] - vessels.down[row]
     ratio = np.abs(np.log(np.maximum(seen.width[box], 1e-6) / np.maximum(vessels.width[row], 1e-6)))
@@ -176,8 +151,7 @@ def _votes(seen: _Seen, vessels: _Seen, most_turn_rad: float) -> tuple[int, floa
 MIN_VESSELS, MIN_MATCHES = 3, 30
 MIN_BEARINGS_DEG = 3.0
 OVER_CHANCE = 1.5
-MIN_SHARE = 0.15
-"""Least share of the detections that a registration has to explain."""
+MIN_SHARE = 0.15  # least share of the detections that a registration has to explain
 _NEEDED = f"at least {MIN_MATCHES} matches of {MIN_VESSELS} vessels are needed"
 _OTHERWISE = (
     "The log may be of another place, camera or time; its boxes may be in pixels of another size, or too far off; or "
@@ -186,21 +160,16 @@ _OTHERWISE = (
 
 
 def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None:
-    """Whether scene and detections have a time in common, the searched offset allowed.
-
-    Raises:
-        ModsimError: There is none, or there are no detections.
-    """
+    """Check that scene and detections have a time in common, the searched offset allowed; raises ModsimError if not, or
+    if there are too few detections or vessels."""
     if not len(found.frame):
         raise ModsimError("registration: there are no detections")
     if len(found.frame) < MIN_MATCHES:
         raise ModsimError(f"registration: too little to go by: {counted(len(found.frame), 'detection')}, and {_NEEDED}")
     others = int(model.traffic.present.any(axis=0).sum()) - (model.traffic.carrier is not None)
     if others < MIN_VESSELS:
-        raise ModsimError(
-            f"registration: the scene has {counted(others, 'vessel')} for the camera to see; at least {MIN_VESSELS} "
-            "are needed"
-        )
+        there = f"the scene has {counted(others, 'vessel')} for the camera to see"
+        raise ModsimError(f"registration: {there}; at least {MIN_VESSELS} are needed")
     low, high = model.traffic.span_s
     first, last = found.times_s[[0, -1]]
     if last + searched_s < low or first - searched_s > high:
@@ -213,11 +182,8 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
 
 
 def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: Array, scene: Scene) -> None:
-    """Whether the best guess explains more detections than chance.
-
-    Raises:
-        ModsimError: It does not, with what else would explain them.
-    """
+    """Check that the best guess explains more detections than chance; raises ModsimError if not, with what else would
+    explain them."""
     _check_bearings(model, found.boxes_px, "detections")
     best = voted.guesses[0].votes if voted.guesses else 0
     if best > OVER_CHANCE * voted.chance and best >= MIN_SHARE * voted.searched:
@@ -241,19 +207,13 @@ def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: 
 
 
 def check_matches(model: BoxModel, aligned: Alignment, names: tuple[str, ...]) -> None:
-    """Whether enough vessels were matched, and not all at one bearing.
-
-    Raises:
-        ModsimError: Too few vessels or matches, or one bearing only.
-    """
+    """Check that enough vessels were matched, and not all at one bearing; raises ModsimError if not."""
     seen = aligned.sightings
     vessels = np.unique(seen.vessel)
     if len(vessels) < MIN_VESSELS or len(seen) < MIN_MATCHES:
         who = ", ".join(names[vessel] for vessel in vessels) or "none"
-        raise ModsimError(
-            f"registration: too little to go by: {counted(len(seen), 'match', 'matches')} of "
-            f"{counted(len(vessels), 'vessel')} ({who}); {_NEEDED}"
-        )
+        matches = f"{counted(len(seen), 'match', 'matches')} of {counted(len(vessels), 'vessel')} ({who})"
+        raise ModsimError(f"registration: too little to go by: {matches}; {_NEEDED}")
     _check_bearings(model, seen.boxes_px, "matched vessels")
 
 
@@ -272,27 +232,17 @@ def _check_bearings(model: BoxModel, boxes_px: Array, what: str) -> None:
 
 CLOCK_STEP_S = 0.5
 MAX_TURN_DEG = 15.0
-MAX_GUESSES, LIKELY = 5, 0.6
-"""How many guesses are tried, and with how many votes in shares of the best one's."""
-STARTS_APART_S = 0.5
-"""Starts whose clocks have come closer than this are the same."""
-SURE = 3.0
-"""A start is clearly worse than another by so many standard errors of the mean over stretches of time."""
+MAX_GUESSES, LIKELY = 5, 0.6  # how many guesses are tried, and with how many votes in shares of the best one's
+STARTS_APART_S = 0.5  # starts whose clocks have come closer than this are the same
+SURE = 3.0  # a start is clearly worse than another by so many standard errors of the mean over stretches of time
 STRETCHES = 12
 
 
 def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -> tuple[Values, list[Values]]:
-    """The best start, and others whose clocks explain the detections nearly as well.
-
-    Args:
-        aligner: Of some of the frames.
-        searched_s: Greatest offset of the clock that is looked for.
-        spread_m: How far vessels are expected to be from where the scene has them.
-        scene: The scene.
-
-    Raises:
-        ModsimError: No guess explains more detections than chance.
-    """
+    """The best start, and others whose clocks explain the detections nearly as well. The aligner is of some of the
+    frames, `searched_s` the greatest offset of the clock that is looked for, and `spread_m` how far vessels are
+    expected to be from where the scene has them. Raises ModsimError if no guess explains more detections than
+    chance."""
     model, found, free = aligner.model, aligner.found, aligner.free
     clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
     voted = search(model, found, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))
@@ -318,13 +268,8 @@ def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -
 
 
 def rivals_of(most: Array, best: Values, others: Sequence[tuple[Array, Values]]) -> list[Values]:
-    """Starts of another clock that are not clearly worse than the best one.
-
-    Args:
-        most: How well the best start explains the detections, in each of k stretches of time, shape (k,).
-        best: Its values.
-        others: The same of other starts.
-    """
+    """Starts of another clock that are not clearly worse than the best one. Each start has how well it explains the
+    detections in each of k stretches of time, (k,), and its values."""
     rivals = list[Values]()
     for less, other in others:
         worse = most - less
@@ -336,10 +281,8 @@ def rivals_of(most: Array, best: Values, others: Sequence[tuple[Array, Values]])
 
 
 def explained(aligner: Aligner, aligned: Alignment) -> Array:
-    """How well the detections are explained, in each of some stretches of time, shape (STRETCHES,).
-
-    A bearing or a waterline counts 1 where it is met, and less the further it is off.
-    """
+    """Explained detections in each of some stretches of time, (STRETCHES,). A bearing or a waterline counts 1 where it
+    is met, and less the further it is off."""
     residuals = aligned.residuals
     px = np.nan_to_num(residuals.px(aligner.model, aligned.values), nan=1e3)
     close = np.where(residuals.kind <= 3, 1 / (1 + (px / usual_px(residuals.size_px)) ** 2), 0.0)

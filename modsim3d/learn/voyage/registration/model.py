@@ -20,37 +20,23 @@ from modsim3d.world.vessels import shoebox
 
 # ---- Where the vessels and the camera of a scene are at any time ----
 
-BEYOND_S = 60.0
-"""How long before the first step and after the last one vessels go on."""
-
+BEYOND_S = 60.0  # how long before the first step and after the last one vessels go on
 MEAN_S = 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class KnownTraffic:
-    """The poses of V vessels at S ascending times, to interpolate between.
+    """The poses of V vessels at S ascending times, to interpolate between. Vessels go on at their speed where they are
+    absent, and before the first step and after the last one. A fit of the clock moves the times of its matches: a match
+    near the end of a track must not tear away when that is passed."""
 
-    Vessels go on at their speed where they are absent, and before the first step and after the last one. A fit of the
-    clock moves the times of its matches: a match near the end of a track must not tear away when that is passed.
-
-    Attributes:
-        camera: The camera that looks at them.
-        times_s: Times of the steps since the scene's first, with one `BEYOND_S` before and one after them, shape (S,).
-        present: Whether each vessel is there, shape (S, V); nowhere at the first and the last of these times.
-        places_m: Positions and then unwrapped heading, roll, pitch and yaw in waves, in metres and radians, shape
-            (S, V, 7).
-        carrier: Index of the vessel that carries the camera; None ashore.
-        composition: How its angles and the camera's combine; see `poses_on_board`.
-        curved: Whether the sea is curved.
-    """
-
-    camera: Camera
-    times_s: Array
-    present: Mask
-    places_m: Array
-    carrier: int | None
-    composition: str
-    curved: bool
+    camera: Camera  # that looks at them
+    times_s: Array  # of the steps since the scene's first, with one `BEYOND_S` before and one after them, (S,)
+    present: Mask  # (S, V); nowhere at the first and the last of these times
+    places_m: Array  # positions in metres, unwrapped heading, roll, pitch and yaw in waves in radians, (S, V, 7)
+    carrier: int | None  # index of the vessel that carries the camera; None ashore
+    composition: str  # how its angles and the camera's combine; see `poses_on_board`
+    curved: bool  # as the sea is
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera, attitude: Attitude | None = None) -> KnownTraffic:
@@ -86,27 +72,21 @@ class KnownTraffic:
 
     def at(self, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
         """Positions in WCF, shape (n, 3), and rotations VCF to WCF, (n, 3, 3), of vessels at times, both (n,)."""
-        places = self._placed(times_s, vessel)
+        places = self._interpolated(self.places_m, times_s, vessel)
         nominal = world_R_vehicle(places[:, 3])
         if not self.places_m[..., 4:].any():
             return places[:, :3], nominal
         return places[:, :3], nominal @ np.swapaxes(vehicle_R_nominal(places[:, 4:]), -1, -2)
 
     def velocities(self, times_s: Array, vessel: Indices) -> Array:
-        """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2).
-
-        They turn with the vessel: one that goes round in a circle keeps its speed ahead.
-        """
+        """Mean velocities along and across from `MEAN_S` before to `MEAN_S` after n times, in m/s, shape (n, 2). They
+        turn with the vessel: one that goes round in a circle keeps its speed ahead."""
         known = [np.flatnonzero(column) for column in self.present.T]
         first, last = (np.array([self.times_s[rows[end]] if len(rows) else 0.0 for rows in known]) for end in (0, -1))
-        start, stop = (
-            np.clip(times_s + side, first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3))
-            for side in (-MEAN_S, MEAN_S)
-        )
-        moved = self._interpolated(self._travelled_m, stop, vessel) - self._interpolated(
-            self._travelled_m, start, vessel
-        )
-        found: Array = moved / np.maximum(stop - start, 1e-3)[:, None]
+        ends_s = first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3)
+        start, stop = (np.clip(times_s + side, *ends_s) for side in (-MEAN_S, MEAN_S))
+        before, after = (self._interpolated(self._travelled_m, at_s, vessel) for at_s in (start, stop))
+        found: Array = (after - before) / np.maximum(stop - start, 1e-3)[:, None]
         return found
 
     def camera_at(self, times_s: Array, turn_rad: Array, raised_m: float) -> CameraPoses:
@@ -117,7 +97,7 @@ class KnownTraffic:
         mount = replace(mount, position_m=(along, port, up + raised_m), roll_rad=roll, pitch_rad=pitch, yaw_rad=yaw)
         if self.carrier is None:
             return poses_ashore(mount, len(times_s))
-        places = self._placed(times_s, np.full(len(times_s), self.carrier))
+        places = self._interpolated(self.places_m, times_s, np.full(len(times_s), self.carrier))
         return poses_on_board(mount, places[:, :3], places[:, 3], places[:, 4:], self.composition)
 
     def _between(self, times_s: Array) -> tuple[Indices, Array]:
@@ -128,15 +108,12 @@ class KnownTraffic:
 
     @cached_property
     def _travelled_m(self) -> Array:
-        """How far vessels have come since the first of the times, along and across their headings, shape (S, V, 2)."""
+        """Distances come since the first of the times, along and across the vessels' headings, (S, V, 2)."""
         moved, heading = np.diff(self.places_m[..., :2], axis=0), self.places_m[..., 3]
         midway = (heading[1:] + heading[:-1]) / 2
         cosine, sine = np.cos(midway), np.sin(midway)
         along, across = moved[..., 0] * cosine + moved[..., 1] * sine, moved[..., 1] * cosine - moved[..., 0] * sine
         return np.pad(np.cumsum(np.stack([along, across], axis=-1), axis=0), ((1, 0), (0, 0), (0, 0)))
-
-    def _placed(self, times_s: Array, vessel: Indices) -> Array:
-        return self._interpolated(self.places_m, times_s, vessel)
 
     def _interpolated(self, of_steps: Array, times_s: Array, vessel: Indices) -> Array:
         """Values of vessels at the steps, shape (S, V, k), at times (n,), shape (n, k)."""
@@ -147,11 +124,9 @@ class KnownTraffic:
 
 
 def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
-    """Places with those of absent vessels filled in and headings that go on beyond a full turn, shape (S, V, 7).
-
-    Between two stretches they are linear. Before the first one and after the last one the position goes on at its
-    speed, and the angles stay.
-    """
+    """Places with those of absent vessels filled in and headings that go on beyond a full turn, (S, V, 7). Between two
+    stretches they are linear. Before the first one and after the last one the position goes on at its speed, and the
+    angles stay."""
     filled = places_m.copy()
     for vessel in np.flatnonzero(present.any(axis=0)).tolist():
         steps = np.flatnonzero(present[:, vessel])
@@ -168,21 +143,15 @@ def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
     return filled
 
 
-AXIS = np.array([0, 1, 0, 1])
-"""Whether the left, top, right and bottom edges are columns (0) or rows (1)."""
+AXIS = np.array([0, 1, 0, 1])  # whether the left, top, right and bottom edges are columns (0) or rows (1)
 
 
 @dataclass(frozen=True, eq=False)
 class BoxModel:
-    """The boxes of V vessels before a camera.
-
-    Attributes:
-        traffic: Where they are.
-        hulls_m: Vertices of each vessel's convex hull in VCF, the last one repeated, shape (V, K, 3).
-    """
+    """The boxes of V vessels before a camera."""
 
     traffic: KnownTraffic
-    hulls_m: Array
+    hulls_m: Array  # vertices of each vessel's convex hull in VCF, the last one repeated, (V, K, 3)
 
     @classmethod
     def of(cls, scene: Scene, traffic: KnownTraffic) -> BoxModel:
@@ -206,11 +175,9 @@ class BoxModel:
         return self.traffic.camera_at(times_s + values["clock_s"], turn, values["height_m"])
 
     def points_world(self, values: Values, times_s: Array, vessel: Indices, points_m: Array) -> Array:
-        """Points of n vessels in VCF, shape (n, K, 3), at times of the detector's clock, in WCF, shape (n, K, 3).
-
-        What AIS reports is the antenna: its offset is taken off. A delayed report says where a vessel was, so that
-        the vessel is where it reports to be that much later.
-        """
+        """Points of n vessels in VCF, (n, K, 3), at times of the detector's clock, in WCF, (n, K, 3). What AIS reports
+        is the antenna: its offset is taken off. A delayed report says where a vessel was, so that the vessel is where
+        it reports to be that much later."""
         along, across, delay = values.vessels[vessel].T
         positions, rotations = self.traffic.at(times_s + values["clock_s"] + delay, vessel)
         antenna = np.stack([along, across, np.zeros(len(along))], axis=-1)
@@ -228,10 +195,8 @@ class BoxModel:
         return self.intrinsics(values).project(poses.to_camera(world))
 
     def boxes(self, values: Values, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
-        """Boxes that are not cut at the image, shape (n, 4), and the vertex in VCF at each edge, (n, 4, 3).
-
-        Boxes of vessels that are absent, or partly behind the camera, are NaN.
-        """
+        """Boxes that are not cut at the image, (n, 4), and the vertex in VCF at each edge, (n, 4, 3). Boxes of vessels
+        that are absent, or partly behind the camera, are nan."""
         hulls = self.hulls_m[vessel]
         pixels = self.pixels(values, times_s, vessel, hulls)
         shown = self.traffic.there(times_s + values["clock_s"] + values.vessels[vessel, 2], vessel)
@@ -255,23 +220,16 @@ class BoxModel:
 
 # ---- Which edges of a vessel's box something else hides ----
 
-NEARLY = 0.999
-"""A ray is hidden before this share of its way: the end is on the vessel itself."""
+NEARLY = 0.999  # a ray is hidden before this share of its way: the end is on the vessel itself
 
 
 @dataclass(frozen=True, eq=False)
 class HidingBodies:
-    """Bodies that can hide vessels from a camera.
-
-    Attributes:
-        model: The vessels, each of which hides others with the box around it.
-        obstacles: Planes of convex solids, n · p + d <= 0 inside, each of shape (F, 4).
-        extents_m: Length, beam and air draft of the vessels, shape (V, 3).
-    """
+    """Bodies that can hide vessels from a camera; each vessel hides others with the box around it."""
 
     model: BoxModel
-    obstacles: tuple[Array, ...]
-    extents_m: Array
+    obstacles: tuple[Array, ...]  # planes of convex solids, n · p + d <= 0 inside, each (F, 4)
+    extents_m: Array  # length, beam and air draft of the vessels, (V, 3)
 
     @classmethod
     def of(cls, scene: Scene, model: BoxModel) -> HidingBodies:
@@ -281,21 +239,16 @@ class HidingBodies:
         return cls(model, tuple(planes for planes in solids if planes is not None), extents)
 
     def hidden(self, values: Values, times_s: Array, vessel: Indices, corners_m: Array, group: Indices) -> Mask:
-        """Whether the vertices that make the edges of boxes are hidden, shape (n, 4).
-
-        Args:
-            values: The parameters.
-            times_s: Times of the detector's clock, shape (n,).
-            vessel: The vessels, shape (n,).
-            corners_m: Vertices in VCF, shape (n, 4, 3).
-            group: The frame of each row, ascending: only vessels of the same frame hide each other, shape (n,).
-        """
+        """Mask of the hidden ones of the vertices in VCF that make the edges of boxes, (n, 4, 3) to (n, 4), of vessels
+        at times of the detector's clock, (n,) each. `group` is the frame of each row, ascending: only vessels of the
+        same frame hide each other."""
         ends = self.model.points_world(values, times_s, vessel, corners_m)
         starts = self.model.camera_poses(values, times_s).positions_m[:, None]
         hidden = np.zeros(ends.shape[:2], dtype=bool)
         for planes in self.obstacles:
             hidden |= crosses(starts, ends, planes)
-        row, other = _pairs(group)
+        row, other = same_frame(group, group)
+        row, other = row[row != other], other[row != other]
         delay = values.vessels[vessel[other], 2]
         places, rotations = self.model.traffic.at(times_s[other] + values["clock_s"] + delay, vessel[other])
         begin, stop = ((points - places[:, None]) @ rotations for points in (starts[row], ends[row]))
@@ -314,10 +267,8 @@ def planes_of(vertices_m: Array) -> Array | None:
 
 
 def crosses(starts_m: Array, ends_m: Array, planes: Array) -> Mask:
-    """Whether the way from starts to ends goes through a convex solid, shapes (..., 3) to (...).
-
-    The part of the way inside all half-spaces is found by cutting it at each plane in turn.
-    """
+    """Whether the way from starts to ends goes through a convex solid, (..., 3) to (...). The part of the way inside
+    all half-spaces is found by cutting it at each plane in turn."""
     at_start = starts_m @ planes[:, :3].T + planes[:, 3]
     at_end = ends_m @ planes[:, :3].T + planes[:, 3]
     return _stays(np.broadcast_to(at_start, at_end.shape), at_end)
@@ -344,12 +295,9 @@ def _stays(at_start: Array, at_end: Array) -> Mask:
     return found
 
 
-def _pairs(group: Indices) -> tuple[Indices, Indices]:
-    """All ordered pairs of different rows of the same group, which ascends."""
-    first, count = np.searchsorted(group, group, side="left"), np.searchsorted(group, group, side="right")
-    sizes = count - first
-    row = np.repeat(np.arange(len(group)), sizes)
-    before = np.repeat(np.cumsum(sizes) - sizes, sizes)
-    other = np.repeat(first, sizes) + np.arange(len(row)) - before
-    apart = row != other
-    return row[apart], other[apart]
+def same_frame(first: Indices, second: Indices) -> tuple[Indices, Indices]:
+    """All pairs of rows of two columns of frames that are in the same frame; the second ascends."""
+    start, stop = (np.searchsorted(second, first, side=side) for side in ("left", "right"))
+    count = stop - start
+    row = np.repeat(np.arange(len(first)), count)
+    return row, np.repeat(start - (np.cumsum(count) - count), count) + np.arange(len(row))

@@ -14,19 +14,12 @@ from modsim3d.io.validation import nearest
 
 @dataclass(frozen=True)
 class CameraParameter:
-    """One number of a registration.
+    """One number of a registration."""
 
-    Attributes:
-        name: Name with the unit.
-        words: What it is, in a sentence.
-        unit: Unit in text; empty if it has none.
-        plausible: How far it may be from the scene's value; data that know it no better than this do not know it.
-    """
-
-    name: str
-    words: str
-    unit: str
-    plausible: float
+    name: str  # with the unit
+    words: str  # what it is, in a sentence
+    unit: str  # in text; empty if it has none
+    plausible: float  # distance from the scene's value; data that know it no better than this do not know it
 
 
 CAMERA = (
@@ -49,6 +42,7 @@ OF_A_VESSEL = (
     CameraParameter("across_m", "antenna, to port of the centre", "m", 5.0),
     CameraParameter("delay_s", "delay of its position reports", "s", 5.0),
 )
+NAMES = tuple(parameter.name for parameter in OF_A_VESSEL)
 SHARED = (*CAMERA, *MEAN_ERRORS)
 SHARED_NAMES = tuple(parameter.name for parameter in SHARED)
 SHORT = {name.rsplit("_", 1)[0]: name for name in SHARED_NAMES if "_" in name}
@@ -58,15 +52,10 @@ PLACE = {name: place for place, name in enumerate(SHARED_NAMES)}
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Values of all parameters: zero is what the scene says.
+    """Values of all parameters: zero is what the scene says."""
 
-    Attributes:
-        shared: Those of `SHARED`, shape (11,).
-        vessels: Those of `OF_A_VESSEL` for each vessel, shape (V, 3).
-    """
-
-    shared: Array
-    vessels: Array
+    shared: Array  # those of `SHARED`, (11,)
+    vessels: Array  # those of `OF_A_VESSEL` for each vessel, (V, 3)
 
     @classmethod
     def none(cls, vessels: int) -> Values:
@@ -95,7 +84,7 @@ class Values:
         if name in PLACE:
             shared[PLACE[name]] += step
         else:
-            vessels[:, [parameter.name for parameter in OF_A_VESSEL].index(name)] += step
+            vessels[:, NAMES.index(name)] += step
         return Values(shared, vessels)
 
 
@@ -106,11 +95,8 @@ def plausible(names: Iterable[str]) -> Array:
 
 
 def held(names: Iterable[str]) -> Mask:
-    """Mask of the shared parameters that are named, by their names with or without unit, shape (11,).
-
-    Raises:
-        ModsimError: There is no such parameter.
-    """
+    """Mask of the shared parameters that are named, by their names with or without unit, (11,). Raises ModsimError if
+    there is no such parameter."""
     mask = np.zeros(len(SHARED), dtype=bool)
     for name in names:
         full = SHORT.get(name, name)
@@ -122,50 +108,34 @@ def held(names: Iterable[str]) -> Mask:
 
 # ---- What is wrong with single vessels ----
 
-NAMES = tuple(parameter.name for parameter in OF_A_VESSEL)
 ROUNDS = 60
 PRIOR_VESSELS = 4.0
-WORTH = 3e-3
-"""Spreads below this share of the plausible distances are taken to be zero."""
+WORTH = 3e-3  # spreads below this share of the plausible distances are taken to be zero
 AHEAD = ("ahead_m", "how far it is ahead of its reports, at its mean speed", "m")
 SLOW_M_S = 0.3
 SURE = 0.25
-MIN_SPREAD = 1e-3
-"""The same of spreads within the steps, which then hardly change."""
+MIN_SPREAD = 1e-3  # the same of spreads within the steps, which then hardly change
 
 
 @dataclass(frozen=True, eq=False)
 class VesselEffects:
-    """Offsets and delays of k vessels.
+    """Offsets and delays of k vessels. Spreads are standard deviations over vessels, of the delay zero; the others are
+    products with each vessel's slopes by along, across and delay, in metres and seconds."""
 
-    Attributes:
-        vessels: Their indices, shape (k,).
-        spreads: Standard deviations over vessels of along and across in metres; of the delay it is zero, shape (3,).
-        products: Products of each vessel's slopes by along, across and delay, in metres and seconds, shape (k, 3, 3).
-        pulls: Products of its slopes and residuals, negative, shape (k, 3).
-        of_camera: Products of its slopes and those by the p parameters of the camera, shape (k, 3, p).
-    """
-
-    vessels: Indices
-    spreads: Array
-    products: Array
-    pulls: Array
-    of_camera: Array
+    vessels: Indices  # (k,)
+    spreads: Array  # of along and across in metres, and of the delay, (3,)
+    products: Array  # of the slopes with each other, (k, 3, 3)
+    pulls: Array  # with residuals, negative, (k, 3)
+    of_camera: Array  # with slopes by the p parameters of the camera, (k, 3, p)
 
 
 def vessel_effects(
     slopes: Array, residuals: Array, of_camera: Array, vessel: Indices, together: float, prior_m: float | None = None
 ) -> VesselEffects:
-    """Spreads that fit scaled residuals best.
-
-    Args:
-        slopes: Derivatives of the scaled residuals by along, across and delay of the row's vessel, shape (m, 3).
-        residuals: Scaled residuals with all of them zero, shape (m,).
-        of_camera: Derivatives by the p estimated parameters of the camera, shape (m, p).
-        vessel: Vessel of each row, shape (m,).
-        together: How many rows count as one, because box errors last, at least 1.
-        prior_m: Spread that is expected, which counts as much as `PRIOR_VESSELS` vessels; None for no expectation.
-    """
+    """Spreads that fit scaled residuals (m,), with all values of vessels zero, best. `slopes` are their derivatives by
+    along, across and delay of the row's vessel, (m, 3), `of_camera` those by the p estimated parameters of the camera,
+    (m, p). `together` rows, at least 1, count as one, because box errors last. A spread of `prior_m` that is expected
+    counts as much as `PRIOR_VESSELS` vessels; None for no expectation."""
     vessels, scale = np.unique(vessel), plausible(NAMES)
     rows = [vessel == one for one in vessels]
     products = np.array([slopes[some].T @ slopes[some] for some in rows]) / together
@@ -185,18 +155,11 @@ def vessel_effects(
 def restricted_spreads(
     products: Array, pulls: Array, shared: Array, of_camera: Array, pull_of_camera: Array, expected: Array
 ) -> Array:
-    """Spreads of two effects over k vessels, by restricted likelihood: the camera, too, has to be found, shape (2,).
-
-    Each step takes the mean square of the effects, as the data and the last spreads give them.
-
-    Args:
-        products: Products of slopes by the effects, of each vessel, shape (k, 2, 2).
-        pulls: Products of these slopes and residuals, negative, shape (k, 2).
-        shared: Products of these slopes and those by the p parameters of the camera, shape (k, 2, p).
-        of_camera: Products of the latter, shape (p, p).
-        pull_of_camera: Products of the latter and residuals, negative, shape (p,).
-        expected: Spreads that are expected; zero for no expectation, shape (2,).
-    """
+    """Spreads of two effects over k vessels, (2,), by restricted likelihood: the camera, with p parameters, too, has to
+    be found. Each step takes the mean square of the effects, as the data and the last spreads give them. Products of
+    slopes by the effects, of each vessel, are `products` with each other, (k, 2, 2), `pulls` with residuals, negative,
+    (k, 2), and `shared` with slopes by the parameters of the camera, (k, 2, p). `of_camera` (p, p) and `pull_of_camera`
+    (p,) are those of the latter. Spreads are `expected`, (2,); zero for no expectation."""
     count, p = len(products), len(of_camera)
     joint, pull = np.zeros((p + 2 * count,) * 2), np.concatenate([pull_of_camera, pulls.ravel()])
     joint[:p, :p], joint[p:, :p] = of_camera, shared.reshape(-1, p)
@@ -219,26 +182,17 @@ def restricted_spreads(
 def known_of(
     effects: VesselEffects, covariance: Array, speeds_m_s: Array, names: Sequence[str]
 ) -> list[tuple[str, str, str, float, float]]:
-    """Determined values of each vessel: name, words, unit, value and standard error.
-
-    An offset along and a delay look the same while a vessel keeps its speed; then only how far it is ahead of its
-    reports is determined. To see this, the delay gets a spread that moves the vessel as far as that of the offset. A
-    value is determined if its error is below a quarter of its spread.
-
-    Args:
-        effects: The effects.
-        covariance: Covariance of the parameters of the camera, shape (p, p).
-        speeds_m_s: Mean speed of each vessel, shape (k,).
-        names: IDs of all the scene's vessels.
-    """
+    """Determined values of each vessel: name, words, unit, value and standard error. An offset along and a delay look
+    the same while a vessel keeps its speed; then only how far it is ahead of its reports is determined. To see this,
+    the delay gets a spread that moves the vessel as far as that of the offset. A value is determined if its error is
+    below a quarter of its spread. `covariance` (p, p) is that of the parameters of the camera, `speeds_m_s` (k,) are
+    mean speeds, and `names` those of all the scene's vessels."""
     found, (moved, across, _) = [], effects.spreads.tolist()
     for row, (vessel, speed) in enumerate(zip(effects.vessels.tolist(), speeds_m_s.tolist(), strict=True)):
         spreads = np.array([moved, across, moved / max(speed, SLOW_M_S)])
         free = np.flatnonzero(spreads > 0)
-        own = np.zeros((3, 3))
-        own[np.ix_(free, free)] = np.linalg.inv(
-            effects.products[row][np.ix_(free, free)] + np.diag(1 / spreads[free] ** 2)
-        )
+        own, block = np.zeros((3, 3)), np.ix_(free, free)
+        own[block] = np.linalg.inv(effects.products[row][block] + np.diag(1 / spreads[free] ** 2))
         reach = own @ effects.of_camera[row]
         value, errors = own @ effects.pulls[row], own + reach @ covariance @ reach.T
         about = [(AHEAD, np.array([-1.0, 0.0, speed]), moved)]

@@ -45,54 +45,31 @@ from modsim3d.scene.scene import Scene
 
 @dataclass(frozen=True)
 class RegisteredValue:
-    """One number of a registration; zero is what the scene says.
+    """One number of a registration; zero is what the scene says. Of a held one, error and interval are nan."""
 
-    Attributes:
-        name: Name with unit, such as `pitch_deg`; of a vessel with the vessel's ID before: `ferry.delay_s`.
-        words: What it is.
-        unit: Unit in text.
-        value: Estimate, or the value at which it is held.
-        standard_error: NaN if it is held.
-        low: Lower end of the 95 % interval; NaN if it is held.
-        high: Upper end.
-        held: The rule by which it is held; empty if it was estimated.
-    """
-
-    name: str
+    name: str  # with unit, such as `pitch_deg`; of a vessel with the vessel's ID before: `ferry.delay_s`
     words: str
     unit: str
-    value: float
+    value: float  # the estimate, or the value at which it is held
     standard_error: float
-    low: float
+    low: float  # lower end of the 95 % interval
     high: float
-    held: str = ""
+    held: str = ""  # the rule by which it is held; empty if it was estimated
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """How a camera and the clock of its detector differ from what the scene says.
-
-    Attributes:
-        camera: Name of the camera.
-        values: All values: zero is what the scene says.
-        estimates: The shared parameters, in order.
-        vessels: What is known of single vessels: only what the data determine.
-        covariance: Covariance of the estimated shared parameters, in the order of `estimates`, shape (p, p).
-        groups: What the data cannot tell apart, so that a rule had to settle it.
-        sightings: The matches that were used.
-        detections: Number of detections.
-        rms_before_px: Root mean square of bearings' and waterlines' residuals with the scene's values, by the same
-            matches; NaN if one has no place in the image then.
-        rms_after_px: The same with the registration.
-    """
+    """Differences of a camera and the clock of its detector from what the scene says. Root mean squares are of
+    bearings' and waterlines' residuals by the same matches, with the scene's values, nan if one has no place in the
+    image then, and with the registration."""
 
     camera: str
     values: Values
-    estimates: tuple[RegisteredValue, ...]
-    vessels: tuple[RegisteredValue, ...]
-    covariance: Array
-    groups: tuple[ConfoundedGroup, ...]
-    sightings: Sightings
+    estimates: tuple[RegisteredValue, ...]  # the shared parameters, in order
+    vessels: tuple[RegisteredValue, ...]  # of single vessels: only what the data determine
+    covariance: Array  # of the estimated shared parameters, in the order of `estimates`, (p, p)
+    groups: tuple[ConfoundedGroup, ...]  # what the data cannot tell apart, so that a rule had to settle it
+    sightings: Sightings  # the matches that were used
     detections: int
     rms_before_px: float
     rms_after_px: float
@@ -126,9 +103,7 @@ class Registration:
         lines[0] += f" of {self.matched_vessels} vessels"
         lines.append(f"  residual {self.rms_before_px:.1f} px before, {self.rms_after_px:.1f} px after")
         for each in (*self.estimates, *self.vessels):
-            known = f"held: {each.held}"
-            if not each.held:
-                known = f"{each.low:.4g} to {each.high:.4g}"
+            known = f"held: {each.held}" if each.held else f"{each.low:.4g} to {each.high:.4g}"
             lines.append(f"  {each.name:<20} {each.value:>9.4g} {each.unit:<3} ({known})")
         return "\n".join([*lines, *(f"  by rule: {group.words()}" for group in self.groups)])
 
@@ -155,31 +130,19 @@ def register(
     noise_m: float = 0.0,
     attitude: Attitude | None = None,
 ) -> Registration:
-    """Estimate how a camera and its detector's clock differ from what the scene says.
-
-        registration = register(scene, "quay", BoxesAtTimes(times_s, frame, boxes_px))
-        print(registration)
-
-    Args:
-        scene: The scene.
-        camera: Name of the camera.
-        found: What its detector wrote.
-        fixed: Names of parameters that are held at the scene's values, such as `pitch`.
-        mean_errors: Mean box errors in x and y, in pixels, and in width and height, as shares; they are taken off and
-            held. None where one is not known: those in x and y are taken to be zero then.
-        use_sizes: Whether widths and heights of boxes count: not if the vessels' dimensions are guesses.
-        searched_s: Greatest offset of the clock that is looked for.
-        offsets_m: Standard deviation, over vessels, that is expected of how far positions are off, such as by unknown
-            places of antennas. It counts as much as four vessels. With `noise_m`, reports are also expected to be late,
-            by `DELAY_S` over vessels. None if nothing is expected: then the matches alone tell, which few vessels do
-            badly.
-        noise_m: Standard deviation, in each direction, of errors of positions that change over minutes, such as those
-            of satellite navigation: see `drifting`.
-        attitude: That of own ship as it was measured, in place of the scene's waves.
-
-    Raises:
-        ModsimError: The data cannot tell, with the reason.
-    """
+    """Estimate how a camera and its detector's clock differ from what the scene says:
+    `register(scene, "quay", BoxesAtTimes(times_s, frame, boxes_px))`.
+    Parameters in `fixed`, such as `pitch`, are held at the scene's values. Mean box errors in x and y, in pixels, and
+    in width and height, as shares, are taken off and held. None where one is not known: those in x and y are taken to
+    be zero then. Widths and heights of boxes do not count if the vessels' dimensions are guesses. The clock is looked
+    for at offsets of at most `searched_s`.
+    `offsets_m` is the standard deviation, over vessels, that is expected of how far positions are off, such as by
+    unknown places of antennas. It counts as much as four vessels. With `noise_m`, reports are also expected to be late,
+    by `DELAY_S` over vessels. None if nothing is expected: then the matches alone tell, which few vessels do badly.
+    `noise_m` is the standard deviation, in each direction, of errors of positions that change over minutes, such as
+    those of satellite navigation: see `drift_axes`. The attitude of own ship as it was measured replaces the scene's
+    waves.
+    Raises ModsimError, with the reason, if the data cannot tell."""
     eye = _camera(scene, camera)
     if scene.live:
         raise ModsimError(f"{scene.title}: a registration needs poses that are known beforehand, not live ones")
@@ -222,11 +185,7 @@ _SIZES = _MEANS[2:]
 
 
 def _free_names(held_names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the shared parameters that are not held.
-
-    Raises:
-        ModsimError: All are held, or a name is of none.
-    """
+    """Names of the shared parameters that are not held. Raises ModsimError if all are held, or a name is of none."""
     free = tuple(name for name, is_held in zip(SHARED_NAMES, held(held_names), strict=True) if not is_held)
     if not free:
         raise ModsimError("fixed: all parameters are fixed; leave at least one to be estimated")
@@ -264,23 +223,14 @@ def _corrected(found: BoxesAtTimes, mean: Array) -> BoxesAtTimes:
 
 @dataclass(frozen=True, eq=False)
 class _LastFit:
-    """The last fit, in which undetermined values are the scene's, without ties to them.
-
-    Attributes:
-        aligner: Matches and fits.
-        free: The values that are fitted.
-        lost: The undetermined ones.
-        offsets_m: See `register`.
-        noise_m: See `register`.
-        names: Names of the vessels.
-    """
+    """The last fit, in which undetermined values are the scene's, without ties to them; see `register`."""
 
     aligner: Aligner
-    free: tuple[str, ...]
-    lost: set[str]
+    free: tuple[str, ...]  # the values that are fitted
+    lost: set[str]  # the undetermined ones
     offsets_m: float | None
     noise_m: float
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the vessels
 
     def of(self, aligned: Alignment) -> Estimated:
         """The fit from an alignment."""
@@ -352,24 +302,11 @@ def _registration(
         if parameter.name in free:
             place = free.index(parameter.name)
             error, half = float(known.errors[place] * scales[place]), float(known.half_widths[place] * scales[place])
-        about = parameter.name, parameter.words, parameter.unit
-        estimates.append(
-            RegisteredValue(*about, value, error, value - half, value + half, rules.get(parameter.name, ""))
-        )
+        about, rule = (parameter.name, parameter.words, parameter.unit), rules.get(parameter.name, "")
+        estimates.append(RegisteredValue(*about, value, error, value - half, value + half, rule))
     before, after = (_rms(model, aligned, values) for values in (Values.none(len(model.hulls_m)), aligned.values))
-    covariance = known.covariance * scales[:, None] * scales
-    return Registration(
-        camera,
-        aligned.values,
-        tuple(estimates),
-        vessels,
-        covariance,
-        tuple(groups),
-        aligned.sightings,
-        detections,
-        before,
-        after,
-    )
+    found = tuple(estimates), vessels, known.covariance * scales[:, None] * scales, tuple(groups)
+    return Registration(camera, aligned.values, *found, aligned.sightings, detections, before, after)
 
 
 def _rms(model: BoxModel, aligned: Alignment, values: Values) -> float:

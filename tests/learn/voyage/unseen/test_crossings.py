@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.voyage.non_ais.classification import CrossingTracks, classify_unmatched, fainter
 from modsim3d.learn.voyage.non_ais.report import sentences
-from tests.formats.labelled_sets import found, images, truth
-from tests.learn.voyage.unseen.voyages import HEIGHT_PX, SEA, WIDTH_PX, boxes_at, observed
+from tests.formats.labelled_sets import found, truth
+from tests.learn.voyage.unseen.voyages import HEIGHT_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
 
 FRAMES = 400
 
@@ -24,27 +23,34 @@ def set_of(known, *tracks):
     single = rng.integers(0, FRAMES, 80)
     stray = boxes_at(rng.uniform(50, 1150, 80), rng.uniform(500, 600, 80), rng.uniform(15, 60, 80))
     image, boxes = np.r_[image[seen], single], np.concatenate([boxes[seen], stray])
-    results = found(image, 0 * image, boxes, np.full(len(image), 0.9)).by_image()
+    results = found(image, 0 * image, boxes, np.full(len(image), 0.9))
     annotated = truth(frame[there], 0 * frame[there], known[there], identity=0 * frame[there])
-    shots = images(FRAMES, (WIDTH_PX, HEIGHT_PX), 0.5 * frame, np.tile(SEA, (FRAMES, 1)))
-    return LabelledSet(("boat",), ("all",), shots, annotated, results)
+    return labelled_set(results, annotated, FRAMES)
 
 
 def at(x, y=400.0, size=60.0):
     return boxes_at(*(np.broadcast_to(each, FRAMES) for each in (x, y, size)))
 
 
+def in_view(boxes):
+    """Boxes cut at the image, without a place where less than a pixel of their width is left."""
+    cut = np.clip(boxes, 0, [[WIDTH_PX, HEIGHT_PX] * 2])
+    return np.where((cut[:, 2] - cut[:, 0] < 1)[:, None], np.nan, cut)
+
+
+@pytest.fixture(scope="module")
 def passing():
-    """A known vessel at 600 px, hidden by another one that comes along it and has no transponder."""
+    """A known vessel at 600 px, hidden by another one that comes along it and has no transponder: the set, the other
+    one's places, where it hides the known one, and the classified detections."""
     x = 100 + 2.5 * np.arange(FRAMES)
     known, other = at(600.0), at(x, 402.0, 75.0)
     hidden = np.abs(x - 600) < 40
-    return set_of(known, np.where(hidden[:, None], np.nan, known), other), x, hidden
+    labelled = set_of(known, np.where(hidden[:, None], np.nan, known), other)
+    return labelled, x, hidden, classify_unmatched(observed(labelled))
 
 
-def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed():
-    labelled, x, hidden = passing()
-    judged = classify_unmatched(observed(labelled))
+def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed(passing):
+    _, x, hidden, judged = passing
     ignored = judged.labelled.annotations.ignored
     assert hidden.sum() > 20
     assert ignored[hidden].all()
@@ -56,12 +62,11 @@ def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed():
     assert len(left.found) > 250
 
 
-def test_the_box_of_an_unseen_vessel_is_no_error_of_a_known_one():
-    labelled, _, _ = passing()
+def test_the_box_of_an_unseen_vessel_is_no_error_of_a_known_one(passing):
+    labelled, _, _, judged = passing
     wrong = np.flatnonzero(np.abs(observed(labelled).pairs.error_px[:, 2]) > 10)
     assert len(wrong) > 5  # the other one's box matches the known one that it hides
-    left = observed(classify_unmatched(observed(labelled)).labelled)
-    assert np.abs(left.pairs.error_px).max() < 1e-6
+    assert np.abs(observed(judged.labelled).pairs.error_px).max() < 1e-6
 
 
 def test_an_unseen_vessel_beside_a_known_one_does_not_match_it():
@@ -81,9 +86,8 @@ def test_a_slow_vessel_that_passes_close_is_left_out_where_the_two_touch(speed_p
     """The slower ones are within 50 px, so that they may match, for most of their lives."""
     frame = np.arange(FRAMES)
     x = np.where(frame < 240, 600 + speed_px * (frame - 120), np.nan)
-    judged = classify_unmatched(
-        observed(set_of(at(600.0, size=14.0), at(600.0, size=14.0), at(x, 402.0, 14.0)), Rule("centre"))
-    )
+    known = at(600.0, size=14.0)
+    judged = classify_unmatched(observed(set_of(known, known, at(x, 402.0, 14.0)), Rule("centre")))
     ignored = judged.labelled.annotations.ignored
     assert ignored[np.abs(x - 600) < 14].all()
     assert ignored.sum() < 130
@@ -92,14 +96,10 @@ def test_a_slow_vessel_that_passes_close_is_left_out_where_the_two_touch(speed_p
 def test_faint_detections_do_not_take_a_known_vessel_from_a_sure_one():
     labelled = set_of(at(600.0), at(600.0))
     sure, faint = [570.0, 380, 650, 420], [575.0, 382, 625, 418]
-    one = replace(
-        labelled,
-        annotations=truth([0], [0], [[570.0, 380, 630, 420]]),
-        results=found([0, 0], [0, 0], [sure, faint], [0.9, 0.1]),
-    )
+    annotations, results = truth([0], [0], [[570.0, 380, 630, 420]]), found([0, 0], [0, 0], [sure, faint], [0.9, 0.1])
+    one = replace(labelled, annotations=annotations, results=results)
     tracks = CrossingTracks(np.array([0]), np.array([faint]), np.array([0]))
-    rule = Rule("centre")
-    assert fainter(tracks, one, match(one, rule, 0.2), 0.2).tolist() == [1]
+    assert fainter(tracks, one, match(one, Rule("centre"), 0.2), 0.2).tolist() == [1]
 
 
 def test_a_vessel_whose_truth_is_off_is_still_missed():
@@ -111,10 +111,8 @@ def test_a_vessel_whose_truth_is_off_is_still_missed():
 
 def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
     x = -60 + 3.0 * np.arange(FRAMES)
-    late, early = at(x - 6.0), at(x)
-    known, seen = (np.clip(each, 0, [[WIDTH_PX, HEIGHT_PX] * 2]) for each in (late, early))
-    known[known[:, 2] - known[:, 0] < 1] = seen[seen[:, 2] - seen[:, 0] < 1] = np.nan
-    labelled = set_of(known, seen)
+    seen = in_view(at(x))
+    labelled = set_of(in_view(at(x - 6.0)), seen)
     judged = classify_unmatched(observed(labelled))
     first = int(np.flatnonzero(np.isfinite(seen).all(axis=1))[0])
     early_rows = np.flatnonzero((labelled.results.image < first + 2) & (labelled.results.boxes_px[:, 0] < 1))
@@ -135,8 +133,7 @@ def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
 def test_on_board_a_known_vessel_comes_into_view_at_its_place_below_the_horizon():
     """Pitch moves the picture by more than the vessel's height from frame to frame."""
     x, pitch_px = -60 + 3.0 * np.arange(FRAMES), 60.0 * (np.arange(FRAMES) % 2)
-    known, seen = (np.clip(at(x - late, 400 + pitch_px), 0, [[WIDTH_PX, HEIGHT_PX] * 2]) for late in (6.0, 0.0))
-    known[known[:, 2] - known[:, 0] < 1] = seen[seen[:, 2] - seen[:, 0] < 1] = np.nan
+    known, seen = (in_view(at(x - late, 400 + pitch_px)) for late in (6.0, 0.0))
     first = int(np.flatnonzero(np.isfinite(known).all(axis=1))[0])
     seen[first - 2 : first + 1][[0, 2]] = np.nan  # one sliver, a frame before the vessel is there
     known[first + 1 :: 2] = np.nan
@@ -150,9 +147,8 @@ def test_on_board_a_known_vessel_comes_into_view_at_its_place_below_the_horizon(
     assert classify_unmatched(observed(on_board)).crossings.results[sliver].all()
 
 
-def test_what_vessels_hide_of_each_other_is_said_and_not_told_as_missed():
-    labelled, _, hidden = passing()
-    judged = classify_unmatched(observed(labelled))
+def test_what_vessels_hide_of_each_other_is_said_and_not_told_as_missed(passing):
+    _, _, hidden, judged = passing
     said = f"{judged.crossings.annotations.sum()} boxes of known vessels that these pass are ignored"
     assert any(each.startswith(said) for each in sentences(judged, judged.own_rates(10, 0)))
     assert not (judged.telling.matched.sought & hidden).any()
@@ -164,10 +160,10 @@ def test_the_greatest_rate_has_all_unmatched_detections_also_where_vessels_pass(
     single = (np.abs(x - 600) < 40) & (np.arange(FRAMES) % 8 == 0)
     judged = classify_unmatched(observed(set_of(known, known, other, np.where(single[:, None], stray, np.nan))))
     (rate,) = judged.own_rates(10, 0)
-    silent = np.count_nonzero(~judged.tells)
+    silent, unmatched = np.count_nonzero(~judged.tells), len(judged.links.rows)
     assert silent >= single.sum() > 2
-    assert rate.unmatched == len(judged.links.rows)
-    assert float(rate.upper.estimate) * FRAMES == pytest.approx(len(judged.links.rows))
+    assert rate.unmatched == unmatched
+    assert float(rate.upper.estimate) * FRAMES == pytest.approx(unmatched)
     assert float(rate.mixture.estimate) * FRAMES == pytest.approx(
-        (1 - rate.vessel_share.estimate) * (len(judged.links.rows) - silent)
+        (1 - rate.vessel_share.estimate) * (unmatched - silent)
     )

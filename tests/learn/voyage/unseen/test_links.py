@@ -5,28 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
 from modsim3d.learn.voyage.non_ais.linking import STEADY, jitter_of, link
 from modsim3d.learn.voyage.non_ais.tracklets import Behaviour, things_of
-from tests.formats.labelled_sets import found, images, truth
-from tests.learn.voyage.unseen.voyages import HEIGHT_PX, HORIZON_PX, SEA, WIDTH_PX, boxes_at, observed
+from tests.formats.labelled_sets import found, truth
+from tests.learn.voyage.unseen.voyages import HORIZON_PX, SEA, WIDTH_PX, boxes_at, labelled_set, observed
 
 NOTHING = truth([], [], np.empty((0, 4)))
 
 
 def set_of(image, x, y, size=40.0, **frames):
     """Detections at places, and nothing annotated."""
-    size = np.broadcast_to(size, len(image))
-    return set_of_boxes(image, boxes_at(np.array(x), np.array(y), size), **frames)
+    return set_of_boxes(image, boxes_at(*np.broadcast_arrays(image, x, y, size)[1:]), **frames)
 
 
 def set_of_boxes(image, boxes, annotated=NOTHING, frames=60, rate_hz=2.0, seas=SEA):
-    rows = found(image, 0 * np.asarray(image), boxes, np.full(len(image), 0.9))
-    seas = np.broadcast_to(seas, (frames, 3))
-    shots = images(frames, (WIDTH_PX, HEIGHT_PX), np.arange(frames) / rate_hz, np.array(seas))
-    return LabelledSet(("boat",), ("all",), shots, annotated.by_image(), rows.by_image())
+    results = found(image, 0 * np.asarray(image), boxes, np.full(len(image), 0.9))
+    return labelled_set(results, annotated, frames, rate_hz, seas)
 
 
 def linked(labelled):
@@ -56,10 +52,15 @@ def test_a_thing_that_comes_into_view_and_leaves_it_is_one_thing():
     assert things_of(links, labelled.images).cut.tolist() == [True]
 
 
+def upright(left, top, width, bottom):
+    """Boxes whose left edges move."""
+    return np.column_stack([left, 0 * left + top, left + width, 0 * left + bottom])
+
+
 def test_a_thing_that_a_known_vessel_hides_in_part_is_one_thing():
     frame = np.arange(60)
     left = 200 + 6.0 * frame  # 60 px wide; the vessel is 200 px wide, and lower than it
-    low = np.column_stack([left, 0 * left + 370, left + 60, 0 * left + 400])
+    low = upright(left, 370, 60, 400)
     known = np.tile([350.0, 380, 450, 410], (60, 1))
     behind = (left > 290) & (left + 60 < 510)
     low[behind, 3] = 380
@@ -79,10 +80,9 @@ def test_things_that_cross_keep_their_numbers():
 def test_a_thing_that_another_one_hides_in_part_is_one_thing():
     frame = np.arange(60)
     behind, before = 200 + 6.0 * frame, 700 - 4.0 * frame
-    low = np.column_stack([behind, 0 * behind + 370, behind + 60, 0 * behind + 400])
+    low, near = upright(behind, 370, 60, 400), upright(before, 380, 200, 430)
     over = (behind + 60 > before) & (behind < before + 200)
     low[over, 3] = 378
-    near = np.column_stack([before, 0 * before + 380, before + 200, 0 * before + 430])
     assert over.sum() > 10
     assert linked(set_of_boxes(np.tile(frame, 2), np.concatenate([low, near]))).count == 2
 
@@ -102,7 +102,7 @@ def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
 
 def test_a_detection_of_another_size_is_another_thing():
     image = np.arange(10)
-    links = linked(set_of(image, np.full(10, 300.0), np.full(10, 400.0), np.where(image < 5, 20.0, 60.0)))
+    links = linked(set_of(image, 300.0, 400.0, np.where(image < 5, 20.0, 60.0)))
     assert links.link.tolist() == [0] * 5 + [1] * 5
 
 
@@ -178,7 +178,7 @@ def test_a_camera_that_pitches_does_not_break_links():
 
 
 def test_frames_without_times_link_nothing():
-    labelled = set_of(np.arange(5), np.full(5, 300.0), np.full(5, 400.0))
+    labelled = set_of(np.arange(5), 300.0, 400.0)
     labelled.images.time_s[:] = np.nan
     assert linked(labelled).count == 5
 
@@ -186,12 +186,11 @@ def test_frames_without_times_link_nothing():
 def test_what_lies_above_the_horizon_or_jumps_is_no_vessel():
     frame = np.arange(60)
     side = np.where(frame < 8, 0, 1 - 2 * (frame % 2))
-    for y, jump, behaviour in (
-        (HORIZON_PX - 60, 0.0, Behaviour.ABOVE_THE_HORIZON),
-        (HORIZON_PX + 60, 9.0, Behaviour.JUMPS),
-        (HORIZON_PX + 60, 1.0, Behaviour.LIKE_A_VESSEL),
+    for below, jump, behaviour in (
+        (-60, 0.0, Behaviour.ABOVE_THE_HORIZON),
+        (60, 9.0, Behaviour.JUMPS),
+        (60, 1.0, Behaviour.LIKE_A_VESSEL),
     ):
-        x = 400 + 2.0 * frame + jump * side
-        labelled = set_of(frame, x, np.full(60, y))
+        labelled = set_of(frame, 400 + 2.0 * frame + jump * side, HORIZON_PX + below)
         things = things_of(linked(labelled), labelled.images)
         assert things.behaviour[np.argmax(things.detections)] == behaviour

@@ -20,8 +20,7 @@ from tests.learn.scored_sets import detector
 from tests.learn.voyage.unseen.voyages import HORIZON_PX, Flicker, observed, voyage
 
 PLAIN = frozenset(RICHER) - {"confidence"}
-RATE = 0.4
-SEEDS = 30
+RATE, SEEDS = 0.4, 30
 
 
 def interval(learned, name):
@@ -60,30 +59,22 @@ def test_a_fifth_of_the_vessels_without_transponder_leaves_the_detector_as_it_is
     assert low <= RATE / (RATE + 0.9 * 4) <= high
     assert mean_false_confidence(report.learned) == pytest.approx(0.4, abs=0.05)
     assert mean_false_confidence(plain) > 0.5
-    confusion = [each.detector()["states"]["all"]["confusion"] for each in (report.learned, plain)]
-    assert confusion[0] == confusion[1]
-    assert report.learned.detector()["states"]["all"]["false_positives_per_image"] == pytest.approx(
-        float(judged.rates(report.learned.resampling, judged.observed.image_state, ("all",))[0].used.estimate), rel=1e-5
-    )
+    state, before = (each.detector()["states"]["all"] for each in (report.learned, plain))
+    assert state["confusion"] == before["confusion"]
+    (rate,) = judged.rates(report.learned.resampling, judged.observed.image_state, ("all",))
+    assert state["false_positives_per_image"] == pytest.approx(float(rate.used.estimate), rel=1e-5)
 
 
 def test_intervals_hold_the_rate_and_bounds_lie_on_both_sides():
-    held = below = above = 0
-    widths = []
+    counts, widths = np.zeros(3), []
     for seed in range(SEEDS):
         labelled = voyage(seed, frames=400, kayaks=2, flicker=Flicker(0.4, 0.4, 3.0), kayak_s=200.0)
-        judged = classify_unmatched(observed(labelled))
-        (rate,) = judged.own_rates(40, seed)
-        low, high = rate.used.interval(0.95, rate.units)
-        held += low <= 0.4 <= high
-        widths.append(float(high - low))
-        below += rate.lower.interval(0.95, rate.units)[0] <= 0.4
-        above += rate.upper.interval(0.95, rate.units)[1] >= 0.4
-    least = 25  # of 30, of which each holds with a chance of 95 %: fewer come by chance once in 600 times
+        (rate,) = classify_unmatched(observed(labelled)).own_rates(40, seed)
+        lower, used, upper = (each.interval(0.95, rate.units) for each in (rate.lower, rate.used, rate.upper))
+        counts += lower[0] <= 0.4, used[0] <= 0.4 <= used[1], upper[1] >= 0.4
+        widths.append(float(used[1] - used[0]))
     assert np.max(widths) < 0.6
-    assert held >= least
-    assert below >= least
-    assert above >= least
+    assert (counts >= 25).all()  # of 30, each with a chance of 95 %: fewer come by chance once in 600 times
 
 
 def test_a_sea_without_other_vessels_leaves_all_as_it_is():
@@ -102,9 +93,8 @@ def test_frames_too_short_to_tell_give_an_upper_bound_and_say_so():
     (rate,) = judged.own_rates(20, 0)
     assert rate.source is RateSource.ALL
     assert float(rate.lower.estimate) <= 0.4 < 1.0 < float(rate.upper.estimate)
-    assert any(
-        "may be an upper bound: 2 things seen for longer than 10 s" in said for said in sentences(judged, (rate,))
-    )
+    longer = "may be an upper bound: 2 things seen for longer than 10 s"
+    assert any(longer in said for said in sentences(judged, (rate,)))
 
 
 def test_what_lasts_above_the_horizon_counts_as_false():
@@ -163,12 +153,9 @@ def test_an_empty_stretch_without_a_false_positive_leaves_the_rate_uncertain():
     kept[seen.false[(time_s[seen.false] >= 20) & (time_s[seen.false] <= 24)]] = False
     columns = {name: None if each is None else each[kept] for name, each in vars(labelled.results).items()}
     labelled = replace(labelled, results=Results(**columns))
-    report, _ = learn_beside_unseen(
-        labelled, LearnSettings(replicates=40, without=PLAIN), LearnOptions(), (TimeSpan(20, 24),)
-    )
-    (low, high), (_, most) = (
-        interval(report.learned, f"false_{name}") for name in ("discovery_rate", "positives_per_image")
-    )
+    settings = LearnSettings(replicates=40, without=PLAIN)
+    learned = learn_beside_unseen(labelled, settings, LearnOptions(), (TimeSpan(20, 24),))[0].learned
+    (low, high), (_, most) = (interval(learned, f"false_{each}") for each in ("discovery_rate", "positives_per_image"))
     matched = len(seen.matched.pairs[0]) / len(labelled.images)
     assert low == 0
     assert high / (1 - high) == pytest.approx(most / matched, rel=0.5)
@@ -193,21 +180,22 @@ def test_stretches_are_read_in_seconds_and_in_utc():
     assert parse_stretches(utc, start) == (TimeSpan(120, 300),)
     assert [str(each) for each in parse_stretches(utc, start)] == [utc]
     assert parse_stretches("1704362520-1704362700", start) == (TimeSpan(120, 300),)
-    with pytest.raises(InputError, match="does not say when it starts"):
-        parse_stretches(utc, None)
-    with pytest.raises(InputError, match="does not say when it starts"):
-        parse_stretches("1704362520-1704362700", None)
+    for text in (utc, "1704362520-1704362700"):
+        with pytest.raises(InputError, match="does not say when it starts"):
+            parse_stretches(text, None)
     for text in ("", "5", "300-120", "a-b", "1-2-3", "-5-9", "2024-01-04T10:02:00Z/never"):
         with pytest.raises(InputError, match="--empty"):
             parse_stretches(text, start)
 
 
 def test_a_stretch_without_frames_is_refused():
-    with pytest.raises(InputError, match="5000-6000: no frame lies in it; they are from 0 s to"):
-        classify_unmatched(observed(voyage(0, frames=60)), (TimeSpan(5000, 6000),))
     utc = "2024-01-04T10:02:00Z/2024-01-04T10:05:00Z"
-    with pytest.raises(InputError, match=f"{utc}: no frame lies in it; they are from 2024-01-03T10:00:00Z to"):
-        classify_unmatched(observed(voyage(0, frames=60)), parse_stretches(utc, 1704276000.0))
+    for stretches, said in (
+        ((TimeSpan(5000, 6000),), "5000-6000: no frame lies in it; they are from 0 s to"),
+        (parse_stretches(utc, 1704276000.0), f"{utc}: no frame lies in it; they are from 2024-01-03T10:00:00Z to"),
+    ):
+        with pytest.raises(InputError, match=said):
+            classify_unmatched(observed(voyage(0, frames=60)), stretches)
 
 
 @pytest.mark.parametrize("timed", [True, False])

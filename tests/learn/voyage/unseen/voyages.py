@@ -1,7 +1,5 @@
 """Voyages with known answers: known boats, kayaks without a transponder, and false positives that flicker."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,9 +50,14 @@ def voyage(seed, frames=600, boats=4, kayaks=1, flicker=Flicker(), kayak_s=150.0
     inside = (boxes[:, 2] > 0) & (boxes[:, 0] < WIDTH_PX)
     results = found(image[inside], np.zeros(inside.sum()), boxes[inside], rng.uniform(0.3, 1, inside.sum())).by_image()
     truths = [np.concatenate(column) for column in zip(*known, strict=True)]
-    annotated = truth(truths[0], 0 * truths[0], truths[2], identity=truths[1]).by_image()
-    shots = images(frames, (WIDTH_PX, HEIGHT_PX), time, np.tile(SEA, (frames, 1)))
-    return LabelledSet(("boat",), ("all",), shots, annotated, results)
+    return labelled_set(results, truth(truths[0], 0 * truths[0], truths[2], identity=truths[1]), frames)
+
+
+def labelled_set(results, annotated, frames, rate_hz=RATE_HZ, seas=SEA):
+    """A set of one class and one condition, whose half planes may be the same in all frames."""
+    half_planes = np.broadcast_to(seas, (frames, 3)).copy()
+    shots = images(frames, (WIDTH_PX, HEIGHT_PX), np.arange(frames) / rate_hz, half_planes)
+    return LabelledSet(("boat",), ("all",), shots, annotated.by_image(), results.by_image())
 
 
 def observed(labelled, rule=IOU):
