@@ -87,7 +87,6 @@ class FrameArtist(Artist):
 
 
 def _add_legend(axes: Axes, frame: Frame, scene: Scene, layers: Layers) -> None:
-    """The legend of the films, below the image."""
     width_pt = axes.bbox.width * POINTS_PER_IN / axes.figure.figure.dpi
     entries = detection_entries(layers, scene.annotation.mode, faults_of([frame]))
     strip = legend(entries, round(KEY_DETAIL * width_pt), KEY_DETAIL * TEXT_PT)
@@ -97,7 +96,6 @@ def _add_legend(axes: Axes, frame: Frame, scene: Scene, layers: Layers) -> None:
 
 
 def _shown(frame: Frame, zoom: bool) -> Box:
-    """The part of the image that is shown."""
     true = np.array([vessel is not None for vessel in frame.detections.vessels], dtype=bool)
     boxes = np.concatenate([frame.truth.full_boxes_px, frame.detections.boxes_px[true]])
     if zoom:

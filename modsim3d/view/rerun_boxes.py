@@ -320,7 +320,6 @@ class Space:
         self._present[index] = bool(present[-1])
 
     def _body(self, index: int) -> list[Any]:
-        """The box of a vessel with its name, and its hull."""
         vessel, colour = self.log.scene.vessels[index], palette.vessel_colour(index)
         length, beam, height = vessel.extents_m
         box = self.log.sdk.Boxes3D(

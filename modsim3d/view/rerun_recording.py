@@ -85,7 +85,6 @@ def _world(log: rerun_boxes.Log, parts: Any, eye: rerun_boxes.Eye) -> Any:
 
 
 def _plot(log: rerun_boxes.Log, parts: Any, title: str, counts: tuple[str, ...], end_s: float) -> Any:
-    """A plot of counts of all cameras."""
     lines = [_path(log, ["counts", camera.name, count]) for camera in log.scene.cameras for count in counts]
     axis, legend = _whole(log, parts, end_s), parts.Corner2D.RightTop
     return parts.TimeSeriesView(origin="counts", contents=lines, name=title, axis_x=axis, plot_legend=legend)

@@ -107,7 +107,6 @@ class ShadedPictureRenderer:
         return known
 
     def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
-        """Faces in a region of a window."""
         to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
         corner = window.x * window.scale + region.x, window.y * window.scale + region.y
         to_picture[:2, 2] = -samples * np.array(corner)
@@ -119,7 +118,6 @@ class ShadedPictureRenderer:
     def _stand(
         self, rgb: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int
     ) -> None:
-        """Draw the solids in a region."""
         if not region.width or not region.height:
             return
         lit = self._lit(faces, solids, window, region, samples)

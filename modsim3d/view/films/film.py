@@ -87,7 +87,6 @@ def draw_film(
 
 
 def _gif_palette(selection: Selection, steps: Sequence[int], renderers: Workers[FilmRenderer]) -> Image.Image:
-    """The palette of a film, from some of its pictures."""
     chosen = tuple(dict.fromkeys(steps[i * len(steps) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES)))
     shown = replace(selection, steps=chosen, durations_s=np.ones(len(chosen)))
     samples = renderers.map(_draw_job, (_Job("mp4", None, [step_frames]) for step_frames in shown.step_frames()))

@@ -132,7 +132,6 @@ def _grid(area: _MapArea) -> str:
 
 
 def _region(traffic: AisTraffic, area: _MapArea) -> str:
-    """The edge of the region that was asked for."""
     region = traffic.options.region
     if region is None:
         return ""

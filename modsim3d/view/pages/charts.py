@@ -361,7 +361,6 @@ def strip(interval: ChartInterval, threshold: float, least: bool | None, span: t
 
 
 def _lying(each: ChartInterval, y: float, place: Callable[[float], float]) -> str:
-    """A mean and its interval on a line."""
     parts = ""
     if np.isfinite(each.low) and np.isfinite(each.high):
         a, b = place(each.low), place(each.high)

@@ -151,7 +151,6 @@ class _Tally:
         return DetectorCounts(**{field.name: self.of(field.name, group) for field in fields(DetectorCounts)})
 
     def rows(self, names: list[str]) -> Rows:
-        """A row for each group, with its frames."""
         rows = []
         for index, name in enumerate(names):
             counts = self.counts(index)

@@ -347,7 +347,6 @@ class _Recorder:
 
 
 def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
-    """Meaning of the numbers: names, colours."""
     vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     states = palette.state_colours(len(scene.detector.states))
