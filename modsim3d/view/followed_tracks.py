@@ -19,58 +19,41 @@ from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Similarity, Tracks, TrackSet
 from modsim3d.tracks.true_tracks import Following, TrueTracks, follow
 
-TRAIL_S = 2.0
-"""How far back the centres of a track's boxes are shown."""
+TRAIL_S = 2.0  # how far back the centres of a track's boxes are shown
 
 
 @dataclass(frozen=True, eq=False)
 class FollowedTracks:
-    """The tracks of one tracker: k rows in order of frame and track.
+    """The tracks of one tracker: k rows in order of frame and track."""
 
-    Attributes:
-        name: What the tracker is called.
-        similarity: How boxes were compared.
-        tracks: The tracks.
-        time_s: Time of each row, shape (k,).
-        vessel: Index of the vessel that each row follows, `NOBODY` for none, shape (k,).
-        unscored: Where that vessel is hidden or not annotated, so that no score counts the row, shape (k,).
-        switched: Where another track followed that appearance of the vessel last, shape (k,). Their number is that of
-            CLEAR MOT's identity switches (Bernardin & Stiefelhagen, 2008).
-        moved: Where the track followed another vessel last, shape (k,).
-    """
-
-    name: str
-    similarity: Similarity
+    name: str  # of the tracker
+    similarity: Similarity  # by which boxes were compared
     tracks: Tracks
-    time_s: Array
-    vessel: Indices
-    unscored: Mask
+    time_s: Array  # of each row, shape (k,)
+    vessel: Indices  # index of the vessel that each row follows, `NOBODY` for none, shape (k,)
+    unscored: Mask  # where that vessel is hidden or not annotated, so that no score counts the row, shape (k,)
+    # Where another track followed that appearance of the vessel last, shape (k,). Their number is that of CLEAR MOT's
+    # identity switches (Bernardin & Stiefelhagen, 2008).
     switched: Mask
-    moved: Mask
+    moved: Mask  # where the track followed another vessel last, shape (k,)
 
     @classmethod
     def of(cls, track_set: TrackSet, rows: RunRows, similarity: Similarity) -> Self:
         """Tracks held against the annotated truth of a run.
-
         Rows on vessels that are not scored are found first. The others are then matched without those vessels, as CLEAR
-        MOT's scores are, so that the switches are theirs.
-        """
+        MOT's scores are, so that the switches are theirs."""
         tracks = track_set.tracks
         first = follow(TrueTracks.of(rows), tracks, similarity)
         counted = first.counted
         again = follow(first.truth.take(first.truth.scored), tracks.take(counted), similarity)
         vessel, switched = _vessels(first), np.zeros(len(tracks), dtype=bool)
-        vessel[counted], switched[counted] = _vessels(again), _switched(again)
-        return cls(
-            track_set.name,
-            similarity,
-            tracks,
-            rows.scene.times_s(0, rows.steps)[tracks.step],
-            vessel,
-            ~counted,
-            switched,
-            _changed(tracks.identity, vessel, vessel != NOBODY),
-        )
+        vessel[counted] = _vessels(again)
+        track = np.append(again.tracks.identity, NOBODY)[again.track_row]
+        switched_again = again.track_row[_changed(again.truth.identity, track, again.found)]
+        switched[np.flatnonzero(counted)[switched_again]] = True
+        moved = _changed(tracks.identity, vessel, vessel != NOBODY)
+        time_s = rows.scene.times_s(0, rows.steps)[tracks.step]
+        return cls(track_set.name, similarity, tracks, time_s, vessel, ~counted, switched, moved)
 
     @property
     def false(self) -> Mask:
@@ -107,16 +90,8 @@ class FollowedTracks:
 
 
 def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> FollowedTracks:
-    """Read tracks of a finished run, and see which vessel each follows.
-
-    Args:
-        path: What `read_tracks` takes.
-        run: The run.
-        similarity: How boxes are compared.
-
-    Raises:
-        ModsimError: The run is not finished, or the tracks are wrong.
-    """
+    """Read tracks of a finished run from what `read_tracks` takes, and see which vessel each follows.
+    Raises ModsimError if the run is not finished or the tracks are wrong."""
     if not run.finished:
         raise ModsimError(
             f"{run.folder} holds an interrupted run, and tracks need a finished one: go on with modsim3d run --resume"
@@ -129,14 +104,6 @@ def _vessels(following: Following) -> Indices:
     """Index of the vessel that each row of the tracks follows, `NOBODY` for none."""
     vessels: Indices = np.append(following.truth.vessel, NOBODY)[following.truth_row]
     return vessels
-
-
-def _switched(following: Following) -> Mask:
-    """Rows of the tracks on which an appearance of a vessel is followed by another track than last."""
-    track = np.append(following.tracks.identity, NOBODY)[following.track_row]
-    switched = np.zeros(len(following.tracks), dtype=bool)
-    switched[following.track_row[_changed(following.truth.identity, track, following.found)]] = True
-    return switched
 
 
 def _changed(owner: Indices, partner: Indices, counted: Mask) -> Mask:

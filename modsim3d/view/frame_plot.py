@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from modsim3d.core.errors import ModsimError
@@ -24,15 +26,11 @@ try:
 except ImportError:
     raise ModsimError("frame.plot() needs matplotlib: pip install 'modsim3d[view]'") from None
 
-WIDTH_IN, BESIDE_IN, ABOVE_AND_BELOW_IN = 9.0, 0.7, 1.2
-"""Width of a figure of its own, and the width and the height of what stands around the image in it."""
+WIDTH_IN, BESIDE_IN, ABOVE_AND_BELOW_IN = 9.0, 0.7, 1.2  # of a figure of its own, and around the image in it
 TEXT_PT, POINTS_PER_IN = 8, 72
-AXIS_PT = 38
-"""Distance from the image to the legend: there stand the axis's numbers and name."""
-KEY_DETAIL = 3
-"""Pixels of the legend for each point."""
-MARGIN = 0.35
-"""Margin around the boxes when zoomed in, as a share of their width and height."""
+AXIS_PT = 38  # distance from the image to the legend: there stand the axis's numbers and name
+KEY_DETAIL = 3  # pixels of the legend for each point
+MARGIN = 0.35  # around the boxes when zoomed in, as a share of their width and height
 
 
 def plot_frame(frame: Frame, axes: Axes | None = None, *, zoom: bool = False, labels: bool = True) -> Figure:
@@ -71,9 +69,7 @@ class FrameArtist(Artist):
         """Take what to draw, and the axes that it fills."""
         super().__init__()
         self.set_zorder(0)
-        self._axes = axes
-        self._camera_view = camera_view
-        self._layers = layers
+        self._axes, self._camera_view, self._layers = axes, camera_view, layers
 
     def draw(self, renderer: RendererBase) -> None:
         """Draw the part of the image that the axes show."""
@@ -91,27 +87,15 @@ class FrameArtist(Artist):
 
 
 def _add_legend(axes: Axes, frame: Frame, scene: Scene, layers: Layers) -> None:
-    """The legend of the films, below the image."""
     width_pt = axes.bbox.width * POINTS_PER_IN / axes.figure.figure.dpi
-    mistakes = faults_of([frame])
-    entries = detection_entries(layers, scene.annotation.mode, mistakes)
+    entries = detection_entries(layers, scene.annotation.mode, faults_of([frame]))
     strip = legend(entries, round(KEY_DETAIL * width_pt), KEY_DETAIL * TEXT_PT)
     key = OffsetImage(np.asarray(strip), zoom=1 / KEY_DETAIL)
-    below = AnnotationBbox(
-        key,
-        (0.5, 0.0),
-        (0.0, -AXIS_PT),
-        xycoords="axes fraction",
-        boxcoords="offset points",
-        box_alignment=(0.5, 1.0),
-        frameon=False,
-        pad=0.0,
-    )
-    axes.add_artist(below)
+    below: dict[str, Any] = {"xycoords": "axes fraction", "boxcoords": "offset points", "box_alignment": (0.5, 1.0)}
+    axes.add_artist(AnnotationBbox(key, (0.5, 0.0), (0.0, -AXIS_PT), frameon=False, pad=0.0, **below))
 
 
 def _shown(frame: Frame, zoom: bool) -> Box:
-    """The part of the image that is shown."""
     true = np.array([vessel is not None for vessel in frame.detections.vessels], dtype=bool)
     boxes = np.concatenate([frame.truth.full_boxes_px, frame.detections.boxes_px[true]])
     if zoom:

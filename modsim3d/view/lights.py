@@ -1,7 +1,5 @@
 """Lights of vessels: COLREG 1972, Rules 21 to 26 and 30, with places by Annex I.
-
-Nobody is towing, restricted, constrained by draught, not under command or on pilotage duty: no scene says so.
-"""
+Nobody is towing, restricted, constrained by draught, not under command or on pilotage duty: no scene says so."""
 
 from __future__ import annotations
 
@@ -23,13 +21,10 @@ from modsim3d.world.vessels import Vessel
 
 # ---- A light of a vessel ----
 
-THRESHOLD_LUX = 2e-7
-"""The faintest light that an eye sees at sea by night (COLREG, Annex I, section 8)."""
-CLEAR_AIR = 0.8
-"""Share of the light that a nautical mile of clear air leaves, the same section's K."""
+THRESHOLD_LUX = 2e-7  # the faintest light that an eye sees at sea by night (COLREG, Annex I, section 8)
+CLEAR_AIR = 0.8  # share of the light that a nautical mile of clear air leaves, the same section's K
 CLEAR_EXTINCTION_PER_M = -math.log(CLEAR_AIR) / NAUTICAL_MILE_M
-AHEAD_DEG = 1.0
-"""Sidelights shine this far across the bow (Annex I, section 9: between 1° and 3°)."""
+AHEAD_DEG = 1.0  # sidelights shine this far across the bow (Annex I, section 9: between 1° and 3°)
 
 
 class Colour(Enum):
@@ -41,7 +36,7 @@ class Colour(Enum):
 
 
 class Sector(Enum):
-    """From which bearing to which a light is seen, in degrees from right ahead, to port positive (Rule 21)."""
+    """Bearings between which a light is seen, in degrees from right ahead, to port positive (Rule 21)."""
 
     MASTHEAD = (-112.5, 112.5)
     PORT = (-AHEAD_DEG, 112.5)
@@ -57,21 +52,13 @@ class Sector(Enum):
 
 @dataclass(frozen=True)
 class Lantern:
-    """A light of a vessel.
+    """A light of a vessel."""
 
-    Attributes:
-        name: What the rules call it.
-        colour: Its colour.
-        sector: Where it is seen.
-        range_nm: From how far it is seen in clear air, in nautical miles (Rule 22).
-        place: Its place in units of the vessel's length, beam and air draft, as a vertex of a solid.
-    """
-
-    name: str
+    name: str  # as in the rules
     colour: Colour
     sector: Sector
-    range_nm: float
-    place: tuple[float, float, float]
+    range_nm: float  # from how far it is seen in clear air, in nautical miles (Rule 22)
+    place: tuple[float, float, float]  # in units of the vessel's length, beam and air draft, as a vertex of a solid
 
     @property
     def intensity_cd(self) -> float:
@@ -125,12 +112,9 @@ def _words(text: str) -> set[str]:
     return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", text)}
 
 
-STANDS_M_S = 0.5 * KNOT_M_S
-"""A slower vessel is taken to be at anchor, or to make no way if she fishes."""
-SLOW_M_S = 7 * KNOT_M_S
-"""Rule 23 d (ii): below 7 m and 7 knots a white light is enough."""
-CENTRE_LINE = 0.0
-"""Across the vessel."""
+STANDS_M_S = 0.5 * KNOT_M_S  # a slower vessel is taken to be at anchor, or to make no way if she fishes
+SLOW_M_S = 7 * KNOT_M_S  # Rule 23 d (ii): below 7 m and 7 knots a white light is enough
+CENTRE_LINE = 0.0  # across the vessel
 
 
 def lanterns(vessel: Vessel, speed_m_s: float) -> tuple[Lantern, ...]:
@@ -138,7 +122,7 @@ def lanterns(vessel: Vessel, speed_m_s: float) -> tuple[Lantern, ...]:
     rig = _Rig(vessel)
     kind, stands = kind_of(vessel), speed_m_s < STANDS_M_S
     if kind is Kind.OARS:
-        return (rig.all_round("torch", Colour.WHITE, rig.top_m),)
+        return (rig.all_round("torch", Colour.WHITE, rig.height_m),)
     if kind in (Kind.TRAWLING, Kind.FISHING):
         return _fishing(rig, kind, makes_way=not stands)
     if stands:
@@ -152,7 +136,7 @@ def _power_driven(rig: _Rig, speed_m_s: float) -> tuple[Lantern, ...]:
         return (rig.masthead(rig.fore), rig.masthead(rig.after), *rig.sides(), rig.stern())
     if rig.length_m >= 12:
         return (rig.masthead(rig.fore), *rig.sides(), rig.stern())
-    white = rig.all_round("all-round", Colour.WHITE, rig.top_m)
+    white = rig.all_round("all-round", Colour.WHITE, rig.height_m)
     if rig.length_m < 7 and not speed_m_s > SLOW_M_S:
         return (white,)
     return (white, *rig.sides())
@@ -182,13 +166,11 @@ def _fishing(rig: _Rig, kind: Kind, *, makes_way: bool) -> tuple[Lantern, ...]:
 def _anchored(rig: _Rig) -> tuple[Lantern, ...]:
     """Rule 30: one white light, and below 50 m no more; else one in the fore part and a lower one at the stern."""
     if rig.length_m < 50:
-        return (rig.all_round("anchor", Colour.WHITE, rig.top_m),)
-    fore_m = min(rig.deck_m + 10.5, rig.top_m)
+        return (rig.all_round("anchor", Colour.WHITE, rig.height_m),)
+    fore_m = min(rig.deck_m + 10.5, rig.height_m)
     aft_m = max(fore_m - 4.5, 0.5 * fore_m)
-    return (
-        rig.all_round("anchor", Colour.WHITE, fore_m, 0.4),
-        rig.all_round("anchor aft", Colour.WHITE, aft_m, -0.45),
-    )
+    fore = rig.all_round("anchor", Colour.WHITE, fore_m, 0.4)
+    return (fore, rig.all_round("anchor aft", Colour.WHITE, aft_m, -0.45))
 
 
 @dataclass(frozen=True)
@@ -203,12 +185,8 @@ class _Rig:
 
     @property
     def height_m(self) -> float:
+        """Air draft; no light is higher."""
         return self.vessel.air_draft_m
-
-    @property
-    def top_m(self) -> float:
-        """No light is higher than the vessel."""
-        return self.height_m
 
     @property
     def deck_m(self) -> float:
@@ -224,7 +202,7 @@ class _Rig:
     def upper_m(self) -> float:
         """Height of the upper light of a vessel that fishes; a long trawler has her masthead light above it."""
         long_trawler = kind_of(self.vessel) is Kind.TRAWLING and self.length_m >= 50
-        return self.fore[2] * self.height_m if long_trawler else self.top_m
+        return self.fore[2] * self.height_m if long_trawler else self.height_m
 
     @cached_property
     def top(self) -> tuple[float, float, float]:
@@ -240,11 +218,9 @@ class _Rig:
     @cached_property
     def fore(self) -> tuple[float, float, float]:
         """Place of the forward masthead light, or the only one (Annex I, sections 2 and 3).
-
         A vessel of 20 m or more has it before midships. One of 50 m or more has it in the foremost quarter, as high
         above the deck as she is broad, but 6 to 12 m, and 4.5 m lower than the one abaft if her height allows that.
-        If she has a foremast of at least this height there, it is at the top of the foremast.
-        """
+        If she has a foremast of at least this height there, it is at the top of the foremast."""
         if self.length_m < 50:
             return self.top if self.length_m < 20 or self.top[0] > 0 else (0.1, CENTRE_LINE, 1.0)
         wanted_m = self.deck_m + float(np.clip(self.vessel.beam_m, 6.0, 12.0))
@@ -266,7 +242,6 @@ class _Rig:
         return Lantern(name, colour, Sector.ALL_ROUND, 2.0 if self.length_m < 50 else 3.0, place)
 
     def masthead(self, place: tuple[float, float, float]) -> Lantern:
-        """A masthead light."""
         miles = {12.0: 2.0, 20.0: 3.0, 50.0: 5.0}
         seen_nm = next((miles[below] for below in miles if self.length_m < below), 6.0)
         return Lantern("masthead", Colour.WHITE, Sector.MASTHEAD, seen_nm, place)
@@ -282,9 +257,8 @@ class _Rig:
         )
 
     def stern(self, place: tuple[float, float, float] | None = None) -> Lantern:
-        """A stern light."""
-        seen_nm = 2.0 if self.length_m < 50 else 3.0
-        return Lantern("stern", Colour.WHITE, Sector.STERN, seen_nm, place or self._stern_place())
+        low = (-0.5, CENTRE_LINE, (self.deck_m + 0.1 * (self.height_m - self.deck_m)) / self.height_m)
+        return Lantern("stern", Colour.WHITE, Sector.STERN, 2.0 if self.length_m < 50 else 3.0, place or low)
 
     def _side_place(self) -> tuple[float, float]:
         """v1 and v3 of sidelights at the side of the hull (Annex I, sections 2 g, 2 j and 3 b)."""
@@ -299,27 +273,18 @@ class _Rig:
         v1 = 0.2 if self.length_m < 20 else min(self.top[0], self.fore[0])
         return v1, max(height_m, 0.3 * mast_m) / self.height_m
 
-    def _stern_place(self) -> tuple[float, float, float]:
-        return -0.5, CENTRE_LINE, (self.deck_m + 0.1 * (self.height_m - self.deck_m)) / self.height_m
-
 
 # ---- Which lights a camera sees, where, and how strong ----
 
 
 @dataclass(frozen=True, eq=False)
 class SeenLight:
-    """A light that is turned to a camera.
+    """A light that is turned to a camera."""
 
-    Attributes:
-        vessel: Index of its vessel.
-        place_m: Its place in WCF, shape (3,).
-        decades: How strong it is: the logarithm to base 10 of its light over the faintest that an eye sees.
-    """
-
-    vessel: int
+    vessel: int  # index
     lantern: Lantern
-    place_m: Array
-    decades: float
+    place_m: Array  # in WCF, shape (3,)
+    decades: float  # logarithm to base 10 of its light over the faintest that an eye sees
 
 
 def ground_speeds(scene: Scene, step: int) -> Array:
@@ -334,12 +299,8 @@ def ground_speeds(scene: Scene, step: int) -> Array:
 
 def lights_towards(sight: Sight, speeds_m_s: Array, extinction_per_m: float = 0.0) -> Iterator[SeenLight]:
     """The lights of other vessels that are turned to a camera at its first step, and strong enough.
-
-    Args:
-        sight: Where the camera and the vessels are.
-        speeds_m_s: Speeds over ground, shape (V,); NaN where it is not known.
-        extinction_per_m: Share of the light that a metre of air takes; that of clear air if it is 0.
-    """
+    Speeds over ground have the shape (V,), NaN where they are not known. The extinction is the share of the light that
+    a metre of air takes, that of clear air if 0."""
     camera_m = sight.camera_poses.positions_m[0]
     for index in np.flatnonzero(sight.others[0]).tolist():
         vessel, world_R_vessel = sight.vessels[index], sight.world_R_vessel[0, index]
@@ -358,16 +319,9 @@ def lights_towards(sight: Sight, speeds_m_s: Array, extinction_per_m: float = 0.
 
 
 def is_hidden(solids: Solids, vessel: int, place_px: Array, inverse_depth: float) -> bool:
-    """Whether another vessel, an obstacle or own ship stands before a light.
-
-    A vessel's own hull does not hide her lights: where they hang they are clear of it.
-
-    Args:
-        solids: What stands before the camera.
-        vessel: The light's vessel.
-        place_px: Column and row of the light in the camera's image, shape (2,).
-        inverse_depth: near / c3 of the light, as in `Triangles`.
-    """
+    """Whether another vessel, an obstacle or own ship stands before a light at a column and row of the image, shape
+    (2,), and at an inverse depth near / c3, as in `Triangles`.
+    A vessel's own hull does not hide her lights: where they hang they are clear of it."""
     triangles = solids.triangles
     low, high = triangles.corners_px.min(axis=1), triangles.corners_px.max(axis=1)
     near = ((low <= place_px) & (place_px <= high)).all(axis=1) & (solids.occluders[triangles.row] != vessel)

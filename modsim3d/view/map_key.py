@@ -14,10 +14,8 @@ from modsim3d.core.arrays import Array
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
-BOX_PT = (11.0, 5.0)
-"""Length and beam of a hull in the key."""
-ARROW_PT = 11.0
-"""Length of an arrowhead in the key."""
+BOX_PT = (11.0, 5.0)  # length and beam of a hull in the key
+ARROW_PT = 11.0  # length of an arrowhead in the key
 
 
 class HullSymbol(HandlerBase):

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 # ---- A scene from above ----
 
 MAX_TRACK_POINTS = 1500
-MARGIN = 0.06
-"""Margin around everything that is shown, as a share of the map."""
+MARGIN = 0.06  # around everything that is shown, as a share of the map
 MIN_ASPECT, MAX_ASPECT = 0.65, 2.4
 REACH, REACH_M = 1.5, 2000.0
 """A camera ashore is on the map unless it is farther from the traffic than this many of its extents, and metres."""
@@ -120,9 +119,7 @@ def _bounds(points: Sequence[Array]) -> tuple[Array, Array]:
 
 def view_of(scene: Scene, camera: Camera, step: int) -> tuple[Array, Array]:
     """w1 and w2 of a camera in metres, shape (2,), and where its image looks: horizontal unit vectors, shape (n, 2).
-
-    They are of the row of the principal point, about where the horizon is, from left to right; zero straight down.
-    """
+    They are of the row of the principal point, about where the horizon is, from left to right; zero straight down."""
     poses = scene.sight(camera, np.array([step])).camera_poses
     width, height = camera.intrinsics.image_size_px
     row = float(np.clip(camera.intrinsics.principal_point_px[1], 0, height))
@@ -152,18 +149,12 @@ def ring_step(about_m: float) -> float:
     return float(min(factor * power for factor in (1, 2, 5, 10) if factor * power >= about_m * (1 - 1e-9)))
 
 
-TRAIL_S = 60.0
-"""The last part of a track, of this duration, is drawn bold."""
-TRAIL_POINTS = 12
-"""Names keep off a trail through so many of its points."""
-RINGS = 5
-"""The most range rings from a camera to the farthest corner of the map."""
-RADIUS_PT = 6.5
-"""Size of the radii of range rings."""
-MARKER_SHARE = 0.018
-"""A hull shorter than this share of the map's width has an arrowhead of that length around it."""
-CAMERA_NAME_SHARE = 0.06
-"""How far before a camera its name stands, as a share of the map's shorter side."""
+TRAIL_S = 60.0  # the last part of a track, of this duration, is drawn bold
+TRAIL_POINTS = 12  # names keep off a trail through so many of its points
+RINGS = 5  # the most range rings from a camera to the farthest corner of the map
+RADIUS_PT = 6.5  # size of the radii of range rings
+MARKER_SHARE = 0.018  # a hull shorter than this share of the map's width has an arrowhead of that length around it
+CAMERA_NAME_SHARE = 0.06  # how far before a camera its name stands, as a share of the map's shorter side
 LAND, SHORE, SOIL = "#cfc8ba", "#8d8577", "#5c564b"
 CAMERA, RING = "#c0392b", "#6d7b85"
 _ARROW = np.array([(0.6, 0.0), (-0.4, 0.36), (-0.2, 0.0), (-0.4, -0.36)])
@@ -172,21 +163,13 @@ _NOWHERE = np.full((2, 2), np.nan)
 
 @dataclass(eq=False)
 class MapSheet:
-    """The axes of a map, on which artists are put.
+    """The axes of a map, on which artists are put."""
 
-    Attributes:
-        axes: The map, in metres.
-        birds_eye: What it shows.
-        names: The names on it.
-        moving: The artists that differ from step to step, but for the names.
-        symbols: How some artists are drawn in the key.
-    """
-
-    axes: Axes
+    axes: Axes  # in metres
     birds_eye: BirdsEye
     names: MapNames
-    moving: list[Artist] = field(default_factory=list)
-    symbols: dict[Artist, Any] = field(default_factory=dict)
+    moving: list[Artist] = field(default_factory=list)  # those that differ from step to step, but for the names
+    symbols: dict[Artist, Any] = field(default_factory=dict)  # how some artists are drawn in the key
     _explained: set[str] = field(default_factory=set)
 
     def once(self, text: str) -> str:
@@ -320,17 +303,12 @@ class CameraMark:
         label = sheet.once("camera")
         self._dot = sheet.line(_NOWHERE[:1], moves=moves, color=CAMERA, mew=0.6, zorder=8, label=label, **dot)
         self._name = None
-        beyond_m = self._beyond_m()
+        mount, (x0, x1, y0, y1), beyond_m = self._camera.mount, self._birds_eye.extent_m, 0.0
+        if mount.vessel is None:
+            beyond_m = float(shapely.distance(shapely.box(x0, y0, x1, y1), shapely.Point(mount.position_m[:2])))
         if beyond_m or len(self._birds_eye.cameras) > 1:
             text = f"{self._camera.name}, {beyond_m:.0f} m away" if beyond_m else self._camera.name
             self._name = sheet.names.add(text, fontsize=8, color=CAMERA)
-
-    def _beyond_m(self) -> float:
-        """How far off the map a camera ashore is."""
-        if self._camera.mount.vessel is not None:
-            return 0.0
-        x0, x1, y0, y1 = self._birds_eye.extent_m
-        return float(shapely.distance(shapely.box(x0, y0, x1, y1), shapely.Point(self._camera.mount.position_m[:2])))
 
     def show(self, moment: Moment) -> None:
         """Move the camera to where it is."""

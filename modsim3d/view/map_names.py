@@ -17,46 +17,30 @@ if TYPE_CHECKING:
     from matplotlib.collections import LineCollection
     from matplotlib.text import Annotation
 
-GAP_PT = 2
-"""Between a name and what it names."""
-PAST_TIES_PX = 0.001
-"""Glyphs lie at 1/64 px. Names at whole pixels would be at ties, which are rounded now up, now down."""
-PLACES = np.array(
-    [
-        *((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0), (1.0, -1.0), (-1.0, -1.0)),
-        *((1.0, 1.0), (-1.0, 1.0)),
-    ]
-)
+GAP_PT = 2  # between a name and what it names
+PAST_TIES_PX = 0.001  # glyphs lie at 1/64 px; at whole pixels names would be at ties, rounded now up, now down
+_SIDES = ((0.0, 0.0), (0.0, -1.0), (0.0, 1.0), (1.0, 0.0), (-1.0, 0.0))
+PLACES = np.array([*_SIDES, (1.0, -1.0), (-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 """Where a name is tried, in sides of what it names: on it, below, above, beside, ..."""
 
 LEADER, HALO, HALO_PT = "#4d4d4d", "#eef3f6", 1.6
 """Colours of the line from a name to its thing and of the edge around letters, and the width of that edge."""
 Shapes = NDArray[np.object_]
-_AWAY = np.array([1.2, 2.2, 3.4, 5.0, 7.0, 9.5, 13.0, 17.0, 22.0, 28.0, 36.0, 46.0])
-"""How far off names are tried, in half the height of their text."""
+_AWAY = np.array([1.2, 2.2, 3.4, 5.0, 7.0, 9.5, 13.0, 17.0, 22.0, 28.0, 36.0, 46.0])  # tries, in half heights of a text
 _ANGLES_RAD = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 _ROUND = np.column_stack([np.cos(_ANGLES_RAD), np.sin(_ANGLES_RAD)])
 
 
 @dataclass(eq=False)
 class MapName:
-    """The name of a thing on a map.
-
-    Attributes:
-        note: Its text.
-        vessel: Index of the vessel that has it, None for other things.
-        place_m: The middle of the thing, shape (2,); None if the thing is not on the map.
-        half_m: Half the size of the thing, shape (2,).
-        end_m: Where the line of a name that stands farther off ends, shape (2,); at the thing if None.
-        middle_px: Where the middle of the name was put, in whole pixels, shape (2,); None if there is no room for it.
-    """
+    """The name of a thing on a map."""
 
     note: Annotation
-    vessel: int | None
-    place_m: Array | None = None
-    half_m: Array = field(default_factory=lambda: np.zeros(2))
-    end_m: Array | None = None
-    middle_px: Array | None = None
+    vessel: int | None  # index of the vessel that has it, None for other things
+    place_m: Array | None = None  # the middle of the thing, shape (2,); None if the thing is not on the map
+    half_m: Array = field(default_factory=lambda: np.zeros(2))  # half the size of the thing, shape (2,)
+    end_m: Array | None = None  # where the line of a name farther off ends, shape (2,); at the thing if None
+    middle_px: Array | None = None  # of the name as placed, in whole pixels, shape (2,); None without room for it
     _around_px: Array | None = None
 
     def extent_px(self) -> Array:
@@ -78,27 +62,16 @@ class MapName:
 
 @dataclass(eq=False)
 class MapNames:
-    """The names on a map.
-
-    Attributes:
-        axes: The map, in metres.
-        names: The names, those that are placed first in front.
-        bodies_m: Outline of what is drawn of each vessel by its index, shape (k, 2) each; names of others keep off it.
-        ticks_m: The heading tick of each vessel that has one, shape (2, 2) each.
-        trails_m: The last part of each vessel's track, shape (n, 2) each.
-        dots_m: The cameras, shape (2,) each; no name lies on them.
-        leaders: The lines from names to what they name.
-        taken_px: Boxes of the names that are placed, shape (k, 4).
-    """
+    """The names on a map in metres; names keep off what is drawn of other vessels, and lie on no camera."""
 
     axes: Axes
-    names: list[MapName] = field(default_factory=list)
-    bodies_m: dict[int, Array] = field(default_factory=dict)
-    ticks_m: dict[int, Array] = field(default_factory=dict)
-    trails_m: dict[int, Array] = field(default_factory=dict)
-    dots_m: dict[int, Array] = field(default_factory=dict)
-    taken_px: Array = field(default_factory=lambda: np.empty((0, 4)))
-    leaders: LineCollection = field(init=False)
+    names: list[MapName] = field(default_factory=list)  # those that are placed first in front
+    bodies_m: dict[int, Array] = field(default_factory=dict)  # outline of each vessel by its index, shape (k, 2)
+    ticks_m: dict[int, Array] = field(default_factory=dict)  # heading tick of each vessel that has one, shape (2, 2)
+    trails_m: dict[int, Array] = field(default_factory=dict)  # the last part of each vessel's track, shape (n, 2)
+    dots_m: dict[int, Array] = field(default_factory=dict)  # the cameras, shape (2,)
+    taken_px: Array = field(default_factory=lambda: np.empty((0, 4)))  # boxes of the names placed, shape (k, 4)
+    leaders: LineCollection = field(init=False)  # the lines from names to what they name
 
     def __post_init__(self) -> None:
         """Put the lines on the map, where `place` finds them."""
@@ -128,10 +101,8 @@ class MapNames:
 
     def place(self) -> None:
         """Put each name beside its thing, or farther off with a line to it; hide a name without room for it.
-
         A name lies on no other, on no other vessel, on no heading tick and on no camera. Where it can, it lies on no
-        track's last part.
-        """
+        track's last part."""
         page = _Page.of(self)
         later = []
         for name in self.names:
@@ -148,37 +119,22 @@ class MapNames:
 
 @dataclass(eq=False)
 class _Page:
-    """A map in pixels, on which names are placed one after another.
+    """A map in pixels, on which names are placed one after another."""
 
-    Attributes:
-        frame: The box of the map, shape (4,).
-        to_px: Places in metres as pixels.
-        metre_px: Pixels in a metre.
-        gap_px: Between a name and what it names.
-        owners: Index of the vessel of each body, shape (b,).
-        bodies: Outlines of the vessels, shape (b,).
-        ticks: Heading ticks of the vessels that have one.
-        trails: The last parts of tracks.
-        dots: The cameras.
-        taken: Boxes of the names that are placed, shape (k, 4).
-        leaders: Lines from names to their things.
-    """
-
-    frame: Array
-    to_px: Any
+    frame: Array  # the box of the map, shape (4,)
+    to_px: Any  # places in metres as pixels
     metre_px: float
-    gap_px: float
-    owners: Indices
-    bodies: Shapes
+    gap_px: float  # between a name and what it names
+    owners: Indices  # index of the vessel of each body, shape (b,)
+    bodies: Shapes  # outlines of the vessels, shape (b,)
     ticks: Shapes
     trails: Shapes
     dots: Shapes
-    taken: Array = field(default_factory=lambda: np.empty((0, 4)))
+    taken: Array = field(default_factory=lambda: np.empty((0, 4)))  # boxes of the names placed, shape (k, 4)
     leaders: list[Any] = field(default_factory=list)
 
     @classmethod
     def of(cls, names: MapNames) -> _Page:
-        """The map with what is drawn on it."""
         to_px = names.axes.transData.transform
         return cls(
             np.array(names.axes.get_window_extent().extents),
@@ -238,7 +194,6 @@ class _Page:
 
 
 def _drawn(kind: Callable[[Array], Any], things_m: dict[int, Array], to_px: Callable[[Array], Array]) -> Shapes:
-    """Things on the map as shapes in pixels."""
     return np.array([kind(to_px(points)) for points in things_m.values()], dtype=object)
 
 
@@ -249,14 +204,8 @@ def _met(shapes: Shapes, others: Shapes) -> Mask:
 
 
 def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> Array:
-    """Where the middle of a name may be, in whole pixels, the best place first, shape (n, 2).
-
-    Args:
-        thing_px: The middle of what it names, shape (2,).
-        name_px: The box of the name about its middle, shape (4,).
-        half_px: Half the size of what it names, shape (2,).
-        gap_px: Between the two.
-    """
+    """Places for the middle of a name, in whole pixels, the best first, shape (n, 2). `thing_px` and `half_px` are the
+    middle and half the size of what it names, shape (2,), `name_px` is the box of the name about its middle, (4,)."""
     text = (name_px[2:] - name_px[:2]) / 2
     within = not half_px.any() or bool((half_px > text + gap_px).all())
     middles: Array = np.rint(thing_px + (PLACES if within else PLACES[1:]) * (text + half_px + gap_px))
@@ -272,5 +221,4 @@ def _inside(places: Array, frame: Array) -> Mask:
 def overlapping(places: Array, taken: Array) -> Mask:
     """Mask of the boxes, shape (n, 4), that overlap one of some others, shape (k, 4); shape (n,)."""
     low, high = places[:, None, :2], places[:, None, 2:]
-    pairs: Mask = np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2)
-    return np.asarray(np.any(pairs, axis=1))
+    return np.asarray(np.all((low < taken[:, 2:]) & (taken[:, :2] < high), axis=2).any(axis=1))

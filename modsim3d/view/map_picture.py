@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
-WIDTH_IN = 10.0
-"""A map is laid out at this width, so that text and lines grow with the picture."""
+WIDTH_IN = 10.0  # a map is laid out at this width, so that text and lines grow with the picture
 FURNITURE, INNER = (0.13, 0.08), (0.92, 0.7)
-"""Height of title, axis and key, and width of the map, as shares of the picture's width.
-
-The first is of a wide map, with its key below it, the second of a high one, with its key beside it."""
+"""Height of title, axis and key, and width of the map, as shares of the picture's width: the first of a wide map, with
+its key below it, the second of a high one, with its key beside it."""
 SEA = "#eaf1f5"
 
 
@@ -35,12 +33,7 @@ def check_matplotlib() -> None:
 
 
 class Map:
-    """A map whose vessels and cameras can be moved to any step of a run.
-
-    Attributes:
-        figure: The map as matplotlib's figure.
-        sheet: Its axes, and which artists on them move.
-    """
+    """A map, as matplotlib's `figure`, whose vessels and cameras can be moved to any step of a run."""
 
     def __init__(self, birds_eye: map_marks.BirdsEye, width_px: int, height_px: int | None = None) -> None:
         """Draw what stays, from the bottom to the top; the map is as high as it needs if no height is given."""
@@ -58,10 +51,8 @@ class Map:
         self.sheet = map_marks.MapSheet(axes, birds_eye, MapNames(axes), [axes.title])
         self.sheet.moving.append(self.sheet.names.leaders)
         map_marks.draw_circles(self.sheet)
-        self._marks: list[map_marks.VesselMark | map_marks.CameraMark] = [
-            *map_marks.vessel_marks(self.sheet),
-            *map_marks.camera_marks(self.sheet),
-        ]
+        vessels, cameras = map_marks.vessel_marks(self.sheet), map_marks.camera_marks(self.sheet)
+        self._marks: list[map_marks.VesselMark | map_marks.CameraMark] = [*vessels, *cameras]
         map_marks.draw_obstacles(self.sheet)
         handles = axes.get_legend_handles_labels()[0]
         place = {"loc": "outside right upper"} if is_high(birds_eye) else {"loc": "outside lower center", "ncols": 5}

@@ -1,38 +1,24 @@
 """Colours that colour-blind people can tell apart: those of Okabe & Ito (2008), "Color Universal Design".
-
-The vermilion among them is kept for what went wrong, so that no vessel has it; what went wrong differs in its line too.
-"""
+The vermilion among them is kept for what went wrong, so that no vessel has it; its lines differ too."""
 
 from __future__ import annotations
 
 Colour = tuple[int, int, int]
+Colours = tuple[Colour, ...]
 
-VESSELS: tuple[Colour, ...] = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (204, 121, 167),
-    (0, 114, 178),
-)
+VESSELS: Colours = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167), (0, 114, 178))
 ALARM: Colour = (213, 94, 0)
 SEA: Colour = (38, 52, 64)
 SKY: Colour = (168, 186, 198)
 HORIZON: Colour = (226, 234, 238)
 TRUTH: Colour = (225, 225, 225)
-TRACKS: tuple[Colour, ...] = (
-    (119, 170, 221),
-    (238, 221, 136),
-    (68, 187, 153),
-    (255, 170, 187),
-    (153, 221, 255),
-    (187, 204, 51),
-    (170, 170, 0),
+TRACKS: Colours = (
+    *((119, 170, 221), (238, 221, 136), (68, 187, 153), (255, 170, 187)),
+    *((153, 221, 255), (187, 204, 51), (170, 170, 0)),
 )
 """Of tracks by number: the light scheme of Tol (2021), "Colour Schemes", without orange, which is near ALARM."""
 OBSTACLE: Colour = (122, 122, 122)
-OBSTACLES: tuple[Colour, ...] = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))
-"""Greys in turn, where obstacles are to be told apart."""
+OBSTACLES: Colours = (OBSTACLE, (160, 160, 160), (92, 92, 92), (190, 190, 190))  # in turn, where they are told apart
 STATES: tuple[Colour, Colour] = ((180, 168, 216), (72, 30, 126))
 """The first and the last of a detector's performance states, pale and strong; no vessel has their hue."""
 PAPER: Colour = (250, 250, 248)
@@ -40,9 +26,7 @@ INK: Colour = (30, 30, 30)
 SOFT_INK: Colour = (110, 110, 110)
 WHITE: Colour = (255, 255, 255)
 BLACK: Colour = (0, 0, 0)
-
-TINT, SHADE = 0.5, 0.4
-"""How much white or black is mixed into the second and third round of vessel colours."""
+TINT, SHADE = 0.5, 0.4  # share of white or black in the second and third round of vessel colours
 
 
 def vessel_colour(index: int) -> Colour:
@@ -60,6 +44,11 @@ def track_colour(number: int) -> Colour:
 def obstacle_colour(index: int) -> Colour:
     """The grey of an obstacle, by its index in the scene, where obstacles are to be told apart."""
     return OBSTACLES[index % len(OBSTACLES)]
+
+
+def owner_colour(occluder: int, vessels: int) -> Colour:
+    """The colour of a vessel, or the grey of an obstacle for an index beyond the vessels."""
+    return vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)
 
 
 def state_colours(states: int) -> list[Colour]:

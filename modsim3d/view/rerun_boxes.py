@@ -23,10 +23,8 @@ from modsim3d.world.vessel_motion import PosesInWaves
 
 # ---- Where parts of a run are put into a recording, and at which time ----
 
-STEP, TIME = "step", "time"
-"""The time lines."""
-THIN_PT, THICK_PT = 0.6, 2.5
-"""Half the widths on the screen of lines below others, and of lines that must be seen first."""
+STEP, TIME = "step", "time"  # the time lines
+THIN_PT, THICK_PT = 0.6, 2.5  # half the widths on the screen of lines below others, and of lines to be seen first
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +64,8 @@ def image_path(camera: str) -> list[str]:
     return ["world", "cameras", camera, "image"]
 
 
-COUNTS = {
-    Outcome.FALSE_POSITIVE: "false",
-    Outcome.MISLABELLED: "wrong_class",
-    Outcome.BELOW_HALF_IOU: "below_half_iou",
-    Outcome.OFF_VESSEL: "off_vessel",
-}
+COUNTS = {Outcome.FALSE_POSITIVE: "false", Outcome.MISLABELLED: "wrong_class"}
+COUNTS |= {Outcome.BELOW_HALF_IOU: "below_half_iou", Outcome.OFF_VESSEL: "off_vessel"}
 """What is counted of the detections of each frame, and under which name."""
 MISSED, FALSE, TRACKS, FALSE_TRACKS = "missed", "false", "tracks", "false_tracks"
 COLOURS = {
@@ -84,10 +78,8 @@ COLOURS = {
     FALSE_TRACKS: palette.ALARM,
 }
 """Of the lines of the plots, by what they count."""
-TEXT = (0.09, 0.07)
-"""Width and height of a text below a box, as shares of the image."""
-PALER = 0.35
-"""How much paler the lines of each further camera are."""
+TEXT = (0.09, 0.07)  # width and height of a text below a box, as shares of the image
+PALER = 0.35  # how much paler the lines of each further camera are
 
 
 @dataclass(eq=False)
@@ -198,25 +190,15 @@ class BoxRecorder:
 
 @dataclass(frozen=True, eq=False)
 class BoxColumns:
-    """Columns that are logged of the n rows of the truth and the m detections of a run.
-
-    Attributes:
-        missed: Shape (n,).
-        truth_tags: What is written at each row of the truth, n texts.
-        full_px: Boxes of the whole silhouettes, shape (n, 4).
-        drawn_px: Boxes of the detections, shape (m, 4).
-        tags: What is written at each detection, m texts.
-        tethers: Lines from the centres of the detections to their vessels' annotated boxes; NaN for a false positive,
-            shape (m, 2, 2).
-    """
+    """Columns that are logged of the n rows of the truth and the m detections of a run."""
 
     rows: RunRows
-    missed: Mask
-    truth_tags: list[str]
-    full_px: Array
-    drawn_px: Array
-    tags: list[str]
-    tethers: Array
+    missed: Mask  # shape (n,)
+    truth_tags: list[str]  # what is written at each row of the truth, n texts
+    full_px: Array  # boxes of the whole silhouettes, shape (n, 4)
+    drawn_px: Array  # boxes of the detections, shape (m, 4)
+    tags: list[str]  # what is written at each detection, m texts
+    tethers: Array  # from the centres of detections to their vessels' boxes, NaN for false positives, shape (m, 2, 2)
 
     @classmethod
     def of(cls, rows: RunRows) -> BoxColumns:
@@ -228,23 +210,15 @@ class BoxColumns:
         low, high = np.split(rows.annotated_boxes_px[rows.detected_row[known]], 2, axis=1)
         tethers[known, 0] = centres(drawn_px[known])
         tethers[known, 1] = np.clip(tethers[known, 0], low, high)
-        return cls(
-            rows,
-            missed,
-            [f"{names[vessel]} missed" if is_missed else names[vessel] for vessel, is_missed in lost],
-            rows.boxes_px("full"),
-            drawn_px,
-            _detection_tags(rows),
-            tethers,
-        )
+        truth_tags = [f"{names[vessel]} missed" if is_missed else names[vessel] for vessel, is_missed in lost]
+        return cls(rows, missed, truth_tags, rows.boxes_px("full"), drawn_px, _detection_tags(rows), tethers)
 
 
 def _detection_tags(rows: RunRows) -> list[str]:
     """Text at each detection: class, confidence, and what is wrong with it."""
     names, vessels = rows.scene.detector.labels, rows.scene.vessels
     labels, confidence = indices(rows.detections, "label", names).tolist(), number_column(rows.detections, "confidence")
-    tags = []
-    columns = (labels, confidence.tolist(), rows.detection_vessel.tolist(), rows.outcomes.tolist())
+    tags, columns = [], (labels, confidence.tolist(), rows.detection_vessel.tolist(), rows.outcomes.tolist())
     for label, sure, vessel, outcome in zip(*columns, strict=True):
         words = [f"{'false: ' if outcome & Outcome.FALSE_POSITIVE else ''}{names[label]} {sure:.2f}"]
         if outcome & Outcome.MISLABELLED:
@@ -266,27 +240,23 @@ def _frames(rows: RunRows, steps: Indices) -> Iterator[tuple[int, int, slice, sl
 
 # ---- The world of a run in a recording ----
 
-MAX_NAMES = 10
-"""Names of more vessels would lie on each other; they are shown for the vessel under the pointer."""
-MAX_FACES = 5000
-"""A hull with more faces would make a large file; it is left out, and its box stays."""
-NEAREST = 0.4
-"""The share of the vessels that are seen at first."""
-IMAGE_SHARE = 0.15
-"""How wide the image before a camera is, as a share of the traffic's extent."""
+MAX_NAMES = 10  # names of more vessels would lie on each other; they are shown for the vessel under the pointer
+MAX_FACES = 5000  # a hull with more faces would make a large file; it is left out, and its box stays
+NEAREST = 0.4  # the share of the vessels that are seen at first
+IMAGE_SHARE = 0.15  # how wide the image before a camera is, as a share of the traffic's extent
 
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """From where the world is looked at first: both of shape (3,); `span_m` is the extent of the traffic before it."""
+    """Place from which the world is looked at first, and target; `span_m` is the extent of the traffic before it."""
 
-    position_m: Array
-    target_m: Array
+    position_m: Array  # shape (3,)
+    target_m: Array  # shape (3,)
     span_m: float
 
 
 def first_eye(log: Log) -> Eye:
-    """Behind and above the first camera, so that the nearest of the vessels at the first step are seen."""
+    """Place behind and above the first camera, so that the nearest of the vessels at the first step are seen."""
     scene = log.scene
     poses = scene.poses.poses(0, 1)
     at, looks = view_of(scene, scene.cameras[0], 0)
@@ -308,11 +278,7 @@ class Space:
     _present: dict[int, bool] = field(default_factory=dict)
 
     def fixed(self, span_m: float) -> None:
-        """Log what never changes: axes, lenses and obstacles.
-
-        Args:
-            span_m: Extent of the traffic, of which the images before the cameras are a share.
-        """
+        """Log what never changes: axes, lenses and obstacles; images before the cameras are a share of `span_m`."""
         log, sdk = self.log, self.log.sdk
         log.put(["world"], sdk.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for camera in log.scene.cameras:
@@ -332,8 +298,7 @@ class Space:
 
     def show(self, steps: Indices) -> None:
         """Log where cameras and vessels are at some steps, shape (n,)."""
-        scene = self.log.scene
-        sea = scene.motion.at(steps)
+        scene, sea = self.log.scene, self.log.scene.motion.at(steps)
         for camera in scene.cameras:
             poses = scene.sight(camera, steps).camera_poses
             world_R_camera = np.swapaxes(poses.camera_R_world, -1, -2)
@@ -355,7 +320,6 @@ class Space:
         self._present[index] = bool(present[-1])
 
     def _body(self, index: int) -> list[Any]:
-        """The box of a vessel with its name, and its hull."""
         vessel, colour = self.log.scene.vessels[index], palette.vessel_colour(index)
         length, beam, height = vessel.extents_m
         box = self.log.sdk.Boxes3D(

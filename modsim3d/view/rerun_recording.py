@@ -30,28 +30,17 @@ from modsim3d.view.report.silhouettes import hiding, seen
 PICTURES, PLOTS, LANE = 6.0, (1.9, 1.3), 0.5
 """Heights of the rows, as shares: cameras and world, a plot where there is one and where there are two, and a lane of
 states beside its title and axis."""
-BEHIND = (12, 14, 16)
-"""Behind the world and around the cameras' images."""
+BEHIND = (12, 14, 16)  # the world and around the cameras' images
 
 
 def blueprint(log: rerun_boxes.Log, eye: rerun_boxes.Eye, last_step: int, *, tracks: bool) -> Any:
-    """The blueprint of a recording, for the SDK.
-
-    Args:
-        log: The recording.
-        eye: From where the world is looked at.
-        last_step: The last step of the recording.
-        tracks: Whether it has tracks.
-    """
+    """The blueprint of a recording up to its last step, with tracks or without, for the SDK."""
     from rerun import blueprint as parts
 
-    scene = log.scene
-    cameras = [
-        parts.Spatial2DView(
-            origin=_path(log, rerun_boxes.image_path(camera.name)), name=f"camera {camera.name}", background=BEHIND
-        )
-        for camera in scene.cameras
-    ]
+    scene, cameras = log.scene, []
+    for camera in scene.cameras:
+        origin = _path(log, rerun_boxes.image_path(camera.name))
+        cameras.append(parts.Spatial2DView(origin=origin, name=f"camera {camera.name}", background=BEHIND))
     pictures = cameras[0] if len(cameras) == 1 else parts.Tabs(*cameras)
     end_s = float(scene.times_s(last_step, last_step + 1)[0])
     rows = [
@@ -59,9 +48,8 @@ def blueprint(log: rerun_boxes.Log, eye: rerun_boxes.Eye, last_step: int, *, tra
         _plot(log, parts, "missed and false", (rerun_boxes.MISSED, rerun_boxes.FALSE), end_s),
     ]
     if tracks:
-        rows.append(
-            _plot(log, parts, "tracks, and those on nothing", (rerun_boxes.TRACKS, rerun_boxes.FALSE_TRACKS), end_s)
-        )
+        counts = rerun_boxes.TRACKS, rerun_boxes.FALSE_TRACKS
+        rows.append(_plot(log, parts, "tracks, and those on nothing", counts, end_s))
     shares = [PICTURES, *[PLOTS[tracks]] * (len(rows) - 1)]
     lanes = [camera.name for camera in scene.cameras[: None if scene.detector.performance.per_camera else 1]]
     rows.append(
@@ -97,15 +85,9 @@ def _world(log: rerun_boxes.Log, parts: Any, eye: rerun_boxes.Eye) -> Any:
 
 
 def _plot(log: rerun_boxes.Log, parts: Any, title: str, counts: tuple[str, ...], end_s: float) -> Any:
-    """A plot of counts of all cameras."""
     lines = [_path(log, ["counts", camera.name, count]) for camera in log.scene.cameras for count in counts]
-    return parts.TimeSeriesView(
-        origin="counts",
-        contents=lines,
-        name=title,
-        axis_x=_whole(log, parts, end_s),
-        plot_legend=parts.Corner2D.RightTop,
-    )
+    axis, legend = _whole(log, parts, end_s), parts.Corner2D.RightTop
+    return parts.TimeSeriesView(origin="counts", contents=lines, name=title, axis_x=axis, plot_legend=legend)
 
 
 def _whole(log: rerun_boxes.Log, parts: Any, end_s: float) -> Any:
@@ -121,16 +103,11 @@ def _path(log: rerun_boxes.Log, parts: list[str]) -> str:
 
 # ---- What a camera sees, in a recording ----
 
-MAX_PX = 1280
-"""The greatest width of a picture; the viewer stretches it to the size of the camera's image."""
-SKY, SEA, FIRST = 0, 1, 2
-"""Colours of a picture by their number; the first occluder's comes after those of sky and sea."""
-EDGE = 0.35
-"""Light of the lines around silhouettes, so that the boxes stand out."""
-HALF = 128
-"""The opacity of the horizon, which lies over the vessels."""
-MAX_COLOURS = 256 - FIRST
-"""More occluders than this share colours."""
+MAX_PX = 1280  # the greatest width of a picture; the viewer stretches it to the size of the camera's image
+SKY, SEA, FIRST = 0, 1, 2  # numbers of colours of a picture; the first occluder's comes after those of sky and sea
+EDGE = 0.35  # light of the lines around silhouettes, so that the boxes stand out
+HALF = 128  # the opacity of the horizon, which lies over the vessels
+MAX_COLOURS = 256 - FIRST  # more occluders than this share colours
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +145,8 @@ class Pictures:
         """Log how much larger than its picture each camera's image is."""
         for camera in self.log.scene.cameras:
             scale = np.append(np.array(camera.intrinsics.image_size_px) / picture_size(camera), 1.0)
-            self.log.put(
-                [*rerun_boxes.image_path(camera.name), "scene"], self.log.sdk.Transform3D(scale=scale), static=True
-            )
+            path = [*rerun_boxes.image_path(camera.name), "scene"]
+            self.log.put(path, self.log.sdk.Transform3D(scale=scale), static=True)
 
     def show(self, steps: Indices) -> None:
         """Log what the cameras see at some steps, shape (n,), where it differs from what they saw before."""
@@ -187,7 +163,7 @@ class Pictures:
         owners = [each.occluder for each in seen.silhouettes for _ in each.rings_px]
         lines = sdk.LineStrips2D(
             [ring for each in seen.silhouettes for ring in simple(each.rings_px, 0.5 / picture_scale(seen.camera))],
-            colors=[palette.darker(colour_of(owner, vessels), EDGE) for owner in owners],
+            colors=[palette.darker(palette.owner_colour(owner, vessels), EDGE) for owner in owners],
             labels=[scene.occluder_names[owner] for owner in owners],
             show_labels=False,
             radii=self.log.thin(),
@@ -236,16 +212,11 @@ def picture_size(camera: Camera) -> tuple[int, int]:
 def png(seen: Seen, vessels: int) -> bytes:
     """The picture of a frame as a PNG file: sky, sea, and silhouettes darker than the boxes on them."""
     picture, written = paint(seen), BytesIO()
-    owners = [palette.darker(colour_of(i, vessels)) for i in range(MAX_COLOURS)]
+    owners = [palette.darker(palette.owner_colour(i, vessels)) for i in range(MAX_COLOURS)]
     picture.putpalette([*chain.from_iterable([palette.SKY, palette.SEA, *owners])])
     # imageio passes no palette on. In RGB, this takes 2 to 4 times as long and 1.4 to 1.8 times the bytes.
     picture.save(written, "PNG")
     return written.getvalue()
-
-
-def colour_of(occluder: int, vessels: int) -> palette.Colour:
-    """The colour of a vessel, or of an obstacle for an index beyond the vessels."""
-    return palette.vessel_colour(occluder) if occluder < vessels else palette.obstacle_colour(occluder - vessels)
 
 
 def paint(seen: Seen) -> Image.Image:
@@ -299,8 +270,7 @@ def _image_size(seen: Seen) -> Array:
     return np.array(seen.camera.intrinsics.image_size_px, dtype=np.float64)
 
 
-STEPS_TOGETHER = 250
-"""Steps whose geometry is computed together."""
+STEPS_TOGETHER = 250  # whose geometry is computed together
 
 
 def write_recording(
@@ -311,17 +281,8 @@ def write_recording(
     followed: FollowedTracks | None = None,
 ) -> None:
     """Write every K-th step of a run as an `.rrd` file with the time lines `step` and `time`, and what to open it with.
-
-    Args:
-        run: The run.
-        out: The file.
-        every: K.
-        progress: Called with the number of steps that were written since its last call.
-        followed: The tracks of a tracker; none if None.
-
-    Raises:
-        ModsimError: The Rerun SDK is not installed, or the run has no steps.
-    """
+    `progress` is called with the number of steps that were written since its last call.
+    Raises ModsimError if the Rerun SDK is not installed or the run has no steps."""
     try:
         import rerun
     except ImportError:

@@ -1,7 +1,5 @@
 """The background of a shaded picture: a sea with ripples and a sky, by the direction in which each pixel looks.
-
-For illustration: the ripples are not the waves that move the vessels.
-"""
+For illustration: the ripples are not the waves that move the vessels."""
 
 from __future__ import annotations
 
@@ -20,22 +18,15 @@ from modsim3d.view.pictures.canvas import Window
 
 # ---- How a scene is to look ----
 
-CONTRAST = 0.02
-"""The visibility is the distance at which a black thing keeps this contrast against the sky."""
+CONTRAST = 0.02  # the visibility is the distance at which a black thing keeps this contrast against the sky
 
 
 @dataclass(frozen=True)
 class RenderStyle:
-    """How a scene is drawn.
+    """Style in which a scene is drawn; weather only where it is shaded."""
 
-    Attributes:
-        shaded: Whether it is drawn in light and shade, by pyrender.
-        visibility_m: Meteorological visibility; clear air if None. Shaded pictures only.
-        night: Whether it is dark. Shaded pictures only.
-    """
-
-    shaded: bool = False
-    visibility_m: float | None = None
+    shaded: bool = False  # in light and shade, by pyrender
+    visibility_m: float | None = None  # meteorological; clear air if None
     night: bool = False
 
     def __post_init__(self) -> None:
@@ -62,25 +53,16 @@ class RenderStyle:
 
 PLAIN_STYLE = RenderStyle()
 
-
 Floats = NDArray[np.float32]
 
-GRID_PX = 16
-"""Directions through a lens are found at every such pixel, and between them by cubic interpolation."""
+GRID_PX = 16  # directions through a lens are found at every such pixel, and between them by cubic interpolation
 TILE, TILE_SEED = 512, 7
 TABLE = 8192
-RIPPLE_PX = 5.0
-"""Ripples are drawn at least about as large, whatever their distance."""
-RIPPLE_M = 0.4
-"""And no smaller than this."""
-FADE_M = 1000.0
-"""At this distance ripples are half as strong."""
-FOG_DEPTH_M = 150.0
-"""Height of the layer of fog, through which the sky is seen."""
-WATER_REFLECTS = 0.02
-"""Share of the light that water reflects when one looks straight down (n = 1.33)."""
-ROUGHNESS = 0.12
-"""Waves turn a part of the sea towards the camera, so that it never is a perfect mirror."""
+RIPPLE_PX, RIPPLE_M = 5.0, 0.4  # ripples are drawn at least about as large, whatever their distance, and no smaller
+FADE_M = 1000.0  # at this distance ripples are half as strong
+FOG_DEPTH_M = 150.0  # height of the layer of fog, through which the sky is seen
+WATER_REFLECTS = 0.02  # share of the light that water reflects when one looks straight down (n = 1.33)
+ROUGHNESS = 0.12  # waves turn a part of the sea towards the camera, so that it never is a perfect mirror
 
 
 @dataclass(frozen=True)
@@ -132,31 +114,17 @@ def _through_lens(intrinsics: Intrinsics, columns: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Backdrop:
-    """Sea and sky of one picture.
+    """Sea and sky of one picture of h × w pixels."""
 
-    Attributes:
-        colour: sRGB from 0 to 1, shape (h, w, 3).
-        sea: Which pixels show the sea, shape (h, w).
-        mirror: Share of the light that the sea reflects there, shape (h, w).
-        ripple: Strength of the ripples, about −1 to 1, shape (h, w).
-    """
-
-    colour: Floats
-    sea: Mask
-    mirror: Floats
-    ripple: Floats
+    colour: Floats  # sRGB from 0 to 1, shape (h, w, 3)
+    sea: Mask  # which pixels show the sea, shape (h, w)
+    mirror: Floats  # share of the light that the sea reflects there, shape (h, w)
+    ripple: Floats  # strength of the ripples, about −1 to 1, shape (h, w)
 
 
 def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: float, style: RenderStyle) -> Backdrop:
-    """Sea and sky as a camera sees them.
-
-    Args:
-        rays: Directions in which the pixels look.
-        camera_R_world: Rotation from WCF to CCF, shape (3, 3).
-        position_m: Position of the camera in WCF, shape (3,).
-        focal_px: Pixels of the picture for a radian, near its middle.
-        style: Weather and time of day.
-    """
+    """Sea and sky as a camera sees them with a rotation from WCF to CCF, shape (3, 3), at a position in WCF, shape
+    (3,); `focal_px` pixels of the picture stand for a radian, near its middle."""
     up: Floats = (rays.camera.reshape(-1, 3) @ camera_R_world[:, 2].astype(np.float32)).reshape(rays.inside.shape)
     above = max(float(position_m[2]), 0.1)
     sea = up <= 0
@@ -193,10 +161,8 @@ def _place(sine: Floats) -> NDArray[np.int32]:
 
 @cache
 def _tables(night: bool) -> tuple[Floats, Floats]:
-    """Colours of the sea and then of the sky, and the share that the sea mirrors, by the sine of the angle.
-
-    Their shapes are (2 TABLE, 3) and (TABLE,).
-    """
+    """Colours of the sea and then of the sky, shape (2 TABLE, 3), and the share that the sea mirrors, shape (TABLE,),
+    by the sine of the angle."""
     colours = NIGHT if night else DAY
     sine = np.linspace(0, 1, TABLE, dtype=np.float32)
     low, high = np.array(colours.horizon, np.float32), np.array(colours.zenith, np.float32)
@@ -208,9 +174,7 @@ def _tables(night: bool) -> tuple[Floats, Floats]:
 
 def fogged(colour: NDArray[np.floating], distance_m: NDArray[np.floating], style: RenderStyle) -> Floats:
     """Colours, shape (..., 3), behind distances of air in metres, shape (...).
-
-    Koschmieder's law: C = C0 e^(−σ d) + A (1 − e^(−σ d)), with A the colour of fog.
-    """
+    Koschmieder's law: C = C0 e^(−σ d) + A (1 − e^(−σ d)), with A the colour of fog."""
     if not style.extinction_per_m:
         return colour.astype(np.float32)
     kept = np.exp(-style.extinction_per_m * distance_m)[..., None]

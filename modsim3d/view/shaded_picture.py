@@ -1,8 +1,6 @@
 """A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
-
 Which pixel shows which vessel is as in the ID buffer of the same size. Light, fog and night are illustration: the
-simulation does not use them.
-"""
+simulation does not use them."""
 
 from __future__ import annotations
 
@@ -25,17 +23,13 @@ from modsim3d.view.sea_and_sky import Backdrop, Floats, Rays, RenderStyle, backd
 
 # ---- Draws the lights of vessels into a picture ----
 
-FAINTEST, BRIGHTEST = 0.35, 1.2
-"""Brightness of the middle of the faintest light that an eye sees, and of a strong light."""
-MAX_PX = 4.0
-"""Radius of the strongest light at a width of 1280."""
+FAINTEST, BRIGHTEST = 0.35, 1.2  # brightness of the middle of the faintest light that an eye sees, and of a strong one
+MAX_PX = 4.0  # radius of the strongest light at a width of 1280
 
 
 def draw_lights(rgb: Floats, solids: Solids, window: Window, speeds_m_s: Array, extinction_per_m: float) -> None:
     """Draw the lights before a camera that nothing hides into a picture, sRGB from 0 to 1, shape (h, w, 3).
-
-    For `speeds_m_s` and `extinction_per_m` see `lights_towards`.
-    """
+    For `speeds_m_s` and `extinction_per_m` see `lights_towards`."""
     camera = solids.sight.camera_poses
     for light in lights_towards(solids.sight, speeds_m_s, extinction_per_m):
         seen_m = camera.to_camera(light.place_m[None, None])[0, 0]
@@ -60,19 +54,14 @@ def _glow(rgb: Floats, place_px: Array, light: SeenLight, unit_px: float) -> Non
     columns = np.arange(max(column - reach, 0), min(column + reach + 1, width))
     squared = ((rows + 0.5 - place_px[1])[:, None] ** 2 + (columns + 0.5 - place_px[0]) ** 2) / radius_px**2
     strength = peak * (np.exp(-squared) + 0.2 * np.exp(-squared / 12))[..., None]
-    rgb[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += (strength * light.lantern.colour.value).astype(
-        np.float32
-    )
+    light_rgb = (strength * light.lantern.colour.value).astype(np.float32)
+    rgb[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += light_rgb
 
 
-SAMPLES = 2
-"""Solids are drawn this much larger and shrunk, so that their edges have no steps."""
-REFLECTION = 0.8
-"""Share of a vessel's light that a calm sea would show."""
-SMEAR = 6
-"""Pixels, at a width of 1280, by which ripples move a reflection."""
-OVERHEAD = np.array([0.2, -0.3, 1.0])
-"""Direction to the part of the sky that is brightest apart from the sun, in the world."""
+SAMPLES = 2  # solids are drawn this much larger and shrunk, so that their edges have no steps
+REFLECTION = 0.8  # share of a vessel's light that a calm sea would show
+SMEAR = 6  # pixels, at a width of 1280, by which ripples move a reflection
+OVERHEAD = np.array([0.2, -0.3, 1.0])  # to the part of the sky that is brightest apart from the sun, in the world
 
 
 class ShadedPictureRenderer:
@@ -87,14 +76,8 @@ class ShadedPictureRenderer:
     def picture(
         self, solids: Solids, window: Window, speeds_m_s: Array | None = None, samples: int = SAMPLES
     ) -> Image.Image:
-        """A shaded picture.
-
-        Args:
-            solids: The solids before the camera.
-            window: The part of its image to show, and how large.
-            speeds_m_s: Speeds over ground of all vessels, shape (V,), whose lights are shown by night if it is given.
-            samples: Buffer pixels for each pixel of the window and axis; with 1 edges are not smoothed.
-        """
+        """A shaded picture of a window, with lights by night if speeds over ground of all vessels, shape (V,), are
+        given. `samples` are buffer pixels for each pixel and axis; with 1 edges are not smoothed."""
         rays = _rays(solids.intrinsics, window)
         ground = self._ground(rays, solids, window)
         faces = lit_faces(solids)
@@ -124,7 +107,6 @@ class ShadedPictureRenderer:
         return known
 
     def _lit(self, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int) -> Lit:
-        """Faces in a region of a window."""
         to_picture = np.diag([window.scale * samples, window.scale * samples, 1.0])
         corner = window.x * window.scale + region.x, window.y * window.scale + region.y
         to_picture[:2, 2] = -samples * np.array(corner)
@@ -134,16 +116,8 @@ class ShadedPictureRenderer:
         return self._renderer.draw(faces, pixels, solids.intrinsics.near_clip_m, size, lamps, ambient)
 
     def _stand(
-        self,
-        rgb: Floats,
-        rays: Rays,
-        faces: LitFaces,
-        solids: Solids,
-        window: Window,
-        region: Region,
-        samples: int,
+        self, rgb: Floats, rays: Rays, faces: LitFaces, solids: Solids, window: Window, region: Region, samples: int
     ) -> None:
-        """Draw the solids in a region."""
         if not region.width or not region.height:
             return
         lit = self._lit(faces, solids, window, region, samples)
@@ -187,11 +161,8 @@ class _Ground:
     """Sea and sky as a camera sees them from one pose, on which pictures are drawn one after another."""
 
     def __init__(self, pose: Array, behind: Backdrop) -> None:
-        """Begin with the first picture."""
-        self.pose = pose
-        self.backdrop = behind
-        self._rgb = behind.colour.copy()
-        self._changed = slice(0, 0)
+        self.pose, self.backdrop = pose, behind
+        self._rgb, self._changed = behind.colour.copy(), slice(0, 0)
         self._used = False
         self._shown: NDArray[np.uint8] | None = None
 
@@ -269,14 +240,11 @@ def _rows(regions: tuple[Region, ...]) -> slice:
 
 def _lamps(camera_R_world: Array, style: RenderStyle) -> tuple[list[Lamp], tuple[float, float, float]]:
     """Sun, sky and a little light from where the camera is; by night the moon in the sun's place."""
-
     to_sun, to_zenith = (tuple((camera_R_world @ world).tolist()) for world in (SUN, OVERHEAD))
     if style.night:
         return [Lamp(to_sun, (0.65, 0.75, 1.0), 0.3)], (0.022, 0.026, 0.036)
-    sun = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3)
-    sky = Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
-    fill = Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)
-    return [sun, sky, fill], (0.20, 0.22, 0.25)
+    sun, sky = Lamp(to_sun, (1.0, 0.96, 0.88), 2.3), Lamp(to_zenith, (0.75, 0.87, 1.0), 0.7)
+    return [sun, sky, Lamp((0.0, -0.2, -1.0), (1.0, 1.0, 1.0), 0.35)], (0.20, 0.22, 0.25)  # the last from the camera
 
 
 def _write(picture: Image.Image, text: str) -> None:

@@ -1,7 +1,5 @@
 """Tracks that are made of the truth of a run, so that it is known whom they follow."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +7,13 @@ import numpy as np
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Tracks, TrackSet
 
-FALSE_TRACK = 90
-"""A track in the corner of the first camera's image, where no vessel is."""
+FALSE_TRACK = 90  # in the corner of the first camera's image, where no vessel is
 
 
 def perfect(rows: RunRows) -> Tracks:
     """A track on each vessel of which something is seen, with the vessel's index as its number; exact boxes."""
-    there = rows.annotated
-    return Tracks.of(
-        len(rows.scene.cameras), rows.truth_frame[there], rows.truth_vessel[there], rows.annotated_boxes_px[there]
-    )
+    there, cameras = rows.annotated, len(rows.scene.cameras)
+    return Tracks.of(cameras, rows.truth_frame[there], rows.truth_vessel[there], rows.annotated_boxes_px[there])
 
 
 def swapped(tracks: Tracks, a: int, b: int, step: int) -> Tracks:
@@ -31,22 +26,17 @@ def swapped(tracks: Tracks, a: int, b: int, step: int) -> Tracks:
 
 def with_false(tracks: Tracks, steps: range) -> Tracks:
     """The same with a false track at some steps of the first camera."""
-    many = len(steps)
-    return Tracks.of(
-        tracks.cameras,
-        np.append(tracks.frame, np.array(steps) * tracks.cameras),
-        np.append(tracks.track, np.full(many, FALSE_TRACK)),
-        np.vstack([tracks.boxes_px, np.tile([2.0, 2.0, 32.0, 22.0], (many, 1))]),
-    )
+    false = np.array(steps) * tracks.cameras
+    frame, track = np.append(tracks.frame, false), np.append(tracks.track, np.full(len(steps), FALSE_TRACK))
+    boxes_px = np.vstack([tracks.boxes_px, np.tile([2.0, 2.0, 32.0, 22.0], (len(steps), 1))])
+    return Tracks.of(tracks.cameras, frame, track, boxes_px)
 
 
 def as_set(tracks: Tracks) -> TrackSet:
-    """Somebody's own tracks."""
     return TrackSet("made", tracks, None)
 
 
 def write_csv(tracks: Tracks, rows: RunRows, path: Path) -> Path:
-    """Write a file that `--tracks` reads."""
     names = [camera.name for camera in rows.scene.cameras]
     lines = ["camera,step,track,x_min_px,y_min_px,x_max_px,y_max_px"]
     columns = (tracks.camera, tracks.step, tracks.track, tracks.boxes_px)

@@ -35,15 +35,11 @@ def test_a_curve_is_drawn_where_it_moves_however_many_false_detections_follow():
     recall = np.concatenate([np.linspace(0.002, 0.8, 400), np.full(200_000, 0.8)])
     precision = np.concatenate([1 - 0.2 * np.linspace(0, 1, 400) ** 2, 320 / np.arange(400, 200_400)])
     drawn = points(precision_recall({"usual": (recall, precision)}, ["red"]))
-    assert len(drawn) <= 802
-    assert np.abs(np.diff(drawn, axis=0)).max() < 5  # of 374 by 252
+    assert len(drawn) <= 802 and np.abs(np.diff(drawn, axis=0)).max() < 5  # of 374 by 252
     axes = Axes((0, 1), (0, 1.02))
     for end in (0, -1):
         np.testing.assert_allclose(drawn[end], axes.place(recall[end], precision[end]), atol=0.06)
-
-
-def test_a_curve_of_one_point_is_drawn():
-    assert len(points(precision_recall({"usual": (np.array([0.5]), np.array([1.0]))}, ["red"]))) == 1
+    assert len(points(precision_recall({"one point": (np.array([0.5]), np.array([1.0]))}, ["red"]))) == 1
 
 
 def test_states_have_the_ramp_of_the_palette_on_a_timeline():

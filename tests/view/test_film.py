@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
+from modsim3d import load_scene, open_run, run_scene
+from modsim3d.runs.selection import select
 from modsim3d.view import palette
-from modsim3d.view.films.plan import FilmLayout
+from modsim3d.view.films.plan import FilmLayout, crop_to_vessels
 from modsim3d.view.pictures import id_buffer
 from tests.command_line import call
 from tests.scenes import crossing
@@ -27,10 +27,9 @@ def two_cameras(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two")
     path = crossing(folder, STEPS)
     scene = json.loads(path.read_text())
-    left = json.loads(json.dumps(scene["cameras"]["C0"]))
-    left["pose"]["yaw_rad"] = 1.5  # nothing is there
-    left["image_size_px"] = [400, 301]
-    scene["cameras"]["left"] = left
+    usual = scene["cameras"]["C0"]
+    pose = {**usual["pose"], "yaw_rad": 1.5}  # nothing is there
+    scene["cameras"]["left"] = {**usual, "pose": pose, "image_size_px": [400, 301]}
     path.write_text(json.dumps(scene))
     run_scene(load_scene(path), folder / "run")
     return folder / "run"
@@ -66,12 +65,9 @@ def test_mp4_plays_in_every_browser(monkeypatch, run, tmp_path, width):
     out = tmp_path / "film.mp4"
     assert view(monkeypatch, "film", run, "--kind", "detections", "--end", 5, "--width", width, "--out", out) == 0
     stream, pictures = probe(out)
-    assert stream.startswith("h264")
-    assert "yuv420p" in stream
-    assert pictures.shape[2] == width  # 162 is no multiple of 16
-    assert pictures.shape[1] % 2 == 0
-    assert " 5 fps" in stream  # a step a second: each is shown five times
-    assert len(pictures) == 5 * 6
+    assert stream.startswith("h264") and "yuv420p" in stream
+    assert pictures.shape[2] == width and pictures.shape[1] % 2 == 0  # 162 is no multiple of 16
+    assert " 5 fps" in stream and len(pictures) == 5 * 6  # a step a second: each is shown five times
     names = atoms(out)
     assert names.index("moov") < names.index("mdat")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4"]
@@ -87,8 +83,7 @@ def test_colours_survive_the_film(monkeypatch, run, tmp_path):
     assert np.abs(pictures[0].astype(int) - still).mean() < 2
     for colour in (id_buffer.SEA, id_buffer.SKY, palette.VESSELS[2]):  # the ship's
         here = (still == colour).all(axis=-1)
-        assert here.sum() > 5000
-        assert np.abs(np.median(pictures[0][here], axis=0) - colour).max() <= 4
+        assert here.sum() > 5000 and np.abs(np.median(pictures[0][here], axis=0) - colour).max() <= 4
 
 
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
@@ -96,17 +91,8 @@ def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, 
     """In a process without threads, as a user's is: its workers are forks."""
     options = ("--kind", "all", "--every", "3", "--width", "240")
     for workers in ("1", "2"):
-        command = (
-            prepared,
-            "view",
-            "film",
-            run,
-            *options,
-            "--workers",
-            workers,
-            "--out",
-            tmp_path / f"{workers}.{kind}",
-        )
+        out = tmp_path / f"{workers}.{kind}"
+        command = (prepared, "view", "film", run, *options, "--workers", workers, "--out", out)
         subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert (tmp_path / f"1.{kind}").read_bytes() == (tmp_path / f"2.{kind}").read_bytes()
 
@@ -114,11 +100,8 @@ def test_films_are_the_same_bytes_whatever_the_workers(prepared, run, tmp_path, 
 def test_png_frames_are_the_single_pictures(monkeypatch, run, tmp_path):
     options = ("--kind", "detections", "--width", 320)
     assert view(monkeypatch, "film", run, *options, "--format", "png", "--every", 5, "--out", tmp_path / "film") == 0
-    assert sorted(path.name for path in (tmp_path / "film").iterdir()) == [
-        "frame_000000.png",
-        "frame_000005.png",
-        "frame_000010.png",
-    ]
+    names = sorted(path.name for path in (tmp_path / "film").iterdir())
+    assert names == [f"frame_{step:06d}.png" for step in (0, 5, 10)]
     assert view(monkeypatch, "frame", run, 5, *options, "--out", tmp_path / "five.png") == 0
     assert (tmp_path / "five.png").read_bytes() == (tmp_path / "film" / "frame_000005.png").read_bytes()
 
@@ -138,21 +121,10 @@ def test_gif_needs_no_ffmpeg_and_lasts_as_long_as_the_run(monkeypatch, run, tmp_
 
 
 def test_frames_are_drawn_from_the_directory_alone(monkeypatch, run, tmp_path):
-    moved = tmp_path / "moved"
-    moved.mkdir()
-    for path in run.iterdir():
-        target = moved / path.name
-        if path.is_dir():
-            target.mkdir()
-            for inner in path.iterdir():
-                (target / inner.name).write_bytes(inner.read_bytes())
-        else:
-            target.write_bytes(path.read_bytes())
+    moved = shutil.copytree(run, tmp_path / "moved")
     for folder, name in ((run, "a"), (moved, "b")):
-        assert (
-            view(monkeypatch, "frame", folder, "5s", "--kind", "all", "--width", 640, "--out", tmp_path / f"{name}.png")
-            == 0
-        )
+        options = ("--kind", "all", "--width", 640, "--out", tmp_path / f"{name}.png")
+        assert view(monkeypatch, "frame", folder, "5s", *options) == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
@@ -163,13 +135,12 @@ def test_a_step_and_its_time_give_the_same_picture(monkeypatch, run, tmp_path):
 
 
 def test_cameras_stand_side_by_side(monkeypatch, two_cameras, tmp_path):
-    assert view(monkeypatch, "frame", two_cameras, 0, "--kind", "scene", "--out", tmp_path / "both.png") == 0
-    assert view(monkeypatch, "frame", two_cameras, 0, "--kind", "scene", "--camera", "left", "--width", 1000,
-                "--out", tmp_path / "left.png") == 0  # fmt: skip
+    options = ("--kind", "scene", "--out")
+    assert view(monkeypatch, "frame", two_cameras, 0, *options, tmp_path / "both.png") == 0
+    alone = ("--camera", "left", "--width", 1000, *options, tmp_path / "left.png")
+    assert view(monkeypatch, "frame", two_cameras, 0, *alone) == 0
     with Image.open(tmp_path / "both.png") as both, Image.open(tmp_path / "left.png") as left:
-        assert both.width == 1920
-        assert left.width == 1000
-        assert both.height % 2 == left.height % 2 == 0
+        assert (both.width, left.width) == (1920, 1000) and both.height % 2 == left.height % 2 == 0
         assert abs(left.height - 1000 * 301 / 400) < 120
 
 
@@ -182,10 +153,9 @@ def test_only_with_vessels_leaves_out_what_shows_none(monkeypatch, two_cameras, 
 
 
 def test_a_crop_shows_the_same_pixels_larger(monkeypatch, run, tmp_path):
-    crop = (200, 150, 600, 450)
-    assert view(monkeypatch, "frame", run, 3, "--kind", "scene", "--width", 800, "--crop",
-                ",".join(map(str, crop)), "--out", tmp_path / "crop.png") == 0  # fmt: skip
-    assert view(monkeypatch, "frame", run, 3, "--kind", "scene", "--width", 1600, "--out", tmp_path / "all.png") == 0
+    frame = ("frame", run, 3, "--kind", "scene", "--width")
+    assert view(monkeypatch, *frame, 800, "--crop", "200,150,600,450", "--out", tmp_path / "crop.png") == 0
+    assert view(monkeypatch, *frame, 1600, "--out", tmp_path / "all.png") == 0
     part, whole = (np.asarray(Image.open(tmp_path / f"{name}.png")).astype(int) for name in ("crop", "all"))
     head = [FilmLayout(width, 1, (), ()).head_px for width in (800, 1600)]
     shown = whole[head[1] + 300 : head[1] + 900, 400:1200]
@@ -204,35 +174,22 @@ def test_titles_of_several_panels_stand_above_them_and_cover_nothing():
 
 
 def test_crop_to_vessels_keeps_every_box_in_sight(run):
-    from modsim3d.runs.selection import select
-    from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.films.plan import crop_to_vessels
-
     chosen = select(open_run(run), (0,))
     ((x0, y0, x1, y1),) = crop_to_vessels(chosen)
-    assert 0 <= x0 < x1 <= 800
-    assert 0 <= y0 < y1 <= 600
+    assert 0 <= x0 < x1 <= 800 and 0 <= y0 < y1 <= 600
     assert 4 / 3 - 1e-9 <= (x1 - x0) / (y1 - y0) <= 8 / 3 + 1e-9
     for (frame,) in (shown.frames for shown in chosen.step_frames()):
         for box in frame.truth.full_boxes_px:
-            assert x0 <= box[0]
-            assert y0 <= box[1]
-            assert box[2] <= x1 + 1e-9
-            assert box[3] <= y1 + 1e-9
+            assert x0 <= box[0] and y0 <= box[1] and box[2] <= x1 + 1e-9 and box[3] <= y1 + 1e-9
 
 
-def test_the_contact_sheet_of_a_damaged_table_is_one_error(monkeypatch, run, tmp_path, capsys):
-    damaged = tmp_path / "damaged"
-    shutil.copytree(run, damaged)
-    table = damaged / "truth.parquet"
-    table.write_bytes(table.read_bytes()[:-100])
-    assert view(monkeypatch, "sheet", damaged, "--overwrite") == 2
-    assert "truth.parquet has " in capsys.readouterr().err
-
-
-def test_the_contact_sheet_can_be_drawn_again(monkeypatch, run):
+def test_the_contact_sheet_can_be_drawn_again_and_a_damaged_table_is_one_error(monkeypatch, capsys, run, tmp_path):
     assert view(monkeypatch, "sheet", run) == 0
     first = (run / "contact_sheet.png").read_bytes()
     assert view(monkeypatch, "sheet", run) == 2
     assert view(monkeypatch, "sheet", run, "--overwrite") == 0
     assert (run / "contact_sheet.png").read_bytes() == first
+    table = shutil.copytree(run, tmp_path / "damaged") / "truth.parquet"
+    table.write_bytes(table.read_bytes()[:-100])
+    assert view(monkeypatch, "sheet", table.parent, "--overwrite") == 2
+    assert "truth.parquet has " in capsys.readouterr().err

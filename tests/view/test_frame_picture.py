@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, Scene, Window, load_scene, simulate_frames
 from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import NOTHING_WRONG
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.pictures import id_buffer as ids_module
 from modsim3d.view.pictures import legend as legend_module
-from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.frame_picture import CameraView, FrameTracks, frame_picture, silhouette_mask
 from modsim3d.view.pictures.id_buffer import ids_picture
 from modsim3d.view.pictures.layers import DETECTIONS, SCENE, Layers
@@ -64,9 +60,9 @@ def test_sea_is_where_the_half_plane_says(roll):
 
 def test_outside_the_image_is_paper():
     picture = background(Window(-100, -50, 1, (1000, 700)), np.array([0.0, 1.0, -300.0]), (800, 600))
-    assert picture.getpixel((99, 300)) == picture.getpixel((500, 49)) == picture.getpixel((900, 300)) == palette.PAPER
-    assert picture.getpixel((100, 50)) == palette.SKY
-    assert picture.getpixel((899, 649)) == palette.SEA
+    assert (picture.getpixel((100, 50)), picture.getpixel((899, 649))) == (palette.SKY, palette.SEA)
+    outside = [picture.getpixel(place) for place in ((99, 300), (500, 49), (900, 300))]
+    assert outside == [palette.PAPER] * 3
 
 
 @pytest.mark.parametrize("width", SIZES)
@@ -151,22 +147,17 @@ def test_wires_go_through_the_corner_points(hiding):
                 assert np.abs(picture - plain)[i - 1 : i + 2, j - 1 : j + 2].max() > 20
 
 
-def test_an_unknown_layer_is_refused_with_those_there_are():
+def test_an_unknown_layer_is_refused_with_those_there_are_and_obstacles_have_letters_however_many_there_are():
     with pytest.raises(ModsimError, match=r"'ghosts'.*silhouettes, hatching"):
         Layers.of(["truth", "ghosts"])
-
-
-def test_obstacles_have_letters_however_many_there_are():
     assert [letters(i) for i in (0, 25, 26, 51, 52, 701, 702)] == ["a", "z", "aa", "az", "ba", "zz", "aaa"]
 
 
 def test_ids_drawn_small_are_those_of_the_pixel_centres(hiding, renderer):
     """Against the whole ID image, sampled: at a third of the size, the centre of a pixel is that of one of nine."""
     solids = hiding.solids
-    large = solids.ids(Window(0, 0, 1, (801, 600)), renderer)
-    small = solids.ids(Window(0, 0, 1 / 3, (267, 200)), renderer)
-    assert (small > 0).any()
-    assert (large[1::3, 1::3] != small).mean() < 2e-4  # an edge through a centre
+    large, small = (solids.ids(Window(0, 0, *rest), renderer) for rest in ((1, (801, 600)), (1 / 3, (267, 200))))
+    assert (small > 0).any() and (large[1::3, 1::3] != small).mean() < 2e-4  # an edge through a centre
 
 
 def test_id_map_has_each_vessels_colour_where_its_id_is(hiding, renderer):
@@ -176,8 +167,7 @@ def test_id_map_has_each_vessels_colour_where_its_id_is(hiding, renderer):
     for value in np.unique(ids[ids > 0]):
         same = (picture[ids == value] == palette.vessel_colour(int(value) - 1)).all(axis=-1)
         assert same.mean() > 0.5  # the rest is hatched by what it hides, or under its number
-    changed = (picture == picture[0, 0]).all(axis=-1)
-    assert not changed[ids > 0].any()
+    assert not (picture == picture[0, 0]).all(axis=-1)[ids > 0].any()
 
 
 def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
@@ -204,9 +194,8 @@ def test_a_boat_too_small_for_its_number_has_it_beside_it(hiding, renderer, monk
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda draw, at, text, **style: written.append(text))
     for width in (2400, 240):
         written.clear(), beside.clear()
-        window = whole(hiding, width)
-        ids_picture(hiding.solids, window, renderer)
-        ids = hiding.solids.ids(window, renderer)
+        ids_picture(hiding.solids, whole(hiding, width), renderer)
+        ids = hiding.solids.ids(whole(hiding, width), renderer)
         assert sorted([*written, *(label.text for label in beside)]) == sorted(map(str, np.unique(ids[ids > 0])))
         for label in beside:
             x0, y0, x1, y1 = map(int, label.box)
@@ -216,18 +205,13 @@ def test_a_boat_too_small_for_its_number_has_it_beside_it(hiding, renderer, monk
     assert beside
 
 
-def names(count):
-    return [LegendEntry(f"{i}: vessel{i}", palette.vessel_colour(i), "filled") for i in range(count)]
-
-
 def test_a_crowded_legend_is_set_smaller_and_counts_those_without_room(monkeypatch):
-    marks = detection_entries(DETECTIONS, 2, NOTHING_WRONG)
-    shown = []
-    drawn = legend_module._entry
+    marks, shown, drawn = detection_entries(DETECTIONS, 2, NOTHING_WRONG), [], legend_module._entry
+    names = [LegendEntry(f"{i}: vessel{i}", palette.vessel_colour(i), "filled") for i in range(300)]
     monkeypatch.setattr(legend_module, "_entry", lambda *a: (shown.append((a[1].text, a[-1])), drawn(*a)))
     for count, room_px, most_px in ((3, 100, 100), (30, 110, 110), (300, 100, 200)):
         shown.clear()
-        assert legend([*marks, *names(count)], 1280, 15, room_px).height <= most_px
+        assert legend([*marks, *names[:count]], 1280, 15, room_px).height <= most_px
         texts, sizes = [text for text, _ in shown], {size for _, size in shown}
         assert {entry.text for entry in marks} < set(texts)
         assert sizes == ({15} if count == 3 else {11} if count == 300 else sizes) and max(sizes) <= 15
@@ -240,12 +224,9 @@ def test_what_is_hidden_is_hatched_in_the_hidden_ones_colour(hiding):
     truth = hiding.frame.truth
     i = int(np.argmin(np.where(truth.visible_fraction > 0, truth.visible_fraction, 1.0)))
     window = whole(hiding, 800)
-    plain = frame_picture(hiding, window, Layers(), PlainIds())
-    hatched = frame_picture(hiding, window, Layers(hatching=True), PlainIds())
-    colour = hiding.colour(truth.vessels[i])
-    hidden = truth.silhouette_px[i] - truth.visible_px[i]
-    assert count(plain, colour) == 0
-    assert 0.3 * hidden < count(hatched, colour) < 0.7 * hidden
+    plain, hatched = (frame_picture(hiding, window, Layers(hatching=on), PlainIds()) for on in (False, True))
+    colour, hidden = hiding.colour(truth.vessels[i]), truth.silhouette_px[i] - truth.visible_px[i]
+    assert count(plain, colour) == 0 and 0.3 * hidden < count(hatched, colour) < 0.7 * hidden
 
 
 def test_silhouette_mask_covers_what_the_truth_counts(camera_views):
@@ -270,7 +251,5 @@ def test_the_scene_shows_sea_sky_and_each_vessel_in_shades_of_its_hue(scene, hid
         colour = np.array(palette.vessel_colour(value - 1), dtype=float)
         lightness = pixels @ colour / (colour @ colour)
         hue = np.linalg.norm(pixels - lightness[:, None] * colour, axis=1)
-        assert np.median(hue) < 3
-        assert 0.45 < np.median(lightness) <= 1.0
-    assert (picture[0, 0] == palette.SKY).all()
-    assert (picture[-1, 0] == palette.SEA).all()
+        assert np.median(hue) < 3 and 0.45 < np.median(lightness) <= 1.0
+    assert (picture[0, 0] == palette.SKY).all() and (picture[-1, 0] == palette.SEA).all()

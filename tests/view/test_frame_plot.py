@@ -1,7 +1,5 @@
 """frame.plot(): it is the picture of the films with axes around it, and no plotting library is imported before."""
 
-from __future__ import annotations
-
 import pickle
 import sys
 from dataclasses import replace
@@ -12,14 +10,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.offsetbox import AnnotationBbox
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import CameraView, ModsimError, Window, frame_picture, load_scene, simulate_frames
 from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import Outcome, frame_outcomes
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.scene.reading import load_scene
 from modsim3d.view import frame_plot
-from modsim3d.view.pictures.canvas import Window
-from modsim3d.view.pictures.frame_picture import CameraView, frame_picture
 from modsim3d.view.pictures.layers import DETECTIONS, NAMES, WEATHER
 from modsim3d.view.pictures.plain import below_horizon
 from tests.scenes import mistaken_strait
@@ -51,32 +45,27 @@ def test_plot_is_the_picture_of_the_films(frame, labels):
     left, top = round(area.x0), len(pixels) - round(area.y0) - size[1]
     edge = slice(3, -3)  # there the axes' own lines are
     same = pixels[top : top + size[1], left : left + size[0]][edge, edge] == picture[edge, edge]
-    assert isinstance(figure, Figure)
-    assert same.all()
+    assert isinstance(figure, Figure) and same.all()
 
 
 def test_the_legend_names_what_is_wrong_in_the_frame(tmp_path, monkeypatch):
-    named: list[str] = []
-    legend = frame_plot.legend
-
-    def recorded(entries, *arguments):
-        named[:] = [entry.text for entry in entries]
-        return legend(entries, *arguments)
-
-    monkeypatch.setattr(frame_plot, "legend", recorded)
+    drawn, legend = [], frame_plot.legend
+    monkeypatch.setattr(frame_plot, "legend", lambda entries, *rest: drawn.append(entries) or legend(entries, *rest))
     frames = list(simulate_frames(load_scene(mistaken_strait(tmp_path))))
     for flag in Outcome:
         marked = next(f for f in frames if any(o & flag for o in frame_outcomes(f)))
         every = set(frame_outcomes(marked))
         marked.plot()
         expected = {NAMES[each] for each in Outcome if any(each & other for other in every)}
-        assert set(named) & set(NAMES.values()) == expected | {NAMES[Outcome.FALSE_POSITIVE]}
+        named = {entry.text for entry in drawn[-1]} & set(NAMES.values())
+        assert named == expected | {NAMES[Outcome.FALSE_POSITIVE]}
 
 
 def test_image_edges_are_the_limits_and_zoom_keeps_every_vessel_in_sight(frame):
-    axes = frame.plot().axes[0]
-    width, height = frame.image_size_px
+    axes, (width, height) = frame.plot().axes[0], frame.image_size_px
     assert (axes.get_xlim(), axes.get_ylim()) == ((0, width), (height, 0))
+    title = f"{frame.camera}, {frame.timestamp} s, detector {frame.state} ({WEATHER})"
+    assert axes.get_title() == title
     near = frame.plot(zoom=True, labels=False).axes[0]
     (left, right), (bottom, top) = near.get_xlim(), near.get_ylim()
     boxes = frame.truth.full_boxes_px
@@ -95,11 +84,8 @@ def test_the_legend_is_below_the_image_which_fills_the_figure(frame, zoom):
     assert image.width > 0.8 * figure.bbox.width and figure.bbox.height - image.height < 1.5 * figure.dpi
 
 
-def test_a_frame_that_was_pickled_draws_itself(frame):
+def test_a_frame_that_was_pickled_draws_itself_and_one_without_a_scene_says_where_to_take_one_from(frame):
     assert pickle.loads(pickle.dumps(frame)).plot().axes
-
-
-def test_a_frame_without_a_scene_says_where_to_take_one_from(frame):
     with pytest.raises(ModsimError, match="simulate_frames"):
         replace(frame, scene=None).plot()
 
@@ -107,8 +93,7 @@ def test_a_frame_without_a_scene_says_where_to_take_one_from(frame):
 def test_plot_draws_on_axes_that_it_is_given_also_of_a_figure_within_a_figure(frame):
     figure = Figure()
     whole, part = figure.subfigures(1, 2)
-    left, right = part.subplots(1, 2)
-    other = whole.subplots()
+    (left, right), other = part.subplots(1, 2), whole.subplots()
     assert frame.plot(right) is frame.plot(other) is figure
     assert [len(axes.artists) for axes in (left, right, other)] == [0, 2, 2]
 
@@ -125,8 +110,3 @@ def test_without_matplotlib_the_error_names_the_extra(frame, monkeypatch):
     monkeypatch.delitem(sys.modules, "modsim3d.view.frame_plot")
     with pytest.raises(ModsimError, match=r"modsim3d\[view\]"):
         frame.plot()
-
-
-def test_the_title_says_that_weather_is_not_drawn(frame):
-    figure = frame.plot()
-    assert figure.axes[0].get_title() == f"{frame.camera}, {frame.timestamp} s, detector {frame.state} ({WEATHER})"

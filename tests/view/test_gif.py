@@ -51,8 +51,8 @@ def test_what_is_read_is_what_was_written(seed, count):
 
 
 def test_a_frame_may_last_longer_than_a_gif_can_say():
-    film = written([np.zeros((2, 2), dtype=np.uint8), np.ones((2, 2), dtype=np.uint8)], [200_000, 5], grey())
-    assert shown(film)[1] == 10 * 200_005
+    two = [np.full((2, 2), level, dtype=np.uint8) for level in (0, 1)]
+    assert shown(written(two, [200_000, 5], grey()))[1] == 10 * 200_005
 
 
 def test_the_colours_of_vessels_are_kept_exactly():
@@ -60,8 +60,7 @@ def test_the_colours_of_vessels_are_kept_exactly():
     colours = film_palette([picture])
     for i, colour in enumerate([*palette.VESSELS, palette.ALARM, palette.TRUTH]):
         picture.paste(colour, (5 * i, 0, 5 * i + 5, 5))
-    seen = np.asarray(quantised(picture, colours).convert("RGB"))
-    np.testing.assert_array_equal(seen, np.asarray(picture))
+    np.testing.assert_array_equal(np.asarray(quantised(picture, colours).convert("RGB")), np.asarray(picture))
 
 
 def test_no_pixel_takes_the_place_of_unchanged_ones():

@@ -13,8 +13,7 @@ from modsim3d.view.pictures.canvas import Canvas, Label, draw_labels
 def drawn_plates(boxes, width, height, plates):
     """The number of labels that are drawn; the plates of these are appended."""
     canvas = Canvas(Image.new("RGB", (width, height)))
-    size = canvas.plate_size
-    canvas.plate = lambda x, y, text, colour: plates.append((x, y, *np.add((x, y), size(text))))
+    canvas.plate = lambda x, y, text, colour: plates.append((x, y, *np.add((x, y), canvas.plate_size(text))))
     return draw_labels(canvas, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
 
 
@@ -42,9 +41,8 @@ def test_a_label_alone_stands_on_its_box_and_one_of_a_box_outside_the_picture_is
 
 
 def test_places_never_lie_on_taken_ones():
-    taken = np.array([[0.0, 0.0, 10.0, 10.0]])
     places = np.array([[10.0, 0.0, 20.0, 10.0], [9.0, 9.0, 12.0, 12.0]])
-    np.testing.assert_array_equal(intersections(places[:, None], taken), [[0.0], [1.0]])
+    np.testing.assert_array_equal(intersections(places[:, None], np.array([[0.0, 0.0, 10.0, 10.0]])), [[0.0], [1.0]])
 
 
 def test_labels_cover_no_boat_where_there_is_room_elsewhere():
@@ -63,9 +61,8 @@ def texts_drawn(labels, size, keep_clear):
 
 
 def test_a_text_is_shortened_only_where_it_would_cover_a_boat():
-    box = (0.0, 0.0, 30.0, 10.0)
+    box, beside = (0.0, 0.0, 30.0, 10.0), [(36.0, 0.0, 100.0, 40.0)]
     label = Label(box, "Vessel 0.67", (200, 100, 0), short="0.67")
-    beside = [(36.0, 0.0, 100.0, 40.0)]
     assert texts_drawn([label], (100, 40), []) == ["Vessel 0.67"]
     assert texts_drawn([label], (100, 40), beside) == ["0.67"]
     assert texts_drawn([Label(box, "Vessel 0.67", (200, 100, 0))], (100, 40), beside) == ["Vessel 0.67"]

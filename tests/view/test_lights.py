@@ -6,30 +6,18 @@ import math
 import numpy as np
 import pytest
 
+from modsim3d import Window, load_scene
 from modsim3d.geometry.kinematics import KNOT_M_S, NAUTICAL_MILE_M
 from modsim3d.scene.parts import mesh_name
-from modsim3d.scene.reading import load_scene
-from modsim3d.view.lights import (
-    THRESHOLD_LUX,
-    Colour,
-    Kind,
-    Lantern,
-    Sector,
-    ground_speeds,
-    is_hidden,
-    kind_of,
-    lanterns,
-    lights_towards,
-)
-from modsim3d.view.pictures.canvas import Window
+from modsim3d.view import lights
+from modsim3d.view.lights import THRESHOLD_LUX, Colour, Kind, Lantern, Sector, ground_speeds, lanterns, lights_towards
 from modsim3d.view.pictures.plain import Solids
 from modsim3d.view.shaded_picture import draw_lights
 from modsim3d.world.vessels import Vessel
 from tests.scenes import crossing, write_scene
 
 W, R, G = "white", "red", "green"
-BEARINGS = (0, 45, 90, 112.4, 112.6, 135, 180, -135, -112.6, -112.4, -90, -45)
-"""In degrees from right ahead; those to port come first."""
+BEARINGS = (0, 45, 90, 112.4, 112.6, 135, 180, -135, -112.6, -112.4, -90, -45)  # from ahead, those to port first
 
 
 def around(ahead, port, abaft, starboard):
@@ -41,13 +29,8 @@ def vessel(length_m, *, shape="", label="Vessel", name="one", air_draft_m=None):
     return Vessel(name, label, length_m, 0.2 * length_m, air_draft_m or 0.4 * length_m, shape=shape)
 
 
-def speed(knots):
-    return knots * KNOT_M_S
-
-
 SHIP = around([W, W, R, G], [W, W, R], [W], [W, W, G])
 MOTOR = around([W, R, G], [W, R], [W], [W, G])
-SMALL = around([W, R, G], [W, R], [W], [W, G])
 TORCH = around([W], [W], [W], [W])
 TRICOLOUR = around([R, G], [R], [W], [G])
 TRAWL = around([G, W, R, G], [G, W, R], [G, W, W], [G, W, G])
@@ -59,8 +42,8 @@ CASES = {
     "ferry of 49.9 m": (vessel(49.9, shape="ferry"), 12, MOTOR),
     "fishing vessel that does not fish": (vessel(20, shape="fishing_vessel"), 3, MOTOR),
     "a vessel of 12 m that nothing is known of": (vessel(12), 6, MOTOR),
-    "motorboat": (vessel(8.5, shape="motorboat"), 20, SMALL),
-    "dinghy, fast": (vessel(6.9, shape="motorboat"), 7.1, SMALL),
+    "motorboat": (vessel(8.5, shape="motorboat"), 20, MOTOR),
+    "dinghy, fast": (vessel(6.9, shape="motorboat"), 7.1, MOTOR),
     "dinghy, slow": (vessel(6.9, shape="motorboat"), 6.9, TORCH),
     "dinghy of a scene with one step": (vessel(6.9, shape="motorboat"), math.nan, TORCH),
     "sailing boat": (vessel(11, shape="sailboat", air_draft_m=16), 4, TRICOLOUR),
@@ -78,13 +61,15 @@ CASES = {
 }
 
 
-def test_lights_by_bearing():
+def test_lights_by_bearing_none_of_which_is_outside_the_vessel():
     for case, (one, knots, wanted) in CASES.items():
-        carried = lanterns(one, speed(knots))
+        carried = lanterns(one, knots * KNOT_M_S)
         for bearing, colours in zip(BEARINGS, wanted, strict=True):
             seen = [light for light in carried if light.sector.holds(bearing)]
             found = [light.colour.name.lower() for light in sorted(seen, key=lambda light: -light.place[2])]
             assert found == colours, (case, bearing)
+        for light in (light for knots in (0.1, 8) for light in lanterns(one, knots * KNOT_M_S)):
+            assert (np.abs(light.place[:2]) <= 0.5).all() and 0 < light.place[2] <= 1, case
 
 
 @pytest.mark.parametrize(
@@ -106,7 +91,7 @@ def test_lights_by_bearing():
     ],
 )
 def test_kind_of_a_vessel(shape, label, name, kind):
-    assert kind_of(vessel(10, shape=shape, label=label, name=name)) is kind
+    assert lights.kind_of(vessel(10, shape=shape, label=label, name=name)) is kind
 
 
 def test_a_mesh_has_the_same_name_in_a_scene_and_in_its_copy():
@@ -126,9 +111,9 @@ def test_intensity_is_that_of_the_rules(miles, candela):
 def test_ranges_by_length():
     """Rule 22."""
     for length_m, expected in ((50, (6, 3, 3)), (49, (5, 2, 2)), (20, (5, 2, 2)), (19, (3, 2, 2))):
-        ranges = {light.name: light.range_nm for light in lanterns(vessel(length_m), speed(8))}
+        ranges = {light.name: light.range_nm for light in lanterns(vessel(length_m), 8 * KNOT_M_S)}
         assert (ranges["masthead"], ranges["port side"], ranges["stern"]) == expected, length_m
-    small = {light.name: light.range_nm for light in lanterns(vessel(11), speed(8))}
+    small = {light.name: light.range_nm for light in lanterns(vessel(11), 8 * KNOT_M_S)}
     assert small == {"all-round": 2, "port side": 1, "starboard side": 1}
 
 
@@ -140,7 +125,7 @@ def strait():
 def placed(one, knots=8):
     """Places of lights in metres from the vessel's origin, by name; of several masthead lights the fore one first."""
     found = {}
-    for light in lanterns(one, speed(knots)):
+    for light in lanterns(one, knots * KNOT_M_S):
         found.setdefault(light.name, []).append(np.array(light.place) * one.extents_m)
     return found
 
@@ -153,13 +138,10 @@ def test_places_of_a_ships_lights(strait):
     for one in ships + boxes:
         (fore, after), (side,) = (placed(one)[name] for name in ("masthead", "port side"))
         assert fore[0] >= 0.25 * one.length_m  # in the foremost quarter
-        assert fore[0] - after[0] >= min(one.length_m / 2, 100) - 1e-9
-        assert after[2] - fore[2] >= 4.5 - 1e-9
+        assert fore[0] - after[0] >= min(one.length_m / 2, 100) - 1e-9 and after[2] - fore[2] >= 4.5 - 1e-9
         deck = min(0.25 * one.air_draft_m, 0.1 * one.length_m)
         assert fore[2] - deck >= min(max(6, one.beam_m), 12) - 1e-9 or fore[2] == pytest.approx(one.air_draft_m - 4.5)
-        assert side[2] - deck <= 0.75 * (fore[2] - deck)
-        assert side[0] <= fore[0]
-        assert after[0] >= -one.length_m / 2
+        assert side[2] - deck <= 0.75 * (fore[2] - deck) and side[0] <= fore[0] and after[0] >= -one.length_m / 2
 
 
 @pytest.mark.parametrize("length_m", [24, 60, 90])
@@ -167,24 +149,15 @@ def test_lights_of_a_trawler_stand_apart(length_m):
     """Annex I, sections 2 i and 2 j: 2 m between the upper two, and at least twice that down to the sidelights."""
     found = placed(vessel(length_m, label="trawling"))
     (upper,), (lower,), (side,) = (found[name] for name in ("upper", "lower", "port side"))
-    assert upper[2] - lower[2] == pytest.approx(2)
-    assert lower[2] - side[2] >= 4 - 1e-9
-
-
-def test_no_light_is_outside_the_vessel():
-    for name, (one, _, _) in CASES.items():
-        for light in (light for knots in (0.1, 8) for light in lanterns(one, speed(knots))):
-            assert (np.abs(light.place[:2]) <= 0.5).all(), name
-            assert 0 < light.place[2] <= 1, name
+    assert upper[2] - lower[2] == pytest.approx(2) and lower[2] - side[2] >= 4 - 1e-9
 
 
 def test_the_only_masthead_light_is_before_midships_from_20_m_on_and_a_sail_has_all_three_at_the_top(strait):
     shipped = {one.name: one for one in strait.vessels}
     for one in (shipped["trawler"], vessel(20), vessel(49)):
         assert placed(one)["masthead"][0][0] > 0
-    places = np.array([light.place for light in lanterns(shipped["sailboat"], speed(4))])
-    assert np.ptp(places, axis=0).max() == 0
-    assert places[0, 2] == pytest.approx(1)
+    places = np.array([light.place for light in lanterns(shipped["sailboat"], 4 * KNOT_M_S)])
+    assert np.ptp(places, axis=0).max() == 0 and places[0, 2] == pytest.approx(1)
     assert places[0, 0] == pytest.approx(0.7 / 11, abs=0.01)  # where script/make_meshes puts the mast
 
 
@@ -207,7 +180,6 @@ def test_strait_by_night(strait):
 
 
 def ship_before_the_camera(folder, heading_deg, place_m):
-    """Lights that a ship of 200 m shows to the camera."""
     ahead = 50 * np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
     way = [[0, *place_m], [10, *(place_m + ahead).tolist()]]
     scene = load_scene(write_scene(folder, {"ship": ([200, 30, 40], way)}, 12))
@@ -226,9 +198,6 @@ def test_sectors_begin_at_the_lights(tmp_path):
     assert after.place[0] < 0
 
 
-WINDOW = Window.whole((800, 600), 800)
-
-
 def scene_with(folder, wall_at_m, heading_deg=90.0):
     """A boat 250 m ahead of the camera on w1, and a wall before or behind it."""
     path = crossing(folder)
@@ -244,14 +213,14 @@ def scene_with(folder, wall_at_m, heading_deg=90.0):
 @pytest.mark.parametrize(("wall_at_m", "hidden"), [(200, True), (290, False)])
 def test_a_wall_hides_a_light_behind_it_and_its_own_hull_does_not(tmp_path, wall_at_m, hidden):
     scene = scene_with(tmp_path, wall_at_m, heading_deg=180.0)
-    solids = Solids.at(scene, scene.cameras[0], 0)
-    lights = list(lights_towards(solids.sight, ground_speeds(scene, 0)))
-    assert len(lights) == 3
-    for light in lights:
-        seen = solids.sight.camera_poses.to_camera(light.place_m[None, None])[0, 0]
-        inverse_depth = solids.intrinsics.near_clip_m / seen[2]
-        assert is_hidden(solids, light.vessel, solids.intrinsics.project(seen[None])[0], inverse_depth) is hidden
-    draw_lights(rgb := np.zeros((600, 800, 3), np.float32), solids, WINDOW, ground_speeds(scene, 0), 0.0)
+    solids, speeds = Solids.at(scene, scene.cameras[0], 0), ground_speeds(scene, 0)
+    shown = list(lights_towards(solids.sight, speeds))
+    assert len(shown) == 3
+    for light in shown:
+        seen = solids.sight.camera_poses.to_camera(light.place_m[None, None])[0]
+        (place_px,), inverse_depth = solids.intrinsics.project(seen), solids.intrinsics.near_clip_m / seen[0, 2]
+        assert lights.is_hidden(solids, light.vessel, place_px, inverse_depth) is hidden
+    draw_lights(rgb := np.zeros((600, 800, 3), np.float32), solids, Window.whole((800, 600), 800), speeds, 0.0)
     assert (rgb.max() == 0) == hidden
 
 
@@ -259,8 +228,7 @@ def test_a_wall_hides_a_light_behind_it_and_its_own_hull_does_not(tmp_path, wall
 def test_lights_are_drawn_where_they_are_in_their_colours(tmp_path, heading_deg, side):
     scene = scene_with(tmp_path, 900, heading_deg)
     solids, window = Solids.at(scene, scene.cameras[0], 0), Window.whole((800, 600), 1600)
-    rgb = np.zeros((1200, 1600, 3), np.float32)
-    speeds = ground_speeds(scene, 0)
+    rgb, speeds = np.zeros((1200, 1600, 3), np.float32), ground_speeds(scene, 0)
     draw_lights(rgb, solids, window, speeds, 0.0)
     for light, colour in zip(lights_towards(solids.sight, speeds), (Colour.WHITE, side), strict=True):
         seen = solids.sight.camera_poses.to_camera(light.place_m[None, None])[0]
@@ -270,14 +238,12 @@ def test_lights_are_drawn_where_they_are_in_their_colours(tmp_path, heading_deg,
         assert 0.5 < rgb[y, x].max() < 1.8
     hazy = np.zeros_like(rgb)
     draw_lights(hazy, solids, window, speeds, 3.912 / 300)
-    assert 0 < hazy.sum() < 0.6 * rgb.sum()
-    assert 0.3 < hazy.max() < 0.8 * rgb.max()
+    assert 0 < hazy.sum() < 0.6 * rgb.sum() and 0.3 < hazy.max() < 0.8 * rgb.max()
 
 
 def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
     scene = scene_with(tmp_path, 900)
-    sight = scene.sight(scene.cameras[0], np.array([0]))
-    speeds = ground_speeds(scene, 0)
+    sight, speeds = scene.sight(scene.cameras[0], np.array([0])), ground_speeds(scene, 0)
     clear, mist = ({light.lantern.name: light.decades for light in lights_towards(sight, speeds, extinction)}
                    for extinction in (0.0, 3.912 / 500))  # fmt: skip
     assert set(clear) == set(mist)

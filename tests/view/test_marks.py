@@ -1,8 +1,5 @@
 """Wrong classes and boxes that do not fit their vessel are marked in pictures and named in legends."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import reduce
 from operator import or_
@@ -10,24 +7,20 @@ from operator import or_
 import numpy as np
 import pytest
 
+from modsim3d import CameraView, StoredRun, load_scene, open_run, simulate_frames
 from modsim3d.render.id_pass import PlainIds
 from modsim3d.runs.counts import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
 from modsim3d.runs.selection import select
-from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in
 from modsim3d.view.films.renderer import FilmRenderer
 from modsim3d.view.pictures import contact_sheet, frame_picture
 from modsim3d.view.pictures.canvas import Label, Window, text_size
 from modsim3d.view.pictures.contact_sheet import pick_highlights
-from modsim3d.view.pictures.frame_picture import CameraView
 from modsim3d.view.pictures.layers import DETECTIONS, NAMES, WEATHER, Layers, fate, is_a
 from modsim3d.view.pictures.legend import detection_entries
 from modsim3d.view.sea_and_sky import RenderStyle
-from tests.scenes import crossing, mistaken_strait
+from tests.scenes import crossing
 
 MARKED = Layers.of(["detections", "mistakes"])
 ALL = reduce(or_, Outcome)
@@ -44,28 +37,21 @@ def seen(tmp_path_factory) -> CameraView:
 def with_detection(seen: CameraView, away_px: float, label: str = "Vessel", size: float = 60.0) -> CameraView:
     """The frame with one detection: a square whose upper left corner is away from that of the sail's annotated box."""
     truth, found = seen.frame.truth, seen.frame.detections
-    corner = truth.boxes_px[truth.vessels.index("sail"), :2] + (away_px, 0)
-    only = replace(
-        found,
-        labels=(label,),
-        confidence=np.array([0.7]),
-        boxes_px=np.array([[*corner, *(corner + size)]]),
-        kinds=("true",),
-        vessels=("sail",),
-        errors_px=np.zeros((1, 4)),
-    )
+    truth, found = seen.frame.truth, seen.frame.detections
+    sail = truth.vessels.index("sail")
+    corner = truth.boxes_px[sail, :2] + (away_px, 0)
+    boxes_px, errors_px = np.array([[*corner, *(corner + size)]]), np.zeros((1, 4))
+    one = {"labels": (label,), "kinds": ("true",), "vessels": ("sail",), "confidence": np.array([0.7])}
+    only = replace(found, **one, boxes_px=boxes_px, errors_px=errors_px)
     boxes = truth.boxes_px.copy()
-    boxes[truth.vessels.index("sail")] = [*(corner - (away_px, 0)), *(corner - (away_px, 0) + 60.0)]
+    boxes[sail] = [*(corner - (away_px, 0)), *(corner - (away_px, 0) + 60.0)]
     return replace(seen, frame=replace(seen.frame, truth=replace(truth, boxes_px=boxes), detections=only))
 
 
 def drawn(camera_view: CameraView, layers: Layers = MARKED) -> np.ndarray:
     """The whole image at its own size."""
-    width, _ = camera_view.image_size_px
-    picture = frame_picture.frame_picture(
-        camera_view, Window.whole(camera_view.image_size_px, width), layers, PlainIds(), nominal_width_px=1280
-    )
-    return np.asarray(picture)
+    window = Window.whole(camera_view.image_size_px, camera_view.image_size_px[0])
+    return np.asarray(frame_picture.frame_picture(camera_view, window, layers, PlainIds(), nominal_width_px=1280))
 
 
 def box_of(camera_view: CameraView) -> list[int]:
@@ -81,8 +67,7 @@ def test_a_right_detection_is_a_solid_box_without_marks(seen):
     right = with_detection(seen, 0)
     assert frame_outcomes(right.frame) == [NOTHING_WRONG]
     picture, (x0, y0, x1, _) = drawn(right), box_of(right)
-    assert (picture[y0, x0:x1] == right.colour("sail")).all()
-    assert not is_alarm(picture).any()
+    assert (picture[y0, x0:x1] == right.colour("sail")).all() and not is_alarm(picture).any()
     np.testing.assert_array_equal(picture, drawn(right, Layers(detections=True)))
 
 
@@ -90,8 +75,7 @@ def test_a_wrong_class_fills_the_upper_right_corner(seen):
     wrong = with_detection(seen, 0, "Buoy")
     picture, (x0, y0, x1, y1) = drawn(wrong), box_of(wrong)
     corner = is_alarm(picture[y0 + 1 : y0 + 9, x1 - 9 : x1 - 1])
-    assert corner[np.triu_indices(8, 1)].all()
-    assert not is_alarm(picture[y0:y1, x0 : x1 - 18]).any()
+    assert corner[np.triu_indices(8, 1)].all() and not is_alarm(picture[y0:y1, x0 : x1 - 18]).any()
     assert not is_alarm(drawn(wrong, Layers(detections=True))).any()
 
 
@@ -109,14 +93,12 @@ def test_a_line_joins_a_box_that_is_off_to_its_vessel(seen):
     assert frame_outcomes(off.frame) == [Outcome.BELOW_HALF_IOU | Outcome.OFF_VESSEL]
     picture, (x0, y0, x1, y1) = drawn(off), box_of(off)
     row, left, middle = (y0 + y1) // 2, x0 - 200 + 60, (x0 + x1) // 2
-    line = is_alarm(picture[row - 1 : row + 2, left + 2 : middle]).any(axis=0)
-    assert line.all()
+    assert is_alarm(picture[row - 1 : row + 2, left + 2 : middle]).any(axis=0).all()
     assert not is_alarm(picture[:, : left - 2]).any()
 
 
 @pytest.fixture
-def labels(monkeypatch) -> Iterator[list[Label]]:
-    """The labels that are handed over to be drawn."""
+def labels(monkeypatch):
     collected: list[Label] = []
     monkeypatch.setattr(frame_picture, "draw_labels", lambda canvas, labels, boxes: collected.extend(labels))
     yield collected
@@ -133,27 +115,22 @@ def test_the_label_of_a_wrong_class_says_what_the_vessel_is_and_that_of_a_false_
     said = [(label.text, label.colour) for label in labels]
     assert said[:2] == [("Buoy 0.70, is a Vessel", palette.ALARM), ("Vessel 0.70", seen.colour("sail"))]
     assert said[2:] == [(f"{remark}: Vessel 0.70", palette.ALARM) for remark in kinds.values()]
-
-
-def test_an_article_fits_its_noun():
-    labels = ("ferry", "oil tanker", "Vessel", "")
-    assert [is_a(label) for label in labels] == ["is a ferry", "is an oil tanker", "is a Vessel", "is a "]
+    assert [is_a(label) for label in ("ferry", "oil tanker", "")] == ["is a ferry", "is an oil tanker", "is a "]
 
 
 def test_the_legend_names_the_mistakes_that_are_there():
-    every = {entry.text for entry in detection_entries(DETECTIONS, 2, ALL)}
-    none = {entry.text for entry in detection_entries(DETECTIONS, 2, NOTHING_WRONG)}
-    assert every - none == {"wrong class", "IoU below 0.5", "off its vessel"}
-    one = {entry.text for entry in detection_entries(DETECTIONS, 2, Outcome.MISLABELLED)}
-    assert one - none == {"wrong class"}
-    assert {entry.text for entry in detection_entries(replace(DETECTIONS, mistakes=False), 2, ALL)} == none
+    def said(layers, mistakes):
+        return {entry.text for entry in detection_entries(layers, 2, mistakes)}
+
+    none = said(DETECTIONS, NOTHING_WRONG)
+    assert said(DETECTIONS, ALL) - none == {"wrong class", "IoU below 0.5", "off its vessel"}
+    assert said(DETECTIONS, Outcome.MISLABELLED) - none == {"wrong class"}
+    assert said(replace(DETECTIONS, mistakes=False), ALL) == none
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> StoredRun:
-    folder = tmp_path_factory.mktemp("marked")
-    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
-    return open_run(folder / "run")
+def run(mistaken_folder) -> StoredRun:
+    return open_run(mistaken_folder)
 
 
 def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
@@ -169,17 +146,15 @@ def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
 
 
 def test_highlights_have_each_kind_of_mistake_that_the_run_has(run):
-    picked = pick_highlights(run.finished_tables, run.scene)
     said = []
-    for highlight in picked:
+    for highlight in pick_highlights(run.finished_tables, run.scene):
         frame = run.frame(highlight.camera, highlight.step)
         said.append(contact_sheet._caption(highlight, frame))
         x0, y0, x1, y1 = highlight.focus_px
         assert x0 < x1 and y0 < y1
     for ending in ("detected", "with IoU below 0.5", "by a box off the vessel", "missed"):
         assert any(text.endswith(ending) for text in said), ending
-    assert any("detected as " in text for text in said)
-    assert any(text.startswith("a false alarm") for text in said)
+    assert any("detected as " in text for text in said) and any(text.startswith("a false alarm") for text in said)
     assert len(set(said)) == len(said)
 
 
@@ -190,11 +165,8 @@ def test_the_highlight_of_boxes_off_their_vessel_shows_the_largest_vessel(run):
             if row is not None and outcome & Outcome.OFF_VESSEL:
                 x0, y0, x1, y1 = frame.truth.boxes_px[row]
                 areas[frame.camera, frame.step, frame.truth.vessels[row]] = (x1 - x0) * (y1 - y0)
-    chosen = [
-        (highlight.camera, highlight.step, highlight.vessel)
-        for highlight in pick_highlights(run.finished_tables, run.scene)
-        if not highlight.what  # it is about a detection
-    ]
+    highlights = pick_highlights(run.finished_tables, run.scene)
+    chosen = [(each.camera, each.step, each.vessel) for each in highlights if not each.what]  # about a detection
     assert max(areas, key=areas.__getitem__) in chosen
 
 
@@ -207,23 +179,20 @@ def test_the_fate_of_the_smaller_vessel_in_a_merged_box_is_said(run):
 def test_a_vessel_that_is_hidden_in_part_has_its_share_after_a_comma(seen, labels):
     share = np.full(len(seen.frame.truth), 0.77)
     truth = replace(seen.frame.truth, visible_fraction=share, detected=np.ones(len(share), dtype=bool))
-    hidden = replace(seen, frame=replace(seen.frame, truth=truth))
-    drawn(hidden, Layers(fractions=True))
+    drawn(replace(seen, frame=replace(seen.frame, truth=truth)), Layers(fractions=True))
     assert {label.text for label in labels} == {f"{name}, 77 % seen" for name in truth.vessels}
 
 
-def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_that(run, monkeypatch):
-    written: list[Label] = []
-    monkeypatch.setattr(frame_picture, "draw_labels", lambda canvas, labels, boxes: written.extend(labels))
+def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_that(run, labels, monkeypatch):
     arrows: list[tuple] = []
     monkeypatch.setattr(contact_sheet.Canvas, "arrow", lambda canvas, *arrow: arrows.append(arrow))
     for highlight in pick_highlights(run.finished_tables, run.scene):
-        written.clear(), arrows.clear()
+        labels.clear(), arrows.clear()
         frame = run.frame(highlight.camera, highlight.step)
         camera_view = CameraView.of(run.scene, frame)
         contact_sheet._tile(highlight, camera_view, PlainIds())
-        assert {label.vessel for label in written} <= {highlight.vessel}
-        assert highlight.vessel is not None or len(written) == 1
+        assert {label.vessel for label in labels} <= {highlight.vessel}
+        assert highlight.vessel is not None or len(labels) == 1
         window = Window.around(highlight.focus_px, camera_view.image_size_px, contact_sheet.PANEL_PX)
         x0, y0, x1, y1 = window.corners(np.array(highlight.focus_px))
         (((x, y), (right, down), length),) = arrows
@@ -234,9 +203,8 @@ def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_tha
 
 
 def test_a_caption_is_cut_where_it_is_too_long_and_names_what_hides_a_vessel_without_the_prefix_of_files():
-    room = 400
     for text in ("short", 20 * "a long name "):
-        shown = contact_sheet._shortened(text, 17, room)
+        shown = contact_sheet._shortened(text, 17, room := 400)
         assert text_size(shown, 17)[2] <= room
         assert shown == text or (shown.endswith("…") and text.startswith(shown[:-1]))
     assert text_size(shown, 17)[2] > room - 20
@@ -268,5 +236,4 @@ def test_the_legend_has_the_vessels_that_the_pictures_show(run):
 def test_films_say_that_weather_is_not_drawn_unless_some_is(run, style, is_told):
     (step,) = select(run, (0, 1), from_s=0, to_s=0).step_frames()
     head = FilmRenderer(run.scene, FilmPlan(("detections",), (0, 1), 640, style=style), PlainIds())._head(step)
-    assert "    detector " in head
-    assert head.endswith(f"    {WEATHER}") == is_told
+    assert "    detector " in head and head.endswith(f"    {WEATHER}") == is_told

@@ -28,8 +28,6 @@ def test_an_unknown_number_stands_where_the_numbers_of_its_column_do() -> None:
 def test_what_belongs_together_is_below_each_other(cells, below_each_other) -> None:
     assert aligned(cells) == below_each_other
 
-
-def test_versions_dates_and_ordinals_are_no_numbers() -> None:
     for cell in ("1. hota at least 0.5", "2. hota at least 0.6", "0.1.0", "2.4.6"):
         assert 'class="number"' not in tables.table([(cell,)], ("version",)), cell
 
@@ -40,24 +38,18 @@ def test_numbers_are_the_same_without_their_spaces() -> None:
     assert [re.sub(r"<i.*?</i>|<.*?>", "", cell) for cell in cells] == [text for row in rows for text in row]
 
 
-def test_a_column_without_a_name_has_the_names_of_the_rows() -> None:
+def test_a_column_without_a_name_has_the_names_of_the_rows_and_a_key_may_be_broken_and_is_the_same_text() -> None:
     assert "<td>0 to 5 m</td>" in tables.table([("0 to 5 m", "3")], ("", "runs"))
-
-
-def test_a_key_may_be_broken_and_is_the_same_text() -> None:
     name = "states.clear.confusion[background][boat]"
     table = tables.table([(name, "1")], ("parameter", "asked"))
     assert name not in table and name in table.replace("<wbr>", "")
 
 
-def test_spaces_that_align_an_interval_belong_to_it():
+def test_spaces_that_align_an_interval_belong_to_it_and_a_checksum_between_numbers_may_be_broken():
     header = ("", *(f"{number}" for number in range(9)))
     written = table([["a", "5.6 [4.5, 7.0]", *["1"] * 8], ["b", "43.9 [133.6, 57.3]", *["1"] * 8]], header)
     first = written.partition('data-label="0">')[2].partition("</td>")[0]
     assert first.startswith('5.6 <span class="whole"><i class="pad">') and first.endswith("7.0]</span>")
-
-
-def test_a_checksum_between_numbers_may_be_broken():
     checksum = "6c5565f7c7d53c2a0301052c9311c88904166820ee6fe3257c0885f4296d9476"
     written = table([["seed", "3"], ["steps", "60"], ["scene_sha256", checksum]], ("", "A"))
     assert '<td class="number broken">6c5565f7c7d53c2a<wbr>0301052c9311c889<wbr>' in written

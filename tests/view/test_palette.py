@@ -6,28 +6,16 @@ import numpy as np
 import pytest
 
 from modsim3d.view import palette
+from tests.view.report.sight import CVD, linear
 
-# Machado, Oliveira & Fernandes (2009), "A physiologically-based model for simulation of color vision deficiency",
-# severity 1.0; for linear RGB.
-SEEN_BY = {
-    "everybody": np.eye(3),
-    "deuteranopes": np.array(
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-    ),
-    "protanopes": np.array(
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    ),
-}
+SEEN_BY = {"everybody": np.eye(3), **{name: np.array(matrix) for name, matrix in CVD.items()}}
 # Linear sRGB to XYZ and its white, IEC 61966-2-1.
 XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-JUST_NOTICEABLE = 2.3
-"""Mahy, Van Eycken & Oosterlinck (1994)."""
+JUST_NOTICEABLE = 2.3  # Mahy, Van Eycken & Oosterlinck (1994)
 
 
 def lab(colour, seen):
-    channels = np.array(colour) / 255
-    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
-    ratio = XYZ @ np.clip(seen @ linear, 0, 1) / XYZ.sum(axis=1)
+    ratio = XYZ @ np.clip(seen @ linear(colour), 0, 1) / XYZ.sum(axis=1)
     root = np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), ratio / (3 * (6 / 29) ** 2) + 4 / 29)
     return np.array([116 * root[1] - 16, 500 * (root[0] - root[1]), 200 * (root[1] - root[2])])
 
@@ -42,18 +30,11 @@ def test_white_is_white_in_lab():
 
 
 @pytest.mark.parametrize("seen", SEEN_BY)
-def test_vessels_alarm_and_truth_are_far_apart(seen):
+def test_vessels_alarm_and_truth_are_far_apart_and_everything_stands_out_from_the_sea(seen):
     assert least_distance([*palette.VESSELS, palette.ALARM, palette.TRUTH], seen) > 7 * JUST_NOTICEABLE
-
-
-@pytest.mark.parametrize("seen", SEEN_BY)
-def test_everything_stands_out_from_the_sea(seen):
     sea = lab(palette.SEA, SEEN_BY[seen])
     for colour in (*palette.VESSELS, palette.ALARM, palette.TRUTH, palette.SKY):
         assert np.linalg.norm(lab(colour, SEEN_BY[seen]) - sea) > 10 * JUST_NOTICEABLE
-
-
-def test_alarm_is_no_vessels_colour():
     assert palette.ALARM not in {palette.vessel_colour(i) for i in range(60)}
 
 
@@ -68,8 +49,7 @@ def test_text_is_readable_on_every_plate():
 @pytest.mark.parametrize("states", [2, 3, 5])
 def test_states_go_from_pale_to_strong_in_steps_that_everybody_sees(states, seen):
     ramp = palette.state_colours(states)
-    assert len(ramp) == states
-    assert least_distance(ramp, seen) > 4 * JUST_NOTICEABLE
+    assert len(ramp) == states and least_distance(ramp, seen) > 4 * JUST_NOTICEABLE
     lightness = [lab(colour, SEEN_BY[seen])[0] for colour in ramp]
     assert lightness == sorted(lightness, reverse=True)
 
@@ -78,7 +58,4 @@ def test_states_have_no_colour_that_means_something_else():
     others = [palette.ALARM, palette.TRUTH, palette.SEA, palette.SKY, *palette.VESSELS, *palette.TRACKS]
     for state in palette.state_colours(5):
         assert all(np.linalg.norm(lab(state, np.eye(3)) - lab(other, np.eye(3))) > 10 for other in others), state
-
-
-def test_a_detector_with_one_state_has_a_colour():
-    assert palette.state_colours(1) == palette.state_colours(2)[:1]
+    assert palette.state_colours(1) == palette.state_colours(2)[:1]  # a detector with one state

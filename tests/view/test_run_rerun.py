@@ -1,12 +1,9 @@
 """The recording for Rerun, read back with Rerun's own reader, holds the run."""
 
-from __future__ import annotations
-
 import json
 import sys
 from io import BytesIO
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -14,23 +11,20 @@ import pytest
 from PIL import Image
 from rerun.chunk import RrdReader
 
+from modsim3d import load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.rerun_boxes import TEXT
 from modsim3d.view.rerun_recording import fill, write_recording
 from tests.command_line import call
-from tests.scenes import crossing, mistaken_strait
+from tests.scenes import crossing
 
 STEPS, EVERY = 14, 2
-SOME = 20
-"""Every so many steps of a longer run are recorded."""
+SOME = 20  # every so many steps of a longer run are recorded
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rerun")
     path = crossing(folder, STEPS)
     scene = json.loads(path.read_text())
@@ -40,20 +34,18 @@ def run(tmp_path_factory) -> Path:
     return folder / "run"
 
 
-def read(path: Path) -> dict[str, dict[int | None, dict[str, object]]]:
+def read(path):
     """Entity → step (None for what never changes) → component → values."""
     found: dict[str, dict[int | None, dict[str, object]]] = {}
     for chunk in RrdReader(path).stream().to_chunks():
         batch = chunk.to_record_batch()
         for row in batch.drop_columns([c for c in ("log_time", "time") if c in batch.schema.names]).to_pylist():
-            step = row.get("step")
-            found.setdefault(chunk.entity_path, {}).setdefault(step, {}).update(
-                {name.rpartition(":")[2]: value for name, value in row.items() if value is not None}
-            )
+            values = {name.rpartition(":")[2]: value for name, value in row.items() if value is not None}
+            found.setdefault(chunk.entity_path, {}).setdefault(row.get("step"), {}).update(values)
     return found
 
 
-def views(path: Path) -> dict[str, tuple[str, list[str]]]:
+def views(path):
     """What the viewer shows when it opens a recording: title → kind of view and what is in it."""
     reader = RrdReader(path)
     (blueprint,) = reader.blueprints()
@@ -83,13 +75,11 @@ def recording(written):
 
 
 @pytest.fixture(scope="module")
-def mistaken(tmp_path_factory):
+def mistaken(mistaken_folder, tmp_path_factory):
     """A run with every kind of mistake, and its recording."""
-    folder = tmp_path_factory.mktemp("mistaken")
-    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
-    run = open_run(folder / "run")
-    write_recording(run, folder / "run.rrd", SOME)
-    return run, read(folder / "run.rrd")
+    out = tmp_path_factory.mktemp("mistaken") / "run.rrd"
+    write_recording(open_run(mistaken_folder), out, SOME)
+    return open_run(mistaken_folder), read(out)
 
 
 def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, object]:
@@ -108,18 +98,14 @@ def test_the_viewer_opens_with_the_camera_the_world_misses_and_states(written):
 
 def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
     frames = {frame.step: frame for frame in open_run(run).frames()}
-    truth = recording["/world/cameras/C0/image/truth"]
-    found = recording["/world/cameras/C0/image/detections"]
+    image = "/world/cameras/C0/image"
+    truth, found = recording[f"{image}/truth"], recording[f"{image}/detections"]
     assert set(truth) == set(found) == set(range(0, STEPS, EVERY))
-    for step, frame in frames.items():
-        if step % EVERY:
-            continue
+    for step, frame in ((step, frame) for step, frame in frames.items() if step % EVERY == 0):
         for entity, boxes in ((truth, frame.truth.full_boxes_px), (found, frame.detections.boxes_px)):
-            centres = np.reshape(entity[step]["centers"], (-1, 2))
-            halves = np.reshape(entity[step]["half_sizes"], (-1, 2))
+            centres, halves = (np.reshape(entity[step][name], (-1, 2)) for name in ("centers", "half_sizes"))
             np.testing.assert_allclose(np.hstack([centres - halves, centres + halves]), boxes, rtol=1e-5, atol=1e-3)
-        names = [text.removesuffix(" missed") for text in truth[step]["labels"]]
-        assert names == list(frame.truth.vessels)
+        assert [text.removesuffix(" missed") for text in truth[step]["labels"]] == list(frame.truth.vessels)
 
 
 def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
@@ -144,12 +130,10 @@ def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
                 empty += 1
         assert empty > 3
         lines = latest(recording[f"{image}/silhouettes"], step)
-        ours = zip(lines["labels"], map(np.array, lines["strips"]), strict=True)
-        truth, found = frames[step].truth, dict(ours)
+        found, truth = dict(zip(lines["labels"], map(np.array, lines["strips"]), strict=True)), frames[step].truth
         for name, box, share in zip(truth.vessels, truth.full_boxes_px, truth.visible_fraction, strict=True):
             line = found[name]
-            tolerance = scale[0] + 1
-            np.testing.assert_allclose([*line.min(axis=0), *line.max(axis=0)], box, atol=tolerance)
+            np.testing.assert_allclose([*line.min(axis=0), *line.max(axis=0)], box, atol=scale[0] + 1)
             if share == 1 and (box[2:] - box[:2]).min() > 4 * scale[0]:
                 column, row = ((box[:2] + box[2:]) / 2 / scale[:2]).astype(int)
                 colour = palette.darker(palette.vessel_colour(scene.vessel_names.index(name)))
@@ -161,25 +145,20 @@ def test_a_hole_in_a_silhouette_is_not_filled():
     square = np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)])
     fill(picture, [10 + 5 * square[::-1], 2 + 30 * square], 7)
     pixels = np.asarray(picture)
-    assert pixels[5, 5] == pixels[20, 20] == 7
-    assert pixels[12, 12] == pixels[38, 38] == 0
+    assert pixels[5, 5] == pixels[20, 20] == 7 and pixels[12, 12] == pixels[38, 38] == 0
 
 
 def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
-    run, found = mistaken
-    shown = hidden = 0
+    (run, found), shown, hidden = mistaken, 0, 0
     sizes = {camera.name: camera.intrinsics.image_size_px for camera in run.scene.cameras}
-    for frame in run.frames():
-        if frame.step % SOME:
-            continue
+    for frame in (frame for frame in run.frames() if frame.step % SOME == 0):
         image, places = f"/world/cameras/{frame.camera}/image", []
         missed, false = (found[f"{image}/{name}"][frame.step] for name in ("missed", "false"))
         assert len(missed["labels"] or []) == (frame.truth.annotated & ~frame.truth.detected).sum()
         assert len(false["labels"] or []) == sum(bool(each & Outcome.FALSE_POSITIVE) for each in frame_outcomes(frame))
         for boxes in (missed, false):
-            for text, centre, half in zip(
-                *(boxes[key] or [] for key in ("labels", "centers", "half_sizes")), strict=True
-            ):
+            columns = [boxes[key] or [] for key in ("labels", "centers", "half_sizes")]
+            for text, centre, half in zip(*columns, strict=True):
                 assert not text or text.endswith(" missed") or text.startswith("false: ")
                 hidden += not text
                 if text:
@@ -194,9 +173,9 @@ def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
 
 def test_states_have_the_colours_of_the_pages(run, recording):
     scene, detector = open_run(run).scene, recording["/detector/C0"]
-    states = [state.name for state in scene.detector.states]
-    assert detector[None]["values"] == states
-    colours = palette.state_colours(len(states))
+    names = [state.name for state in scene.detector.states]
+    colours = palette.state_colours(len(names))
+    assert detector[None]["values"] == names
     assert detector[None]["colors"] == [int.from_bytes(bytes([*colour, 255])) for colour in colours]
     for frame in open_run(run).frames():
         if frame.step % EVERY == 0:
@@ -204,11 +183,8 @@ def test_states_have_the_colours_of_the_pages(run, recording):
 
 
 def test_detections_say_what_is_wrong_with_them(mistaken):
-    run, found = mistaken
-    said: set[str] = set()
-    for frame in run.frames():
-        if frame.step % SOME:
-            continue
+    (run, found), said = mistaken, set()
+    for frame in (frame for frame in run.frames() if frame.step % SOME == 0):
         image, outcomes, rows = f"/world/cameras/{frame.camera}/image", frame_outcomes(frame), detected_rows(frame)
         off = [i for i, outcome in enumerate(outcomes) if outcome & Outcome.OFF_VESSEL]
         lines = np.reshape(found[f"{image}/off_vessel"][frame.step]["strips"] or [], (-1, 2, 2))
@@ -225,19 +201,16 @@ def test_detections_say_what_is_wrong_with_them(mistaken):
             assert tag.endswith(", off its vessel") == bool(outcome & Outcome.OFF_VESSEL)
             assert tag.endswith(", IoU below 0.5") == (outcome & ~Outcome.MISLABELLED == Outcome.BELOW_HALF_IOU)
             said |= {flag.name for flag in outcome}
-        for name, flag in (
-            ("false", Outcome.FALSE_POSITIVE),
-            ("wrong_class", Outcome.MISLABELLED),
-            ("below_half_iou", Outcome.BELOW_HALF_IOU),
-            ("off_vessel", Outcome.OFF_VESSEL),
-        ):
+        counted = {"false": Outcome.FALSE_POSITIVE, "wrong_class": Outcome.MISLABELLED}
+        counted |= {"below_half_iou": Outcome.BELOW_HALF_IOU, "off_vessel": Outcome.OFF_VESSEL}
+        for name, flag in counted.items():
             (value,) = found[f"/counts/{frame.camera}/{name}"][frame.step]["scalars"]
             assert value == sum(1 for outcome in outcomes if outcome & flag)
     assert said == {flag.name for flag in Outcome}
 
 
 def test_vessels_move_and_vanish_as_in_the_scene(run, recording):
-    scene = open_run(run).scene
+    scene, ever = open_run(run).scene, []
     poses = scene.poses.poses(0, STEPS)
     for index, name in enumerate(scene.vessel_names):
         entity = recording[f"/world/vessels/{name}"]
@@ -246,14 +219,10 @@ def test_vessels_move_and_vanish_as_in_the_scene(run, recording):
             assert moved == poses.present[step, index]
             if moved:
                 np.testing.assert_allclose(entity[step]["translation"][0], poses.positions_m[step, index], rtol=1e-5)
-        vanished = [step for step, row in entity.items() if "is_recursive" in row]
-        gone = [
-            s for s in range(EVERY, STEPS, EVERY) if poses.present[s - EVERY, index] and not poses.present[s, index]
-        ]
-        assert vanished == gone
-    assert any(
-        "is_recursive" in row for name in scene.vessel_names for row in recording[f"/world/vessels/{name}"].values()
-    )
+        vanished, there = [step for step, row in entity.items() if "is_recursive" in row], poses.present[:, index]
+        assert vanished == [s for s in range(EVERY, STEPS, EVERY) if there[s - EVERY] and not there[s]]
+        ever += vanished
+    assert ever
 
 
 def test_camera_is_a_pinhole_that_looks_where_it_does(run, recording):
@@ -273,9 +242,7 @@ def test_obstacles_stand_where_they_do(recording):
     np.testing.assert_allclose((corners.min(axis=0), corners.max(axis=0)), ((900, 300, 0), (950, 320, 5)))
 
 
-def test_without_the_sdk_the_error_names_the_extra_and_no_empty_bar_stands_before_it(
-    monkeypatch, capsys, run, tmp_path
-):
+def test_without_the_sdk_the_error_names_the_extra_without_an_empty_bar_before_it(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "x") == 2
     assert capsys.readouterr().err == "modsim3d: --format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"

@@ -10,26 +10,21 @@ import numpy as np
 import pytest
 import shapely
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, Window, load_scene
 from modsim3d.render.context import open_context
 from modsim3d.render.shaded_pass import Lamp, LitFaces, ShadedRenderer, lit_colours
-from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import ROUNDING_PX
 from modsim3d.view import palette, shaded_picture
-from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.plain import Solids
 from modsim3d.view.sea_and_sky import DAY, Rays, RenderStyle, fogged
 from modsim3d.view.shaded_picture import ShadedPictureRenderer
 from tests.scenes import crossing
 
 DAYLIGHT = RenderStyle(shaded=True)
+ROLLED = {"position_m": [0, 0, 20], "roll_rad": 0.15, "pitch_rad": 0.05, "yaw_rad": -0.03}
 CAMERAS = {
     "plain": {},
-    "skew, pixels that are not square, roll": {
-        "pixel_size_m": [1e-5, 0.7e-5],
-        "skew": 60.0,
-        "pose": {"position_m": [0, 0, 20], "roll_rad": 0.15, "pitch_rad": 0.05, "yaw_rad": -0.03},
-    },
+    "skew, pixels that are not square, roll": {"pixel_size_m": [1e-5, 0.7e-5], "skew": 60.0, "pose": ROLLED},
     "lens": {"distortion": {"k1": -0.15, "k2": 0.03, "p1": 0.001}},
 }
 
@@ -60,7 +55,6 @@ def scene(tmp_path_factory):
 
 
 def painted(shaded, solids, width=640, style=DAYLIGHT, **options):
-    """A picture as whole numbers."""
     painter, window = ShadedPictureRenderer(shaded, style), Window.whole((800, 600), width)
     return np.asarray(painter.picture(solids, window, **options)).astype(int)
 
@@ -72,9 +66,8 @@ def solids(scene):
 
 def edges_at(solids, window):
     corners = window.to_picture(solids.triangles.corners_px)
-    return shapely.multilinestrings(
-        shapely.linestrings(np.stack([corners, np.roll(corners, -1, 1)], 2).reshape(-1, 2, 2))
-    )
+    edges = np.stack([corners, np.roll(corners, -1, 1)], 2).reshape(-1, 2, 2)
+    return shapely.multilinestrings(shapely.linestrings(edges))
 
 
 def vessel_pixels(painter, solids, window, monkeypatch):
@@ -97,8 +90,7 @@ def test_outline_equals_the_id_buffer(renderer, shaded, tmp_path, monkeypatch, n
     assert (ids > 0).sum() > 1000
     rows, columns = np.nonzero(drawn != (ids > 0))
     away = shapely.distance(edges_at(solids, window), shapely.points(columns + 0.5, rows + 0.5))
-    assert (away <= ROUNDING_PX).all()
-    assert len(rows) <= 3
+    assert (away <= ROUNDING_PX).all() and len(rows) <= 3
 
 
 def test_each_vessel_shows_where_its_id_is(renderer, shaded, solids):
@@ -109,8 +101,7 @@ def test_each_vessel_shows_where_its_id_is(renderer, shaded, solids):
     faces = replace(shaded_picture.lit_faces(solids), colours=np.column_stack([own, own, own]))
     matrix, near = solids.intrinsics.matrix, solids.intrinsics.near_clip_m
     lit = shaded.draw(faces, matrix, near, (800, 600), [], (1.0, 1.0, 1.0))
-    assert len(np.unique(ids)) >= 4
-    assert (np.rint(lit.colour[..., 0] / 255 * 6) != ids).sum() <= 3
+    assert len(np.unique(ids)) >= 4 and (np.rint(lit.colour[..., 0] / 255 * 6) != ids).sum() <= 3
     np.testing.assert_array_equal(solids.ids(window, renderer), ids)  # and the ID pass is not disturbed
 
 
@@ -135,8 +126,7 @@ def test_depth_is_that_of_the_face(shaded):
     faces = LitFaces(corners, np.array([[0.0, 0.0, -1.0]]), np.ones((1, 3)))
     lit = shaded.draw(faces, MATRIX, 0.1, (100, 100), [], (1, 1, 1))
     assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
-    assert lit.drawn[48, 50]
-    assert not lit.drawn[10, 10]
+    assert lit.drawn[48, 50] and not lit.drawn[10, 10]
 
 
 def test_a_face_is_lightest_turned_to_the_lamp(shaded):
@@ -166,13 +156,11 @@ def test_sky_is_above_the_horizon_and_sea_below(shaded, solids):
     assert picture[horizon - 30, 5].sum() > picture[horizon + 30, 5].sum() + 100
     high, deep = picture[3, 320], picture[-3, 320]
     assert np.abs(high - 255 * np.array(DAY.zenith)).max() < 90
-    assert deep.sum() < 0.6 * high.sum()
-    assert deep[2] > deep[0]
+    assert deep.sum() < 0.6 * high.sum() and deep[2] > deep[0]
 
 
 def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, tmp_path):
-    pictures = []
-    used = ShadedPictureRenderer(shaded, DAYLIGHT)
+    pictures, used = [], ShadedPictureRenderer(shaded, DAYLIGHT)
     for pitch in (0.0, 0.1):
         (folder := tmp_path / f"{pitch}").mkdir()
         scene = scene_with(folder, {"pose": {"position_m": [0, 0, 20], "pitch_rad": pitch}})
@@ -209,18 +197,14 @@ def test_programs_are_compiled_for_the_first_picture_only(shaded, scene, monkeyp
     from OpenGL import contextdata
 
     solids, window = Solids.at(scene, scene.cameras[0], 3), Window.whole((800, 600), 160)
-    used = ShadedPictureRenderer(shaded, DAYLIGHT)
+    used, compiled = ShadedPictureRenderer(shaded, DAYLIGHT), []
     used.picture(solids, window)
-    compiled, contexts = [], len(contextdata.storedPointers)
-    program = sys.modules["pyrender.shader_program"].ShaderProgram
-    compile_ = program.__init__
-    monkeypatch.setattr(
-        program, "__init__", lambda *given, **named: compiled.append(given) or compile_(*given, **named)
-    )
+    contexts, program = len(contextdata.storedPointers), sys.modules["pyrender.shader_program"].ShaderProgram
+    begin = program.__init__
+    monkeypatch.setattr(program, "__init__", lambda *given, **named: compiled.append(given) or begin(*given, **named))
     for _ in range(3):
         used.picture(solids, window)
-    assert not compiled
-    assert len(contextdata.storedPointers) == contexts
+    assert not compiled and len(contextdata.storedPointers) == contexts
 
 
 def test_vessels_keep_their_hue(renderer, shaded, solids):
@@ -256,15 +240,11 @@ def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility():
 
 def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids):
     foggy, dark = RenderStyle(shaded=True, visibility_m=100.0), RenderStyle(shaded=True, night=True)
-    speeds_m_s = np.ones(len(scene.vessels))
-    clear, fog, night = (
-        painted(shaded, solids, 400, style, speeds_m_s=speeds_m_s) for style in (DAYLIGHT, foggy, dark)
-    )
+    speeds = np.ones(len(scene.vessels))
+    clear, fog, night = (painted(shaded, solids, 400, style, speeds_m_s=speeds) for style in (DAYLIGHT, foggy, dark))
     ids = solids.ids(Window.whole((800, 600), 400), renderer)
     far = ids == len(scene.vessels) + 1  # the island, 300 m away
-    assert far.sum() > 20
-    assert np.ptp(fog[far].mean(axis=-1)) < 6
-    assert clear[far].mean() < fog[far].mean() - 30
+    assert far.sum() > 20 and np.ptp(fog[far].mean(axis=-1)) < 6 and clear[far].mean() < fog[far].mean() - 30
     assert night.mean() < 0.35 * clear.mean()
 
 
@@ -274,8 +254,7 @@ def test_weather_is_said_to_be_an_illustration(shaded, solids):
     nowhere = RenderStyle(shaded=True, visibility_m=1e12)  # such fog changes no colour
     off = np.abs(painted(shaded, solids) - painted(shaded, solids, style=nowhere))
     rows, columns = np.nonzero((off > 8).any(axis=-1))
-    assert rows.min() > 440
-    assert columns.min() == 0
+    assert rows.min() > 440 and columns.min() == 0
 
 
 @pytest.mark.parametrize("value", [0.0, -5.0, math.inf, math.nan])

@@ -25,15 +25,10 @@ def stalling(self, step_frames):
 
 FilmRenderer.draw = stalling
 """
-MIDDLE = 11
-"""Of 12 frames; a GIF draws four for its palette first. They are drawn and written four at a time."""
+MIDDLE = 11  # of 12 frames, drawn and written four at a time; a GIF draws four for its palette first
 FOR_LONG = "time.sleep(600)"
-
-
-@pytest.fixture
-def go_on(tmp_path_factory):
-    """A file that workers wait for in the middle of a film."""
-    return tmp_path_factory.mktemp("go") / "on"
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+FILMS = [*(("film.mp4", number) for number in STOPS), ("film.gif", signal.SIGTERM), ("film", signal.SIGINT)]
 
 
 def until_there_is(path):
@@ -51,16 +46,12 @@ def stalled(run, prepared, tmp_path_factory):
         first.write_text(STALLING.format(frame=frame, then=then, reached=str(reached)))
         path = os.pathsep.join([str(folder), *sys.path])
         # As `cli.main` does it, before numpy starts threads.
-        of_its_own = {
-            "PYTHONPATH": path,
-            "OPENBLAS_NUM_THREADS": "1",
-            "JE_ARROW_MALLOC_CONF": "background_thread:false",
-        }
+        threads = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
         program = [sys.executable, "-m", "modsim3d.cli.main"] if alone else [prepared]
         arguments = ("view", "film", run, "--kind", "detections", "--width", "320", "--out", out, *options)
         drawing = subprocess.Popen(
             [*map(str, program), *map(str, arguments)],
-            env={**os.environ, **(of_its_own if alone else {"FIRST": str(first)})},
+            env={**os.environ, **({"PYTHONPATH": path, **threads} if alone else {"FIRST": str(first)})},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -80,7 +71,6 @@ def entries(folder):
 
 
 def encoders_of(folder):
-    """Processes that write to a folder."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -92,25 +82,15 @@ def encoders_of(folder):
     return found
 
 
-@pytest.mark.parametrize(
-    ("name", "number"),
-    [
-        *(("film.mp4", number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
-        ("film.gif", signal.SIGTERM),
-        ("film", signal.SIGINT),
-    ],
-)
+@pytest.mark.parametrize(("name", "number"), FILMS)
 def test_a_stopped_film_leaves_nothing(stalled, tmp_path, name, number):
     options = () if "." in name else ("--format", "png")
     drawing = stalled(tmp_path / name, *options)
     assert any(".partial" in entry for entry in entries(tmp_path))
     drawing.send_signal(number)
     _, said = drawing.communicate(timeout=60)
-    assert drawing.returncode == 128 + number
-    assert "no film was written" in said
-    assert "Traceback" not in said
-    assert entries(tmp_path) == []
-    assert not encoders_of(tmp_path)
+    assert drawing.returncode == 128 + number and "no film was written" in said and "Traceback" not in said
+    assert entries(tmp_path) == [] and not encoders_of(tmp_path)
 
 
 def test_a_stopped_film_replaces_nothing(stalled, tmp_path):
@@ -118,32 +98,26 @@ def test_a_stopped_film_replaces_nothing(stalled, tmp_path):
     drawing = stalled(tmp_path / "film.mp4", "--overwrite")
     drawing.send_signal(signal.SIGTERM)
     drawing.communicate(timeout=60)
-    assert entries(tmp_path) == ["film.mp4"]
-    assert (tmp_path / "film.mp4").read_bytes() == b"the film before"
+    assert entries(tmp_path) == ["film.mp4"] and (tmp_path / "film.mp4").read_bytes() == b"the film before"
 
 
 def test_a_film_that_fails_in_the_middle_leaves_nothing(stalled, tmp_path):
     drawing = stalled(tmp_path / "film.mp4", then="raise ZeroDivisionError")
     drawing.communicate(timeout=60)
-    assert drawing.returncode != 0
-    assert entries(tmp_path) == []
-    assert not encoders_of(tmp_path)
+    assert drawing.returncode != 0 and entries(tmp_path) == [] and not encoders_of(tmp_path)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_film_of_several_workers_can_be_stopped(stalled, go_on, tmp_path, number):
+@pytest.mark.parametrize("number", STOPS)
+def test_a_film_of_several_workers_can_be_stopped(stalled, tmp_path_factory, tmp_path, number):
     """Frame 3, as each worker counts its own; a worker ends what it does, without a word.
-
-    A terminal that is closed sends its signal to the whole group.
-    """
+    A terminal that is closed sends its signal to the whole group."""
+    go_on = tmp_path_factory.mktemp("go") / "on"  # which workers wait for in the middle of a film
     drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then=until_there_is(go_on), alone=True)
     (os.killpg if number == signal.SIGHUP else os.kill)(drawing.pid, number)
     go_on.touch()
     _, said = drawing.communicate(timeout=60)
-    assert drawing.returncode == 128 + number
-    assert "no film was written" in said
-    assert "Traceback" not in said
-    assert entries(tmp_path) == []
+    assert drawing.returncode == 128 + number and entries(tmp_path) == []
+    assert "no film was written" in said and "Traceback" not in said
 
 
 def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, tmp_path):
@@ -151,8 +125,7 @@ def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, 
     drawing.kill()
     drawing.communicate(timeout=60)
     left = entries(tmp_path)
-    assert left
-    assert all(entry.startswith(".film.") and entry.endswith((".partial.mp4", ".lock")) for entry in left), left
+    assert left and all(each.startswith(".film.") and each.endswith((".partial.mp4", ".lock")) for each in left), left
     command = [prepared, "view", "film", run, "--kind", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert entries(tmp_path) == ["film.mp4"]

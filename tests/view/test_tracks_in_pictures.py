@@ -1,16 +1,9 @@
 """Tracks in pictures, films and Rerun."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracks.tracks import Similarity
 from modsim3d.view import palette
@@ -27,39 +20,25 @@ FRAME = ("--width", WIDTH, "--layers", "tracks")
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("tracked")
-    run_scene(load_scene(str(crossing(folder, STEPS)), source="analytic"), folder / "run")
-    return folder / "run"
-
-
-@pytest.fixture(scope="module")
-def rows(run) -> RunRows:
-    return RunRows.of(open_run(run))
-
-
-@pytest.fixture(scope="module")
 def followed(rows) -> FollowedTracks:
     """One track on each vessel and a false one all the time."""
     return FollowedTracks.of(as_set(with_false(perfect(rows), range(STEPS))), rows, Similarity())
 
 
 @pytest.fixture(scope="module")
-def tracks(rows, followed, tmp_path_factory) -> Path:
+def tracks(rows, followed, tmp_path_factory):
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def drawn(monkeypatch, run: Path, out: Path, *options) -> np.ndarray:
+def drawn(monkeypatch, exact_run, out, *options):
     """The picture of a step under the head line, with two of its pixels for one of the image."""
-    assert call(monkeypatch, "view", "frame", run, STEP, *FRAME, *options, "--out", out) == 0
+    assert call(monkeypatch, "view", "frame", exact_run, STEP, *FRAME, *options, "--out", out) == 0
     with Image.open(out) as picture:
         return np.asarray(picture)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
 
 
-def test_the_edge_of_a_tracks_box_has_the_tracks_colour_and_a_false_ones_that_of_mistakes(
-    monkeypatch, run, followed, tracks, tmp_path
-):
-    picture = drawn(monkeypatch, run, tmp_path / "a.png", "--tracks", tracks)
+def test_a_box_has_its_tracks_colour_a_false_one_that_of_mistakes(monkeypatch, exact_run, followed, tracks, tmp_path):
+    picture = drawn(monkeypatch, exact_run, tmp_path / "a.png", "--tracks", tracks)
     here = followed.rows_of(STEP)
     assert here.stop - here.start >= 3
     for number, (x0, y0, _, y1) in zip(followed.tracks.track[here], followed.tracks.boxes_px[here], strict=True):
@@ -70,8 +49,8 @@ def test_the_edge_of_a_tracks_box_has_the_tracks_colour_and_a_false_ones_that_of
     assert not (picture == palette.TRACKS[6]).all(axis=-1).any()
 
 
-def test_a_track_leaves_a_trail_where_its_centre_was(monkeypatch, run, followed, tracks, tmp_path):
-    picture = drawn(monkeypatch, run, tmp_path / "a.png", "--tracks", tracks)
+def test_a_track_leaves_a_trail_where_its_centre_was(monkeypatch, exact_run, followed, tracks, tmp_path):
+    picture = drawn(monkeypatch, exact_run, tmp_path / "a.png", "--tracks", tracks)
     last = slice(*np.searchsorted(followed.tracks.frame, (STEP, STEP + 1)))
     row = last.start + followed.tracks.track[last].tolist().index(2)
     trail = followed.trail_px(row)
@@ -81,28 +60,25 @@ def test_a_track_leaves_a_trail_where_its_centre_was(monkeypatch, run, followed,
         assert (np.abs(around - palette.track_colour(2)).max(axis=-1) < 40).any()
 
 
-def test_pictures_without_the_layer_are_those_without_tracks(monkeypatch, run, tracks, tmp_path):
+def test_pictures_without_the_layer_are_those_without_tracks(monkeypatch, exact_run, tracks, tmp_path):
     for name, options in {"a": (), "b": ("--tracks", tracks)}.items():
         layers = ("--layers", "horizon,truth,detections,labels", "--width", 640)
         arguments = (STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
-        assert call(monkeypatch, "view", "frame", run, *arguments) == 0
+        assert call(monkeypatch, "view", "frame", exact_run, *arguments) == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, run, tracks, tmp_path):
+def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, exact_run, tracks, tmp_path):
     options = ("--kind", "detections", "--every", 4, "--width", 320, "--tracks", tracks)
     for workers in (1, 2):
-        assert (
-            call(monkeypatch, "view", "film", run, *options, "--workers", workers, "--out", tmp_path / f"{workers}.gif")
-            == 0
-        )
+        out = ("--workers", workers, "--out", tmp_path / f"{workers}.gif")
+        assert call(monkeypatch, "view", "film", exact_run, *options, *out) == 0
     assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
 
 
 @pytest.mark.parametrize("task", [("film",), ("frame", 3)])
-def test_tracks_are_refused_where_they_are_not_drawn(monkeypatch, capsys, run, tracks, tmp_path, task):
-    command, *step = task
-    line = ("view", command, run, *step, "--kind", "scene", "--tracks", tracks, "--overwrite")
+def test_tracks_are_refused_where_they_are_not_drawn(monkeypatch, capsys, exact_run, tracks, tmp_path, task):
+    line = ("view", task[0], exact_run, *task[1:], "--kind", "scene", "--tracks", tracks, "--overwrite")
     assert call(monkeypatch, *line) == 2
     assert "--tracks works with --kind detections and all" in capsys.readouterr().err
 
@@ -114,8 +90,8 @@ def test_tracks_of_an_interrupted_run_are_refused(monkeypatch, capsys, tmp_path,
         assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
 
 
-def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, run, rows, followed, tracks, tmp_path):
-    assert call(monkeypatch, "export", run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path) == 0
+def test_rerun_has_the_tracks_with_number_and_vessel(monkeypatch, exact_run, rows, followed, tracks, tmp_path):
+    assert call(monkeypatch, "export", exact_run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path) == 0
     found, names = read(tmp_path / "run.rrd"), [*rows.scene.vessel_names, "nothing"]
     for step in range(STEPS):
         here = followed.rows_of(step)
@@ -130,7 +106,7 @@ def test_rerun_has_the_boxes_of_the_tracks_with_number_and_vessel(monkeypatch, r
     assert plot == ("TimeSeries", ["/counts/C0/tracks", "/counts/C0/false_tracks"])
 
 
-def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, run, followed, tracks, tmp_path):
-    for line in (("export", run, "--format", "rerun"), ("view", "frame", run, STEP)):
+def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, exact_run, followed, tracks, tmp_path):
+    for line in (("export", exact_run, "--format", "rerun"), ("view", "frame", exact_run, STEP)):
         assert call(monkeypatch, *line, "--tracks", tracks, "--out", tmp_path) == 0
         assert followed.sentence() in " ".join(capsys.readouterr().out.split())

@@ -9,10 +9,9 @@ import warnings
 import imageio_ffmpeg
 import pytest
 
+from modsim3d import load_scene, run_scene
 from modsim3d.cli import main
 from modsim3d.runs import pipeline
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt
 from tests.scenes import write_scene
 from tests.view.test_film import view
@@ -45,19 +44,22 @@ def refused(monkeypatch, capsys, *arguments) -> str:
         (("film", "--kind", "ids", "--out", "film.gif", "--format", "mp4"), ["film.gif contradicts --format mp4"]),
         (("film", "--kind", "ids", "--out", "nowhere/film.mp4"), ["nowhere", "does not exist"]),
         (("frame", "3", "--out", "a.jpg"), [".png"]),
+        (("map", "99"), ["no step 99", "0 to 11"]),
+        (("map", "--out", "map.jpg"), [".png, .svg, .pdf"]),
+        (("map", "--camera", "C9"), ["no camera 'C9'"]),
+        (("film", "--kind", "ids", "--look", "night"), ["--look", "not with ids"]),
+        (("film", "--kind", "map", "--look", "shaded"), ["--look", "not with map"]),
+        (("film", "--kind", "scene", "--look", "fog:0"), ["--look fog:0", "metres"]),
+        (("film", "--kind", "scene", "--look", "fog:nan"), ["--look fog:nan"]),
+        (("film", "--kind", "scene", "--look", "fog"), ["--look fog: needs shaded or plain, night, fog:M"]),
+        (("film", "--kind", "scene", "--look", "plain,night"), ["leave out plain"]),
     ],
 )
 def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, words):
     monkeypatch.chdir(tmp_path)
     said = refused(monkeypatch, capsys, arguments[0], run, *arguments[1:])
-    for word in words:
-        assert word in said
+    assert all(word in said for word in words), said
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_that_is_no_run_is_refused(monkeypatch, capsys, tmp_path):
-    assert "no run" in refused(monkeypatch, capsys, "film", tmp_path, "--kind", "ids")
-    assert "does not exist" in refused(monkeypatch, capsys, "film", tmp_path / "x", "--kind", "ids")
 
 
 @pytest.mark.parametrize("kind", ["mp4", "gif", "png"])
@@ -69,7 +71,11 @@ def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path, k
     assert view(monkeypatch, *arguments, "--overwrite") == 0
 
 
-def test_a_folder_with_other_things_gets_no_frames(monkeypatch, capsys, run, tmp_path):
+def test_a_folder_that_is_no_run_is_refused_and_one_with_other_things_gets_no_frames(
+    monkeypatch, capsys, run, tmp_path
+):
+    assert "no run" in refused(monkeypatch, capsys, "film", tmp_path, "--kind", "ids")
+    assert "does not exist" in refused(monkeypatch, capsys, "film", tmp_path / "x", "--kind", "ids")
     (tmp_path / "thesis.pdf").write_text("precious")
     arguments = ("film", run, "--kind", "scene", "--format", "png", "--out", tmp_path, "--overwrite")
     assert "thesis.pdf" in refused(monkeypatch, capsys, *arguments)
@@ -79,40 +85,37 @@ def test_a_folder_with_other_things_gets_no_frames(monkeypatch, capsys, run, tmp
 def test_without_ffmpeg_the_extra_is_named_before_anything_is_drawn(monkeypatch, capsys, run, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", tmp_path / "film.mp4")
-    assert "pip install 'modsim3d[video]'" in said
-    assert "--format gif" in said
+    assert "pip install 'modsim3d[video]'" in said and "--format gif" in said
     assert not list(tmp_path.iterdir())
 
 
-def test_an_encoder_that_fails_leaves_nothing(monkeypatch, capsys, run, tmp_path):
-    broken = tmp_path / "ffmpeg"
-    broken.write_text("#!/bin/sh\necho 'no such encoder' >&2\nexit 1\n")
-    broken.chmod(0o755)
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(broken))
-    out = tmp_path / "out"
+def broken_encoder(monkeypatch, folder, script):
+    """An encoder that runs a script, and the empty folder for a film."""
+    encoder, out = folder / "ffmpeg", folder / "out"
+    encoder.write_text(f"#!/bin/sh\n{script}\n")
+    encoder.chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(encoder))
     out.mkdir()
+    return out
+
+
+def test_an_encoder_that_fails_leaves_nothing(monkeypatch, capsys, run, tmp_path):
+    out = broken_encoder(monkeypatch, tmp_path, "echo 'no such encoder' >&2\nexit 1")
     with warnings.catch_warnings():
         # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
         warnings.simplefilter("ignore", ResourceWarning)
         said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", out / "film.mp4")
         gc.collect()
-    assert "film.mp4 could not be encoded: no such encoder\n" in said
-    assert not list(out.iterdir())
+    assert "film.mp4 could not be encoded: no such encoder\n" in said and not list(out.iterdir())
 
 
 def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatch, capsys, run, tmp_path):
     """An encoder that takes every picture, encodes those of the first second, and says that all is well."""
-    lossy, out = tmp_path / "ffmpeg", tmp_path / "out"
     encoder = imageio_ffmpeg.get_ffmpeg_exe()
-    lossy.write_text(
-        f'#!/bin/sh\n[ "$1" = -y ] && {{ {encoder} -t 1 "$@"; exec cat >/dev/null; }}\nexec {encoder} "$@"\n'
-    )
-    lossy.chmod(0o755)
-    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(lossy))
-    out.mkdir()
+    script = f'[ "$1" = -y ] && {{ {encoder} -t 1 "$@"; exec cat >/dev/null; }}\nexec {encoder} "$@"'
+    out = broken_encoder(monkeypatch, tmp_path, script)
     said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--width", 160, "--out", out / "film.mp4")
-    assert re.search(r"film\.mp4 could not be encoded: it has 5 of \d+ pictures", said)
-    assert not list(out.iterdir())
+    assert re.search(r"film\.mp4 could not be encoded: it has 5 of \d+ pictures", said) and not list(out.iterdir())
 
 
 def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, capsys, tmp_path):

@@ -24,21 +24,15 @@ from modsim3d.view import palette
 
 # ---- GIF films, written frame by frame with Pillow's encoder ----
 
-TICKS_PER_S = 100
-"""A GIF counts in hundredths of a second."""
-LONGEST_TICKS = 0xFFFF
-"""The longest that a GIF can show a picture; one that lasts longer is stored again."""
-UNCHANGED = 255
-"""Palette index of a pixel that stays as it was in the picture before."""
-KEEP = 1
-"""Disposal method of a frame that the next one is drawn over."""
+TICKS_PER_S = 100  # a GIF counts in hundredths of a second
+LONGEST_TICKS = 0xFFFF  # the longest that a GIF can show a picture; one that lasts longer is stored again
+UNCHANGED = 255  # palette index of a pixel that stays as it was in the picture before
+KEEP = 1  # disposal method of a frame that the next one is drawn over
 
 
 def film_palette(samples: Sequence[Image.Image]) -> Image.Image:
     """Choose 255 colours for a film: those that everything is drawn with, and the most frequent ones of some frames.
-
-    All frames share one palette, so that what stands still keeps the same index. A picture of one pixel holds it.
-    """
+    All frames share one palette, so that what stands still keeps the same index. A picture of one pixel holds it."""
     exact = [palette.PAPER, palette.INK, palette.SEA, palette.SKY, palette.TRUTH, palette.ALARM, palette.HORIZON]
     exact += [palette.vessel_colour(i) for i in range(3 * len(palette.VESSELS))]
     width, height = max(p.width for p in samples), sum(p.height for p in samples)
@@ -61,10 +55,8 @@ def quantised(picture: Image.Image, colours: Image.Image) -> Image.Image:
 
 def write_gif(out: IO[bytes], colours: Image.Image, frames: Iterable[tuple[Image.Image, int]]) -> None:
     """Write an endless GIF 89a.
-
     Only the pixels that differ from the frame before are stored; a frame without any makes the one before last longer.
-    A frame is palette indices as grey levels (mode L), and how long it is shown, in ticks. There is at least one.
-    """
+    A frame is palette indices as grey levels (mode L), and how long it is shown, in ticks. There is at least one."""
     before: Image.Image | None = None
     for picture, group in groupby(frames, key=itemgetter(0)):
         box, changed = (0, 0, *picture.size), picture
@@ -76,24 +68,18 @@ def write_gif(out: IO[bytes], colours: Image.Image, frames: Iterable[tuple[Image
             difference = ImageChops.difference(before, picture)
             box, changed = difference.getbbox() or box, picture.copy()
             changed.paste(UNCHANGED, mask=difference.point([255, *(0,) * 255], "1"))
-        for ticks in _storable(sum(ticks for _, ticks in group)):
+        whole, rest = divmod(sum(ticks for _, ticks in group), LONGEST_TICKS)
+        for ticks in [LONGEST_TICKS] * whole + [rest] * (rest > 0):
             options = {"duration": ticks * 1000 // TICKS_PER_S, "disposal": KEEP, "transparency": UNCHANGED}
             out.writelines(getdata(changed.crop(box), box[:2], **options))
         before = picture
     out.write(b";")
 
 
-def _storable(ticks: int) -> list[int]:
-    """A duration as parts that a GIF can hold."""
-    whole, rest = divmod(ticks, LONGEST_TICKS)
-    return [LONGEST_TICKS] * whole + [rest] * (rest > 0)
-
-
 FORMATS = ("mp4", "gif", "png")
 MAX_RATE = {"mp4": 60, "gif": 50, "png": 1_000_000}
 """Pictures a second: what screens show, what browsers show of a GIF; of PNG files, every frame."""
-ENCODER_THREADS = 2
-"""A fixed number, as the encoder's bytes depend on it."""
+ENCODER_THREADS = 2  # fixed, as the encoder's bytes depend on it
 KEY_FRAME_S = 2
 NO_FFMPEG = "MP4 films need ffmpeg: pip install 'modsim3d[video]'; --format gif and --format png do not need it"
 
@@ -116,16 +102,11 @@ class EncodedFrame:
         return cls(step, picture.size, encoded(picture))
 
 
-Frames = Iterable[tuple[EncodedFrame, int]]
-"""Frames in order of step, and for how many pictures in a row each is shown."""
+Frames = Iterable[tuple[EncodedFrame, int]]  # in order of step, and for how many pictures in a row each is shown
 
 
 def check_encoder(kind: str) -> None:
-    """Check that a film can be encoded, before anything is drawn.
-
-    Raises:
-        ModsimError: There is no ffmpeg for an MP4.
-    """
+    """Raise ModsimError, before anything is drawn, if a film is an MP4 and there is no ffmpeg."""
     if kind != "mp4":
         return
     try:
@@ -137,20 +118,13 @@ def check_encoder(kind: str) -> None:
 
 
 def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: Image.Image | None = None) -> None:
-    """Write a film while its frames are drawn.
-
-    Args:
-        kind: One of `FORMATS`.
-        path: The file; for PNG, the folder of the files.
-        frames: Pictures; each is drawn when those before it are written.
-        rate: Pictures a second.
-        colours: Holds the palette of a GIF.
-
-    Raises:
-        ModsimError: An MP4 could not be encoded.
-    """
+    """Write a film of one of `FORMATS` into a file, PNG files into a folder, at a number of pictures a second, while
+    its frames are drawn: each when those before it are written. `colours` holds the palette of a GIF.
+    Raises ModsimError if an MP4 could not be encoded."""
     if kind == "png":
-        _write_pngs(path, frames)
+        with put_folder_in_place(path, "frame_*.png") as partial:
+            for frame, _ in frames:
+                (partial / f"frame_{frame.step:06d}.png").write_bytes(frame.data)
         return
     with put_in_place(path) as partial:
         if kind == "gif" and colours is not None:
@@ -161,10 +135,8 @@ def write_film(kind: str, path: Path, frames: Frames, rate: Fraction, colours: I
 
 def _write_mp4(path: Path, partial: Path, frames: Frames, rate: Fraction) -> None:
     """H.264 in 4:2:0, which every browser plays, with its index in front, by imageio's FFMPEG plugin.
-
     The encoder starts with the first frame. By then the workers run, which must not hold its pipe open. The plugin does
-    not look at the exit status of the encoder, so that the pictures of the finished film are counted.
-    """
+    not look at the exit status of the encoder, so that the pictures of the finished film are counted."""
     import imageio.v2
     import imageio_ffmpeg
 
@@ -191,7 +163,6 @@ def _write_mp4(path: Path, partial: Path, frames: Frames, rate: Fraction) -> Non
 
 
 def _ffmpeg_options(rate: Fraction) -> dict[str, Any]:
-    """Options of the plugin and of ffmpeg."""
     of_ffmpeg = ["-crf", "20", "-preset", "veryfast", "-threads", str(ENCODER_THREADS)]
     of_ffmpeg += ["-g", str(max(1, round(KEY_FRAME_S * rate)))]
     # Without these players guess the colours' matrix by the film's size.
@@ -233,9 +204,3 @@ def _write_gif(path: Path, frames: Frames, rate: Fraction, colours: Image.Image)
 
     with path.open("wb") as out:
         write_gif(out, colours, timed())
-
-
-def _write_pngs(folder: Path, frames: Frames) -> None:
-    with put_folder_in_place(folder, "frame_*.png") as partial:
-        for frame, _ in frames:
-            (partial / f"frame_{frame.step:06d}.png").write_bytes(frame.data)

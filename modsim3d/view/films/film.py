@@ -17,8 +17,7 @@ from modsim3d.view.films.files import MAX_RATE, EncodedFrame, film_palette, writ
 from modsim3d.view.films.plan import FilmPlan, Timetable
 from modsim3d.view.films.renderer import FilmRenderer, open_film_renderer
 
-STEPS_TOGETHER = 4
-"""Steps that a worker draws at a time."""
+STEPS_TOGETHER = 4  # that a worker draws at a time
 PALETTE_SAMPLES = 4
 IF_KILLED = "draw the film again, perhaps with fewer --workers"
 
@@ -50,8 +49,7 @@ class DrawnFilm:
 
 def draw_picture(selection: Selection, plan: FilmPlan, path: Path) -> Path:
     """Draw the first step of a selection into a PNG."""
-    scene = selection.run.scene
-    with open_film_renderer(scene, plan) as film_renderer:
+    with open_film_renderer(selection.run.scene, plan) as film_renderer:
         picture = film_renderer.draw(next(selection.step_frames()))
     with put_in_place(path) as partial:
         partial.write_bytes(encoded(picture))
@@ -68,17 +66,9 @@ def draw_film(
     workers: WorkerCount = 1,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> DrawnFilm:
-    """Draw a film.
-
-    Args:
-        selection: Steps and cameras.
-        plan: Content of every picture.
-        kind: One of `FORMATS`.
-        path: The file, or the folder of PNG files.
-        speed: Seconds of the run in one second of the film.
-        workers: Number of processes, or `auto` for one for each CPU; their number does not change the film.
-        progress: Called with the number of frames drawn since its last call.
-    """
+    """Draw a film of one of `FORMATS` into a file, or a folder of PNG files, at `speed` seconds of the run in one
+    second of the film. `workers` processes draw, with `auto` one for each CPU; their number does not change the film.
+    `progress` is called with the number of frames drawn since its last call."""
     scene = selection.run.scene
     showing = Showing.of(selection, kind, speed)
     repeats = dict(zip(selection.steps, showing.timetable.repeats.tolist(), strict=True))
@@ -97,7 +87,6 @@ def draw_film(
 
 
 def _gif_palette(selection: Selection, steps: Sequence[int], renderers: Workers[FilmRenderer]) -> Image.Image:
-    """The palette of a film, from some of its pictures."""
     chosen = tuple(dict.fromkeys(steps[i * len(steps) // PALETTE_SAMPLES] for i in range(PALETTE_SAMPLES)))
     shown = replace(selection, steps=chosen, durations_s=np.ones(len(chosen)))
     samples = renderers.map(_draw_job, (_Job("mp4", None, [step_frames]) for step_frames in shown.step_frames()))

@@ -29,29 +29,19 @@ from modsim3d.view.sea_and_sky import PLAIN_STYLE, RenderStyle
 # ---- The sheet of a film ----
 
 GAP_PX = 4
-KEY_SHARE = 0.12
-"""Height of the legend, as a share of what is above it, from which on it is set smaller."""
-SEVERAL = 0.7
-"""However narrow a panel, its text is as large as in one of this share of the sheet."""
+KEY_SHARE = 0.12  # height of the legend, as a share of what is above it, from which on it is set smaller
+SEVERAL = 0.7  # however narrow a panel, its text is as large as in one of this share of the sheet
 
 
 @dataclass(frozen=True, eq=False)
 class FilmLayout:
-    """The places of everything on the sheet; its sides are even, as films need them.
+    """The places of everything on the sheet; its sides are even, as films need them."""
 
-    Attributes:
-        width: Width of the whole sheet in pixels.
-        columns: Number of panels side by side.
-        aspects: Width over height of each panel, row by row.
-        entries: Entries of the legend at the bottom.
-        enlarged: Size of text and lines, as a multiple of the usual one.
-    """
-
-    width: int
-    columns: int
-    aspects: tuple[float, ...]
-    entries: tuple[LegendEntry, ...]
-    enlarged: float = 1.0
+    width: int  # of the whole sheet in pixels
+    columns: int  # number of panels side by side
+    aspects: tuple[float, ...]  # width over height of each panel, row by row
+    entries: tuple[LegendEntry, ...]  # of the legend at the bottom
+    enlarged: float = 1.0  # size of text and lines, as a multiple of the usual one
 
     @property
     def text_px(self) -> int:
@@ -111,13 +101,8 @@ class FilmLayout:
     def compose(self, head: str, titles: Sequence[str], panels: Sequence[Image.Image]) -> Image.Image:
         """One picture of the film, from pictures of the sizes `panel_sizes`; a single panel shows no title."""
         sheet = self._blank.copy()
-        draw = ImageDraw.Draw(sheet)
-        draw.text(
-            (self.text_px // 2, self.text_px // 3),
-            words_apart(head, self.text_px),
-            fill=palette.INK,
-            font=font(self.text_px),
-        )
+        place, text = (self.text_px // 2, self.text_px // 3), words_apart(head, self.text_px)
+        ImageDraw.Draw(sheet).text(place, text, fill=palette.INK, font=font(self.text_px))
         for title, panel, (x, y) in zip(titles, panels, self._places, strict=True):
             sheet.paste(panel, (x, y))
             if self.title_px:
@@ -141,47 +126,28 @@ TITLES = {"detections": "truth and detections", "ids": "who is at each pixel", "
 """Titles of panels whose kind's name says too little."""
 MAX_COLUMNS = 3
 WIDTH_PX, SEVERAL_WIDTH_PX = 1280, 1920
-MIN_CROP = 0.02
-"""Share of an image that is shown around vessels, however small they are."""
-MIN_ASPECT, MAX_ASPECT = 4 / 3, 8 / 3
-"""Width over height of the part of an image that is shown around vessels, if the image is not smaller."""
+MIN_CROP = 0.02  # share of an image that is shown around vessels, however small they are
+MIN_ASPECT, MAX_ASPECT = 4 / 3, 8 / 3  # of the part of an image shown around vessels, if the image is not smaller
 
 
 @dataclass(frozen=True, eq=False)
 class FilmPlan:
-    """Content of every picture of a film.
+    """Content of every picture of a film."""
 
-    Attributes:
-        kinds: Some of `KINDS`, shown side by side.
-        cameras: Indices into the scene's cameras.
-        width: Width of the whole picture in pixels.
-        layers: Layers of the kinds with boxes; each kind's own if None.
-        crops_px: Part of each camera's image that is shown, x_min, y_min, x_max, y_max; all of it if None.
-        style: Style of `scene`.
-        boxes_on_scene: Whether `detections` has the boxes on a picture in this style, in place of plain sea and sky.
-        steps: Number of steps of the run, for the tracks of a map.
-        columns: Panels side by side; those of a camera, or the cameras, if None.
-        mistakes: What is wrong with detections in the pictures, for the legend; see `mistakes_in`.
-        tracks: The tracks of a tracker, for pictures with the layer `tracks`; none if None.
-        note: What is said in the head line after all else.
-        vessels: Indices of the vessels in the pictures, for the legend; all if None; see `vessels_in`.
-        enlarged: Size of text and lines, for a picture that a page shows smaller than it is.
-    """
-
-    kinds: tuple[str, ...]
-    cameras: tuple[int, ...]
-    width: int
-    layers: Layers | None = None
-    crops_px: tuple[Box | None, ...] = ()
-    style: RenderStyle = PLAIN_STYLE
-    boxes_on_scene: bool = False
-    steps: int = 0
-    columns: int | None = None
-    mistakes: Outcome = NOTHING_WRONG
-    tracks: FollowedTracks | None = None
-    note: str = ""
-    vessels: tuple[int, ...] | None = None
-    enlarged: float = 1.0
+    kinds: tuple[str, ...]  # some of `KINDS`, shown side by side
+    cameras: tuple[int, ...]  # indices into the scene's cameras
+    width: int  # of the whole picture in pixels
+    layers: Layers | None = None  # of the kinds with boxes; each kind's own if None
+    crops_px: tuple[Box | None, ...] = ()  # part of each camera's image that is shown; all of it if None
+    style: RenderStyle = PLAIN_STYLE  # of `scene`
+    boxes_on_scene: bool = False  # whether `detections` has the boxes in this style, not on plain sea and sky
+    steps: int = 0  # of the run, for the tracks of a map
+    columns: int | None = None  # panels side by side; those of a camera, or the cameras, if None
+    mistakes: Outcome = NOTHING_WRONG  # wrong detections in the pictures, for the legend; see `mistakes_in`
+    tracks: FollowedTracks | None = None  # of a tracker, for pictures with the layer `tracks`; none if None
+    note: str = ""  # in the head line after all else
+    vessels: tuple[int, ...] | None = None  # in the pictures, for the legend; all if None; see `vessels_in`
+    enlarged: float = 1.0  # size of text and lines, for a picture that a page shows smaller than it is
 
     def layers_of(self, kind: str) -> Layers:
         """The layers of a kind."""
@@ -236,9 +202,7 @@ def mistakes_in(selection: Selection) -> Outcome:
 
 def vessels_in(selection: Selection, crops_px: Sequence[Box | None] = ()) -> tuple[int, ...]:
     """Indices of the vessels that any picture of a selection shows, or of parts of its cameras' images.
-
-    A vessel that carries a camera counts if it has a mesh, since its bow may be seen.
-    """
+    A vessel that carries a camera counts if it has a mesh, since its bow may be seen."""
     scene = selection.run.scene
     carriers = {scene.cameras[index].mount.vessel for index in selection.cameras}
     found = {index for index, vessel in enumerate(scene.vessels) if vessel.name in carriers and vessel.has_mesh}
@@ -269,14 +233,9 @@ def crop_to_vessels(selection: Selection) -> tuple[Box, ...]:
 
 
 def part_around(boxes_px: Array, image_size_px: tuple[int, int], margin: float = 0.15, least: float = MIN_CROP) -> Box:
-    """The part of an image around boxes; all of it if there are none.
-
-    Args:
-        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
-        image_size_px: Width and height.
-        margin: What is shown beside the boxes, as a share of what they fill.
-        least: What is shown of the image however small the boxes are, as a share of it.
-    """
+    """The part of an image of some width and height around boxes, shape (n, 4); all of it if there are none.
+    `margin` is what is shown beside the boxes, as a share of what they fill, `least` what is shown of the image however
+    small the boxes are, as a share of it."""
     size = np.array(image_size_px, dtype=np.float64)
     low, high = (boxes_px[:, :2].min(axis=0), boxes_px[:, 2:].max(axis=0)) if len(boxes_px) else (0 * size, size)
     width, height = np.minimum((1 + margin) * (high - low) + least * size, size)
@@ -304,10 +263,8 @@ def parse_crop(selection: Selection, text: str) -> tuple[Box, ...]:
 
 # ---- When each frame of a film is shown ----
 
-MIN_RATE = 5
-"""Frames per second; slower films show each frame several times, as some players stumble over long frames."""
-SAME_S = 1e-6
-"""Steps that differ by less are of the same length."""
+MIN_RATE = 5  # frames per second; slower films show frames several times, as some players stumble over long frames
+SAME_S = 1e-6  # steps that differ by less are of the same length
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,16 +281,11 @@ class Timetable:
 
     @classmethod
     def of(cls, durations_s: Array, speed: float, most_rate: int) -> Timetable:
-        """The pace of frames that stand for given durations.
+        """The pace of frames that stand for given durations in the run, positive, shape (n,), at `speed` seconds of the
+        run in one second of the film.
+        Steps of one length, at a rate from `MIN_RATE` to `most_rate` pictures a second, give one picture a frame.
+        Otherwise each picture shows the frame that is due at its time."""
 
-        Steps of one length, at a rate from `MIN_RATE` to `most_rate`, give one picture a frame. Otherwise each
-        picture shows the frame that is due at its time.
-
-        Args:
-            durations_s: Duration of each frame in the run, positive, shape (n,).
-            speed: Seconds of the run in one second of the film.
-            most_rate: The highest rate, in pictures a second.
-        """
         film_s = durations_s / speed
         shortest = float(film_s.min())
         repeats = max(1, math.ceil(MIN_RATE * shortest - SAME_S))

@@ -40,19 +40,14 @@ if TYPE_CHECKING:
 
 Pixels = NDArray[np.uint8]
 Part = tuple[slice, slice]
-BESIDE_PX = 4
-"""A name may colour pixels so far outside its box."""
+BESIDE_PX = 4  # a name may colour pixels so far outside its box
 
 
 class MapFilmRenderer:
     """Draws a map at one step after another, as `map_picture` does but for rounding.
-
     The artists lie in layers, of which every second one stays as it is. The lowest is a picture to draw on; a higher
-    one is kept as the pixels that it covers, which are blended with what moves below them.
-
-    Attributes:
-        map: The map, at the step of the last picture.
-    """
+    one is kept as the pixels that it covers, which are blended with what moves below them. `map` is the map at the step
+    of the last picture."""
 
     def __init__(self, birds_eye: BirdsEye, size: tuple[int, int]) -> None:
         """Draw all that stays, at a width and height in pixels."""
@@ -123,17 +118,11 @@ class MapFilmRenderer:
 
 @dataclass(frozen=True, eq=False)
 class _Cover:
-    """The pixels that some artists cover.
+    """The pixels that some artists cover."""
 
-    Attributes:
-        places: Their rows and columns, shape (2, n).
-        kept: The share of each colour that shows through, shape (n, 3).
-        added: The colour that is added, and a half, so that the result is rounded, shape (n, 3).
-    """
-
-    places: Indices
-    kept: NDArray[np.float32]
-    added: NDArray[np.float32]
+    places: Indices  # rows and columns, shape (2, n)
+    kept: NDArray[np.float32]  # the share of each colour that shows through, shape (n, 3)
+    added: NDArray[np.float32]  # the colour that is added, and a half, so that the result is rounded, shape (n, 3)
 
     def blend(self, pixels: Pixels, origin: Indices | None = None) -> None:
         """Lay them over an opaque picture, shape (h, w, 4), where they count from one of its pixels, shape (2,)."""
@@ -164,10 +153,8 @@ class FilmRenderer:
         shaded_renderer: ShadedPictureRenderer | None = None,
     ) -> None:
         """Take what all pictures share; `shaded_renderer` draws the scene where the plan asks for light and shade."""
-        self._scene = scene
-        self._plan = plan
-        self._id_renderer = id_renderer
-        self._shaded_renderer = shaded_renderer
+        self._scene, self._plan = scene, plan
+        self._id_renderer, self._shaded_renderer = id_renderer, shaded_renderer
         self._layout = plan.layout(scene)
         # Made here and not with the first map, so that all that stays is drawn before the first picture.
         maps = (size for (_, kind), size in zip(plan.panels(), self._layout.panel_sizes, strict=True) if kind == "map")
@@ -237,10 +224,7 @@ def _age(step_frames: StepFrames, place: int) -> str:
 @contextmanager
 def open_film_renderer(scene: Scene, plan: FilmPlan) -> Iterator[FilmRenderer]:
     """A film renderer, with OpenGL where there is some.
-
-    Raises:
-        RendererError: Shaded pictures are asked for and there is no OpenGL library.
-    """
+    Raises RendererError if shaded pictures are asked for and there is no OpenGL library."""
     shaded_pictures = open_shaded_picture_renderer(plan.style) if plan.style.shaded else nullcontext()
     with open_id_renderer(scene) as id_renderer, shaded_pictures as shaded_renderer:
         yield FilmRenderer(scene, plan, id_renderer, shaded_renderer)

@@ -10,17 +10,7 @@ from modsim3d.core.errors import ModsimError, RendererError
 from modsim3d.render.context import open_context
 from modsim3d.runs.counts import NOTHING_WRONG
 from modsim3d.runs.selection import Selection
-from modsim3d.view.films.plan import (
-    ALL,
-    KINDS,
-    SEVERAL_WIDTH_PX,
-    WIDTH_PX,
-    FilmPlan,
-    crop_to_vessels,
-    mistakes_in,
-    parse_crop,
-    vessels_in,
-)
+from modsim3d.view.films import plan as film_plan
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_picture import check_matplotlib
 from modsim3d.view.pictures.canvas import Box
@@ -33,25 +23,16 @@ WITH_TRACKS = ("detections", "all")
 
 @dataclass(frozen=True)
 class Look:
-    """How a scene is to look, as `--look` says it.
+    """Look of a scene, as `--look` says it."""
 
-    Attributes:
-        shaded: In light and shade, or plain; that of the kind if None.
-        visibility_m: Meteorological visibility; clear air if None.
-        night: Whether it is dark.
-    """
-
-    shaded: bool | None = None
-    visibility_m: float | None = None
+    shaded: bool | None = None  # in light and shade, or plain; that of the kind if None
+    visibility_m: float | None = None  # meteorological; clear air if None
     night: bool = False
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """A look such as `plain`, or `night,fog:800`.
-
-        Raises:
-            ModsimError: A word is none of `shaded`, `plain`, `night` and `fog:M`, or they contradict each other.
-        """
+        """A look such as `plain`, or `night,fog:800`. Raises ModsimError for a word that is none of `shaded`, `plain`,
+        `night` and `fog:M`, and for words that contradict each other."""
         words = [word.strip() for word in text.split(",")]
         fogs = [word.removeprefix("fog:") for word in words if word.startswith("fog:")]
         try:
@@ -75,39 +56,23 @@ class Look:
 
     def style(self) -> RenderStyle:
         """The style of a scene that looks so.
-
-        Raises:
-            ModsimError: The visibility is no distance, or weather is asked for in a plain picture.
-        """
+        Raises ModsimError if the visibility is no distance, or weather is asked for in a plain picture."""
         return RenderStyle(self.shaded is not False, self.visibility_m, self.night)
 
 
 @dataclass(frozen=True)
 class PictureRequest:
-    """Content of a picture or of each picture of a film.
+    """Content of a picture or of each picture of a film."""
 
-    Attributes:
-        kind: One of `KINDS`, or `all` for detections, scene and IDs side by side.
-        layers: Names of layers to draw over the image; those of the kind if None.
-        crop: Part of the image: x_min,y_min,x_max,y_max in pixels, or `vessels`; all of it if None.
-        width: Width of the picture in pixels; the usual one if None.
-        look: How scenes look.
-        with_tracks: Whether tracks of a tracker are drawn.
-    """
-
-    kind: str = "detections"
-    layers: Sequence[str] | None = None
-    crop: str | None = None
-    width: int | None = None
+    kind: str = "detections"  # one of `KINDS`, or `all` for detections, scene and IDs side by side
+    layers: Sequence[str] | None = None  # names of layers to draw over the image; those of the kind if None
+    crop: str | None = None  # x_min,y_min,x_max,y_max in pixels, or `vessels`; all of the image if None
+    width: int | None = None  # in pixels; the usual one if None
     look: Look = field(default_factory=Look)
-    with_tracks: bool = False
+    with_tracks: bool = False  # whether tracks of a tracker are drawn
 
     def __post_init__(self) -> None:
-        """Check what can be checked without a run.
-
-        Raises:
-            ModsimError: Parts of the request do not go together, or there is no such layer.
-        """
+        """Raise ModsimError if parts of the request do not go together, or if there is no such layer."""
         if self.with_tracks and self.kind not in WITH_TRACKS:
             raise ModsimError(f"--tracks works with --kind detections and all, not with {self.kind}")
         if self.look != Look() and self.kind not in WITH_LOOK:
@@ -121,38 +86,38 @@ class PictureRequest:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Some of `KINDS`, shown side by side."""
-        return ALL if self.kind == "all" else tuple(kind for kind in KINDS if kind == self.kind)
+        return film_plan.ALL if self.kind == "all" else tuple(kind for kind in film_plan.KINDS if kind == self.kind)
 
-    def plan(self, selection: Selection, tracks: FollowedTracks | None = None) -> FilmPlan:
+    def plan(self, selection: Selection, tracks: FollowedTracks | None = None) -> film_plan.FilmPlan:
         """Plan of the pictures of some frames of a run.
-
-        Raises:
-            ModsimError: A part of the image is not in it, or a library that this needs is not there.
-        """
+        Raises ModsimError if a part of the image is not in it, or a library that this needs is not there."""
         style, boxes_on_scene = self._style()
         if self.kind == "map":
             check_matplotlib()
         crops: tuple[Box, ...] = ()
-        if self.crop is not None:
-            crops = crop_to_vessels(selection) if self.crop == "vessels" else parse_crop(selection, self.crop)
+        if self.crop == "vessels":
+            crops = film_plan.crop_to_vessels(selection)
+        elif self.crop is not None:
+            crops = film_plan.parse_crop(selection, self.crop)
         kinds = {*self.kinds}
         several = self.kind != "map" and (len(kinds) > 1 or len(selection.cameras) > 1)
-        return FilmPlan(
+        return film_plan.FilmPlan(
             self.kinds,
             selection.cameras,
-            self.width or (SEVERAL_WIDTH_PX if several else WIDTH_PX),
+            self.width or (film_plan.SEVERAL_WIDTH_PX if several else film_plan.WIDTH_PX),
             None if self.layers is None else Layers.of(self.layers),
             crops,
             style,
             boxes_on_scene,
             selection.run.steps,
-            mistakes=mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
+            mistakes=film_plan.mistakes_in(selection) if "detections" in kinds else NOTHING_WRONG,
             tracks=tracks,
-            vessels=vessels_in(selection, crops) if kinds & {"scene", "ids", "corners"} else (),
+            vessels=film_plan.vessels_in(selection, crops) if kinds & {"scene", "ids", "corners"} else (),
         )
 
     def _style(self) -> tuple[RenderStyle, bool]:
-        """How scenes look, and whether boxes are drawn on such pictures too."""
+        """Style of scenes, and whether boxes are drawn on such pictures too."""
+
         style = self.look.style()
         boxes_on_scene = self.look.shaded is True or self.look.weather
         # Unless shaded pictures are asked for, boxes stay on the plain style, in which they are seen best.

@@ -19,21 +19,16 @@ from modsim3d.view.pages.tables import scrolling
 WIDTH = 1100.0
 LEFT, RIGHT, TOP, BOTTOM = 56.0, 20.0, 8.0, 30.0
 MARGIN = 0.05
-MIN_ASPECT, MAX_ASPECT = 0.45, 0.75
-"""Height of the map over its width."""
-NOT_FAR = 0.2
-"""A position that was removed as a jump enlarges the map by at most this share of it; others are on its edge."""
+MIN_ASPECT, MAX_ASPECT = 0.45, 0.75  # height of the map over its width
+NOT_FAR = 0.2  # a position removed as a jump enlarges the map by at most this share of it; others are on its edge
 MIN_EXTENT_M = 200.0
 MAX_POINTS, MAX_OF_A_VESSEL = 60_000, 400
 MAX_NAMES = 40
-LETTER_PX, LINE_PX = 6.2, 12.0
-"""Width of a letter of a name, roughly, and the height of its line."""
+LETTER_PX, LINE_PX = 6.2, 12.0  # width of a letter of a name, roughly, and the height of its line
 MAX_LANES = 60
 KILOMETRES_FROM_M = 10_000.0
-CROWD = 100
-"""Of more vessels the triangles are half as large, and reports are left out."""
-LANE_PX, LANE_LEFT, MAX_LETTERS = 16.0, 190.0, 26
-"""Of the chart of presence: height of a lane, its left end, and letters of a name."""
+CROWD = 100  # of more vessels the triangles are half as large, and reports are left out
+LANE_PX, LANE_LEFT, MAX_LETTERS = 16.0, 190.0, 26  # of the chart of presence; letters of a name
 
 
 def vessel_name(vessel: VesselTrack) -> str:
@@ -85,46 +80,33 @@ def traffic_map(traffic: AisTraffic) -> Figure:
     camera_m = np.array([traffic.camera.position_m[:2]])
     jumps_m = np.concatenate([vessel.jumps_m for vessel in traffic.vessels])
     shown_m = np.concatenate([*(vessel.places_m for vessel in traffic.vessels), camera_m])
-    area = _MapArea.around(np.concatenate([shown_m, _not_far(jumps_m, shown_m)]))
+    low, high = shown_m.min(axis=0), shown_m.max(axis=0)
+    reach = NOT_FAR * (high - low).max()
+    near_m = jumps_m[((jumps_m >= low - reach) & (jumps_m <= high + reach)).all(axis=1)]
+    area = _MapArea.around(np.concatenate([shown_m, near_m]))
     crowded = len(traffic.vessels) > CROWD
     most = max(2, min(MAX_OF_A_VESSEL, MAX_POINTS // len(traffic.vessels)))
-    parts = [_grid(area), _region(traffic, area), _camera(traffic, area)]
-    parts += [
+    tracks = [
         _vessel(vessel, area, most, colour_of(index), crowded=crowded) for index, vessel in enumerate(traffic.vessels)
     ]
-    parts.append(_crosses(area, jumps_m))
-    parts.append(_names(traffic, area))
-    outside = not area.holds(jumps_m).all()
+    parts = [_grid(area), _region(traffic, area), _camera(traffic, area), *tracks]
+    parts += [_crosses(area, jumps_m), _names(traffic, area)]
+    any_absent = any((np.diff(vessel.steps) > 1).any() for vessel in traffic.vessels)
+    any_longer = any(len(vessel.steps) > most for vessel in traffic.vessels)
     caption = [
         "w1 points east, w2 north. Lines are the tracks of the hulls' centres",
         "" if crowded else ", dots the reports that they were made from",
-        ". Dashes join reports between which a vessel is absent" if _any_absent(traffic) else "",
+        ". Dashes join reports between which a vessel is absent" if any_absent else "",
         ". Crosses are positions that were removed as jumps" if len(jumps_m) else "",
-        "; those on the edge lie outside the map" if outside else "",
+        "" if area.holds(jumps_m).all() else "; those on the edge lie outside the map",
         ". A triangle is where a vessel is last, and points ahead. The wedge is what the scene's camera sees. "
         "AIS does not say where land is.",
         " The dashed frame is the region, where it is on the map." if traffic.options.region else "",
-        f" Of long tracks at most {most} points are drawn." if _any_longer(traffic, most) else "",
+        f" Of long tracks at most {most} points are drawn." if any_longer else "",
         f" The {MAX_NAMES} longest vessels have names." if len(traffic.vessels) > MAX_NAMES else "",
     ]
     content = "\n".join(part for part in parts if part)
     return _wide(round(area.height, 1), "map of the traffic", content, "".join(caption))
-
-
-def _not_far(places_m: Array, others_m: Array) -> Array:
-    """Places that hardly enlarge the box around others, shape (k, 2)."""
-    low, high = others_m.min(axis=0), others_m.max(axis=0)
-    reach = NOT_FAR * (high - low).max()
-    near: Array = places_m[((places_m >= low - reach) & (places_m <= high + reach)).all(axis=1)]
-    return near
-
-
-def _any_absent(traffic: AisTraffic) -> bool:
-    return any((np.diff(vessel.steps) > 1).any() for vessel in traffic.vessels)
-
-
-def _any_longer(traffic: AisTraffic, most: int) -> bool:
-    return any(len(vessel.steps) > most for vessel in traffic.vessels)
 
 
 def _wide(height: float, label: str, content: str, caption: str) -> Figure:
@@ -137,7 +119,6 @@ def _grid(area: _MapArea) -> str:
     unit, unit_m = ("km", 1000) if area.east_m - area.west_m > KILOMETRES_FROM_M else ("m", 1)
     clip = f'x="{LEFT}" y="{TOP}" width="{right - LEFT:.1f}" height="{bottom - TOP:.1f}"'
     lines = [f'<clipPath id="map"><rect {clip}/></clipPath><rect {clip} fill="none" stroke="var(--line)"/>']
-
     for metres in nice_ticks(area.west_m, area.east_m, 8):
         x = float(area.place(np.array([[metres, area.south_m]]))[0, 0])
         lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom:.1f}" stroke="var(--line)"/>')
@@ -151,7 +132,6 @@ def _grid(area: _MapArea) -> str:
 
 
 def _region(traffic: AisTraffic, area: _MapArea) -> str:
-    """The edge of the region that was asked for."""
     region = traffic.options.region
     if region is None:
         return ""
@@ -183,8 +163,7 @@ def _vessel(vessel: VesselTrack, area: _MapArea, most: int, colour: str, *, crow
     """Its track, without a line where it is absent; what joins it there; and its reports."""
     pieces = np.split(np.arange(len(vessel.steps)), np.flatnonzero(np.diff(vessel.steps) > 1) + 1)
     every = max(1, -(-len(vessel.steps) // most))
-    lines, joins = "", ""
-    last = None
+    lines, joins, last = "", "", None
     for piece in pieces:
         kept = np.unique(np.append(piece[::every], piece[-1]))
         points = [f"{x:.1f},{y:.1f}" for x, y in area.place(vessel.places_m[kept]).tolist()]
@@ -224,8 +203,7 @@ def _names(traffic: AisTraffic, area: _MapArea) -> str:
     ends = area.place(np.concatenate([vessel.places_m[-1:] for vessel in traffic.vessels])).tolist()
     taken = [(x - 9, y + 4, 18.0) for x, y in ends]
     texts = []
-    longest = sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MAX_NAMES]
-    for vessel in longest:
+    for vessel in sorted(traffic.vessels, key=lambda vessel: (-vessel.hull.length_m, vessel.mmsi))[:MAX_NAMES]:
         name = vessel_name(vessel)
         ((x, y),) = area.place(vessel.places_m[-1:]).tolist()
         wide = LETTER_PX * len(name)

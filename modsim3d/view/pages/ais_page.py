@@ -20,22 +20,12 @@ from modsim3d.view.pages.provenance import Provenance, file_input
 
 MAX_ROWS = 200
 NOT_SHIPS = "not_a_ship"
-GUESSED = {
-    "type": "type",
-    "length": "length",
-    "beam": "beam",
-    "antenna": "place of the antenna",
-    "air_draft": "air draft",
-}
+GUESSED = {"antenna": "place of the antenna", "air_draft": "air draft"}  # the others by their own names
 
 
 def ais_page(traffic: AisTraffic, command: str | None = None) -> str:
-    """The page as HTML; the same traffic from the same files gives the same page.
-
-    Args:
-        traffic: What became of the reports.
-        command: What the page says it was made by; the call from Python if None.
-    """
+    """The page as HTML, which says that `command` made it, or the call from Python if None; the same traffic from the
+    same files gives the same page."""
     rests_on = Provenance(
         page="traffic from AIS",
         made_by=command or "modsim3d.view.pages.ais_page.ais_page from Python",
@@ -43,18 +33,10 @@ def ais_page(traffic: AisTraffic, command: str | None = None) -> str:
             file_input("AIS log", tally.path, f"{tally.format}, {counted(tally.messages, 'message')}")
             for tally in traffic.files
         ),
-        options=tuple((option, why) for option, why in _options(traffic)),
+        options=tuple(_options(traffic)),
     )
-    blocks = [
-        traffic_map(traffic),
-        *_vessels(traffic),
-        *_left_out(traffic),
-        *_messages(traffic),
-        *_jumps(traffic),
-        *_times(traffic),
-        *_values(traffic),
-        *_how(traffic),
-    ]
+    blocks = [traffic_map(traffic), *_vessels(traffic), *_left_out(traffic), *_messages(traffic), *_jumps(traffic)]
+    blocks += [*_times(traffic), *_values(traffic), *_how(traffic)]
     return document_page(Document("Traffic from AIS", _result(traffic), blocks), rests_on)
 
 
@@ -63,7 +45,8 @@ def _result(traffic: AisTraffic) -> list[Text]:
     span = f"from {_time(grid.start_s)} to {_time(grid.end_s)}"
     steps = f"{counted(len(grid.timestamps), 'step')}, one every {traffic.options.time_step_s:g} s"
     lead = f"{kept:,} of {counted(kept + len(_lost(traffic)), 'vessel')} in the scene, {span}: {steps}."
-    jumps, guessed = sum(vessel.jumps for vessel in traffic.vessels), _guessed(traffic)
+    jumps = sum(vessel.jumps for vessel in traffic.vessels)
+    guessed = sum(bool({"length", "beam"} & set(vessel.hull.defaults)) for vessel in traffic.vessels)
     used = f"{messages_used(traffic):,} of {counted(messages_read(traffic), 'message')} used as positions"
     removed = f"{counted(jumps, 'position')} removed as {'a jump' if jumps == 1 else 'jumps'}"
     sizes = f"length or beam guessed for {counted(guessed, 'vessel')}"
@@ -77,10 +60,6 @@ def _result(traffic: AisTraffic) -> list[Text]:
     ]
 
 
-def _guessed(traffic: AisTraffic) -> int:
-    return sum(bool({"length", "beam"} & set(vessel.hull.defaults)) for vessel in traffic.vessels)
-
-
 def _lost(traffic: AisTraffic) -> dict[int, str]:
     """Vessels that are not in the scene, and why."""
     gap = f"at no step: no two reports around one are at most {traffic.options.max_gap_s:g} s apart"
@@ -88,12 +67,9 @@ def _lost(traffic: AisTraffic) -> dict[int, str]:
     for mmsi, reasons in traffic.left_out.items():
         if set(reasons) != {NOT_SHIPS}:
             several = sorted(reasons.items(), key=lambda entry: (-entry[1], entry[0]))
-            lost[mmsi] = "; ".join(f"{_reason(name, traffic)} ({count:,})" for name, count in several)
+            reached = {name: REASONS[name].format(max_speed_kn=traffic.options.max_speed_kn) for name in reasons}
+            lost[mmsi] = "; ".join(f"{reached[name]} ({count:,})" for name, count in several)
     return lost
-
-
-def _reason(name: str, traffic: AisTraffic) -> str:
-    return REASONS[name].format(max_speed_kn=traffic.options.max_speed_kn)
 
 
 def _vessels(traffic: AisTraffic) -> list[Block]:
@@ -109,7 +85,7 @@ def _vessels(traffic: AisTraffic) -> list[Block]:
             _shown(traffic.options.label(vessel.hull.group)),
             *(f"{value:g}" for value in (vessel.hull.length_m, vessel.hull.beam_m, vessel.hull.air_draft_m)),
             _offset(vessel),
-            ", ".join(GUESSED[name] for name in vessel.hull.defaults),
+            ", ".join(GUESSED.get(name, name) for name in vessel.hull.defaults),
         )
         for vessel in traffic.vessels
     ]
@@ -139,9 +115,8 @@ def _left_out(traffic: AisTraffic) -> list[Block]:
     why = Counter(lost.values())
     if len(lost) > MAX_ROWS:  # too many to name: a log of a day, cut to a region
         groups = Counter(reason.rpartition(" (")[0] or reason for reason in lost.values())
-        rows = [
-            (reason, f"{count:,}") for reason, count in sorted(groups.items(), key=lambda item: (-item[1], item[0]))
-        ]
+        by_count = sorted(groups.items(), key=lambda item: (-item[1], item[0]))
+        rows = [(reason, f"{count:,}") for reason, count in by_count]
         return [*parts, *_limited(rows, ("reason, of its positions", "vessels")), Text(also.strip())]
     rows = [(str(mmsi), reason) for mmsi, reason in sorted(lost.items(), key=lambda item: (-why[item[1]], item))]
     return [*parts, *_limited(rows, ("MMSI", "why, with the number of its positions")), Text(also.strip())]
@@ -155,10 +130,10 @@ def _messages(traffic: AisTraffic) -> list[Block]:
         ("read", f"{read:,}", ""),
         ("used as positions", f"{used:,}", percent_of(used, read)),
         ("with names and dimensions only", f"{particulars:,}", percent_of(particulars, read)),
-    ]
-    rows += [
-        (f"dropped: {meaning}", f"{int(count):,}", percent_of(int(count), read))
-        for _, count, meaning in tables["messages dropped"]
+        *(
+            (f"dropped: {meaning}", f"{int(count):,}", percent_of(int(count), read))
+            for _, count, meaning in tables["messages dropped"]
+        ),
     ]
     parts: list[Block] = [Heading("Messages"), Table("", ("messages", "number", "share"), rows)]
     for tally in traffic.files:
@@ -228,27 +203,22 @@ def _time_row(vessel: VesselTrack, traffic: AisTraffic) -> tuple[str, ...]:
 def _values(traffic: AisTraffic) -> list[Block]:
     tables = dict(summary_rows(traffic))
     parts: list[Block] = [Heading("Values replaced and guessed")]
-    for title, header, nothing in (
-        (
-            "values replaced, in messages",
-            ("missing in a message: what stands for it", "messages"),
-            "No value was missing in a message that was used.",
-        ),
-        ("defaults, in vessels", ("missing of a vessel: what stands for it", "vessels"), "Nothing was guessed."),
+    nothing = "No value was missing in a message that was used."
+    for title, missing, unit, none in (
+        ("values replaced, in messages", "in a message", "messages", nothing),
+        ("defaults, in vessels", "of a vessel", "vessels", "Nothing was guessed."),
     ):
         rows = [(f"{meaning[:1].upper()}{meaning[1:]}", f"{int(count):,}") for _, count, meaning in tables[title]]
-        parts += [Table("", header, rows), Text("" if rows else nothing)]
+        parts += [Table("", (f"missing {missing}: what stands for it", unit), rows), Text("" if rows else none)]
     return parts
 
 
 def _how(traffic: AisTraffic) -> list[Block]:
-    return [
-        Heading("From latitude and longitude to metres"),
-        Text(
-            "The sea is flat: latitude and longitude became metres east (w1) and north (w2) of the origin on the plane "
-            f"that touches the Earth there. The farthest position is {_farthest(traffic).partition(',')[0]}.",
-        ),
-    ]
+    said = (
+        "The sea is flat: latitude and longitude became metres east (w1) and north (w2) of the origin on the plane "
+        f"that touches the Earth there. The farthest position is {_farthest(traffic).partition(',')[0]}."
+    )
+    return [Heading("From latitude and longitude to metres"), Text(said)]
 
 
 def _options(traffic: AisTraffic) -> list[tuple[str, str]]:

@@ -1,8 +1,6 @@
 """Charts as SVG inside a page, for what `modsim3d check run` and `modsim3d learn` write.
-
 matplotlib does not draw them: it is an extra, and pages must do without it. Lines and text take the colours of the
-page, light or dark, from its CSS variables.
-"""
+page, light or dark, from its CSS variables."""
 
 from __future__ import annotations
 
@@ -20,13 +18,10 @@ from modsim3d.view.pages.tables import FILL, scrolling
 COLOURS = (FILL, "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999933", "#882255")
 """Colours that colour-blind people can tell apart: Okabe & Ito (2008), and two of Tol (2021)."""
 MAX_DOTS, MAX_POINTS = 1500, 800
-CHI_SQUARE_95 = 5.991
-"""The 95 % point of chi-square with two degrees of freedom."""
+CHI_SQUARE_95 = 5.991  # the 95 % point of chi-square with two degrees of freedom
 _MARGIN = (44.0, 12.0, 14.0, 34.0)  # left, right, top, bottom
-_HALO = 'stroke="var(--paper)" stroke-width="3" paint-order="stroke"'
-"""Around text that lies on lines."""
-_LINE_PX = 14
-"""Height of a line of the key."""
+_HALO = 'stroke="var(--paper)" stroke-width="3" paint-order="stroke"'  # around text that lies on lines
+_LINE_PX = 14  # height of a line of the key
 
 
 def colour_of(index: int) -> str:
@@ -49,9 +44,7 @@ FOUND, ASKED = colour_of(0), colour_of(1)
 @dataclass(frozen=True)
 class Axes:
     """The frame of a chart: ranges of the data, and the size of the whole drawing with its margins in pixels.
-
-    `x_ticks` are places with their texts below the chart; without them there are round numbers.
-    """
+    `x_ticks` are places with their texts below the chart; without them there are round numbers."""
 
     x: tuple[float, float]
     y: tuple[float, float]
@@ -141,10 +134,8 @@ def line(axes: Axes, x: Array, y: Array, colour: str, dashed: bool = False, widt
 
 
 def ellipse(mean: Array, covariance: Array, deviations: float = 2.0) -> tuple[Array, Array]:
-    """The outline of a normal distribution at some standard deviations from its mean: x and y, shape (73,) each.
-
-    The mean has the shape (2,), the covariance (2, 2).
-    """
+    """The outline of a normal distribution at some standard deviations from its mean, shape (2,), by its covariance,
+    shape (2, 2): x and y, shape (73,) each."""
     angles = np.linspace(0, 2 * np.pi, 73)
     values, vectors = np.linalg.eigh(covariance)
     axes = vectors * np.sqrt(np.maximum(values, 0)) * deviations
@@ -173,10 +164,8 @@ def whiskers(axes: Axes, x: Array, low: Array, high: Array, colour: str) -> str:
 
 
 def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence[str], unit: str = "s") -> str:
-    """A chart of stretches of time in a state, with a lane for each state.
-
-    The stretches ascend. Each has a start, a stop and the index of its state, shape (n,) each.
-    """
+    """A chart of ascending stretches of time in a state, with a lane for each state.
+    Each has a start, a stop and the index of its state, shape (n,) each."""
     lane, left, width = 22.0, 90.0, 900.0
     colours = state_colours(len(names))
     span = max(float(stops[-1]) - float(starts[0]), 1e-9) if len(starts) else 1.0
@@ -205,11 +194,10 @@ def timeline(starts: Array, stops: Array, states: Sequence[int], names: Sequence
 def key(names: Sequence[str], bottom: float, colours: Sequence[str] = ()) -> str:
     """Names with the colours of their series, or those given, one below the other, above a row of the drawing."""
     x, parts = _MARGIN[0] + 8, []
-    colours = colours or [colour_of(index) for index in range(len(names))]
     for index, name in enumerate(names):
-        y = bottom - _LINE_PX * (len(names) - 1 - index)
+        y, colour = bottom - _LINE_PX * (len(names) - 1 - index), colours[index] if colours else colour_of(index)
         parts.append(
-            f'<rect x="{x:g}" y="{y - 7:g}" width="12" height="4" fill="{colours[index]}"/>'
+            f'<rect x="{x:g}" y="{y - 7:g}" width="12" height="4" fill="{colour}"/>'
             f'<text x="{x + 18:g}" y="{y - 1:g}">{html.escape(name)}</text>'
         )
     return "".join(parts)
@@ -233,10 +221,8 @@ def _along(recall: Array, precision: Array) -> Indices:
 
 
 def error_scatter(groups: Mapping[str, Array], colours: Sequence[str], x_label: str, y_label: str) -> str:
-    """A chart of pairs of errors, shape (n, 2) for each name, with ellipses that hold 95 % of normal ones like them.
-
-    Each name has a colour. The labels of the axes name the first and the second error of a pair, each with its unit.
-    """
+    """A chart of pairs of errors, shape (n, 2) for each name with its colour, with ellipses that hold 95 % of normal
+    ones like them. The labels of the axes name the first and the second error of a pair, each with its unit."""
     deviations = CHI_SQUARE_95**0.5
     rims = {name: ellipse(e.mean(axis=0), np.cov(e.T), deviations) for name, e in groups.items() if len(e) > 2}
     widest = max((float(np.abs(rim).max()) for rim in rims.values()), default=0.0)
@@ -277,10 +263,8 @@ SHAPES = (
     "m-4 -1.4h2.6v-2.6h2.8v2.6h2.6v2.8h-2.6v2.6h-2.8v-2.6h-2.6z",  # plus
 )
 """Paths of the shapes that mark the series, around the pen's place; in turn where there are more series."""
-_LETTER_PX = 6.3
-"""Mean width of a letter of a chart."""
-_LONGEST = 34
-"""Letters of a name at the left of a chart; longer ones are cut."""
+_LETTER_PX = 6.3  # mean width of a letter of a chart
+_LONGEST = 34  # letters of a name at the left of a chart; longer ones are cut
 
 
 def marks(axes: Axes, x: Array, y: Array, series: int, opacity: float = 1.0) -> str:
@@ -311,19 +295,12 @@ def legend(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class ChartInterval:
-    """A mean with its interval; the ends are NaN where there is none.
-
-    Attributes:
-        mean: The mean.
-        low: The lower end.
-        high: The upper end.
-        series: Number of the series, from 0, that it is of.
-    """
+    """A mean with its interval; the ends are NaN where there is none."""
 
     mean: float
     low: float
     high: float
-    series: int = 0
+    series: int = 0  # number of the series that it is of
 
 
 def span_of(values: Sequence[float], pad: float = 0.08) -> tuple[float, float]:
@@ -339,21 +316,14 @@ def span_of(values: Sequence[float], pad: float = 0.08) -> tuple[float, float]:
 def forest(
     rows: Sequence[tuple[str, Sequence[ChartInterval]]], title: str, x_label: str, thresholds: Sequence[float] = ()
 ) -> str:
-    """Intervals beside their names, one below the other on one axis, with dashed lines at thresholds.
-
-    Args:
-        rows: A name and its intervals.
-        title: Stands above.
-        x_label: Name and unit of the axis.
-        thresholds: Places of the dashed lines.
-    """
+    """Named intervals, one below the other on one axis, with dashed lines at thresholds; `x_label` has the unit."""
     values = [value for _, found in rows for each in found for value in (each.mean, each.low, each.high)]
     low, high = span_of([*values, *thresholds])
     left = 14 + _LETTER_PX * min(_LONGEST, max((len(name) for name, _ in rows), default=1))
     width, lane = max(430.0, left + 280), 15.0
     scale = (width - left - 14) / (high - low)
-    parts, y = [f'<text x="4" y="11" font-weight="600">{html.escape(title)}</text>'], 22.0
-    top = y
+    top = y = 22.0
+    parts = [f'<text x="4" y="11" font-weight="600">{html.escape(title)}</text>']
     for name, found in rows:
         height = lane * max(len(found), 1) + 6
         parts.append(f'<line x1="4" x2="{width - 10:g}" y1="{y:g}" y2="{y:g}" stroke="var(--line)"/>')
@@ -362,27 +332,16 @@ def forest(
             parts.append(_lying(each, y + 3 + lane * (place + 0.5), lambda value: left + (value - low) * scale))
         y += height
     parts += [_dashed(left + (value - low) * scale, top, y) for value in thresholds]
-    parts += [
-        f'<text x="{left + (value - low) * scale:.1f}" y="{y + 14:g}" text-anchor="middle" fill="var(--soft)">'
-        f"{value:g}</text>"
-        for value in nice_ticks(low, high)
-    ]
-    parts.append(
-        f'<text x="{width - 10:g}" y="{y + 29:g}" text-anchor="end" fill="var(--soft)">{html.escape(x_label)}</text>'
-    )
+    texts = [(f"{left + (value - low) * scale:.1f}", y + 14, "middle", f"{value:g}") for value in nice_ticks(low, high)]
+    for x, row, anchor, text in [*texts, (f"{width - 10:g}", y + 29, "end", html.escape(x_label))]:
+        parts.append(f'<text x="{x}" y="{row:g}" text-anchor="{anchor}" fill="var(--soft)">{text}</text>')
     return svg(width, y + 34, title, "\n".join(parts))
 
 
 def strip(interval: ChartInterval, threshold: float, least: bool | None, span: tuple[float, float], label: str) -> str:
-    """One interval against a threshold, small enough for a cell of a table; what is right is shaded.
-
-    Args:
-        interval: The interval.
-        threshold: The dashed line.
-        least: Whether values at the threshold and above are right, or else those below; None: neither.
-        span: The ends of the axis; intervals in one column share them.
-        label: For those who cannot see it.
-    """
+    """One interval against a threshold, small enough for a cell of a table; what is right is shaded: values at the
+    threshold and above if `least`, those below if not, neither if None. Intervals in one column share `span`, the ends
+    of the axis. The label is for those who cannot see it."""
     width, height = 190.0, 24.0
     scale = (width - 12) / (span[1] - span[0])
 
@@ -402,7 +361,6 @@ def strip(interval: ChartInterval, threshold: float, least: bool | None, span: t
 
 
 def _lying(each: ChartInterval, y: float, place: Callable[[float], float]) -> str:
-    """A mean and its interval on a line."""
     parts = ""
     if np.isfinite(each.low) and np.isfinite(each.high):
         a, b = place(each.low), place(each.high)

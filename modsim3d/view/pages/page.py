@@ -11,20 +11,7 @@ from typing import Any
 
 from PIL.Image import Image
 
-from modsim3d.core.document import (
-    Beside,
-    Block,
-    Document,
-    Figure,
-    Fold,
-    Heading,
-    Items,
-    Table,
-    Text,
-    Tiles,
-    Where,
-    shown,
-)
+from modsim3d.core import document as doc
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view.pages.provenance import PROVENANCE_STYLE, Provenance, provenance, top_line
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
@@ -69,12 +56,7 @@ def mark_of(content: str) -> str:
 
 
 def sheet_style(title: str, mark: str) -> str:
-    """Style of the sheets: what stands at the foot of each.
-
-    Args:
-        title: Stands on the left.
-        mark: What all sheets of one page have in common; in the middle.
-    """
+    """Style of the sheets: at the foot of each stand the title, on the left, and the mark that all have in common."""
     font = "font: 8pt system-ui, sans-serif; color: #56606a;"
     return (
         f"@page {{ size: A4; margin: 15mm 15mm 18mm; "
@@ -132,39 +114,40 @@ def page(title: str, body: Iterable[str], rests_on: Provenance) -> str:
     )
 
 
-def document_page(document: Document, rests_on: Provenance) -> str:
+def document_page(document: doc.Document, rests_on: Provenance) -> str:
     """A whole page of a document."""
-    return page(document.title, map(html_of, shown([*document.lead, *document.blocks], Where.PAGE)), rests_on)
+    blocks = doc.shown([*document.lead, *document.blocks], doc.Where.PAGE)
+    return page(document.title, map(html_of, blocks), rests_on)
 
 
-def html_of(block: Block) -> str:
+def html_of(block: doc.Block) -> str:
     """A block as HTML."""
     match block:
-        case Heading():
+        case doc.Heading():
             mark = ' class="bad"' if block.bad else ""
             return f"<h{block.level}{mark}>{html.escape(block.text)}</h{block.level}>"
-        case Text(style="code"):
+        case doc.Text(style="code"):
             return f"<p><code>{html.escape(block.text)}</code></p>"
-        case Text():
+        case doc.Text():
             mark = f' class="{block.style}"' if block.style else ""
             return f"<p{mark}>{html.escape(block.text)}</p>"
-        case Items():
+        case doc.Items():
             return "<ul>\n" + "\n".join(f"<li>{html.escape(text)}</li>" for text in block.texts) + "\n</ul>"
-        case Tiles():
+        case doc.Tiles():
             return tiles(block.results)
-        case Figure():
+        case doc.Figure():
             caption = f"<figcaption>{html.escape(block.caption)}</figcaption>\n" if block.caption else ""
             return f"<figure>\n{block.draw()}\n{caption}</figure>"
-        case Fold():
+        case doc.Fold():
             return folded(block.title, "\n".join(map(html_of, block.blocks)), block.opened)
-        case Beside():
+        case doc.Beside():
             inner = "\n".join(f"<div>{html_of(each)}</div>" for each in block.blocks)
             return f'<div class="beside">\n{inner}\n</div>'
-        case Table():
+        case doc.Table():
             return _table_html(block)
 
 
-def _table_html(block: Table) -> str:
+def _table_html(block: doc.Table) -> str:
     title = f"<h3>{html.escape(block.title)}</h3>\n" if block.title else ""
     title += f'<p class="soft">{html.escape(block.about)}</p>\n' if block.about else ""
     if not block.header and all(len(row) == 2 for row in block.rows):

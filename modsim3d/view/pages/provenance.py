@@ -19,56 +19,32 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.pages.tables import breaking
 
 ANCHOR = "rests-on"
-_SHORT = 12
-"""Digits of a checksum in the line at the top; the block at the end has all."""
+_SHORT = 12  # digits of a checksum in the line at the top; the block at the end has all
 _NAMES = {"numpy": "NumPy", "scipy": "SciPy", "shapely": "Shapely", "pyarrow": "PyArrow"}
 SIGNED = ("Name", "Date", "Signature")
 
 
 @dataclass(frozen=True)
 class Input:
-    """Something that a page was made from.
+    """Something that a page was made from."""
 
-    Attributes:
-        what: What it is, such as `detector file`.
-        path: Where it is, as the user gave it; a name if it was no file.
-        sha256: Its checksum in hexadecimal digits; None if it has none, as what was given in memory.
-        note: What else must be known of it.
-        bad: Whether the note says that something is wrong.
-    """
-
-    what: str
-    path: str
-    sha256: str | None
-    note: str = ""
-    bad: bool = False
+    what: str  # such as `detector file`
+    path: str  # as the user gave it; a name if it was no file
+    sha256: str | None  # in hexadecimal digits; None if it has none, as what was given in memory
+    note: str = ""  # what else must be known of it
+    bad: bool = False  # whether the note says that something is wrong
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Provenance of a page. It has no times and no names of machines, so the same input gives the same bytes.
+    """Provenance of a page. It has no times and no names of machines, so the same input gives the same bytes."""
 
-    Attributes:
-        page: What kind of page it is.
-        made_by: The command in its normal form, or the call from Python.
-        inputs: What it was made from, the most important first.
-        seeds: Each seed with its name.
-        options: What else decides the content, each with its name.
-        made_before: How the inputs were made: a name, such as `The run`, and by which versions.
-    """
-
-    page: str
-    made_by: str
-    inputs: tuple[Input, ...]
-    seeds: tuple[tuple[str, str], ...] = ()
-    options: tuple[tuple[str, str], ...] = ()
-    made_before: tuple[tuple[str, str], ...] = ()
-
-    def in_short(self) -> str:
-        """The first inputs, the seeds and the version, in a line."""
-        first = [f"{Path(each.path).name} ({each.sha256[:_SHORT]})" for each in self.inputs[:2] if each.sha256]
-        seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in self.seeds)}"] if self.seeds else []
-        return " · ".join([*first, *seeds, f"modsim3d {version('modsim3d')}"])
+    page: str  # what kind of page it is
+    made_by: str  # the command in its normal form, or the call from Python
+    inputs: tuple[Input, ...]  # what it was made from, the most important first
+    seeds: tuple[tuple[str, str], ...] = ()  # each with its name
+    options: tuple[tuple[str, str], ...] = ()  # what else decides the content, each with its name
+    made_before: tuple[tuple[str, str], ...] = ()  # a name, such as `The run`, and by which versions it was made
 
 
 def installed() -> dict[str, str]:
@@ -82,16 +58,11 @@ def versions_in_words(versions: Mapping[str, str]) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """The checksum of a file, as `sha256sum` prints it.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+    """The checksum of a file, as `sha256sum` prints it. Raises InputError if the file cannot be read."""
     try:
         return file_sha256(path)
     except OSError as error:
-        problem = f"cannot be read for its checksum: {error.strerror or error}"
-        raise InputError(str(path), [problem]) from None
+        raise InputError(str(path), [f"cannot be read for its checksum: {error.strerror or error}"]) from None
 
 
 def file_input(what: str, path: Path, note: str = "") -> Input:
@@ -106,15 +77,8 @@ def shown_path(path: Path) -> str:
 
 
 def folder_input(what: str, folder: Path, files: Iterable[Path]) -> Input:
-    """Several files of a folder as one input.
-
-    Their checksum is that of the lines that `sha256sum` prints for them in that folder, sorted by path.
-
-    Args:
-        what: What they are.
-        folder: The folder as it was given.
-        files: Files inside it.
-    """
+    """Several files inside a folder, which is shown as it was given, as one input.
+    Their checksum is that of the lines that `sha256sum` prints for them in that folder, sorted by path."""
     inside = folder.absolute()
     names = sorted({path.absolute().relative_to(inside).as_posix(): path for path in files}.items())
     lines = "".join(f"{sha256_of(path)}  {name}\n" for name, path in names)
@@ -133,19 +97,23 @@ def provenance(found: Provenance) -> str:
         *((name, html.escape(value)) for name, value in found.options),
     ]
     lines = "\n".join(f"<tr><th>{html.escape(name)}</th><td>{text}</td></tr>" for name, text in facts)
+    signed = "".join(f"<div><span>{name}</span></div>" for name in SIGNED)
     return (
         f'<section class="rests-on" id="{ANCHOR}">\n<h2>What this page rests on</h2>\n'
         f'<table class="facts">\n{lines}\n</table>\n{_inputs(found.inputs)}\n'
         '<p class="soft">The same inputs, command and versions give the same bytes. The command is shown without the '
         "options that only say where files go or what is printed.</p>\n"
-        f"{_signature()}</section>"
+        '<div class="signature in-print"><p class="soft">The mark at the foot of each sheet is from the checksum of '
+        f'the page: sheets of one page share it.</p><div class="lines">{signed}</div></div>\n</section>'
     )
 
 
 def top_line(found: Provenance) -> str:
     """The line under a page's title, which leads to the block, and what is wrong with an input."""
-    link = f'<a href="#{ANCHOR}">what this page rests on</a>'
-    line = f'<div class="soft top-line">{html.escape(found.in_short())} · {link}</div>'
+    first = [f"{Path(each.path).name} ({each.sha256[:_SHORT]})" for each in found.inputs[:2] if each.sha256]
+    seeds = [f"seeds: {', '.join(f'{name} {value}' for name, value in found.seeds)}"] if found.seeds else []
+    in_short = html.escape(" · ".join([*first, *seeds, f"modsim3d {version('modsim3d')}"]))
+    line = f'<div class="soft top-line">{in_short} · <a href="#{ANCHOR}">what this page rests on</a></div>'
     wrong = (f'<p class="bad">{html.escape(f"{each.path}: {each.note}")}.</p>' for each in found.inputs if each.bad)
     return "\n".join([line, *wrong])
 
@@ -161,12 +129,6 @@ def _inputs(inputs: Sequence[Input]) -> str:
         )
     head = "<thead><tr><th>input</th><th>path</th><th>SHA-256</th></tr></thead>"
     return "\n".join(['<table class="stack inputs">', head, "<tbody>", *lines, "</tbody>", "</table>"])
-
-
-def _signature() -> str:
-    lines = "".join(f"<div><span>{name}</span></div>" for name in SIGNED)
-    said = "The mark at the foot of each sheet is from the checksum of the page: sheets of one page share it."
-    return f'<div class="signature in-print"><p class="soft">{said}</p><div class="lines">{lines}</div></div>\n'
 
 
 PROVENANCE_STYLE = """
@@ -185,22 +147,13 @@ PROVENANCE_STYLE = """
 
 # ---- A run directory as an input of a page ----
 
-_TABLES = {
-    "truth.parquet": "truth of the run",
-    "frames.parquet": "frames and states of the run",
-    "detections.parquet": "detections of the run",
-}
 CHANGED = "not the file that the run wrote: run.json has another checksum"
 
 
 def run_inputs(run: StoredRun) -> tuple[Input, ...]:
     """Scene, detector, manifest and tables of a run, with the checksums that the files have now.
-
     An interrupted run has its settings and the truth that it has kept in place of the last two.
-
-    Raises:
-        InputError: A file cannot be read.
-    """
+    Raises InputError if a file cannot be read."""
     work = run.folder if run.finished else run.folder / UNFINISHED
     scene_folder, copy = work / SCENE_FOLDER, run.scene.copy
     listing = RUN_FILE if run.finished else SETTINGS_FILE
@@ -215,8 +168,9 @@ def run_inputs(run: StoredRun) -> tuple[Input, ...]:
     if not run.finished:
         kept = folder_input("truth that the run has kept", work, work.glob(KEPT_TRUTH))
         return (*found, file_input("settings of the run", work / SETTINGS_FILE), kept)
-    tables = [_run_file(run, run.folder / name, what) for name, what in _TABLES.items()]
-    return (*found, file_input("manifest of the run", run.folder / RUN_FILE), *tables)
+    tables = {"truth.parquet": "truth", "frames.parquet": "frames and states", "detections.parquet": "detections"}
+    written = [_run_file(run, run.folder / name, f"{what} of the run") for name, what in tables.items()]
+    return (*found, file_input("manifest of the run", run.folder / RUN_FILE), *written)
 
 
 def _run_file(run: StoredRun, path: Path, what: str) -> Input:
@@ -246,12 +200,10 @@ def run_seeds(run: StoredRun) -> tuple[tuple[str, str], ...]:
 def run_versions(run: StoredRun) -> tuple[tuple[str, str], ...]:
     """The versions that made a run, and its renderer."""
     settings = run.settings
-    found = [
-        ("The run was made with", versions_in_words(settings["versions"])),
-        ("The run's renderer", settings["backend"]),
-    ]
+    found = [("The run was made with", versions_in_words(settings["versions"]))]
     if truth := settings.get("truth_versions"):
-        found.insert(1, ("Its truth was made with", versions_in_words(truth)))
+        found.append(("Its truth was made with", versions_in_words(truth)))
+    found.append(("The run's renderer", settings["backend"]))
     if settings.get("plugins"):
         found.append(("Plug-ins", ", ".join(f"{name} of {package}" for name, package in settings["plugins"].items())))
     return tuple(found)

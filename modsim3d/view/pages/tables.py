@@ -10,8 +10,7 @@ from types import MappingProxyType
 from modsim3d.core.document import Cell, Row
 from modsim3d.core.text import is_number, is_numeric
 
-MIN_STACKED, MIN_DENSE = 4, 9
-"""A table of so many columns is shown as a list of rows on a phone, or is printed small."""
+MIN_STACKED, MIN_DENSE = 4, 9  # columns of a table that is shown as a list of rows on a phone, or is printed small
 TABLE_STYLE = """
 td.number, th.number { text-align: right; font-variant-numeric: tabular-nums; }
 .facts th { font-weight: 400; text-align: left; vertical-align: top; }
@@ -30,23 +29,18 @@ td.number { white-space: nowrap; } td.broken { white-space: normal; overflow-wra
 }
 """
 """Style of numbers, and of tables on a phone; it stands behind that of the page."""
-FILL = "#0072b2"
-"""Colour of cells and bars that show a share."""
-_DIGIT, _POINT = "\u2007", "\u2008"
-"""Spaces as wide as a digit and as a point."""
+FILL = "#0072b2"  # of cells and bars that show a share
+_DIGIT, _POINT = "\u2007", "\u2008"  # spaces as wide as a digit and as a point
 _NUMBER = re.compile(
     r"(?<![\w.])(?P<sign>[-−+±]?)(?P<whole>\d[\d,]*|∞)(?P<rest>\.\d+)?(?P<power>e[-−+]?\d+)?(?![.\d]*\d)"
 )
 _INTERVAL = re.compile(r"\[[^\[\]]+, [^\[\]]+\]")
 _WHOLE = re.compile(rf'(?:(?<= )<i class="pad">[^<]*</i>)?{_INTERVAL.pattern}')
 """An interval of HTML with the spaces before it, which align it and not the number."""
-_UNIT = re.compile(r" ?(?:°|%|px|m|s)(?!\S)")
-"""A unit behind a number, which stays with it."""
+_UNIT = re.compile(r" ?(?:°|%|px|m|s)(?!\S)")  # behind a number, which it stays with
 _PADS = re.compile(f"[{_DIGIT}{_POINT}]+")
-_LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")
-"""Words such as keys and checksums, which may be broken."""
-_LONGEST = 28
-"""Letters of a cell that is never broken."""
+_LONG = re.compile(r"(?:[\w./]|\[(?=\w)|&\w+;){16,}")  # words such as keys and checksums, which may be broken
+_LONGEST = 28  # letters of a cell that is never broken
 NO_NOTES: Mapping[int, str] = MappingProxyType({})
 
 
@@ -59,17 +53,8 @@ def table(
     notes: Mapping[int, str] = NO_NOTES,
 ) -> str:
     """A table of rows under a header; columns of numbers are set to the right, with their points below each other.
-
     One of several columns scrolls sideways where it is too wide. A dash for an unknown number stands where the numbers
-    of its column do.
-
-    Args:
-        rows: The cells.
-        header: Names of the columns; without them there is no row above.
-        bad: Rows that stand out.
-        soft: Rows that stand back.
-        notes: What is said below a row, by its number.
-    """
+    of its column do. Rows in `bad` stand out, those in `soft` stand back; `notes` stand below a row, by its number."""
     columns = [[cell.text if isinstance(cell, Cell) else cell for cell in column] for column in zip(*rows, strict=True)]
     named = [*map(bool, header), *[not header] * len(columns)]  # a column without a name has the names of the rows
     right = [named[place] and is_numeric(column) for place, column in enumerate(columns)]
@@ -120,10 +105,8 @@ def scrolling(content: str) -> str:
 
 def aligned(column: Sequence[str]) -> list[str]:
     """The cells of a column with spaces of the width of digits, so that right-aligned points are below each other.
-
     Cells are aligned with those that have the same words between their numbers. A minus sign takes the place of the
-    hyphen before a number.
-    """
+    hyphen before a number."""
     cells = [
         _NUMBER.sub(lambda found: found[0].replace("-", "−"), cell) if is_number(cell) else cell for cell in column
     ]

@@ -14,10 +14,8 @@ from modsim3d.view.palette import INK, WHITE, Colour, ink_on
 
 # ---- The part of a camera's image that a picture shows, and how large ----
 
-Box = tuple[float, float, float, float]
-"""x_min, y_min, x_max, y_max in pixels."""
-SURROUNDINGS = 4.0
-"""How many times as wide and high as a box a window around it is."""
+Box = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in pixels
+SURROUNDINGS = 4.0  # how many times as wide and high as a box a window around it is
 
 
 @dataclass(frozen=True)
@@ -38,14 +36,12 @@ class Window:
     @classmethod
     def around(cls, focus_px: Box, image_size_px: tuple[int, int], size: tuple[int, int]) -> Window:
         """A window with the picture's aspect that shows a box with its surroundings, inside the image if it fits."""
-        aspect = size[0] / size[1]
-        width = max(
-            SURROUNDINGS * (focus_px[2] - focus_px[0]), SURROUNDINGS * (focus_px[3] - focus_px[1]) * aspect, 240.0
-        )
+        aspect, (x0, y0, x1, y1) = size[0] / size[1], focus_px
+        width = max(SURROUNDINGS * (x1 - x0), SURROUNDINGS * (y1 - y0) * aspect, 240.0)
         width = min(width, image_size_px[0], image_size_px[1] * aspect)
         height = width / aspect
-        x = min(max((focus_px[0] + focus_px[2] - width) / 2, 0.0), max(image_size_px[0] - width, 0.0))
-        y = min(max((focus_px[1] + focus_px[3] - height) / 2, 0.0), max(image_size_px[1] - height, 0.0))
+        x = min(max((x0 + x1 - width) / 2, 0.0), max(image_size_px[0] - width, 0.0))
+        y = min(max((y0 + y1 - height) / 2, 0.0), max(image_size_px[1] - height, 0.0))
         return cls(x, y, size[0] / width, size)
 
     def to_picture(self, points_px: Array) -> Array:
@@ -58,16 +54,12 @@ class Window:
         return x0, y0, x1, y1
 
 
-NOMINAL_PX = 1280
-"""Width of a picture for which the sizes below are meant."""
+NOMINAL_PX = 1280  # width of a picture for which the sizes below are meant
 TEXT_PX, MIN_TEXT_PX = 15, 11
-SMALL_TEXT_PX = 11
-"""Up to this size, words stand twice as far apart."""
+SMALL_TEXT_PX = 11  # up to this size, words stand twice as far apart
 LINE_PX = 2.0
-ARROW_HEAD = 0.45
-"""Length of an arrow's head, as a share of the arrow's."""
-SMOOTH = 4
-"""Slanted lines are drawn larger by this factor, in a small mask, and shrunk."""
+ARROW_HEAD = 0.45  # length of an arrow's head, as a share of the arrow's
+SMOOTH = 4  # slanted lines are drawn larger by this factor, in a small mask, and shrunk
 
 
 @cache
@@ -93,8 +85,7 @@ class Canvas:
 
     def __init__(self, picture: Image.Image, width_px: int | None = None) -> None:
         """Scale lines and text for a picture of a width in pixels; its own if None."""
-        self.picture = picture
-        self.draw = ImageDraw.Draw(picture)
+        self.picture, self.draw = picture, ImageDraw.Draw(picture)
         self.unit = (width_px or picture.width) / NOMINAL_PX
         self.text_px = max(MIN_TEXT_PX, round(TEXT_PX * self.unit))
         self._pad = max(2, round(self.text_px * 0.27))
@@ -224,8 +215,7 @@ def _cut(line: Array, box: Box) -> Array | None:
 
 # ---- Places labels so that none lies on another ----
 
-FARTHEST_ROWS = 16
-"""How many rows of text a label may move away from its box."""
+FARTHEST_ROWS = 16  # of text that a label may move away from its box
 GAP_PX = 2
 COLUMN_COST, OTHER_SIDE_COST, ROW_COST = 0.03, 0.1, 0.06
 """Of the next best column, of the other side of the box, and of a row away from it; to cover a boat costs 1."""
@@ -235,26 +225,20 @@ SHORTENED_FROM, LEFT_OUT_FROM = 0.3, 0.9
 
 @dataclass(frozen=True)
 class Label:
-    """A text on a coloured plate for a box in pixels of the picture, best placed above the box or below it.
-
-    `short` is written instead where the text would cover too much; a label without it is never shortened. An `optional`
-    label is left out there. `vessel` is the vessel that it is about, None for a false alarm or a track.
-    """
+    """A text on a coloured plate for a box in pixels of the picture, best placed above the box or below it."""
 
     box: Box
     text: str
     colour: Colour
     below: bool = False
-    short: str = ""
-    optional: bool = False
-    vessel: str | None = None
+    short: str = ""  # written instead where the text would cover too much; never if empty
+    optional: bool = False  # left out where it would cover too much
+    vessel: str | None = None  # that it is about, None for a false alarm or a track
 
 
 def draw_labels(canvas: Canvas, labels: list[Label], keep_clear: list[Box]) -> int:
-    """Draw labels, the most important ones first, and return how many have found a free place.
-
-    Optional ones are placed last. Labels cover the boxes in `keep_clear` as little as possible.
-    """
+    """Draw labels, the most important ones first and optional ones last, and return how many have found a free place.
+    Labels cover the boxes in `keep_clear` as little as possible."""
     size = np.array(canvas.picture.size)
     plates = np.empty((0, 4))
     chosen: list[tuple[Label, str, Array]] = []

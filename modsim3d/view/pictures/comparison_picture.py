@@ -34,7 +34,7 @@ class SourceBoxes:
 
 @dataclass(frozen=True)
 class BoxStyle:
-    """How one of the boxes is drawn, and its name in the key."""
+    """Style of one of the boxes, and its name in the key."""
 
     name: str
     box: Callable[[SourceBoxes], Box]
@@ -47,7 +47,7 @@ class BoxStyle:
         (canvas.dashed_box if self.dashed else canvas.box)(box, self.colour, self.weight)
 
 
-Styles = tuple[BoxStyle, ...]
+Styles = tuple[BoxStyle, ...]  # of the boxes that a picture of a vessel shows
 FULL: Styles = (
     BoxStyle("whole silhouette: rendered", lambda boxes: boxes.rendered_full, palette.WHITE, 1.5, dashed=False),
     BoxStyle("analytic", lambda boxes: boxes.analytic_full, palette.VESSELS[5], 1.5),
@@ -57,7 +57,6 @@ VISIBLE: Styles = (
     BoxStyle("analytic", lambda boxes: boxes.analytic_visible, palette.VESSELS[5], 1.5),
 )
 RULE: Styles = (*VISIBLE, BoxStyle("rectangle rule", lambda boxes: boxes.rectangles_visible, palette.ALARM, 2.0))
-"""The boxes that a picture of a vessel shows."""
 BOTH: Colour = (150, 158, 164)
 PIXELS = (
     ("pixels rendered and in the {region}", BOTH),
@@ -75,17 +74,8 @@ def comparison_picture(
     region: str = "exact region",
     styles: Styles = VISIBLE,
 ) -> Image.Image:
-    """Boxes of a vessel and the pixels that each source sees of it, with a key.
-
-    Args:
-        boxes: The boxes of the vessel.
-        vessel: Its index in the scene.
-        solids: The solids before the camera.
-        exact: What is seen of the vessel, as a region of the image.
-        id_renderer: Renders the pixels of the rendered source.
-        region: Name of `exact` in the key.
-        styles: The boxes to draw.
-    """
+    """Boxes of a vessel, by its index in the scene, and the pixels that each source sees of it, with a key. `exact` is
+    what is seen of the vessel, as a region of the image, `region` its name in the key."""
     drawn = [(style, box) for style in styles if not np.isnan(box := np.array(style.box(boxes))).any()]
     shown_px = np.array([box for _, box in drawn] or [np.array(boxes.rendered_full)])
     (x0, y0), (x1, y1) = shown_px[:, :2].min(axis=0).tolist(), shown_px[:, 2:].max(axis=0).tolist()
@@ -118,9 +108,7 @@ def boxes_that_differ(boxes: SourceBoxes) -> Styles:
 
 def differing_pixels(seen: Mask, exact: shapely.Geometry) -> NDArray[np.uint8]:
     """For each pixel 0 if neither source has it, 1 if both, 2 if the rendered one only, 3 if the region only.
-
-    A pixel belongs to the exact region if its centre does. `seen` and the result have the shape (h, w).
-    """
+    A pixel belongs to the exact region if its centre does. `seen` and the result have the shape (h, w)."""
     height, width = seen.shape
     inside = np.zeros(seen.shape, dtype=bool)
     if not exact.is_empty:

@@ -142,12 +142,9 @@ SHEET_FILE = "contact_sheet.png"
 PANEL_PX = (720, 440)
 COLUMNS = 2
 GAP_PX, CAPTION_PX = 16, 68
-TITLE_PX, CAPTION_TEXT_PX, TEXT_PX = 30, 26, 20
-"""Sizes of text, which a page shows at about 60 %."""
-MIN_TEXT_PX = 17
-"""Of a long caption; one that is longer still is cut."""
-NOMINAL_WIDTH_PX = 1700
-"""Width of a picture for which the lines and the text of a panel are meant."""
+TITLE_PX, CAPTION_TEXT_PX, TEXT_PX = 30, 26, 20  # sizes of text, which a page shows at about 60 %
+MIN_TEXT_PX = 17  # of a long caption; one that is longer still is cut
+NOMINAL_WIDTH_PX = 1700  # of a picture for which the lines and the text of a panel are meant
 INSET_PX = (124, 62)
 ARROW_PX = 56
 
@@ -227,21 +224,13 @@ def _panel(highlight: Highlight, camera_view: CameraView, window: Window, id_ren
     seen, drawn = camera_view.frame.truth.visible_boxes_px, camera_view.frame.detections.boxes_px
     there = np.concatenate([seen[~np.isnan(seen).any(axis=1)], drawn])
     arrow = _arrow(focus, [window.corners(box) for box in there])
-    picture = frame_picture(
-        camera_view,
-        window,
-        DETECTIONS,
-        id_renderer,
-        nominal_width_px=NOMINAL_WIDTH_PX,
-        wanted=wanted,
-        keep_clear=[_place(*arrow)],
-    )
+    labels: dict[str, Any] = {"nominal_width_px": NOMINAL_WIDTH_PX, "wanted": wanted, "keep_clear": [_place(*arrow)]}
+    picture = frame_picture(camera_view, window, DETECTIONS, id_renderer, **labels)
     Canvas(picture, NOMINAL_WIDTH_PX).arrow(*arrow, ARROW_PX)
     return picture
 
 
-Arrow = tuple[tuple[float, float], tuple[int, int]]
-"""Tip and direction."""
+Arrow = tuple[tuple[float, float], tuple[int, int]]  # tip and direction
 
 
 def _arrow(focus: Box, boxes: list[Box]) -> Arrow:
@@ -249,12 +238,8 @@ def _arrow(focus: Box, boxes: list[Box]) -> Arrow:
     width, height = PANEL_PX
     x0, y0, x1, y1 = max(focus[0], 0.0), max(focus[1], 0.0), min(focus[2], width), min(focus[3], height)
     x, y, gap = (x0 + x1) / 2, (y0 + y1) / 2, GAP_PX / 2
-    arrows: list[Arrow] = [
-        ((x, y0 - gap), (0, 1)),
-        ((x, y1 + gap), (0, -1)),
-        ((x0 - gap, y), (1, 0)),
-        ((x1 + gap, y), (-1, 0)),
-    ]
+    beside: list[Arrow] = [((x0 - gap, y), (1, 0)), ((x1 + gap, y), (-1, 0))]
+    arrows: list[Arrow] = [((x, y0 - gap), (0, 1)), ((x, y1 + gap), (0, -1)), *beside]
     places = np.array([_place(*arrow) for arrow in arrows])
     outside = areas(places) - intersections(places, np.array([0.0, 0.0, width, height]))
     covered = intersections(places[:, None], np.array(boxes).reshape(-1, 4)).sum(axis=1)

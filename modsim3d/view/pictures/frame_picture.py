@@ -28,9 +28,7 @@ STRIPE_PX = 4.0
 
 def hatch_hidden(picture: Image.Image, window: Window, solids: Solids, ids: Ids, unit: float) -> None:
     """Hatch each vessel where something else is in front of it.
-
-    `ids` is occluder + 1 at each of the picture's pixels, shape (h, w). `unit` is 1 in a picture of nominal width.
-    """
+    `ids` is occluder + 1 at each of the picture's pixels, shape (h, w). `unit` is 1 in a picture of nominal width."""
     stripe = max(2, round(STRIPE_PX * unit))
     for row, occluder in enumerate(solids.occluders.tolist()):
         if occluder >= len(solids.extents_m):
@@ -66,16 +64,13 @@ def silhouette_mask(solids: Solids, row: int, window: Window) -> tuple[Region, M
 # ---- Boxes of detections, with marks of what is wrong with them ----
 
 LONG_DASH_PX, DASHES_A_SIDE = 10.0, 3
-FLAG_PX, FLAG_SHARE = 16.0, 0.6
-"""The legs of the filled corner of a wrong class, and their most share of the box's shorter side."""
+FLAG_PX, FLAG_SHARE = 16.0, 0.6  # legs of the filled corner of a wrong class, at most this share of the shorter side
 
 
 def draw_detection(canvas: Canvas, box: Box, colour: Colour, outcome: Outcome, weight: float = 1.5) -> None:
     """Draw a detection's box, in pixels of the picture.
-
     Solid if it fits its vessel, in long dashes if it does not, with a filled corner for a wrong class; crossed out and
-    in short dashes if it is a false positive.
-    """
+    in short dashes if it is a false positive."""
     if outcome & Outcome.FALSE_POSITIVE:
         canvas.crossed(box, colour)
         canvas.dashed_box(box, colour, weight)
@@ -101,45 +96,31 @@ def draw_tether(canvas: Canvas, box: Box, true_box: Box) -> None:
 
 # ---- Boxes of tracks, with their numbers and where their centres have been ----
 
-WEIGHT = 2.5
-"""Of a track's box, in weights of a line; a detection's has 1.5."""
+WEIGHT = 2.5  # of a track's box, in weights of a line; a detection's has 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class FrameTracks:
-    """The tracks in one frame, m of them.
+    """The tracks in one frame, m of them."""
 
-    Attributes:
-        number: Numbers that the tracker gave them, shape (m,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
-        false: Which follow nothing, shape (m,).
-        unscored: Which follow a vessel that is hidden or not annotated, shape (m,).
-        trails_px: Where the centre of each has been, the newest first, each of shape (n, 2).
-    """
-
-    number: Indices
-    boxes_px: Array
-    false: Mask
-    unscored: Mask
-    trails_px: tuple[Array, ...]
+    number: Indices  # that the tracker gave each, shape (m,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, shape (m, 4)
+    false: Mask  # which follow nothing, shape (m,)
+    unscored: Mask  # which follow a vessel that is hidden or not annotated, shape (m,)
+    trails_px: tuple[Array, ...]  # where the centre of each has been, the newest first, each of shape (n, 2)
 
     @classmethod
     def of(cls, followed: FollowedTracks, scene: Scene, frame: Frame) -> Self:
         """The tracks in a frame of a scene."""
         camera = [each.name for each in scene.cameras].index(frame.camera)
         rows = followed.rows_of(frame.step * len(scene.cameras) + camera)
-        return cls(
-            followed.tracks.track[rows],
-            followed.tracks.boxes_px[rows],
-            followed.false[rows],
-            followed.unscored[rows],
-            tuple(followed.trail_px(row) for row in range(rows.start, rows.stop)),
-        )
+        tracks, trails = followed.tracks, (followed.trail_px(row) for row in range(rows.start, rows.stop))
+        number, boxes_px = tracks.track[rows], tracks.boxes_px[rows]
+        return cls(number, boxes_px, followed.false[rows], followed.unscored[rows], tuple(trails))
 
 
-NO_TRACKS = FrameTracks(
-    np.empty(0, dtype=np.int64), np.empty((0, 4)), np.empty(0, dtype=np.bool_), np.empty(0, dtype=np.bool_), ()
-)
+_NO_ROWS = np.empty(0, dtype=np.bool_)
+NO_TRACKS = FrameTracks(np.empty(0, dtype=np.int64), np.empty((0, 4)), _NO_ROWS, _NO_ROWS, ())
 
 
 def track_colour(number: int, false: bool) -> Colour:
@@ -149,9 +130,7 @@ def track_colour(number: int, false: bool) -> Colour:
 
 def draw_tracks(canvas: Canvas, window: Window, tracks: FrameTracks) -> list[Label]:
     """Draw the tracks of a frame, and return their numbers as labels.
-
-    A box is solid where its track follows a vessel that is to be followed, and dashed elsewhere.
-    """
+    A box is solid where its track follows a vessel that is to be followed, and dashed elsewhere."""
     labels = []
     numbers, dashed = tracks.number.tolist(), (tracks.false | tracks.unscored).tolist()
     for i, (number, false) in enumerate(zip(numbers, tracks.false.tolist(), strict=True)):
@@ -166,10 +145,8 @@ def draw_tracks(canvas: Canvas, window: Window, tracks: FrameTracks) -> list[Lab
     return labels
 
 
-DIM = 0.25
-"""How much darker vessels are filled under boxes of their colour."""
-SHORT_BELOW_PX = 480
-"""A picture narrower than this has room for the confidence only."""
+DIM = 0.25  # how much darker vessels are filled under boxes of their colour
+SHORT_BELOW_PX = 480  # a picture narrower than this has room for the confidence only
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,10 +237,10 @@ def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers:
     truth, narrow = camera_view.frame.truth, canvas.picture.width < SHORT_BELOW_PX
     labels = []
     for i in range(len(truth)):
-        full = window.corners(truth.full_boxes_px[i])
-        annotated = bool(truth.annotated[i])
+        full, annotated = window.corners(truth.full_boxes_px[i]), bool(truth.annotated[i])
         for shown, boxes in ((layers.full, truth.full_boxes_px), (layers.visible, truth.visible_boxes_px)):
-            if shown and _is_another(boxes[i], truth.boxes_px[i] if annotated else None):
+            is_annotated = annotated and np.array_equal(boxes[i], truth.boxes_px[i])
+            if shown and not np.isnan(boxes[i]).any() and not is_annotated:
                 canvas.dashed_box(window.corners(boxes[i]), palette.TRUTH, 0.75)
         if layers.truth and annotated:
             canvas.box(window.corners(truth.boxes_px[i]), palette.TRUTH, 0.75, halo=True)
@@ -279,11 +256,6 @@ def _draw_truth(canvas: Canvas, window: Window, camera_view: CameraView, layers:
             label = _worded(full, text, share, palette.TRUTH, narrow, truth.vessels[i], below=True)
             labels.append(replace(label, short="", optional=True) if share == "0 %" else label)
     return labels
-
-
-def _is_another(box: Array, annotated: Array | None) -> bool:
-    """Whether there is a box, and it is not the annotated one."""
-    return not np.isnan(box).any() and (annotated is None or not np.array_equal(box, annotated))
 
 
 def _percent(fraction: float) -> str:

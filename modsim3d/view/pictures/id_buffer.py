@@ -13,7 +13,7 @@ from modsim3d.io.atomic_write import encoded, written_whole
 from modsim3d.render.id_pass import AnyIdRenderer, Ids
 from modsim3d.scene.sight import IdImage
 from modsim3d.view import palette
-from modsim3d.view.palette import Colour, obstacle_colour, vessel_colour
+from modsim3d.view.palette import Colour
 from modsim3d.view.pictures.canvas import Box, Canvas, Label, Window, draw_labels, font, text_size
 from modsim3d.view.pictures.frame_picture import hatch_hidden
 from modsim3d.view.pictures.legend import letters
@@ -25,10 +25,7 @@ GAP_PX, MIN_SIDE_PX = 4, 200
 
 def write_id_buffer(image: IdImage, path: Path) -> None:
     """Write IDs as NumPy's `.npy`, or as a grey PNG of 16 bits, whose values they are.
-
-    Raises:
-        ModsimError: An ID is too large for a PNG.
-    """
+    Raises ModsimError for an ID that is too large for a PNG."""
     if path.suffix.lower() == ".npy":
         with written_whole(path) as partial, partial.open("wb") as file:
             np.save(file, image.ids)
@@ -60,9 +57,7 @@ def ids_picture(
     solids: Solids, window: Window, id_renderer: AnyIdRenderer, nominal_width_px: int | None = None
 ) -> Image.Image:
     """The ID at the centre of each pixel of a window, with what is hidden hatched over what hides it.
-
-    Lines and text are meant for a picture of the nominal width, or else of the window's.
-    """
+    Lines and text are meant for a picture of the nominal width, or else of the window's."""
     picture = background(window, solids.sea_half_plane, solids.intrinsics.image_size_px, SEA, SKY)
     if not len(solids.occluders):
         return picture
@@ -76,7 +71,7 @@ def ids_picture(
     table = np.zeros((int(shown.max()) + 1, 3), dtype=np.uint8)
     for occluder in np.unique(solids.occluders).tolist():
         if occluder + 1 < len(table):
-            table[occluder + 1] = _colour(occluder, vessels)
+            table[occluder + 1] = palette.owner_colour(occluder, vessels)
     patch = np.array(picture.crop((left, top, right, bottom)))
     patch[shown > 0] = table[shown[shown > 0]]
     picture.paste(Image.fromarray(patch), (left, top))
@@ -101,7 +96,7 @@ def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int) -> None:
         columns = np.flatnonzero(here[int(np.argmax(by_row))])
         x0, y0, x1, y1 = text_size(text, size)
         if len(columns) < x1 - x0 + 4 or by_column.max() < y1 - y0 + 4:
-            beside.append(Label(boxes[-1], text, _colour(index, vessels)))
+            beside.append(Label(boxes[-1], text, palette.owner_colour(index, vessels)))
             continue
         x = left + int(columns[len(columns) // 2])
         middle = np.flatnonzero(here[:, x - left])
@@ -109,7 +104,3 @@ def _mark(canvas: Canvas, ids: Ids, left: int, top: int, vessels: int) -> None:
         at = (x - (x0 + x1) / 2, y - (y0 + y1) / 2)
         canvas.draw.text(at, text, fill=(255, 255, 255), font=font(size), stroke_width=2, stroke_fill=(0, 0, 0))
     draw_labels(canvas, beside, boxes)
-
-
-def _colour(occluder: int, vessels: int) -> Colour:
-    return vessel_colour(occluder) if occluder < vessels else obstacle_colour(occluder - vessels)

@@ -13,51 +13,28 @@ from modsim3d.runs.frames import Frame
 
 @dataclass(frozen=True)
 class Layers:
-    """The layers that are drawn, the first at the bottom.
+    """The layers that are drawn, the first at the bottom."""
 
-    Attributes:
-        horizon: A line between sea and sky.
-        silhouettes: The visible part of each vessel, filled.
-        hatching: The hidden part of each vessel, hatched.
-        wires: The edges of each vessel's shoebox.
-        points: Its projected corner points.
-        full: The box of the whole silhouette, where another one is annotated.
-        visible: The box of the visible part, where another one is annotated.
-        truth: The annotated box.
-        fractions: The visible fraction of a vessel that is hidden in part.
-        missed: Annotated vessels without a detection.
-        false_positives: Detections that are not the one detection of a vessel.
-        detections: Detections of vessels.
-        mistakes: Marks of detections of a wrong class or with a bad box.
-        tracks: Tracks of a tracker, where there are some: boxes, numbers, and where their centres have been.
-        labels: Class and confidence of detections, and the names of missed vessels.
-    """
-
-    horizon: bool = False
-    silhouettes: bool = False
-    hatching: bool = False
-    wires: bool = False
-    points: bool = False
-    full: bool = False
-    visible: bool = False
-    truth: bool = False
-    fractions: bool = False
-    missed: bool = False
-    false_positives: bool = False
-    detections: bool = False
-    mistakes: bool = False
-    tracks: bool = False
-    labels: bool = False
+    horizon: bool = False  # a line between sea and sky
+    silhouettes: bool = False  # the visible part of each vessel, filled
+    hatching: bool = False  # the hidden part of each vessel, hatched
+    wires: bool = False  # the edges of each vessel's shoebox
+    points: bool = False  # its projected corner points
+    full: bool = False  # the box of the whole silhouette, where another one is annotated
+    visible: bool = False  # the box of the visible part, where another one is annotated
+    truth: bool = False  # the annotated box
+    fractions: bool = False  # the visible fraction of a vessel that is hidden in part
+    missed: bool = False  # annotated vessels without a detection
+    false_positives: bool = False  # detections that are not the one detection of a vessel
+    detections: bool = False  # of vessels
+    mistakes: bool = False  # marks of detections of a wrong class or with a bad box
+    tracks: bool = False  # of a tracker, where there are some: boxes, numbers, and where their centres have been
+    labels: bool = False  # class and confidence of detections, and the names of missed vessels
 
     @classmethod
     def of(cls, names: Iterable[str]) -> Layers:
-        """Layers by their names.
-
-        Raises:
-            ModsimError: One has no such name.
-        """
-        known = [entry.name for entry in fields(cls)]
-        asked = list(names)
+        """Layers by their names; raises ModsimError if one has no such name."""
+        known, asked = [entry.name for entry in fields(cls)], list(names)
         if unknown := [name for name in asked if name not in known]:
             raise ModsimError(f"unknown layer '{', '.join(unknown)}'; known layers: {', '.join(known)}")
         return cls(**dict.fromkeys(asked, True))
@@ -74,7 +51,6 @@ DETECTIONS = Layers.of(
     ["horizon", "silhouettes", *TRUTH, "false_positives", "detections", "mistakes", "tracks", "labels"]
 )
 
-
 # ---- Words for a detection, and for the detector, in pictures and recordings ----
 
 NAMES = {
@@ -84,9 +60,7 @@ NAMES = {
     Outcome.OFF_VESSEL: "off its vessel",
 }
 
-
-WEATHER = "weather is not drawn"
-"""States are named after weather that pictures do not have: sea and sky look the same in all of them."""
+WEATHER = "weather is not drawn"  # states are named after it, but sea and sky look the same in all of them
 
 
 def is_a(label: str) -> str:

@@ -18,10 +18,8 @@ from modsim3d.view.pictures.canvas import MIN_TEXT_PX, Box, Canvas, font, text_s
 from modsim3d.view.pictures.frame_picture import draw_detection, draw_tether
 from modsim3d.view.pictures.layers import NAMES, Layers
 
-MIN_SHARE, MAX_ROOM = 0.7, 2.0
-"""How small the text of a crowded legend may become, as a share of its size, and how far it may exceed its room."""
-MARKS = (Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU, Outcome.OFF_VESSEL)
-"""Of a vessel's detections, in the order of the legend."""
+MIN_SHARE, MAX_ROOM = 0.7, 2.0  # how small the text of a crowded legend may become, and how far it may exceed its room
+MARKS = (Outcome.MISLABELLED, Outcome.BELOW_HALF_IOU, Outcome.OFF_VESSEL)  # in the order of the legend
 
 
 @dataclass(frozen=True)
@@ -53,10 +51,9 @@ def detection_entries(layers: Layers, mode: int, mistakes: Outcome, tracker: str
 def _track_entries(tracker: str | None) -> list[LegendEntry]:
     if tracker is None:
         return []
+    own = f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s"
     return [
-        LegendEntry(
-            f"# track of {tracker}, in a colour of its own, with its last {TRAIL_S:g} s", palette.TRACKS[0], "track"
-        ),
+        LegendEntry(own, palette.TRACKS[0], "track"),
         LegendEntry("on a vessel that is hidden or not annotated", palette.TRACKS[0], "dashed"),
         LegendEntry("on nothing", palette.ALARM, "dashed"),
     ]
@@ -83,10 +80,8 @@ def letters(index: int) -> str:
 
 def legend(entries: Sequence[LegendEntry], width: int, text_px: int, room_px: float = math.inf) -> Image.Image:
     """A strip of the given width, as high as its entries need: 0 without any.
-
     A legend that needs more than `room_px` is set in smaller type. If it then needs more than `MAX_ROOM` times as
-    much, the last names are left out and counted; what lines and marks mean is always there.
-    """
+    much, the last names are left out and counted; what lines and marks mean is always there."""
     least_px = min(text_px, max(MIN_TEXT_PX, round(MIN_SHARE * text_px)))
     for size in range(text_px, least_px - 1, -1):
         rows = _rows(entries, width, size)
@@ -137,21 +132,15 @@ def _entry(canvas: Canvas, entry: LegendEntry, x: int, y: int, text_px: int) -> 
     canvas.draw.rectangle((chip[0], chip[1], chip[2] - 1, chip[3] - 1), fill=ground)
     inset = text_px // 6 + 1
     if entry.style == "hatched":
-        _hatch(canvas, chip, entry.colour)
+        for start in range(chip[0], chip[2], 6):
+            top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
+            canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=entry.colour, width=2)
     elif entry.style != "filled":
         sample = (chip[0] + inset, chip[1] + inset, chip[2] - inset, chip[3] - inset)
         _draw_sample(canvas, sample, entry.colour, entry.style)
     _, high, _, low = text_size("Ag", text_px)
-    middle = (chip[1] + chip[3]) // 2 - (high + low) // 2
-    canvas.draw.text(
-        (chip[2] + text_px // 2, middle), words_apart(entry.text, text_px), fill=palette.INK, font=font(text_px)
-    )
-
-
-def _hatch(canvas: Canvas, chip: tuple[int, int, int, int], colour: Colour) -> None:
-    for start in range(chip[0], chip[2], 6):
-        top = min(start + chip[3] - chip[1] - 1, chip[2] - 1)
-        canvas.draw.line((start, chip[3] - 1, top, chip[3] - 1 - (top - start)), fill=colour, width=2)
+    place = chip[2] + text_px // 2, (chip[1] + chip[3]) // 2 - (high + low) // 2
+    canvas.draw.text(place, words_apart(entry.text, text_px), fill=palette.INK, font=font(text_px))
 
 
 def _draw_sample(canvas: Canvas, box: Box, colour: Colour, style: str | Outcome) -> None:

@@ -27,26 +27,18 @@ from modsim3d.world.vessels import shoebox
 
 # ---- The solids before a camera at a step ----
 
-SUN = np.array([-0.35, 0.55, 0.76])
-"""Direction to the light that shades faces, in the world."""
+SUN = np.array([-0.35, 0.55, 0.76])  # direction to the light that shades faces, in the world
 DIMMEST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Solids:
-    """The solids before a camera.
+    """The solids before a camera."""
 
-    Attributes:
-        sight: Poses of the camera and the vessels at one step.
-        camera: The camera that they are before.
-        outlines: A row for each solid before the camera.
-        extents_m: Length, beam and air draft of all vessels, shape (V, 3).
-    """
-
-    sight: Sight
+    sight: Sight  # poses of the camera and the vessels at one step
     camera: Camera
-    outlines: Outlines
-    extents_m: Array
+    outlines: Outlines  # a row for each solid before the camera
+    extents_m: Array  # length, beam and air draft of all vessels, shape (V, 3)
 
     @classmethod
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
@@ -110,12 +102,8 @@ class Solids:
 
     def shoeboxes(self) -> list[tuple[int, Array, Array]]:
         """Shoeboxes of the vessels: index of the vessel, edges and corner points in the image, in pixels.
-
-        Edges are cut at the near plane, shape (E, 2, 2). Corners nearer than it are NaN, shape (8, 2).
-        """
-        body = shoebox().vertices
-        near = self.intrinsics.near_clip_m
-        found = []
+        Edges are cut at the near plane, shape (E, 2, 2). Corners nearer than it are NaN, shape (8, 2)."""
+        body, near, found = shoebox().vertices, self.intrinsics.near_clip_m, []
         for vessel in self.occluders[self.outlines.boxed].tolist():
             turned = (body * self.extents_m[vessel]) @ self.sight.world_R_vessel[0, vessel].T
             corners = self.sight.camera_poses.to_camera((turned + self.sight.poses.positions_m[0, vessel])[None])[0]
@@ -152,8 +140,7 @@ def open_id_renderer(scene: Scene) -> Iterator[AnyIdRenderer]:
         yield renderer or PlainIds()
 
 
-SMOOTH_SAMPLES = 2
-"""Vessels drawn this much larger and shrunk have edges without steps."""
+SMOOTH_SAMPLES = 2  # vessels drawn this much larger and shrunk have edges without steps
 
 
 def background(
@@ -164,12 +151,9 @@ def background(
     sky: Colour = palette.SKY,
 ) -> Image.Image:
     """Sea and sky in a window; paper outside the camera's image.
-
-    The sea is where a x + b y + c ≥ 0 in pixels of the image, with (a, b, c) the sea half plane, shape (3,).
-    """
+    The sea is where a x + b y + c ≥ 0 in pixels of the image, with (a, b, c) the sea half plane, shape (3,)."""
     picture = Image.new("RGB", window.size, palette.PAPER)
-    draw = ImageDraw.Draw(picture)
-    width, height = window.size
+    draw, (width, height) = ImageDraw.Draw(picture), window.size
     corners = window.to_picture(np.array([[0, 0], [image_size_px[0], image_size_px[1]]], dtype=np.float64))
     (left, top), (right, bottom) = np.clip(np.rint(corners), 0, (width, height)).tolist()
     if right <= left or bottom <= top:
@@ -185,12 +169,8 @@ def background(
 
 def below_horizon(polygon: Array, polygon_px: Array, sea_half_plane: Array) -> Array:
     """The part of a convex polygon on the sea's side of the horizon, shape (m, 2); empty if there is no sea in it.
-
-    Args:
-        polygon: Its corners in any affine coordinates of the image, shape (n, 2).
-        polygon_px: The same corners in pixels of the image, shape (n, 2).
-        sea_half_plane: (a, b, c), see `background`, shape (3,).
-    """
+    The polygon has its corners in any affine coordinates of the image, shape (n, 2), `polygon_px` the same in pixels;
+    for the half plane see `background`."""
     value = polygon_px @ sea_half_plane[:2] + sea_half_plane[2]
     points = []
     for i in range(len(polygon)):
@@ -223,15 +203,9 @@ def fill_solids(
     samples: int = SMOOTH_SAMPLES,
 ) -> None:
     """Fill the visible part of every vessel in a picture of a window, each side as bright as the light on it.
+    `dim` is a share of black in all colours, so that boxes stand out, `samples` the factor by which sides are drawn
+    larger before they are shrunk."""
 
-    Args:
-        picture: The picture, which is changed.
-        window: The part of the image that it shows.
-        solids: The vessels and obstacles.
-        id_renderer: Finds which side each pixel shows.
-        dim: Share of black in all colours, so that boxes stand out.
-        samples: Factor by which sides are drawn larger before they are shrunk.
-    """
     triangles = solids.triangles
     if not len(triangles.row):
         return

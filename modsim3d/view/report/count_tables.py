@@ -26,15 +26,11 @@ CAMERA_HEADER = ("Camera", "Frames", *_DETECTED, *_BOXES, *_FALSE)
 
 @dataclass(frozen=True)
 class DetectorCounts:
-    """Counts of a detector's output in some frames, with the names of `modsim3d.runs.counts.Counts`.
-
-    Attributes:
-        true_detections: Detections of vessels; fewer than `detected` where one box is of two vessels.
-    """
+    """Counts of a detector's output in some frames, with the names of `modsim3d.runs.counts.Counts`."""
 
     annotated: int
     detected: int
-    true_detections: int
+    true_detections: int  # of vessels; fewer than `detected` where one box is of two vessels
     mislabelled: int
     below_half_iou: int
     off_vessel: int
@@ -74,18 +70,13 @@ class DetectorCounts:
         detected = *map(str, (self.annotated, self.detected, self.missed)), _share(self.missed, self.annotated)
         return *detected, *map(str, boxes)
 
-    def false_cells(self) -> tuple[str, str]:
-        """The columns `_FALSE` of a table."""
-        return str(self.false_positives), _share(self.false_positives, self.detections)
-
 
 class CountTables:
     """Tables of counts over all steps of a run, which may come in parts. A frame is one camera at one step."""
 
     def __init__(self, scene: Scene) -> None:
         """Begin with nothing counted."""
-        self._scene = scene
-        self._overall = _Tally(1)
+        self._scene, self._overall = scene, _Tally(1)
         self._of_vessels = _Tally(len(scene.vessels))
         self._of_states = _Tally(len(scene.detector.states))
         self._of_cameras = _Tally(len(scene.cameras))
@@ -154,20 +145,18 @@ class _Tally:
                 self._sums[name] += np.bincount(group[column & (group >= 0)], minlength=self._groups)
 
     def of(self, name: str, group: int) -> int:
-        """The sum of a column."""
         return int(self._sums[name][group])
 
     def counts(self, group: int) -> DetectorCounts:
-        """Counts of a group."""
         return DetectorCounts(**{field.name: self.of(field.name, group) for field in fields(DetectorCounts)})
 
     def rows(self, names: list[str]) -> Rows:
-        """A row for each group, with its frames."""
-        counts = map(self.counts, range(len(names)))
-        return [
-            (name, str(self.of("frames", index)), *each.cells(), *each.false_cells())
-            for index, (name, each) in enumerate(zip(names, counts, strict=True))
-        ]
+        rows = []
+        for index, name in enumerate(names):
+            counts = self.counts(index)
+            false = str(counts.false_positives), _share(counts.false_positives, counts.detections)
+            rows.append((name, str(self.of("frames", index)), *counts.cells(), *false))
+        return rows
 
 
 def _truth_counts(rows: RunRows) -> Masks:

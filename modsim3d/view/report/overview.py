@@ -16,22 +16,17 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, Stretches, StretchesBuilder, onsets
 from modsim3d.world.vessel_motion import PosesInWaves
 
-UNKNOWN_FRACTION, WHOLE = 255, 250
-"""Visible fractions are counted in 250ths."""
+UNKNOWN_FRACTION, WHOLE = 255, 250  # visible fractions are counted in 250ths
 MISSED, HIDDEN, FALSE, MISLABELLED, BAD, OFF = "missed", "hidden", "false", "mislabelled", "bad", "off"
-WRONG = {MISLABELLED: Outcome.MISLABELLED, BAD: Outcome.BELOW_HALF_IOU, OFF: Outcome.OFF_VESSEL}
-"""What may be wrong with a detection of a vessel."""
+WRONG = {MISLABELLED: Outcome.MISLABELLED, BAD: Outcome.BELOW_HALF_IOU, OFF: Outcome.OFF_VESSEL}  # of a vessel
 MOMENT_KINDS = (MISSED, FALSE, MISLABELLED, OFF, BAD, HIDDEN)
 BEGINS, ENDS = 0.9 * WHOLE, 0.98 * WHOLE
 """An occlusion begins when at most the first is visible, and ends when more than the second is: a flicker is none."""
-LITTLE, HALF = "little", "half"
-"""Stretches in which a vessel is hidden a little at least, and in which less than half of it is visible."""
-ANNOTATED, DETECTED = 1, 2
-"""What is so of a row of the truth, as bits of the column `flags`."""
+LITTLE, HALF = "little", "half"  # stretches with a vessel hidden a little at least, or less than half of it visible
+ANNOTATED, DETECTED = 1, 2  # what is so of a row of the truth, as bits of the column `flags`
 COUNTS = ("seen", "annotated", MISSED, FALSE, MISLABELLED, BAD, OFF)
 VESSEL_COUNTS = ("seen", "fraction", MISSED, MISLABELLED, BAD, OFF)
-MAX_BINS, MIN_BINS, MAX_CELLS = 6000, 1000, 600_000
-"""Bins of steps, and bins times vessels: as fine as any screen, and small."""
+MAX_BINS, MIN_BINS, MAX_CELLS = 6000, 1000, 600_000  # bins of steps, and bins times vessels: as fine as any screen
 
 
 def steps_in_a_bin(steps: int, vessels: int) -> int:
@@ -42,33 +37,19 @@ def steps_in_a_bin(steps: int, vessels: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ShownRows:
-    """Rows of one camera at some shown steps, a row of the truth or a detection for each step that shows it.
+    """Rows of one camera at i shown steps: n of the truth and m detections, one for each step that shows it."""
 
-    Attributes:
-        index: Index of each shown step, shape (i,).
-        state: Number of the performance state at each of them, shape (i,).
-        truth_index: Index of the step of each row of the truth, shape (n,).
-        vessel: Its vessel, shape (n,).
-        annotated: Whether it was annotated, shape (n,).
-        missed: Whether it was missed, shape (n,).
-        fraction: Its visible fraction in 250ths, 250 if it is not known, shape (n,).
-        rows: The least and the greatest row of its box, in quanta, shape (n, 2).
-        drawn_index: Index of the step of each detection, shape (m,).
-        drawn_vessel: Its vessel, shape (m,).
-        outcome: Its outcome, shape (m,).
-    """
-
-    index: Indices
-    state: Indices
-    truth_index: Indices
-    vessel: Indices
-    annotated: Mask
-    missed: Mask
-    fraction: Indices
-    rows: Indices
-    drawn_index: Indices
-    drawn_vessel: Indices
-    outcome: Column
+    index: Indices  # of each shown step, shape (i,)
+    state: Indices  # number of the performance state at each of them, shape (i,)
+    truth_index: Indices  # of the step of each row of the truth, shape (n,)
+    vessel: Indices  # of each row of the truth, shape (n,)
+    annotated: Mask  # shape (n,)
+    missed: Mask  # shape (n,)
+    fraction: Indices  # visible, in 250ths, 250 if it is not known, shape (n,)
+    rows: Indices  # the least and the greatest row of the box, in quanta, shape (n, 2)
+    drawn_index: Indices  # of the step of each detection, shape (m,)
+    drawn_vessel: Indices  # shape (m,)
+    outcome: Column  # shape (m,)
 
     @classmethod
     def of(cls, index: Indices, frame: Indices, columns: dict[str, Column]) -> ShownRows:
@@ -123,18 +104,16 @@ class Overview:
         self._found["state"].add(shown.state, shown.index)
         known = shown.state < self._states.shape[1]
         np.add.at(self._states, (shown.index[known] // self.width, shown.state[known]), 1)
-        every = np.ones(len(shown.vessel), bool)
-        self._count("seen", shown.truth_index, shown.vessel, every)
+        self._count("seen", shown.truth_index, shown.vessel, np.ones(len(shown.vessel), bool))
         self._count("annotated", shown.truth_index, shown.vessel, shown.annotated)
         self._count(MISSED, shown.truth_index, shown.vessel, shown.missed)
         np.add.at(self._of_vessels["fraction"], self._cells(shown.truth_index, shown.vessel), shown.fraction)
         self._find(HIDDEN, shown.truth_index, shown.vessel, shown.fraction <= BEGINS)
         self._find(LITTLE, shown.truth_index, shown.vessel, shown.fraction <= ENDS)
         self._find(HALF, shown.truth_index, shown.vessel, 2 * shown.fraction < WHOLE)
-        false = shown.false
-        self._count(FALSE, shown.drawn_index, shown.drawn_vessel, false)
+        self._count(FALSE, shown.drawn_index, shown.drawn_vessel, shown.false)
         for name, flag in WRONG.items():
-            self._count(name, shown.drawn_index, shown.drawn_vessel, having(shown.outcome, flag) & ~false)
+            self._count(name, shown.drawn_index, shown.drawn_vessel, having(shown.outcome, flag) & ~shown.false)
         if len(shown.rows):
             top, bottom = int(shown.rows[:, 0].min()), int(shown.rows[:, 1].max())
             self._rows = [min(self._rows[0], top), max(self._rows[1], bottom)]
@@ -187,40 +166,24 @@ class Overview:
 
 
 class VesselOutcome(IntEnum):
-    """Fate of a vessel in a frame, from good to bad; of what is wrong with its detection, the worst.
+    """Fate of a vessel in a frame, from good to bad; of what is wrong with its detection, the worst."""
 
-    Attributes:
-        NOT_ANNOTATED: It is in the image and was not given to the detector.
-        DETECTED: It was detected, and nothing is wrong with its detection.
-        WRONG_CLASS: Its detection has another class.
-        BELOW_HALF_IOU: The box of its detection has IoU below 0.5 with its annotated box.
-        OFF_VESSEL: The two boxes do not touch.
-        MISSED: It was annotated and not detected.
-    """
-
-    NOT_ANNOTATED = 0
-    DETECTED = 1
+    NOT_ANNOTATED = 0  # in the image and not given to the detector
+    DETECTED = 1  # with nothing wrong with its detection
     WRONG_CLASS = 2
-    BELOW_HALF_IOU = 3
-    OFF_VESSEL = 4
-    MISSED = 5
+    BELOW_HALF_IOU = 3  # of the box of its detection with its annotated box
+    OFF_VESSEL = 4  # the two boxes do not touch
+    MISSED = 5  # annotated and not detected
 
 
 @dataclass(frozen=True, eq=False)
 class OutcomeStretches:
-    """Stretches of shown steps with one outcome of one vessel, in order of vessel and time; none while it is not seen.
+    """Stretches of shown steps with one outcome of one vessel, by vessel and time; none while it is not seen."""
 
-    Attributes:
-        vessel: Index of the vessel, shape (n,).
-        outcome: Number of the `VesselOutcome`, shape (n,).
-        first: Index of the first shown step, shape (n,).
-        until: Index of the last, shape (n,).
-    """
-
-    vessel: Indices
-    outcome: Indices
-    first: Indices
-    until: Indices
+    vessel: Indices  # shape (n,)
+    outcome: Indices  # number of the `VesselOutcome`, shape (n,)
+    first: Indices  # index of the first shown step, shape (n,)
+    until: Indices  # index of the last, shape (n,)
 
 
 class OutcomesBuilder:

@@ -1,9 +1,7 @@
 """Columns of whole numbers in few bytes for the player of a run's page; its other side is `report/player/columns.js`.
-
 A column that changes little is stored as differences: from its row before, from the row before of the same vessel, or
 from another column. The differences are zigzag numbers (0, −1, 1, −2 become 0, 1, 2, 3), first the low bytes of all of
-them, then the higher ones, so that gzip finds long runs of zeros.
-"""
+them, then the higher ones, so that gzip finds long runs of zeros."""
 
 from __future__ import annotations
 
@@ -19,36 +17,25 @@ from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices, row_before
 
-NONE = 0xFFFF
-"""A box side, a vessel or an occluder that is not there; every place in an image is below it."""
-ALIGNED_BYTES = 8
-"""A typed array in the browser begins at a multiple of its item's size."""
-LEVEL = 6
-"""Of zlib: level 9 takes three times as long for 2% fewer bytes."""
-ROW_BEFORE, OUTLINE_BEFORE = "row", "outline"
-"""What a row may be a difference from, besides a column's name."""
+NONE = 0xFFFF  # a box side, a vessel or an occluder that is not there; every place in an image is below it
+ALIGNED_BYTES = 8  # a typed array in the browser begins at a multiple of its item's size
+LEVEL = 6  # of zlib: level 9 takes three times as long for 2% fewer bytes
+ROW_BEFORE, OUTLINE_BEFORE = "row", "outline"  # what a row may be a difference from, besides a column's name
 
 Column = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Coded:
-    """A column that is stored as differences.
-
-    Attributes:
-        values: The column, shape (n,) or (n, k).
-        by: Each row is the difference from the row before (`ROW_BEFORE`), from the row before with the same value in
-            the column of this name, or from the corner of the outline before (`OUTLINE_BEFORE`).
-        base: Each row is the difference from the same row of the column of this name.
-    """
+    """A column, shape (n,) or (n, k), stored as differences `by` the row before (`ROW_BEFORE`), the row before with the
+    same value in the column of this name, or the corner of the outline before (`OUTLINE_BEFORE`)."""
 
     values: Column
     by: str | None = None
-    base: str | None = None
+    base: str | None = None  # name of the column from whose same row each row is the difference
 
 
-Columns = Mapping[str, Column | Coded]
-"""Columns by name; one comes after those that it is a difference from."""
+Columns = Mapping[str, Column | Coded]  # by name; one comes after those that it is a difference from
 
 
 def packed(columns: Columns) -> bytes:
@@ -156,17 +143,11 @@ def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """Stretches of shown steps, in order of key and time.
+    """Stretches of shown steps, in order of key and time."""
 
-    Attributes:
-        key: What is so, of whom: any whole number, shape (n,).
-        first: Index of the first step, shape (n,).
-        until: Index of the last step, shape (n,).
-    """
-
-    key: Indices
-    first: Indices
-    until: Indices
+    key: Indices  # what is so, of whom: any whole number, shape (n,)
+    first: Indices  # index of the first step, shape (n,)
+    until: Indices  # index of the last step, shape (n,)
 
     def __len__(self) -> int:
         """Number of stretches."""
@@ -185,11 +166,8 @@ class Stretches:
 
 def onsets(begins: Stretches, holds: Stretches) -> Stretches:
     """Stretches of `holds`, each from the first step in it that is in `begins` too; those with none are left out.
+    Stretches in `begins` lie in longer ones of `holds` of the same keys."""
 
-    Args:
-        begins: Stretches that lie in those of `holds`.
-        holds: Longer ones of the same keys.
-    """
     span = int(holds.until.max(initial=0)) + 1
     place = np.searchsorted(holds.key * span + holds.first, begins.key * span + begins.first, side="right") - 1
     which, first = np.unique(place, return_index=True)

@@ -26,17 +26,11 @@ MAX_SHOWN, SHOWN_ROWS, MAX_ROWS = 250, 8_000, 400_000
 
 @dataclass(frozen=True, eq=False)
 class PartRows:
-    """Rows of a run at some consecutive steps.
+    """Rows of a run at some consecutive steps."""
 
-    Attributes:
-        rows: Its rows, and those of frames before that cameras still show.
-        steps: The shown steps, ascending, shape (S,).
-        taken: Step of the frame that each camera shows at them, `NOBODY` before its first, shape (S, cameras).
-    """
-
-    rows: RunRows
-    steps: Indices
-    taken: Indices
+    rows: RunRows  # its rows, and those of frames before that cameras still show
+    steps: Indices  # the shown steps, ascending, shape (S,)
+    taken: Indices  # step of the frame that each camera shows at them, `NOBODY` before its first, shape (S, cameras)
 
 
 def shown_in_a_part(scene: Scene, every: int) -> int:
@@ -47,10 +41,7 @@ def shown_in_a_part(scene: Scene, every: int) -> int:
 
 def parts(run: StoredRun, every: int, count: Callable[[RunRows], None]) -> Iterator[PartRows]:
     """The parts of a run of which every K-th step is shown; `count` receives all rows once, some steps at a time.
-
-    Raises:
-        RunDirectoryError: The tables are not what a run has written.
-    """
+    Raises RunDirectoryError if the tables are not what a run has written."""
     scene, at_once = run.scene, shown_in_a_part(run.scene, every) * every
     before: dict[str, pa.Table] = {}
     for first, tables in run.tables_of_steps(at_once):
@@ -80,26 +71,19 @@ def _still_shown(rows: RunRows, step: int) -> dict[str, pa.Table]:
 
 # ---- The numbers of the truth that only the table below the picture shows ----
 
-WHOLE_SILHOUETTE = NONE - 1
-"""Fractions of a silhouette that are in the image are counted in 65,534ths; `NONE` is a null."""
+WHOLE_SILHOUETTE = NONE - 1  # fractions of a silhouette in the image are counted in 65,534ths; `NONE` is a null
 
 
 def number_columns(rows: RunRows, shown: Indices, main_hider: Indices) -> dict[str, Column | Coded]:
-    """Columns of some rows of the truth.
-
-    What can be computed from other columns is left out. Pixels that are hidden are stored in place of those that are
-    seen, as most are 0; the pixels that the main hider hides are those that the others do not.
-
-    Args:
-        rows: All rows of the run.
-        shown: Indices of the rows, shape (k,).
-        main_hider: For each row of the run, the occluder that hides most of it, shape (n,).
-
-    Returns:
-        `silhouettePx`, `hiddenPx` and `inFrame`, shape (k,); `otherName` and `otherPx`: the occluders of each row
-        other than the main one, most pixels first; `otherStart`: where those of each row begin, shape (k + 1,).
-    """
-    silhouette_px = rows.numbers("silhouette_px")[shown]
+    """Columns of the rows `shown` of the truth, shape (k,), by the occluder that hides most of each row, shape (n,).
+    They are `silhouettePx`, `hiddenPx` and `inFrame`, shape (k,); `otherName` and `otherPx`: the occluders of each row
+    other than the main one, most pixels first; `otherStart`: where those of each row begin, shape (k + 1,). What can be
+    computed from other columns is left out. Pixels that are hidden are stored in place of those that are seen, as most
+    are 0; the pixels that the main hider hides are those that the others do not."""
+    silhouette_px, fraction = rows.numbers("silhouette_px")[shown], rows.numbers("in_frame_fraction")[shown]
+    # A part never becomes 0 or all.
+    counted = np.rint(np.nan_to_num(fraction) * WHOLE_SILHOUETTE)
+    counted = np.clip(counted, fraction > 0, WHOLE_SILHOUETTE - (fraction < 1))
     occluders = rows.occluders()
     place = np.full(len(rows.truth_frame), -1)
     place[shown] = np.arange(len(shown))
@@ -109,51 +93,34 @@ def number_columns(rows: RunRows, shown: Indices, main_hider: Indices) -> dict[s
     return {
         "silhouettePx": silhouette_px.astype(np.float32),
         "hiddenPx": (silhouette_px - rows.numbers("visible_px")[shown]).astype(np.float32),
-        "inFrame": _in_parts(rows.numbers("in_frame_fraction")[shown]),
+        "inFrame": np.where(np.isnan(fraction), NONE, counted).astype(np.uint16),
         "otherStart": Coded(starts(of[order], len(shown)), by=ROW_BEFORE),
         "otherName": occluders.name[order].astype(np.uint16),
         "otherPx": occluders.px[order].astype(np.float32),
     }
 
 
-def _in_parts(fraction: Array) -> Column:
-    """Fractions in `WHOLE_SILHOUETTE`ths, of the same shape; a part never becomes 0 or all."""
-    counted = np.rint(np.nan_to_num(fraction) * WHOLE_SILHOUETTE)
-    counted = np.clip(counted, fraction > 0, WHOLE_SILHOUETTE - (fraction < 1))
-    return np.where(np.isnan(fraction), NONE, counted).astype(np.uint16)
-
-
-NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)
-"""What stands for the state and the horizon of a camera that has not taken a frame yet."""
-PER_METRE = 100
-"""Depths are in centimetres."""
+NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)  # state and horizon of a camera that has not taken a frame yet
+PER_METRE = 100  # depths are in centimetres
 
 
 class PartFrames:
-    """The frames that a part shows, camera by camera, each in order of step; an empty one comes last if it is shown.
-
-    Attributes:
-        steps: For each camera the steps of its frames, shape (F_c,).
-        begins: Number of each camera's first frame, and the number of frames, shape (cameras + 1,).
-        numbers: Step × cameras + camera of each frame, shape (count,).
-        count: Number of frames without the empty one.
-        pages: Number of frames, with the empty one.
-        shown: Number of the frame that each camera shows at each step, shape (S, cameras).
-    """
+    """The frames that a part shows, camera by camera, each in order of step; an empty one comes last if it is shown."""
 
     def __init__(self, part: PartRows) -> None:
         """Find the frames of a part."""
         cameras = part.taken.shape[1]
         self._cameras = cameras
-        self.steps = [np.unique(column[column != NOBODY]) for column in part.taken.T]
-        sizes = [len(steps) for steps in self.steps]
-        self.begins = np.concatenate([[0], np.cumsum(sizes)])
-        self.count = int(self.begins[-1])
-        self.pages = self.count + int(np.any(part.taken == NOBODY))
-        self.shown = np.empty(part.taken.shape, dtype=np.int64)
+        self.steps = [np.unique(column[column != NOBODY]) for column in part.taken.T]  # of each camera, shape (F_c,)
+        # The number of each camera's first frame, and the number of frames, shape (cameras + 1,).
+        self.begins = np.concatenate([[0], np.cumsum([len(steps) for steps in self.steps])])
+        self.count = int(self.begins[-1])  # frames without the empty one
+        self.pages = self.count + int(np.any(part.taken == NOBODY))  # frames with it
+        self.shown = np.empty(part.taken.shape, dtype=np.int64)  # frame of each camera at each step, (S, cameras)
         for camera, (steps, taken) in enumerate(zip(self.steps, part.taken.T, strict=True)):
             place = self.begins[camera] + np.searchsorted(steps, taken)
             self.shown[:, camera] = np.where(taken == NOBODY, self.count, place)
+        # Step × cameras + camera of each frame, shape (count,).
         self.numbers = np.concatenate([steps * cameras + camera for camera, steps in enumerate(self.steps)])
 
     def of(self, number: Indices) -> Indices:
@@ -184,7 +151,10 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
     """The truth of frames, the farthest vessel of each frame first."""
     frame, depth_m = frames.of(rows.truth_frame), rows.numbers("depth_m")
     order = np.lexsort((-depth_m, frame))
-    shown, hiders = order[frame[order] != NOBODY], _main_hiders(rows)
+    shown, hiders = order[frame[order] != NOBODY], np.full(len(frame), NONE)
+    occluders = rows.occluders()
+    least_first = np.argsort(occluders.px, kind="stable")
+    hiders[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last, the main one, stays
     return {
         "truthStart": Coded(starts(frame[shown], frames.pages), by=ROW_BEFORE),
         "vessel": Coded(rows.truth_vessel[shown].astype(np.uint16), by=ROW_BEFORE),
@@ -196,14 +166,6 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
         "visible": Coded(in_quanta(rows.boxes_px("visible")[shown], quantum), base="full"),
         **number_columns(rows, shown, hiders),
     }
-
-
-def _main_hiders(rows: RunRows) -> Indices:
-    """Who hides most of each row of the truth, `NONE` if nobody, shape (n,)."""
-    occluders, hiders = rows.occluders(), np.full(len(rows.truth_frame), NONE)
-    least_first = np.argsort(occluders.px, kind="stable")
-    hiders[occluders.hidden[least_first]] = occluders.name[least_first]  # what is written last stays
-    return hiders
 
 
 def detection_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Coded]:

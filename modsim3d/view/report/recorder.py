@@ -1,7 +1,5 @@
 """The frames of a run for the player of its page, in few bytes, and in parts that the player unpacks as needed.
-
-A length in the image is a multiple of `quantum_px`, which is 0.1 px for all but very large images.
-"""
+A length in the image is a multiple of `quantum_px`, which is 0.1 px for all but very large images."""
 
 from __future__ import annotations
 
@@ -23,42 +21,33 @@ from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.map_marks import footprint
-from modsim3d.view.report import packing
+from modsim3d.view.report import packing, part_columns
 from modsim3d.view.report.overview import OutcomesBuilder, OutcomeStretches, Overview, PartMotion, ShownRows, rows_of
-from modsim3d.view.report.part_columns import (
-    ALL_SEA,
-    PartFrames,
-    PartRows,
-    detection_columns,
-    frame_columns,
-    parts,
-    shown_in_a_part,
-    truth_columns,
-)
 from modsim3d.view.report.silhouettes import Silhouettes
 
 # ---- The tracks of a tracker for the player of a run's page ----
 
-UNSCORED, SWITCHED, MOVED = 1, 2, 4
-"""What is so of a row, as bits of the column `trackFlags`."""
+UNSCORED, SWITCHED, MOVED = 1, 2, 4  # what is so of a row, as bits of the column `trackFlags`
 
 
 class TrackRows:
     """The rows of tracks that a recording shows, and what is marked at them.
-
-    A switch in a frame that is not shown is marked at its track's next box that is.
-    """
+    A switch in a frame that is not shown is marked at its track's next box that is."""
 
     def __init__(self, followed: FollowedTracks, scene: Scene, steps: Indices) -> None:
         """Find the rows in the frames that the cameras show at ascending steps, shape (S,)."""
-        tracks = followed.tracks
-        self._followed, self._drawn = followed, np.flatnonzero(np.isin(tracks.frame, _shown_frames(scene, steps)))
+        tracks, numbers = followed.tracks, []
+        for camera, each in enumerate(scene.cameras):
+            taken = scene.frame_steps(each, 0, int(steps[-1]) + 1)
+            place = np.searchsorted(taken, steps, side="right") - 1
+            numbers.append(taken[place[place >= 0]] * len(scene.cameras) + camera)
+        self._followed, self._drawn = followed, np.flatnonzero(np.isin(tracks.frame, np.concatenate(numbers)))
         flags = UNSCORED * followed.unscored
         for bit, marked in ((SWITCHED, followed.switched), (MOVED, followed.moved)):
             flags = flags + bit * _at_next(np.flatnonzero(marked), tracks.identity, self._drawn)
         self._flags = flags
 
-    def columns(self, frames: PartFrames, quantum: float) -> dict[str, packing.Column | packing.Coded]:
+    def columns(self, frames: part_columns.PartFrames, quantum: float) -> dict[str, packing.Column | packing.Coded]:
         """The rows in the frames of a part. A lane is one track of one camera."""
         followed, tracks = self._followed, self._followed.tracks
         first, last = (int(reach(frames.numbers)) for reach in (np.min, np.max)) if frames.count else (0, -1)
@@ -67,25 +56,14 @@ class TrackRows:
         order = np.argsort(frame, kind="stable")
         order = order[frame[order] != NOBODY]
         rows = some[order]
+        vessel = np.where(followed.false, packing.NONE, followed.vessel)[rows]
         return {
             "trackStart": packing.Coded(packing.starts(frame[order], frames.pages), by=packing.ROW_BEFORE),
             "trackLane": packing.Coded(tracks.identity[rows].astype(np.uint32), by=packing.ROW_BEFORE),
-            "trackVessel": packing.Coded(
-                np.where(followed.false, packing.NONE, followed.vessel)[rows].astype(np.uint16), by="trackLane"
-            ),
+            "trackVessel": packing.Coded(vessel.astype(np.uint16), by="trackLane"),
             "trackFlags": self._flags[rows].astype(np.uint8),
             "trackBox": packing.Coded(packing.in_quanta(tracks.boxes_px[rows], quantum), by="trackLane"),
         }
-
-
-def _shown_frames(scene: Scene, steps: Indices) -> Indices:
-    """The numbers of the frames that the cameras show at ascending steps, shape (S,)."""
-    found = []
-    for camera, each in enumerate(scene.cameras):
-        taken = scene.frame_steps(each, 0, int(steps[-1]) + 1)
-        place = np.searchsorted(taken, steps, side="right") - 1
-        found.append(taken[place[place >= 0]] * len(scene.cameras) + camera)
-    return np.unique(np.concatenate(found))
 
 
 class Lanes:
@@ -177,11 +155,10 @@ class Places:
         self._reach.append(camera_m[camera_there])
         every = np.concatenate(self._reach)
         self._reach = [np.array([every.min(axis=0), every.max(axis=0)])]
+        places = _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1)
         return {
             "placed": there.astype(np.uint8),
-            "place": packing.Coded(
-                _centimetres(np.where(there[..., None], place_m, 0.0)).reshape(len(steps), -1), by=packing.ROW_BEFORE
-            ),
+            "place": packing.Coded(places, by=packing.ROW_BEFORE),
             "heading": packing.Coded(_turns(np.where(there, poses.headings_rad, 0.0)), by=packing.ROW_BEFORE),
             "cameraPlaced": camera_there.astype(np.uint8),
             "cameraPlace": packing.Coded(_centimetres(camera_m).reshape(len(steps), -1), by=packing.ROW_BEFORE),
@@ -198,12 +175,9 @@ class Places:
 
 
 def _camera_places(scene: Scene, camera: Camera, steps: Indices, motion: PartMotion) -> tuple[Array, Array, Mask]:
-    """Where a camera is and looks at ascending steps, shape (S,).
-
-    Returns:
-        w1 and w2, shape (S, 2); the directions to the left and the right end of its horizon, shape (S, 2); whether it
-        is there, shape (S,): not while the vessel that carries it is absent, which may be so between its frames.
-    """
+    """Place and view of a camera at ascending steps, shape (S,): w1 and w2, shape (S, 2); the directions to the left
+    and the right end of its horizon, shape (S, 2); whether it is there, shape (S,): not while the vessel that carries
+    it is absent, which may be so between its frames."""
     there = np.ones(len(steps), dtype=bool)
     if camera.mount.vessel is not None:
         there = motion.at(steps).poses.present[:, scene.vessel_names.index(camera.mount.vessel)]
@@ -235,15 +209,12 @@ def _rings(shape: Any) -> list[list[list[float]]]:
 
 _DECIMAL = re.compile(r"(-?)(\d+)\.(\d+)")
 LONGEST_DIFFERENCE = 2**31
-MAX_DIGITS = 15
-"""Whole numbers up to here are exact in the browser."""
+MAX_DIGITS = 15  # whole numbers up to here are exact in the browser
 
 
 def clock(timestamps: Sequence[str]) -> tuple[dict[str, Any], packing.Columns]:
     """Facts and columns from which the player has the texts of the steps' times; see `said`.
-
-    Texts that are not plain decimals in their shortest form are stored as they are.
-    """
+    Texts that are not plain decimals in their shortest form are stored as they are."""
     decimals = max((len(text.partition(".")[2]) for text in timestamps), default=0)
     if all(map(_DECIMAL.fullmatch, timestamps)):
         units = [_in_units(text, decimals) for text in timestamps]
@@ -272,21 +243,13 @@ FINEST_PX = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The frames of a run for the player.
+    """The frames of a run for the player."""
 
-    Attributes:
-        name: Tells the recordings of a page apart: `A`, `B`.
-        facts: What the numbers mean: names, colours, times.
-        overview: Packed columns of what the timeline shows, which the player unpacks first.
-        parts: Packed columns of each part of the shown steps.
-        outcomes: What became of the vessels, of each camera.
-    """
-
-    name: str
-    facts: dict[str, Any]
-    overview: bytes
-    parts: tuple[bytes, ...]
-    outcomes: tuple[OutcomeStretches, ...]
+    name: str  # tells the recordings of a page apart: `A`, `B`
+    facts: dict[str, Any]  # what the numbers mean: names, colours, times
+    overview: bytes  # packed columns of what the timeline shows, which the player unpacks first
+    parts: tuple[bytes, ...]  # packed columns of each part of the shown steps
+    outcomes: tuple[OutcomeStretches, ...]  # what became of the vessels, of each camera
 
 
 def recording(
@@ -297,28 +260,18 @@ def recording(
     name: str = "A",
     count: Callable[[RunRows], None] = lambda rows: None,
 ) -> Recording:
-    """The recording of every K-th step of a run, with tracks if there are some.
-
-    A camera with a frame rate of its own shows the last frame that it took, and an empty frame before its first one.
-
-    Args:
-        run: The run; no more than a part of it is in memory at once.
-        every: K.
-        progress: Called with the number of shown steps done since its last call.
-        followed: Tracks of the run.
-        name: The recording's name on its page.
-        count: Called with all rows of the run, some steps at a time.
-
-    Raises:
-        RunDirectoryError: The tables are not what a run has written.
-    """
+    """The recording of every K-th step of a run, with tracks if there are some; no more than a part of the run is in
+    memory at once. A camera with a frame rate of its own shows the last frame that it took, and an empty frame before
+    its first one. `progress` is called with the number of shown steps done since its last call, `count` with all rows
+    of the run, some steps at a time.
+    Raises RunDirectoryError if the tables are not what a run has written."""
     recorder = _Recorder(run, every, followed)
     done = []
-    for part in parts(run, every, count):
+    for part in part_columns.parts(run, every, count):
         done.append(packing.packed(recorder.columns(part)))
         progress(len(part.steps))
     facts, overview = recorder.overview()
-    facts |= {"parts": len(done), "partSteps": shown_in_a_part(run.scene, every)}
+    facts |= {"parts": len(done), "partSteps": part_columns.shown_in_a_part(run.scene, every)}
     return Recording(name, facts, packing.packed(overview), tuple(done), recorder.outcomes())
 
 
@@ -339,36 +292,33 @@ class _Recorder:
             self._lanes = [Lanes(len(run.scene.vessels)) for _ in run.scene.cameras]
             self._tracks = TrackRows(followed, run.scene, self._steps)
 
-    def columns(self, part: PartRows) -> dict[str, packing.Column | packing.Coded]:
+    def columns(self, part: part_columns.PartRows) -> dict[str, packing.Column | packing.Coded]:
         """The columns of a part, which is added to the overviews."""
-        frames = PartFrames(part)
+        frames = part_columns.PartFrames(part)
         horizons = np.empty((frames.pages, 3))
-        horizons[frames.count :] = ALL_SEA
+        horizons[frames.count :] = part_columns.ALL_SEA
         motion = PartMotion(self._scene, [part.steps, *frames.steps])
         shape_frame, silhouettes = self._silhouettes.columns(part.rows, frames.steps, motion, horizons)
         columns = {
-            **frame_columns(part, frames),
+            **part_columns.frame_columns(part, frames),
             "horizon": packing.Coded(horizons.astype(np.float32), by=packing.ROW_BEFORE),
             "shapeStart": packing.Coded(packing.starts(shape_frame, frames.pages), by=packing.ROW_BEFORE),
             **silhouettes,
-            **truth_columns(part.rows, frames, self._quantum),
-            **detection_columns(part.rows, frames, self._quantum),
+            **part_columns.truth_columns(part.rows, frames, self._quantum),
+            **part_columns.detection_columns(part.rows, frames, self._quantum),
             **self._places.columns(part.steps, motion),
         }
         if self._tracks is not None:
             columns |= self._tracks.columns(frames, self._quantum)
-        self._add(part, frames.shown, columns)
-        return columns
-
-    def _add(self, part: PartRows, shown: Indices, columns: Mapping[str, packing.Column | packing.Coded]) -> None:
         index = part.steps // self._every
         plain = {name: each.values if isinstance(each, packing.Coded) else each for name, each in columns.items()}
         for camera, (overview, outcomes) in enumerate(zip(self._overviews, self._outcomes, strict=True)):
-            rows = ShownRows.of(index, shown[:, camera], plain)
+            rows = ShownRows.of(index, frames.shown[:, camera], plain)
             overview.add(rows)
             outcomes.add(rows)
         for camera, lanes in enumerate(self._lanes):
-            lanes.add(index, shown[:, camera], part.taken[:, camera], plain)
+            lanes.add(index, frames.shown[:, camera], part.taken[:, camera], plain)
+        return columns
 
     def outcomes(self) -> tuple[OutcomeStretches, ...]:
         """Outcomes of the vessels, of each camera, once all parts are there."""
@@ -377,8 +327,7 @@ class _Recorder:
     def overview(self) -> tuple[dict[str, Any], dict[str, packing.Column | packing.Coded]]:
         """The facts, and the columns of what the timeline shows, once all parts are there."""
         scene, steps = self._scene, self._steps
-        timestamps = scene.timestamps(0, int(steps[-1]) + 1)[:: self._every]
-        times, columns = clock(timestamps)
+        times, columns = clock(scene.timestamps(0, int(steps[-1]) + 1)[:: self._every])
         every: dict[str, packing.Column | packing.Coded] = {**columns, **self._silhouettes.still_columns()}
         for camera, overview in enumerate(self._overviews):
             every |= overview.columns(f"{camera}.", half=bool(self._lanes))
@@ -398,7 +347,6 @@ class _Recorder:
 
 
 def _facts(scene: Scene, quantum: float) -> dict[str, Any]:
-    """Meaning of the numbers: names, colours."""
     vessels = [palette.vessel_colour(index) for index in range(len(scene.vessels))]
     obstacles = [palette.obstacle_colour(index) for index in range(len(scene.obstacles))]
     states = palette.state_colours(len(scene.detector.states))

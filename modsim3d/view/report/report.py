@@ -20,16 +20,8 @@ from modsim3d.core.text import counted
 from modsim3d.io.atomic_write import put_folder_in_place, write_files
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.view.followed_tracks import FollowedTracks
+from modsim3d.view.pages import provenance
 from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style
-from modsim3d.view.pages.provenance import (
-    PROVENANCE_STYLE,
-    Provenance,
-    provenance,
-    run_inputs,
-    run_seeds,
-    run_versions,
-    track_inputs,
-)
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 from modsim3d.view.report import count_tables
 from modsim3d.view.report.packing import as_text
@@ -39,18 +31,16 @@ from modsim3d.view.report.recorder import Recording, recording
 
 
 def recording_html(recording: Recording, folder: str | None = None) -> str:
-    """The elements from which `openRecording(name)` of the player has its recording.
-
-    They are `facts-NAME`, `overview-NAME` and, unless the parts are in files in a folder beside the page, `part-NAME-0`
-    and so on.
-    """
+    """The elements from which `openRecording(name)` of the player has its recording: `facts-NAME`, `overview-NAME` and,
+    unless the parts are in files in a folder beside the page, `part-NAME-0` and so on."""
     name, facts = recording.name, recording.facts | ({"folder": folder} if folder else {})
-    elements = [
-        f'<script type="application/json" id="facts-{name}">{json_in_html(facts)}</script>',
-        data_element(f"overview-{name}", recording.overview),
-        *(data_element(f"part-{name}-{i}", part) for i, part in enumerate(recording.parts) if folder is None),
-    ]
-    return "\n".join(elements)
+    return "\n".join(
+        [
+            f'<script type="application/json" id="facts-{name}">{json_in_html(facts)}</script>',
+            data_element(f"overview-{name}", recording.overview),
+            *(data_element(f"part-{name}-{i}", part) for i, part in enumerate(recording.parts) if folder is None),
+        ]
+    )
 
 
 def data_element(element: str, data: bytes) -> str:
@@ -66,105 +56,42 @@ def json_in_html(value: object) -> str:
 
 # ---- The page that plays recordings ----
 
-PART_FILES = "*-*.js"
-"""Files of parts beside the page."""
-FILES = " 'self' file:"
-"""Where they come from: a server or a disk."""
+PART_FILES = "*-*.js"  # files of parts beside the page
+FILES = " 'self' file:"  # where they come from: a server or a disk
 SCRIPTS = (
-    "elements.js",
-    "colours.js",
-    "words.js",
-    "columns.js",
-    "overview.js",
-    "parts.js",
-    "recording.js",
-    "kinds.js",
-    "highlight.js",
-    "plates.js",
-    "picture.js",
-    "track_picture.js",
-    "bounds.js",
-    "pane.js",
-    "stage.js",
-    "closeup.js",
-    "vessel_list.js",
-    "moments.js",
-    "strips.js",
-    "moment_controls.js",
-    "timeline.js",
-    "lane_panel.js",
-    "lanes.js",
-    "differences.js",
-    "difference_lanes.js",
-    "above.js",
-    "legend.js",
-    "hint.js",
-    "gestures.js",
-    "focus.js",
-    "hover.js",
-    "numbers.js",
-    "share.js",
-    "loop.js",
-    "playback.js",
-    "keys.js",
-    "key_help.js",
-    "address.js",
-    "player.js",
-    "start.js",
+    *("elements.js", "colours.js", "words.js", "columns.js", "overview.js", "parts.js", "recording.js", "kinds.js"),
+    *("highlight.js", "plates.js", "picture.js", "track_picture.js", "bounds.js", "pane.js", "stage.js", "closeup.js"),
+    *("vessel_list.js", "moments.js", "strips.js", "moment_controls.js", "timeline.js", "lane_panel.js", "lanes.js"),
+    *("differences.js", "difference_lanes.js", "above.js", "legend.js", "hint.js", "gestures.js", "focus.js"),
+    *("hover.js", "numbers.js", "share.js", "loop.js", "playback.js", "keys.js", "key_help.js", "address.js"),
+    *("player.js", "start.js"),
 )
 """In the order in which they need each other; in the page they are one script."""
 STYLES = (
-    "base.css",
-    "player.css",
-    "timeline.css",
-    "tables.css",
-    "boxes.css",
-    "vessel_list.css",
-    "numbers.css",
-    "actions.css",
-    "keys.css",
-    "lanes.css",
-    "panes.css",
+    *("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css"),
+    *("actions.css", "keys.css", "lanes.css", "panes.css"),
 )
 
 
 @dataclass(frozen=True)
 class PageText:
-    """Text around the player; all but the title and the name as HTML.
-
-    Attributes:
-        name: The heading.
-        lead: A sentence below it.
-        notes: Below the result.
-        result: What matters most.
-        tables: Below the player.
-        lanes: There is a panel for tracks.
-    """
+    """Text around the player; all but the title and the name as HTML."""
 
     title: str
-    name: str
-    lead: str
-    notes: str
-    result: str
-    tables: str
-    lanes: bool = False
+    name: str  # the heading
+    lead: str  # a sentence below it
+    notes: str  # below the result
+    result: str  # what matters most
+    tables: str  # below the player
+    lanes: bool = False  # there is a panel for tracks
 
 
 def write_page(
     text: PageText, recordings: Sequence[Recording], out: Path, *, in_files: bool, differences: str = ""
 ) -> None:
-    """Write the page, with the parts of the recordings in it or in files in `parts_folder(out)`.
-
-    Args:
-        text: What is around the player.
-        recordings: One, or two of the same truth.
-        out: The file.
-        in_files: Write the parts into files.
-        differences: The element that holds the differences of two recordings.
-
-    Raises:
-        OutputError: A file cannot be written.
-    """
+    """Write the page of one recording, or of two of the same truth, with their parts in it or in files in
+    `parts_folder(out)`. `differences` is the element that holds those of two recordings.
+    Raises OutputError for a file that cannot be written."""
     folder = parts_folder(out) if in_files else None
     page = _page(text, recordings, folder, differences)
     if folder is None:
@@ -195,7 +122,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         "style-src 'unsafe-inline'; img-src data:",
         "style": "".join(map(_part, STYLES))
         + TABLE_STYLE
-        + PROVENANCE_STYLE
+        + provenance.PROVENANCE_STYLE
         + PRINT_STYLE
         + sheet_style(text.title, mark_of(text.lead + text.notes + text.result + text.tables)),
         "lead": text.lead,
@@ -221,8 +148,9 @@ def _part(name: str) -> str:
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
-LOUD_SHARE = 0.1
-"""A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says; as the summary of a run has it."""
+LOUD_SHARE = (
+    0.1  # of boxes with IoU below 0.5, from which on an evaluation by IoU is warned of; as in the summary of a run
+)
 
 
 def write_report(
@@ -236,23 +164,14 @@ def write_report(
     *,
     in_files: bool = False,
 ) -> Path:
-    """Write the page of a run and return its file; the same run gives the same bytes.
-
-    Args:
-        run: A finished or an interrupted run.
-        out: The file; `report.html` in the run directory if None.
-        every: Show every K-th step; the tables count all of them.
-        progress: Called with the number of shown steps done since its last call.
-        followed: The tracks of a tracker, for lanes below the timeline; none if None.
-        command: What the page says it was made by; the call from Python if None.
-        tracks: Where the tracks were read.
-        in_files: Write the parts of the recording into files in `parts_folder(out)`, which the page reads when it needs
-            them, and not into the page.
-
-    Raises:
-        RunDirectoryError: An interrupted run has kept nothing yet, or the tables are not what a run has written.
-        OutputError: A file cannot be written.
-    """
+    """Write the page of a run, finished or interrupted, and return its file, by default `report.html` in the run
+    directory; the same run gives the same bytes.
+    The page shows every K-th step (`every`); its tables count all of them. It has lanes for the tracks `followed`,
+    which were read from `tracks`, and says that `command` made it, or the call from Python if None. With `in_files` it
+    reads the parts of the recording from `parts_folder(out)` when it needs them. `progress` is called with the number
+    of shown steps done since its last call.
+    Raises RunDirectoryError if an interrupted run has kept nothing yet or the tables are not what a run has written,
+    and OutputError for a file that cannot be written."""
     check_steps(run)
     out = run.folder / REPORT_FILE if out is None else out
     counts = count_tables.CountTables(run.scene)
@@ -272,11 +191,7 @@ def write_report(
 
 
 def check_steps(run: StoredRun) -> None:
-    """Raise an error if there is nothing to show of a run.
-
-    Raises:
-        RunDirectoryError: It was interrupted before its first steps were kept.
-    """
+    """Raise RunDirectoryError if a run was interrupted before its first steps were kept: there is nothing to show."""
     if not run.steps:
         raise RunDirectoryError(
             f"{run.folder} was interrupted before its first steps were finished: there is nothing to show; "
@@ -337,23 +252,20 @@ def _result(counts: count_tables.DetectorCounts) -> str:
     )
 
 
-def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | None) -> Provenance:
-    return Provenance(
+def _provenance(run: StoredRun, every: int, command: str | None, tracks: Path | None) -> provenance.Provenance:
+    whole = "" if run.finished else f" of {run.scene.steps:,}: the run was interrupted"
+    steps = f"{run.steps:,}{whole}" + (f", one of {every} shown" if every > 1 else "")
+    return provenance.Provenance(
         page="report of a run",
         made_by=command or f"modsim3d.view.report.report.write_report of {run.folder} from Python",
-        inputs=(*run_inputs(run), *(() if tracks is None else track_inputs(tracks.name, tracks))),
-        seeds=run_seeds(run),
-        options=(("Steps", _steps(run, every)),),
-        made_before=run_versions(run),
+        inputs=(*provenance.run_inputs(run), *(provenance.track_inputs(tracks.name, tracks) if tracks else ())),
+        seeds=provenance.run_seeds(run),
+        options=(("Steps", steps),),
+        made_before=provenance.run_versions(run),
     )
 
 
-def _steps(run: StoredRun, every: int) -> str:
-    whole = "" if run.finished else f" of {run.scene.steps:,}: the run was interrupted"
-    return f"{run.steps:,}{whole}" + (f", one of {every} shown" if every > 1 else "")
-
-
-def _tables(counts: count_tables.CountTables, settings: dict[str, Any], rests_on: Provenance) -> str:
+def _tables(counts: count_tables.CountTables, settings: dict[str, Any], rests_on: provenance.Provenance) -> str:
     parts = [
         ("What happened", counts.overall(), ()),
         *([("By camera", cameras, count_tables.CAMERA_HEADER)] if len(cameras := counts.by_camera()) > 1 else []),
@@ -363,7 +275,7 @@ def _tables(counts: count_tables.CountTables, settings: dict[str, Any], rests_on
     every_setting = folded(
         "All settings of the run", facts([(name, text) for name, text in count_tables.named_values(settings)])
     )
-    return f"{sections(parts)}\n<section>{every_setting}</section>\n{provenance(rests_on)}"
+    return f"{sections(parts)}\n<section>{every_setting}</section>\n{provenance.provenance(rests_on)}"
 
 
 def sections(parts: Sequence[tuple[str, count_tables.Rows, Sequence[str]]]) -> str:

@@ -26,16 +26,11 @@ from modsim3d.view.report.recorder import recording
 
 # ---- Two runs of the same truth ----
 
-DETECTORS_OWN = "detected"
-"""The column of the truth that depends on the detector."""
+DETECTORS_OWN = "detected"  # the column of the truth that depends on the detector
 
 
 def check_same_truth(first: StoredRun, second: StoredRun) -> None:
-    """Raise an error if two runs do not hold the same truth.
-
-    Raises:
-        RunDirectoryError: Cameras, vessels, steps or a row of the truth differ.
-    """
+    """Raise RunDirectoryError if cameras, vessels, steps or a row of the truth differ between two runs."""
     for name, one, other in (
         ("cameras", *(listed([camera.name for camera in run.scene.cameras]) for run in (first, second))),
         ("vessels", *(listed(list(run.scene.vessel_names)) for run in (first, second))),
@@ -72,25 +67,17 @@ def _first_difference(one: pa.Table, other: pa.Table) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Stretches of shown steps in which two detectors made different things of a vessel, by camera, vessel and step.
+    """Stretches of shown steps in which two detectors made different things of a vessel, by camera, vessel and step."""
 
-    Attributes:
-        camera: Index of the camera of each stretch, shape (d,).
-        vessel: Index of the vessel, shape (d,).
-        index: First shown step, shape (d,).
-        until: Last shown step, shape (d,).
-        outcomes: Numbers of the `VesselOutcome` in the first and the second run, shape (d, 2).
-    """
-
-    camera: Indices
-    vessel: Indices
-    index: Indices
-    until: Indices
-    outcomes: Indices
+    camera: Indices  # index, shape (d,)
+    vessel: Indices  # index, shape (d,)
+    index: Indices  # first shown step, shape (d,)
+    until: Indices  # last shown step, shape (d,)
+    outcomes: Indices  # numbers of the `VesselOutcome` in the first and the second run, shape (d, 2)
 
 
 def differences(first: Sequence[OutcomeStretches], second: Sequence[OutcomeStretches]) -> Differences:
-    """Where two runs of the same truth differ, from what became of the vessels of each camera in them."""
+    """Differences between two runs of the same truth, from what became of the vessels of each camera in them."""
     parts = []
     for camera, (one, other) in enumerate(zip(first, second, strict=True)):
         span = int(one.until.max(initial=0)) + 1
@@ -124,7 +111,7 @@ PAIRED_HEADER = ("Vessel", "Annotated", "Detected by both", "Only by A", "Only b
 
 
 def paired_detections(first: RunRows, second: RunRows) -> Rows:
-    """How many annotated vessels both, one or none of the runs detected, by vessel and in all; see `PAIRED_HEADER`."""
+    """Counts of annotated vessels that both, one or none of the runs detect, by vessel and in all: `PAIRED_HEADER`."""
     vessel, given = first.truth_vessel, first.annotated
     rows = [_paired(name, first, second, given & (vessel == i)) for i, name in enumerate(first.scene.vessel_names)]
     return [*rows, _paired("all", first, second, given)]
@@ -149,21 +136,11 @@ def write_side_by_side(
     *,
     in_files: bool = False,
 ) -> Path:
-    """Write the page of two runs and return its file; the same runs give the same bytes.
-
-    Args:
-        first: A run, A on the page.
-        second: A run of the same truth, B on the page.
-        out: The file; `side_by_side.html` in the first run's directory if None.
-        every: Show every K-th step; the tables count all of them.
-        progress: Called with the number of shown steps done since its last call, of both runs together.
-        command: What the page says it was made by; the call from Python if None.
-        in_files: As of `write_report`.
-
-    Raises:
-        RunDirectoryError: The runs do not hold the same truth, or their tables are not what a run has written.
-        OutputError: A file cannot be written.
-    """
+    """Write the page of two runs of the same truth, A and B on the page, and return its file, by default
+    `side_by_side.html` in the first run's directory; the same runs give the same bytes.
+    Options are as of `write_report`; `progress` counts the steps of both runs together.
+    Raises RunDirectoryError if the runs do not hold the same truth or their tables are not what a run has written, and
+    OutputError for a file that cannot be written."""
     for run in (first, second):
         report.check_steps(run)
     check_same_truth(first, second)
@@ -186,19 +163,19 @@ def write_side_by_side(
             for name, counts in zip(names, tables, strict=True)
         ),
     ]
-    note = report.note_on_steps(every) if every > 1 else ""
+    number = len(found.vessel)
+    times = "once" if number == 1 else f"{number:,} times"
+    settings, rests_on = _settings(first, second, names), provenance(_provenance(runs, every, command))
     text = report.PageText(
         title=f"{first.scene.name}: two runs side by side",
         name=f"{first.scene.name}: two runs",
         lead=html.escape(
             f"{names[0]} and {names[1]}: what two detectors, or one with two seeds, made of the same truth. "
-            f"They differ {_times(len(found.vessel))}; consecutive frames of a vessel count once."
+            f"They differ {times}; consecutive frames of a vessel count once."
         ),
-        notes=note,
+        notes=report.note_on_steps(every) if every > 1 else "",
         result=_result(compared, names),
-        tables="\n".join(
-            [report.sections(parts), _settings(first, second, names), provenance(_provenance(runs, every, command))]
-        ),
+        tables="\n".join([report.sections(parts), settings, rests_on]),
     )
     facts = f'<script type="application/json" id="runs">{report.json_in_html(names)}</script>'
     columns = report.data_element("differences-columns", packed(difference_columns(found)))
@@ -225,12 +202,7 @@ def _settings(first: StoredRun, second: StoredRun, names: tuple[str, str]) -> st
     left_out = ("scene_sha256", "truncation.")
     differ = [key for key in {**one, **other} if one.get(key) != other.get(key) and not key.startswith(left_out)]
     rows = [(key, *(each.get(key, UNKNOWN) for each in (one, other))) for key in differ]
-    shown = table(rows, ("", *names))
-    return f"<section>{heading('Settings that differ')}{shown}</section>"
-
-
-def _times(number: int) -> str:
-    return "once" if number == 1 else f"{number:,} times"
+    return f"<section>{heading('Settings that differ')}{table(rows, ('', *names))}</section>"
 
 
 def _result(compared: Rows, names: tuple[str, str]) -> str:

@@ -21,27 +21,19 @@ from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.world.vessels import Solid
 
 Signs = NDArray[np.int8]
-MAX_FACES = 300_000
-"""Number of faces that are looked at together: few calls, little memory."""
+MAX_FACES = 300_000  # looked at together: few calls, little memory
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Directed edges that form closed lines around what each row of `Outlines` covers.
+    """Directed edges that form closed lines around what each row of `Outlines` covers."""
 
-    Attributes:
-        row: Row of the outlines, non-decreasing, shape (e,).
-        ends_px: Start and end of each edge, shape (e, 2, 2).
-    """
-
-    row: Indices
-    ends_px: Array
+    row: Indices  # of the outlines, non-decreasing, shape (e,)
+    ends_px: Array  # start and end of each edge, shape (e, 2, 2)
 
     def boxes_px(self, rows: int) -> Array:
         """Boxes around the edges of each row; (inf, inf, −inf, −inf) around none, shape (rows, 4).
-
-        They may be too large along the image's border.
-        """
+        They may be too large along the image's border."""
         boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (rows, 1))
         first = run_starts(self.row)
         if len(first):
@@ -54,9 +46,7 @@ class Edges:
 
 def silhouette_edges(outlines: Outlines, intrinsics: Intrinsics) -> Edges:
     """The edges around all rows in the camera's image.
-
-    The lines around solids that are not closed wind around what their faces cover, seen from either side.
-    """
+    The lines around solids that are not closed wind around what their faces cover, seen from either side."""
     found = [(np.empty(0, dtype=np.int64), np.empty((0, 2, 2)))]
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]
@@ -83,22 +73,15 @@ def _in_turns(part: OutlinePart, members: Indices) -> Iterator[OutlinePart]:
 
 @dataclass(frozen=True, eq=False)
 class _Mesh:
-    """The edges of a solid, and the faces at each.
+    """The edges of a solid, and the faces at each."""
 
-    Attributes:
-        ends: Vertices of each edge, the lower number first, shape (E, 2).
-        faces: Faces at each edge, shape (k, E), the number of faces where there are fewer than k.
-        signs: 1 where a face runs along its edge from the first end to the second, else −1, shape (k, E).
-    """
-
-    ends: Indices
-    faces: Indices
-    signs: Signs
+    ends: Indices  # vertices of each edge, the lower number first, shape (E, 2)
+    faces: Indices  # at each edge, shape (k, E), the number of faces where there are fewer than k
+    signs: Signs  # 1 where a face runs along its edge from the first end to the second, else −1, shape (k, E)
 
 
 @lru_cache(maxsize=256)
 def _mesh(solid: Solid) -> _Mesh:
-    """The edges of a solid."""
     start, end = solid.faces.ravel(), np.roll(solid.faces, -1, axis=1).ravel()
     ends, edge = np.unique(np.sort(np.column_stack([start, end]), axis=1), axis=0, return_inverse=True)
     edge = edge.reshape(-1)
@@ -134,10 +117,8 @@ def _edges(part: OutlinePart, intrinsics: Intrinsics, *, cut: bool) -> tuple[Ind
 
 
 def _turned(part: OutlinePart) -> Signs:
-    """How often each face counts, and a last row of zeros, shape (F + 1, m).
-
-    It is 1 for a face as it is, −1 for one whose corners run the other way round, 0 for one that is not needed.
-    """
+    """Count of each face, and a last row of zeros, shape (F + 1, m).
+    It is 1 for a face as it is, −1 for one whose corners run the other way round, 0 for one that is not needed."""
     x, y, z = (np.ascontiguousarray(part.vertices_camera[..., axis].T) for axis in range(3))
     a, b, c = part.solid.faces.T
     ax, ay, az = x[a], y[a], z[a]
@@ -184,10 +165,8 @@ def _section(part: OutlinePart, turned: Signs, near: float) -> tuple[Indices, Ar
 
 
 def _crossing(part: OutlinePart, member: Indices, inner: Indices, outer: Indices, near: float) -> Array:
-    """Where edges leave the half-space beyond the near plane, shape (e, 3).
-
-    It is computed from the inner end, so that all that end there get exactly the same point.
-    """
+    """Points at which edges leave the half-space beyond the near plane, shape (e, 3).
+    They are computed from the inner end, so that all that end there get exactly the same point."""
     a, b = part.vertices_camera[member, inner], part.vertices_camera[member, outer]
     share = (a[:, 2] - near) / (a[:, 2] - b[:, 2])
     crossing: Array = a + share[:, None] * (b - a)
@@ -197,9 +176,7 @@ def _crossing(part: OutlinePart, member: Indices, inner: Indices, outer: Indices
 
 def _confined(row: Indices, ends: Array, size_px: tuple[int, int], guard_px: float = 0.0) -> tuple[Indices, Array]:
     """Edges whose lines wind around each pixel of the image as before, and which do not leave it by more than a guard.
-
-    Lines outside are moved to the nearest places on the border.
-    """
+    Lines outside are moved to the nearest places on the border."""
     low, high = -guard_px, np.array(size_px) + guard_px
     out = ((ends < low) | (ends > high)).reshape(-1, 4).any(axis=1)
     whole_row, whole_ends, row, ends = row[~out], ends[~out], row[out], ends[out]
@@ -235,38 +212,28 @@ def _divided(row: Indices, ends: Array, longest_px: float) -> tuple[Indices, Arr
 
 # ---- Closed lines around what is covered, without cutting polygons ----
 
-PLACE_BITS = 17
-"""Bits of a coordinate in a vertex's number."""
+PLACE_BITS = 17  # of a coordinate in a vertex's number
 _PLACE = (1 << PLACE_BITS) - 1
 
 
 @dataclass(frozen=True, eq=False)
 class Contours:
-    """Closed lines, those of one shape after the other.
+    """Closed lines, those of one shape after the other."""
 
-    Attributes:
-        shape: Index of the shape that each line belongs to, non-decreasing, shape (l,).
-        count: Number of corners of each line, shape (l,).
-        corners: Corners of the lines, line after line, the first not repeated at the end, shape (k, 2).
-    """
-
-    shape: Indices
-    count: Indices
-    corners: Indices
+    shape: Indices  # index of the shape that each line belongs to, non-decreasing, shape (l,)
+    count: Indices  # number of corners of each line, shape (l,)
+    corners: Indices  # of the lines, line after line, the first not repeated at the end, shape (k, 2)
 
 
 def contours(shape: Indices, ends: Indices) -> Contours:
     """Join the directed edges of each shape to closed lines, by the index of the shape, shape (e,).
-
     Start and end of the edges are whole numbers from 0 to 65,535, shape (e, 2, 2). In each shape as many edges begin at
-    a place as end there.
-    """
+    a place as end there."""
     place = (ends[..., 0] << PLACE_BITS) + ends[..., 1]
     number, vertex = np.unique((shape[:, None] << 2 * PLACE_BITS) + place, return_inverse=True)
     start, end = vertex.reshape(-1, 2).T
-    start, end = _unpaired(start, end, len(number))
-    line, count = _joined(start, end)
-    numbers = number[start[line]]
+    line, count = _joined(*_unpaired(start, end, len(number)))
+    numbers = number[line]
     flat = np.column_stack([numbers >> PLACE_BITS, numbers]) & _PLACE
     first = np.cumsum(count) - count
     return Contours(numbers[first] >> 2 * PLACE_BITS, count, flat)
@@ -283,11 +250,9 @@ def _unpaired(start: Indices, end: Indices, vertices: int) -> tuple[Indices, Ind
 
 
 def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
-    """Edges in order along closed lines, shape (e,), and the number of edges of each line, shape (l,).
-
-    As many edges begin at each vertex as end there. A line begins at its lowest vertex. Lines are in order of it, so
-    that those of a shape stay together.
-    """
+    """Start vertices of edges in order along closed lines, shape (e,), and the number of edges of each line, shape
+    (l,). As many edges begin at each vertex as end there. A line begins at its lowest vertex. Lines are in order of it,
+    so that those of a shape stay together."""
     order = np.argsort(start, kind="stable")
     after = np.empty_like(order)
     after[np.argsort(end, kind="stable")] = np.arange(len(order))
@@ -299,7 +264,7 @@ def _joined(start: Indices, end: Indices) -> tuple[Indices, Indices]:
     line = np.empty_like(order)
     left = _left_to(heads, after)
     line[begin[first] + (count[first] - left) % count[first]] = order
-    return line, count[heads]
+    return start[line], count[heads]
 
 
 def _least_along(after: Indices) -> Indices:
@@ -323,16 +288,9 @@ def _left_to(heads: Mask, after: Indices) -> Indices:
 
 
 def tidy_at_border(shape: Indices, ends: Indices, size: tuple[int, int]) -> tuple[Indices, Indices]:
-    """Edges without the ways to and fro along the border of an image; the lines wind around its pixels as before.
-
-    Args:
-        shape: Shape that each edge belongs to, shape (e,).
-        ends: Start and end of each edge, whole numbers from 0 to the size, shape (e, 2, 2).
-        size: Greatest column and row.
-
-    Returns:
-        Shape and ends of the edges that stay, and of those along the border.
-    """
+    """Edges without the ways to and fro along the border of an image, and their shapes; the lines wind around its
+    pixels as before. `shape` has the shape of each edge, shape (e,), `ends` their start and end, whole numbers from 0
+    to `size`, the greatest column and row, shape (e, 2, 2). Those along the border come last."""
     left = np.ones(len(shape), dtype=bool)
     shapes, every = [], []
     for axis, bound in ((0, 0), (0, size[0]), (1, 0), (1, size[1])):

@@ -26,21 +26,12 @@ from modsim3d.world.vessel_motion import PosesInWaves
 
 
 def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[Indices, Indices]:
-    """Pairs of rows of the outlines of which one may hide the other of its frame in part.
-
+    """Pairs of rows of the outlines of which one may hide the other of its frame in part: the rows that may be hidden,
+    shape (p,), and for each of them the one that may hide it, shape (p,).
     Of two solids at depths that do not overlap the nearer one is in front. Otherwise a plane between them, or between
     the boxes around them, tells which one is. Without such a plane the truth decides, if one of the two hides the other
-    and not the other way round. It does not say what vessels hide of obstacles.
-
-    Args:
-        outlines: The solids before the camera.
-        occluder_count: Number of the scene's occluder names.
-        hides: Keys (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth,
-            shape (m,).
-
-    Returns:
-        The rows that may be hidden, shape (p,), and for each of them the one that may hide it, shape (p,).
-    """
+    and not the other way round. It does not say what vessels hide of obstacles. `hides` holds the keys
+    (frame · occluder_count + hidden) · occluder_count + hider of what hides what in the truth, shape (m,)."""
     boxes = in_boxes(outlines)
     first, second = overlapping_pairs(outlines.frame, outlines.boxes_px)
     others = outlines.occluder[first] != outlines.occluder[second]
@@ -50,8 +41,9 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     apart = first_nearer | second_nearer
     order = order_of_pairs(boxes, first[~apart], second[~apart])
     one, other = order.first[order.intersecting], order.second[order.intersecting]
-    one_hides = np.isin(_keys(outlines, other, one, occluder_count), hides)
-    other_hides = np.isin(_keys(outlines, one, other, occluder_count), hides)
+    frame, occluder = outlines.frame[one], outlines.occluder
+    one_hides = np.isin(_keys(frame, occluder[other], occluder[one], occluder_count), hides)
+    other_hides = np.isin(_keys(frame, occluder[one], occluder[other], occluder_count), hides)
     by_one, by_other = one_hides & ~other_hides, other_hides & ~one_hides
     hidden = (order.second[order.first_can_hide], order.first[order.second_can_hide], other[by_one], one[by_other])
     hider = (order.first[order.first_can_hide], order.second[order.second_can_hide], one[by_one], other[by_other])
@@ -60,29 +52,16 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
     return np.concatenate([*hidden, *farther]), np.concatenate([*hider, *nearer])
 
 
-def _keys(outlines: Outlines, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
-    """Keys of pairs of rows, as `in_front` describes them, shape (p,)."""
-    keys: Indices = (
-        outlines.frame[hidden] * occluder_count + outlines.occluder[hidden]
-    ) * occluder_count + outlines.occluder[hider]
+def _keys(frame: Indices, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
+    keys: Indices = (frame * occluder_count + hidden) * occluder_count + hider
     return keys
 
 
 def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: Indices, hider: Indices) -> Indices:
-    """Sort rows so that each is painted after what it hides, and otherwise the farthest first.
-
-    Sorting by depth alone could paint a long ship over the boat that lies in front of its stern.
-
-    Args:
-        frame: Frame of each row, ascending, shape (n,).
-        depth_m: Depth of each row, shape (n,).
-        occluder: Occluder of each row, shape (n,). The pieces of one are painted together where possible.
-        hidden: Rows that may be hidden in part, shape (p,).
-        hider: For each of them, the row of the same frame that may hide it, shape (p,).
-
-    Returns:
-        A permutation of the rows, in order of frame, shape (n,).
-    """
+    """Permutation of rows, shape (n,), in order of frame: each is painted after what it hides, and otherwise the
+    farthest first. Sorting by depth alone could paint a long ship over the boat that lies in front of its stern.
+    `frame` (ascending), `depth_m` and `occluder` of each row have shape (n,); the pieces of an occluder are painted
+    together where possible. Rows `hidden` may be hidden in part by the rows `hider` of the same frame, shape (p,)."""
     _, occluder_in_frame = np.unique(frame * (int(occluder.max(initial=0)) + 1) + occluder, return_inverse=True)
     farthest_m = np.full(len(frame), -np.inf)
     np.maximum.at(farthest_m, occluder_in_frame, depth_m)
@@ -107,11 +86,9 @@ def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: In
 
 
 def _behind_first(far_to_near: list[int], occluder: Indices, before: dict[int, list[int]]) -> list[int]:
-    """Sort the rows of a frame so that each comes before those in front of it.
-
+    """Sort the rows of a frame so that each comes before those in front of it, which `before` holds.
     Rows of the occluder painted last come next if they may, then farther ones before nearer ones. Where three hide each
-    other in a ring, the farthest comes first. `before` holds the rows in front of each row.
-    """
+    other in a ring, the farthest comes first."""
     behind = Counter(front for row in far_to_near for front in before.get(row, ()))
     free = _FreeRows(far_to_near, occluder)
     for row in far_to_near:
@@ -129,7 +106,6 @@ class _FreeRows:
     """The rows of a frame that may be painted, as nothing unpainted is behind them, and what was painted so far."""
 
     def __init__(self, far_to_near: list[int], occluder: Indices) -> None:
-        """Begin with no free row of a frame."""
         self.painted: dict[int, None] = {}
         self._rows, self._occluder = far_to_near, occluder
         self._place = {row: place for place, row in enumerate(far_to_near)}
@@ -138,7 +114,6 @@ class _FreeRows:
         self._last_occluder = -1
 
     def add(self, row: int) -> None:
-        """Let a row be painted."""
         heapq.heappush(self._free, self._place[row])
         heapq.heappush(self._free_of[int(self._occluder[row])], self._place[row])
 
@@ -162,21 +137,13 @@ class _FreeRows:
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Silhouettes, or pieces of an obstacle between which nothing else is painted: s shapes of l closed lines.
+    """Silhouettes, or pieces of an obstacle between which nothing else is painted: s shapes of l closed lines."""
 
-    Attributes:
-        frame: Frame of each shape, shape (s,).
-        occluder: Whose it is, shape (s,).
-        lines: Number of lines of each shape, shape (s,).
-        count: Number of corners of each line, shape after shape, shape (l,).
-        corners: Corners of the lines in quanta, line after line, shape (k, 2).
-    """
-
-    frame: Indices
-    occluder: Indices
-    lines: Indices
-    count: Indices
-    corners: NDArray[np.uint16]
+    frame: Indices  # of each shape, shape (s,)
+    occluder: Indices  # of each shape, shape (s,)
+    lines: Indices  # number of lines of each shape, shape (s,)
+    count: Indices  # number of corners of each line, shape after shape, shape (l,)
+    corners: NDArray[np.uint16]  # of the lines in quanta, line after line, shape (k, 2)
 
     def __len__(self) -> int:
         """Number of shapes."""
@@ -231,18 +198,13 @@ _NONE = np.empty(0, dtype=np.int64)
 NO_SHAPES = Shapes(_NONE, _NONE, _NONE, _NONE, np.empty((0, 2), dtype=np.uint16))
 
 
-STILL = 1 << 31
-"""The first number of the outlines that all parts share."""
-STEPS_TOGETHER = 250
-"""Steps whose geometry is computed together: few calls, little memory."""
+STILL = 1 << 31  # the first number of the outlines that all parts share
+STEPS_TOGETHER = 250  # whose geometry is computed together: few calls, little memory
 
 
 class Silhouettes:
-    """The horizons and silhouettes of a run that comes in parts.
-
-    A silhouette refers to an outline, so that what stands still is stored once: what an obstacle shows to a camera
-    ashore once for all parts, the rest once in each part.
-    """
+    """The horizons and silhouettes of a run that comes in parts. A silhouette refers to an outline, so that what stands
+    still is stored once: what an obstacle shows to a camera ashore once for all parts, the rest once in each part."""
 
     def __init__(self, scene: Scene, quantum_px: float) -> None:
         """Begin with no part of a run of a scene; lengths in the image are in this unit."""
@@ -252,32 +214,23 @@ class Silhouettes:
     def columns(
         self, rows: RunRows, frames: Sequence[Indices], motion: PartMotion, horizons: Array
     ) -> tuple[Indices, dict[str, Column | Coded]]:
-        """The silhouettes of one part, and its horizons.
-
-        Args:
-            rows: The run's rows of these frames at least.
-            frames: For each camera the steps of its frames, ascending, shape (F_c,).
-            motion: The vessels at these steps.
-            horizons: Receives the sea half plane of each frame, camera by camera, shape (F, 3) with F = ΣF_c at least.
-
-        Returns:
-            Number of the frame of each silhouette, counted camera by camera, ascending, shape (s,); and the columns
-            `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount` of their
-            lines, and `corners` of the lines: column and row, in quanta, shape (k, 2).
-        """
+        """The silhouettes of one part: the frame's number of each, ascending, shape (s,), and their columns.
+        The columns are `owner` and `outline` of the silhouettes, shape (s,), `lineCount` of the outlines, `cornerCount`
+        of their lines, and `corners` of the lines: column and row, in quanta, shape (k, 2). `rows` has these frames at
+        least. `frames` has for each camera the steps of its frames, ascending, shape (F_c,); frames are counted camera
+        by camera. `horizons` receives the sea half plane of each frame, shape (F, 3) with F = ΣF_c at least."""
         scene, occluder_count = self._scene, len(self._scene.occluder_names)
         hides = hiding(rows)
         found: list[Shapes] = [NO_SHAPES]
         still, begin = [np.empty(0, dtype=bool)], 0
         for index, every in enumerate(frames):
-            camera = scene.cameras[index]
-            still_owner = len(scene.vessels) if camera.mount.vessel is None else occluder_count
+            ashore = scene.cameras[index].mount.vessel is None
+            still_owner = len(scene.vessels) if ashore else occluder_count
             for first in range(0, len(every), STEPS_TOGETHER):
                 steps = every[first : first + STEPS_TOGETHER]
                 place = begin + first
-                horizons[place : place + len(steps)], drawn = seen(
-                    scene, index, steps, motion.at(steps), self._quantum_px, hides
-                )
+                half_planes, drawn = seen(scene, index, steps, motion.at(steps), self._quantum_px, hides)
+                horizons[place : place + len(steps)] = half_planes
                 found.append(replace(drawn, frame=place + drawn.frame))
                 still.append(drawn.occluder >= still_owner)
             begin += len(every)
@@ -285,7 +238,8 @@ class Silhouettes:
         outline = np.empty(len(stands), dtype=np.int64)
         outline[stands] = STILL + self._still.numbers(every_shape.take(stands))
         moving = every_shape.take(~stands)
-        outline[~stands], new = outline_numbers(moving, _camera_of(moving.frame, frames))
+        camera = np.searchsorted(np.cumsum([len(every) for every in frames]), moving.frame, side="right")
+        outline[~stands], new = outline_numbers(moving, camera)
         order = np.argsort(every_shape.frame, kind="stable")
         return every_shape.frame[order], {
             "owner": Coded(every_shape.occluder[order].astype(np.uint16), by=ROW_BEFORE),
@@ -301,20 +255,8 @@ class Silhouettes:
 def seen(
     scene: Scene, index: int, steps: Indices, motion: PosesInWaves, quantum_px: float, hides: Indices
 ) -> tuple[Array, Shapes]:
-    """Silhouettes that a camera sees at some steps.
-
-    Args:
-        scene: The scene.
-        index: Index of the camera.
-        steps: Ascending steps at which it takes a frame, shape (S,).
-        motion: Poses of all vessels at these steps.
-        quantum_px: The unit of lengths in the image.
-        hides: Keys of what hides what in the truth, from `hiding`, shape (m,).
-
-    Returns:
-        The sea half plane at each step, shape (S, 3); the silhouettes from back to front, with the place of their step
-        as their frame.
-    """
+    """Sea half plane of a camera at each of S ascending steps, shape (S, 3), and the silhouettes that it sees from back
+    to front, with the place of their step as their frame. `hides` are the keys from `hiding`, shape (m,)."""
     camera = scene.cameras[index]
     sight, numbers = scene.sight(camera, steps, motion), steps * len(scene.cameras) + index
     half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
@@ -324,17 +266,9 @@ def seen(
     return half_planes, replace(drawn, frame=np.searchsorted(numbers, drawn.frame))
 
 
-def _camera_of(frame: Indices, frames: Sequence[Indices]) -> Indices:
-    """The camera of each frame, whose numbers are counted camera by camera, shape (n,)."""
-    camera: Indices = np.searchsorted(np.cumsum([len(every) for every in frames]), frame, side="right")
-    return camera
-
-
 def outline_numbers(moving: Shapes, camera: Indices) -> tuple[Indices, Mask]:
     """The outline of each shape, and which shapes are the first of theirs, both of shape (s,).
-
-    A shape has the outline of the shape before of its occluder in its camera if that is the same.
-    """
+    A shape has the outline of the shape before of its occluder in its camera if that is the same."""
     before = row_before(moving.occluder * (int(camera.max(initial=0)) + 1) + camera)
     new = ~moving.equal(before)
     number = np.cumsum(new) - 1
@@ -366,7 +300,6 @@ class OutlineStore:
 
 
 def _outline_columns(different: Shapes) -> dict[str, Column | Coded]:
-    """The owners of outlines, the numbers of their lines and of the lines' corners, and the corners."""
     return {
         "outlineOwner": Coded(different.occluder.astype(np.uint16), by=ROW_BEFORE),
         "lineCount": Coded(different.lines.astype(np.uint32), by="outlineOwner"),
@@ -379,22 +312,13 @@ def hiding(rows: RunRows) -> Indices:
     """Keys of what hides what in the truth, see `in_front`, shape (m,)."""
     occluders, occluder_count = rows.occluders(), len(rows.scene.occluder_names)
     frame, hidden = rows.truth_frame[occluders.hidden], rows.truth_vessel[occluders.hidden]
-    keys: Indices = (frame * occluder_count + hidden) * occluder_count + occluders.name
-    return keys
+    return _keys(frame, hidden, occluders.name, occluder_count)
 
 
 def shapes(
     outlines: Outlines, intrinsics: Intrinsics, quantum_px: float, occluder_count: int, hides: Indices
 ) -> Shapes:
-    """The silhouettes of all frames of a camera, frame by frame and from back to front.
-
-    Args:
-        outlines: The solids before the camera.
-        intrinsics: The camera's intrinsics.
-        quantum_px: The unit of lengths in the image.
-        occluder_count: Number of the scene's occluder names.
-        hides: Keys of what hides what in the truth, see `in_front`, shape (m,).
-    """
+    """The silhouettes of all frames of a camera, frame by frame and from back to front; for `hides` see `in_front`."""
     edges = silhouette_edges(outlines, intrinsics)
     outlines, edges = _seen(outlines, edges)
     hidden, hider = in_front(outlines, occluder_count, hides)

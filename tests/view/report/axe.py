@@ -1,7 +1,5 @@
 """The accessibility checks of axe-core, as the Python package `axe-playwright-python` carries them, in an open page."""
 
-from __future__ import annotations
-
 import json
 from functools import lru_cache
 from importlib.util import find_spec

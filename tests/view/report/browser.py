@@ -1,7 +1,5 @@
 """A headless Chromium, driven over the DevTools protocol through a pair of pipes: no driver, no port, no network."""
 
-from __future__ import annotations
-
 import base64
 import fcntl
 import json
@@ -54,7 +52,6 @@ class Browser:
         self.call("Emulation.setFocusEmulationEnabled", enabled=True)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Ask for something and wait for the answer."""
         self._number += 1
         message = {"id": self._number, "method": method, "params": parameters}
         if self._session:
@@ -110,17 +107,14 @@ class Browser:
             time.sleep(0.02)
 
     def resize(self, size: tuple[int, int]) -> None:
-        """The window's width and height."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False
-        )
+        shape = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **shape)
 
     def scheme(self, scheme: str) -> None:
         """What the system prefers: `light` or `dark`."""
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
 
     def run(self, script: str) -> Any:
-        """The value of an expression in the page."""
         answer = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in answer:
             raise RuntimeError(json.dumps(answer["exceptionDetails"]))
@@ -131,7 +125,6 @@ class Browser:
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
 
     def press(self, key: str, shift: bool = False) -> None:
-        """Press a key as a user does."""
         text = {"text": key} if len(key) == 1 else {}
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0,
@@ -150,7 +143,6 @@ class Browser:
             self.mouse(kind, x, y, button="left", clickCount=1)
 
     def hover(self, selector: str, across: float, down: float) -> None:
-        """Move the mouse over an element."""
         self.mouse("mouseMoved", *self._place(selector, across, down))
 
     def wheel(self, selector: str, by: float, control: bool = False) -> None:
@@ -166,7 +158,6 @@ class Browser:
         self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
-        """A mouse event at a place in the window."""
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def _place(self, selector: str, across: float, down: float) -> tuple[float, float]:
@@ -195,9 +186,8 @@ def open_browser() -> Iterator[Browser]:
         os.close(low_out)
         start = f'exec "$@" 3<&{their_in} 4>&{their_out}'
         command = ["bash", "-c", start, "bash", find_browser(), *FLAGS, f"--user-data-dir={profile}"]
-        with subprocess.Popen(
-            command, pass_fds=(their_in, their_out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        ) as process:
+        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        with subprocess.Popen(command, pass_fds=(their_in, their_out), **silent) as process:
             os.close(their_in)
             os.close(their_out)
             try:

@@ -1,26 +1,20 @@
 """Runs to report on, and a browser to look at the pages with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from modsim3d.runs.run import detect_run, run_scene
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
+from modsim3d import RunRows, detect_run, load_scene, open_run, run_scene
 from modsim3d.tracks.tracks import Similarity
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
-from tests.scenes import mistaken_strait, write_scene
+from tests.scenes import write_scene
 from tests.view.made_tracks import as_set, perfect, swapped, with_false
 from tests.view.report.browser import Browser, open_browser
 
 STEPS = 260
-SWAP, FALSE = 100, range(40, 60)
-"""Steps at which two made tracks change their vessels, and in which a track follows nothing."""
+SWAP, FALSE = 100, range(40, 60)  # steps at which made tracks change their vessels, and in which one follows nothing
 HOSTILE = "<script>window.hacked = 1</script>"
 
 
@@ -41,22 +35,13 @@ def hostile_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "</script><img src=x onerror='window.hacked = 2'>": ([30.0, 8.0, 9.0], [[0, 100, 30], [12, 100, -30]]),
         "{{columns}} & ${name}": ([8.0, 3.0, 2.0], [[0, 220, -10], [100, 200, -10]]),
     }
-    scene = load_scene(str(write_scene(folder, boats, steps=12)), source="analytic")
-    run_scene(scene, folder / "run")
+    run_scene(load_scene(str(write_scene(folder, boats, steps=12)), source="analytic"), folder / "run")
     return folder / "run"
 
 
 @pytest.fixture(scope="session")
 def page(run_folder: Path) -> Path:
     return write_report(open_run(run_folder))
-
-
-@pytest.fixture(scope="session")
-def mistaken_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run in which the detector makes every kind of mistake."""
-    folder = tmp_path_factory.mktemp("mistaken")
-    run_scene(load_scene(mistaken_strait(folder)), folder / "run")
-    return folder / "run"
 
 
 @pytest.fixture(scope="session")
@@ -83,8 +68,7 @@ def pair(rows: RunRows) -> tuple[int, int]:
     tracks = perfect(rows)
     here = tracks.take(tracks.camera == 0)
     seen = [set(here.track[here.step == step].tolist()) for step in (SWAP - 5, SWAP - 1, SWAP, SWAP + 5)]
-    a, b = sorted(set.intersection(*seen))[:2]
-    return a, b
+    return tuple(sorted(set.intersection(*seen))[:2])
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """Contrast of colours, also as people with colour-blindness see them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

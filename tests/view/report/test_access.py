@@ -1,11 +1,8 @@
 """Pages for those who use no mouse or do not see them: what axe-core finds, stops of the Tab key, keys on parts."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.view.report.axe import grave_violations
-from tests.view.report.browser import Browser
 from tests.view.report.test_layout import DESK, PHONE
 
 STOPS = """(() => { const { id, ariaLabel, textContent, tagName } = document.activeElement;
@@ -28,7 +25,7 @@ def test_axe_finds_what_is_wrong(browser, tmp_path):
     assert [found for found in grave_violations(browser) if found.startswith("button-name")]
 
 
-def stops(browser: Browser, most: int) -> list[str]:
+def stops(browser, most):
     """What the Tab key comes to, until it leaves the page."""
     found: list[str] = []
     browser.run("document.activeElement.blur()")
@@ -50,26 +47,21 @@ def test_tab_comes_to_play_first_and_to_the_list_of_vessels_once(browser, page):
     browser.run("document.querySelector('#vessels button').focus()")
     browser.press("ArrowDown")
     browser.press("ArrowDown")
-    assert browser.run("[document.activeElement.textContent, player.index]") == [
-        vessels[2],
-        browser.run("player.index"),
-    ]
+    followed, index = browser.run("[document.activeElement.textContent, player.index]")
+    assert [followed, index] == [vessels[2], browser.run("player.index")]
     browser.press(" ")
-    assert browser.run("player.followed") == 2
-    for name in order:
-        assert name not in ("", "◐")
+    assert browser.run("player.followed") == 2 and not {"", "◐"} & set(order)
 
 
 def test_every_control_has_a_name_in_words(browser, tracks_page):
     browser.open(tracks_page, PHONE)
     tree = browser.call("Accessibility.getFullAXTree")["nodes"]
-    names = {node["role"]["value"]: [] for node in tree if not node["ignored"]}
-    for node in tree:
-        if not node["ignored"]:
-            names[node["role"]["value"]].append(node.get("name", {}).get("value", ""))
+    named = [node for node in tree if not node["ignored"]]
+    names = {node["role"]["value"]: [] for node in named}
+    for node in named:
+        names[node["role"]["value"]].append(node.get("name", {}).get("value", ""))
     for role in ("button", "combobox", "slider", "checkbox", "image"):
-        assert names[role]
-        assert all(any(letter.isalpha() for letter in name) for name in names[role]), role
+        assert names[role] and all(any(letter.isalpha() for letter in name) for name in names[role]), role
 
 
 def test_keys_move_the_image_that_has_the_focus_and_step_otherwise(browser, page):
@@ -91,9 +83,7 @@ def test_keys_move_the_image_that_has_the_focus_and_step_otherwise(browser, page
     browser.press("ArrowRight")
     said = browser.run("document.querySelector('#hint:not([hidden])').textContent")
     assert "step 52:" in said and names[vessels[0]] in said
-    node = browser.run(
-        "(e => ['role', 'aria-valuenow', 'aria-valuetext'].map(name => e.getAttribute(name)))(player.timeline.canvas)"
-    )
-    assert node == ["slider", "52", said]
+    attributes = "['role', 'aria-valuenow', 'aria-valuetext'].map(name => player.timeline.canvas.getAttribute(name))"
+    assert browser.run(attributes) == ["slider", "52", said]
     browser.press("Escape")
     assert browser.run("document.querySelector('#hint').hidden")

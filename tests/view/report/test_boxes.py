@@ -1,13 +1,8 @@
 """Boxes in the picture of a run's page: what the mouse is over, and what is chosen."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.view.report.browser import Browser
 from tests.view.report.test_keys import escape
 from tests.view.report.test_page_in_browser import differ, pixels
 
@@ -27,27 +22,27 @@ SEPARATE = """(() => { // a detection that no other box touches, as [step, vesse
 })()"""
 
 
-def separate(browser: Browser, wrong: bool) -> list[Any]:
+def separate(browser, wrong):
     found = browser.run(SEPARATE.replace("WRONG", str(wrong).lower()))
     assert found
     return found
 
 
-def assert_ring(browser: Browser, truth: str) -> None:
+def assert_ring(browser, truth):
     """White on the left of a vessel."""
     x, y = browser.run(f"(({{ full: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
     left = pixels(browser)[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
     assert (left.min(axis=1) > 240).any()
 
 
-def over(browser: Browser, x: float, y: float) -> tuple[str, float, float]:
+def over(browser, x, y):
     """A place of the picture as shares of it."""
     wide, high = browser.run("[player.pane.canvas.clientWidth, player.pane.canvas.clientHeight]")
     return "#picture", x / wide, y / high
 
 
 @pytest.fixture
-def opened(browser: Browser, mistaken_page) -> Browser:
+def opened(browser, mistaken_page):
     browser.open(mistaken_page)
     return browser
 
@@ -63,8 +58,7 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
         f" frame.detections.find(each => each.vessel === {vessel}),"
         f" frame.truths.find(each => each.vessel === {vessel})])(player.stage.frames[0])"
     )
-    assert tip.startswith(name)
-    assert f"{truth['depth']:.0f} m" in tip
+    assert tip.startswith(name) and f"{truth['depth']:.0f} m" in tip
     assert f"{found['label']} {found['confidence']:.2f}" in tip
     a, b = np.array(found["box"]), np.array(truth["target"])
     shared = np.prod(np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0))
@@ -75,14 +69,11 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
         f"({[*np.minimum(a[:2], b[:2]).tolist(), *np.maximum(a[2:], b[2:]).tolist()]})"
     )
     changed_rows, changed_columns = np.nonzero(np.any(pixels(opened) != before, axis=-1))
-    near = (np.abs(changed_columns - (left + right) / 2) < (right - left) / 2 + 200) & (
-        np.abs(changed_rows - (top + bottom) / 2) < (bottom - top) / 2 + 90
-    )
-    assert near.any()  # wider lines
-    assert not near.all()  # pale ones
+    near = np.abs(changed_columns - (left + right) / 2) < (right - left) / 2 + 200
+    near &= np.abs(changed_rows - (top + bottom) / 2) < (bottom - top) / 2 + 90
+    assert near.any() and not near.all()  # wider lines, and pale ones
     opened.hover("#slider", 0.5, 0.5)
-    assert opened.run("document.querySelector('.tip').hidden")
-    assert not differ(pixels(opened), before)
+    assert opened.run("document.querySelector('.tip').hidden") and not differ(pixels(opened), before)
 
 
 def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
@@ -98,8 +89,7 @@ def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
     opened.hover("#slider", 0.5, 0.5)
     assert_ring(opened, f"player.stage.frames[0].truths.find(each => each.vessel === {vessel})")
     escape(opened)
-    assert opened.run("player.followed") is None
-    assert not differ(pixels(opened, "timeline"), timeline)
+    assert opened.run("player.followed") is None and not differ(pixels(opened, "timeline"), timeline)
     opened.run("player.go(30)")  # a vessel that is chosen on the timeline has the ring too
     row = opened.run(
         "player.timeline.vessels.findIndex(vessel => player.stage.frames[0].truths.some(each => "
@@ -120,8 +110,7 @@ def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(o
     assert opened.run("[player.alarm, player.followed]") == [place, None]
     found = opened.run(f"player.stage.frames[0].detections[{place}]")
     said = opened.run("document.querySelector('#chosen').textContent")
-    assert "false" in said
-    assert f"{found['label']} {found['confidence']:.2f}" in said
+    assert "false" in said and f"{found['label']} {found['confidence']:.2f}" in said
     assert differ(pixels(opened, "closeup"), closeup)
     opened.press("ArrowRight")
     assert opened.run("player.alarm") is None
@@ -150,9 +139,8 @@ def test_a_tap_chooses_the_vessel_and_says_what_it_is(opened):
     x, y = opened._place(*over(opened, x, y))
     opened.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
     opened.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
-    opened.run(
-        "new Promise(done => { const look = () => player.followed === null ? setTimeout(look, 20) : done(); look(); })"
-    )
+    look = "const look = () => player.followed === null ? setTimeout(look, 20) : done(); look();"
+    opened.run(f"new Promise(done => {{ {look} }})")
     assert opened.run("player.followed") == vessel
     name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
     assert opened.run("document.querySelector('#note').textContent").startswith(name)

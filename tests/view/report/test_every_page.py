@@ -1,42 +1,27 @@
 """Every page that commands write: what it rests on, what axe-core finds, a narrow screen, and paper."""
 
-from __future__ import annotations
-
 import hashlib
 import html
 import json
 import os
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, RunRows, load_scene, open_run, run_scene
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.report_page import Sources
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.view.pages.provenance import CHANGED, Provenance, file_input, run_inputs, top_line
 from tests.campaign.campaigns import run_campaign_file
 from tests.command_line import call
 from tests.view.made_tracks import perfect, write_csv
 from tests.view.report.axe import grave_violations
-from tests.view.report.browser import Browser
 from tests.view.report.test_layout import PHONE, pale_texts
 
-CAMPAIGN = {
-    "scene": "fairway",
-    "steps": 4,
-    "seed": 7,
-    "seeds": {"traffic": 2},
-    "set": {"annotation.source": "analytic"},
-    "trackers": ["reference"],
-    "require": [{"score": "hota", "at_least": 0.0}, {"score": "hota", "at_least": 0.9}],
-}
+CAMPAIGN = {"scene": "fairway", "steps": 4, "seed": 7, "seeds": {"traffic": 2}, "trackers": ["reference"]}
+LIMITS = [{"score": "hota", "at_least": 0.0}, {"score": "hota", "at_least": 0.9}]
 COMMANDS = {
     "verify": "check run run --out verify",
     "compare": "check truth harbour --steps 2 --out compare",
@@ -45,14 +30,8 @@ COMMANDS = {
     "report": "report run --out run.html",
     "campaign": "campaign report campaign --out campaign.html",
 }
-PAGES = {
-    "verify": "verify/verify.html",
-    "compare": "compare/compare.html",
-    "learn": "learn/detector.html",
-    "score": "score/score.html",
-    "report": "run.html",
-    "campaign": "campaign.html",
-}
+PAGES = {name: f"{name}/{name}.html" for name in ("verify", "compare", "score")}
+PAGES |= {"learn": "learn/detector.html", "report": "run.html", "campaign": "campaign.html"}
 
 
 def command(words: str) -> int:
@@ -61,17 +40,15 @@ def command(words: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def pages(tmp_path_factory):
     """A folder with every page, which is the working directory, so that paths are given as users do.
-
-    Two cameras and two performance states, as in longer runs: pages have the same parts.
-    """
+    Two cameras and two performance states, as in longer runs: pages have the same parts."""
     folder, before = tmp_path_factory.mktemp("pages"), Path.cwd()
     run_scene(load_scene("simulation_3", mode=2, seed=8, steps=80, source="analytic"), folder / "run")
     (folder / "learn").mkdir()
     rows = RunRows.of(open_run(folder / "run"))
     write_csv(perfect(rows), rows, folder / "tracks.csv")
-    run_campaign_file(folder, **CAMPAIGN)
+    run_campaign_file(folder, **CAMPAIGN, set={"annotation.source": "analytic"}, require=LIMITS)
     os.chdir(folder)
     try:
         for words in COMMANDS.values():
@@ -83,9 +60,8 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 def block(folder: Path, name: str) -> str:
     """What a page says that it rests on, as its HTML."""
-    found = re.search(
-        r'<section class="rests-on".*?</section>', (folder / PAGES[name]).read_text(encoding="utf-8"), re.S
-    )
+    text = (folder / PAGES[name]).read_text(encoding="utf-8")
+    found = re.search(r'<section class="rests-on".*?</section>', text, re.S)
     assert found is not None
     return found[0].replace("<wbr>", "")
 
@@ -151,19 +127,14 @@ def learned_from(folder: Path, *pairs: tuple[str, str], read: list[str]) -> list
 
 
 def test_a_file_that_is_given_twice_is_listed_twice(tmp_path: Path) -> None:
-    for name in ("gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt"):
+    read = ["gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt"]
+    for name in read:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
-    read = ["gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt"]
     found = learned_from(tmp_path, ("gt/labels", "gt/day"), ("gt/labels", "night"), read=read)
-    one = "of the sha256sum lines of 1 file"
-    assert found == [
-        ("ground truth 1", "gt/labels", one),
-        ("detections 1", "gt/day", one),
-        ("ground truth 2", "gt/labels", one),
-        ("detections 2", "night", one),
-        ("also read", "gt/data.yaml", ""),
-    ]
+    given = [("ground truth 1", "gt/labels"), ("detections 1", "gt/day"), ("ground truth 2", "gt/labels")]
+    listed = [(*each, "of the sha256sum lines of 1 file") for each in (*given, ("detections 2", "night"))]
+    assert found == [*listed, ("also read", "gt/data.yaml", "")]
 
 
 def test_an_input_that_cannot_be_read_is_named(tmp_path: Path) -> None:
@@ -183,7 +154,7 @@ WIDEST = """(() => { document.querySelectorAll('details').forEach(each => each.o
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_axe_finds_nothing_serious_on_a_page_that_fits_a_phone_and_a_tablet(pages, browser: Browser, name: str) -> None:
+def test_axe_finds_nothing_serious_on_a_page_that_fits_a_phone_and_a_tablet(pages, browser, name):
     browser.visit(pages / PAGES[name], PHONE)
     if name != "report":  # whose player has tests of its own
         assert grave_violations(browser) == []
@@ -203,7 +174,7 @@ PRINTED = """(() => { const rules = [...document.styleSheets].flatMap(sheet => [
         signature: shown(document.querySelector('.signature'))}; })()"""
 
 
-def test_a_printed_page_has_page_numbers_all_tables_and_a_line_to_sign(pages: Path, browser: Browser) -> None:
+def test_a_printed_page_has_page_numbers_all_tables_and_a_line_to_sign(pages, browser):
     folded = 0
     for path in PAGES.values():
         browser.visit(pages / path, (680, 800))

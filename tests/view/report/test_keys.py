@@ -1,17 +1,13 @@
 """Keys of a run's page: the list of them, and what it says, which the document repeats."""
 
-from __future__ import annotations
-
 from pathlib import Path
-
-from tests.view.report.browser import Browser
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "report.md"
 LISTED = """[...document.querySelectorAll('#keys dl div')].map(row =>
     [row.querySelector('dt').textContent.trim(), row.querySelector('dd').textContent])"""
 
 
-def escape(browser: Browser) -> None:
+def escape(browser):
     """Press Escape as the browser itself sees it; it closes a dialog."""
     for kind in ("rawKeyDown", "keyUp"):
         browser.call("Input.dispatchKeyEvent", type=kind, key="Escape", code="Escape", windowsVirtualKeyCode=27)

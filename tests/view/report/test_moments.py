@@ -1,7 +1,5 @@
 """Moments of a run's page: from one to the next, and again and again."""
 
-from __future__ import annotations
-
 import pytest
 
 KEYS = {"missed": "m", "false": "f", "mislabelled": "l", "bad": "i", "off": "w", "hidden": "o", "state": "s"}
@@ -36,8 +34,8 @@ def test_a_kind_that_the_camera_has_none_of_is_said_to_be_missing(browser, page)
     browser.open(page)  # its detector has one class
     index = browser.run("player.index")
     browser.press("l")
-    assert browser.run("player.index") == index
-    assert browser.run("document.querySelector('#note').textContent") == "C1 has no wrong class (label)"
+    said = "[player.index, document.querySelector('#note').textContent]"
+    assert browser.run(said) == [index, "C1 has no wrong class (label)"]
 
 
 def test_the_chosen_moment_plays_again_and_again_with_two_seconds_on_both_sides(browser, mistaken_page):
@@ -58,9 +56,7 @@ def test_the_chosen_moment_plays_again_and_again_with_two_seconds_on_both_sides(
         " if (seen.at(-1) !== player.index) seen.push(player.index);"
         " if (seen.at(-1) < seen.at(-2)) done(seen); else requestAnimationFrame(look); }; look(); })"
     )
-    assert browser.run("player.playing")
-    assert seen[-2] == last
-    assert seen[-1] == first
+    assert browser.run("player.playing") and seen[-2:] == [last, first]
     browser.run("(player.play(false), player.go(0))")  # outside: the whole run repeats
     assert browser.run("player.loop.marked") is None
     assert browser.run("player.loop.stretch") == {"first": 0, "last": len(times) - 1}

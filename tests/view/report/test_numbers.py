@@ -1,13 +1,9 @@
 """The table of a run's page: every column of the truth of the chosen frame, as it is in the run's tables."""
 
-from __future__ import annotations
-
 import math
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-
-from tests.view.report.browser import Browser
 
 STEP = 90
 ROWS = "[...document.querySelectorAll('#{} tr')].map(row => [...row.cells].map(cell => cell.textContent))"
@@ -17,13 +13,11 @@ TENTHS = {*BOX, "silhouette_px", "visible_px", "depth_m"}
 DIGITS = {**dict.fromkeys(TENTHS, 1), "visible_fraction": 4, "in_frame_fraction": 4}
 
 
-def open_numbers(browser: Browser) -> None:
+def open_numbers(browser):
     """Press the key and wait until the tables are filled: a browser tells later that a part was opened."""
     browser.press("d")
-    browser.run(
-        "new Promise(done => { const look = () => (player.numbers.detections ? done(1) : setTimeout(look, 5));"
-        " look(); })"
-    )
+    filled = "player.numbers.detections ? done(1) : setTimeout(look, 5)"
+    browser.run(f"new Promise(done => {{ const look = () => {filled}; look(); }})")
 
 
 def test_the_table_has_every_column_of_the_truth_and_is_copied_as_cells(browser, mistaken_page, mistaken_folder):
@@ -86,9 +80,9 @@ def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(
     open_numbers(browser)
     rows = browser.run(ROWS.format("numbersDetections"))
     assert len(rows) > 3
-    false = "player.numbers.detections.findLastIndex(each => each.false)"
-    place = browser.run(f"player.numbers.detections.length && {false}")
-    browser.run(f"(player.go(20), document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click())")
+    place = browser.run("player.numbers.detections.findLastIndex(each => each.false)")
+    click = f"document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click()"
+    browser.run(f"(player.go(20), {click})")
     assert browser.run("player.alarm") is None  # that was one of another frame
-    browser.run(f"(player.go({STEP}), document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click())")
+    browser.run(f"(player.go({STEP}), {click})")
     assert browser.run("player.alarm") == place >= 0

@@ -1,18 +1,16 @@
 """Occlusions of vessels: a flicker neither begins nor ends one, wherever a run is cut into parts."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows
 
 STEPS, VESSELS = 12, 3
 FRACTIONS = st.sampled_from([None, 0, 250, *(int(limit) + k for limit in (BEGINS, ENDS) for k in (-1, 0, 1))])
+RUNS = st.lists(st.lists(FRACTIONS, min_size=STEPS, max_size=STEPS), min_size=VESSELS, max_size=VESSELS)
 
 
 def slowly(fractions: list[int | None]) -> list[bool]:
@@ -25,10 +23,7 @@ def slowly(fractions: list[int | None]) -> list[bool]:
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.lists(FRACTIONS, min_size=STEPS, max_size=STEPS), min_size=VESSELS, max_size=VESSELS),
-    st.sets(st.integers(1, STEPS - 1)),
-)
+@given(RUNS, st.sets(st.integers(1, STEPS - 1)))
 def test_occlusions_are_those_of_a_loop_over_steps_whatever_the_parts(fractions, cuts):
     overview = Overview(STEPS, VESSELS, 1)
     for start, stop in pairwise([0, *sorted(cuts), STEPS]):
@@ -41,20 +36,9 @@ def test_occlusions_are_those_of_a_loop_over_steps_whatever_the_parts(fractions,
     np.testing.assert_array_equal(found, [slowly(each) for each in fractions])
 
 
-def shown(index: NDArray[np.int64], rows: list[tuple[int, int, int]]) -> ShownRows:
+def shown(index, rows):
     """One camera at some steps: the step, the vessel and the visible fraction in 250ths of each row of the truth."""
     at, vessel, fraction = np.array(rows, dtype=np.int64).reshape(-1, 3).T
-    none = np.empty(0, dtype=np.int64)
-    return ShownRows(
-        index=index,
-        state=np.zeros(len(index), dtype=np.int64),
-        truth_index=at,
-        vessel=vessel,
-        annotated=np.ones(len(at), dtype=bool),
-        missed=np.zeros(len(at), dtype=bool),
-        fraction=fraction,
-        rows=np.zeros((len(at), 2), dtype=np.int64),
-        drawn_index=none,
-        drawn_vessel=none,
-        outcome=none.astype(np.uint8),
-    )
+    none, every = np.empty(0, dtype=np.int64), np.ones(len(at), dtype=bool)
+    of_truth = (at, vessel, every, ~every, fraction, np.zeros((len(at), 2), dtype=np.int64))
+    return ShownRows(index, np.zeros_like(index), *of_truth, none, none, none.astype(np.uint8))

@@ -1,64 +1,47 @@
 """The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
+from modsim3d import load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
 from modsim3d.view.report.overview import WHOLE
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
 from tests.scenes import crossing
-from tests.view.report.browser import Browser
 from tests.view.report.conftest import HOSTILE, STEPS
 
-FLAGS = {
-    "false": Outcome.FALSE_POSITIVE,
-    "mislabelled": Outcome.MISLABELLED,
-    "bad": Outcome.BELOW_HALF_IOU,
-    "off": Outcome.OFF_VESSEL,
-}
+FLAGS = {"false": Outcome.FALSE_POSITIVE, "mislabelled": Outcome.MISLABELLED}
+FLAGS |= {"bad": Outcome.BELOW_HALF_IOU, "off": Outcome.OFF_VESSEL}
 
 
-def pixels(browser: Browser, canvas: str = "picture") -> NDArray[np.uint8]:
+def pixels(browser, canvas="picture"):
     """All of what a canvas shows, shape (rows, columns, 4)."""
     data = browser.run(f"document.querySelector('#{canvas}').toDataURL()").partition(",")[2]
     with Image.open(io.BytesIO(base64.b64decode(data))) as image:
         return np.asarray(image.convert("RGBA"))
 
 
-def differ(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> bool:
+def differ(a, b):
     return a.shape != b.shape or bool(np.any(a != b))
 
 
-def crowded_index(folder: Path) -> int:
+@pytest.fixture(scope="module")
+def crowded(run_folder):
     """A step at which the first camera sees a vessel hidden in part, a miss and a false positive."""
-    run = open_run(folder)
-    for frame in run.frames():
-        truth, found = frame.truth, frame.detections
+    for frame in (frame for frame in open_run(run_folder).frames() if frame.camera == "C1"):
+        truth, kinds = frame.truth, set(frame.detections.kinds)
         hidden = (truth.visible_fraction > 0) & (truth.visible_fraction < 1)
-        missed = truth.annotated & ~truth.detected
-        if frame.camera == "C1" and hidden.any() and missed.any() and {"true", "false_positive"} <= set(found.kinds):
+        if hidden.any() and (truth.annotated & ~truth.detected).any() and {"true", "false_positive"} <= kinds:
             return frame.step
     raise AssertionError("no such step")
-
-
-@pytest.fixture(scope="module")
-def crowded(run_folder: Path) -> int:
-    return crowded_index(run_folder)
 
 
 def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_and_vessel(browser, page, crowded):
@@ -66,10 +49,8 @@ def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_a
     assert browser.run("player.recording.length") == STEPS
     assert browser.run("document.querySelector('#failure').hidden")
     before = pixels(browser)
-    browser.run(
-        "(slider => { slider.value = 20; slider.dispatchEvent(new Event('input')); })"
-        "(document.querySelector('#slider'))"
-    )
+    slide = "slider.value = 20; slider.dispatchEvent(new Event('input'));"
+    browser.run(f"(slider => {{ {slide} }})(document.querySelector('#slider'))")
     assert browser.run("player.index") == 20
     assert "step 20 of" in browser.run("document.querySelector('#status').textContent")
     assert differ(pixels(browser), before)
@@ -97,10 +78,8 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
         assert differ(pixels(browser), everything), name
         browser.press(str(number))
         assert not differ(pixels(browser), everything), name
-    own = browser.run(
-        "['shapes', 'truths', 'detections'].reduce((sum, name) => "
-        "sum + player.recording[name](player.index, player.camera).length, 0)"
-    )
+    rows = "player.recording[name](player.index, player.camera).length"
+    own = browser.run(f"['shapes', 'truths', 'detections'].reduce((sum, name) => sum + {rows}, 0)")
     for key in ("ArrowLeft", "ArrowRight"):
         browser.press(key)
     assert browser.run("player.drawn.rows") == own > 0  # a frame looks at its own rows only
@@ -109,9 +88,8 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
 def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, crowded, run_folder):
     """The colour at the middle of what is seen is its vessel's, where no other vessel's box reaches."""
     browser.open(page, hash=f"#step={crowded}")
-    browser.run(
-        "(() => { for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole(); })()"
-    )
+    only = "for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole();"
+    browser.run(f"(() => {{ {only} }})()")
     run = open_run(run_folder)
     (frame,) = [each for each in run.frames(crowded, crowded + 1) if each.camera == "C1"]
     picture, boxes, looked_at = pixels(browser), frame.truth.full_boxes_px, 0
@@ -130,21 +108,16 @@ def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, 
 
 def test_keyboard_alone_is_enough(browser, page):
     browser.open(page, hash="#step=50")
-    for key, shift, expected in (
-        ("ArrowRight", False, 51),
-        ("ArrowLeft", False, 50),
-        ("ArrowRight", True, 60),
-        ("ArrowLeft", True, 50),
-        ("End", False, STEPS - 1),
-        ("ArrowRight", False, STEPS - 1),
-        ("Home", False, 0),
-    ):
+    last = STEPS - 1
+    arrows = (("ArrowRight", False, 51), ("ArrowLeft", False, 50), ("ArrowRight", True, 60), ("ArrowLeft", True, 50))
+    ends = (("End", False, last), ("ArrowRight", False, last), ("Home", False, 0))
+    for key, shift, expected in (*arrows, *ends):
         browser.press(key, shift)
         assert browser.run("player.index") == expected, key
     browser.press("n")
     first = browser.run("player.index")
-    browser.press("n")
-    browser.press("b")
+    for key in "nb":
+        browser.press(key)
     assert browser.run("player.index") == first
     missed = browser.run("player.recording.truths(player.index, player.camera).filter(truth => truth.missed)")
     assert browser.run("player.followed") in [truth["vessel"] for truth in missed]
@@ -162,22 +135,16 @@ def test_keyboard_alone_is_enough(browser, page):
     assert browser.run("[player.index, player.playing]") == [before + 1, False]
 
 
-def choose(browser: Browser, select: str, value: str) -> None:
-    browser.run(
-        f"(select => {{ select.value = {json.dumps(value)}; select.dispatchEvent(new Event('change')); }})"
-        f"(document.querySelector('#{select}'))"
-    )
+def choose(browser, select, value):
+    chosen = f"select.value = {json.dumps(value)}; select.dispatchEvent(new Event('change'));"
+    browser.run(f"(select => {{ {chosen} }})(document.querySelector('#{select}'))")
 
 
 def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
-    run = open_run(mistaken_folder)
+    run, occluded, states = open_run(mistaken_folder), {}, []
     names = run.scene.vessel_names
-    occluded: dict[str, bool] = {}
-    states: list[str] = []
     wrong: dict[str, set[tuple[int, str | None]]] = {}
-    for frame in run.frames():
-        if frame.camera != "bow":
-            continue
+    for frame in (frame for frame in run.frames() if frame.camera == "bow"):
         truth = frame.truth
         # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
         occluded = {
@@ -207,10 +174,8 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
             for step in range(moment["index"], moment["until"] + 1)
         }
         assert covered == wrong[kind], kind
-        ends = {(moment["until"] + 1, moment["vessel"]) for moment in moments}
-        assert ends.isdisjoint(
-            (moment["index"], moment["vessel"]) for moment in moments
-        )  # frames in a row are one moment
+        starts = ((moment["index"], moment["vessel"]) for moment in moments)  # frames in a row are one moment
+        assert {(moment["until"] + 1, moment["vessel"]) for moment in moments}.isdisjoint(starts)
         listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
         assert listed == ["", *map(str, range(len(moments)))]
         choose(browser, "moment", str(len(moments) - 1))
@@ -219,9 +184,7 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
             assert browser.run("player.followed") == moments[-1]["vessel"]
 
 
-def test_the_picture_and_the_list_say_what_is_wrong_and_the_whole_image_comes_for_what_is_outside(
-    browser, mistaken_page
-):
+def test_what_is_wrong_is_in_picture_and_list_and_the_whole_image_comes_for_what_is_outside(browser, mistaken_page):
     browser.open(mistaken_page)
     choose(browser, "kind", "false")
     browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
@@ -231,18 +194,14 @@ def test_the_picture_and_the_list_say_what_is_wrong_and_the_whole_image_comes_fo
     choose(browser, "kind", "mislabelled")
     browser.press("n")
     vessel = browser.run("player.followed")
-    (found,) = browser.run(
-        "player.recording.detections(player.index, player.camera)"
-        f".filter(each => each.vessel === {vessel} && !each.false)"
-    )
+    detections = "player.recording.detections(player.index, player.camera)"
+    (found,) = browser.run(f"{detections}.filter(each => each.vessel === {vessel} && !each.false)")
     label = browser.run(f"player.recording.facts.vessels[{vessel}].label")
     assert found["label"] != label
-    plates = browser.run("player.picture.plates")
-    (said,) = [
-        plate for plate in plates if plate["text"].startswith(f"{found['label']} {found['confidence']:.2f}, is a")
-    ]
-    assert said["text"].endswith(label)
-    assert said["colour"] == browser.run("player.recording.facts.colours.alarm")
+    said = f"{found['label']} {found['confidence']:.2f}, is a"
+    (plate,) = [plate for plate in browser.run("player.picture.plates") if plate["text"].startswith(said)]
+    assert plate["text"].endswith(label)
+    assert plate["colour"] == browser.run("player.recording.facts.colours.alarm")
     chosen = "document.querySelector('#vessels tr.chosen').textContent"
     assert f"as {found['label']}" in browser.run(chosen)
     choose(browser, "kind", "off")
@@ -256,14 +215,13 @@ def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
     for name in ("labels", "false", "missed"):
         browser.click(f"#layer-{name}")
     choose(browser, "kind", "off")
-    longest = browser.run(
+    apart, place, box, truth = browser.run(
         "player.moments.list.map(({ index, vessel }, place) => {"
         "  const box = player.recording.detections(index, 0).find(each => each.vessel === vessel && !each.false).box;"
         "  const truth = player.recording.truths(index, 0).find(each => each.vessel === vessel).target;"
         "  const apart = Math.max(truth[0] - box[2], box[0] - truth[2], truth[1] - box[3], box[1] - truth[3]);"
         "  return [apart, place, box, truth]; }).sort((a, b) => b[0] - a[0])[0]"
     )
-    apart, place, box, truth = longest
     choose(browser, "moment", str(place))
     browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
     middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
@@ -275,15 +233,13 @@ def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
 
 
 def test_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page):
-    legend = "document.querySelector('#legend').textContent"
-    height = "player.timeline.rowsTop"
+    legend, height = "document.querySelector('#legend').textContent", "player.timeline.rowsTop"
     browser.open(mistaken_page)
     assert all(word in browser.run(legend) for word in ("wrong class", "IoU below 0.5", "off its vessel", "missed"))
     every = browser.run(height)
     browser.open(page)  # its detector has one class
     assert "wrong class" not in browser.run(legend).partition("Strips")[0]
-    assert "IoU below 0.5" in browser.run(legend)
-    assert browser.run(height) < every
+    assert "IoU below 0.5" in browser.run(legend) and browser.run(height) < every
 
 
 def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
@@ -295,8 +251,7 @@ def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     assert sum(map(int, dark[4:-1].split(","))) < 150 < 600 < sum(map(int, light[4:-1].split(",")))
     assert differ(pixels(browser, "timeline"), timeline)
     browser.click("#theme")
-    assert browser.run(colour) == light
-    assert not differ(pixels(browser, "timeline"), timeline)
+    assert browser.run(colour) == light and not differ(pixels(browser, "timeline"), timeline)
 
 
 def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
@@ -304,8 +259,7 @@ def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
     for key in ("v", "v", "End", "Home"):
         browser.press(key)
     browser.hover("#timeline", 0.5, 0.8)
-    assert browser.run("window.hacked") is None
-    assert browser.run("document.images.length") == 0
+    assert browser.run("window.hacked") is None and browser.run("document.images.length") == 0
     assert HOSTILE in browser.run("document.querySelector('#vessels').textContent")
     assert "{{columns}} & ${name}" in browser.run("document.querySelector('section:nth-of-type(3)').textContent")
 
@@ -324,11 +278,9 @@ def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tm
         browser.run(f"player.go({step})")
         return str(browser.run("document.querySelector('#status').textContent"))
 
-    assert "no frame yet" in status(1)
-    assert browser.run("player.recording.truths(1, 1).length") == 0
+    assert "no frame yet" in status(1) and browser.run("player.recording.truths(1, 1).length") == 0
     assert "frame" not in status(2)
     held, there = status(5), browser.run("JSON.stringify(player.recording.truths(5, 1).map(({ full }) => full))")
-    assert "frame of step 2" in held
+    assert "frame of step 2" in held and "frame" not in status(6)
     assert there == browser.run("JSON.stringify(player.recording.truths(2, 0).map(({ full }) => full))")
-    assert "frame" not in status(6)
     assert browser.run("document.querySelector('#failure').hidden")

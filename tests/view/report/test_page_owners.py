@@ -1,7 +1,5 @@
 """Who is at each pixel of a page is who is there in the ID buffer: obstacles, own bow, holes and lenses too."""
 
-from __future__ import annotations
-
 import base64
 import io
 from pathlib import Path
@@ -9,25 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
+from modsim3d import Window, load_scene, open_run, run_scene
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
-from modsim3d.view.pictures.canvas import Window
 from modsim3d.view.pictures.plain import Solids, open_id_renderer
 from modsim3d.view.report.report import REPORT_FILE, write_report
-from tests.view.report.browser import Browser
 
 DATA = Path(__file__).parents[2] / "data"
 STEPS = 6
-EDGE_PX = 5
-"""Pixels are compared in whose surroundings of this size there is one owner: smooth edges have mixed colours."""
+EDGE_PX = 5  # pixels are compared that have one owner around them so far: smooth edges have mixed colours
 
 
 @pytest.fixture(scope="module")
@@ -40,9 +31,8 @@ def crowded_strait(tmp_path_factory):
     bay = [[60, -60], [140, -60], [140, -20], [125, -20], [125, -45], [75, -45], [75, -25], [60, -25]]
     scene["obstacles"]["bay"] = {"polygon_m": bay, "height_m": 2}
     arch = {"position_m": [230, 20, 0], "size_m": [40, 2, 25], "heading_rad": 0.7, "mesh": {"file": "gate.obj"}}
-    scene["obstacles"]["gate"] = arch
     torn = {"position_m": [200, -40, 0], "size_m": [30, 2, 18], "heading_rad": 1.9, "mesh": {"file": "torn.obj"}}
-    scene["obstacles"]["torn"] = torn
+    scene["obstacles"] |= {"gate": arch, "torn": torn}
     scene["cameras"]["quay"]["distortion"] = {"k1": -0.12, "k2": 0.03}
     scene["detector"] = str(data_folder("scenes") / "detectors" / "thesis.yaml")
     (folder / "gate.obj").write_text(_gate(), encoding="utf-8")
@@ -65,7 +55,7 @@ def _gate() -> str:
     return "\n".join(lines) + "\n"
 
 
-def owners_buffer(scene: Scene, camera: int, step: int) -> NDArray[np.int64]:
+def owners_buffer(scene, camera, step):
     """Owner + 1 at each pixel; zero where nothing is."""
     width, height = scene.cameras[camera].intrinsics.image_size_px
     with open_id_renderer(scene) as id_renderer:
@@ -73,7 +63,7 @@ def owners_buffer(scene: Scene, camera: int, step: int) -> NDArray[np.int64]:
     return ids.astype(np.int64)
 
 
-def page_picture(browser: Browser, camera: int, index: int) -> NDArray[np.uint8]:
+def page_picture(browser, camera, index):
     """What the page paints, as large as the camera's image, shape (rows, columns, 3)."""
     data = browser.run(f"""(() => {{
         const {{ recording }} = player, [width, height] = recording.facts.cameras[{camera}].size;
@@ -94,9 +84,8 @@ def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, 
     browser.open(crowded_strait.folder / REPORT_FILE)
     picture, ids = page_picture(browser, camera, step), owners_buffer(scene, camera, step)
     assert picture.shape[:2] == ids.shape
-    vessels = len(scene.vessels)
-    colours = [palette.darker(palette.vessel_colour(i)) for i in range(vessels)]
-    colours += [palette.obstacle_colour(i) for i in range(len(scene.obstacles))]
+    vessels, obstacles = range(len(scene.vessels)), range(len(scene.obstacles))
+    colours = [*(palette.darker(palette.vessel_colour(i)) for i in vessels), *map(palette.obstacle_colour, obstacles)]
     inside = (ids > 0) & (minimum_filter(ids, EDGE_PX) == maximum_filter(ids, EDGE_PX))
     off = np.abs(picture[inside].astype(int) - np.array(colours)[ids[inside] - 1]).max(axis=1)
     # A mast that meets no pixel centre is not in the buffer, and dims a pixel of the page a little.
@@ -105,14 +94,11 @@ def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, 
     nobody = maximum_filter(ids, EDGE_PX) == 0
     sea_or_sky = np.all(picture == palette.SEA, axis=2) | np.all(picture == palette.SKY, axis=2)
     horizon = minimum_filter(sea_or_sky, EDGE_PX) | ~nobody
-    assert np.mean(horizon | sea_or_sky) > 0.995
-    seen = set(np.unique(ids[inside]).tolist())
-    assert len(seen) > 5
+    assert np.mean(horizon | sea_or_sky) > 0.995 and len(np.unique(ids[inside])) > 5
 
 
 def test_the_cases_that_are_hard_are_in_the_pictures(crowded_strait):
     """Own bow, a vessel in a bay, a hole with something behind it."""
-    scene = crowded_strait.scene
-    names = ["", *scene.occluder_names]
-    shown = {names[owner] for owner in np.unique(owners_buffer(scene, 0, 1)).tolist()}
+    names = ["", *crowded_strait.scene.occluder_names]
+    shown = {names[owner] for owner in np.unique(owners_buffer(crowded_strait.scene, 0, 1)).tolist()}
     assert {"own", "obstacle:bay", "obstacle:gate", "obstacle:torn", "kayak", "ferry"} <= shown

@@ -1,7 +1,5 @@
 """A recording in parts: the same frames, moments and counts wherever it is cut, and what the browser makes of them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -35,21 +33,16 @@ def whole(mistaken_page: Path) -> Unpacked:
 
 
 @pytest.fixture(scope="module")
-def cut_page(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def cut_pages(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """With the parts in the page, and in files."""
+    folder = tmp_path_factory.mktemp("cut into parts")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(part_columns, "MAX_SHOWN", PART)
-        return write_report(run, tmp_path_factory.mktemp("cut") / "cut.html")
+        return write_report(run, folder / "cut.html"), write_report(run, folder / "run page.html", in_files=True)
 
 
-@pytest.fixture(scope="module")
-def page_with_files(run: StoredRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(part_columns, "MAX_SHOWN", PART)
-        return write_report(run, tmp_path_factory.mktemp("in files") / "run page.html", in_files=True)
-
-
-def test_frames_and_moments_are_the_same_wherever_a_run_is_cut(cut_page, whole):
-    cut = read(cut_page)
+def test_frames_and_moments_are_the_same_wherever_a_run_is_cut(cut_pages, whole):
+    cut = read(cut_pages[0])
     assert cut.facts["parts"] == -(-whole.facts["length"] // PART) > whole.facts["parts"] == 1
     assert cut.stored > whole.stored  # a frame that is still shown is in the next part again
     for name in ("shown", "taken"):
@@ -77,14 +70,12 @@ def test_moments_and_counts_are_those_of_the_frames(whole):
         covered: dict[int, list[int]] = {}
         for first, long, vessel in zip(*kept, strict=True):
             covered.setdefault(vessel, []).extend(range(first, first + long + 1))
-        assert covered == missed
-        assert kept[0] == sorted(kept[0])
+        assert covered == missed and kept[0] == sorted(kept[0])
 
 
 def test_stretches_of_outcomes_are_what_became_of_each_vessel(run):
-    names, camera = run.scene.vessel_names, run.scene.cameras[0].name
-    expected: dict[tuple[str, int], VesselOutcome] = {}
-    for frame in (each for each in run.frames() if each.camera == camera):
+    names, expected = run.scene.vessel_names, {}
+    for frame in (each for each in run.frames() if each.camera == run.scene.cameras[0].name):
         truth = frame.truth
         for name, annotated, detected in zip(truth.vessels, truth.annotated, truth.detected, strict=True):
             became = VesselOutcome.DETECTED if detected else VesselOutcome.MISSED
@@ -100,8 +91,7 @@ def test_stretches_of_outcomes_are_what_became_of_each_vessel(run):
         for vessel, outcome, first, until in zip(found.vessel, found.outcome, found.first, found.until, strict=True)
         for step in range(first, until + 1)
     }
-    assert covered == expected
-    assert set(expected.values()) == set(VesselOutcome)
+    assert covered == expected and set(expected.values()) == set(VesselOutcome)
     follows = (np.diff(found.vessel) == 0) & (found.until[:-1] + 1 == found.first[1:])
     assert np.all(np.diff(found.outcome)[follows])  # one stretch ends where the outcome changes
 
@@ -115,24 +105,15 @@ def test_bins_hold_the_sums_of_their_steps(monkeypatch):
         return {name: getattr(each, "values", each) for name, each in made.columns("", half=False).items()}
 
     rows, drawn = rng.permutation(steps * vessels)[:100], np.arange(40)
-    shown = ShownRows(
-        index=np.arange(steps),
-        state=np.repeat([0, 1], [30, 17]),
-        truth_index=rows // vessels,
-        vessel=rows % vessels,
-        annotated=rng.random(100) < 0.8,
-        missed=rng.random(100) < 0.3,
-        fraction=rng.integers(0, 251, 100),
-        rows=np.ones((100, 2)),
-        drawn_index=rows[drawn] // vessels,
-        drawn_vessel=rows[drawn] % vessels,
-        outcome=rng.choice([0, 1, 2, 4, 12], 40),
-    )
+    masks = rng.random(100) < 0.8, rng.random(100) < 0.3  # annotated, missed
+    of_truth = (rows // vessels, rows % vessels, *masks, rng.integers(0, 251, 100), np.ones((100, 2)))
+    of_detections = (rows[drawn] // vessels, rows[drawn] % vessels, rng.choice([0, 1, 2, 4, 12], 40))
+    shown = ShownRows(np.arange(steps), np.repeat([0, 1], [30, 17]), *of_truth, *of_detections)
     whole = columns()
     assert whole["vessels.fraction"].sum() == shown.fraction.sum()
     assert whole["false"].sum() == (shown.outcome == 1).sum()
-    monkeypatch.setattr(overview, "MAX_BINS", 10)
-    monkeypatch.setattr(overview, "MIN_BINS", 10)
+    for name in ("MAX_BINS", "MIN_BINS"):
+        monkeypatch.setattr(overview, name, 10)
     binned = columns()
     assert steps_in_a_bin(steps, vessels) == 5
     for name in (*overview.COUNTS, *(f"vessels.{each}" for each in overview.VESSEL_COUNTS)):
@@ -164,8 +145,7 @@ def test_stretches_cover_what_was_added_and_do_not_touch(pairs, part):
     builder = StretchesBuilder()
     for first in range(0, 21, part):
         some = [pair for pair in pairs if first <= pair[1] < first + part]
-        key, index = np.array(some, dtype=np.int64).reshape(-1, 2).T
-        builder.add(key, index)
+        builder.add(*np.array(some, dtype=np.int64).reshape(-1, 2).T)
     found = builder.stretches()
     covered = [
         (key, index)
@@ -186,38 +166,30 @@ def test_times_come_back_as_they_were_written(first, by, decimals, count):
     assert [said(int(unit), facts["decimals"]) for unit in units] == texts
 
 
-def test_times_of_a_scene_are_whole_numbers():
+def test_times_of_a_scene_are_whole_numbers_and_those_that_are_no_plain_decimals_are_kept_as_they_are():
     facts, columns = clock(generated_timestamps(6, 0.25))  # 0.0, 0.25, 0.5
-    assert facts == {"decimals": 2, "first": 0}
-    assert columns["clock"].values.tolist() == [0, 25, 25, 25, 25, 25]
+    assert (facts, columns["clock"].values.tolist()) == ({"decimals": 2, "first": 0}, [0, 25, 25, 25, 25, 25])
+    for texts in (["1", "2"], ["0.0", "1e3"], ["0.10", "0.2"], ["0.0", "99999999999.0"]):
+        facts, columns = clock(texts)
+        assert facts == {} and columns["clockTexts"].tobytes().decode().split("\n") == texts
 
 
-@pytest.mark.parametrize("texts", [["1", "2"], ["0.0", "1e3"], ["0.10", "0.2"], ["0.0", "99999999999.0"]])
-def test_times_that_are_no_plain_decimals_are_kept_as_they_are(texts):
-    facts, columns = clock(texts)
-    assert facts == {}
-    assert columns["clockTexts"].tobytes().decode().split("\n") == texts
-
-
-AROUND = 20
-"""As in recording.js."""
+AROUND = 20  # as in recording.js
 FRAME = """JSON.stringify([0, 1].map((camera) => [
     player.recording.shapes({0}, camera).map((shape) => player.recording.lines(shape)),
     player.recording.truths({0}, camera), player.recording.detections({0}, camera), player.recording.state({0}, camera),
 ]))"""
 
 
-def test_the_browser_reads_the_same_from_parts_in_the_page_and_in_files(browser, run, whole, cut_page, page_with_files):
-    last = run.steps - 1
-    assert len(list(parts_folder(page_with_files).iterdir())) == -(-run.steps // PART)
-    seen = []
-    for page in (cut_page, page_with_files):
+def test_the_browser_reads_the_same_from_parts_in_the_page_and_in_files(browser, run, whole, cut_pages):
+    last, seen = run.steps - 1, []
+    assert len(list(parts_folder(cut_pages[1]).iterdir())) == -(-run.steps // PART)
+    for page in cut_pages:
         browser.open(page)
         said = [browser.run(f"player.recording.load({i}).then(() => {FRAME.format(i)})") for i in (0, 8, last)]
         seen.append([browser.run("JSON.stringify(player.recording.facts.timestamps)"), *said])
-        browser.run(
-            f"(async () => {{ for (let i = 0; i <= {last}; i += 3) await player.go(i); await player.go({last}); }})()"
-        )
+        walk = f"for (let i = 0; i <= {last}; i += 3) await player.go(i); await player.go({last});"
+        browser.run(f"(async () => {{ {walk} }})()")
         assert browser.run("player.recording.parts.size") < 12
         assert browser.run("[player.recording.ready(player.index), player.recording.ready(0)]") == [True, False]
     assert seen[0] == seen[1]
@@ -228,23 +200,26 @@ def test_the_browser_reads_the_same_from_parts_in_the_page_and_in_files(browser,
     np.testing.assert_allclose(boxes, np.column_stack([whole.columns["vessel"][rows], full]))
 
 
-def test_a_part_that_is_missing_is_said(browser, page_with_files, tmp_path):
-    page = Path(shutil.copytree(page_with_files.parent, tmp_path / "copy")) / page_with_files.name
+def copied(page: Path, folder: Path) -> Path:
+    return Path(shutil.copytree(page.parent, folder / "copy")) / page.name
+
+
+def test_a_part_that_is_missing_is_said(browser, cut_pages, tmp_path):
+    page = copied(cut_pages[1], tmp_path)
     (parts_folder(page) / "A-3.js").unlink()
     browser.open(page)
     browser.run(f"player.go({3 * PART})")
     assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")
     assert browser.run("Promise.resolve(player.go(0)).then(() => document.querySelector('#failure').hidden)")
-    browser.run(
-        f"Promise.resolve(player.go({3 * PART - AROUND})).then(() => new Promise(done => setTimeout(done, 100)))"
-    )  # near it
+    wait = "new Promise(done => setTimeout(done, 100))"
+    browser.run(f"Promise.resolve(player.go({3 * PART - AROUND})).then(() => {wait})")  # near it
     assert browser.run("document.querySelector('#failure').hidden")
     assert all("Uncaught" not in error for error in browser.errors)
     browser.errors.clear()  # those of the missing file
 
 
-def test_a_part_that_is_cut_off_is_said(browser, page_with_files, tmp_path):
-    page = Path(shutil.copytree(page_with_files.parent, tmp_path / "copy")) / page_with_files.name
+def test_a_part_that_is_cut_off_is_said(browser, cut_pages, tmp_path):
+    page = copied(cut_pages[1], tmp_path)
     (parts_folder(page) / "A-3.js").write_text("", encoding="utf-8")
     browser.open(page)
     browser.run(f"Promise.race([player.go({3 * PART}), new Promise(done => setTimeout(done, 1000))])")

@@ -1,15 +1,9 @@
 """Where two runs of the same truth differ."""
 
-from __future__ import annotations
-
 import pytest
 
-from modsim3d.core.errors import RunDirectoryError
+from modsim3d import Frame, RunDirectoryError, load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
-from modsim3d.runs.frames import Frame
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.view.report.overview import VesselOutcome
 from modsim3d.view.report.recorder import recording
 from modsim3d.view.report.side_by_side import check_same_truth, differences
@@ -23,13 +17,11 @@ def outcome_in(frame: Frame, row: int) -> VesselOutcome:
     if not frame.truth.detected[row]:
         return VesselOutcome.MISSED
     found = [flag for at, flag in zip(detected_rows(frame), frame_outcomes(frame), strict=True) if at == row]
-    order = {
-        Outcome.OFF_VESSEL: VesselOutcome.OFF_VESSEL,
-        Outcome.BELOW_HALF_IOU: VesselOutcome.BELOW_HALF_IOU,
-        Outcome.MISLABELLED: VesselOutcome.WRONG_CLASS,
-    }
-    wrong = [outcome for flag, outcome in order.items() if found and found[0] & flag]
-    return wrong[0] if wrong else VesselOutcome.DETECTED
+    if not found or not found[0]:
+        return VesselOutcome.DETECTED
+    if found[0] & Outcome.OFF_VESSEL:
+        return VesselOutcome.OFF_VESSEL
+    return VesselOutcome.BELOW_HALF_IOU if found[0] & Outcome.BELOW_HALF_IOU else VesselOutcome.WRONG_CLASS
 
 
 @pytest.mark.parametrize("every", [1, 7])
@@ -40,8 +32,7 @@ def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other
     for camera in (each.name for each in first.scene.cameras):
         taken = sorted(step for name, step in frames if name == camera)
         for index, step in enumerate(range(0, first.steps, every)):
-            last = max((each for each in taken if each <= step), default=None)
-            if last is None:
+            if (last := max((each for each in taken if each <= step), default=None)) is None:
                 continue
             one, other = frames[camera, last]
             for row, vessel in enumerate(one.truth.vessels):
@@ -50,25 +41,21 @@ def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other
                     expected.add((camera, vessel, index, *pair))
     found = differences(recording(first, every).outcomes, recording(second, every).outcomes)
     cameras, vessels = [camera.name for camera in first.scene.cameras], first.scene.vessel_names
+    stretches = zip(found.camera, found.vessel, found.index, found.until, found.outcomes.tolist(), strict=True)
     covered = [
         (cameras[camera], vessels[vessel], index, *pair)
-        for camera, vessel, begin, until, pair in zip(
-            found.camera, found.vessel, found.index, found.until, found.outcomes.tolist(), strict=True
-        )
+        for camera, vessel, begin, until, pair in stretches
         for index in range(begin, until + 1)
     ]
-    assert len(covered) == len(set(covered))
-    assert set(covered) == expected
+    assert len(covered) == len(set(covered)) and set(covered) == expected
     assert len(expected) > len(found.camera)  # some stretches last
 
 
-def test_a_run_does_not_differ_from_itself(mistaken_folder):
-    outcomes = recording(open_run(mistaken_folder)).outcomes
+def test_a_run_does_not_differ_from_itself_and_has_the_truth_of_another_seed(mistaken_folder, other_folder):
+    run = open_run(mistaken_folder)
+    outcomes = recording(run).outcomes
     assert len(differences(outcomes, outcomes).camera) == 0
-
-
-def test_the_same_truth_passes_and_another_seed_of_the_detector_too(mistaken_folder, other_folder):
-    check_same_truth(open_run(mistaken_folder), open_run(other_folder))
+    check_same_truth(run, open_run(other_folder))
 
 
 def test_runs_of_other_truth_are_refused_with_what_differs(run_folder, mistaken_folder, tmp_path):

@@ -1,60 +1,36 @@
 """Two images on a page: two cameras of a run, or two runs of the same truth."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from modsim3d.core.errors import RunDirectoryError
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import open_run
+from modsim3d import RunDirectoryError, RunRows, open_run
 from modsim3d.view.report import side_by_side
 from modsim3d.view.report.overview import VesselOutcome
-from modsim3d.view.report.side_by_side import Differences, differences, paired_detections, write_side_by_side
-from tests.view.report.browser import Browser
+from modsim3d.view.report.side_by_side import differences, paired_detections, write_side_by_side
 from tests.view.report.test_layout import PHONE, TABLET
 
 SIZE = (1440, 1000)
 
 
 @pytest.fixture(scope="module")
-def page_and_differences(
-    mistaken_folder: Path, other_folder: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, Differences]:
+def both(mistaken_folder, other_folder, tmp_path_factory):
     out, found = tmp_path_factory.mktemp("both") / "both.html", []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(side_by_side, "differences", lambda *runs: found.append(differences(*runs)) or found[0])
         return write_side_by_side(open_run(mistaken_folder), open_run(other_folder), out), found[0]
 
 
-@pytest.fixture(scope="module")
-def both(page_and_differences: tuple[Path, Differences]) -> Path:
-    return page_and_differences[0]
-
-
-def frames(browser: Browser) -> list[dict]:
-    """What the panes show: the boxes of the detections."""
-    return browser.run(
-        "player.panes.map(pane => pane.recording.detections(player.index, pane.camera).map(each => each.box))"
-    )
-
-
-def test_both_runs_show_their_own_detections_of_one_camera_and_move_together(
-    browser, both, mistaken_folder, other_folder, tmp_path
-):
+def test_both_runs_show_their_own_detections_and_move_together(browser, both, mistaken_folder, other_folder, tmp_path):
     browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
-    browser.open(both, SIZE, "#step=50")
-    expected = [
-        next(frame for frame in open_run(folder).frames(50, 51) if frame.camera == "bow").detections.boxes_px
-        for folder in (mistaken_folder, other_folder)
-    ]
-    for shown, boxes in zip(frames(browser), expected, strict=True):
-        np.testing.assert_allclose(shown, boxes, atol=0.051)
+    browser.open(both[0], SIZE, "#step=50")
+    frames = browser.run("player.panes.map(({ recording, camera }) => recording.detections(player.index, camera))")
+    for shown, folder in zip(frames, (mistaken_folder, other_folder), strict=True):
+        expected = next(frame for frame in open_run(folder).frames(50, 51) if frame.camera == "bow").detections.boxes_px
+        np.testing.assert_allclose([each["box"] for each in shown], expected, atol=0.051)
     titles = browser.run("[...document.querySelectorAll('.run')].map(each => each.textContent)")
     assert titles == [f"A {mistaken_folder.name}", f"B {other_folder.name}"]
     browser.click("[data-do=save]")
@@ -71,28 +47,23 @@ def test_both_runs_show_their_own_detections_of_one_camera_and_move_together(
     assert browser.run("player.timeline.recording.name") == "B"
 
 
-def test_the_images_are_level_and_the_page_fits_a_phone_and_says_what_it_rests_on(
-    browser, both, mistaken_folder, other_folder
-):
-    browser.open(both, TABLET)
+def test_images_are_level_and_the_page_fits_a_phone_and_names_inputs(browser, both, mistaken_folder, other_folder):
+    browser.open(both[0], TABLET)
     said = browser.run("document.body.textContent")
     for folder in (mistaken_folder, other_folder):
         assert hashlib.sha256((folder / "detections.parquet").read_bytes()).hexdigest() in said
-    assert "detector_seed" in browser.run(
-        "[...document.querySelectorAll('section')].find(each => "
-        "each.querySelector('h2')?.textContent === 'Settings that differ').textContent"
-    )
-    browser.run(
-        "(document.querySelectorAll('.run')[1].textContent += ' which has a longer name than the other one', 0)"
-    )
+    sections = "[...document.querySelectorAll('section')]"
+    settings = f"{sections}.find(each => each.querySelector('h2')?.textContent === 'Settings that differ')"
+    assert "detector_seed" in browser.run(f"{settings}.textContent")
+    browser.run("(document.querySelectorAll('.run')[1].textContent += ' with a name longer than the other one', 0)")
     one, other = browser.run("player.panes.map(pane => pane.canvas.getBoundingClientRect().toJSON())")
     assert (one["top"], one["height"]) == (other["top"], other["height"])
     browser.resize(PHONE)
     assert browser.run("document.documentElement.scrollWidth") == PHONE[0]
 
 
-def test_differences_are_moments_lanes_and_labels(browser, page_and_differences):
-    page, found = page_and_differences
+def test_differences_are_moments_lanes_and_labels(browser, both):
+    page, found = both
     browser.open(page, SIZE)
     first = np.flatnonzero(found.camera == 0)
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
@@ -102,12 +73,11 @@ def test_differences_are_moments_lanes_and_labels(browser, page_and_differences)
     assert browser.run("player.index") == found.index[first[0]]
     assert browser.run("player.followed") == found.vessel[first[0]]
     assert browser.run("player.moments.list.length") == len(first)
-    vessels = browser.run("player.differenceLanes.lanes.map(([vessel]) => vessel)")
-    assert vessels == sorted(set(found.vessel[first].tolist()))
+    lanes = browser.run("player.differenceLanes.lanes.map(([vessel]) => vessel)")
+    assert lanes == sorted(set(found.vessel[first].tolist()))
     a, b = (VesselOutcome(each) for each in found.outcomes[first[0]])
     labels = browser.run("player.panes.map(pane => pane.picture.plates.map(plate => plate.text))")
-    assert f"B: {_words(b)}" in labels[0]
-    assert f"A: {_words(a)}" in labels[1]
+    assert f"B: {_words(b)}" in labels[0] and f"A: {_words(a)}" in labels[1]
     assert "≠" in browser.run("player.list.rows[player.followed].cells[2].textContent")
 
 
@@ -129,25 +99,20 @@ def test_paired_counts_are_of_all_annotated_vessels(mistaken_folder, other_folde
 def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
     browser.open(mistaken_page, SIZE, "#step=30&beside=quay")
     assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
-    left, right = browser.run(
-        "[...document.querySelectorAll('.pane canvas')].map(each => each.getBoundingClientRect().toJSON())"
-    )
+    box = "each => each.getBoundingClientRect().toJSON()"
+    left, right = browser.run(f"[...document.querySelectorAll('.pane canvas')].map({box})")
     assert left["right"] <= right["left"] and left["top"] == right["top"]
     browser.click("#picture2")
     assert browser.run("[player.camera, player.timeline.camera]") == [1, 1]
     browser.press("u")  # writes the address
     assert "camera=bow&beside=quay" in browser.run("location.hash")
     browser.press("g")
-    assert browser.run("player.panes.length") == 1
-    assert browser.run("document.querySelector('#picture2')") is None
+    assert browser.run("[player.panes.length, document.querySelector('#picture2')]") == [1, None]
     browser.press("g")  # another camera than the first, and drawn at once
     assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
     image = "document.querySelector('#picture2').toDataURL()"
-    at_once = browser.run(image)
-    assert (
-        browser.run("new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))")
-        == at_once
-    )
+    drawn = "new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))"
+    assert browser.run(image) == browser.run(drawn)
     assert browser.run("document.querySelector('#beside').value") == "quay"
     browser.press("g")
     assert browser.run("player.panes.length") == 1
@@ -162,8 +127,7 @@ def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page,
         if place:
             np.testing.assert_allclose([place["x"], place["y"]], poses.positions_m[0, vessel, :2], atol=0.006)
     placed = browser.run("player.above.placed")
-    chosen = placed[0]
-    box = browser.run("document.querySelector('#above').getBoundingClientRect().toJSON()")
+    chosen, box = placed[0], browser.run("document.querySelector('#above').getBoundingClientRect().toJSON()")
     browser.click("#above", chosen["x"] / box["width"], chosen["y"] / box["height"])
     near = [each["vessel"] for each in placed if abs(each["x"] - chosen["x"]) + abs(each["y"] - chosen["y"]) < 15]
     assert browser.run("player.followed") in near
@@ -172,8 +136,7 @@ def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page,
 def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_folder, tmp_path):
     out, refused = tmp_path / "two.html", tmp_path / "no.html"
     assert call("report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0
-    facts = json.loads(out.read_text().partition('id="facts-B">')[2].partition("</script>")[0])
-    assert facts["every"] == 20
+    assert json.loads(out.read_text().partition('id="facts-B">')[2].partition("</script>")[0])["every"] == 20
     status, said = call("report", mistaken_folder, run_folder, "--out", refused)
     assert status == 2 and "show different truth" in " ".join(said.split())
     status, said = call("report", mistaken_folder, other_folder, "--tracks", "tracks", "--out", refused)
@@ -181,13 +144,11 @@ def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_fol
     assert not refused.exists()
 
 
-def test_the_same_runs_give_the_same_bytes(mistaken_folder, other_folder, tmp_path):
+def test_the_same_runs_give_the_same_bytes_and_an_interrupted_one_without_steps_none(
+    mistaken_folder, other_folder, tmp_path
+):
     runs = open_run(mistaken_folder), open_run(other_folder)
     pages = [write_side_by_side(*runs, tmp_path / name, every=10) for name in ("once.html", "again.html")]
     assert pages[0].read_bytes() == pages[1].read_bytes()
-
-
-def test_an_interrupted_first_run_without_steps_is_refused(mistaken_folder):
-    run = open_run(mistaken_folder)
     with pytest.raises(RunDirectoryError, match="nothing to show"):
-        write_side_by_side(replace(run, steps=0), run)
+        write_side_by_side(replace(runs[0], steps=0), runs[0])

@@ -1,7 +1,5 @@
 """The edges around what a mesh covers, against the union of its projected faces."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -35,19 +33,16 @@ def windings(ends_px, points):
 
 
 def torn(part):
-    """The part without some of its faces, so that it is open."""
     solid = part.solid
     return replace(part, solid=Solid(solid.vertices, solid.faces[len(solid.faces) // 3 :], convex=False, closed=False))
 
 
+LENS = Distortion(k1=-0.12, k2=0.03)
+CUTTING = ((0, 160.0, None, False), (0, 160.0, None, True))  # vessels where they are seen
+
+
 @pytest.mark.parametrize(
-    ("camera", "near_clip_m", "lens", "is_torn"),
-    [
-        (0, 0.1, None, False),
-        (0, 160.0, None, False),  # cuts vessels where they are seen
-        (0, 160.0, None, True),
-        (1, 60.0, Distortion(k1=-0.12, k2=0.03), False),
-    ],
+    "camera, near_clip_m, lens, is_torn", [(0, 0.1, None, False), *CUTTING, (1, 60.0, LENS, False)]
 )
 def test_edges_wind_around_what_the_faces_cover_and_around_nothing_else(strait, camera, near_clip_m, lens, is_torn):
     before = strait.cameras[camera]
@@ -58,8 +53,7 @@ def test_edges_wind_around_what_the_faces_cover_and_around_nothing_else(strait, 
     edges = silhouette_edges(outlines, intrinsics)
     boxes_px = edges.boxes_px(len(outlines))
     size, rng, compared, cut = np.array(intrinsics.image_size_px), np.random.default_rng(0), 0, 0
-    assert edges.ends_px.min() >= 0
-    assert np.all(edges.ends_px <= size)
+    assert edges.ends_px.min() >= 0 and np.all(edges.ends_px <= size)
     for part in outlines.parts:
         crosses = outlines.crosses_near[part.rows]
         whole = silhouette_polygons(intrinsics.pinhole, part.vertices_camera, part.vertices_px, crosses, part.solid)
@@ -67,8 +61,7 @@ def test_edges_wind_around_what_the_faces_cover_and_around_nothing_else(strait, 
             if covered.area < 20:
                 continue
             low, high = np.array(covered.bounds).reshape(2, 2)
-            assert np.all(boxes_px[row, :2] < low + CLEAR_PX)
-            assert np.all(boxes_px[row, 2:] > high - CLEAR_PX)
+            assert np.all(boxes_px[row, :2] < low + CLEAR_PX) and np.all(boxes_px[row, 2:] > high - CLEAR_PX)
             if np.all(low > 0) and np.all(high < size):
                 np.testing.assert_allclose(boxes_px[row], covered.bounds, atol=CLEAR_PX)
             points = rng.uniform(np.maximum(low - 5, 0), np.minimum(high + 5, size), (POINTS, 2))
@@ -77,19 +70,15 @@ def test_edges_wind_around_what_the_faces_cover_and_around_nothing_else(strait, 
             assert len(set(np.sign(found)) - {0}) == 1
             np.testing.assert_array_equal((found != 0)[clear], shapely.contains_xy(covered, points)[clear])
             compared, cut = compared + 1, cut + bool(crosses[list(part.rows).index(row)])
-    assert compared > 10
-    assert cut > 0
+    assert compared > 10 and cut > 0
 
 
 def test_ways_to_and_fro_along_the_border_are_left_out():
     there = [[(0, 0), (4, 3)], [(4, 3), (0, 9)], [(0, 9), (0, 2)], [(0, 2), (0, 7)], [(0, 7), (0, 0)]]
     shape, ends = tidy_at_border(np.array([3] * 5), np.array(there), (20, 20))
     assert shape.tolist() == [3, 3, 3]
-    assert {tuple(map(tuple, edge)) for edge in ends.tolist()} == {
-        ((0, 0), (4, 3)),
-        ((4, 3), (0, 9)),
-        ((0, 9), (0, 0)),
-    }
+    edges = {tuple(map(tuple, edge)) for edge in ends.tolist()}
+    assert edges == {((0, 0), (4, 3)), ((4, 3), (0, 9)), ((0, 9), (0, 0))}
     _, ends = tidy_at_border(np.array([0, 0]), np.array([[(5, 20), (9, 20)], [(9, 20), (5, 20)]]), (20, 20))
     assert len(ends) == 0
 

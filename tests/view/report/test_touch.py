@@ -1,19 +1,13 @@
 """Mouse and fingers on the run's page: the page can be scrolled over the image, and the image does not get lost."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-
-from tests.view.report.browser import Browser
 
 VIEW = "player.picture.view"
 
 
 @pytest.fixture
-def phone(browser: Browser, page) -> Iterator[Browser]:
+def phone(browser, page):
     browser.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
     browser.open(page, (390, 844))
     browser.run("document.querySelector('#picture').scrollIntoView({block: 'center', behavior: 'instant'})")
@@ -21,16 +15,14 @@ def phone(browser: Browser, page) -> Iterator[Browser]:
     browser.call("Emulation.setTouchEmulationEnabled", enabled=False)
 
 
-def middle(browser: Browser, selector: str = "#picture") -> tuple[float, float]:
-    x, y = browser._place(selector, 0.5, 0.5)
-    return x, y
+def middle(browser, selector="#picture"):
+    return browser._place(selector, 0.5, 0.5)
 
 
-def within_reach(browser: Browser) -> bool:
+def within_reach(browser):
     """Whether the view's middle is in the image, and the view is no larger than the image nor smaller than a 20th."""
-    x, y, width, aspect, wide, high = browser.run(
-        f"(v => [v.x, v.y, v.width, player.picture.aspect, ...player.pane.size])({VIEW})"
-    )
+    values = f"(v => [v.x, v.y, v.width, player.picture.aspect, ...player.pane.size])({VIEW})"
+    x, y, width, aspect, wide, high = browser.run(values)
     whole = max(wide, high * aspect)
     in_image = 0 <= x + width / 2 <= wide and 0 <= y + width / aspect / 2 <= high
     return bool(in_image and whole / 20 * 0.999 <= width <= whole * 1.001)
@@ -79,10 +71,8 @@ def test_the_wheel_scrolls_the_page_and_with_control_zooms_towards_the_mouse(bro
     middle(browser)
     top = browser.run("scrollY")
     browser.wheel("#picture", 100)
-    browser.run(
-        "new Promise(done => { const look = () => "
-        f"scrollY > {top} ? done(1) : requestAnimationFrame(look); look(); }})"
-    )
+    look = f"const look = () => scrollY > {top} ? done(1) : requestAnimationFrame(look); look();"
+    browser.run(f"new Promise(done => {{ {look} }})")
     assert browser.run(VIEW) == before
     assert "wheel zooms" in browser.run("document.querySelector('.how:not([hidden])').textContent")
     browser.wheel("#picture", -400, control=True)
@@ -91,7 +81,7 @@ def test_the_wheel_scrolls_the_page_and_with_control_zooms_towards_the_mouse(bro
     assert after["x"] + after["width"] / 2 == pytest.approx(before["x"] + before["width"] / 2, abs=after["width"] / 200)
 
 
-def drag(browser: Browser, dx: float, dy: float) -> None:
+def drag(browser, dx, dy):
     x, y = middle(browser)
     browser.mouse("mouseMoved", x, y)
     browser.mouse("mousePressed", x, y, button="left", buttons=1, clickCount=1)

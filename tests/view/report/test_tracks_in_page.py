@@ -1,7 +1,5 @@
 """The page of a run with tracks: a lane each, in the vessel's colour, with marks of switches."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from modsim3d.runs.stored_run import open_run
@@ -16,14 +14,10 @@ from tests.view.report.unpacking import read
 LANE = "player.lanes.lanes.find(lane => lane.number === {})"
 
 
-def test_each_track_of_the_camera_has_a_lane_with_marks_of_a_swap_and_a_false_one_follows_nothing(
-    browser, tracks_page, followed, pair
-):
+def test_each_track_has_a_lane_with_marks_of_a_swap_and_a_false_one_of_nothing(browser, tracks_page, followed, pair):
     browser.open(tracks_page)
-    marked = browser.run(
-        "player.lanes.lanes.flatMap(({ number, marks }) => marks.map(({ index, switched, moved }) => "
-        "[number, index, switched, moved]))"
-    )
+    mark = "({ index, switched, moved }) => [number, index, switched, moved]"
+    marked = browser.run(f"player.lanes.lanes.flatMap(({{ number, marks }}) => marks.map({mark}))")
     assert sorted(marked) == [[number, SWAP, True, True] for number in sorted(pair)]
     assert "the vessel had another track" in browser.run(f"player.lanes.say({LANE.format(pair[0])}, {SWAP})")
     (only,) = browser.run(f"{LANE.format(FALSE_TRACK)}.stretches")
@@ -33,8 +27,7 @@ def test_each_track_of_the_camera_has_a_lane_with_marks_of_a_swap_and_a_false_on
         mine = followed.tracks.take(followed.tracks.camera == camera)
         numbers, first = np.unique(mine.track, return_index=True)
         expected = numbers[np.argsort(first, kind="stable")].tolist()
-        assert browser.run("player.lanes.lanes.map(lane => lane.number)") == expected
-        assert len(expected) > 2
+        assert browser.run("player.lanes.lanes.map(lane => lane.number)") == expected and len(expected) > 2
         browser.press("c")
     assert followed.sentence() in browser.run("document.querySelector('header').textContent")
 
@@ -50,8 +43,7 @@ def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_t
     browser.click("#lanes", x / wide, (at + 0.5) * 13 / high)
     assert browser.run("[player.index, player.followed]") == [SWAP + 3, pair[1]]
     said = browser.run("document.querySelector('#laneHint').textContent")
-    assert f"step {SWAP + 3}:" in said
-    assert f"track {pair[0]} follows " in said
+    assert f"step {SWAP + 3}:" in said and f"track {pair[0]} follows " in said
 
 
 def test_boxes_of_tracks_are_hidden_and_shown_by_key_and_by_mouse(browser, tracks_page):
@@ -90,8 +82,7 @@ def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
     script = '<script type="module">'  # is the same on all pages
     plain, with_tracks = (path.read_text(encoding="utf-8").partition(script)[0] for path in (page, tracks_page))
     for part in ('id="lanes"', '"tracks"'):
-        assert part not in plain
-        assert part in with_tracks
+        assert part not in plain and part in with_tracks
 
 
 def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_folder, rows, followed, tmp_path):
@@ -103,20 +94,15 @@ def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_fo
     assert file.read_text(encoding="utf-8").startswith("camera,")
 
 
-def test_how_boxes_are_compared_is_an_option_and_in_the_legend(
-    monkeypatch, browser, run_folder, rows, followed, tmp_path
-):
+def test_the_similarity_is_an_option_and_in_the_legend(monkeypatch, browser, run_folder, rows, followed, tmp_path):
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
     options = ("--similarity", "centre:150", "--threshold", 0.3, "--every", 20)
     assert call(monkeypatch, "report", run_folder, "--tracks", file, *options, "--out", out) == 0
     browser.open(out)
-    legend = browser.run("document.querySelector('#legend').textContent")
-    assert "1 - distance of centres / 150 px below 0.3" in legend
+    assert "1 - distance of centres / 150 px below 0.3" in browser.run("document.querySelector('#legend').textContent")
 
 
-def test_how_boxes_are_compared_needs_tracks_and_tracks_that_are_not_there_are_one_message(
-    monkeypatch, capsys, run_folder, tmp_path
-):
+def test_the_similarity_needs_tracks_and_missing_tracks_are_one_message(monkeypatch, capsys, run_folder, tmp_path):
     missing, out = tmp_path / "nowhere", tmp_path / "page.html"
     for options, said in ((("--threshold", 0.3), "are for --tracks"), (("--tracks", missing), str(missing))):
         assert call(monkeypatch, "report", run_folder, *options, "--out", out) == 2

@@ -1,10 +1,7 @@
 """The list of vessels of a run's page: found, filtered and sorted."""
 
-from __future__ import annotations
-
 import pytest
 
-from tests.view.report.browser import Browser
 from tests.view.report.test_page_in_browser import choose
 
 NAMES = "[...document.querySelectorAll('#vessels tr')].map(row => row.querySelector('button').textContent)"
@@ -14,7 +11,7 @@ VESSELS = "player.recording.facts.vessels"
 
 
 @pytest.fixture
-def opened(browser: Browser, mistaken_page) -> Browser:
+def opened(browser, mistaken_page):
     browser.open(mistaken_page, hash="#step=100")
     return browser
 
@@ -24,19 +21,16 @@ def test_the_list_is_sorted_by_what_is_asked_for_and_says_so_and_stays_while_the
     opened.click("[data-order=distance]")
     assert opened.run("document.querySelector('th[aria-sort]').textContent") == "Distance"
     here = opened.run(f"{TRUTH}.toSorted((a, b) => a.depth - b.depth).map(({{ vessel }}) => {VESSELS}[vessel].name)")
-    assert opened.run(NAMES)[: len(here)] == here
-    assert set(opened.run(NAMES)) == set(scene)
+    assert opened.run(NAMES)[: len(here)] == here and set(opened.run(NAMES)) == set(scene)
     opened.click("[data-order=distance]")
     assert opened.run("document.querySelector('th[aria-sort]').ariaSort") == "descending"
     assert opened.run(NAMES)[: len(here)] == here[::-1]  # who is not in the image stays at the end
     opened.click("[data-order=distance]")
-    assert opened.run(NAMES) == scene
-    assert opened.run("document.querySelector('th[aria-sort]')") is None
+    assert opened.run(NAMES) == scene and opened.run("document.querySelector('th[aria-sort]')") is None
     opened.click("[data-order=outcome]")
     ranks = opened.run(f"{NAMES}.map(name => {TRUTH}.find(({{ vessel }}) => {VESSELS}[vessel].name === name)?.missed)")
     missed = ranks.count(True)
-    assert missed > 0
-    assert ranks[:missed] == [True] * missed
+    assert missed > 0 and ranks[:missed] == [True] * missed
     opened.run("player.go(0)")
     choose(opened, "which", "missed")
     before = opened.run(NAMES)

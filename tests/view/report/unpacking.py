@@ -1,7 +1,5 @@
 """Reads the recording of a page as the browser does: slowly, row by row, from the text of the page."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json
@@ -14,41 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 Column = NDArray[Any]
+# Where the rows of each frame begin, and the columns of these rows.
 TABLES = {
     "shapeStart": ("owner",),
     "truthStart": ("vessel", "flags", "fraction", "depth", "hider", "full", "visible"),
     "drawnStart": ("drawnVessel", "label", "confidence", "outcome", "kind", "box"),
     "trackStart": ("trackLane", "trackVessel", "trackFlags", "trackBox"),
 }
-"""Where the rows of each frame begin, and the columns of these rows."""
 STILL = 1 << 31
 
 
 @dataclass(frozen=True)
 class Unpacked:
-    """A recording whose frames stand one after the other, step by step and camera by camera, each once.
+    """A recording whose frames stand one after the other, step by step and camera by camera, each once."""
 
-    Attributes:
-        facts: Facts, with `steps`, `timestamps` and `times`.
-        shown: The frame that each camera shows at each step, −1 for none, shape (steps, cameras).
-        taken: The step at which it was taken, −1 for none, shape (steps, cameras).
-        columns: The columns of the frames.
-        outlines: The lines of each shape, a list of arrays of corners.
-        overview: The columns of the overview.
-        stored: Number of frames that are stored.
-    """
-
-    facts: dict[str, Any]
-    shown: Column
-    taken: Column
-    columns: dict[str, Column]
-    outlines: list[list[Column]]
+    facts: dict[str, Any]  # with `steps`, `timestamps` and `times`
+    shown: Column  # the frame that each camera shows at each step, −1 for none, shape (steps, cameras)
+    taken: Column  # the step at which it was taken, −1 for none, shape (steps, cameras)
+    columns: dict[str, Column]  # of the frames
+    outlines: list[list[Column]]  # the lines of each shape, arrays of corners
     overview: dict[str, Column]
-    stored: int
+    stored: int  # number of frames that are stored
 
 
 def read(page: Path, name: str = "A") -> Unpacked:
-    """The recording of a page by its name."""
     text = page.read_text(encoding="utf-8")
 
     def inside(element: str) -> str:
@@ -64,8 +51,6 @@ def read(page: Path, name: str = "A") -> Unpacked:
 
 
 class _Reader:
-    """Frames, one part after the other."""
-
     def __init__(self, facts: dict[str, Any], still: list[list[Column]]) -> None:
         self._facts, self._still, self._cameras = facts, still, len(facts["cameras"])
         self._rows: dict[str, list[Column]] = {}
@@ -76,7 +61,6 @@ class _Reader:
         self._stored = 0
 
     def add(self, number: int, part: dict[str, Column]) -> None:
-        """Add the part with this number."""
         moving, part_steps = _outlines(part), self._facts["partSteps"]
         self._stored += len(part["state"])
         for each in ("placed", "place", "heading", "cameraPlaced", "cameraPlace", "cameraLooks"):
@@ -112,7 +96,6 @@ class _Reader:
         ]
 
     def unpacked(self, overview: dict[str, Column]) -> Unpacked:
-        """What was read."""
         columns = {column: np.concatenate(values) for column, values in self._rows.items()}
         for start in TABLES.keys() & columns.keys():
             columns[start] = np.concatenate([[0], np.cumsum(columns[start])])
@@ -162,10 +145,12 @@ def _before(by: str | None, rows: int, columns: dict[str, Column]) -> list[int]:
         return [-1] * rows
     if by == "row":
         return list(range(-1, rows - 1))
+    before, sizes, begins, last = [], [], [], {}
     if by != "outline":
-        return _same_before(columns[by].tolist())
-    before: list[int] = []
-    sizes, begins, last = [], [], {}
+        for row, key in enumerate(columns[by].tolist()):
+            before.append(last.get(key, -1))
+            last[key] = row
+        return before
     lines = iter(columns["cornerCount"].tolist())
     for outline, (owner, count) in enumerate(zip(columns["outlineOwner"].tolist(), columns["lineCount"], strict=True)):
         size, begin, other = sum(next(lines) for _ in range(count)), len(before), last.get(owner)
@@ -176,15 +161,6 @@ def _before(by: str | None, rows: int, columns: dict[str, Column]) -> list[int]:
             before += range(begins[other], begins[other] + size)
         else:
             before += [-1, *range(begin, begin + size - 1)][:size]
-    return before
-
-
-def _same_before(keys: list[int]) -> list[int]:
-    last: dict[int, int] = {}
-    before = []
-    for row, key in enumerate(keys):
-        before.append(last.get(key, -1))
-        last[key] = row
     return before
 
 
