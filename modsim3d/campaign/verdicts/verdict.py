@@ -93,14 +93,9 @@ _NAMED = 5
 
 
 def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
-    """A verdict for each requirement, tracker and condition that it is about.
-
-    A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is undecided.
-
-    Args:
-        plan: The plan.
-        table: The rows so far, see `results_table`; those before the first traffic seed that is not whole count.
-    """
+    """A verdict for each requirement, tracker and condition that it is about, on the rows before the first traffic seed
+    that is not whole. A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is
+    undecided."""
     rows, cases = SeedRows(plan, table), cases_of_all(plan)
 
     @cache
