@@ -35,8 +35,7 @@ from modsim3d.io.processes import WorkerCount, worker_count
 
 
 def rows_of(folder: CampaignFolder) -> pa.Table:
-    """Runs or trials of a campaign in their order: all, or those that are done so far. Raises ModsimError for damaged
-    ones."""
+    """Runs or trials of a campaign in their order: all, or those done so far. Raises ModsimError for damaged ones."""
     return results_table(folder) if folder.keys.search is None else search_table(folder)
 
 

@@ -114,8 +114,7 @@ class DaskEngine:
     """Does tasks on the workers of a Dask scheduler; workers may come and go."""
 
     def __init__(self, address: str) -> None:
-        """Connect to an address such as `tcp://10.0.0.1:8786`; ModsimError if no scheduler is there, or Dask is
-        missing."""
+        """Connect to an address such as `tcp://10.0.0.1:8786`; ModsimError without a scheduler there or Dask."""
         client_type = _library().Client
         try:
             self._client: Any = client_type(address, timeout=CONNECT_S, set_as_default=False)
@@ -199,9 +198,9 @@ class SlurmEngine(DaskEngine):
     """Does tasks in jobs that Slurm starts, each with Dask workers; this process is their scheduler."""
 
     def __init__(self, jobs: int) -> None:
-        """Hand in jobs; the first tasks begin when the first of them does. Each has what the configuration of Dask says
-        below `jobqueue.slurm`. Raises ModsimError if a library is missing, that is not complete, or Slurm refuses a
-        job."""
+        """Hand in jobs; the first tasks begin when the first of them does. The configuration of Dask says below
+        `jobqueue.slurm` what each job has. Raises ModsimError if a library is missing, the configuration is not
+        complete, or Slurm refuses a job."""
         cluster_type = _library("dask_jobqueue").SLURMCluster
         settings = _library("dask").config
         if missing := [key for key in ("cores", "memory") if settings.get(f"jobqueue.slurm.{key}", None) is None]:
@@ -220,8 +219,7 @@ class SlurmEngine(DaskEngine):
 
 
 def check_libraries(*names: str) -> None:
-    """Check that libraries of clusters are there, without the time that loading them takes; ModsimError if one is
-    not."""
+    """Check that libraries of clusters are there, without the time to load them; ModsimError if one is not."""
     for name in names:
         if find_spec(name) is None:
             raise ModsimError(_MISSING.format(name))

@@ -58,7 +58,7 @@ class DoneRows:
         self._read: set[str] = set()
 
     def read(self, first_runs: Container[int] | None = None) -> DoneRows:
-        """Read the files not read yet, of `first_runs` only those that begin with one; damaged ones are left out."""
+        """Read all files not read yet, or only those whose first run is one of these; damaged ones are left out."""
         for path in sorted(self._folder.done.glob(ROWS_PATTERN)):
             if first_runs is None or int(path.name.partition("_")[0]) in first_runs:
                 self.add(path)
@@ -89,8 +89,7 @@ class DoneRows:
         return sum(pc.sum(pc.not_equal(part["status"], DONE)).as_py() for part in self._parts)
 
     def table(self) -> pa.Table:
-        """Rows in the order of the plan, with its columns; of a run that is there twice, one that did not crash
-        counts."""
+        """Rows in the order of the plan, with its columns; of a run that is there twice, one that did not crash."""
         self._join()
         table = pa.concat_tables(self._parts or [with_plan(table_of([]), self._folder.plan)], promote_options="default")
         ahead = list(dict.fromkeys(["run", *plan_columns(self._folder.plan), *FACTS, *SCORES]))
@@ -238,7 +237,7 @@ class NeededSeeds:
 
 def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
     """Name and expectation of `SCORE=MEAN:SPREAD` for a required mean; of a difference `SCORE of NEW minus OLD`. Raises
-    ModsimError if it says nothing of that kind."""
+    ModsimError for any other text."""
     if not (match := re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text)):
         raise ModsimError(f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')")
     name, found = match[1], Expected(float(match[2]), float(match[3]))
@@ -251,8 +250,8 @@ def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
 
 
 def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFolder | None) -> list[NeededSeeds]:
-    """Seeds that each requirement needs, by tracker and condition where these differ. `expected` is by the name of a
-    score, or of a difference of it; where it has nothing, the scores of an earlier campaign `like` are expected."""
+    """Seeds that each requirement needs, by tracker and condition where these differ. `expected` maps the name of a
+    score, or of a difference of it, to what is expected; else the scores of an earlier campaign `like` are expected."""
     rows = None if like is None else SeedRows(like.plan, results_table(like))
     found, verdicts = [], len(cases_of_all(plan))
     for place in range(len(plan.keys.require)):

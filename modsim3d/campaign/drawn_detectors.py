@@ -73,8 +73,8 @@ class LearnedUncertainty(Strict):
 
 
 def read_uncertainty(detector: Path) -> LearnedUncertainty:
-    """Recorded uncertainty of a detector file; InputError if there is none beside it, or it is of another or rests on
-    too little."""
+    """Recorded uncertainty of a detector file; InputError if none is beside it, or it rests on too little or is that of
+    another file."""
     path, source = uncertainty_file(detector), f"detector {detector}"
     if not path.is_file():
         needed = f"needs {path.name} beside it, which modsim3d learn writes with the detector file: learn it again"

@@ -49,7 +49,7 @@ def results_folder(folder: Path, final: str, later: Mapping[str, bytes]) -> Iter
     """A folder to write rows into, which gets its final name, `RESULTS` or `SEARCH`, with the list of all files when it
     is whole. `later` is the content of files of the campaign's folder that are written afterwards, by name. On a file
     system without locks another process may do the same; whoever comes second leaves the first one's. Raises
-    OutputError."""
+    OutputError if it cannot be written."""
     partial = folder / f".{final}.{uuid.uuid4().hex}"
     try:
         make_folder(partial)
@@ -192,8 +192,7 @@ def opened_campaign(folder: StrPath) -> CampaignFolder:
 
 
 def _read_plan(path: Path) -> tuple[dict[str, Any], CampaignKeys]:
-    """Content of `plan.json`, and the campaign file in it; ModsimError if it is missing, damaged, or was changed
-    later."""
+    """Content of `plan.json`, and the campaign file in it; ModsimError if it is missing, damaged or changed later."""
     try:
         facts: dict[str, Any] = orjson.loads(path.read_bytes())
         stated, found, keys = facts["sha256"], plan_digest(facts), CampaignKeys.model_validate(facts["campaign"])
@@ -275,8 +274,7 @@ def locked_campaign(folder: Path) -> Iterator[None]:
 
 
 def _check_same(plan: Path, facts: dict[str, Any]) -> None:
-    """Refuse a folder with another plan by an OutputError that says what differs; ModsimError if the plan is
-    damaged."""
+    """Refuse a folder with another plan: OutputError says what differs. ModsimError if the plan is damaged."""
     found, _ = _read_plan(plan)
     if found["sha256"] == facts["sha256"]:
         return

@@ -151,9 +151,10 @@ class Requirement(Strict):
     of the campaign, and `tracker`, to the value, or several, of the runs that it is about; a `state`, a `camera` and
     the groups of the breakdown that are no keys of the campaign are parts of the runs. With labels of trackers in `of`
     and `minus` it is about the score of one less that of the other, with the same seeds; else about that of each.
-    `share` is the least one of traffic seeds all of whose runs must have a value that is right, `resting_on` that of
-    what is to be followed that the score of each run must rest on. `confidence` is the least probability that a verdict
-    is right when the truth is at the threshold; of a mean that is looked at once it is measured and not proved."""
+    `share` is the least share of traffic seeds all of whose runs must have a right value, and `resting_on` the least
+    share of what is to be followed that the score of each run must rest on. `confidence` is the least probability that
+    a verdict is right when the truth is at the threshold; of a mean that is looked at once it is measured and not
+    proved."""
 
     score: Text
     where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
@@ -195,9 +196,9 @@ class Requirement(Strict):
 
 
 class SearchKeys(Strict):
-    """Search for scenes and seeds in which a tracker fails, a score as small or as great as possible. The keys of
-    `over` may change, within their ranges; `budget` scenes are tried, `batch` of them proposed at once, each with one
-    of `seeds` traffic seeds. What is found depends on `batch`, and not on the workers."""
+    """Search for scenes and seeds in which a tracker fails: those with the least or the greatest value of a score. The
+    keys of `over` may change, within their ranges. `budget` scenes are tried, `batch` of them proposed at once, each
+    with one of `seeds` traffic seeds; what is found depends on `batch`, and not on the workers."""
 
     minimise: Text | None = None
     maximise: Text | None = None
@@ -265,8 +266,8 @@ def shipped_campaigns() -> dict[str, Path]:
 
 
 def find_campaign(campaign: StrPath) -> Path:
-    """File that a path or the name of a shipped campaign stands for; InputError if there is neither. Raises TypeError
-    if it is neither text nor a path."""
+    """File that a path or the name of a shipped campaign stands for. Raises InputError if there is neither, and
+    TypeError for what is neither text nor a path."""
     path, shipped = as_path(campaign, "campaign", "a path or the name of a shipped campaign"), shipped_campaigns()
     if path.is_file():
         return path
@@ -286,6 +287,7 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
     try:
         keys = CampaignKeys.model_validate(data)
     except ValidationError as error:
-        problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]  # of all
+        # A colon stands before a problem of the whole file.
+        problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]
         raise InputError(f"campaign {path}", problems) from None
     return CampaignFile(path, keys)

@@ -113,7 +113,7 @@ def _mean(value: float | None, deviation: float | None, seeds: int) -> Mean:
 
 
 def _check(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> None:
-    """Refuse keys and scores that the rows do not have by a ModsimError."""
+    """Check that the rows have these keys and scores; ModsimError if they do not."""
     names = table.column_names
     first = names.index(SEED)
     known = ["scene", TRACKER, *names[names.index("tracker") + 1 : names.index("status")]]
@@ -144,8 +144,8 @@ def mean_table(
     where: Where = Where.TEXT,
     names: Callable[[str], str] = str,
 ) -> Table:
-    """A row for each tracker and values of the keys, at most so many; the runs that crashed stand out. `names` tells
-    what columns of scores are called."""
+    """Table with a row for each tracker and values of the keys, at most `most`; runs that crashed stand out. `names`
+    tells what columns of scores are called."""
     if not rows:
         return Table(title, (), ())
     keys, scores = [key for key in rows[0].values if key != TRACKER], list(rows[0].means)

@@ -111,8 +111,7 @@ _HYPERCUBE, _UNIFORM = 1, 2
 
 
 def drawn_values(factors: Sequence[Factor], base: int, index: int, count: int) -> dict[str, Any]:
-    """Values of the keys that are drawn for the traffic seed `index`, from 0, of `count`; `base` is the seed of the
-    campaign."""
+    """Values of the keys drawn for the traffic seed `index`, from 0, of `count`; `base` is the campaign's seed."""
     values: dict[str, Any] = {}
     for place, factor in enumerate(factors):
         if factor.latin_hypercube is not None:
@@ -273,8 +272,8 @@ class Case:
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
-    """Cases of a requirement, by tracker, condition and part of the runs; drawn keys select nothing and do not
-    split."""
+    """Cases of a requirement, by tracker, condition and part of the runs. A key that is drawn for each traffic seed
+    selects nothing and does not split."""
     wanted = wanted_of(requirement)
     labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
     named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]

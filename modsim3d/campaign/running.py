@@ -108,7 +108,7 @@ DIED = "its worker process was killed, or ran out of memory"
 
 @dataclass(frozen=True)
 class Progress:
-    """The present state of a campaign."""
+    """Progress of a campaign."""
 
     total: int  # runs
     done: int  # of these, crashed ones too
@@ -146,10 +146,10 @@ def run_plan(
     cache: Path | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> CampaignResult | None:
-    """Run a campaign, or go on with it. Of a part of it, `shard`, which is its number from 1 and that of all parts,
-    only the runs are made, and no results are written: None is returned. `engine` is not called if there is nothing to
-    do, and `progress` after each task. Layers are kept in `cache`, in the campaign's folder if None. Raises ModsimError
-    if the folder holds another plan or cannot be written, or the engine fails."""
+    """Run a campaign, or go on with it. `shard` is the number of a part, from 1, and that of all parts: only its runs
+    are made, no results are written, and None is returned. `engine` opens an engine, and is not called if there is
+    nothing to do; `progress` is called after each task. Layers are kept in `cache`, by default in the campaign's
+    folder. Raises ModsimError if the folder holds another plan or cannot be written, or the engine fails."""
     _check_cache(cache, folder)
     if shard is not None:
         _check_shard(campaign, *shard)
@@ -183,8 +183,8 @@ class Dispatch:
         self.running = 0
 
     def done(self, following: Callable[[], Task | None]) -> Iterator[tuple[Task, TaskReport]]:
-        """Tasks as they are done, each with its report, until `following` gives no more: None if there is none now.
-        Raises OutputError if a file cannot be written."""
+        """Tasks as they are done, each with its report, until there are no more; `following` gives the next task, None
+        if there is none now. Raises OutputError if a file cannot be written."""
         split, tasks = list[Task](), 0
         while True:
             while tasks < AHEAD * self._engine.width and (task := split.pop() if split else following()) is not None:
@@ -208,8 +208,8 @@ class Dispatch:
             yield task, report
 
     def _error(self, task: Task, death: Death) -> str | None:
-        """Error of the run whose worker died in a task; None if it is to be tried again. The log says that a worker was
-        killed."""
+        """Error of the run whose worker died in a task; None if it is to be tried again. The log notes a worker that
+        was killed."""
         if death.error is not None:
             return death.error
         note_kill(self._folder, death, [run.number for run in task.runs])
@@ -230,7 +230,7 @@ def _split(task: Task, death: Death) -> tuple[Task, list[Task]]:
 
 
 def read_back(task: Task, read: Callable[[], T | None]) -> T:
-    """Result that `read` reads from the file of a task that is done; None while that is not there, since the file of
+    """Result that `read` reads from the file of a task that is done. It gives None while the file is not there: that of
     another machine may take a while to be seen on this one. Raises OutputError if it cannot be read."""
     for wait_s in (0.0, *READ_AGAIN_S):
         time.sleep(wait_s)
@@ -248,7 +248,7 @@ def write_log(folder: CampaignFolder, line: str) -> None:
 
 
 def _check_cache(cache: Path | None, folder: Path) -> None:
-    """Refuse layers among the rows and results of the campaign by an OutputError."""
+    """Check that layers are kept apart from the rows and results of the campaign; OutputError if not."""
     for name in (DONE_FOLDER, RESULTS):
         if cache is not None and (folder / name).resolve() in (cache.resolve(), *cache.resolve().parents):
             raise OutputError(
@@ -257,7 +257,8 @@ def _check_cache(cache: Path | None, folder: Path) -> None:
 
 
 def _check_shard(campaign: CheckedCampaign, part: int, parts: int) -> None:
-    """Refuse what cannot be done in parts by a ModsimError: what is run depends on what was run before."""
+    """Check that there is such a part, and that what is run does not depend on what was run before; ModsimError if
+    not."""
     keys = campaign.file.keys
     if not 1 <= part <= parts:
         raise ModsimError(f"--shard {part}/{parts}: there are the parts 1/{parts} to {parts}/{parts}")

@@ -117,10 +117,10 @@ def run_search(
     cache: Path | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> SearchResult:
-    """Run a search, or go on with it. What it finds does not depend on the engine, nor on interruptions. `engine` is
-    not called if there is nothing to do, and `progress` after each trial. Layers are kept in `cache`, in the campaign's
-    folder if None. Raises ModsimError if the campaign has no search, the folder holds another plan or cannot be
-    written, or the engine fails."""
+    """Run a search, or go on with it. What it finds does not depend on the engine, nor on interruptions. `engine` opens
+    an engine, and is not called if there is nothing to do; `progress` is called after each trial. Layers are kept in
+    `cache`, by default in the campaign's folder. Raises ModsimError if the campaign has no search, the folder holds
+    another plan or cannot be written, or the engine fails."""
     with locked_campaign(folder):
         here = planned(campaign, folder)
         search = searched(here)

@@ -45,8 +45,8 @@ MAX_SWITCHES = 2
 
 
 def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None, name: str = "") -> Image:
-    """True boxes and tracks at a moment, see `WorstRun`, in the camera with most mistakes. The width is even; the usual
-    rules score the tracks if None are given, and `name` is what the tracker is called."""
+    """True boxes and tracks of a run, see `remade`, at a moment, see `WorstRun`, in the camera with most mistakes. The
+    width is even; `rules` scored the tracks, the usual ones if None, and `name` is what the tracker is called."""
     from modsim3d.view.films.plan import FilmPlan, part_around
     from modsim3d.view.films.renderer import open_film_renderer
     from modsim3d.view.followed_tracks import FollowedTracks
@@ -82,7 +82,8 @@ def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | No
 
 
 def in_words(mistakes: Mistakes, names: Sequence[str]) -> str:
-    """Mistakes in a frame in words; a switch is said in full, since a picture does not show it."""
+    """Mistakes in a frame in words, with the names of the scene's vessels; a switch is said in full, since a picture
+    does not show it."""
     lost, false = (int(np.count_nonzero(mistakes.kind == kind)) for kind in (LOST, FALSE))
     switches = np.flatnonzero(mistakes.kind == SWITCHED)
     found = (

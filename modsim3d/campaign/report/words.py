@@ -287,7 +287,7 @@ _ROWS = ".rows", ".parquet"
 
 
 def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenance:
-    """Provenance of a page, of the kind that `page` names; `command` made it, the call from Python if None."""
+    """Provenance of a page of the kind `page`; `command` made it, the call from Python if None."""
     keys, facts = folder.keys, folder.facts
     traffic = f"{keys.search.seeds:,} to choose from" if keys.search else f"{keys.seeds.traffic:,}"
     what, when = "file that the campaign names", "when it was planned"

@@ -44,9 +44,9 @@ def corrected_bounds(
       from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the coefficient
       of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
       distribution has two, a Poisson distribution one.
-    Standard deviations are with n − 1; skewness is with n and mirrored: positive if values are skewed towards low ones.
-    `alpha` is the probability of error that is aimed at; how often the rule errs was measured, and it was chosen, by
-    `script/campaign sequences`."""
+    The rule was chosen, and how often it errs measured, by `script/campaign sequences`. Standard deviations are with n
+    − 1; skewness is with n and mirrored: positive if values are skewed towards low ones. `alpha` is the probability of
+    error that is aimed at, and `greatest` the greatest possible value."""
     mean, deviation = np.asarray(mean, dtype=np.float64), np.asarray(deviation, dtype=np.float64)
     half, lacks = half_widths(mean, deviation, count, alpha), greatest - mean
     skewness, variation = np.maximum(skewness, SKEWNESS), VARIATION if greatest else VARIATION_FROM_ZERO
@@ -95,8 +95,8 @@ _HALVINGS = 52
 
 
 def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
-    """The least number of seeds, fixed beforehand, that shows that a share in (0, 1) is right if `failures` of them are
-    wrong. For 0.99 at 0.95 it is 299 without failures and 473 with one."""
+    """The least number of seeds, fixed beforehand, that shows the least share that must be right, in (0, 1), if so many
+    of them are wrong. For 0.99 at 0.95 it is 299 without failures and 473 with one."""
     return least_whole(lambda seeds: bool(special.bdtr(failures, seeds, 1 - share) <= 1 - confidence), failures + 1)
 
 
@@ -155,8 +155,8 @@ _LOG_WEIGHTS: Array = np.log(_WEIGHTS / _WEIGHTS.sum())
 
 
 def log_capital(values: Array, mean: float) -> Array:
-    """Logarithm of the capital after each value, (…, n), of a gambler who bets that the values are above a mean in (0,
-    1]. They lie in [0, 1], in the order of the plan."""
+    """Logarithm of the capital after each value, (…, n), of a gambler who bets that the values, in [0, 1] and in the
+    order of the plan, are above a mean in (0, 1]."""
     stakes = STAKES.reshape(-1, *(1,) * values.ndim)
     with np.errstate(divide="ignore"):  # all is lost: minus infinity, and so it stays
         grown = np.cumsum(np.log1p(stakes * (values / mean - 1)), axis=-1)

@@ -140,7 +140,11 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """A score of one tracker less that of another on the same traffic and detections, in one condition."""
+    """A score of one tracker less that of another on the same traffic and detections, in one condition. `crashed`
+    counts seeds in which a run of either crashed or gave nothing to score; the interval takes the least and the
+    greatest possible difference for them, and there is none if the score has no bounds. `variance_ratio` is the
+    variance of a difference between seeds that are not shared over that of the paired one: so many times the seeds
+    would be needed without pairing; None if unknown."""
 
     first: str  # name of the tracker in tables
     second: str  # name of the one that is taken off

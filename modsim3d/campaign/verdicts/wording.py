@@ -253,7 +253,7 @@ def warnings_of(plan: Plan) -> list[str]:
 
 def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefined: int = 0) -> str:
     """Reason why a plan is too small to meet a requirement, whatever its runs give; empty if it is not. `group` divides
-    the runs into parts, if it is about one; so many traffic seeds are known to be `undefined`, without a value."""
+    the runs into parts, if it is about one; `undefined` traffic seeds are known to have no value."""
     seeds = keys.seeds.traffic - undefined
     least, greatest = limits_of(requirement, keys.score)
     at_least, facts = requirement.at_least is not None, facts_of(requirement.score)

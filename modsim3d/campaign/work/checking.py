@@ -40,8 +40,9 @@ Names = Sequence[str]
 
 
 def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapping[str, Names]) -> Iterator[str]:
-    """Problems of values in `where` that no run has: a requirement about no run would never be judged. `where` is its
-    place in the file; `parts` has the names of the parts of all runs, by what divides them."""
+    """Problems of values in `where` that no run has: a requirement about no run would never be judged. The argument
+    `where` is the place of the requirement in the file, and `parts` the names of the parts of all runs, by what divides
+    them."""
     known, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [each.label for each in plan.keys.trackers]
     found = [
         f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"

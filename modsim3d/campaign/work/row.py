@@ -175,8 +175,8 @@ FOLLOWED = Basis("vessel-frames", "true_positives", ("true_positives", "misses")
 class ScoreFacts:
     """Facts of a score. It is `managed` if it is a mean over what the tracker follows or reports: then a tracker that
     gives up improves it, and one that does nothing leaves it undefined. If not, only the truth can leave it undefined.
-    So it does, managed or not, where the column `expected`, the number of things in the truth that a tracker could be
-    scored on, has none."""
+    `expected` is the column with the number of things in the truth that a tracker could be scored on: where there are
+    none, the truth alone leaves it undefined, managed or not."""
 
     least: float = 0.0
     greatest: float = math.inf

@@ -84,12 +84,12 @@ def name_of_rows(plan_sha256: str, numbers: Sequence[int]) -> str:
 class TaskReport:
     """Cost of a task."""
 
-    runs: int  # number
+    runs: int
     crashed: int  # number of runs that failed
     wall_s: float  # by the clock
     cpu_s: float  # of the processor
     host: str  # name of the machine
-    process: int  # number of it
+    process: int  # number of the process
 
 
 class Worker:

@@ -18,12 +18,15 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Mistakes:
-    """Mistakes of a tracker in a run: n of them in order of time. A vessel that should be followed is not (`LOST`), a
-    track follows nothing (`FALSE`), or a vessel is followed by another track than last (`SWITCHED`)."""
+    """Mistakes of a tracker in a run: n of them in order of time. `LOST`: a vessel that should be followed is not.
+    `FALSE`: a track follows nothing. `SWITCHED`: a vessel is followed by another track than last. Of the first two
+    kinds `seconds` is the time that the frame stands for; of a switch the whole window, since whoever watches that
+    track has lost the vessel. Nothing counts while a vessel is new: it was never followed, and came less than a window
+    ago."""
 
     kind: Indices  # shape (n,)
     frame: Indices  # number as in `RunRows`, shape (n,)
-    seconds: Array
+    seconds: Array  # what it counts, shape (n,)
     boxes_px: Array  # of the vessel, or of the track that follows nothing, shape (n, 4)
     vessel: Indices  # its index, `NOBODY` of a track that follows nothing, shape (n,)
     before: Indices  # number of the track that followed the vessel before a switch, else `NOBODY`, shape (n,)
