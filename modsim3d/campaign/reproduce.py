@@ -139,7 +139,9 @@ def make_again(
     except (OutputError, RunDirectoryError):
         raise
     except Exception as failure:
-        error, raised_at = f"{type(failure).__name__}: {failure}", _place(failure)
+        where = traceback.extract_tb(failure.__traceback__)[-1]
+        raised_at = f"{where.filename}, line {where.lineno}, in {where.name}"
+        error = f"{type(failure).__name__}: {failure}"
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), tuple(reused), changed)
 
@@ -175,12 +177,6 @@ def _row(
     else:
         reused.append(tracks)
     return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))
-
-
-def _place(failure: Exception) -> str:
-    """Where an error was raised."""
-    where = traceback.extract_tb(failure.__traceback__)[-1]
-    return f"{where.filename}, line {where.lineno}, in {where.name}"
 
 
 def _differing(before: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> tuple[str, ...]:

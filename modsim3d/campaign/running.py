@@ -127,16 +127,6 @@ class CampaignResult:
     verdicts: tuple[Verdict, ...]
 
 
-@dataclass
-class _State:
-    """Tasks under way."""
-
-    total: int
-    done: set[int]
-    crashed: int = 0
-    verdicts: tuple[Verdict, ...] = ()
-
-
 def run_plan(
     campaign: CheckedCampaign,
     folder: Path,
@@ -282,19 +272,18 @@ class _Campaign:
         self._plan = folder.plan
         self._reports: list[TaskReport] = []
         self._looked = 0
+        self._verdicts: tuple[Verdict, ...] = ()
         mine = self._mine()
         self._rows = DoneRows(folder).read(None if shard is None else set(mine))
-        done = set(self._rows.numbers().tolist())
-        self._state = _State(len(mine), {number for number in mine if number in done})
+        self._total, self._done = len(mine), set(mine).intersection(self._rows.numbers().tolist())
         runs = len(self._plan)
         self._batch = runs if self._plan.keys.stop == "once" else self._plan.keys.batch * self._plan.runs_by_seed
         self._todo: list[list[int]] = [[] for _ in range(0, runs, self._batch)]
         for number in mine:
-            if number not in self._state.done:
+            if number not in self._done:
                 self._todo[number // self._batch].append(number)
         self._missing = [len(numbers) for numbers in self._todo]
-        if self._state.done:
-            self._state.crashed = self._rows.crashed()
+        self._crashed = self._rows.crashed() if self._done else 0
 
     def make(self, engine: Callable[[], Engine]) -> int:
         """Make all rows; the number of the first run that does not count any more."""
@@ -333,14 +322,13 @@ class _Campaign:
             if stop == len(self._plan):
                 return stop
             rows = self._rows.table()
-            self._state.verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
-            if all(verdict.outcome != "undecided" for verdict in self._state.verdicts):
+            self._verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
+            if all(verdict.outcome != "undecided" for verdict in self._verdicts):
                 return stop
         return None
 
     def _work(self, engine: Engine) -> int:
-        state, dispatch, cutter = self._state, Dispatch(self._folder, engine), Cutter(engine.width)
-        batches = iter(self._todo)
+        dispatch, cutter, batches = Dispatch(self._folder, engine), Cutter(engine.width), iter(self._todo)
 
         def following() -> Task | None:
             cutter.width = engine.width
@@ -353,18 +341,19 @@ class _Campaign:
             self._take(task, report)
             if (end := self._look()) is not None:
                 return end
-            left_s, done = cutter.seconds(state.total - len(state.done)), len(state.done)
-            self._progress(Progress(state.total, done, dispatch.running, state.crashed, left_s, state.verdicts))
+            done = len(self._done)
+            left_s = cutter.seconds(self._total - done)
+            self._progress(Progress(self._total, done, dispatch.running, self._crashed, left_s, self._verdicts))
         return len(self._plan)
 
     def _take(self, task: Task, report: TaskReport) -> None:
         """Note that a task is done; OutputError if its file cannot be read here."""
         read_back(task, lambda: self._rows.add(task.path) or None)
         self._reports.append(report)
-        self._state.crashed += report.crashed
+        self._crashed += report.crashed
         for run in task.runs:
-            if run.number not in self._state.done:
-                self._state.done.add(run.number)
+            if run.number not in self._done:
+                self._done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
 
     def log(self, seconds: float) -> None:

@@ -47,7 +47,8 @@ class Point:
 
     def values(self, ranges: Mapping[str, Range]) -> dict[str, Any]:
         """The values of the keys."""
-        return {key: _value(each, self.places[key]) for key, each in ranges.items()}
+        places = ((key, each.choices, self.places[key]) for key, each in ranges.items())
+        return {key: place if choices is None else choices[int(place)] for key, choices, place in places}
 
 
 def distributions(search: SearchKeys) -> dict[str, BaseDistribution]:
@@ -87,10 +88,6 @@ def _rounded(values: Range, place: float | int) -> float | int:
         return int(place)
     assert values.low is not None and values.high is not None
     return min(max(float(f"{place:.12g}"), float(values.low)), float(values.high))
-
-
-def _value(values: Range, place: float | int) -> Any:
-    return place if values.choices is None else values.choices[int(place)]
 
 
 # ---- Proposes the next batch of points ----

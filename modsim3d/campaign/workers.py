@@ -149,11 +149,8 @@ class CampaignWorker:
             death = Death(self._run, "it closed the pipe", outside=False)
         if self._ready:
             return ProcessDiedError(death)
-        return ModsimError(f"a worker process could not start: {_said(code)}, see above")
-
-
-def _said(code: int) -> str:
-    return f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+        said = f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+        return ModsimError(f"a worker process could not start: {said}, see above")
 
 
 # ---- Worker processes on this machine ----

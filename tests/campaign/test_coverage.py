@@ -28,7 +28,7 @@ BOAT = [10, 4, 3]
 
 
 def rows_in_memory(scene: Scene, blocks: Blocks) -> RunRows:
-    return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer.of_blocks(blocks, scene)))
+    return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer(scene, made=blocks)))
 
 
 def rows_of(path: Path, **settings: Any) -> RunRows:

@@ -211,9 +211,6 @@ def _variance_ratio(one: Runs, other: Runs, difference: Runs) -> float | None:
     means = difference.values[both].mean(axis=1)
     if t_bounds(means, 0.5) is None:
         return None
-    first, second, paired_variance = (_variance(each.values[both]) for each in (one, other, difference))
+    runs = (one, other, difference)
+    first, second, paired_variance = (float(each.values[both].mean(axis=1).var(ddof=1)) for each in runs)
     return (first + second) / paired_variance
-
-
-def _variance(values: Array) -> float:
-    return float(values.mean(axis=1).var(ddof=1))

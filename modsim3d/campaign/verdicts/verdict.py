@@ -29,7 +29,6 @@ from modsim3d.campaign.verdicts.wording import (
     stepped,
 )
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
-from modsim3d.core.arrays import Indices
 from modsim3d.core.text import counted
 
 Outcome = Literal["met", "failed", "undecided"]
@@ -187,16 +186,12 @@ def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> 
     alone = counted(int(runs.left_out.sum()), "run")
     whole = counted(int(runs.undefined.sum()), "traffic seed")
     for seeds, what in ((runs.undefined, whole), (runs.left_out.any(axis=1), f"{alone} of other traffic seeds")):
-        if seeds.any():
-            yield f"{what} without {name} left out: {_named(np.flatnonzero(seeds), base)}."
+        if named := [str(traffic_seed(base, index)) for index in np.flatnonzero(seeds).tolist()]:
+            more = ", …" * (len(named) > _NAMED)
+            yield f"{what} without {name} left out: {', '.join(named[:_NAMED])}{more}."
     if np.any(runs.undefined) or np.any(runs.left_out):
         clean = " or nothing of that kind went wrong" if facts_of(requirement.score).of_faults else ""
         yield f"The truth has nothing to score there{clean}."
-
-
-def _named(seeds: Indices, base: int) -> str:
-    named = ", ".join(str(traffic_seed(base, int(index))) for index in seeds[:_NAMED])
-    return named + (", …" if len(seeds) > _NAMED else "")
 
 
 def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs, rows: SeedRows, case: Case) -> bool:

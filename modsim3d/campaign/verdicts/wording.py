@@ -53,8 +53,7 @@ def rounded(value: float) -> str:
     return _rounded(value, round)
 
 
-def _rounded(value: float, whole: object) -> str:
-    assert callable(whole)
+def _rounded(value: float, whole: Callable[[float], int]) -> str:
     if not math.isfinite(value) or value == 0:
         return f"{value:g}".replace("inf", "∞")
     size = min(abs(value), abs(1 - value) or 1.0) if 0 < value < 1 else abs(value)

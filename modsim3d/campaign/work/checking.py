@@ -179,8 +179,9 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     facts = [*_facts_of_all(known, scenes, paths, plugins, problems)] if known else []
     if len(facts) == len(plan.conditions):
         problems += _requirement_problems(plan, facts)
-    else:
-        problems += _score_problems(keys)
+    else:  # no more can be said of the requirements yet
+        for place, requirement in enumerate(keys.require):
+            problems += score_problems(requirement, f"require[{place}]")
     own = {plugin.key: dict(plugin.files) for plugin in sorted(plugins, key=lambda plugin: plugin.key)}
     problems += changed_plugins(own, "Python loaded it: start it again")
     if problems:
@@ -275,12 +276,6 @@ def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
         for key, each in ranges.items():
             for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
                 yield {key: value}
-
-
-def _score_problems(keys: CampaignKeys) -> Iterator[str]:
-    """Scores that are not there, where no more can be said of the requirements yet."""
-    for place, requirement in enumerate(keys.require):
-        yield from score_problems(requirement, f"require[{place}]")
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:

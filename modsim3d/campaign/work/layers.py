@@ -62,16 +62,6 @@ class TruthLayer:
     made: Blocks | None = None  # the blocks, if they were made here
     stored: pa.Table | None = None  # the table, if it was read
 
-    @classmethod
-    def of_blocks(cls, blocks: Blocks, scene: Scene) -> TruthLayer:
-        """Truth that was made."""
-        return cls(scene, made=blocks)
-
-    @classmethod
-    def of_table(cls, table: pa.Table, scene: Scene) -> TruthLayer:
-        """Truth that was read."""
-        return cls(scene, stored=table)
-
     @cached_property
     def blocks(self) -> Blocks:
         """The truth of each block of steps."""
@@ -282,11 +272,11 @@ class RunLayers:
         """The truth, from the disk if it is there."""
         stored = self._stored.read("truth", key, TRUTH)
         if stored is not None:
-            return TruthLayer.of_table(stored["truth"], scene)
+            return TruthLayer(scene, stored=stored["truth"])
         blocks = [(truth_block(scene, first, stop, renderer), first, stop) for first, stop in step_ranges(scene)]
         for block in blocks:
             check_block(scene, *block, renderer)
-        truth = TruthLayer.of_blocks(blocks, scene)
+        truth = TruthLayer(scene, made=blocks)
         if self._stored.keeps("truth"):
             self._stored.write("truth", key, {"truth": truth.table})
         return truth

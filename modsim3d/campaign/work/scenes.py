@@ -80,12 +80,10 @@ def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
     problems = []
     for name, expected in files.items():
         try:
-            found = file_sha256(base / name)
+            if file_sha256(base / name) != expected:
+                problems.append(f"{name} has changed since the campaign was planned")
         except OSError as error:
             problems.append(f"{name} cannot be read any more: {error.strerror or error}")
-            continue
-        if found != expected:
-            problems.append(f"{name} has changed since the campaign was planned")
     return problems
 
 
@@ -198,9 +196,8 @@ class Scenes:
             drawn = drawn_detector(known, seed)
         except ModsimError as error:
             raise InputError(f"detector {file}", [str(error)]) from None
-        left = {
-            key: value for key, value in drawn.items() if not any(_is_within(key, each) for each in choice.settings)
-        }
+        within = tuple(f"{key}." for key in choice.settings)
+        left = {key: value for key, value in drawn.items() if not key.startswith(within)}
         return replace(choice, settings={**left, **choice.settings})
 
     def alone(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
@@ -230,11 +227,6 @@ def _detector(choice: DetectorChoice, scene_file: Path) -> DetectorModel:
     return choose_detector(
         named, settings=choice.settings, state=choice.state, state_from=choice.state_from, may_be_unread=True
     )[0]
-
-
-def _is_within(key: str, other: str) -> bool:
-    """Whether a key leads into what another one holds."""
-    return key.startswith(f"{other}.")
 
 
 def _known(file: Path) -> tuple[Path, LearnedUncertainty]:

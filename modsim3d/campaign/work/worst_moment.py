@@ -99,13 +99,9 @@ def worst_moment_s(scored: Scored) -> float | None:
     stop = np.searchsorted(time_s, time_s + WINDOW_S - 1e-6)
     first = int(np.argmax(np.round(before_s[stop] - before_s[:-1], _DECIMALS)))
     half_s = (before_s[first] + before_s[stop[first]]) / 2
-    step = int(mistakes.frame[_row_at(before_s, half_s)]) // scored.by_step
+    median = int(np.searchsorted(before_s[1:], half_s - 1e-9))  # the row in which the sum passes it
+    step = int(mistakes.frame[median]) // scored.by_step
     return float(scored.rows.scene.timestamps(step, step + 1)[0])
-
-
-def _row_at(before_s: Array, seconds: float) -> int:
-    """The row in which a sum passes a value, where the sums before each row are given, shape (n + 1,)."""
-    return int(np.searchsorted(before_s[1:], seconds - 1e-9))
 
 
 def step_at(scored: Scored, moment_s: float) -> int:
