@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +23,7 @@ from modsim3d.campaign.verdicts.verdict import Verdict, judged
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import CRASHED
 from modsim3d.campaign.work.task import ROWS_PATTERN, changes, stored_report
-from modsim3d.campaign.workers import Engine
+from modsim3d.campaign.workers import Engine, ProcessPool
 from modsim3d.core.document import Document, Where
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
@@ -30,41 +31,25 @@ from modsim3d.core.text import counted
 from modsim3d.io.overwrite_guard import LOCK_FILE, holder_of
 from modsim3d.io.processes import WorkerCount, worker_count
 
-# ---- How far a campaign is, seen from outside ----
-
-# ---- The rows of a campaign, whether it follows a plan or searches ----
+# ---- The rows of a campaign, and how far it is, seen from outside ----
 
 
 def rows_of(folder: CampaignFolder) -> pa.Table:
-    """The runs or trials of a campaign in their order: all, or those that are done so far.
-
-    Raises:
-        ModsimError: They are damaged.
-    """
+    """Runs or trials of a campaign in their order: all, or those done so far. Raises ModsimError for damaged ones."""
     return results_table(folder) if folder.keys.search is None else search_table(folder)
 
 
 @dataclass(frozen=True, eq=False)
 class Present:
-    """The present state of a campaign.
+    """The present state of a campaign."""
 
-    Attributes:
-        table: The rows that are done.
-        total: Number of runs of the plan; with `stop: sequential` fewer may do.
-        finished: Whether the results are there.
-        worked_on_by: The process that works on it; None if there is none. Parts of a job array are not seen.
-        left_s: Time that the rest takes at the rate since that process began; None if unknown.
-        last_s: Seconds since the last rows were written; None if there are none or it is finished.
-        verdicts: The verdicts on what is done.
-    """
-
-    table: pa.Table
-    total: int
-    finished: bool
-    worked_on_by: str | None
-    left_s: float | None
-    last_s: float | None
-    verdicts: tuple[Verdict, ...]
+    table: pa.Table  # rows that are done
+    total: int  # runs of the plan; with `stop: sequential` fewer may do
+    finished: bool  # whether the results are there
+    worked_on_by: str | None  # process; None if there is none; parts of a job array are not seen
+    left_s: float | None  # for the rest, at the rate since that process began; None if unknown
+    last_s: float | None  # since the last rows were written; None if there are none or it is finished
+    verdicts: tuple[Verdict, ...]  # on what is done
 
     @property
     def done(self) -> int:
@@ -78,11 +63,7 @@ class Present:
 
 
 def present_state(folder: CampaignFolder) -> Present:
-    """Read how far a campaign is.
-
-    Raises:
-        ModsimError: Its results are damaged.
-    """
+    """Read how far a campaign is; raises ModsimError for damaged results."""
     table, total, ended = rows_of(folder), folder.total, folder.finished
     holder = None if ended else holder_of(folder.path)
     left_s, last_s = (None, None) if ended else _times(folder, total - len(table), holder)
@@ -107,21 +88,18 @@ def crashed_runs(table: pa.Table) -> int:
 
 
 def _times(folder: CampaignFolder, left: int, holder: str | None) -> tuple[float | None, float | None]:
-    """Time that the rest takes, and since the last rows were written, in seconds; None if unknown."""
-    now, written, files = time.time(), list[float](), []
-    for path in folder.done.glob(ROWS_PATTERN) if folder.done.is_dir() else ():
-        try:
+    """Times that the rest takes, and since the last rows were written, in seconds; None if unknown."""
+    files = []
+    for path in folder.done.glob(ROWS_PATTERN):
+        with suppress(FileNotFoundError):  # gathered just now
             files.append((path.stat().st_mtime, path))
-        except FileNotFoundError:  # gathered just now
-            continue
     written = [at for at, _ in files]
-    last_s = max(0.0, now - max(written)) if written else None
+    last_s = max(0.0, time.time() - max(written)) if written else None
     try:
         began = (folder.path / LOCK_FILE).stat().st_mtime
     except FileNotFoundError:
         return None, last_s
-    reports = [stored_report(path) for at, path in files if at >= began]
-    runs = sum(report.runs for report in reports if report is not None)
+    runs = sum(report.runs for at, path in files if at >= began and (report := stored_report(path)) is not None)
     if holder is None or not runs:
         return None, last_s
     return left * (max(written) - began) / runs, last_s
@@ -161,15 +139,13 @@ class Campaign:
     @property
     def conclusion(self) -> str:
         """The outcome in a sentence."""
-        plan, done = self._opened.plan, counted(len(self.table), "run")
-        said = done if self.finished else f"{len(self.table):,} of {counted(len(plan), 'run')}, not finished"
-        parts = [said]
+        total, done = counted(len(self._opened.plan), "run"), len(self.table)
+        parts = [counted(done, "run") if self.finished else f"{done:,} of {total}, not finished"]
         if crashed := crashed_runs(self.table):
             parts.append(f"{crashed:,} crashed")
         outcomes = [verdict.outcome for verdict in self.verdicts]
-        counts = {each: outcomes.count(each) for each in ("met", "failed", "undecided")}
-        parts += [f"{count} {outcome}" for outcome, count in counts.items() if count]
-        return ", ".join(parts)
+        counts = ((outcomes.count(each), each) for each in ("met", "failed", "undecided"))
+        return ", ".join(parts + [f"{count} {outcome}" for count, outcome in counts if count])
 
     def means(self, by: Sequence[str] | None = None, scores: Sequence[str] | None = None) -> list[MeanRow]:
         """Mean scores over traffic seeds with 95 % intervals, for each tracker.
@@ -182,8 +158,8 @@ class Campaign:
             ModsimError: There is no such key or score.
         """
         plan = self._opened.plan
-        keys, columns = usual_keys(plan) if by is None else by, scores
-        return mean_rows(self.table, keys, usual_scores(plan, self.table) if columns is None else columns)
+        keys = usual_keys(plan) if by is None else by
+        return mean_rows(self.table, keys, usual_scores(plan, self.table) if scores is None else scores)
 
     @cached_property
     def _opened(self) -> CampaignFolder:
@@ -234,9 +210,6 @@ def open_campaign(folder: StrPath) -> Campaign:
 
         campaign = modsim3d.open_campaign("runs/campaign")
 
-    Args:
-        folder: The folder.
-
     Raises:
         ModsimError: It is no folder of a campaign, or its files are damaged.
         TypeError: It is neither text nor a path.
@@ -247,45 +220,25 @@ def open_campaign(folder: StrPath) -> Campaign:
 
 
 def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | None = None) -> Callable[[], Engine]:
-    """Function that opens the engine asked for.
-
-    Args:
-        workers: Number of processes on this machine, if neither of the others is given.
-        scheduler: Address of a Dask scheduler.
-        slurm: Number of Slurm jobs.
-
-    Raises:
-        ModsimError: This is no number of workers, both others are given, or a library that they need is missing.
-    """
+    """Function that opens the engine asked for: processes on this machine, a Dask scheduler at an address, or Slurm
+    jobs. Raises ModsimError if this is no number of workers, both others are given, or a library that they need is
+    missing."""
     worker_count(workers)
     if scheduler is not None and slurm is not None:
         raise ModsimError("scheduler and slurm contradict each other: leave one out")
-    if scheduler is not None or slurm is not None:
-        from modsim3d.campaign.dask import check_libraries
+    if scheduler is None and slurm is None:
+        return lambda: ProcessPool(workers)
+    from modsim3d.campaign.dask import DaskEngine, SlurmEngine, check_libraries
 
-        check_libraries("distributed", *(["dask_jobqueue"] if slurm is not None else []))
-
-    def opened() -> Engine:
-        if scheduler is not None or slurm is not None:
-            from modsim3d.campaign.dask import DaskEngine, SlurmEngine
-
-            return DaskEngine(scheduler) if scheduler is not None else SlurmEngine(slurm or 1)
-        from modsim3d.campaign.workers import ProcessPool
-
-        return ProcessPool(workers)
-
-    return opened
+    check_libraries("distributed", *(["dask_jobqueue"] if slurm is not None else []))
+    return lambda: DaskEngine(scheduler) if scheduler is not None else SlurmEngine(slurm or 1)
 
 
 # ---- Whether the files of a campaign are still as they were when it was planned ----
 
 
 def check_files(folder: CampaignFolder) -> None:
-    """Refuse to make runs of a campaign again from files that are not the same.
-
-    Raises:
-        InputError: With every file that has changed or is not there.
-    """
+    """Refuse to make runs again from other files: InputError with every file that has changed or is not there."""
     if problems := changes(folder.work):
         hint = "put the files back as they were: runs are made again from the same bytes only"
         raise InputError(f"campaign {folder.path}", [*problems, hint])

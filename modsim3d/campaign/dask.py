@@ -10,6 +10,7 @@ import uuid
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -22,18 +23,8 @@ from modsim3d.core.errors import ModsimError
 
 
 def work_on(campaign: str, task: bytes) -> Any:
-    """Do a task.
-
-    Args:
-        campaign: Key of the engine that handed it in.
-        task: The pickled task.
-
-    Returns:
-        Its report, or how its process died.
-
-    Raises:
-        ModsimError: A process could not start, or the task cannot be done here.
-    """
+    """Report on a pickled task, or how its process died. `campaign` is the key of the engine that handed it in. Raises
+    ModsimError if a process could not start, or the task cannot be done here."""
     return _hands().do(campaign, task)
 
 
@@ -43,11 +34,9 @@ def give_up(campaign: str) -> None:
 
 
 class _Hands:
-    """One process and the thread that talks to it: one task at a time, however many threads the Dask worker has.
-
-    The system ends the process when the thread that started it ends, and threads of a Dask worker may end. This one
-    lasts as long as the Dask worker, and does not keep it from ending.
-    """
+    """One process and the thread that talks to it: one task at a time, however many threads the Dask worker has. The
+    system ends the process when the thread that started it ends, and threads of a Dask worker may end. This one lasts
+    as long as the Dask worker, and does not keep it from ending."""
 
     def __init__(self) -> None:
         self._waiting: SimpleQueue[tuple[Future[Any], str, bytes | None]] = SimpleQueue()
@@ -99,7 +88,6 @@ class _Hands:
                 self._campaign = None
 
     def _close(self) -> None:
-        """End the process."""
         with self._lock:
             process, self._process = self._process, None
         if process is not None:
@@ -107,16 +95,12 @@ class _Hands:
 
 
 _making = threading.Lock()
+_only_hands = cache(_Hands)
 
 
 def _hands() -> _Hands:
     with _making:
         return _only_hands()
-
-
-@cache
-def _only_hands() -> _Hands:
-    return _Hands()
 
 
 CONNECT_S = 30.0
@@ -130,14 +114,7 @@ class DaskEngine:
     """Does tasks on the workers of a Dask scheduler; workers may come and go."""
 
     def __init__(self, address: str) -> None:
-        """Connect to a scheduler.
-
-        Args:
-            address: Its address, such as `tcp://10.0.0.1:8786`.
-
-        Raises:
-            ModsimError: There is none, or Dask is not installed.
-        """
+        """Connect to an address such as `tcp://10.0.0.1:8786`; ModsimError without a scheduler there or Dask."""
         client_type = _library().Client
         try:
             self._client: Any = client_type(address, timeout=CONNECT_S, set_as_default=False)
@@ -159,11 +136,8 @@ class DaskEngine:
         return max(1, self._workers)
 
     def submit(self, task: Task) -> None:
-        """Hand in a task; Dask chooses the worker.
-
-        It is bound to none, not even loosely: Dask would never give such a task to a worker that comes after all others
-        have gone.
-        """
+        """Hand in a task; Dask chooses the worker. It is bound to none, not even loosely: Dask would never give such a
+        task to a worker that comes after all others have gone."""
         self._number += 1
         key = f"modsim3d-{self._key}-{self._number}"
         future = self._client.submit(work_on, self._key, pickle.dumps(task), key=key, pure=False, retries=0)
@@ -171,13 +145,9 @@ class DaskEngine:
         future.add_done_callback(lambda ended: self._ended.put(ended.key))
 
     def next(self) -> tuple[Task, TaskReport | Death]:
-        """Wait for a task that was handed in, with its report, or how its process died.
-
-        Dask hands the task of a worker that it has lost to another by itself, and says so only if that happens often.
-
-        Raises:
-            ModsimError: A worker cannot do it, or the scheduler is gone.
-        """
+        """Wait for a task that was handed in, with its report, or how its process died. Dask hands the task of a worker
+        that it has lost to another by itself, and says so only if that happens often. Raises ModsimError if a worker
+        cannot do it, or the scheduler is gone."""
         while True:
             key = self._next_ended()
             if key not in self._handed:
@@ -213,11 +183,7 @@ class DaskEngine:
                         return key
 
     def _wait_for_scheduler(self) -> None:
-        """Wait while the client connects again.
-
-        Raises:
-            ModsimError: It does not.
-        """
+        """Wait while the client connects again; ModsimError if it does not."""
         while self._client.status == "connecting":
             time.sleep(0.1)
         if self._client.status != "running":
@@ -232,14 +198,9 @@ class SlurmEngine(DaskEngine):
     """Does tasks in jobs that Slurm starts, each with Dask workers; this process is their scheduler."""
 
     def __init__(self, jobs: int) -> None:
-        """Hand in the jobs; the first tasks begin when the first of them does.
-
-        Args:
-            jobs: Number of jobs; what each of them has is in the configuration of Dask, below `jobqueue.slurm`.
-
-        Raises:
-            ModsimError: A library is missing, the configuration is not complete, or Slurm refuses a job.
-        """
+        """Hand in jobs; the first tasks begin when the first of them does. The configuration of Dask says below
+        `jobqueue.slurm` what each job has. Raises ModsimError if a library is missing, the configuration is not
+        complete, or Slurm refuses a job."""
         cluster_type = _library("dask_jobqueue").SLURMCluster
         settings = _library("dask").config
         if missing := [key for key in ("cores", "memory") if settings.get(f"jobqueue.slurm.{key}", None) is None]:
@@ -258,26 +219,16 @@ class SlurmEngine(DaskEngine):
 
 
 def check_libraries(*names: str) -> None:
-    """Check that libraries of clusters are installed, without the time that loading them takes.
-
-    Raises:
-        ModsimError: One is not.
-    """
+    """Check that libraries of clusters are there, without the time to load them; ModsimError if one is not."""
     for name in names:
         if find_spec(name) is None:
             raise ModsimError(_MISSING.format(name))
 
 
 def _library(name: str = "distributed") -> Any:
-    """A library that is no part of the usual installation.
-
-    Raises:
-        ModsimError: It is not installed.
-    """
-    import importlib
-
+    """A library that is no part of the usual installation; ModsimError if it is not there."""
     try:
-        library = importlib.import_module(name)
+        library = import_module(name)
     except ImportError as error:
         raise ModsimError(_MISSING.format(error.name)) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a user needs to know is raised
@@ -285,11 +236,7 @@ def _library(name: str = "distributed") -> Any:
 
 
 def _raise_unless_killed(error: BaseException) -> None:
-    """Raise what went wrong with a task, unless its workers died.
-
-    Raises:
-        ModsimError: Something else went wrong.
-    """
+    """Raise what went wrong with a task as a ModsimError, unless its workers died."""
     from distributed import KilledWorker
 
     if isinstance(error, KilledWorker):

@@ -58,11 +58,7 @@ class DoneRows:
         self._read: set[str] = set()
 
     def read(self, first_runs: Container[int] | None = None) -> DoneRows:
-        """Read all files that were not read yet; those that are damaged are left out.
-
-        Args:
-            first_runs: Only files that begin with one of these runs; None: all.
-        """
+        """Read all files not read yet, or only those whose first run is one of these; damaged ones are left out."""
         for path in sorted(self._folder.done.glob(ROWS_PATTERN)):
             if first_runs is None or int(path.name.partition("_")[0]) in first_runs:
                 self.add(path)
@@ -93,18 +89,14 @@ class DoneRows:
         return sum(pc.sum(pc.not_equal(part["status"], DONE)).as_py() for part in self._parts)
 
     def table(self) -> pa.Table:
-        """The rows, one for each run in the order of the plan, with the columns of the plan.
-
-        Of a run that is there twice, a row that did not crash counts.
-        """
+        """Rows in the order of the plan, with its columns; of a run that is there twice, one that did not crash."""
         self._join()
         table = pa.concat_tables(self._parts or [with_plan(table_of([]), self._folder.plan)], promote_options="default")
         ahead = list(dict.fromkeys(["run", *plan_columns(self._folder.plan), *FACTS, *SCORES]))
         table = table.select([*ahead, *sorted(set(table.column_names) - set(ahead))])
         crashed = pc.not_equal(table["status"], DONE)
         keys_of_order = [("run", "ascending"), ("crashed", "ascending")]
-        order = pc.sort_indices(pa.table({"run": table["run"], "crashed": crashed}), keys_of_order)
-        table = table.take(order)
+        table = table.take(pc.sort_indices(pa.table({"run": table["run"], "crashed": crashed}), keys_of_order))
         return table.filter(np.diff(table["run"].to_numpy(), prepend=-1) > 0)
 
     def _join(self) -> None:
@@ -171,16 +163,9 @@ def done_rows(folder: CampaignFolder) -> pa.Table:
 
 
 def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> None:
-    """Write the data set, `results/scene=NAME/part-N.parquet`; see `results_folder`.
-
-    Args:
-        folder: The campaign.
-        table: The rows that count, in the order of the plan.
-        verdicts: The verdicts on them, which are written afterwards.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write the data set `results/scene=NAME/part-N.parquet` of the rows that count, in the order of the plan. Its list
+    has the verdicts too, which are written afterwards, see `results_folder`. Raises OutputError if it cannot be
+    written."""
     with results_folder(folder.path, RESULTS, {VERDICTS: _content_of(folder, verdicts)}) as partial:
         for name in dict.fromkeys(table["scene"].to_pylist()):
             rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
@@ -188,11 +173,7 @@ def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Ve
 
 
 def write_rows(folder: Path, rows: pa.Table) -> None:
-    """Write rows into files of a folder, which is made if it is not there.
-
-    Raises:
-        OSError: They cannot be written.
-    """
+    """Write rows into files of a folder, which is made if it is not there; OSError if they cannot be written."""
     make_folder(folder)
     for number, first in enumerate(range(0, len(rows), PART_ROWS)):
         path, part = folder / f"part-{number:05d}.parquet", rows.slice(first, PART_ROWS)
@@ -202,22 +183,14 @@ def write_rows(folder: Path, rows: pa.Table) -> None:
 
 
 def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
-    """Write `verdicts.json`.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Write `verdicts.json`; OutputError if it cannot be written."""
     write_files({folder.path / VERDICTS: _content_of(folder, verdicts)})
 
 
 def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
     fixed = [not each["traffic_has_seed"] for each in folder.facts["conditions"]]
-    content = {
-        "format": FORMAT,
-        "sha256": folder.facts["sha256"],
-        "verdicts": [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in verdicts],
-    }
-    return json_text(content)
+    found = [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in verdicts]
+    return json_text({"format": FORMAT, "sha256": folder.facts["sha256"], "verdicts": found})
 
 
 def results_table(folder: CampaignFolder) -> pa.Table:
@@ -251,33 +224,20 @@ class Expected:
 
 @dataclass(frozen=True)
 class NeededSeeds:
-    """Number of traffic seeds that a requirement needs.
+    """Number of traffic seeds that a requirement needs."""
 
-    Attributes:
-        requirement: Its place in the file, from 0.
-        text: It in words.
-        tracker: Name of the tracker in tables, or of two; None: of all.
-        condition: Number of the condition; None: of all.
-        seeds: Seeds that it needs; None if none are enough, or if that is unknown.
-        why: What that rests on.
-        expected: What is expected of its mean; None if unknown, or if it is on a share.
-    """
-
-    requirement: int
-    text: str
-    tracker: str | None
-    condition: int | None
-    seeds: int | None = None
-    why: str = ""
-    expected: Expected | None = None
+    requirement: int  # place in the file, from 0
+    text: str  # the requirement in words
+    tracker: str | None  # name in tables, or those of two; None: of all
+    condition: int | None  # number; None: of all
+    seeds: int | None = None  # None if none are enough, or if that is unknown
+    why: str = ""  # on what that rests
+    expected: Expected | None = None  # None if unknown, or if it is on a share
 
 
 def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
-    """Name and expectation of `SCORE=MEAN:SPREAD` for a required mean; of a difference `SCORE of NEW minus OLD`.
-
-    Raises:
-        ModsimError: It says nothing of that kind.
-    """
+    """Name and expectation of `SCORE=MEAN:SPREAD` for a required mean; of a difference `SCORE of NEW minus OLD`. Raises
+    ModsimError for any other text."""
     if not (match := re.fullmatch(rf"(.+)={_NUMBER}:{_NUMBER}", text)):
         raise ModsimError(f"--expect: needs SCORE=MEAN:SPREAD, as in hota=0.7:0.05 (got '{text[:60]}')")
     name, found = match[1], Expected(float(match[2]), float(match[3]))
@@ -290,16 +250,10 @@ def parsed_expectation(text: str, plan: Plan) -> tuple[str, Expected]:
 
 
 def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFolder | None) -> list[NeededSeeds]:
-    """How many seeds each requirement needs, by tracker and condition where these differ.
-
-    Args:
-        plan: The plan.
-        expected: Name of a score, or of a difference of it → what is expected of it.
-        like: An earlier campaign, whose scores are expected where nothing is given.
-    """
+    """Seeds that each requirement needs, by tracker and condition where these differ. `expected` maps the name of a
+    score, or of a difference of it, to what is expected; else the scores of an earlier campaign `like` are expected."""
     rows = None if like is None else SeedRows(like.plan, results_table(like))
-    found = []
-    verdicts = len(cases_of_all(plan))
+    found, verdicts = [], len(cases_of_all(plan))
     for place in range(len(plan.keys.require)):
         requirement, each = at_step(plan, place, verdicts, 0), []
         for case in cases_of(plan, requirement):
@@ -351,16 +305,12 @@ def _with_seeds(
 def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: SeedRows) -> Expected | None:
     """Mean and spread of an earlier campaign, of the same trackers and values; None with fewer than two seeds."""
     labels, condition = [each.label for each in like.keys.trackers], plan.conditions[case.condition]
-    same = [
-        place
-        for place, each in enumerate(like.conditions)
-        if each.values == condition.values and value_of(each, SCENE) == value_of(condition, SCENE)
-    ]
+    wanted = condition.values, value_of(condition, SCENE)
+    same = [place for place, each in enumerate(like.conditions) if (each.values, value_of(each, SCENE)) == wanted]
     if not same or not set(_labels(plan, case)) <= set(labels):
         return None
     tracker, *minus = (labels.index(each) for each in _labels(plan, case))
-    there = Case(tracker, same[0], case.part, *minus)
-    runs = rows.runs_of(there, requirement.score, requirement.resting_on)
+    runs = rows.runs_of(Case(tracker, same[0], case.part, *minus), requirement.score, requirement.resting_on)
     means = runs.means(math.nan)
     means = means[np.isfinite(means)]
     return Expected(float(means.mean()), float(means.std(ddof=1)), int(runs.lost.sum())) if len(means) > 1 else None

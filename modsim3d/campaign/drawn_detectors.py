@@ -1,12 +1,10 @@
-"""Draws the numbers of a detector from what its labelled set leaves open.
-
-The numbers of a state are drawn together, with the correlations of their bootstrap replicates: normal numbers become
-shares by Beta and rates by Gamma distributions (Jeffreys's prior), the others go back from the scale on which they are
-nearly normal. All spreads of a state are multiplied by one factor that makes normal numbers Student's t ones, with a
-degree of freedom less than it had images. Means and spreads are so those of the intervals that `modsim3d learn`
-reports. What sums to one over labels, cells or states is drawn from a Dirichlet distribution with one observation
-added to a column (Perks's prior; one of each kind for the transition matrix, as it was learned).
-"""
+"""Draws the numbers of a detector from what its labelled set leaves open. The numbers of a state are drawn together,
+with the correlations of their bootstrap replicates: normal numbers become shares by Beta and rates by Gamma
+distributions (Jeffreys's prior), the others go back from the scale on which they are nearly normal. All spreads of a
+state are multiplied by one factor that makes normal numbers Student's t ones, with a degree of freedom less than it had
+images. Means and spreads are so those of the intervals that `modsim3d learn` reports. What sums to one over labels,
+cells or states is drawn from a Dirichlet distribution with one observation added to a column (Perks's prior; one of
+each kind for the transition matrix, as it was learned)."""
 
 from __future__ import annotations
 
@@ -42,21 +40,13 @@ MIN_UNITS = 5
 
 
 class LearnedNumber(Strict):
-    """A number, vector or matrix of a detector file.
+    """A number, vector or matrix of a detector file."""
 
-    Attributes:
-        key: Its keys in the detector file, within the section of the state if there is one.
-        kind: Its kind, which decides the scale on which it is nearly normal.
-        estimate: What the detector file has.
-        observations: Of a share or a rate, the independent observations that it is worth, in the same shape.
-        spread: Of other kinds, the standard deviation on the scale.
-    """
-
-    key: Annotated[list[str], Field(min_length=1)]
-    kind: Kind
-    estimate: Any
-    observations: Any = None
-    spread: Any = None
+    key: Annotated[list[str], Field(min_length=1)]  # in the detector file, or in its section of the state
+    kind: Kind  # decides the scale on which it is nearly normal
+    estimate: Any  # as the detector file has it
+    observations: Any = None  # independent ones that a share or a rate is worth, in its shape
+    spread: Any = None  # of other kinds, the standard deviation on the scale
 
     @property
     def name(self) -> str:
@@ -70,45 +60,27 @@ class LearnedNumber(Strict):
 
 
 class LearnedGroup(Strict):
-    """The numbers of one state, or those that all states share.
+    """The numbers of one state, or those that all states share."""
 
-    Attributes:
-        state: Name of the state; None: all states.
-        units: Images or runs of frames that the numbers rest on.
-        numbers: The numbers.
-        correlations: Between them, see `modsim3d.learn.learned.correlated`: rows of the lower triangle.
-    """
-
-    state: str | None
-    units: Annotated[int, Field(strict=True, ge=0)]
+    state: str | None  # name; None: all states
+    units: Annotated[int, Field(strict=True, ge=0)]  # images or runs of frames that they rest on
     numbers: list[LearnedNumber]
-    correlations: list[list[float]]
+    correlations: list[list[float]]  # rows of the lower triangle, see `modsim3d.learn.learned.correlated`
 
 
 class LearnedUncertainty(Strict):
-    """How well the numbers of a detector file are known.
+    """Uncertainty of the numbers of a detector file."""
 
-    Attributes:
-        format: Version of the file.
-        detector_sha256: Checksum of the detector file.
-        confidence_threshold: That of the detector.
-        transitions: Number of transitions to each state (row) from each; None if none were seen.
-        groups: The numbers by state.
-    """
-
-    format: Literal[1]
-    detector_sha256: str
+    format: Literal[1]  # version of the file
+    detector_sha256: str  # of the detector file
     confidence_threshold: float
-    transitions: list[list[int]] | None
+    transitions: list[list[int]] | None  # number to each state (row) from each; None if none were seen
     groups: list[LearnedGroup]
 
 
 def read_uncertainty(detector: Path) -> LearnedUncertainty:
-    """Recorded uncertainty of a detector file.
-
-    Raises:
-        InputError: There is nothing beside it, it belongs to another detector file, or it rests on too little.
-    """
+    """Recorded uncertainty of a detector file; InputError if none is beside it, or it rests on too little or is that of
+    another file."""
     path, source = uncertainty_file(detector), f"detector {detector}"
     if not path.is_file():
         needed = f"needs {path.name} beside it, which modsim3d learn writes with the detector file: learn it again"
@@ -145,15 +117,8 @@ _MAX_FACTOR = 10.0
 
 
 def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
-    """Settings of a detector that was drawn, from keys such as `detector.states.good.confusion` to values.
-
-    Args:
-        known: How well its numbers are known.
-        seed: The traffic seed.
-
-    Raises:
-        ModsimError: The correlations are none.
-    """
+    """Settings of the detector that is drawn for a traffic seed, from keys such as `detector.states.good.confusion` to
+    values. Raises ModsimError if the correlations are none."""
     rng = np.random.default_rng([_STREAM, seed])
     settings: dict[str, Any] = {}
     for group in known.groups:
@@ -167,10 +132,8 @@ def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
 
 
 def _second_boxes_with_room(settings: dict[str, Any]) -> dict[str, Any]:
-    """Probabilities of second boxes and parts of vessels that all drawn false discovery rates leave room for.
-
-    They are lowered together where they are larger. With a rate for each image they only must not exceed one together.
-    """
+    """Probabilities of second boxes and parts of vessels that all drawn false discovery rates leave room for. They are
+    lowered together where they are larger. With a rate for each image they only must not exceed one together."""
     keys = [key for name in ("duplicates", "splits") if (key := f"detector.false_positives.{name}") in settings]
     rates = [rate for key, rate in settings.items() if key.endswith(".false_discovery_rate")]
     counted = not any(key.endswith(".false_positives_per_image") for key in settings)

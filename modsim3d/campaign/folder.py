@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import re
+import shlex
 import shutil
 import time
 import uuid
@@ -45,18 +46,10 @@ _ROWS = "**/*.parquet"
 
 @contextmanager
 def results_folder(folder: Path, final: str, later: Mapping[str, bytes]) -> Iterator[Path]:
-    """A folder to write rows into, which gets its final name with the list of all files when it is whole.
-
-    On a file system without locks another process may do the same; whoever comes second leaves the first one's.
-
-    Args:
-        folder: The folder of the campaign.
-        final: The name, `RESULTS` or `SEARCH`.
-        later: Content of the files of the campaign's folder that are written afterwards, by name.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """A folder to write rows into, which gets its final name, `RESULTS` or `SEARCH`, with the list of all files when it
+    is whole. `later` is the content of files of the campaign's folder that are written afterwards, by name. On a file
+    system without locks another process may do the same; whoever comes second leaves the first one's. Raises
+    OutputError if it cannot be written."""
     partial = folder / f".{final}.{uuid.uuid4().hex}"
     try:
         make_folder(partial)
@@ -78,10 +71,8 @@ def results_folder(folder: Path, final: str, later: Mapping[str, bytes]) -> Iter
 
 
 def remove_done(folder: CampaignFolder) -> None:
-    """Remove the files of tasks of a campaign that has ended, and results that were half written.
-
-    The folder of tasks gets another name first: a worker that still writes a row cannot bring it back.
-    """
+    """Remove the files of tasks of a campaign that has ended, and results that were half written. The folder of tasks
+    gets another name first: a worker that still writes a row cannot bring it back."""
     for final in (RESULTS, SEARCH):
         for partial in folder.path.glob(f".{final}.*"):
             shutil.rmtree(partial, ignore_errors=True)
@@ -94,10 +85,7 @@ def remove_done(folder: CampaignFolder) -> None:
 
 def check_ended(folder: Path, later: tuple[str, ...] = ()) -> None:
     """Check that the files of a campaign that has ended are those that it has written; those of `later` may be missing.
-
-    Raises:
-        ModsimError: One was changed, is missing or was added, or there is no list.
-    """
+    Raises ModsimError if one was changed, is missing or was added, or there is no list."""
     for rows in filter(Path.is_dir, (folder / RESULTS, folder / SEARCH)):
         path = rows / LIST
         try:
@@ -128,12 +116,7 @@ PARTS = ("campaign", "versions")
 
 
 def differences(there: Any, now: Mapping[str, Any]) -> list[str]:
-    """The first few keys whose values differ, each with both.
-
-    Args:
-        there: The content of a plan that is stored.
-        now: That of another.
-    """
+    """The first few keys whose values differ between the content of a stored plan and another, each with both."""
     there = there if isinstance(there, dict) else {}
     found = [line for part in PARTS for line in _between(there.get(part), now.get(part), (part,))]
     lines = [line.removeprefix("campaign.") for line in found[:MOST]]
@@ -155,16 +138,10 @@ def _between(there: Any, now: Any, path: tuple[int | str, ...]) -> Iterator[str]
 
 @dataclass(frozen=True, eq=False)
 class CampaignFolder:
-    """The folder of a campaign whose plan is written.
-
-    Attributes:
-        path: The folder.
-        facts: The content of `plan.json`.
-        plan: The plan.
-    """
+    """The folder of a campaign whose plan is written."""
 
     path: Path
-    facts: dict[str, Any]
+    facts: dict[str, Any]  # content of `plan.json`
     plan: Plan
 
     @property
@@ -199,14 +176,15 @@ class CampaignFolder:
         """Number of runs of the plan, or of trials of the search, at most."""
         return len(self.plan) if self.keys.search is None else self.keys.search.budget
 
+    def reproducing(self, number: int) -> str:
+        """The command that makes a run again, in `runs/` in the folder."""
+        path, out = shlex.quote(str(self.path)), shlex.quote(str(self.path / "runs" / str(number)))
+        return f"modsim3d campaign reproduce {path} {number} --out {out}"
+
 
 def opened_campaign(folder: StrPath) -> CampaignFolder:
-    """Open the folder of a campaign.
-
-    Raises:
-        ModsimError: It is none, its plan is damaged, or a file has changed since the campaign ended.
-        TypeError: It is neither text nor a path.
-    """
+    """Open the folder of a campaign. Raises ModsimError if it is none, its plan is damaged, or a file has changed since
+    the campaign ended, and TypeError if it is neither text nor a path."""
     path = as_path(folder, "campaign", "the folder of a campaign")
     facts, keys = _read_plan(path / PLAN)
     check_ended(path)
@@ -214,11 +192,7 @@ def opened_campaign(folder: StrPath) -> CampaignFolder:
 
 
 def _read_plan(path: Path) -> tuple[dict[str, Any], CampaignKeys]:
-    """The content of `plan.json`, and the campaign file in it.
-
-    Raises:
-        ModsimError: It is not there, is damaged, or was changed after it was written.
-    """
+    """Content of `plan.json`, and the campaign file in it; ModsimError if it is missing, damaged or changed later."""
     try:
         facts: dict[str, Any] = orjson.loads(path.read_bytes())
         stated, found, keys = facts["sha256"], plan_digest(facts), CampaignKeys.model_validate(facts["campaign"])
@@ -235,12 +209,15 @@ def _read_plan(path: Path) -> tuple[dict[str, Any], CampaignKeys]:
 
 
 def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
-    """Write the plan of a campaign into a folder, or find it there; several processes may do so at once.
-
-    Raises:
-        OutputError: The folder holds another plan or other files, or cannot be written.
-    """
-    facts = _facts(campaign)
+    """Write the plan of a campaign into a folder, or find it there; several processes may do so at once. Raises
+    OutputError if the folder holds another plan or other files, or cannot be written."""
+    facts = {
+        "format": FORMAT,
+        "sha256": campaign.sha256,
+        "base": str(campaign.file.base),
+        "runs": len(campaign.plan),
+        **campaign.content,
+    }
     content = json_text(facts)
     try:
         _place_plan(folder, content)
@@ -256,12 +233,7 @@ def planned(campaign: CheckedCampaign, folder: Path) -> CampaignFolder:
 
 
 def _place_plan(folder: Path, content: bytes) -> None:
-    """Write the plan if there is none.
-
-    Raises:
-        OutputError: The folder holds other files.
-        OSError: It cannot be written.
-    """
+    """Write the plan if there is none; OutputError if the folder holds other files, OSError if it cannot be written."""
     make_folder(folder)
     names = sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
     if PLAN in names or (folder / PLAN).exists():
@@ -290,13 +262,8 @@ def _place(path: Path, content: bytes) -> None:
 
 @contextmanager
 def locked_campaign(folder: Path) -> Iterator[None]:
-    """Hold the lock of the folder, which is made if it is not there.
-
-    On a file system without locks it is not held: two writers then write the same bytes.
-
-    Raises:
-        OutputError: Another process works on it, or it cannot be written.
-    """
+    """Hold the lock of the folder, which is made if it is not there. On a file system without locks it is not held: two
+    writers then write the same bytes. Raises OutputError if another process works on it, or it cannot be written."""
     with ExitStack() as lock:
         try:
             lock.enter_context(locked_folder(folder))
@@ -306,23 +273,8 @@ def locked_campaign(folder: Path) -> Iterator[None]:
         yield
 
 
-def _facts(campaign: CheckedCampaign) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "sha256": campaign.sha256,
-        "base": str(campaign.file.base),
-        "runs": len(campaign.plan),
-        **campaign.content,
-    }
-
-
 def _check_same(plan: Path, facts: dict[str, Any]) -> None:
-    """Refuse a folder with another plan, and say what differs.
-
-    Raises:
-        OutputError: It has.
-        ModsimError: The plan is damaged.
-    """
+    """Refuse a folder with another plan: OutputError says what differs. ModsimError if the plan is damaged."""
     found, _ = _read_plan(plan)
     if found["sha256"] == facts["sha256"]:
         return

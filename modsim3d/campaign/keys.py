@@ -43,33 +43,20 @@ Layer = Literal["truth", "detections", "tracks"]
 
 
 class Seeds(Strict):
-    """How many repetitions.
+    """Numbers of repetitions."""
 
-    Attributes:
-        traffic: Seeds of the scene: the unit of every interval.
-        detector: Seeds of the detector for each of them.
-    """
-
-    traffic: Annotated[int, Field(strict=True, ge=1, le=MAX_SEEDS)] = 1
-    detector: Annotated[int, Field(strict=True, ge=1, le=MAX_DETECTOR_SEEDS)] = 1
+    traffic: Annotated[int, Field(strict=True, ge=1, le=MAX_SEEDS)] = 1  # of the scene: the unit of every interval
+    detector: Annotated[int, Field(strict=True, ge=1, le=MAX_DETECTOR_SEEDS)] = 1  # for each traffic seed
 
 
 class Range(Strict):
-    """The values that a drawn key may have: all between two numbers, or one of some.
-
-    Attributes:
-        low: The least number.
-        high: The greatest.
-        scale: `log`: equally often in each decade.
-        whole: Whether only whole numbers are drawn.
-        choices: Values of any kind, in place of the numbers.
-    """
+    """Values that a drawn key may have: all between two numbers, or one of some."""
 
     low: Number | None = None
     high: Number | None = None
-    scale: Literal["linear", "log"] = "linear"
-    whole: bool = False
-    choices: Annotated[list[Any], Field(min_length=1)] | None = None
+    scale: Literal["linear", "log"] = "linear"  # log: equally often in each decade
+    whole: bool = False  # only whole numbers are drawn
+    choices: Annotated[list[Any], Field(min_length=1)] | None = None  # of any kind, in place of the numbers
 
     @model_validator(mode="before")
     @classmethod
@@ -99,26 +86,18 @@ class Range(Strict):
 
 
 Ranges = Annotated[dict[Text, Range], Field(min_length=1)]
+Values = Annotated[dict[Text, Annotated[list[Any], Field(min_length=1)]], Field(min_length=1)]
+Conditions = Annotated[list[Annotated[dict[Text, Any], Field(min_length=1)]], Field(min_length=1)]
 
 
 class Factor(Strict):
-    """One thing that is varied; the conditions of a campaign are all combinations of its factors.
+    """One thing that is varied; the conditions of a campaign are all combinations of its factors."""
 
-    Attributes:
-        grid: Values of keys; every combination is taken.
-        pairs: Values of keys that change together: all first values, all second ones, …
-        conditions: `list` in the file: conditions written out, each a mapping of keys to values.
-        latin_hypercube: Ranges of keys; each traffic seed gets a point of one Latin hypercube.
-        uniform: Ranges of keys; each traffic seed gets a point drawn by itself.
-    """
-
-    grid: Annotated[dict[Text, Annotated[list[Any], Field(min_length=1)]], Field(min_length=1)] | None = None
-    pairs: Annotated[dict[Text, Annotated[list[Any], Field(min_length=1)]], Field(min_length=1)] | None = None
-    conditions: Annotated[list[Annotated[dict[Text, Any], Field(min_length=1)]], Field(min_length=1)] | None = Field(
-        default=None, alias="list"
-    )
-    latin_hypercube: Ranges | None = None
-    uniform: Ranges | None = None
+    grid: Values | None = None  # every combination is taken
+    pairs: Values | None = None  # they change together: all first values, all second ones, …
+    conditions: Conditions | None = Field(default=None, alias="list")  # written out: mappings of keys to values
+    latin_hypercube: Ranges | None = None  # each traffic seed gets a point of one Latin hypercube
+    uniform: Ranges | None = None  # each traffic seed gets a point drawn by itself
 
     @property
     def ranges(self) -> dict[str, Range]:
@@ -138,17 +117,11 @@ class Factor(Strict):
 
 
 class TrackerKeys(Strict):
-    """A tracker of the campaign.
+    """A tracker of the campaign."""
 
-    Attributes:
-        tracker: Name of a tracker or a plug-in.
-        name: What tables call it; the tracker's name if there is none.
-        settings: In place of those chosen for the scene.
-    """
-
-    tracker: Text
-    name: Text | None = None
-    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")
+    tracker: Text  # name of a tracker or a plug-in
+    name: Text | None = None  # in tables; that of the tracker if None
+    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")  # in place of those chosen for the scene
 
     @model_validator(mode="before")
     @classmethod
@@ -174,22 +147,14 @@ class ScoreKeys(Strict):
 
 
 class Requirement(Strict):
-    """Bound on a score: on its mean over traffic seeds, or with `in` on its value in a share of them.
-
-    Attributes:
-        score: A key of the scores.
-        where: Keys of the campaign → the value, or several, of the runs that it is about. `tracker` too. A `state`, a
-            `camera` and the groups of the breakdown that are no keys of the campaign are parts of the runs.
-        of: Label of a tracker: it is about the score of that one less that of `minus`, with the same seeds; None: about
-            the score of each tracker.
-        minus: Label of the other.
-        at_least: The least value that is right.
-        at_most: The greatest.
-        share: The least share of traffic seeds all of whose runs must have such a value; None: the mean must.
-        resting_on: The least share of what is to be followed that the score of each run must rest on.
-        confidence: The least probability that a verdict is right when the truth is at the threshold; of a mean that is
-            looked at once it is measured and not proved.
-    """
+    """Bound on a score: on its mean over traffic seeds, or with `in` on its value in a share of them. `where` maps keys
+    of the campaign, and `tracker`, to the value, or several, of the runs that it is about; a `state`, a `camera` and
+    the groups of the breakdown that are no keys of the campaign are parts of the runs. With labels of trackers in `of`
+    and `minus` it is about the score of one less that of the other, with the same seeds; else about that of each.
+    `share` is the least share of traffic seeds all of whose runs must have a right value, and `resting_on` the least
+    share of what is to be followed that the score of each run must rest on. `confidence` is the least probability that
+    a verdict is right when the truth is at the threshold; of a mean that is looked at once it is measured and not
+    proved."""
 
     score: Text
     where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
@@ -231,16 +196,9 @@ class Requirement(Strict):
 
 
 class SearchKeys(Strict):
-    """A search for scenes and seeds in which a tracker fails.
-
-    Attributes:
-        minimise: The score to make as small as possible.
-        maximise: The score to make as great as possible.
-        over: The keys that may change, within their ranges.
-        budget: Number of scenes that are tried.
-        batch: Number of scenes that are proposed at once; what is found depends on it, and not on the workers.
-        seeds: Number of traffic seeds that may be chosen from.
-    """
+    """Search for scenes and seeds in which a tracker fails: those with the least or the greatest value of a score. The
+    keys of `over` may change, within their ranges. `budget` scenes are tried, `batch` of them proposed at once, each
+    with one of `seeds` traffic seeds; what is found depends on `batch`, and not on the workers."""
 
     minimise: Text | None = None
     maximise: Text | None = None
@@ -257,53 +215,33 @@ class SearchKeys(Strict):
 
 
 class CampaignKeys(Strict):
-    """The keys of a campaign file.
+    """The keys of a campaign file."""
 
-    Attributes:
-        scenes: Scene files or names of shipped scenes.
-        steps: Number of time steps, in place of those of the scenes.
-        seed: From which the seeds of all runs are derived.
-        seeds: How many there are.
-        settings: `set` in the file: keys that are the same in all runs, as the option `--set`.
-        vary: What is varied.
-        trackers: The trackers, all over the same detections.
-        score: How tracks are scored.
-        require: What must hold.
-        level: `each`: a confidence is that of each verdict; `family`: of all verdicts together, by Holm's step-down.
-        stop: `once`: judged when all runs are done; `sequential`: judged after each batch, and ended when decided.
-        batch: Traffic seeds between two looks of `sequential`.
-        uncertainty: `learned`: draw the detector's parameters from the intervals that `learn` wrote.
-        search: A search in place of the plan.
-        keep: Layers that are kept on the disk.
-    """
-
-    scenes: Annotated[list[Text], Field(min_length=1)]
-    steps: Annotated[int, Field(strict=True, ge=1)] | None = None
-    seed: Annotated[int, Field(strict=True, ge=1, le=MAX_BASE)] = 1
+    scenes: Annotated[list[Text], Field(min_length=1)]  # files, or names of shipped scenes
+    steps: Annotated[int, Field(strict=True, ge=1)] | None = None  # in place of those of the scenes
+    seed: Annotated[int, Field(strict=True, ge=1, le=MAX_BASE)] = 1  # all others are derived from it
     seeds: Seeds = Field(default_factory=Seeds)
-    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")
+    settings: dict[Text, Any] = Field(default_factory=dict, alias="set")  # the same in all runs, as --set
     vary: list[Factor] = Field(default_factory=list)
-    trackers: Annotated[list[TrackerKeys], Field(min_length=1)]
+    trackers: Annotated[list[TrackerKeys], Field(min_length=1)]  # all over the same detections
     score: ScoreKeys = Field(default_factory=ScoreKeys)
     require: list[Requirement] = Field(default_factory=list)
-    level: Literal["each", "family"] = "each"
-    stop: Literal["once", "sequential"] = "once"
-    batch: Annotated[int, Field(strict=True, ge=1)] = 20
-    uncertainty: Literal["learned"] | None = None
-    search: SearchKeys | None = None
-    keep: list[Layer] = Field(default_factory=list)
+    level: Literal["each", "family"] = "each"  # of each verdict, or of all by Holm's step-down
+    stop: Literal["once", "sequential"] = "once"  # judged when all runs are done, or after each batch until decided
+    batch: Annotated[int, Field(strict=True, ge=1)] = 20  # traffic seeds between two looks of `sequential`
+    uncertainty: Literal["learned"] | None = None  # draw detectors from the intervals that `learn` wrote
+    search: SearchKeys | None = None  # in place of the plan
+    keep: list[Layer] = Field(default_factory=list)  # on the disk
 
     @model_validator(mode="before")
     @classmethod
     def _one_scene(cls, value: Any) -> Any:
         """`scene: fairway` stands for `scenes: [fairway]`."""
-        if isinstance(value, dict) and "scene" in value and "scenes" in value:
+        if not isinstance(value, dict) or "scene" not in value:
+            return value
+        if "scenes" in value:
             raise ValueError("give either scene or scenes")
-        if isinstance(value, dict) and "scene" in value:
-            return {
-                ("scenes" if key == "scene" else key): [each] if key == "scene" else each for key, each in value.items()
-            }
-        return value
+        return {"scenes": [value["scene"]], **{key: each for key, each in value.items() if key != "scene"}}
 
 
 # ---- Reads a campaign file, and checks all that can be checked before the first run ----
@@ -311,12 +249,7 @@ class CampaignKeys(Strict):
 
 @dataclass(frozen=True)
 class CampaignFile:
-    """A campaign file that was read.
-
-    Attributes:
-        path: The file.
-        keys: What is in it.
-    """
+    """A campaign file that was read."""
 
     path: Path
     keys: CampaignKeys
@@ -333,28 +266,19 @@ def shipped_campaigns() -> dict[str, Path]:
 
 
 def find_campaign(campaign: StrPath) -> Path:
-    """The file that a path or the name of a shipped campaign stands for.
-
-    Raises:
-        InputError: There is no such file and no such name.
-        TypeError: It is neither text nor a path.
-    """
+    """File that a path or the name of a shipped campaign stands for. Raises InputError if there is neither, and
+    TypeError for what is neither text nor a path."""
     path, shipped = as_path(campaign, "campaign", "a path or the name of a shipped campaign"), shipped_campaigns()
-    if path.is_file() or str(campaign) not in shipped:
-        if not path.is_file():
-            hint = nearest(str(campaign), shipped)
-            raise InputError(f"campaign {path}", [f"no such file, and no shipped campaign has this name ({hint})"])
+    if path.is_file():
         return path
-    return shipped[str(campaign)]
+    if str(campaign) in shipped:
+        return shipped[str(campaign)]
+    hint = nearest(str(campaign), shipped)
+    raise InputError(f"campaign {path}", [f"no such file, and no shipped campaign has this name ({hint})"])
 
 
 def read_campaign(campaign: StrPath) -> CampaignFile:
-    """Read a campaign file.
-
-    Raises:
-        InputError: With every problem of its keys.
-        TypeError: It is neither text nor a path.
-    """
+    """Read a campaign file; InputError with every problem of its keys, TypeError if it is neither text nor a path."""
     path = find_campaign(campaign)
     data = load_yaml(path, "campaign")
     if not isinstance(data, dict):
@@ -363,10 +287,7 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
     try:
         keys = CampaignKeys.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"campaign {path}", _in_words(error)) from None
+        # A colon stands before a problem of the whole file.
+        problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]
+        raise InputError(f"campaign {path}", problems) from None
     return CampaignFile(path, keys)
-
-
-def _in_words(error: ValidationError) -> list[str]:
-    """The problems, without the colon that stands before one of the whole file."""
-    return [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]

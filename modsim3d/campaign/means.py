@@ -76,16 +76,8 @@ def usual_scores(plan: Plan, table: pa.Table) -> tuple[str, ...]:
 
 
 def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list[MeanRow]:
-    """Means by tracker and keys, in the order of the plan: first of all runs of a traffic seed, then of the seeds.
-
-    Args:
-        table: The rows of a campaign.
-        by: Keys that are varied, such as `state`; runs that differ in others are taken together.
-        scores: Names of columns.
-
-    Raises:
-        ModsimError: There is no such key or score.
-    """
+    """Means by tracker and keys, in the order of the plan: first of all runs of a traffic seed, then of the seeds. Runs
+    that differ in other keys than `by` are taken together. Raises ModsimError if there is no such key or score."""
     _check(table, by, scores)
     keys = [*dict.fromkeys([*by, TRACKER])]
     crashed = pc.equal(table["status"], CRASHED).cast(pa.int64())
@@ -121,22 +113,15 @@ def _mean(value: float | None, deviation: float | None, seeds: int) -> Mean:
 
 
 def _check(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> None:
-    """Refuse keys and scores that the rows do not have.
-
-    Raises:
-        ModsimError: There is one.
-    """
+    """Check that the rows have these keys and scores; ModsimError if they do not."""
     names = table.column_names
     first = names.index(SEED)
     known = ["scene", TRACKER, *names[names.index("tracker") + 1 : names.index("status")]]
     for key in by:
         if key not in known:
             raise ModsimError(f"--by {key}: is not varied in this campaign ({nearest(key, known)})")
-    numbers = [
-        name for name in names[first:] if pa.types.is_floating(kind := table[name].type) or pa.types.is_integer(kind)
-    ]
-    others = {*known, SEED, "detector_seed"}
-    numbers = [name for name in numbers if name not in others]
+    kinds = {name: table[name].type for name in names[first:] if name not in (*known, SEED, "detector_seed")}
+    numbers = [name for name, kind in kinds.items() if pa.types.is_floating(kind) or pa.types.is_integer(kind)]
     for score in scores:
         if score not in numbers:
             raise ModsimError(f"--score {score}: there is no such score in this campaign ({nearest(score, numbers)})")
@@ -159,15 +144,8 @@ def mean_table(
     where: Where = Where.TEXT,
     names: Callable[[str], str] = str,
 ) -> Table:
-    """A row for each tracker and values of the keys; the runs that crashed stand out.
-
-    Args:
-        rows: The means.
-        title: Stands above.
-        most: How many rows are shown; None for all.
-        where: Which places show it.
-        names: What columns of scores are called.
-    """
+    """Table with a row for each tracker and values of the keys, at most `most`; runs that crashed stand out. `names`
+    tells what columns of scores are called."""
     if not rows:
         return Table(title, (), ())
     keys, scores = [key for key in rows[0].values if key != TRACKER], list(rows[0].means)
@@ -195,16 +173,11 @@ def without_judged(plan: Plan, rows: Sequence[MeanRow], verdicts: Sequence[Verdi
         part = [f"{key}.{values.pop(key)}." for key in groups_of(plan, requirement)]
         if requirement.share is None:
             said.append(("".join([*part, requirement.score]), values))
-    return [
-        replace(
-            row,
-            means={
-                score: replace(mean, low=None, high=None) if (score, row.values) in said else mean
-                for score, mean in row.means.items()
-            },
-        )
-        for row in rows
-    ]
+
+    def without(row: MeanRow, score: str) -> Mean:
+        return replace(row.means[score], low=None, high=None) if (score, row.values) in said else row.means[score]
+
+    return [replace(row, means={score: without(row, score) for score in row.means}) for row in rows]
 
 
 def _mean_text(mean: Mean, most: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from itertools import product
@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 import orjson
 
-from modsim3d.campaign.keys import (
-    MAX_DETECTOR_SEEDS,
-    MAX_SEEDS,
-    CampaignKeys,
-    Factor,
-    Range,
-    Requirement,
-    TrackerKeys,
-)
+from modsim3d.campaign.keys import MAX_DETECTOR_SEEDS, MAX_SEEDS, CampaignKeys, Factor, Range, Requirement, TrackerKeys
 from modsim3d.core.arrays import Array
 from modsim3d.core.text import UNKNOWN
 from modsim3d.tracking.scores.breakdown import BINS
@@ -36,17 +28,11 @@ OF_DETECTOR = ("detector", "state", "from")
 
 @dataclass(frozen=True)
 class Condition:
-    """A scene with values of keys; each key belongs to the first layer that it changes.
+    """A scene with values of keys; each key belongs to the first layer that it changes."""
 
-    Attributes:
-        scene: The scene file, or the name of a shipped scene.
-        values: The values of the keys that are varied.
-        fixed: The values of the keys that are the same in all conditions.
-    """
-
-    scene: str
-    values: Mapping[str, Any] = field(default_factory=dict)
-    fixed: Mapping[str, Any] = field(default_factory=dict)
+    scene: str  # file, or name of a shipped scene
+    values: Mapping[str, Any] = field(default_factory=dict)  # of the keys that are varied
+    fixed: Mapping[str, Any] = field(default_factory=dict)  # of those that are the same in all conditions
 
     def of_truth(self) -> dict[str, Any]:
         """The keys of the scene without its detector."""
@@ -93,7 +79,7 @@ def conditions(scenes: Sequence[str], factors: Sequence[Factor], fixed: Mapping[
 
 
 def count_conditions(scenes: Sequence[str], factors: Sequence[Factor]) -> int:
-    """How many combinations there are, without making them."""
+    """Number of combinations, without making them."""
     return len(scenes) * prod(_count(factor) for factor in factors)
 
 
@@ -125,14 +111,7 @@ _HYPERCUBE, _UNIFORM = 1, 2
 
 
 def drawn_values(factors: Sequence[Factor], base: int, index: int, count: int) -> dict[str, Any]:
-    """The values that the traffic seed `index` of `count` gets.
-
-    Args:
-        factors: The factors of the campaign; those that are not drawn give nothing.
-        base: Seed of the campaign.
-        index: Number of the traffic seed, from 0.
-        count: Number of traffic seeds.
-    """
+    """Values of the keys drawn for the traffic seed `index`, from 0, of `count`; `base` is the campaign's seed."""
     values: dict[str, Any] = {}
     for place, factor in enumerate(factors):
         if factor.latin_hypercube is not None:
@@ -186,41 +165,25 @@ def detector_seed(traffic: int, index: int) -> int:
 
 @dataclass(frozen=True)
 class PlannedRun:
-    """One run: a row of the results.
+    """One run: a row of the results."""
 
-    Attributes:
-        number: Its place in the plan, from 0.
-        seed_index: Number of the traffic seed, from 0.
-        condition_index: Number of the condition, from 0.
-        condition: The scene, and the values of all varied keys, drawn ones too.
-        traffic_seed: Seed of the scene.
-        detector_seed: Seed of the detector.
-        tracker: The tracker.
-    """
-
-    number: int
-    seed_index: int
-    condition_index: int
-    condition: Condition
-    traffic_seed: int
+    number: int  # place in the plan, from 0
+    seed_index: int  # number of the traffic seed, from 0
+    condition_index: int  # from 0
+    condition: Condition  # with the values of all varied keys, drawn ones too
+    traffic_seed: int  # of the scene
     detector_seed: int
     tracker: TrackerKeys
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All runs of a campaign in order: traffic seed, condition, detector seed, tracker, the last one changing first.
-
-    So the first runs are a smaller campaign of the same kind, and all conditions, detectors and trackers meet the same
-    seeds.
-
-    Attributes:
-        keys: The campaign file.
-        conditions: All combinations of scenes and values that are not drawn.
-    """
+    """All runs of a campaign in order: traffic seed, condition, detector seed, tracker, the last one changing first. So
+    the first runs are a smaller campaign of the same kind, and all conditions, detectors and trackers meet the same
+    seeds."""
 
     keys: CampaignKeys
-    conditions: tuple[Condition, ...]
+    conditions: tuple[Condition, ...]  # all combinations of scenes and values that are not drawn
 
     @classmethod
     def of(cls, keys: CampaignKeys) -> Plan:
@@ -257,26 +220,20 @@ class Plan:
 
     def runs(self, numbers: Sequence[int]) -> list[PlannedRun]:
         """The runs with some numbers."""
-        drawn = cache(self._drawn)  # for the runs of a traffic seed, which follow each other
-        return [self._run(number, drawn) for number in numbers]
-
-    def _run(self, number: int, drawn: Callable[[int], dict[str, Any]]) -> PlannedRun:
-        rest, tracker = divmod(number, len(self.keys.trackers))
-        rest, look = divmod(rest, self.keys.seeds.detector)
-        seed_index, condition_index = divmod(rest, len(self.conditions))
-        traffic = traffic_seed(self.keys.seed, seed_index)
-        return PlannedRun(
-            number,
-            seed_index,
-            condition_index,
-            self.conditions[condition_index].with_values(drawn(seed_index)),
-            traffic,
-            detector_seed(traffic, look),
-            self.keys.trackers[tracker],
-        )
-
-    def _drawn(self, seed_index: int) -> dict[str, Any]:
-        return drawn_values(self.keys.vary, self.keys.seed, seed_index, self.keys.seeds.traffic)
+        keys, found = self.keys, []
+        # runs of a traffic seed follow each other
+        drawn = cache(lambda index: drawn_values(keys.vary, keys.seed, index, keys.seeds.traffic))
+        for number in numbers:
+            rest, tracker = divmod(number, len(keys.trackers))
+            rest, look = divmod(rest, keys.seeds.detector)
+            seed_index, place = divmod(rest, len(self.conditions))
+            condition, traffic = (
+                self.conditions[place].with_values(drawn(seed_index)),
+                traffic_seed(keys.seed, seed_index),
+            )
+            seeds = traffic, detector_seed(traffic, look)
+            found.append(PlannedRun(number, seed_index, place, condition, *seeds, keys.trackers[tracker]))
+        return found
 
 
 # ---- What a requirement is about ----
@@ -288,32 +245,20 @@ GROUPS = (STATE, CAMERA, *BINS)
 
 @dataclass(frozen=True)
 class RunPart:
-    """A part of each run.
+    """A part of each run."""
 
-    Attributes:
-        group: What divides the runs, one of `GROUPS`.
-        name: Of a performance state, a camera, or a bin of the breakdown.
-    """
-
-    group: str
-    name: str
+    group: str  # what divides the runs, one of `GROUPS`
+    name: str  # of a performance state, a camera, or a bin of the breakdown
 
 
 @dataclass(frozen=True)
 class Case:
-    """A tracker in a condition: what a requirement is judged for.
+    """A tracker in a condition: what a requirement is judged for."""
 
-    Attributes:
-        tracker: Place of the tracker in the file, from 0.
-        condition: Number of the condition.
-        part: The part of the runs that counts; None: all of them.
-        minus: Place of the tracker whose score is taken off; None: of none.
-    """
-
-    tracker: int
+    tracker: int  # place in the file, from 0
     condition: int
-    part: RunPart | None = None
-    minus: int | None = None
+    part: RunPart | None = None  # of the runs that counts; None: all of them
+    minus: int | None = None  # place of the tracker whose score is taken off; None: of none
 
     @property
     def group(self) -> str:
@@ -327,10 +272,8 @@ class Case:
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
-    """The cases of a requirement, by tracker, condition and part of the runs.
-
-    A key that is drawn for each traffic seed selects nothing and does not split.
-    """
+    """Cases of a requirement, by tracker, condition and part of the runs. A key that is drawn for each traffic seed
+    selects nothing and does not split."""
     wanted = wanted_of(requirement)
     labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
     named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,45 +13,28 @@ from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import CRASHED
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Indices, Mask
 
-RUNS_FOLDER = "runs"
-"""Where the commands put runs that are made again, in the folder of the campaign."""
 USUAL_SCORE = "hota"
 _OUTCOMES = ("failed", "undecided", "met")
 
 
 @dataclass(frozen=True)
 class WorstRun:
-    """A run that went wrong.
+    """A run that went wrong."""
 
-    Attributes:
-        number: Its number in the plan.
-        tracker: Name of the tracker in tables.
-        condition: Number of the condition.
-        traffic_seed: Seed of the scene.
-        detector_seed: Seed of the detector.
-        score: The column by which it is one of the worst; of a run that crashed, `status`.
-        value: What is in that column; None of a run that crashed.
-        moment_s: The moment at which it went wrong, as its timestamps have it; None if nothing did, or it crashed.
-        again: The command that makes the run again.
-        film: The command that films the moment; empty if there is none.
-        error: Why it crashed; None if it did not.
-        requirement: Index of the requirement that names it; None if it crashed, and without requirements.
-    """
-
-    number: int
-    tracker: str
+    number: int  # in the plan
+    tracker: str  # name in tables
     condition: int
     traffic_seed: int
     detector_seed: int
-    score: str
-    value: float | None
-    moment_s: float | None
-    again: str
-    film: str
-    error: str | None = None
-    requirement: int | None = None
+    score: str  # column by which it is one of the worst; of a run that crashed, `status`
+    value: float | None  # in that column; None of a run that crashed
+    moment_s: float | None  # at which it went wrong, as its timestamps have it; None if nothing did, or it crashed
+    again: str  # command that makes the run again
+    film: str  # command that films the moment; empty if there is none
+    error: str | None = None  # None if it did not crash
+    requirement: int | None = None  # index of the one that names it; None if it crashed, and without requirements
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,17 +47,9 @@ class _Ranking:
 
 
 def worst_runs(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], count: int = 5) -> list[WorstRun]:
-    """The runs that went worst, each once.
-
-    First come runs that crashed. Then each requirement that failed names its worst run, and its second worst, and so
-    on; then each that is undecided; then each that is met. Without requirements it is the lowest HOTA that counts.
-
-    Args:
-        folder: The campaign.
-        table: Its rows, see `results_table`.
-        verdicts: The verdicts on its requirements.
-        count: Most runs.
-    """
+    """The runs that went worst, each once, `count` at most. First come runs that crashed. Then each requirement that
+    failed names its worst run, and its second worst, and so on; then each that is undecided; then each that is met.
+    Without requirements it is the lowest HOTA that counts."""
     crashed = np.flatnonzero(np.asarray(table["status"].to_numpy(zero_copy_only=False)) == CRASHED)
     rankings = [_Ranking(crashed, "status")], *_rankings(folder.plan, table, verdicts)
     found: dict[int, _Ranking] = {}
@@ -115,14 +89,12 @@ def _of_requirement(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) ->
 
 
 def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: bool, off: int = 0) -> _Ranking:
-    """Chosen rows, the worst first, by the worst of some columns; those without a value are left out.
-
-    With `off`, the values are differences to those of the run whose number is so much greater.
-    """
+    """Chosen rows, the worst first, by the worst of some columns; those without a value are left out. With `off`, the
+    values are differences to those of the run whose number is so much greater."""
     there = [name for name in columns if name in table.column_names]
     if not there:
         return _Ranking(np.empty(0, dtype=np.int64), USUAL_SCORE)
-    values = np.column_stack([_numbers(table, name) for name in there])
+    values = np.column_stack([table[name].cast(pa.float64()).to_numpy() for name in there])
     if off:
         others = table["run"].to_numpy() + off
         places = np.minimum(np.searchsorted(table["run"].to_numpy(), others), len(table) - 1)
@@ -131,10 +103,6 @@ def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: b
     badness = np.where(np.isnan(values), -np.inf, -values if lowest else values).max(axis=1)
     rows = np.flatnonzero(chosen & (badness > -np.inf))
     return _Ranking(rows[np.argsort(-badness[rows], kind="stable")], there[0])
-
-
-def _numbers(table: pa.Table, name: str) -> Array:
-    return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
 
 
 def _by_turns(rankings: Sequence[_Ranking]) -> Iterator[tuple[int, _Ranking]]:
@@ -149,8 +117,7 @@ def _worst_run(folder: CampaignFolder, row: dict[str, object], ranking: _Ranking
     number, moment_s, crashed = row["run"], row["worst_s"], row["status"] == CRASHED
     value = None if crashed else row[ranking.score]
     assert isinstance(number, int)
-    out = folder.path / RUNS_FOLDER / str(number)
-    again = f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {number} --out {shlex.quote(str(out))}"
+    again = folder.reproducing(number)
     return WorstRun(
         number=number,
         tracker=str(row["tracker"]),

@@ -35,12 +35,7 @@ from modsim3d.tracks.tracks import Tracks
 
 
 def run_there(folder: Path, scene: Scene) -> StoredRun | None:
-    """The run of a scene in a folder; None if there is none, or another one, or a damaged one.
-
-    Args:
-        folder: The run directory.
-        scene: The scene with the seeds of the run.
-    """
+    """Run of a scene with its seeds in a run directory; None if there is none, or another one, or a damaged one."""
     try:
         found = open_run(folder)
         found.finished_tables.check_checksums()
@@ -51,14 +46,8 @@ def run_there(folder: Path, scene: Scene) -> StoredRun | None:
 
 
 def tracks_there(folder: Path, run: StoredRun, tracker: str, settings: Mapping[str, Any]) -> Tracks | None:
-    """The tracks of a tracker in a run; None if there are none, or those of another tracker, or damaged ones.
-
-    Args:
-        folder: The folder of the tracks.
-        run: The run.
-        tracker: Name of the tracker.
-        settings: Its settings, in place of those chosen for the scene.
-    """
+    """Tracks of a tracker in a run; None if there are none, or those of another tracker, or damaged ones. `settings`
+    are in place of those chosen for the scene."""
     try:
         found = read_stored_tracks(folder, run, RunRows.of(run))
     except ModsimError:
@@ -70,12 +59,8 @@ def tracks_there(folder: Path, run: StoredRun, tracker: str, settings: Mapping[s
 
 
 def planned_run(folder: CampaignFolder, number: int) -> PlannedRun:
-    """Run as the plan has it, or as the search of a trial has it.
-
-    Raises:
-        InputError: A file that the run is made of is not as it was.
-        ModsimError: The campaign has no such run.
-    """
+    """Run as the plan has it, or as the search of a trial has it. Raises InputError if a file that it is made of is not
+    as it was, and ModsimError if there is no such run."""
     check_files(folder)
     if folder.keys.search is not None:
         return trial_run(folder.path, number)
@@ -85,11 +70,7 @@ def planned_run(folder: CampaignFolder, number: int) -> PlannedRun:
 
 
 def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
-    """The row of a run; None if it is not done.
-
-    Raises:
-        ModsimError: The results are damaged.
-    """
+    """Row of a run; None if it is not done. Raises ModsimError for damaged results."""
     if not folder.results.is_dir():  # or a search
         table = rows_of(folder)
         found = table.filter(pc.equal(table["run"], number)).to_pylist()
@@ -101,11 +82,7 @@ def row_of_run(folder: CampaignFolder, number: int) -> dict[str, Any] | None:
 
 
 def remade(folder: CampaignFolder, number: int) -> Made:
-    """All layers of a run, made again or read where they are kept.
-
-    Raises:
-        ModsimError: There is no such run, or it fails.
-    """
+    """Layers of a run, made again or read where they are kept; ModsimError if there is no such run, or it fails."""
     run, work = planned_run(folder, number), folder.work
     with closing(RunLayers(work.keys.model_copy(update={"keep": []}), Path(work.base), work.layers)) as layers:
         return layers.made(run)
@@ -116,31 +93,18 @@ _NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "track
 
 @dataclass(frozen=True, eq=False)
 class RunAgain:
-    """A run of a campaign that was made again.
-
-    Attributes:
-        run: What the plan says of it.
-        folder: Its run directory.
-        tracks: The folder with its tracks.
-        before: Its row in the campaign; None if it was not done there.
-        row: Its row now; None if it failed.
-        error: Why it failed; None if it did not.
-        raised_at: File, line and function in which the error was raised; empty without one.
-        differing: The columns that are not as in the campaign, if both rows have scores.
-        reused: Which of these two folders were there already; they are left as they were.
-        versions: The packages whose versions are not those of the campaign: then and now, by name.
-    """
+    """A run of a campaign that was made again."""
 
     run: PlannedRun
-    folder: Path
-    tracks: Path
-    before: dict[str, Any] | None
-    row: dict[str, Any] | None
-    error: str | None
-    raised_at: str
-    differing: tuple[str, ...]
-    reused: tuple[Path, ...]
-    versions: dict[str, tuple[str | None, str | None]]
+    folder: Path  # its run directory
+    tracks: Path  # folder with its tracks
+    before: dict[str, Any] | None  # its row in the campaign; None if it was not done there
+    row: dict[str, Any] | None  # None if it failed
+    error: str | None  # None if it did not fail
+    raised_at: str  # file, line and function; empty without an error
+    differing: tuple[str, ...]  # columns that are not as in the campaign, if both rows have scores
+    reused: tuple[Path, ...]  # those of both folders that were there already; they are left as they were
+    versions: dict[str, tuple[str | None, str | None]]  # then and now, by package, where they are not the same
 
     @property
     def same(self) -> bool:
@@ -163,20 +127,10 @@ def make_again(
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunAgain:
-    """Make a run of a campaign again: write its run directory and its tracks, and compare the scores.
-
-    A run and tracks that are there already, and are those of this run, are left as they are.
-
-    Args:
-        folder: The campaign.
-        number: The run's number in the plan.
-        out: The run directory; the tracks lie beside it.
-        overwrite: Make all anew, in place of a run and tracks that are there.
-        progress: Called with the number of steps done since its last call.
-
-    Raises:
-        ModsimError: There is no such run, or it cannot be written. What the run itself raises is in the result.
-    """
+    """Make a run of a campaign again: write its run directory `out`, and its tracks beside it, and compare the scores.
+    A run and tracks that are there already, and are those of this run, are left as they are unless `overwrite`.
+    `progress` is called with the number of steps done since its last call. Raises ModsimError if there is no such run,
+    or it cannot be written. What the run itself raises is in the result."""
     run, before, tracks = planned_run(folder, number), row_of_run(folder, number), tracks_beside(out)
     then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
     row, error, raised_at, reused = None, None, "", list[Path]()
@@ -185,7 +139,9 @@ def make_again(
     except (OutputError, RunDirectoryError):
         raise
     except Exception as failure:
-        error, raised_at = f"{type(failure).__name__}: {failure}", _place(failure)
+        where = traceback.extract_tb(failure.__traceback__)[-1]
+        raised_at = f"{where.filename}, line {where.lineno}, in {where.name}"
+        error = f"{type(failure).__name__}: {failure}"
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), tuple(reused), changed)
 
@@ -223,14 +179,8 @@ def _row(
     return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))
 
 
-def _place(failure: Exception) -> str:
-    """Where an error was raised."""
-    where = traceback.extract_tb(failure.__traceback__)[-1]
-    return f"{where.filename}, line {where.lineno}, in {where.name}"
-
-
 def _differing(before: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """The columns of a row that are not those of the same run's row in a campaign."""
+    """Columns of a row that are not those of the same run's row in a campaign."""
     if before is None or row is None or before["status"] != DONE:
         return ()
     return tuple(

@@ -42,13 +42,7 @@ WEIGHT = 0.3
 
 
 def same_truth(plan: Plan, facts: Sequence[ConditionFacts], numbers: Iterable[int]) -> list[list[int]]:
-    """Runs grouped by their truth, in the order of the first run of each group.
-
-    Args:
-        plan: The plan.
-        facts: What is known of its conditions.
-        numbers: Numbers of runs, ascending.
-    """
+    """Runs grouped by their truth, in the order of the first run of each group; `numbers` ascend."""
     drawn = any(layer_of(key) == "truth" for key in plan.drawn)
     by_condition = plan.keys.seeds.detector * len(plan.keys.trackers)
     groups: dict[tuple[str, int], list[int]] = {}
@@ -114,48 +108,23 @@ DIED = "its worker process was killed, or ran out of memory"
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a campaign is.
+    """Progress of a campaign."""
 
-    Attributes:
-        total: Number of runs.
-        done: Number of those that are done, crashed ones too.
-        running: Number of those that are handed in.
-        crashed: Number of those that crashed.
-        left_s: Time that the rest will take; None while nothing is known.
-        verdicts: The verdicts on what is done; only those of a campaign that stops by them, as of the last look.
-    """
-
-    total: int
-    done: int
-    running: int
+    total: int  # runs
+    done: int  # of these, crashed ones too
+    running: int  # runs that are handed in
     crashed: int
-    left_s: float | None
-    verdicts: tuple[Verdict, ...] = ()
+    left_s: float | None  # None while nothing is known
+    verdicts: tuple[Verdict, ...] = ()  # as of the last look, of a campaign that stops by them only
 
 
 @dataclass(frozen=True, eq=False)
 class CampaignResult:
-    """A campaign that ended.
-
-    Attributes:
-        folder: Its folder.
-        table: Its rows.
-        verdicts: The verdicts on its requirements.
-    """
+    """A campaign that ended."""
 
     folder: CampaignFolder
     table: pa.Table
     verdicts: tuple[Verdict, ...]
-
-
-@dataclass
-class _State:
-    """Tasks under way."""
-
-    total: int
-    done: set[int]
-    crashed: int = 0
-    verdicts: tuple[Verdict, ...] = ()
 
 
 def run_plan(
@@ -167,22 +136,10 @@ def run_plan(
     cache: Path | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> CampaignResult | None:
-    """Run a campaign, or go on with it.
-
-    Args:
-        campaign: The campaign.
-        folder: Its folder.
-        engine: Opens an engine; not called if there is nothing to do.
-        shard: Number of this part, from 1, and of all parts: only its runs are made, and no results are written.
-        cache: The folder of layers on the disk, in place of `cache` in the campaign's.
-        progress: Called after each task.
-
-    Returns:
-        The result; None of a part.
-
-    Raises:
-        ModsimError: The folder holds another plan or cannot be written, or the engine fails.
-    """
+    """Run a campaign, or go on with it. `shard` is the number of a part, from 1, and that of all parts: only its runs
+    are made, no results are written, and None is returned. `engine` opens an engine, and is not called if there is
+    nothing to do; `progress` is called after each task. Layers are kept in `cache`, by default in the campaign's
+    folder. Raises ModsimError if the folder holds another plan or cannot be written, or the engine fails."""
     _check_cache(cache, folder)
     if shard is not None:
         _check_shard(campaign, *shard)
@@ -207,11 +164,7 @@ def run_plan(
 
 
 class Dispatch:
-    """Tasks in the hands of an engine.
-
-    Attributes:
-        running: Number of runs that are handed in.
-    """
+    """Tasks in the hands of an engine; `running` is the number of runs that are handed in."""
 
     def __init__(self, folder: CampaignFolder, engine: Engine) -> None:
         """Hand in nothing yet."""
@@ -220,14 +173,8 @@ class Dispatch:
         self.running = 0
 
     def done(self, following: Callable[[], Task | None]) -> Iterator[tuple[Task, TaskReport]]:
-        """Tasks as they are done, until there are no more, each with its report.
-
-        Args:
-            following: Gives the next task; None if there is none now.
-
-        Raises:
-            OutputError: A file cannot be written.
-        """
+        """Tasks as they are done, each with its report, until there are no more; `following` gives the next task, None
+        if there is none now. Raises OutputError if a file cannot be written."""
         split, tasks = list[Task](), 0
         while True:
             while tasks < AHEAD * self._engine.width and (task := split.pop() if split else following()) is not None:
@@ -251,10 +198,8 @@ class Dispatch:
             yield task, report
 
     def _error(self, task: Task, death: Death) -> str | None:
-        """Error of the run whose worker died in a task; None if it is to be tried again.
-
-        The log of the campaign says that a worker was killed.
-        """
+        """Error of the run whose worker died in a task; None if it is to be tried again. The log notes a worker that
+        was killed."""
         if death.error is not None:
             return death.error
         note_kill(self._folder, death, [run.number for run in task.runs])
@@ -275,15 +220,8 @@ def _split(task: Task, death: Death) -> tuple[Task, list[Task]]:
 
 
 def read_back(task: Task, read: Callable[[], T | None]) -> T:
-    """Result read from a task that is done; the file of another machine may take a while to be seen on this one.
-
-    Args:
-        task: The task.
-        read: Reads its file; None while that is not there.
-
-    Raises:
-        OutputError: It cannot be read.
-    """
+    """Result that `read` reads from the file of a task that is done. It gives None while the file is not there: that of
+    another machine may take a while to be seen on this one. Raises OutputError if it cannot be read."""
     for wait_s in (0.0, *READ_AGAIN_S):
         time.sleep(wait_s)
         if (found := read()) is not None:
@@ -300,11 +238,7 @@ def write_log(folder: CampaignFolder, line: str) -> None:
 
 
 def _check_cache(cache: Path | None, folder: Path) -> None:
-    """Refuse layers among the rows and results of the campaign.
-
-    Raises:
-        OutputError: They would be written there.
-    """
+    """Check that layers are kept apart from the rows and results of the campaign; OutputError if not."""
     for name in (DONE_FOLDER, RESULTS):
         if cache is not None and (folder / name).resolve() in (cache.resolve(), *cache.resolve().parents):
             raise OutputError(
@@ -313,11 +247,8 @@ def _check_cache(cache: Path | None, folder: Path) -> None:
 
 
 def _check_shard(campaign: CheckedCampaign, part: int, parts: int) -> None:
-    """Refuse what cannot be done in parts.
-
-    Raises:
-        ModsimError: There is no such part, or what is run depends on what was run before.
-    """
+    """Check that there is such a part, and that what is run does not depend on what was run before; ModsimError if
+    not."""
     keys = campaign.file.keys
     if not 1 <= part <= parts:
         raise ModsimError(f"--shard {part}/{parts}: there are the parts 1/{parts} to {parts}/{parts}")
@@ -341,19 +272,18 @@ class _Campaign:
         self._plan = folder.plan
         self._reports: list[TaskReport] = []
         self._looked = 0
+        self._verdicts: tuple[Verdict, ...] = ()
         mine = self._mine()
         self._rows = DoneRows(folder).read(None if shard is None else set(mine))
-        done = set(self._rows.numbers().tolist())
-        self._state = _State(len(mine), {number for number in mine if number in done})
+        self._total, self._done = len(mine), set(mine).intersection(self._rows.numbers().tolist())
         runs = len(self._plan)
         self._batch = runs if self._plan.keys.stop == "once" else self._plan.keys.batch * self._plan.runs_by_seed
         self._todo: list[list[int]] = [[] for _ in range(0, runs, self._batch)]
         for number in mine:
-            if number not in self._state.done:
+            if number not in self._done:
                 self._todo[number // self._batch].append(number)
         self._missing = [len(numbers) for numbers in self._todo]
-        if self._state.done:
-            self._state.crashed = self._rows.crashed()
+        self._crashed = self._rows.crashed() if self._done else 0
 
     def make(self, engine: Callable[[], Engine]) -> int:
         """Make all rows; the number of the first run that does not count any more."""
@@ -366,11 +296,7 @@ class _Campaign:
             opened.close()
 
     def rows(self, end: int) -> pa.Table:
-        """The rows of all runs before the run `end`.
-
-        Raises:
-            OutputError: Some are missing, because files were removed.
-        """
+        """Rows of all runs before the run `end`; OutputError if some are missing, because files were removed."""
         table = self._rows.table()
         table = table.filter(pc.less(table["run"], end))
         if len(table) < end:
@@ -396,14 +322,13 @@ class _Campaign:
             if stop == len(self._plan):
                 return stop
             rows = self._rows.table()
-            self._state.verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
-            if all(verdict.outcome != "undecided" for verdict in self._state.verdicts):
+            self._verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
+            if all(verdict.outcome != "undecided" for verdict in self._verdicts):
                 return stop
         return None
 
     def _work(self, engine: Engine) -> int:
-        state, dispatch, cutter = self._state, Dispatch(self._folder, engine), Cutter(engine.width)
-        batches = iter(self._todo)
+        dispatch, cutter, batches = Dispatch(self._folder, engine), Cutter(engine.width), iter(self._todo)
 
         def following() -> Task | None:
             cutter.width = engine.width
@@ -416,22 +341,19 @@ class _Campaign:
             self._take(task, report)
             if (end := self._look()) is not None:
                 return end
-            left_s, done = cutter.seconds(state.total - len(state.done)), len(state.done)
-            self._progress(Progress(state.total, done, dispatch.running, state.crashed, left_s, state.verdicts))
+            done = len(self._done)
+            left_s = cutter.seconds(self._total - done)
+            self._progress(Progress(self._total, done, dispatch.running, self._crashed, left_s, self._verdicts))
         return len(self._plan)
 
     def _take(self, task: Task, report: TaskReport) -> None:
-        """Note that a task is done.
-
-        Raises:
-            OutputError: Its file cannot be read here.
-        """
+        """Note that a task is done; OutputError if its file cannot be read here."""
         read_back(task, lambda: self._rows.add(task.path) or None)
         self._reports.append(report)
-        self._state.crashed += report.crashed
+        self._crashed += report.crashed
         for run in task.runs:
-            if run.number not in self._state.done:
-                self._state.done.add(run.number)
+            if run.number not in self._done:
+                self._done.add(run.number)
                 self._missing[run.number // self._batch] -= 1
 
     def log(self, seconds: float) -> None:

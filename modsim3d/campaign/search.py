@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -50,39 +49,24 @@ NO_RATE = "The trials were chosen to be bad: they show that the tracker fails th
 
 @dataclass(frozen=True)
 class Finding:
-    """A trial in which the tracker failed, or came closest to it.
+    """A trial in which the tracker failed, or came closest to it."""
 
-    Attributes:
-        number: Number of the trial.
-        value: The score; None if the run crashed.
-        error: Why it crashed; None if it did not.
-        traffic_seed: Seed of the scene.
-        values: The values of the keys that were searched.
-        again: The command line that makes the run again.
-        film: The command line that films it too.
-    """
-
-    number: int
-    value: float | None
-    error: str | None
-    traffic_seed: int
-    values: dict[str, Any]
-    again: str
-    film: str
+    number: int  # of the trial
+    value: float | None  # the score; None if the run crashed
+    error: str | None  # None if it did not crash
+    traffic_seed: int  # of the scene
+    values: dict[str, Any]  # of the keys that were searched
+    again: str  # command line that makes the run again
+    film: str  # command line that films it too
 
 
 def findings(folder: CampaignFolder, table: pa.Table, count: int = 5) -> tuple[Finding, ...]:
-    """The first crashes, and after them the worst scores, the worst one first.
-
-    Args:
-        folder: The folder of the search.
-        table: Its trials.
-        count: The most crashes, and the most scores.
-    """
+    """At most `count` crashes, the first ones, and after them as many of the worst scores, the worst one first."""
     search = searched(folder)
     score, order = score_of(search), "ascending" if search.minimise is not None else "descending"
     crashed = table.filter(pc.equal(table["status"], CRASHED)).slice(0, count)
-    scored = _scored(table, score).sort_by([(score, order), ("run", "ascending")]).slice(0, count)
+    scored = table.filter(pc.and_(pc.equal(table["status"], DONE), pc.is_valid(table[score])))
+    scored = scored.sort_by([(score, order), ("run", "ascending")]).slice(0, count)
     columns = ["run", "traffic_seed", VALUES, "status", "error", score]
     rows = [row for part in (crashed, scored) for row in part.select(columns).to_pylist()]
     return tuple(_finding(folder, row, score) for row in rows)
@@ -103,28 +87,17 @@ def sentence(folder: CampaignFolder, table: pa.Table) -> str:
     return f"{said}. {NO_RATE}"
 
 
-def _scored(table: pa.Table, score: str) -> pa.Table:
-    return table.filter(pc.and_(pc.equal(table["status"], DONE), pc.is_valid(table[score])))
-
-
 def _finding(folder: CampaignFolder, row: dict[str, Any], score: str) -> Finding:
-    out = folder.path / "runs" / str(row["run"])
-    again = f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {row['run']} --out {shlex.quote(str(out))}"
-    values = orjson.loads(row[VALUES])
+    again, values = folder.reproducing(row["run"]), orjson.loads(row[VALUES])
     return Finding(row["run"], row[score], row["error"], row["traffic_seed"], values, again, f"{again} --film")
 
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """A search that ended.
-
-    Attributes:
-        folder: Its folder.
-        table: Its trials, in their order; see `trials_table`.
-    """
+    """A search that ended."""
 
     folder: CampaignFolder
-    table: pa.Table
+    table: pa.Table  # its trials, in their order; see `trials_table`
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -144,19 +117,10 @@ def run_search(
     cache: Path | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> SearchResult:
-    """Run a search, or go on with it. What it finds does not depend on the engine, nor on interruptions.
-
-    Args:
-        campaign: A campaign with a search.
-        folder: Its folder.
-        engine: Opens an engine; not called if there is nothing to do.
-        cache: The folder of layers on the disk, in place of `cache` in the campaign's.
-        progress: Called after each trial.
-
-    Raises:
-        ModsimError: The campaign has no search, the folder holds another plan or cannot be written, or the engine
-            fails.
-    """
+    """Run a search, or go on with it. What it finds does not depend on the engine, nor on interruptions. `engine` opens
+    an engine, and is not called if there is nothing to do; `progress` is called after each trial. Layers are kept in
+    `cache`, by default in the campaign's folder. Raises ModsimError if the campaign has no search, the folder holds
+    another plan or cannot be written, or the engine fails."""
     with locked_campaign(folder):
         here = planned(campaign, folder)
         search = searched(here)

@@ -1,7 +1,5 @@
-"""The folder of a search: the points of each batch while it is under way, and all trials at the end.
-
-The trials lie in `search/` and never in `results/`: they are chosen to be bad, so no rate may be made of them.
-"""
+"""The folder of a search: the points of each batch while it is under way, and all trials at the end. The trials lie in
+`search/` and never in `results/`: they are chosen to be bad, so no rate may be made of them."""
 
 from __future__ import annotations
 
@@ -42,26 +40,20 @@ SEED = "traffic seed"
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the space that is searched.
+    """A point of the space that is searched."""
 
-    Attributes:
-        seed_index: Number of the traffic seed, from 0.
-        places: For each key its number, or the index of its choice.
-    """
-
-    seed_index: int
-    places: Mapping[str, float | int]
+    seed_index: int  # number of the traffic seed, from 0
+    places: Mapping[str, float | int]  # number of each key, or index of its choice
 
     def values(self, ranges: Mapping[str, Range]) -> dict[str, Any]:
         """The values of the keys."""
-        return {key: _value(each, self.places[key]) for key, each in ranges.items()}
+        places = ((key, each.choices, self.places[key]) for key, each in ranges.items())
+        return {key: place if choices is None else choices[int(place)] for key, choices, place in places}
 
 
 def distributions(search: SearchKeys) -> dict[str, BaseDistribution]:
-    """The dimensions as Optuna knows them.
-
-    Traffic seeds are categories: two seeds with neighbouring numbers have no more in common than any others.
-    """
+    """Dimensions as Optuna knows them. Traffic seeds are categories: two seeds with neighbouring numbers have no more
+    in common than any others."""
     from optuna.distributions import CategoricalDistribution
 
     found = {key: _distribution(each) for key, each in search.over.items()}
@@ -69,12 +61,7 @@ def distributions(search: SearchKeys) -> dict[str, BaseDistribution]:
 
 
 def point_of(parameters: Mapping[str, Any], search: SearchKeys) -> Point:
-    """The point that Optuna proposes, without the last digits, which depend on the processor.
-
-    Args:
-        parameters: Its values of the dimensions.
-        search: The search.
-    """
+    """Point that Optuna proposes, without the last digits, which depend on the processor."""
     places = {key: _rounded(each, parameters[key]) for key, each in search.over.items()}
     return Point(int(parameters.get(SEED, 0)), places)
 
@@ -103,41 +90,22 @@ def _rounded(values: Range, place: float | int) -> float | int:
     return min(max(float(f"{place:.12g}"), float(values.low)), float(values.high))
 
 
-def _value(values: Range, place: float | int) -> Any:
-    return place if values.choices is None else values.choices[int(place)]
-
-
 # ---- Proposes the next batch of points ----
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A point and what came of it.
-
-    Attributes:
-        point: The point.
-        value: The score; None if the scene refuses the point, or there is nothing to be scored.
-        crashed: Whether the run crashed.
-    """
+    """A point and what came of it."""
 
     point: Point
-    value: float | None
+    value: float | None  # the score; None if the scene refuses the point, or there is nothing to be scored
     crashed: bool = False
 
 
 def proposed(search: SearchKeys, seed: int, batch: int, tried: Sequence[Tried]) -> list[Point]:
-    """The points of a batch.
-
-    The points of one batch keep away from each other: each counts as bad until its score is known (`constant_liar`).
-    The estimator avoids points without a score. Crashed runs do not steer it, or the rest of the budget would be spent
-    on one crash.
-
-    Args:
-        search: The search.
-        seed: Seed of the campaign.
-        batch: Number of the batch, from 0.
-        tried: All points of the batches before it.
-    """
+    """Points of a batch, where `tried` has all points of the batches before it. The points of one batch keep away from
+    each other: each counts as bad until its score is known (`constant_liar`). The estimator avoids points without a
+    score. Crashed runs do not steer it, or the rest of the budget would be spent on one crash."""
     import optuna
 
     space = distributions(search)
@@ -192,14 +160,7 @@ def score_of(search: SearchKeys) -> str:
 
 
 def planned_trial(plan: Plan, number: int, seed_index: int, values: Mapping[str, Any]) -> PlannedRun:
-    """The run of a trial.
-
-    Args:
-        plan: The plan of the campaign: one condition and one tracker.
-        number: Number of the trial, from 0.
-        seed_index: Number of the traffic seed, from 0.
-        values: The values of the keys that are searched.
-    """
+    """Run of a trial of a plan with one condition and one tracker; `values` are those of the keys that are searched."""
     traffic = traffic_seed(plan.keys.seed, seed_index)
     condition = plan.conditions[0].with_values(values)
     return PlannedRun(number, seed_index, 0, condition, traffic, detector_seed(traffic, 0), plan.keys.trackers[0])
@@ -248,11 +209,7 @@ def stored_batch(folder: CampaignFolder, batch: int) -> list[Point] | None:
 
 
 def store_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -> None:
-    """Write the points of a batch.
-
-    Raises:
-        OutputError: They cannot be written.
-    """
+    """Write the points of a batch; OutputError if they cannot be written."""
     content = [{"seed": point.seed_index, "places": dict(point.places)} for point in points]
     write_files({_batch_file(folder, batch): orjson.dumps(content)})
 
@@ -267,13 +224,7 @@ def done_row(task: Task) -> dict[str, Any] | None:
 
 
 def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], search: SearchKeys) -> pa.Table:
-    """The table of trials: `status` is `done`, `crashed` or `refused`; `values` holds the keys that were searched.
-
-    Args:
-        runs: The trials in their order.
-        rows: What came of each.
-        search: The search.
-    """
+    """Table of trials: `status` is `done`, `crashed` or `refused`; `values` holds the keys that were searched."""
     values = [{key: run.condition.values[key] for key in search.over} for run in runs]
     columns = {key: _column([each[key] for each in values], found) for key, found in search.over.items()}
     return with_columns(
@@ -282,21 +233,14 @@ def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], 
 
 
 def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
-    """Write the trials of a search that ended.
-
-    Raises:
-        OutputError: They cannot be written.
-    """
+    """Write the trials of a search that ended; OutputError if they cannot be written."""
     with results_folder(folder.path, SEARCH, {}) as partial:
         write_rows(partial, table)
 
 
 def search_table(folder: CampaignFolder) -> pa.Table:
-    """The trials of a search in their order: all, or those that are done so far.
-
-    Raises:
-        ModsimError: It is no search, or its trials are damaged.
-    """
+    """Trials of a search in their order: all, or those that are done so far. Raises ModsimError if it is no search, or
+    they are damaged."""
     search = searched(folder)
     if folder.finished:
         return pq.read_table(folder.path / SEARCH, partitioning=None)
@@ -329,16 +273,8 @@ def planned_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -
 
 
 def trial_run(folder: StrPath, number: int) -> PlannedRun:
-    """The run of a trial, for making it again.
-
-    Args:
-        folder: The folder of a search.
-        number: Number of the trial, from 0.
-
-    Raises:
-        ModsimError: It is no folder of a search, it is damaged, or it has no such trial.
-        TypeError: The folder is neither text nor a path.
-    """
+    """Run of a trial, for making it again. Raises ModsimError if this is no folder of a search, it is damaged, or it
+    has no such trial, and TypeError if it is neither text nor a path."""
     found = opened_campaign(folder)
     searched(found)
     if not found.finished:
@@ -355,11 +291,7 @@ def trial_run(folder: StrPath, number: int) -> PlannedRun:
 
 
 def searched(folder: CampaignFolder) -> SearchKeys:
-    """The search of a campaign.
-
-    Raises:
-        ModsimError: It has none.
-    """
+    """Search of a campaign; ModsimError if it has none."""
     if folder.keys.search is None:
         raise ModsimError(f"{folder.path} holds a campaign without a search")
     return folder.keys.search

@@ -1,7 +1,5 @@
-"""The process of a worker: does the tasks that come through a pipe, until the pipe ends.
-
-Started as `python -m modsim3d.campaign.serving PIPE PARENT`.
-"""
+"""The process of a worker: does the tasks that come through a pipe, until the pipe ends. Started as `python -m
+modsim3d.campaign.serving PIPE PARENT`."""
 
 from __future__ import annotations
 
@@ -29,11 +27,8 @@ from modsim3d.io.processes import end_with_parent
 
 
 def check_worker(work: Work) -> None:
-    """Check that this process may work on a campaign.
-
-    Raises:
-        ModsimError: The folder of the campaign is not here or is that of another, or packages have other versions.
-    """
+    """Check that this process may work on a campaign. Raises ModsimError if the campaign's folder is not here or is
+    that of another, or packages have other versions."""
     host, plan = platform.node(), Path(work.folder) / PLAN
     try:
         facts = orjson.loads(plan.read_bytes())
@@ -79,10 +74,8 @@ def _version(package: str) -> str:
 
 
 def serve(pipe: Connection) -> None:
-    """Do what comes through a pipe; each task is answered with its report, or with an error.
-
-    Before a run begins, its number is sent: should it end this process, the other side knows which one did.
-    """
+    """Do what comes through a pipe; each task is answered with its report, or with an error. Before a run begins, its
+    number is sent: should it end this process, the other side knows which one did."""
     admitted: Work | None = None
     with closing(Worker()) as worker:
         pipe.send(READY)

@@ -1,8 +1,6 @@
-"""A worker in a process of its own, so that a run that ends its process ends nothing else.
-
-It is a new interpreter and no fork: a fork is not safe where threads run, and `multiprocessing` would import the
-user's script again. This module imports little, because a Dask worker imports it only to hand tasks on.
-"""
+"""A worker in a process of its own, so that a run that ends its process ends nothing else. It is a new interpreter and
+no fork: a fork is not safe where threads run, and `multiprocessing` would import the user's script again. This module
+imports little, because a Dask worker imports it only to hand tasks on."""
 
 from __future__ import annotations
 
@@ -30,19 +28,12 @@ STOPPING = (SIGTERM, SIGINT, SIGHUP)
 
 @dataclass(frozen=True)
 class Death:
-    """The end of a worker in the middle of a task.
+    """The end of a worker in the middle of a task."""
 
-    Attributes:
-        run: Number of the run that it had begun; None if that is unknown.
-        how: Exit status or signal.
-        outside: Whether something else than the run may have ended it, as the system does for want of memory.
-        host: Name of its machine; empty if that is unknown.
-    """
-
-    run: int | None
-    how: str
-    outside: bool
-    host: str = ""
+    run: int | None  # that it had begun; None if that is unknown
+    how: str  # exit status or signal
+    outside: bool  # something else than the run may have ended it, as the system does for want of memory
+    host: str = ""  # name of its machine; empty if that is unknown
 
     @classmethod
     def of(cls, run: int | None, code: int) -> Death:
@@ -78,10 +69,8 @@ class ProcessDiedError(Exception):
 
 
 class CampaignWorker:
-    """A process that does tasks one after the other, in one thread, with one OpenGL context.
-
-    Nobody else holds the other end of its pipe, so that the pipe ends when the process does, whatever it was doing.
-    """
+    """A process that does tasks one after the other, in one thread, with one OpenGL context. Nobody else holds the
+    other end of its pipe, so that the pipe ends when the process does, whatever it was doing."""
 
     def __init__(self) -> None:
         """Start the process; tasks may be handed to it at once."""
@@ -98,11 +87,7 @@ class CampaignWorker:
         return self._process.pid
 
     def hand(self, task: Task) -> None:
-        """Hand it a task.
-
-        Raises:
-            ProcessDiedError: The process has ended.
-        """
+        """Hand it a task; ProcessDiedError if the process has ended."""
         self._busy, self._run = True, None
         try:
             self.pipe.send(task)
@@ -110,14 +95,9 @@ class CampaignWorker:
             raise self._died() from None
 
     def answer(self) -> TaskReport | None:
-        """Read one message from the pipe: the report on the task, or None if it is not done yet.
-
-        The process also says that it is ready, and which run it begins.
-
-        Raises:
-            ProcessDiedError: The process ended while it did the task.
-            ModsimError: It could not start, or the task cannot be done.
-        """
+        """Read one message from the pipe: the report on the task, or None if it is not done yet, since the process also
+        says that it is ready, and which run it begins. Raises ProcessDiedError if it ended while it did the task, and
+        ModsimError if it could not start or the task cannot be done."""
         try:
             message = self.pipe.recv()
         except (EOFError, OSError):
@@ -136,12 +116,7 @@ class CampaignWorker:
         return report
 
     def do(self, task: Task) -> TaskReport:
-        """Do a task, and wait for it.
-
-        Raises:
-            ProcessDiedError: The process ended while it did the task.
-            ModsimError: It could not start, or the task cannot be done.
-        """
+        """Do a task, and wait for it; errors are those of `answer`."""
         self.hand(task)
         while (report := self.answer()) is None:
             pass
@@ -174,11 +149,8 @@ class CampaignWorker:
             death = Death(self._run, "it closed the pipe", outside=False)
         if self._ready:
             return ProcessDiedError(death)
-        return ModsimError(f"a worker process could not start: {_said(code)}, see above")
-
-
-def _said(code: int) -> str:
-    return f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+        said = f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
+        return ModsimError(f"a worker process could not start: {said}, see above")
 
 
 # ---- Worker processes on this machine ----
@@ -188,14 +160,7 @@ class ProcessPool:
     """Does tasks in processes of their own, also if there is one only; one that dies is replaced."""
 
     def __init__(self, workers: WorkerCount) -> None:
-        """Start the processes.
-
-        Args:
-            workers: Number of processes, or `auto`.
-
-        Raises:
-            ModsimError: This is no number of workers.
-        """
+        """Start the processes, `auto` or a number of them; ModsimError if this is no number of workers."""
         self.width = worker_count(workers)
         self._waiting: deque[Task] = deque()
         self._busy: dict[Connection, tuple[CampaignWorker, Task]] = {}
@@ -207,11 +172,8 @@ class ProcessPool:
         self._hand_out()
 
     def next(self) -> tuple[Task, TaskReport | Death]:
-        """Wait for a task that was handed in, with its report, or how its process died.
-
-        Raises:
-            ModsimError: A process could not start, or a file cannot be written.
-        """
+        """Wait for a task that was handed in, with its report, or how its process died. Raises ModsimError if a process
+        could not start, or a file cannot be written."""
         while True:
             for pipe in wait(list(self._busy)):
                 assert isinstance(pipe, Connection)
@@ -261,11 +223,8 @@ class Engine(Protocol):
         """Hand in a task."""
 
     def next(self) -> tuple[Task, TaskReport | Death]:
-        """Wait for a task that was handed in, with its report, or how its worker died.
-
-        Raises:
-            ModsimError: The work cannot go on: a file cannot be written, or the cluster is gone.
-        """
+        """Wait for a task that was handed in, with its report, or how its worker died. Raises ModsimError if the work
+        cannot go on: a file cannot be written, or the cluster is gone."""
 
     def close(self) -> None:
         """End the workers."""

@@ -45,15 +45,8 @@ MAX_SWITCHES = 2
 
 
 def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None, name: str = "") -> Image:
-    """The true boxes and the tracks at a moment, in the camera with most mistakes.
-
-    Args:
-        made: The run, see `remade`.
-        moment_s: The moment, see `WorstRun`.
-        width_px: Width of the picture in pixels; even.
-        rules: By which tracks were scored; the usual ones if None.
-        name: What the tracker is called.
-    """
+    """True boxes and tracks of a run, see `remade`, at a moment, see `WorstRun`, in the camera with most mistakes. The
+    width is even; `rules` scored the tracks, the usual ones if None, and `name` is what the tracker is called."""
     from modsim3d.view.films.plan import FilmPlan, part_around
     from modsim3d.view.films.renderer import open_film_renderer
     from modsim3d.view.followed_tracks import FollowedTracks
@@ -89,12 +82,8 @@ def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | No
 
 
 def in_words(mistakes: Mistakes, names: Sequence[str]) -> str:
-    """The mistakes in a frame in words; a switch is said in full, since a picture does not show it.
-
-    Args:
-        mistakes: The mistakes.
-        names: Names of the scene's vessels.
-    """
+    """Mistakes in a frame in words, with the names of the scene's vessels; a switch is said in full, since a picture
+    does not show it."""
     lost, false = (int(np.count_nonzero(mistakes.kind == kind)) for kind in (LOST, FALSE))
     switches = np.flatnonzero(mistakes.kind == SWITCHED)
     found = (
@@ -131,12 +120,7 @@ def best_style() -> tuple[RenderStyle, bool]:
 
 
 def frame_of(rows: RunRows, number: int) -> Frame:
-    """A frame of a run in memory.
-
-    Args:
-        rows: The run.
-        number: Number of the frame, as in `RunRows`.
-    """
+    """A frame of a run in memory, by its number as in `RunRows`."""
     scene, (step, camera) = rows.scene, divmod(number, len(rows.scene.cameras))
     cameras, states = [each.name for each in scene.cameras], [state.name for state in scene.detector.states]
     at = rows.frames // len(cameras) == step
@@ -183,19 +167,9 @@ def film_moment(
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda frames: None,
 ) -> MomentFilm:
-    """Film ten seconds of a run with its tracks, in the camera with most mistakes, into `detections.mp4` of the run.
-
-    Args:
-        folder: The run directory.
-        tracks: Its tracks.
-        rules: By which they were scored.
-        moment_s: The moment in the middle, as the run's timestamps have it.
-        overwrite: Replace a film that is there.
-        progress: Called with the number of frames drawn since its last call.
-
-    Raises:
-        ModsimError: There is no ffmpeg, or the file cannot be written.
-    """
+    """Film ten seconds of a run with its tracks, around a moment as its timestamps have it, in the camera with most
+    mistakes, into `detections.mp4` of the run. `progress` is called with the number of frames drawn since its last
+    call. Raises ModsimError if there is no ffmpeg, or the file cannot be written."""
     from modsim3d.view.films.film import draw_film
     from modsim3d.view.films.plan import FilmPlan, crop_to_vessels, mistakes_in
     from modsim3d.view.followed_tracks import FollowedTracks

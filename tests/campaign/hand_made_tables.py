@@ -10,29 +10,19 @@ from modsim3d.campaign.work.row import crashed_row, table_of
 
 
 def plan_of(seeds, require, trackers=("bytetrack",), detector=1, **keys):
-    return Plan.of(
-        CampaignKeys.model_validate(
-            {
-                "scenes": ["harbour"],
-                "seeds": {"traffic": seeds, "detector": detector},
-                "trackers": list(trackers),
-                "require": require,
-                **keys,
-            }
-        )
-    )
+    counts = {"traffic": seeds, "detector": detector}
+    named = {"scenes": ["harbour"], "seeds": counts, "trackers": list(trackers), "require": require}
+    return Plan.of(CampaignKeys.model_validate({**named, **keys}))
+
+
+def table_of_runs(columns, crashed=()):
+    """A row for each run, whose columns are given; those of some numbers crashed."""
+    rows = ({"run": run, "status": "done", **each} for run, each in enumerate(columns))
+    return table_of(crashed_row(row["run"], "lost") if row["run"] in crashed else row for row in rows)
 
 
 def table_of_scores(plan, score, values, crashed=()):
-    """The rows of the first runs, whose values of one score are given; those of some numbers crashed."""
+    """The rows of the first runs, whose values of one score are given."""
+    kind = int if score == "id_switches" else float
     values = np.asarray(values, dtype=float).ravel()
-    return table_of(
-        crashed_row(number, "lost")
-        if number in crashed
-        else {"run": number, "status": "done", score: None if np.isnan(value) else _typed(score, value)}
-        for number, value in enumerate(values)
-    )
-
-
-def _typed(score, value):
-    return int(value) if score == "id_switches" else float(value)
+    return table_of_runs([{score: None if np.isnan(value) else kind(value)} for value in values], crashed)

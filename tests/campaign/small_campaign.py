@@ -13,12 +13,10 @@ from tests.campaign.campaigns import run_campaign_file
 def small_campaign(parent: Path) -> Path:
     """A folder `campaign` with it, made if it is not there."""
     folder = parent / "campaign"
-    if not folder.exists():
-        shutil.copytree(_made(), folder)
-    return folder
+    return folder if folder.exists() else shutil.copytree(_made(), folder)
 
 
 @lru_cache(maxsize=1)
 def _made() -> Path:
-    result = run_campaign_file(Path(tempfile.mkdtemp()), scene="harbour", steps=20, trackers=["reference"])
-    return result.folder.path
+    keys = {"scene": "harbour", "steps": 20, "trackers": ["reference"]}
+    return run_campaign_file(Path(tempfile.mkdtemp()), **keys).folder.path

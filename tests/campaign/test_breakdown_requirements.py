@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import warnings_of
-from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.layers import RunLayers
-from modsim3d.campaign.work.row import rules_of, table_of
-from modsim3d.campaign.workers import ThisProcess
-from modsim3d.core.errors import InputError
+from modsim3d.campaign.work.row import rules_of
 from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.scoring import scores_of
-from tests.campaign.campaigns import checked_campaign
-from tests.campaign.hand_made_tables import plan_of
+from tests.campaign.campaigns import campaign_file, checked_campaign, problems_of, run_campaign_file
+from tests.campaign.hand_made_tables import plan_of, table_of_runs
 from tests.cli.conftest import Modsim3d
 
 RECALL = {"score": "recall", "at_least": 0.8, "in": 0.5}
@@ -31,15 +25,13 @@ LONG = "occlusion.3 to 10"
 
 
 def rows_with(*columns: dict[str, Any]) -> Any:
-    return table_of({"run": run, "status": "done", "hota": 0.1, **each} for run, each in enumerate(columns))
+    return table_of_runs({"hota": 0.1, **each} for each in columns)
 
 
 def test_recall_is_judged_in_each_bin_that_is_named() -> None:
     require = [{**RECALL, "where": {"visible_fraction": ["0.5 to 0.75", "1", 1]}}]
-    rows = [
-        {f"{HALF}.recall": 0.5, f"{HALF}.vessel_frames": 9, "visible_fraction.1.recall": 0.9 + run / 100}
-        for run in range(5)
-    ]
+    good = ({"visible_fraction.1.recall": 0.9 + run / 100} for run in range(5))
+    rows = ({f"{HALF}.recall": 0.5, f"{HALF}.vessel_frames": 9, **each} for each in good)
     half, whole = judged(plan_of(5, require), rows_with(*rows))
     assert (half.outcome, whole.outcome) == ("failed", "met")
     assert half.text == "recall at least 0.8 in visible_fraction 0.5 to 0.75, in 50 % of traffic seeds"
@@ -52,8 +44,8 @@ def test_a_run_without_vessel_frames_in_the_bin_is_left_out_and_one_without_trac
     plan = plan_of(7, [{**RECALL, "where": {"visible_fraction": "0.5 to 0.75"}}])
     (verdict,) = judged(plan, rows_with(empty, missed, *[good] * 5))
     assert (verdict.seeds, verdict.undefined, verdict.nothing, verdict.estimate) == (6, 1, 0, 5 / 6)
-    said = "1 traffic seed without recall in visible_fraction 0.5 to 0.75 left out: 1000000. The truth has nothing"
-    assert said in verdict.why
+    left_out = "1 traffic seed without recall in visible_fraction 0.5 to 0.75 left out: 1000000. The truth has nothing"
+    assert left_out in verdict.why
 
 
 def test_a_share_of_the_bin_can_be_asked_for() -> None:
@@ -78,12 +70,13 @@ def test_survival_by_length_is_managed_by_the_tracker_as_survival_of_all_is() ->
     assert "mean over runs" in resting.why and "% of occlusions" in resting.why
 
 
-def test_a_camera_has_the_scores_of_a_state() -> None:
-    plan = plan_of(5, [{"score": "hota", "at_least": 0.4, "in": 0.5, "where": {"camera": ["bow", "stern"]}}])
-    rows = [{"camera.bow.hota": 0.5, "camera.stern.hota": 0.3, "camera.bow.vessel_frames": 3} for _ in range(5)]
-    bow, stern = judged(plan, rows_with(*rows))
-    assert (bow.outcome, stern.outcome) == ("met", "failed")
-    assert bow.text == "hota at least 0.4 in camera bow, in 50 % of traffic seeds"
+@pytest.mark.parametrize(("group", "good", "bad"), [("camera", "bow", "stern"), ("state", "clear", "haze")])
+def test_a_camera_and_a_state_within_the_runs_have_columns_of_their_own(group, good, bad) -> None:
+    plan = plan_of(5, [{"score": "hota", "at_least": 0.4, "in": 0.5, "where": {group: [good, bad]}}])
+    row = {f"{group}.{good}.hota": 0.5, f"{group}.{bad}.hota": 0.3, f"{group}.{good}.vessel_frames": 3}
+    met, failed = judged(plan, rows_with(*[row] * 5))
+    assert (met.outcome, failed.outcome, failed.values) == ("met", "failed", {group: bad})
+    assert met.text == f"hota at least 0.4 in {group} {good}, in 50 % of traffic seeds"
 
 
 @pytest.mark.parametrize(
@@ -103,51 +96,29 @@ def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs
 TWO_CAMERAS = {"scene": "simulation_3", "steps": 6, "trackers": ["reference"]}
 
 
-def campaign_of(folder: Path, *require: dict[str, Any], **keys: Any) -> CheckedCampaign:
-    return checked_campaign(folder, **{**TWO_CAMERAS, "require": list(require), **keys})
-
-
-@pytest.mark.parametrize(
-    ("requirement", "said"),
-    [
-        (
-            {**RECALL, "where": {"visible_fraction": "half"}},
-            "visible_fraction: there is no 'half' (known: 1, 0.75 to 1, 0.5 to 0.75, 0.25 to 0.5, below 0.25)",
-        ),
-        ({**RECALL, "where": {"range": 7}}, "range: there is no 7 (known: 0 to 100, 100 to 200, 200 to 400, 400 to"),
-        ({**RECALL, "score": "hota", "where": {"camera": "bow"}}, "camera: there is no 'bow' (known: "),
-        (
-            {**RECALL, "where": {"range": "0 to 100", "size": "0 to 16"}},
-            "where: range and size each divide the runs, and only one may: leave all but one out",
-        ),
-        (
-            RECALL,
-            "score: recall is known of parts of the runs only: `where` needs one of visible_fraction, occlusion",
-        ),
-        (
-            {**SURVIVED, "where": {"size": "0 to 16"}},
-            "score: occlusions_survived is not known by size (known: recall)",
-        ),
-        (
-            {**RECALL, "where": {"camera": "C1"}},
-            "score: recall is not known by camera (known: hota, deta, assa, mota, idf1)",
-        ),
-        ({**SURVIVED, "score": "hota"}, "hota is not known by occlusion (known: recall, occlusions_survived)"),
-    ],
-)
+@pytest.mark.parametrize(("requirement", "said"), [
+    ({**RECALL, "where": {"visible_fraction": "half"}},
+     "visible_fraction: there is no 'half' (known: 1, 0.75 to 1, 0.5 to 0.75, 0.25 to 0.5, below 0.25)"),
+    ({**RECALL, "where": {"range": 7}}, "range: there is no 7 (known: 0 to 100, 100 to 200, 200 to 400, 400 to"),
+    ({**RECALL, "score": "hota", "where": {"camera": "bow"}}, "camera: there is no 'bow' (known: "),
+    ({**RECALL, "where": {"range": "0 to 100", "size": "0 to 16"}},
+     "where: range and size each divide the runs, and only one may: leave all but one out"),
+    (RECALL, "score: recall is known of parts of the runs only: `where` needs one of visible_fraction, occlusion"),
+    ({**SURVIVED, "where": {"size": "0 to 16"}}, "score: occlusions_survived is not known by size (known: recall)"),
+    ({**RECALL, "where": {"camera": "C1"}}, "recall is not known by camera (known: hota, deta, assa, mota, idf1)"),
+    ({**SURVIVED, "score": "hota"}, "hota is not known by occlusion (known: recall, occlusions_survived)"),
+])  # fmt: skip
 def test_a_part_that_no_run_has_and_a_score_that_it_does_not_have_are_one_problem(requirement, said, tmp_path) -> None:
-    with pytest.raises(InputError) as refused:
-        campaign_of(tmp_path, requirement)
-    (problem,) = refused.value.problems
+    (problem,) = problems_of(tmp_path, **TWO_CAMERAS, require=[requirement])
     assert said in problem
 
 
 def test_the_only_camera_is_no_part(tmp_path) -> None:
-    with pytest.raises(InputError, match="the scene of condition 0 has no other camera: leave it out"):
-        requirement = {"score": "hota", "at_least": 0.4, "where": {"camera": "quay"}}
-        campaign_of(tmp_path, requirement, scene="harbour")
+    keys = {**TWO_CAMERAS, "scene": "harbour"}
+    (said,) = problems_of(tmp_path, **keys, require=[{"score": "hota", "at_least": 0.4, "where": {"camera": "quay"}}])
+    assert "the scene of condition 0 has no other camera: leave it out" in said
     whole = {**RECALL, "where": {"visible_fraction": 1}}  # the bin is called "1", and YAML reads a number
-    assert campaign_of(tmp_path, whole, scene="harbour").plan.keys.require[0].score == "recall"
+    assert checked_campaign(tmp_path, **keys, require=[whole]).plan.keys.require[0].score == "recall"
 
 
 @pytest.mark.usefixtures("in_this_process")
@@ -159,9 +130,8 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
         {"score": "recall", "at_least": 0.1, "where": {"range": ["100 to 200", "400 to 800"]}},
         {"score": "hota", "at_least": 0.1, "where": {"state": ["excellent", "terrible"]}},
     ]
-    keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"], "require": require}
-    file = tmp_path / "c.yaml"
-    file.write_text(yaml.safe_dump(keys), encoding="utf-8")
+    keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"]}
+    file = campaign_file(tmp_path, **keys, require=require)
     said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
     assert said.status in (1, 3), said.err
     _, _, means = said.out.partition("Means")
@@ -179,26 +149,24 @@ def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(
 
 def test_rows_of_a_campaign_have_the_bins_of_the_scores_and_are_judged_by_them(tmp_path) -> None:
     frames = {**RECALL, "at_least": 0.1, "in": 0.2, "where": {"range": [*BINS["range"]]}}
-    campaign = campaign_of(tmp_path, frames, {**SURVIVED, "resting_on": 0.5}, scene="fairway", steps=60)
-    plan, keys = campaign.plan, campaign.plan.keys
-    result = run_plan(campaign, tmp_path / "campaign", ThisProcess)
-    assert result is not None
+    require = [frames, {**SURVIVED, "resting_on": 0.5}]
+    result = run_campaign_file(tmp_path, scene="fairway", steps=60, trackers=["reference"], require=require)
+    plan, keys = result.folder.plan, result.folder.keys
     (row,) = result.table.to_pylist()
     with closing(RunLayers(keys, tmp_path, tmp_path / "layers")) as layers:
         made = layers.made(plan.run(0))
     scores = scores_of(Scored.of(made.rows, made.tracks, rules_of(keys.score)))
+    nothing = {"vessel_frames": 0, "recall": None, "occlusions": 0, "judged": 0, "survived": None, "to_survive": 0}
     for group in scores.breakdown:
         for name in BINS.get(group.name, ()):
-            found = next((each for each in group.rows if each.bin == name), None)
+            found = next((vars(each) for each in group.rows if each.bin == name), nothing)
             column = f"{group.name}.{name}"
-            assert row[f"{column}.vessel_frames"] == (found.vessel_frames if found else 0)
-            assert row[f"{column}.recall"] == (found.recall if found else None)
+            assert row[f"{column}.vessel_frames"] == found["vessel_frames"]
+            assert row[f"{column}.recall"] == found["recall"]
             if group.name == "occlusion":
-                counts = (0, 0, None, 0)
-                if found is not None:
-                    counts = (found.occlusions, found.judged, found.survived, found.to_survive)
-                names = ("occlusions", "occlusions_judged", "occlusions_survived", "occlusions_to_survive")
-                assert tuple(row[f"{column}.{each}"] for each in names) == counts
+                assert row[f"{column}.occlusions"] == found["occlusions"]
+                for each in ("judged", "survived", "to_survive"):
+                    assert row[f"{column}.occlusions_{each}"] == found[each]
     assert sum(row[f"range.{name}.vessel_frames"] for name in BINS["range"]) == row["true_positives"] + row["misses"]
     assert sum(row[f"occlusion.{name}.occlusions"] for name in BINS["occlusion"]) == row["occlusions"]
     seen = [bool(row[f"range.{name}.vessel_frames"]) for name in BINS["range"]]

@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,39 +21,29 @@ from scipy import stats
 
 import modsim3d as package
 from modsim3d.campaign.folder import opened_campaign
-from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.report.campaign_page import crash_sections
-from modsim3d.campaign.running import Progress, run_plan
+from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.cli.campaign_run import exit_status
 from modsim3d.cli.terminal_tables import print_blocks
 from modsim3d.core.errors import ModsimError, OutputError
 from modsim3d.io.overwrite_guard import locked_folder
-from tests.campaign.campaigns import checked_campaign
+from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, no_engine, run_campaign_file
 from tests.cli.conftest import Modsim3d
 from tests.cli.test_json import documented
 
-TEXT = """\
-scene: harbour
-steps: 20
-seeds: {traffic: 3}
-vary:
-  - grid: {state: [excellent, bad]}
-trackers: [sort, reference]
-require:
-  - {score: hota, at_least: 0.01}
-"""
+SMALL: dict[str, Any] = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 3}}
+KEYS = {
+    **SMALL, "vary": [{"grid": {"state": ["excellent", "bad"]}}], "trackers": ["sort", "reference"],
+    "require": [{"score": "hota", "at_least": 0.01}],
+}  # fmt: skip
 RUNS = 12
-HOTA_COLUMNS = ("hota", "hota_low", "hota_high", "hota_seeds")
 
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("file") / "tiny.yaml"
-    path.write_text(TEXT)
-    return path
+    return campaign_file(tmp_path_factory.mktemp("file"), "tiny.yaml", **KEYS)
 
 
 @pytest.fixture(scope="module")
@@ -65,16 +57,12 @@ def finished(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def begun(file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign that was interrupted after its first task; tests leave it as it is."""
-
-    def stop(progress: Progress) -> None:
-        raise KeyboardInterrupt
-
-    folder = tmp_path_factory.mktemp("begun") / "tiny"
+    folder = tmp_path_factory.mktemp("begun")
     with pytest.raises(KeyboardInterrupt):
-        run_plan(checked(read_campaign(file)), folder, ThisProcess, progress=stop)
-    return folder
+        run_plan(checked_campaign(folder, **KEYS), folder / "tiny", ThisProcess, progress=interrupt)
+    return folder / "tiny"
 
 
 def test_a_campaign_is_introduced_run_and_judged(modsim3d: Modsim3d, file: Path, finished: Path) -> None:
@@ -91,57 +79,37 @@ def test_a_campaign_is_introduced_run_and_judged(modsim3d: Modsim3d, file: Path,
 def test_an_interrupted_campaign_says_how_to_go_on(
     modsim3d: Modsim3d, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("modsim3d.campaign.running.run_plan", interrupted)
+    monkeypatch.setattr("modsim3d.campaign.running.run_plan", interrupt)
     said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
-    assert said.status == 130
-    assert f"runs that are done are kept in {tmp_path / 'out'}: the same command goes on" in said.err
+    kept = f"runs that are done are kept in {tmp_path / 'out'}: the same command goes on"
+    assert said.status == 130 and kept in said.err
 
 
 @pytest.mark.parametrize(
-    ("library", "extra", "options"),
-    [
-        ("trackeval", "trackers", ()),
-        ("distributed", "cluster", ("--cluster", "tcp://127.0.0.1:9")),
-        ("dask_jobqueue", "cluster", ("--cluster", "slurm:2")),
-    ],
+    ("library", "cluster"), [("trackeval", None), ("distributed", "tcp://127.0.0.1:9"), ("dask_jobqueue", "slurm:2")]
 )
 def test_a_library_that_is_missing_is_told_before_the_scenes_are_read(
-    modsim3d: Modsim3d,
-    file: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    library: str,
-    extra: str,
-    options: tuple[object, ...],
+    modsim3d: Modsim3d, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: str, cluster: str | None
 ) -> None:
     def version(name: str) -> str:
         if name == library:
             raise PackageNotFoundError(name)
         return "1.0"
 
-    def no_scene(*_: object) -> None:
-        raise AssertionError("a scene was read")
-
     monkeypatch.setattr("modsim3d.campaign.work.scenes.version", version)
     monkeypatch.setattr("modsim3d.campaign.dask.find_spec", lambda name: None if name == library else name)
-    monkeypatch.setattr("modsim3d.campaign.work.scenes.load_scene", no_scene)
+    monkeypatch.setattr("modsim3d.campaign.work.scenes.load_scene", no_engine)
+    options = () if cluster is None else ("--cluster", cluster)
     said = modsim3d("campaign", "run", file, "--out", tmp_path / "out", *options)
     assert said.status == 2 and said.err.count("\n") == 1
-    assert f'pip install "modsim3d[{extra}]"' in said.err
+    assert f'pip install "modsim3d[{"trackers" if cluster is None else "cluster"}]"' in said.err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_with_another_plan_is_refused_with_what_differs(
-    modsim3d: Modsim3d, finished: Path, tmp_path: Path
-) -> None:
-    other = tmp_path / "other.yaml"
-    other.write_text(TEXT.replace("traffic: 3", "traffic: 4"))
+def test_a_folder_with_another_plan_is_refused_with_the_key(modsim3d: Modsim3d, finished: Path, tmp_path: Path) -> None:
+    other = campaign_file(tmp_path, "other.yaml", **{**KEYS, "seeds": {"traffic": 4}})
     said = modsim3d("campaign", "run", other, "--out", finished)
-    assert said.status == 2
-    assert "holds a campaign with another plan: seeds.traffic is 3 there and 4 now" in said.err
+    assert said.status == 2 and "another plan: seeds.traffic is 3 there and 4 now" in said.err
 
 
 def test_a_part_is_made_and_the_whole_gathered(
@@ -163,9 +131,7 @@ def test_layers_are_not_kept_among_the_rows_of_the_campaign(modsim3d: Modsim3d, 
     assert not out.exists()
 
 
-def test_results_without_a_file_are_told_as_damaged(
-    modsim3d: Modsim3d, file: Path, begun: Path, tmp_path: Path
-) -> None:
+def test_results_without_a_file_are_damaged(modsim3d: Modsim3d, file: Path, begun: Path, tmp_path: Path) -> None:
     out = shutil.copytree(begun, tmp_path / "out")
     (out / "results").mkdir()
     for line in (("campaign", "run", file, "--out", out), ("campaign", "status", out), ("campaign", "table", out)):
@@ -190,8 +156,7 @@ def test_commands_that_are_printed_can_be_pasted(
 @pytest.mark.parametrize("wrong", ["0/3", "4/3", "3", "1/0", "a/b", "1/200000"])
 def test_a_wrong_part_is_one_line(modsim3d: Modsim3d, file: Path, wrong: str) -> None:
     said = modsim3d("campaign", "run", file, "--shard", wrong)
-    assert said.status == 2
-    assert said.err.startswith("modsim3d: --shard: needs K/N") and said.err.count("\n") == 1
+    assert (said.status, said.err.count("\n")) == (2, 1) and said.err.startswith("modsim3d: --shard: needs K/N")
 
 
 def test_exit_status() -> None:
@@ -205,16 +170,13 @@ def test_exit_status() -> None:
 def test_json_has_the_documented_keys(modsim3d: Modsim3d, file: Path, finished: Path, command: str) -> None:
     line = ("campaign", command, *((file, "--out", finished) if command == "run" else (finished,)))
     found = json.loads(modsim3d(*line, "--json").out)
-    assert set(found) == documented(f"campaign {command}")
-    assert found["finished"] is True
+    assert set(found) == documented(f"campaign {command}") and found["finished"] is True
 
 
 def test_status_of_a_campaign_that_is_not_finished(modsim3d: Modsim3d, begun: Path) -> None:
     said = modsim3d("campaign", "status", begun)
-    assert said.status == 0
-    assert f"of {RUNS} runs are done, 0 of them crashed" in said.out
-    assert "nobody holds its folder" in said.out
-    assert "requirements so far" in said.out and "so far" in said.out
+    assert said.status == 0 and f"of {RUNS} runs are done, 0 of them crashed" in said.out
+    assert "nobody holds its folder" in said.out and "requirements so far" in said.out
     assert not any(f" {outcome}" in said.out for outcome in ("met,", "failed,"))
     found = json.loads(modsim3d("campaign", "status", begun, "--json").out)
     assert 0 < found["done"] < RUNS and not found["finished"] and found["left_s"] is None
@@ -251,36 +213,29 @@ def test_tables_are_written_as_csv_and_parquet(modsim3d: Modsim3d, finished: Pat
     line = ("campaign", "table", finished, "--by", "state", "--score", "hota")
     assert modsim3d(*line, "--out", means).status == 0
     table = pyarrow.csv.read_csv(means)
-    assert table.column_names == ["state", "tracker", "runs", "crashed", *HOTA_COLUMNS]
-    assert len(table) == 4
+    columns = ["state", "tracker", "runs", "crashed", "hota", "hota_low", "hota_high", "hota_seeds"]
+    assert table.column_names == columns and len(table) == 4
     assert modsim3d("campaign", "table", finished, "--runs", "--out", runs).status == 0
     assert pq.read_table(runs).equals(package.open_campaign(finished).table)
     assert modsim3d(*line, "--out", means).status == 2
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
-        (("--by", "stat"), "--by stat: is not varied in this campaign (did you mean 'state'?)"),
-        (("--score", "hotta"), "--score hotta: there is no such score in this campaign (did you mean 'hota'?)"),
-        (("--score", "tracker"), "--score tracker: there is no such score"),
-        (("--runs",), "--runs writes a file: name it with --out"),
-        (("--out", "means.txt"), "the name must end in .csv or .parquet"),
-    ],
-)
-def test_wrong_options_of_a_table_are_one_line(
-    modsim3d: Modsim3d, finished: Path, options: tuple[str, ...], part: str
-) -> None:
+@pytest.mark.parametrize(("options", "part"), [
+    (("--by", "stat"), "--by stat: is not varied in this campaign (did you mean 'state'?)"),
+    (("--score", "hotta"), "--score hotta: there is no such score in this campaign (did you mean 'hota'?)"),
+    (("--score", "tracker"), "--score tracker: there is no such score"),
+    (("--runs",), "--runs writes a file: name it with --out"),
+    (("--out", "means.txt"), "the name must end in .csv or .parquet"),
+])  # fmt: skip
+def test_a_table_refuses_wrong_options(modsim3d: Modsim3d, finished: Path, options: Sequence[str], part: str) -> None:
     said = modsim3d("campaign", "table", finished, *options)
-    assert (said.status, said.out) == (2, "")
-    assert part in said.err and said.err.count("\n") == 1
+    assert (said.status, said.out, said.err.count("\n")) == (2, "", 1) and part in said.err
 
 
-@pytest.mark.parametrize("command", ["status", "table"])
-def test_a_folder_that_is_no_campaign_is_one_line(modsim3d: Modsim3d, tmp_path: Path, command: str) -> None:
-    said = modsim3d("campaign", command, tmp_path)
-    assert said.status == 2
-    assert "is no folder of a campaign" in said.err and said.err.count("\n") == 1
+def test_a_folder_that_is_no_campaign_is_one_line(modsim3d: Modsim3d, tmp_path: Path) -> None:
+    for command in ("status", "table"):
+        said = modsim3d("campaign", command, tmp_path)
+        assert (said.status, said.err.count("\n")) == (2, 1) and "is no folder of a campaign" in said.err
 
 
 def test_a_campaign_shows_itself(finished: Path, begun: Path) -> None:
@@ -292,8 +247,7 @@ def test_a_campaign_shows_itself(finished: Path, begun: Path) -> None:
 
 
 def test_python_refuses_what_the_command_refuses(file: Path, finished: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other.yaml"
-    other.write_text(TEXT.replace("steps: 20", "steps: 21"))
+    other = campaign_file(tmp_path, "other.yaml", **{**KEYS, "steps": 21})
     with pytest.raises(OutputError, match="steps is 20 there and 21 now"):
         package.run_campaign(other, finished)
     with pytest.raises(ModsimError, match="workers"):
@@ -303,32 +257,28 @@ def test_python_refuses_what_the_command_refuses(file: Path, finished: Path, tmp
     assert not (tmp_path / "out").exists()
 
 
-NEEDY = """\
-scene: harbour
-steps: 20
-seeds: {traffic: 3}
-trackers: [sort, {tracker: sort, name: late, set: {minimum_consecutive_frames: 19}}]
-require:
-  - {score: hota, at_least: 0.01}
-  - {score: assa, at_least: 0.01, resting_on: 0.01}
-  - {score: rmse_px, at_most: 500}
-  - {score: false_positives, at_most: 1000}
-"""
+NEEDY = {
+    **SMALL,
+    "trackers": ["sort", {"tracker": "sort", "name": "late", "set": {"minimum_consecutive_frames": 19}}],
+    "require": [
+        {"score": "hota", "at_least": 0.01}, {"score": "assa", "at_least": 0.01, "resting_on": 0.01},
+        {"score": "rmse_px", "at_most": 500}, {"score": "false_positives", "at_most": 1000},
+    ],
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def needy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign in which one tracker reports nothing at all."""
-    file = tmp_path_factory.mktemp("needy") / "needy.yaml"
-    file.write_text(NEEDY)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("modsim3d.campaign.campaign.engine_of", lambda *_: ThisProcess)
-        package.run_campaign(file, file.parent / "out")
-    return file
+    """The folder of a campaign in which one tracker reports nothing at all; its file is beside it."""
+    return run_campaign_file(tmp_path_factory.mktemp("needy"), "needy.yaml", **NEEDY).folder.path
+
+
+def verdicts_in(folder: Path) -> list[dict[str, Any]]:
+    return list(json.loads((folder / "verdicts.json").read_text())["verdicts"])
 
 
 def test_a_tracker_that_reports_nothing_meets_nothing_that_it_is_scored_on(needy: Path) -> None:
-    content = json.loads((needy.parent / "out" / "verdicts.json").read_text())["verdicts"]
+    content = verdicts_in(needy)
     found = {(each["text"].split()[0], each["tracker"]): each for each in content}
     outcomes = {key: each["outcome"] for key, each in found.items()}
     assert [outcomes[score, "sort"] for score in ("hota", "assa", "rmse_px")] == ["met", "undecided", "undecided"]
@@ -338,13 +288,10 @@ def test_a_tracker_that_reports_nothing_meets_nothing_that_it_is_scored_on(needy
     assert found["false_positives", "sort"]["met_without_tracks"] and not found["hota", "sort"]["met_without_tracks"]
 
 
-def test_the_terminal_says_what_a_verdict_leaves_out_and_a_mean_has_one_interval(
-    modsim3d: Modsim3d, needy: Path
-) -> None:
-    said = modsim3d("campaign", "run", needy, "--out", needy.parent / "out")
-    assert said.status == 1
+def test_the_terminal_says_what_is_left_out_and_a_mean_has_one_interval(modsim3d: Modsim3d, needy: Path) -> None:
+    said = modsim3d("campaign", "run", needy.with_suffix(".yaml"), "--out", needy)
     text = " ".join(said.out.split())
-    assert "sort, ? undecided: Over 3 traffic seeds" in text
+    assert said.status == 1 and "sort, ? undecided: Over 3 traffic seeds" in text
     assert "No tracks at all would meet it too" in text
     failed = text.partition("2. assa at least 0.01 resting on 1 %: ✗ failed")[2]
     assert "late, ✗ failed: Over 3 traffic seeds no run has assa. In 3 runs the tracker" in failed
@@ -353,11 +300,9 @@ def test_the_terminal_says_what_a_verdict_leaves_out_and_a_mean_has_one_interval
     (line,) = [line for line in means.splitlines() if line.startswith("sort")]
     with_interval = dict(zip(("hota", "assa", "rmse_px", "false_positives"), line.split()[2:], strict=False))
     assert not any(cell.startswith("[") for cell in with_interval.values())
-    assert "can never be met by this plan: rmse_px is a mean over what the tracker manages" in " ".join(
-        said.err.split()
-    )
-    verdict = json.loads((needy.parent / "out" / "verdicts.json").read_text())["verdicts"][0]
-    assert said.out.count(f"{verdict['estimate']:.3f}") >= 2  # with the verdict, and among the means
+    never = "can never be met by this plan: rmse_px is a mean over what the tracker manages"
+    assert never in " ".join(said.err.split())
+    assert said.out.count(f"{verdicts_in(needy)[0]['estimate']:.3f}") >= 2  # with the verdict, and among the means
 
 
 def test_the_page_has_one_interval_of_a_mean_with_its_level(
@@ -365,7 +310,7 @@ def test_the_page_has_one_interval_of_a_mean_with_its_level(
 ) -> None:
     monkeypatch.setattr("modsim3d.campaign.report.campaign_page.WORST", 1)  # drawing them is most of the time
     page = tmp_path / "page.html"
-    assert modsim3d("campaign", "report", needy.parent / "out", "--out", page).status == 0
+    assert modsim3d("campaign", "report", needy, "--out", page).status == 0
     text = page.read_text(encoding="utf-8")
     assert "mean [interval, each end 95 %]" in text and "those of the requirements, above" in text
     assert "runs with nothing to score" in text and "No tracks at all would meet it too" in text

@@ -26,9 +26,8 @@ def test_a_million_runs_are_worked_out_from_a_run_and_a_task() -> None:
     assert found.tasks == 50_000  # of twenty runs
     assert found.tasks_per_s == pytest.approx(1000 / 30)
     assert found.grown("peak_bytes") == pytest.approx(7e8 + 9e5 * 4e8 / 8e4)
-    assert found.limits == pytest.approx(
-        {"the command that hands the tasks out": 30 / 0.010, "the Dask scheduler": 30 / 0.001}
-    )
+    limits = {"the command that hands the tasks out": 30 / 0.010, "the Dask scheduler": 30 / 0.001}
+    assert found.limits == pytest.approx(limits)
 
 
 def test_what_is_not_held_is_said() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +22,13 @@ from modsim3d.scene.scene import Scene
 from tests.scenes import crossing, write_scene
 
 ANALYTIC = {"annotation": {"mode": 2, "source": "analytic"}}
-ON_BOARD = {
-    "bow": {
-        "focal_length_m": 0.01,
-        "pixel_size_m": [1e-5, 1e-5],
-        "principal_point_px": [400, 300],
-        "image_size_px": [800, 600],
-        "mount": {"vessel": "own", "position_m": [4, 0, 6]},
-    }
-}
+LENS = {"focal_length_m": 0.01, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [400, 300]}
+ON_BOARD = {"bow": {**LENS, "image_size_px": [800, 600], "mount": {"vessel": "own", "position_m": [4, 0, 6]}}}
 BOAT = [10, 4, 3]
 
 
 def rows_in_memory(scene: Scene, blocks: Blocks) -> RunRows:
-    return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer.of_blocks(blocks, scene)))
+    return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer(scene, made=blocks)))
 
 
 def rows_of(path: Path, **settings: Any) -> RunRows:
@@ -76,10 +70,8 @@ def test_drawn_traffic_meets_own_ship_as_it_was_asked_to() -> None:
     of_asked = {"overtaking": "met.own_overtaken", "overtaken": "met.own_overtakes"}
     asked = {of_asked.get(c.asked.kind, f"met.{c.asked.kind}") for c in scene.poses.craft if c.asked is not None}
     nothing = rows_in_memory(scene, [(truth_block(scene, 0, 1, None), 0, 1)])
-    rows = RunRows(**{**vars(nothing), "steps": scene.steps})
-    found = coverage_of(rows)
-    assert len(asked) >= 4
-    assert all(found[name] >= 1 for name in asked)
+    found = coverage_of(RunRows(**{**vars(nothing), "steps": scene.steps}))
+    assert len(asked) >= 4 and all(found[name] >= 1 for name in asked)
 
 
 def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Path) -> None:
@@ -97,21 +89,16 @@ def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Pa
     for bins, values, name in ((RANGES, ranges_m, "range_m"), (SIZES, sizes_px, "size_px")):
         counts = np.histogram(values, [0, *bins.edges, np.inf])[0]
         assert [found[each] for each in bins.names] == counts.tolist()
-        assert (found[f"covered.least_{name}"], found[f"covered.most_{name}"]) == pytest.approx(
-            (min(values), max(values))
-        )
-    at_once = max(np.bincount(rows.truth_frame[visible]))
-    assert found["covered.vessels_at_once"] == at_once
+        ends = found[f"covered.least_{name}"], found[f"covered.most_{name}"]
+        assert ends == pytest.approx((min(values), max(values)))
+    assert found["covered.vessels_at_once"] == max(np.bincount(rows.truth_frame[visible]))
     assert found["covered.vessels.Vessel"] == len(set(rows.truth_vessel[visible].tolist()))
 
 
 def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidden_rows(tmp_path: Path) -> None:
     keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
-    layers = RunLayers(keys, tmp_path, tmp_path / "cache")
-    try:
+    with closing(RunLayers(keys, tmp_path, tmp_path / "cache")) as layers:
         made = layers.made(Plan.of(keys).run(0))
-    finally:
-        layers.close()
     row = row_of(0, made, rules_of(keys.score))
     lengths = {name: row[name] for name in OCCLUSIONS.names}
     assert sum(lengths.values()) == row["occlusions"] >= 2
@@ -124,8 +111,7 @@ def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidde
 def test_cameras_ashore_meet_nobody_and_say_so_by_no_column(tmp_path: Path) -> None:
     found = coverage_of(rows_of(crossing(tmp_path), **{"annotation.source": "analytic"}))
     assert not [name for name in found if name.startswith("met.") or name == "covered.closest_approach_m"]
-    assert found["covered.wave_height_m"] == 0
-    assert found["covered.camera_roll_rad"] == 0
+    assert found["covered.wave_height_m"] == found["covered.camera_roll_rad"] == 0
 
 
 def test_waves_have_their_significant_height_and_roll_the_camera(own_ship: Path) -> None:

@@ -17,12 +17,9 @@ from tests.campaign.campaigns import html_of_blocks, run_campaign_file
 
 RATE = "detector.states.excellent.false_discovery_rate"
 KEYS: dict[str, Any] = {
-    "scene": "harbour",
-    "steps": 20,
-    "seeds": {"traffic": 3},
-    "vary": [{"uniform": {RATE: [0.02, 0.3]}}],
+    "scene": "harbour", "steps": 20, "seeds": {"traffic": 3}, "vary": [{"uniform": {RATE: [0.02, 0.3]}}],
     "trackers": ["sort", {"tracker": "sort", "name": "patient", "set": {"lost_s": 9}}],
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +29,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
 
 def lines_of(page: str) -> dict[str, list[str]]:
     """The cells of each row of tables, by the first one."""
-    rows = re.findall(r"<tr>(<td.*?)</tr>", page)
-    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in rows]
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(<td.*?)</tr>", page)]
     return {each[0]: each[1:] for each in cells}
 
 
@@ -45,13 +41,11 @@ def test_all_detectors_and_trackers_over_a_truth_cover_the_same(result: Campaign
 
 
 def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignResult) -> None:
-    table = result.table
-    page = html_of_blocks(coverage_sections(result.folder, table))
+    table, page = result.table, html_of_blocks(coverage_sections(result.folder, result.table))
     lines = lines_of(page)
     assert "6 of 6 runs are done, over 1 different truth and 1 traffic seed." in page
     assert "The traffic of harbour is not drawn: it is the same for every seed, and counts as one." in page
-    frames = table["covered.frames.range_200_500_m"][0].as_py()
-    assert frames > 0
+    assert (frames := table["covered.frames.range_200_500_m"][0].as_py()) > 0
     assert lines["200 to 500 m"] == [f"{frames:,}", "6", "1"]
     assert lines["Vessel"] == [f"{table['covered.vessels.Vessel'][0].as_py()}", "6", "1"]
     assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
@@ -66,33 +60,30 @@ def test_what_is_empty_is_listed_as_not_covered_and_settings_of_both_trackers_ar
     assert "there is no own ship that could meet another" in page
     assert re.search(rf"<li>{RATE}: no draw from ", page)
     assert "no claim is made about it" in page
-    assert "lost_s 9" in lines["patient"][2]
-    assert "lost_s 9" not in lines["sort"][2]
+    assert "lost_s 9" in lines["patient"][2] and "lost_s 9" not in lines["sort"][2]
     assert lines["sort"][-1] == "all"
 
 
 def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
-    table = result.table
-    status = pa.array(["crashed", *table["status"].to_pylist()[1:]])
-    table = table.set_column(table.column_names.index("status"), "status", status)
-    page = html_of_blocks(coverage_sections(result.folder, table))
-    assert "5 of 6 runs are done" in page and "1 more crashed" in page
-    assert lines_of(page)["200 to 500 m"][1] == "5"
-    none = table.set_column(table.column_names.index("status"), "status", pa.array(["crashed"] * 6))
-    assert "0 of 6 runs are done" in html_of_blocks(coverage_sections(result.folder, none))
+    def page(*status: str) -> str:
+        table = result.table.set_column(result.table.column_names.index("status"), "status", pa.array(status))
+        return html_of_blocks(coverage_sections(result.folder, table))
+
+    one = page("crashed", *["done"] * 5)
+    assert "5 of 6 runs are done" in one and "1 more crashed" in one
+    assert lines_of(one)["200 to 500 m"][1] == "5"
+    assert "0 of 6 runs are done" in page(*["crashed"] * 6)
 
 
 def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: CampaignResult) -> None:
     verdict = Verdict(0, "hota < 1 & more", "patient", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3)
     page = html_of_blocks(trace_sections(result.folder, result.table, [verdict]))
-    facts = result.folder.facts
+    facts, (condition,) = result.folder.facts, result.folder.facts["conditions"]
     (line,) = (cells for name, cells in lines_of(page).items() if name.startswith("1. "))
     assert line == ["patient", "0", "met", "1, 3, 5 (3 of them)", "1000000–1000002 (3 of them)", "3"]
-    assert "1. hota &lt; 1 &amp; more" in page
-    assert facts["sha256"] in page
-    assert facts["conditions"][0]["truth_sha256"][:16] in page
-    assert facts["conditions"][0]["detector_sha256"][:16] in page
-    versions = {**facts["versions"], **facts["conditions"][0]["trackers"]["sort"]["versions"]}
+    assert "1. hota &lt; 1 &amp; more" in page and facts["sha256"] in page
+    assert condition["truth_sha256"][:16] in page and condition["detector_sha256"][:16] in page
+    versions = {**facts["versions"], **condition["trackers"]["sort"]["versions"]}
     assert "trackers" in versions
     assert all(lines_of(page)[name] == [version] for name, version in versions.items())
     assert f"modsim3d campaign reproduce {result.folder.path} 0 --out run_0" in page

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +19,8 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign
 
-TWO_LABELS: dict[str, Any] = {
-    "states": {
-        "a": {"confusion": [[0.6, 0.1], [0.2, 0.5], [0.2, 0.4]]},
-        "b": {"confusion": [[1, 0], [0, 1], [0, 0]]},
-    }
-}
+CONFUSIONS = {"a": [[0.6, 0.1], [0.2, 0.5], [0.2, 0.4]], "b": [[1, 0], [0, 1], [0, 0]]}
+TWO_LABELS = {"states": {name: {"confusion": confusion} for name, confusion in CONFUSIONS.items()}}
 
 
 @pytest.mark.parametrize("rate", [0, 0.35, 0.99])
@@ -39,39 +34,31 @@ def test_every_label_is_missed_at_the_rate_and_the_other_rows_keep_their_proport
 
 
 def test_the_rate_of_a_state_is_set_after_that_of_all_and_after_the_matrix() -> None:
-    settings = {
-        "detector.states.good.miss_rate": 0.3,
-        "detector.miss_rate": 0.1,
-        "detector.states.bad.confusion": [[0.2], [0.8]],
-    }
-    scene = load_scene("harbour", steps=5, settings=settings)
+    rates = {"detector.states.good.miss_rate": 0.3, "detector.miss_rate": 0.1}
+    scene = load_scene("harbour", steps=5, settings={**rates, "detector.states.bad.confusion": [[0.2], [0.8]]})
     missed = {state.name: float(state.confusion[-1, 0]) for state in scene.detector.states}
     assert missed == pytest.approx({"excellent": 0.1, "good": 0.3, "bad": 0.1, "terrible": 0.1})
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        ({"detector.miss_rate": 1}, "a miss rate is a number from 0 to below 1 (got 1)"),
-        ({"detector.miss_rate": "much"}, "a miss rate is a number from 0 to below 1"),
-        ({"detector.states.god.miss_rate": 0.1}, "the detector has no state 'god' (did you mean 'good'?)"),
-        ({"detector.states.good.confusion": [[0], [1]], "detector.miss_rate": 0.1}, "states.good: column 0"),
-        ({"detector.states.miss_rate": 0.1}, "detector.states.miss_rate"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "said"), [
+    ({"detector.miss_rate": 1}, "a miss rate is a number from 0 to below 1 (got 1)"),
+    ({"detector.miss_rate": "much"}, "a miss rate is a number from 0 to below 1"),
+    ({"detector.states.god.miss_rate": 0.1}, "the detector has no state 'god' (did you mean 'good'?)"),
+    ({"detector.states.good.confusion": [[0], [1]], "detector.miss_rate": 0.1}, "states.good: column 0"),
+    ({"detector.states.miss_rate": 0.1}, "detector.states.miss_rate"),
+])  # fmt: skip
 def test_what_is_no_miss_rate_is_refused(settings: dict[str, Any], said: str) -> None:
-    for load in (partial(load_scene, "harbour"), partial(choose_detector, "thesis")):
+    for load, name in ((load_scene, "harbour"), (choose_detector, "thesis")):
         with pytest.raises(InputError) as error:
-            load(settings=settings)
+            load(name, settings=settings)
         assert said in str(error.value) and "--set detector." in str(error.value)
 
 
 def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path) -> None:
     """Within an exact interval of 99.9 %; every performance state has the rate, and nothing else makes a miss."""
     rates = [0.1, 0.4]
-    campaign = checked_campaign(
-        tmp_path, scene="harbour", steps=80, vary=[{"grid": {"detector.miss_rate": rates}}], trackers=["reference"]
-    )
+    vary = [{"grid": {"detector.miss_rate": rates}}]
+    campaign = checked_campaign(tmp_path, scene="harbour", steps=80, vary=vary, trackers=["reference"])
     with closing(RunLayers(campaign.file.keys, tmp_path, tmp_path / "cache")) as layers:
         for number, rate in enumerate(rates):
             truth = layers.made(campaign.plan.run(number)).rows.truth
@@ -83,6 +70,5 @@ def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path)
 
 def test_a_miss_rate_is_a_key_of_every_command(tmp_path: Path) -> None:
     run_scene(load_scene("harbour", steps=2, settings={"detector.miss_rate": 0.25}), tmp_path / "run")
-    assert [state.confusion[-1, 0] for state in load_detector(tmp_path / "run/scene/detector.yaml").states] == [
-        0.25
-    ] * 4
+    states = load_detector(tmp_path / "run/scene/detector.yaml").states
+    assert [state.confusion[-1, 0] for state in states] == [0.25] * 4

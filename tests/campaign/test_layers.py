@@ -12,32 +12,21 @@ from typing import Any
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.keys import read_campaign
-from modsim3d.campaign.running import CampaignResult, run_plan
+from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.work import layers
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.layers import StoredLayers
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import OutputError
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.record import Truth
+from tests.campaign.campaigns import count_calls, run_campaign_file
 
-CAMPAIGN = """
-scene: harbour
-steps: 15
-seeds: {{traffic: 1, detector: 2}}
-trackers: [{trackers}]
-keep: [{keep}]
-"""
-ALL = "truth, detections, tracks"
+Made = Counter[str]
+ALL = "truth detections tracks"
 
 
 def run(folder: Path, name: str, trackers: str, keep: str = "", cache: Path | None = None) -> CampaignResult:
-    file = folder / f"{name}.yaml"
-    file.write_text(CAMPAIGN.format(trackers=trackers, keep=keep))
-    result = run_plan(checked(read_campaign(file)), folder / name, ThisProcess, cache=cache)
-    assert result is not None
-    return result
+    keys = {"scene": "harbour", "steps": 15, "seeds": {"traffic": 1, "detector": 2}}
+    return run_campaign_file(folder, f"{name}.yaml", cache, **keys, trackers=trackers.split(), keep=keep.split())
 
 
 def bytes_of(result: CampaignResult) -> list[bytes]:
@@ -47,7 +36,7 @@ def bytes_of(result: CampaignResult) -> list[bytes]:
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
     """A campaign that has kept all layers."""
-    return run(tmp_path_factory.mktemp("layers"), "kept", "reference, sort", ALL)
+    return run(tmp_path_factory.mktemp("layers"), "kept", "reference sort", ALL)
 
 
 @pytest.fixture
@@ -57,37 +46,26 @@ def cache(kept: CampaignResult, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+def made(monkeypatch: pytest.MonkeyPatch) -> Made:
     """How often each layer is made."""
-    counted: Counter[str] = Counter()
-    for layer, name in (("truth", "truth_block"), ("detections", "detected"), ("tracks", "tracked")):
-        make = getattr(layers, name)
-
-        def counting(*arguments: object, layer: str = layer, make: object = make) -> object:
-            counted[layer] += 1
-            return make(*arguments)  # type: ignore[operator]
-
-        monkeypatch.setattr(layers, name, counting)
-    return counted
+    names = {"truth_block": "truth", "detected": "detections", "tracked": "tracks"}
+    return count_calls(monkeypatch, layers, names)
 
 
-def test_a_second_campaign_with_another_tracker_makes_no_truth_and_no_detections(
-    kept: CampaignResult, cache: Path, made: Counter[str], tmp_path: Path
-) -> None:
-    with_cache = run(tmp_path, "with", "ocsort, sort", cache=cache)
+def test_a_second_campaign_makes_tracks_only(kept: CampaignResult, cache: Path, made: Made, tmp_path: Path) -> None:
+    with_cache = run(tmp_path, "with", "ocsort sort", cache=cache)
     assert made == {"tracks": 2}  # those of ocsort
-    without = run(tmp_path, "without", "ocsort, sort")
+    without = run(tmp_path, "without", "ocsort sort")
     assert made["truth"] == 1 and made["detections"] == 2
     assert with_cache.table.equals(without.table)
     assert bytes_of(with_cache) == bytes_of(without)
-    sort = without.table.filter(pa.compute.equal(without.table["tracker"], "sort"))["hota"].to_pylist()
-    assert sort == kept.table.filter(pa.compute.equal(kept.table["tracker"], "sort"))["hota"].to_pylist()
+    tables = (each.table.select(["tracker", "hota"]).to_pylist() for each in (kept, without))
+    sort, again = ([row["hota"] for row in table if row["tracker"] == "sort"] for table in tables)
+    assert sort == again
 
 
-def test_what_is_kept_changes_no_row_and_only_the_layers_that_are_named_are_written(
-    kept: CampaignResult, tmp_path: Path
-) -> None:
-    some = run(tmp_path, "some", "reference, sort", "detections")
+def test_what_is_kept_changes_no_row_and_only_named_layers_are_written(kept: CampaignResult, tmp_path: Path) -> None:
+    some = run(tmp_path, "some", "reference sort", "detections")
     assert some.table.equals(kept.table)
     assert some.folder.facts["sha256"] == kept.folder.facts["sha256"]  # so a campaign may go on with other layers kept
     assert [path.name for path in (some.folder.path / "cache").iterdir()] == ["detections"]
@@ -100,51 +78,41 @@ def test_a_layer_that_cannot_be_kept_ends_the_campaign_and_crashes_no_run(tmp_pa
 
 
 @pytest.mark.parametrize("layer", ["truth", "detections", "tracks"])
-def test_a_damaged_layer_is_made_anew(
-    kept: CampaignResult, cache: Path, made: Counter[str], tmp_path: Path, layer: str
-) -> None:
+def test_a_damaged_layer_is_remade(kept: CampaignResult, cache: Path, made: Made, tmp_path: Path, layer: str) -> None:
     first, second, *_ = sorted((cache / layer).rglob("*.parquet")) * 2
     content = bytearray(first.read_bytes())
     content[len(content) // 3] ^= 0xFF  # in a page: the file still opens
     first.write_bytes(content)
     second.write_bytes(second.read_bytes()[:40])
-    again = run(tmp_path, "again", "reference, sort", layer, cache)
-    assert again.table.equals(kept.table)
+    assert run(tmp_path, "again", "reference sort", layer, cache).table.equals(kept.table)
     assert set(made) == {layer}
     made.clear()
-    assert run(tmp_path, "repaired", "reference, sort", cache=cache).table.equals(kept.table)
+    assert run(tmp_path, "repaired", "reference sort", cache=cache).table.equals(kept.table)
     assert not made
 
 
-def test_a_layer_of_another_run_is_not_taken(
-    cache: Path, made: Counter[str], kept: CampaignResult, tmp_path: Path
-) -> None:
+def test_a_layer_of_another_run_is_not_taken(cache: Path, made: Made, kept: CampaignResult, tmp_path: Path) -> None:
     one, other, *_ = sorted(path.parent for path in (cache / "tracks").rglob("tracks.parquet"))
     shutil.copy(one / "tracks.parquet", other / "tracks.parquet")
-    assert run(tmp_path, "again", "reference, sort", cache=cache).table.equals(kept.table)
+    assert run(tmp_path, "again", "reference sort", cache=cache).table.equals(kept.table)
     assert made == {"tracks": 1}
 
 
 def test_many_may_write_the_same_layer_at_once(tmp_path: Path) -> None:
-    schema = pa.schema([("step", pa.int64())])
-    table = pa.table({"step": list(range(5_000))}, schema=schema)
+    table = pa.table({"step": pa.array(range(5_000), pa.int64())})
     stored, key = StoredLayers(tmp_path, ["truth"]), "ab" * 32
 
     def write_and_read(_: int) -> bool:
         stored.write("truth", key, {"truth": table})
-        found = stored.read("truth", key, {"truth": schema})
-        return found is None or found["truth"].equals(table)
+        return stored.read("truth", key, {"truth": table.schema}) in (None, {"truth": table})
 
     with ThreadPoolExecutor(8) as threads:
         assert all(threads.map(write_and_read, range(300)))
-    found = stored.read("truth", key, {"truth": schema})
-    assert found is not None and found["truth"].equals(table)
+    assert stored.read("truth", key, {"truth": table.schema}) == {"truth": table}
     assert [path.name for path in stored.path("truth", key).parent.iterdir()] == [key]  # nothing is left over
 
 
-def test_a_truth_that_is_not_what_is_drawn_makes_its_runs_crash(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_truth_that_is_not_what_is_drawn_crashes_its_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     original = Occlusion.truth
 
     def wide(self: Occlusion, *arguments: Any) -> Truth:

@@ -4,13 +4,12 @@ import json
 
 import numpy as np
 import pytest
-import yaml
 
 from modsim3d.campaign.done_rows import Expected, needed_seeds, parsed_expectation
 from modsim3d.campaign.folder import CampaignFolder, planned
 from modsim3d.campaign.verdicts.bounds import skewed_bounds
 from modsim3d.core.errors import ModsimError
-from tests.campaign.campaigns import checked_campaign, run_campaign_file
+from tests.campaign.campaigns import campaign_file, checked_campaign, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_scores
 
 HOTA = {"score": "hota", "at_least": 0.6}
@@ -90,50 +89,41 @@ def test_what_an_earlier_campaign_lost_is_left_out_of_its_spread_and_said(tmp_pa
 
 
 CAMPAIGN = {
-    "scene": "harbour",
-    "steps": 12,
-    "seeds": {"traffic": 4},
-    "vary": [{"grid": {"state": ["excellent", "bad"]}}],
-    "trackers": ["sort", "reference"],
-    "require": [{"score": "hota", "at_least": 0.1}, CLEAN],
-}
+    "scene": "harbour", "steps": 12, "seeds": {"traffic": 4}, "vary": [{"grid": {"state": ["excellent", "bad"]}}],
+    "trackers": ["sort", "reference"], "require": [{"score": "hota", "at_least": 0.1}, CLEAN],
+}  # fmt: skip
 
 
 def test_the_command_runs_nothing_and_takes_an_earlier_campaign_for_its_spread(modsim3d, tmp_path):
     earlier = run_campaign_file(tmp_path, "earlier.yaml", **CAMPAIGN)
-    file, out = tmp_path / "next.yaml", tmp_path / "out"
-    file.write_text(yaml.safe_dump({**CAMPAIGN, "seeds": {"traffic": 50}, "trackers": ["sort", "bytetrack"]}))
+    other = {**CAMPAIGN, "seeds": {"traffic": 50}, "trackers": ["sort", "bytetrack"]}
+    file = campaign_file(tmp_path, "next.yaml", **other)
     told = modsim3d("campaign", "plan", file, "--like", tmp_path / "earlier", "--json")
     found = json.loads(told.out)
-    assert (told.status, out.exists(), found["folder"], found["finished"]) == (0, False, None, False)
+    assert not (tmp_path / "out").exists()
+    assert (told.status, found["folder"], found["finished"]) == (0, None, False)
     assert (found["runs"], found["frames"]) == (200, 200 * 12)
     needed = [each for each in found["needed"] if each["requirement"] == 0]
     assert [each["tracker"] for each in needed] == ["sort", "sort", "bytetrack", "bytetrack"]
     assert all(each["seeds"] is None and "--expect 'hota=MEAN:SPREAD'" in each["why"] for each in needed[2:])
     hota = earlier.table["hota"].to_numpy().reshape(4, 2, 2)[:, 0, 0]
     expected = {"mean": pytest.approx(hota.mean()), "spread": pytest.approx(hota.std(ddof=1)), "lost": 0}
-    assert needed[0]["expected"] == expected
-    assert needed[0]["seeds"] >= 3
+    assert needed[0]["expected"] == expected and needed[0]["seeds"] >= 3
     assert [each["seeds"] for each in found["needed"] if each["requirement"] == 1] == [299]
     text = modsim3d("campaign", "plan", file, "--expect", "hota=0.3:0.1")
     assert text.status == 0 and "seeds needed" in text.out and "normal" in text.out and "2,400 frames" in text.out
 
 
-def test_no_spread_is_taken_from_a_search(modsim3d, tmp_path):
+def test_no_spread_is_taken_from_a_search_and_an_earlier_campaign_that_is_not_there_is_named(modsim3d, tmp_path):
     search = {"minimise": "hota", "over": {"detector.operating_threshold": [0.2, 0.6]}, "budget": 2, "batch": 1}
     keys = {key: value for key, value in CAMPAIGN.items() if key in ("scene", "steps")}
     earlier = checked_campaign(tmp_path, "search.yaml", **keys, trackers=["reference"], search=search)
     planned(earlier, tmp_path / "search")
-    file = tmp_path / "next.yaml"
-    file.write_text(yaml.safe_dump(CAMPAIGN))
-    told = modsim3d("campaign", "plan", file, "--like", tmp_path / "search")
-    assert told.status == 2 and "holds a search" in told.err
-    told = modsim3d("campaign", "plan", tmp_path / "search.yaml")
-    assert told.status == 2 and "a search has no requirements" in told.err
-
-
-def test_an_earlier_campaign_that_is_not_there_is_named(modsim3d, tmp_path):
-    file = tmp_path / "a.yaml"
-    file.write_text(yaml.safe_dump(CAMPAIGN))
-    told = modsim3d("campaign", "plan", file, "--like", "nowhere")
-    assert told.status == 2 and "nowhere" in told.err
+    file = campaign_file(tmp_path, "next.yaml", **CAMPAIGN)
+    for options, said in (
+        ([file, "--like", tmp_path / "search"], "holds a search"),
+        ([tmp_path / "search.yaml"], "a search has no requirements"),
+        ([file, "--like", "nowhere"], "nowhere"),
+    ):
+        told = modsim3d("campaign", "plan", *options)
+        assert told.status == 2 and said in told.err

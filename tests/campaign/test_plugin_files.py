@@ -21,7 +21,7 @@ from modsim3d.campaign.serving import check_worker
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.io.plugins import TRACKERS, changed_plugins, load_plugin, own_files
-from tests.campaign.campaigns import checked_campaign
+from tests.campaign.campaigns import campaign_file, checked_campaign
 
 ROOT = Path(__file__).resolve().parents[2]
 TRACKER = """
@@ -34,6 +34,7 @@ class Shifting(Tracker):
             yield TrackedFrame(np.arange(len(frame.boxes_px)), frame.boxes_px + SHIFT_PX, frame.label, frame.confidence)
 """
 KEYS = {"scene": "harbour", "steps": 20, "trackers": ["shifting"], "keep": ["detections", "tracks"]}
+OWN = ("shifting/__init__.py", "shifting/numbers.py", "shifting/tracker.py")
 
 
 class Site:
@@ -54,10 +55,11 @@ class Site:
     def shift(self, pixels: int) -> None:
         (self.folder / "shifting" / "numbers.py").write_text(f"SHIFT_PX = {pixels}\n")
 
-    def forget(self) -> None:
-        """As a new process does, load the package anew."""
-        for name in [name for name in sys.modules if name.partition(".")[0] == "shifting"]:
-            del sys.modules[name]
+
+def forget(package: str = "shifting") -> None:
+    """As a new process does, load the package anew."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == package]:
+        del sys.modules[name]
 
 
 @pytest.fixture
@@ -66,26 +68,15 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Site]:
     monkeypatch.syspath_prepend(made.folder)
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # two edits within a second have one time
     yield made
-    made.forget()
+    forget()
 
 
 def campaign(site: Site, folder: Path, *options: object) -> tuple[int, str]:
     """The command in a process of its own: its status, and what it says of errors."""
-    (folder / "campaign.yaml").write_text(json.dumps(KEYS))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(site.folder), str(ROOT)])}
-    line = [
-        sys.executable,
-        "-B",
-        "-m",
-        "modsim3d",
-        "campaign",
-        "run",
-        folder / "campaign.yaml",
-        "--workers",
-        "1",
-        *options,
-    ]
-    done = subprocess.run([*map(str, line)], env=environment, capture_output=True, text=True, timeout=300)
+    command = "-B", "-m", "modsim3d", "campaign", "run", campaign_file(folder, **KEYS), "--workers", "1", *options
+    line = [sys.executable, *map(str, command)]
+    done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=300)
     return done.returncode, done.stderr
 
 
@@ -94,9 +85,7 @@ def hota(out: Path) -> float:
     return float(value)
 
 
-def test_an_edited_tracker_is_refused_by_the_same_command_and_scored_anew_with_a_shared_cache(
-    site: Site, tmp_path: Path
-) -> None:
+def test_an_edited_tracker_is_refused_by_the_same_command_and_scored_by_another(site: Site, tmp_path: Path) -> None:
     shared = "--cache", tmp_path / "cache"
     assert campaign(site, tmp_path, "--out", tmp_path / "old", *shared)[0] == 0
     site.shift(400)
@@ -105,26 +94,17 @@ def test_an_edited_tracker_is_refused_by_the_same_command_and_scored_anew_with_a
     assert "shifting/numbers.py of the plug-in modsim3d.trackers:shifting changed. Choose another folder" in said
     assert campaign(site, tmp_path, "--out", tmp_path / "new", *shared)[0] == 0
     assert hota(tmp_path / "old") > 0.1 and hota(tmp_path / "new") == 0
-    keys = [
-        pq.read_table(tmp_path / name / "results").select(["detections_key", "tracks_key"]) for name in ("old", "new")
-    ]
-    assert keys[0]["detections_key"] == keys[1]["detections_key"]
-    assert keys[0]["tracks_key"] != keys[1]["tracks_key"]
+    old, new = (pq.read_table(tmp_path / name / "results") for name in ("old", "new"))
+    assert old["detections_key"] == new["detections_key"] and old["tracks_key"] != new["tracks_key"]
     plan = json.loads((tmp_path / "new" / "plan.json").read_text())
-    assert {*plan["plugins"]["modsim3d.trackers:shifting"]} == {
-        "entry_points.txt",
-        "shifting/__init__.py",
-        "shifting/numbers.py",
-        "shifting/tracker.py",
-    }
+    assert {*plan["plugins"]["modsim3d.trackers:shifting"]} == {"entry_points.txt", *OWN}
 
 
 def test_no_row_is_kept_of_a_plugin_that_changes_while_the_campaign_runs(site: Site, tmp_path: Path) -> None:
     made = checked_campaign(tmp_path, **KEYS)
     site.shift(400)
-    with pytest.raises(
-        ModsimError, match=r"shifting/numbers\.py of the plug-in 'shifting' of shifting 1\.0 has changed"
-    ):
+    changed = r"shifting/numbers\.py of the plug-in 'shifting' of shifting 1\.0 has changed"
+    with pytest.raises(ModsimError, match=changed):
         run_plan(made, tmp_path / "out", ThisProcess)
     assert not [*(tmp_path / "out" / "done").iterdir()]
     site.shift(0)
@@ -148,35 +128,30 @@ def test_a_process_that_has_loaded_an_older_plugin_is_refused(site: Site, tmp_pa
     planned_elsewhere = {f"{TRACKERS}:shifting": own_files(point)}
     (problem,) = changed_plugins(planned_elsewhere, "the campaign was planned")
     assert problem.endswith("this process has loaded it before it was changed: start it again")
-    site.forget()
+    forget()
     assert changed_plugins(planned_elsewhere, "the campaign was planned") == []
 
 
 def test_a_campaign_that_was_interrupted_does_not_go_on_with_an_edited_plugin(site: Site, tmp_path: Path) -> None:
     made = checked_campaign(tmp_path, **KEYS)
     run_plan(made, tmp_path / "out", ThisProcess, shard=(1, 1))
-    site.forget()
+    forget()
     (site.folder / "shifting" / "more.py").write_text("")
-    with pytest.raises(
-        OutputError, match=r"another plan: shifting/more\.py of the plug-in modsim3d\.trackers:shifting"
-    ):
+    changed = r"another plan: shifting/more\.py of the plug-in modsim3d\.trackers:shifting"
+    with pytest.raises(OutputError, match=changed):
         run_plan(checked_campaign(tmp_path, **KEYS), tmp_path / "out", ThisProcess)
 
 
 def test_files_of_an_installed_package_are_those_of_its_record_and_all_in_its_folder(site: Site) -> None:
     """What Python and installers make does not count."""
-    (site.folder / "shifting" / "downloaded.bin").write_text("not recorded")
-    (site.folder.parent / "share").mkdir()
-    (site.folder.parent / "share" / "weights.bin").write_bytes(b"outside the package")
-    (site.folder.parent / "bin").mkdir()
-    (site.folder.parent / "bin" / "shifting").write_text("a script")
     recorded = ["shifting/__init__.py", "shifting/tracker.py", "shifting/data.bin", "../share/weights.bin"]
     made = ["shifting/__pycache__/tracker.cpython-311.pyc", "../bin/shifting", "shifting-1.0.dist-info/INSTALLER"]
-    (site.folder / "shifting" / "data.bin").write_bytes(b"weights")
-    (site.info / "INSTALLER").write_text("pip")
+    not_recorded = {"shifting/numbers.py", "shifting/downloaded.bin"}
+    for name in (*recorded[2:], *made[1:], "shifting/downloaded.bin"):
+        (site.folder / name).parent.mkdir(exist_ok=True)
+        (site.folder / name).write_text(name)
     (site.info / "RECORD").write_text("".join(f"{name},,\n" for name in [*recorded, *made]))
     _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
-    not_recorded = {"shifting/numbers.py", "shifting/downloaded.bin"}
     assert {*plugin.files} == {*recorded, *not_recorded, "entry_points.txt"}
 
 
@@ -184,7 +159,7 @@ def test_of_a_single_module_without_a_record_its_file_counts_and_none_beside_it(
     (site.folder / "single.py").write_text(TRACKER)
     (site.info / "entry_points.txt").write_text("[modsim3d.trackers]\nshifting = single:Shifting\n")
     _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
-    del sys.modules["single"]
+    forget("single")
     assert {*plugin.files} == {"single.py", "entry_points.txt"}
 
 
@@ -195,10 +170,8 @@ def test_other_packages_of_a_namespace_are_not_of_a_plugin(site: Site) -> None:
     (site.folder / "space" / "shifting" / "tracker.py").write_text("SHIFT_PX = 0\n" + TRACKER)
     (site.info / "entry_points.txt").write_text("[modsim3d.trackers]\nshifting = space.shifting.tracker:Shifting\n")
     _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
-    for name in [name for name in sys.modules if name.partition(".")[0] == "space"]:
-        del sys.modules[name]
-    names = ["__init__.py", "numbers.py", "tracker.py"]
-    assert {*plugin.files} == {"entry_points.txt", *(f"space/shifting/{name}" for name in names)}
+    forget("space")
+    assert {*plugin.files} == {"entry_points.txt", *(f"space/{name}" for name in OWN)}
 
 
 def test_an_editable_package_is_all_that_its_folder_holds(site: Site, tmp_path: Path) -> None:
@@ -212,6 +185,5 @@ def test_an_editable_package_is_all_that_its_folder_holds(site: Site, tmp_path: 
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(source)
         _, plugin = load_plugin(TRACKERS, "shifting", "--tracker")
-    names = ["__init__.py", "numbers.py", "tracker.py", "weights.bin"]
-    assert {*plugin.files} == {"entry_points.txt", *(f"shifting/{name}" for name in names)}
+    assert {*plugin.files} == {"entry_points.txt", *OWN, "shifting/weights.bin"}
     assert replace(plugin, files={}).sha256 != plugin.sha256

@@ -3,46 +3,31 @@
 import re
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from scipy import stats
 
 from modsim3d.campaign.done_rows import with_plan
-from modsim3d.campaign.keys import CampaignKeys
-from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import mean_sections
-from modsim3d.campaign.report.parameter_charts import (
-    BINS,
-    by_level,
-    over_seeds,
-    parameter_sections,
-    parameters_of,
-    seed_cells,
-)
+from modsim3d.campaign.report.parameter_charts import BINS, by_level, over_seeds, parameters_of, seed_cells
+from modsim3d.campaign.report.parameter_charts import parameter_sections as sections
 from modsim3d.campaign.report.words import Score, required_scores
-from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.core.text import three_digits_with_interval
 from modsim3d.view.pages.charts import ChartInterval, strip
+from tests.campaign import hand_made_tables
 from tests.campaign.campaigns import html_of_blocks
 
 GRID = {"grid": {"state": ["clear", "haze"], "waves.significant_height_m": [0.2, 0.6, 1.0]}}
 
 
-def plan_of(seeds, vary=(GRID,), **keys):
-    named = {"scenes": ["harbour"], "seeds": {"traffic": seeds, "detector": 2}, "trackers": ["sort", "bytetrack"]}
-    return Plan.of(CampaignKeys.model_validate({**named, "vary": list(vary), **keys}))
+def plan_of(seeds, vary=(GRID,), require=(), **keys):
+    return hand_made_tables.plan_of(seeds, list(require), ("sort", "bytetrack"), 2, vary=list(vary), **keys)
 
 
 def table_for(plan, crashed=(), seed=1):
     """A table of drawn scores, with the columns of the plan; runs of some numbers crashed."""
-    rng = np.random.default_rng(seed)
-    rows = [
-        crashed_row(number, "ValueError: no")
-        if number in crashed
-        else {"run": number, "status": "done", "hota": rng.random(), "simulated_s": 9.0, "worst_s": None}
-        for number in range(len(plan))
-    ]
-    return with_plan(table_of(rows), plan)
+    hota = np.random.default_rng(seed).random(len(plan))
+    rows = ({"hota": value, "simulated_s": 9.0, "worst_s": None} for value in hota)
+    return with_plan(hand_made_tables.table_of_runs(rows, crashed), plan)
 
 
 def test_a_mean_and_its_interval_are_over_traffic_seeds():
@@ -53,9 +38,8 @@ def test_a_mean_and_its_interval_are_over_traffic_seeds():
     seeds = sorted({r["traffic_seed"] for r in rows})
     values = [np.mean([r["hota"] for r in rows if r["traffic_seed"] == seed]) for seed in seeds]
     low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
-    assert len(rows) == 10
     assert [found.mean[4, 1], found.low[4, 1], found.high[4, 1]] == pytest.approx([np.mean(values), low, high])
-    assert found.seeds[4, 1] == 5
+    assert (len(rows), found.seeds[4, 1]) == (10, 5)
 
 
 def test_one_value_gives_no_interval():
@@ -82,9 +66,8 @@ def test_means_at_a_level_are_those_of_a_loop():
     rows = table.to_pylist()
     for level, value in enumerate((0.2, 0.6, 1.0)):
         chosen = [r for r in rows if r["waves.significant_height_m"] == value and r["tracker"] == "sort"]
-        by_seed = [
-            np.mean([r["hota"] for r in chosen if r["traffic_seed"] == s]) for s in {r["traffic_seed"] for r in chosen}
-        ]
+        seeds = {r["traffic_seed"] for r in chosen}
+        by_seed = [np.mean([r["hota"] for r in chosen if r["traffic_seed"] == seed]) for seed in seeds]
         assert found.mean[level, 0] == pytest.approx(np.mean(by_seed))
         assert found.high[level, 0] - found.mean[level, 0] == pytest.approx(stats.t.ppf(0.975, 3) * stats.sem(by_seed))
 
@@ -92,9 +75,7 @@ def test_means_at_a_level_are_those_of_a_loop():
 def test_drawn_numbers_are_put_into_stretches_that_hold_them():
     plan = plan_of(40, [{"uniform": {"detector.x": {"low": 0.01, "high": 1, "scale": "log"}}}])
     (drawn,) = parameters_of(plan, table_for(plan))
-    assert drawn.binned
-    assert drawn.log
-    assert len(drawn.levels) == BINS
+    assert drawn.binned and drawn.log and len(drawn.levels) == BINS
     ends = np.array([level.split(" to ") for level in drawn.levels], dtype=float)[drawn.index[:, 0]]
     assert np.all((ends[:, 0] <= 1.01 * drawn.numbers[:, 0]) & (drawn.numbers[:, 0] <= 1.01 * ends[:, 1]))
 
@@ -102,18 +83,16 @@ def test_drawn_numbers_are_put_into_stretches_that_hold_them():
 def test_what_does_not_vary_has_no_chart_and_what_changes_together_says_so():
     pairs = {"pairs": {"state": ["clear", "haze"], "detector.rate": [0.1, 0.3]}}
     plan = plan_of(3, [pairs, {"grid": {"waves.spectrum": ["jonswap"]}}])
-    html = html_of_blocks(parameter_sections(plan, table_for(plan)))
-    assert "waves.spectrum" not in html
+    html = html_of_blocks(sections(plan, table_for(plan)))
+    assert "waves.spectrum" not in html and "Two at a time" not in html
     assert "By state. It changes together with detector.rate" in html
-    assert "Two at a time" not in html
 
 
 def test_each_cell_of_a_heat_map_has_its_number():
     plan = plan_of(3)
     table = table_for(plan)
-    html = html_of_blocks(parameter_sections(plan, table)).partition("Two at a time")[2]
-    shown = re.findall(r'<td class="number"[^>]* style="[^"]*">([\d.]+)', html)
-    rows = table.to_pylist()
+    html = html_of_blocks(sections(plan, table)).partition("Two at a time")[2]
+    shown, rows = re.findall(r'<td class="number"[^>]* style="[^"]*">([\d.]+)', html), table.to_pylist()
     wanted = [
         np.mean([r["hota"] for r in rows if (r["condition"], r["tracker"]) == (condition, tracker)])
         for tracker in ("sort", "bytetrack")
@@ -124,9 +103,8 @@ def test_each_cell_of_a_heat_map_has_its_number():
 
 def test_a_mean_on_the_threshold_stands_on_the_dashed_line_and_an_interval_has_the_decimals_of_its_mean():
     drawn = strip(ChartInterval(0.5, 0.4, 0.6), 0.5, True, (0.0, 2.0), "")
-    dashed = re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1]
     disc = re.search(r'<path d="M([\d.]+) 12.0m-4 0', drawn)[1]
-    assert dashed == disc
+    assert re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1] == disc
     assert three_digits_with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
     assert three_digits_with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
     assert three_digits_with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
@@ -136,21 +114,14 @@ def test_a_mean_on_the_threshold_stands_on_the_dashed_line_and_an_interval_has_t
 def test_an_empty_table_has_no_means_and_no_charts():
     plan = plan_of(2)
     table = table_for(plan).slice(0, 0)
-    assert isinstance(table, pa.Table)
-    assert parameter_sections(plan, table) == []
-    assert seed_cells(plan, table, "hota").shape == (0, 6, 2)
+    assert sections(plan, table) == [] and seed_cells(plan, table, "hota").shape == (0, 6, 2)
 
 
 def test_the_side_that_is_bad_is_that_of_a_requirement_on_a_share_of_seeds_too():
-    for score, lowest_is_worst in {
-        "motp": True,
-        "established_share": True,
-        "mostly_tracked": True,
-        "id_switches": False,
-        "siap_spuriousness": False,
-    }.items():
-        side = "at_least" if lowest_is_worst else "at_most"
+    high_is_good = ("motp", "established_share", "mostly_tracked")
+    for score in (*high_is_good, "id_switches", "siap_spuriousness"):
+        side = "at_least" if score in high_is_good else "at_most"
         (found,) = required_scores(plan_of(2, require=[{"score": score, side: 0.5, "in": 0.9}]))
-        assert (found.lowest_is_worst, found.thresholds) == (lowest_is_worst, ()), score
+        assert (found.lowest_is_worst, found.thresholds) == (score in high_is_good, ()), score
     assert Score("established_share").lowest_is_worst and not Score("siap_spuriousness").lowest_is_worst
     assert Score("motp").label.endswith("(0 to 1)")

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from modsim3d.campaign.done_rows import with_plan
-from modsim3d.campaign.folder import CampaignFolder, files_of_campaign, opened_campaign
+from modsim3d.campaign.folder import CampaignFolder, files_of_campaign
 from modsim3d.campaign.keys import CampaignKeys, SearchKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
@@ -16,6 +16,7 @@ from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import crashed_row, table_of
 from modsim3d.view.pages import tables
 from tests.campaign.campaigns import html_of_blocks, run_campaign_file
+from tests.campaign.hand_made_tables import table_of_runs
 from tests.campaign.test_report_numbers import plan_of, table_for
 
 
@@ -23,9 +24,7 @@ from tests.campaign.test_report_numbers import plan_of, table_for
 def campaign(tmp_path_factory):
     keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"]}
     vary, require = [{"grid": {"state": ["excellent", "terrible"]}}], [{"score": "hota", "at_least": 0.5}]
-    folder = tmp_path_factory.mktemp("report")
-    run_campaign_file(folder, "c.yaml", **keys, vary=vary, require=require)
-    return opened_campaign(folder / "c")
+    return run_campaign_file(tmp_path_factory.mktemp("report"), "c.yaml", **keys, vary=vary, require=require).folder
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +47,8 @@ def sentence(*outcomes):
 
 def test_the_first_sentence_counts_requirements():
     assert sentence("met", "met") == "✓ All 2 requirements are met, at 95 % confidence each."
-    assert sentence("met", "failed", "undecided") == (
-        "✗ Not met: of 3 requirements 1 failed, 1 is undecided and 1 is met, at 95 % confidence each."
-    )
+    each = "✗ Not met: of 3 requirements 1 failed, 1 is undecided and 1 is met, at 95 % confidence each."
+    assert sentence("met", "failed", "undecided") == each
     assert sentence("undecided") == "? Not decided: the requirement is undecided, at 95 % confidence each."
     assert sentence("failed", "failed").startswith("✗ Not met: all 2 requirements failed, at")
     assert "no requirements" in sentence()
@@ -61,8 +59,7 @@ def test_a_requirement_that_failed_in_one_condition_has_failed():
     found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.", crashed=1)]
     assert verdict_sentence(plan, found).startswith("✗ Not met")
     html = html_of_blocks(requirement_sections(plan, found))
-    assert "✗ failed (1 failed, 1 met)" in html
-    assert "Too low &lt;here&gt;." in html
+    assert "✗ failed (1 failed, 1 met)" in html and "Too low &lt;here&gt;." in html
     assert html.index("✗ failed</td>") < html.index("✓ met</td>")
 
 
@@ -85,21 +82,16 @@ def test_a_row_says_only_what_its_interval_does_not():
 def test_the_verdict_stands_before_all_numbers(html, campaign):
     assert campaign.finished
     body = html.partition("<body>")[2]
-    lead = re.search(r'<p class="lead">(.*?)</p>', body)[1]
-    assert "requirement" in lead
+    assert "requirement" in (lead := re.search(r'<p class="lead">(.*?)</p>', body)[1])
     assert body.index(lead) < body.index("This traffic only") < body.index("<h2>Requirements") < body.index("<h2>Means")
 
 
 def test_a_page_names_what_seeds_change_axes_and_broken_requirements_and_needs_no_network(html, campaign):
     assert "Seeds change the detector and the waves; no result speaks of other traffic." in html
-    assert "HOTA (0 to 1)" in html
-    assert re.search(r"<h2>Scores against what is varied</h2>", html)
+    assert "HOTA (0 to 1)" in html and "<h2>Scores against what is varied</h2>" in html
     assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)
-    assert "1. hota at least 0.5" in html.partition("What each verdict rests on")[2]
-    assert "[0]" not in html
-    assert not re.findall(r'(?:src|href)="(?!data:|#)', html)
-    assert "<script" not in html
-    assert len(html) < 3e6
+    assert "1. hota at least 0.5" in html.partition("What each verdict rests on")[2] and "[0]" not in html
+    assert not re.findall(r'(?:src|href)="(?!data:|#)', html) and "<script" not in html and len(html) < 3e6
     assert all(path.is_file() for path in files_of_campaign(campaign))
 
 
@@ -118,8 +110,7 @@ def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
 def test_crashes_are_grouped_by_their_error(campaign):
     rows = [crashed_row(number, "ValueError: <a>" if number < 2 else "KeyError: b") for number in range(3)]
     html = html_of_blocks(crash_sections(campaign, with_plan(table_of(rows), campaign.plan)))
-    assert "3 runs of 3 crashed" in html
-    assert html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
+    assert "3 runs of 3 crashed" in html and html.index("ValueError: &lt;a&gt;") < html.index("KeyError: b")
     assert f"campaign reproduce {campaign.path} 0 --out" in html
     assert html_of_blocks(crash_sections(campaign, table_for(plan_of(2)))) == ""
 
@@ -135,15 +126,9 @@ def test_a_search_is_no_rate_and_names_the_worst_first(campaign):
     search = SearchKeys.model_validate({"minimise": "hota", "over": {"waves.x_m": [0, 1]}, "budget": 4})
     keys = CampaignKeys.model_validate({"scenes": ["harbour"], "trackers": ["sort"], "search": search.model_dump()})
     folder = replace(campaign, plan=Plan.of(keys))
-    rows = [
-        {"run": 0, "status": "done", "hota": 0.6, "waves.x_m": 0.1},
-        {"run": 1, "status": "done", "hota": 0.2, "waves.x_m": 0.9},
-        {"run": 2, "status": "refused", "error": "waves break", "waves.x_m": 0.9},
-    ]
-    table = table_of([dict(row, traffic_seed=7) for row in rows])
+    scores = [{"hota": 0.6}, {"hota": 0.2}, {"status": "refused", "error": "waves break"}]
+    table = table_of_runs({**each, "waves.x_m": 0.5, "traffic_seed": 7} for each in scores)
     html = search_page(folder, search, table)
-    assert "The lowest HOTA of 3 trials is 0.200, in trial 1." in html
-    assert "no share or mean of them is a rate" in html
-    assert "Not finished: 3 of 4 trials are done." in html
-    assert "waves break" in html
+    assert "The lowest HOTA of 3 trials is 0.200, in trial 1." in html and "no share or mean of them is a rate" in html
+    assert "Not finished: 3 of 4 trials are done." in html and "waves break" in html
     assert re.findall(r'data-label="trial">(\d)</td><td class="number" data-label="HOTA">0\.', html) == ["1", "0"]

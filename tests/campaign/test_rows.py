@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -11,42 +11,34 @@ import pytest
 import modsim3d
 from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.row import SCORES
-from tests.campaign.campaigns import run_campaign_file
+from tests.campaign.campaigns import count_calls, run_campaign_file
 
 STEPS = 12
+RATE = "detector.states.excellent.false_discovery_rate"
 WAVES = [{"level": "small", "apply_to": "all"}, {"level": "large", "apply_to": "all"}]
 KEYS: dict[str, Any] = {
-    "scene": "harbour",
-    "steps": STEPS,
-    "seed": 3,
-    "seeds": {"traffic": 2, "detector": 2},
-    "vary": [{"grid": {"waves": WAVES}}, {"grid": {"detector.states.excellent.false_discovery_rate": [0.02, 0.3]}}],
+    "scene": "harbour", "steps": STEPS, "seed": 3, "seeds": {"traffic": 2, "detector": 2},
+    "vary": [{"grid": {"waves": WAVES}}, {"grid": {RATE: [0.02, 0.3]}}],
     "trackers": ["reference", {"tracker": "reference", "name": "patient", "set": {"lost_s": 9}}],
-}
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def made() -> dict[str, int]:
-    """How often each layer of the campaign was made."""
-    return {"truth_block": 0, "Simulation": 0, "tracked": 0}
-
-
-@pytest.fixture(scope="module")
-def rows(made: dict[str, int], tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    def counted(name: str) -> Callable[..., Any]:
-        function = getattr(layers, name)
-
-        def call(*arguments: Any, **keywords: Any) -> Any:
-            made[name] += 1
-            return function(*arguments, **keywords)
-
-        return call
-
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any]], Counter[str]]:
+    """The rows of a campaign, and how often each layer was made for them."""
     with pytest.MonkeyPatch.context() as patch:
-        for name in made:
-            patch.setattr(layers, name, counted(name))
-        table = run_campaign_file(tmp_path_factory.mktemp("rows"), **KEYS).table
-    return list(table.to_pylist())
+        names = {"truth_block": "truth", "Simulation": "detections", "tracked": "tracks"}
+        counts = count_calls(patch, layers, names)
+        return run_campaign_file(tmp_path_factory.mktemp("rows"), **KEYS).table.to_pylist(), counts
+
+
+@pytest.fixture
+def rows(made: tuple[list[dict[str, Any]], Counter[str]]) -> list[dict[str, Any]]:
+    return made[0]
+
+
+def test_truth_and_detections_are_made_once(made: tuple[list[dict[str, Any]], Counter[str]]) -> None:
+    assert made[1] == {"truth": 2 * 2, "detections": 2 * 2 * 2 * 2, "tracks": 32}
 
 
 def test_every_run_of_the_plan_has_a_row_in_its_order(rows: list[dict[str, Any]]) -> None:
@@ -58,16 +50,9 @@ def test_every_run_of_the_plan_has_a_row_in_its_order(rows: list[dict[str, Any]]
 @pytest.mark.parametrize("number", [0, 21, 31])
 def test_a_row_has_the_scores_of_an_ordinary_run(number: int, rows: list[dict[str, Any]], tmp_path: Path) -> None:
     row = rows[number]
-    waves = WAVES[row["condition"] // 2]
-    rate = row["detector.states.excellent.false_discovery_rate"]
-    scene = modsim3d.load_scene(
-        "harbour",
-        steps=STEPS,
-        seed=row["traffic_seed"],
-        detector_seed=row["detector_seed"],
-        settings={"waves": waves, "detector.states.excellent.false_discovery_rate": rate},
-    )
-    modsim3d.run_scene(scene, tmp_path / "run")
+    settings = {"waves": WAVES[row["condition"] // 2], RATE: row[RATE]}
+    seeds = {"seed": row["traffic_seed"], "detector_seed": row["detector_seed"]}
+    modsim3d.run_scene(modsim3d.load_scene("harbour", steps=STEPS, settings=settings, **seeds), tmp_path / "run")
     settings = {"lost_s": 9} if row["tracker"] == "patient" else {}
     modsim3d.track_run(tmp_path / "run", tmp_path / "tracks", settings=settings)
     scores = modsim3d.score_run(tmp_path / "run", tmp_path / "tracks").trackers[0].scores.flat()
@@ -75,25 +60,16 @@ def test_a_row_has_the_scores_of_an_ordinary_run(number: int, rows: list[dict[st
 
 
 def test_layers_are_shared_by_the_runs_that_have_them_in_common(rows: list[dict[str, Any]]) -> None:
-    def kinds(key: str, *by: Callable[[dict[str, Any]], object]) -> None:
-        parts = {tuple(part(row) for part in by): set[str]() for row in rows}
-        for row in rows:
-            parts[tuple(part(row) for part in by)].add(row[key])
-        assert all(len(found) == 1 for found in parts.values())
-        assert len({value for found in parts.values() for value in found}) == len(parts)
-
-    kinds("truth_key", lambda row: row["traffic_seed"], lambda row: row["condition"] // 2)
-    kinds("detections_key", lambda row: row["detector_seed"], lambda row: row["condition"])
-    kinds("tracks_key", lambda row: row["run"])
-
-
-def test_truth_and_detections_are_made_once(rows: list[dict[str, Any]], made: dict[str, int]) -> None:
-    assert len(rows) == 32
-    assert made == {"truth_block": 2 * 2, "Simulation": 2 * 2 * 2 * 2, "tracked": 32}
+    for key, count, part in (
+        ("truth_key", 4, lambda row: (row["traffic_seed"], row["condition"] // 2)),
+        ("detections_key", 16, lambda row: (row["detector_seed"], row["condition"])),
+        ("tracks_key", 32, lambda row: row["run"]),
+    ):
+        pairs = {(part(row), row[key]) for row in rows}  # each part has one layer, and each layer one part
+        assert len(pairs) == len({one for one, _ in pairs}) == len({layer for _, layer in pairs}) == count
 
 
 def test_one_truth_serves_all_seeds_where_it_does_not_depend_on_them(tmp_path: Path) -> None:
     table = run_campaign_file(tmp_path, **{**KEYS, "steps": 3, "vary": []}).table
-    assert len(set(table["traffic_seed"].to_pylist())) == 2
-    assert len(set(table["truth_key"].to_pylist())) == 1
-    assert len(set(table["detections_key"].to_pylist())) == 4
+    counts = [len(table[name].unique()) for name in ("traffic_seed", "truth_key", "detections_key")]
+    assert counts == [2, 1, 4]

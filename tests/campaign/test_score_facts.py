@@ -13,10 +13,10 @@ from modsim3d.campaign.keys import ScoreKeys
 from modsim3d.campaign.plan import Case
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.work.row import SCORES, facts_of, score_bounds, table_of, without_tracks
+from modsim3d.campaign.work.row import SCORES, facts_of, score_bounds, without_tracks
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scoring import scores_of
-from tests.campaign.hand_made_tables import plan_of
+from tests.campaign.hand_made_tables import plan_of, table_of_runs
 from tests.tracking.hand_made import Seen, Tracked, box, hand_made
 
 KEYS, CASE, STEPS = ScoreKeys(), Case(0, 0), 8
@@ -45,8 +45,8 @@ def runs_of(truth, tracks, score, resting_on=None):
 
 @cache
 def scored(truth, tracks):
-    row = {"run": 0, "status": "done", "frames": STEPS, **keys_of(scores_of(hand_made(truth, tracks, STEPS)))}
-    return SeedRows(plan_of(1, []), table_of([row]))
+    row = {"frames": STEPS, **keys_of(scores_of(hand_made(truth, tracks, STEPS)))}
+    return SeedRows(plan_of(1, []), table_of_runs([row]))
 
 
 @pytest.mark.parametrize("score", SCORES)
@@ -59,9 +59,8 @@ def test_without_tracks_a_score_has_its_value_or_it_is_the_trackers_fault(score)
         assert value == facts_of(score).without_tracks
     if known is not None:
         assert value == pytest.approx(float(known[0, 0]))
-    assert runs.right(plan_of(1, [{"score": score, "at_most": 1e9}]).keys.require[0])[0] == (
-        not facts_of(score).managed
-    )
+    (requirement,) = plan_of(1, [{"score": score, "at_most": 1e9}]).keys.require
+    assert runs.right(requirement)[0] == (not facts_of(score).managed)
 
 
 @pytest.mark.parametrize("tracks", [[], track(9, HARD)], ids=["nothing", "a false track"])
@@ -104,26 +103,30 @@ def test_giving_up_on_the_hard_vessel_never_makes_a_managed_score_worse(score):
     off = [box(206 + k, 104) for k in range(STEPS)]
     hard = [*track(8, off, [1, 2]), *track(9, off, [6, 7]), *track(5, [box(500, 300)] * STEPS)]
     tried, given_up = (runs_of(TRUTH, [*EASIEST, *each], score)[0] for each in (hard, []))
-    better = max if facts_of(score).greatest == 1 and score != "siap_spuriousness" else min
     values = [float(each.values[0, 0]) for each in (tried, given_up)]
-    assert math.isnan(values[1]) or better(values) == values[1]
+    assert math.isnan(values[1]) or (max if high_is_good(score) else min)(values) == values[1]
+
+
+def high_is_good(score):
+    return facts_of(score).greatest == 1 and score != "siap_spuriousness"
+
+
+def good_of(score):
+    """A good value, and a requirement that it meets."""
+    return (0.95, {"at_least": 0.8}) if high_is_good(score) else (0.05, {"at_most": 0.3})
 
 
 def rows_with(score, values, **columns):
     """Rows of a score, None where the tracker gave nothing; each truth has three vessels and an occlusion."""
-    whole = {"appearances": 3, "occlusions_to_survive": 1, "established": 3, "frames": 9}
-    return table_of(
-        {"run": run, "status": "done", **whole, **({} if value is not None else {"established": 0}), **columns}
-        | {score: value if value is None or SCORES[score] == "double" else int(value)}
-        for run, value in enumerate(values)
-    )
+    whole = {"appearances": 3, "occlusions_to_survive": 1, "frames": 9}
+    typed = [value if value is None or SCORES[score] == "double" else int(value) for value in values]
+    return table_of_runs({**whole, "established": 3 * (each is not None), **columns, score: each} for each in typed)
 
 
 @pytest.mark.parametrize("score", MANAGED)
 @pytest.mark.parametrize("share", [{}, {"in": 0.5}, {"resting_on": 0.1}, {"resting_on": 0.1, "in": 0.8}])
 def test_a_tracker_that_gives_nothing_in_4_of_12_seeds_meets_nothing(score, share):
-    high = facts_of(score).greatest == 1 and score != "siap_spuriousness"
-    good, side = (0.95, {"at_least": 0.8}) if high else (0.05, {"at_most": 0.3})
+    good, side = good_of(score)
     values = [None if run % 3 == 0 else good + 0.001 * run for run in range(12)]
     (verdict,) = judged(plan_of(12, [{"score": score, **side, **share}]), rows_with(score, values))
     assert verdict.outcome != "met"
@@ -138,15 +141,12 @@ def test_a_tracker_that_gives_nothing_in_4_of_12_seeds_meets_nothing(score, shar
 
 @pytest.mark.parametrize("score", MANAGED)
 def test_what_the_tracker_manages_is_met_only_with_the_share_that_it_must_rest_on(score):
-    high = facts_of(score).greatest == 1 and score != "siap_spuriousness"
-    good, side = (0.95, {"at_least": 0.8}) if high else (0.05, {"at_most": 0.3})
+    good, side = good_of(score)
     values = [good + 0.001 * run for run in range(12)]
     parts = {"true_positives": 90, "misses": 10, "nees_pairs": 90, "established_share": 0.9, "occlusions_judged": 9}
-    table = rows_with(score, values, **parts, **({"occlusions_to_survive": 10}))
-    without, some, more = (
-        judged(plan_of(12, [{"score": score, **side, "in": 0.5, **share}]), table)[0]
-        for share in ({}, {"resting_on": 0.85}, {"resting_on": 0.95})
-    )
+    table = rows_with(score, values, **parts, occlusions_to_survive=10)
+    required = [{"score": score, **side, "in": 0.5, "resting_on": share} for share in (None, 0.85, 0.95)]
+    without, some, more = judged(plan_of(12, required), table)
     assert (without.outcome, some.outcome, more.outcome) == ("undecided", "met", "failed")
     assert "`resting_on`, as in `resting_on: 0.8`" in without.why
     assert "It rests on 90 % of" in some.why and some.rests_on == pytest.approx(0.9)
@@ -157,13 +157,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "requirements.md"
 
 def rows_of_the_page():
     """What the page's table of scores has to say, a row for each score, from the code."""
-    special = {
-        "gospa": "its `gospa_missed`",
-        "ospa": "`--gospa` in each frame with a vessel",
-        "gospa_missed": "all missed",
-        "misses": "all vessel-frames",
-        "mostly_lost": "all appearances",
-    }
+    special = {"gospa": "its `gospa_missed`", "ospa": "`--gospa` in each frame with a vessel"}
+    special |= {"gospa_missed": "all missed", "misses": "all vessel-frames", "mostly_lost": "all appearances"}
     for score in SCORES:
         facts, (least, greatest) = facts_of(score), score_bounds(score, KEYS)
         bounds = f"{least:g} to {greatest:g}".replace("inf", "∞").replace("-", "−")

@@ -7,14 +7,12 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-import yaml
 
 from benchmarks.campaigns import search as benchmark
-from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.search import run_search
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import checked_campaign
 
 pytest.importorskip("optuna")
 CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
@@ -28,11 +26,8 @@ def test_the_committed_page_is_what_the_campaign_makes_of_its_figures() -> None:
 
 def test_the_benchmark_searches_as_the_command_does(tmp_path: Path) -> None:
     keys = benchmark.keys_of(PROBLEM, 3, 12)
-    campaign = tmp_path / "campaign.yaml"
-    campaign.write_text(
-        yaml.safe_dump(keys.model_dump(mode="json", by_alias=True, exclude_unset=True)), encoding="utf-8"
-    )
-    found = run_search(checked(read_campaign(campaign)), tmp_path / "out", ThisProcess).table["hota"].to_pylist()
+    campaign = checked_campaign(tmp_path, **keys.model_dump(mode="json", by_alias=True, exclude_unset=True))
+    found = run_search(campaign, tmp_path / "out", ThisProcess).table["hota"].to_pylist()
     with closing(RunLayers(keys, Path(), Path("cache"))) as layers:
         assert benchmark.searched(keys, layers) == found
 

@@ -31,22 +31,17 @@ def run(search: SearchKeys, seed: int, score: object) -> list[Tried]:
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    low=st.floats(1e-9, 1e6, allow_subnormal=False),
-    width=st.floats(1e-12, 10),
-    log=st.booleans(),
-    seed=st.integers(1, 9000),
-)
+@given(st.floats(1e-9, 1e6, allow_subnormal=False), st.floats(1e-12, 10), st.booleans(), st.integers(1, 9000))
 def test_no_point_is_outside_of_its_range(low: float, width: float, log: bool, seed: int) -> None:
     """Also where the ends have more digits than the points."""
-    high = low * (1 + width)
+    high, scale = low * (1 + width), "log" if log else "linear"
     if not low < high:
         return
-    over = {
-        "x": {"low": low, "high": high, "scale": "log" if log else "linear"},
-        "n": {"low": 2, "high": 4, "whole": True, "scale": "log" if log else "linear"},
-        "c": {"choices": [None, "a", [1, 2]]},
+    numbers = {
+        "x": {"low": low, "high": high, "scale": scale},
+        "n": {"low": 2, "high": 4, "whole": True, "scale": scale},
     }
+    over = {**numbers, "c": {"choices": [None, "a", [1, 2]]}}
     search = search_of(over=over, budget=24, batch=12, seeds=3)
     first = proposed(search, seed, 0, [])
     points = first + proposed(search, seed, 1, tried_of(first, lambda point: -point.places["x"]))

@@ -8,22 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
+from benchmarks import resampled_means
 from benchmarks.campaigns import sequences
-from benchmarks.resampled_means import (
-    JUDGED_ON,
-    RULE,
-    SEEDS,
-    STORED,
-    TRACKERS,
-    TRAFFICS,
-    T,
-    holds,
-    lower_rate,
-    measured,
-    moments,
-    offers,
-    threshold_distance,
-)
+from benchmarks.resampled_means import JUDGED_ON, RULE, SEEDS, STORED, TRACKERS, TRAFFICS, holds, lower_rate, offers
 from modsim3d.campaign.verdicts.bounds import corrected_bounds, skewed_bounds
 from modsim3d.campaign.verdicts.wording import measured_offers
 
@@ -47,8 +34,8 @@ def test_the_committed_page_is_what_the_command_makes_of_its_figures(figures):
 
 def test_means_are_judged_from_the_seeds_on_that_the_command_found(figures):
     found, differences = figures["resampled"], figures["differences"]
-    seeds = found["offers"] | differences["offers"]
-    assert measured_offers() == {"confidences": found["confidences"], "seeds": seeds}
+    seeds = {"confidences": found["confidences"], "seeds": found["offers"] | differences["offers"]}
+    assert measured_offers() == seeds
 
 
 def test_no_mean_is_judged_on_two_seeds_and_the_usual_scores_are_from_ten():
@@ -72,10 +59,11 @@ def test_each_traffic_has_the_same_seeds_with_each_tracker(scores):
 
 def test_bounds_of_resampled_campaigns_hold_where_students_t_does_not(scores):
     few = scores.select([*scores.column_names[:3], "hota", "false_track_s"])
-    cells = [cell for cell in measured(2_000, few, (10,)) if REQUIRED[cell["score"]] == cell["bound"]]
+    found = resampled_means.measured(2_000, few, (10,))
+    cells = [cell for cell in found if REQUIRED[cell["score"]] == cell["bound"]]
     assert len(cells) == 2 * len(TRAFFICS) * len(TRACKERS)
     assert all(holds(cell, 0.95, 2_000, RULE) for cell in cells)
-    assert sum(not holds(cell, 0.95, 2_000, T) for cell in cells) > len(cells) / 3
+    assert sum(not holds(cell, 0.95, 2_000, resampled_means.T) for cell in cells) > len(cells) / 3
     assert all(cell["power"][RULE] > 0.78 * cell["strict"] for cell in cells)
 
 
@@ -93,13 +81,12 @@ def test_an_offer_begins_behind_the_last_number_of_seeds_that_fails():
 
 def test_resampled_bounds_are_those_of_verdicts():
     drawn = np.random.default_rng(1).gamma(1.0, 1.0, (50, 8))
-    mean, deviation, skewness = moments(drawn)
+    mean, deviation, skewness = resampled_means.moments(drawn)
     high = -corrected_bounds(-mean, deviation, skewness, 8, 0.05, 0.0)
     assert high == pytest.approx([-float(skewed_bounds(-each, 0.05, 0.0)) for each in drawn])
 
 
 def test_powers_are_compared_where_students_t_has_ninety_percent():
-    off = threshold_distance(10)
-    values = np.random.default_rng(2).normal(off, 1.0, (20_000, 10))
+    values = np.random.default_rng(2).normal(resampled_means.threshold_distance(10), 1.0, (20_000, 10))
     met = stats.ttest_1samp(values, 0.0, axis=1, alternative="greater").pvalue <= 0.05
     assert met.mean() == pytest.approx(0.9, abs=0.007)

@@ -16,22 +16,24 @@ from scipy import stats
 from modsim3d import learn_detector, load_detector, load_scene, run_scene
 from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector, read_uncertainty
 from modsim3d.campaign.plan import Condition
+from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.work.layers import RunLayers
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.core.arrays import Array
-from modsim3d.core.errors import InputError
 from modsim3d.detector.model import ERROR_PAIRS
-from modsim3d.learn.bootstrap import Interval
 from modsim3d.learn.learned import correlated
 from modsim3d.learn.learning import LearnResult
 from modsim3d.scene.settings import choose_detector
-from tests.campaign.campaigns import checked_campaign, run_campaign_file
+from tests.campaign.campaigns import checked_campaign, problems_of, run_campaign_file
 from tests.scenes import harbour_of_shoeboxes
 
+Learned, Draws = dict[str, LearnResult], dict[str, list[dict[str, Any]]]
 MANY, FEW, DRAWS = 160, 12, 800
 MIN_KNOWN = 8.0
-SETTINGS = {"detector.miss_rate": 0.2}
+MISSES = {"detector.miss_rate": 0.2}
+DETECTOR: dict[str, Any] = {"detector": "experiment_1", "detector_seed": 77, "settings": MISSES}
+DRAWN: dict[str, Any] = {"scene": "harbour", "steps": 3, "uncertainty": "learned", "trackers": ["reference"]}
 
 
 @pytest.fixture(scope="module")
@@ -43,21 +45,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def learned(folder: Path) -> dict[str, LearnResult]:
+def learned(folder: Path) -> Learned:
     """A detector of misses of 20 %, learned from many images and from few; the files are in the folder."""
     found = {}
     for name, steps in (("many", MANY), ("few", FEW)):
-        scene = load_scene(
-            folder / "boxes.yaml", steps=steps, detector="experiment_1", detector_seed=77, settings=SETTINGS
-        )
-        run_scene(scene, folder / f"run_{name}")
+        run_scene(load_scene(folder / "boxes.yaml", steps=steps, **DETECTOR), folder / f"run_{name}")
         found[name] = learn_detector(run=folder / f"run_{name}")
         found[name].write(folder / f"{name}.yaml")
     return found
 
 
 @pytest.fixture(scope="module")
-def draws(folder: Path, learned: dict[str, LearnResult]) -> dict[str, list[dict[str, Any]]]:
+def draws(folder: Path, learned: Learned) -> Draws:
     known = {name: read_uncertainty(folder / f"{name}.yaml") for name in learned}
     return {name: [drawn_detector(each, 1_000_000 + k) for k in range(DRAWS)] for name, each in known.items()}
 
@@ -75,20 +74,15 @@ def drawn_numbers(drawn: list[dict[str, Any]], state: str | None, name: str) -> 
     return np.array([each[key] for each in drawn]) if key in drawn[0] and not name.endswith("density") else None
 
 
-def _unknown(interval: Interval) -> bool:
-    """Whether a standard deviation is known to less than a factor: draws are held within ten times the estimate."""
-    return bool(np.any(interval.high > MIN_KNOWN * interval.estimate))
-
-
 @pytest.mark.parametrize("name", ["many", "few"])
 @pytest.mark.parametrize("level", [0.8, 0.95])
-def test_intervals_of_learn_hold_as_many_draws_as_they_say(
-    name: str, level: float, learned: dict[str, LearnResult], draws: dict[str, list[dict[str, Any]]]
-) -> None:
+def test_intervals_of_learn_hold_as_many_draws_as_said(name: str, level: float, learned: Learned, draws: Draws) -> None:
     checked = 0
     for interval in learned[name].report.learned.intervals(level):
         found = drawn_numbers(draws[name], interval.key.state, ".".join(interval.key.names))
-        if found is None or np.ptp(found) == 0 or ("std" in interval.key.names[-1] and _unknown(interval)):
+        # Of a standard deviation that is known to less than a factor draws are held within ten times the estimate.
+        held = "std" in interval.key.names[-1] and np.any(interval.high > MIN_KNOWN * interval.estimate)
+        if found is None or np.ptp(found) == 0 or held:
             continue
         rounding = 1e-5 * np.abs(interval.estimate) + 1e-6
         inside = np.mean((found >= interval.low - rounding) & (found <= interval.high + rounding), axis=0)
@@ -100,9 +94,7 @@ def test_intervals_of_learn_hold_as_many_draws_as_they_say(
     assert checked >= 18
 
 
-def test_draws_have_the_mean_and_the_spread_that_learn_says(
-    learned: dict[str, LearnResult], draws: dict[str, list[dict[str, Any]]]
-) -> None:
+def test_draws_have_the_mean_and_the_spread_that_learn_says(learned: Learned, draws: Draws) -> None:
     """From many images everything is nearly normal: half a 68.3 % interval is the standard deviation."""
     for interval in learned["many"].report.learned.intervals(0.6827):
         found = drawn_numbers(draws["many"], interval.key.state, ".".join(interval.key.names))
@@ -113,7 +105,7 @@ def test_draws_have_the_mean_and_the_spread_that_learn_says(
         np.testing.assert_allclose(found.std(axis=0), error, rtol=0.12, atol=1e-6)
 
 
-def test_few_images_spread_draws_more_than_many(draws: dict[str, list[dict[str, Any]]]) -> None:
+def test_few_images_spread_draws_more_than_many(draws: Draws) -> None:
     key = "detector.states.real_world.confusion"
     few, many = (np.std([each[key][-1][0] for each in draws[name]]) for name in ("few", "many"))
     assert few > 2 * many > 0
@@ -121,30 +113,19 @@ def test_few_images_spread_draws_more_than_many(draws: dict[str, list[dict[str, 
 
 def group(correlation: float, labels: int, units: int, misses: float) -> dict[str, Any]:
     column = [(1 - misses) / labels] * labels + [misses]
-    confusion = np.tile(np.array(column)[:, None], labels).tolist()
-    return {
-        "format": 1,
-        "detector_sha256": "",
-        "confidence_threshold": 0.2,
-        "transitions": None,
-        "groups": [
-            {
-                "state": "a",
-                "units": units,
-                "numbers": [
-                    {"key": ["confusion"], "kind": "share", "estimate": confusion,
-                     "observations": np.full((labels + 1, labels), 40.0).tolist()},
-                    {"key": ["box_error_mean"], "kind": "mean", "estimate": [0, 1, 2, 3], "spread": [1, 1, 1, 1]},
-                    {"key": ["box_error_std"], "kind": "positive", "estimate": [1, 2, 3, 4], "spread": [0.9] * 4},
-                    {"key": ["box_error_correlation"], "kind": "correlation", "estimate": [0.9] * 6,
-                     "spread": [0.8] * 6},
-                    {"key": ["false_positives_per_image"], "kind": "rate", "estimate": 0.2, "observations": 50.0},
-                ],
-                "correlations": [[correlation if i == labels + 1 and j == labels else 0.0 for j in range(i)]
-                                 for i in range(labels + 15)],
-            }
-        ],
-    }  # fmt: skip
+    confusion, seen = np.tile(np.array(column)[:, None], labels).tolist(), np.full((labels + 1, labels), 40.0).tolist()
+    numbers = [
+        {"key": ["confusion"], "kind": "share", "estimate": confusion, "observations": seen},
+        {"key": ["box_error_mean"], "kind": "mean", "estimate": [0, 1, 2, 3], "spread": [1, 1, 1, 1]},
+        {"key": ["box_error_std"], "kind": "positive", "estimate": [1, 2, 3, 4], "spread": [0.9] * 4},
+        {"key": ["box_error_correlation"], "kind": "correlation", "estimate": [0.9] * 6, "spread": [0.8] * 6},
+        {"key": ["false_positives_per_image"], "kind": "rate", "estimate": 0.2, "observations": 50.0},
+    ]
+    correlations = [[0.0] * i for i in range(labels + 15)]
+    correlations[labels + 1][labels] = correlation
+    state = {"state": "a", "units": units, "numbers": numbers, "correlations": correlations}
+    known = {"format": 1, "detector_sha256": "", "confidence_threshold": 0.2, "transitions": None}
+    return {**known, "groups": [state]}
 
 
 def test_correlations_of_the_replicates_are_those_of_the_draws() -> None:
@@ -172,10 +153,8 @@ def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -
     def drawn(units: int, **keys: str) -> dict[str, Array]:
         known = of_numbers(group(0.0, 2, units, 0.3), *keys)
         found = [drawn_detector(known, seed) for seed in range(count)]
-        return {
-            name: np.reshape([each[f"detector.states.a.{key}"] for each in found], (count, -1))
-            for name, key in keys.items()
-        }
+        columns = {name: [each[f"detector.states.a.{key}"] for each in found] for name, key in keys.items()}
+        return {name: np.reshape(column, (count, -1)) for name, column in columns.items()}
 
     counts = {"confusion": "confusion", "false_positives_per_image": "false_positives_per_image"}
     means = {"box_error_mean": "box_error.mean"}
@@ -190,12 +169,7 @@ def test_counts_and_normal_numbers_have_the_distributions_of_their_intervals() -
     assert stats.binomtest(beyond, count, 0.05).pvalue > 1e-3  # 0.6 % of normal ones are beyond
 
 
-@given(
-    labels=st.integers(1, 4),
-    units=st.integers(5, 50),
-    misses=st.sampled_from([0.0, 0.001, 0.4, 1.0]),
-    seed=st.integers(0, 2**40),
-)
+@given(st.integers(1, 4), st.integers(5, 50), st.sampled_from([0.0, 0.001, 0.4, 1.0]), st.integers(0, 2**40))
 def test_every_draw_is_a_detector(labels: int, units: int, misses: float, seed: int) -> None:
     """Columns sum to one, and covariances have no negative eigenvalue even as they are written."""
     drawn = drawn_detector(LearnedUncertainty.model_validate(group(0.0, labels, units, misses)), seed)
@@ -206,25 +180,19 @@ def test_every_draw_is_a_detector(labels: int, units: int, misses: float, seed: 
     assert np.linalg.eigvalsh(covariance)[0] > 0
 
 
-def test_a_drawn_detector_is_read_as_a_detector_file_is(folder: Path, draws: dict[str, list[dict[str, Any]]]) -> None:
+def test_a_drawn_detector_is_read_as_a_detector_file_is(folder: Path, draws: Draws) -> None:
     for settings in draws["few"][:40]:
         model, _ = choose_detector(folder / "few.yaml", settings=settings)
         assert model.states[0].confusion[-1, 0] == settings["detector.states.real_world.confusion"][-1][0]
 
 
 def campaign(folder: Path, detector: str, **keys: Any) -> CampaignResult:
-    return run_campaign_file(
-        folder,
-        f"c{len(list(folder.iterdir()))}.yaml",
-        scene="boxes.yaml",
-        vary=[{"grid": {"detector": [detector]}}],
-        **{"steps": 40, "trackers": ["reference"], "seeds": {"traffic": 12}, **keys},
-    )
+    name, vary = f"c{len(list(folder.iterdir()))}.yaml", [{"grid": {"detector": [detector]}}]
+    keys = {"steps": 40, "trackers": ["reference"], "seeds": {"traffic": 12}, **keys}
+    return run_campaign_file(folder, name, scene="boxes.yaml", vary=vary, **keys)
 
 
-def test_a_small_labelled_set_spreads_the_score_over_traffic_seeds(
-    folder: Path, learned: dict[str, LearnResult]
-) -> None:
+def test_a_small_labelled_set_spreads_the_score_over_traffic_seeds(folder: Path, learned: Learned) -> None:
     def spread(result: CampaignResult) -> float:
         assert set(result.table["status"].to_pylist()) == {"done"}
         return float(np.std(result.table["hota"].to_numpy(), ddof=1))
@@ -236,21 +204,18 @@ def test_a_small_labelled_set_spreads_the_score_over_traffic_seeds(
     assert many < 2 * fixed
 
 
-def test_a_drawn_detector_is_one_of_its_traffic_seed_for_all_trackers_and_is_drawn_again(
-    folder: Path, learned: dict[str, LearnResult]
-) -> None:
+def test_a_detector_is_drawn_for_a_traffic_seed_and_all_trackers_and_again(folder: Path, learned: Learned) -> None:
     trackers = ["reference", {"tracker": "reference", "name": "patient", "set": {"lost_s": 9}}]
     result = campaign(folder, "few.yaml", uncertainty="learned", trackers=trackers, seeds={"traffic": 2, "detector": 2})
-    plan, keys = result.folder.plan, result.table["detections_key"].to_pylist()
+    keys = result.table["detections_key"].to_pylist()
     assert keys[0::2] == keys[1::2] and len(set(keys)) == 4
-    layers = RunLayers(result.folder.keys, Path(result.folder.facts["base"]), result.folder.path / "cache")
-    again = [layers.made(plan.run(number)) for number in (6, 0, 2)]
+    again = [remade(result.folder, number) for number in (6, 0, 2)]
     assert [made.detections_key[:16] for made in again] == [keys[number] for number in (6, 0, 2)]
     rates = [float(made.rows.scene.detector.states[0].confusion[-1, 0]) for made in again]
     assert rates[1] == rates[2] != rates[0]  # detector seeds of a traffic seed share its detector
 
 
-def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: dict[str, LearnResult], tmp_path: Path) -> None:
+def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: Learned, tmp_path: Path) -> None:
     """Its directory has it as a detector file, as `campaign reproduce` writes it."""
     condition, scenes = Condition("harbour", {"detector": "few.yaml"}), Scenes(3, folder, learned=True)
     alone, shared = scenes.alone(condition, 5, 6), scenes.of(condition, 5, 6)
@@ -262,18 +227,16 @@ def test_a_run_by_itself_has_the_drawn_detector(folder: Path, learned: dict[str,
         np.testing.assert_array_equal(state.box_error.covariance, written.box_error.covariance)
 
 
-def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: dict[str, LearnResult]) -> None:
-    found = checked_campaign(
-        folder, scene="harbour", steps=3, uncertainty="learned", trackers=["reference"], seeds={"traffic": 3},
-        vary=[{"list": [{"detector": "few.yaml", "detector.miss_rate": 0.125}]}],
-    )  # fmt: skip
+def test_a_key_that_the_campaign_sets_is_not_drawn(folder: Path, learned: Learned) -> None:
+    vary = [{"list": [{"detector": "few.yaml", "detector.miss_rate": 0.125}]}]
+    found = checked_campaign(folder, **DRAWN, seeds={"traffic": 3}, vary=vary)
     layers = RunLayers(found.file.keys, folder, folder / "cache")
     states = [layers.made(found.plan.run(number)).rows.scene.detector.states[0] for number in range(3)]
     assert [state.confusion[-1, 0] for state in states] == [0.125] * 3
     assert len({state.false_discovery_rate for state in states}) == 3
 
 
-def test_nothing_within_a_key_that_the_campaign_sets_is_drawn(folder: Path, learned: dict[str, LearnResult]) -> None:
+def test_nothing_within_a_key_that_the_campaign_sets_is_drawn(folder: Path, learned: Learned) -> None:
     """Settings of keys within others come later: a drawn mean would undo the box error that the campaign varies."""
     errors = {"unit": "px", "mean": [0.0] * 4, "covariance": np.diag([1.0, 2.0, 3.0, 4.0]).tolist()}
     condition = Condition("harbour", {"detector": "few.yaml", "detector.states.real_world.box_error": errors})
@@ -281,16 +244,9 @@ def test_nothing_within_a_key_that_the_campaign_sets_is_drawn(folder: Path, lear
         np.testing.assert_array_equal(scene.detector.states[0].box_error.covariance, errors["covariance"])
 
 
-def test_a_detector_without_what_learn_says_of_it_is_refused(
-    folder: Path, learned: dict[str, LearnResult], tmp_path: Path
-) -> None:
+def test_a_detector_without_what_learn_says_of_it_is_refused(folder: Path, learned: Learned, tmp_path: Path) -> None:
     def refused(detector: str) -> str:
-        with pytest.raises(InputError) as error:
-            checked_campaign(
-                tmp_path, scene="harbour", steps=3, uncertainty="learned", trackers=["reference"],
-                vary=[{"grid": {"detector": [detector]}}],
-            )  # fmt: skip
-        return str(error.value)
+        return "\n".join(problems_of(tmp_path, **DRAWN, vary=[{"grid": {"detector": [detector]}}]))
 
     assert "uncertainty: learned needs thesis.uncertainty.json beside it" in refused("thesis")
     for name in ("few.yaml", "few.uncertainty.json"):

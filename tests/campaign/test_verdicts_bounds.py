@@ -8,22 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize, stats
 
-from modsim3d.campaign.verdicts.bounds import (
-    SKEWNESS,
-    STAKES,
-    VARIATION,
-    VARIATION_FROM_ZERO,
-    betting_bounds,
-    clean_seeds_needed,
-    clean_seeds_needed_sequential,
-    log_capital,
-    mean_bounds,
-    mixture_bounds,
-    mixture_log_capital,
-    perfect_seeds_needed,
-    share_bounds,
-    skewed_bounds,
-)
+from modsim3d.campaign.verdicts import bounds
 from modsim3d.core.statistics import exact_bounds, t_bounds
 
 ALPHA = 0.05
@@ -32,8 +17,8 @@ UNIT = (0.0, 1.0)
 
 
 def test_99_percent_at_95_percent_confidence_needs_299_clean_seeds_and_473_with_one_failure():
-    assert [clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
-    assert clean_seeds_needed_sequential(0.99, 0.95) == 680
+    assert [bounds.clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
+    assert bounds.clean_seeds_needed_sequential(0.99, 0.95) == 680
 
 
 @given(st.integers(1, 400), st.data(), st.floats(0.005, 0.5))
@@ -46,7 +31,7 @@ def test_exact_bounds_are_where_the_binomial_tails_have_the_level(seeds, data, a
 
 @given(st.floats(0.5, 0.999), st.floats(0.5, 0.99), st.integers(0, 3))
 def test_the_needed_seeds_are_the_fewest_whose_exact_bound_reaches_the_share(share, confidence, failures):
-    needed = clean_seeds_needed(share, confidence, failures)
+    needed = bounds.clean_seeds_needed(share, confidence, failures)
     assert exact_bounds(needed - failures, needed, 1 - confidence)[0] >= share - 1e-12
     if needed - 1 > failures:
         assert exact_bounds(needed - 1 - failures, needed - 1, 1 - confidence)[0] < share + 1e-12
@@ -56,28 +41,25 @@ def test_the_mixture_is_the_integral_of_the_likelihood_over_jeffreys_prior():
     right = np.array([True, True, False, True])
     shares = np.sin(np.linspace(0, np.pi / 2, 200_001)) ** 2  # equally likely by beta(1/2, 1/2)
     expected = np.log(np.mean(shares**3 * (1 - shares))) - np.log(0.7**3 * 0.3)
-    assert mixture_log_capital(right, 0.7)[-1] == pytest.approx(expected, abs=1e-5)
+    assert bounds.mixture_log_capital(right, 0.7)[-1] == pytest.approx(expected, abs=1e-5)
 
 
 def test_the_capital_is_the_sum_of_what_each_stake_came_to():
     values, mean = np.array([0.9, 0.2, 0.7]), 0.6
-    weights = 1 / np.arange(1, len(STAKES) + 1)
-    by_hand = [
-        np.prod([1 + stake * (value - mean) / mean for value in values]) * weight
-        for stake, weight in zip(STAKES, weights / weights.sum(), strict=True)
-    ]
-    assert log_capital(values, mean)[-1] == pytest.approx(math.log(sum(by_hand)))
+    weights = 1 / np.arange(1, len(bounds.STAKES) + 1)
+    came_to = [np.prod([1 + stake * (value - mean) / mean for value in values]) for stake in bounds.STAKES]
+    assert bounds.log_capital(values, mean)[-1] == pytest.approx(math.log(np.average(came_to, weights=weights)))
 
 
 @settings(max_examples=50)
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=60))
 def test_bounds_of_a_mean_lie_below_the_greatest_mean_so_far_mirror_each_other_and_only_close_in(values):
     values = np.array(values)
-    low, high = betting_bounds(values, ALPHA)
+    low, high = bounds.betting_bounds(values, ALPHA)
     assert 0 <= low <= np.max(np.cumsum(values) / np.arange(1, len(values) + 1)) + 1e-9
-    mirrored = betting_bounds(1 - values, ALPHA)
+    mirrored = bounds.betting_bounds(1 - values, ALPHA)
     assert (1 - mirrored[1], 1 - mirrored[0]) == pytest.approx((low, high), abs=1e-8)
-    earlier = betting_bounds(values[: len(values) // 2 + 1], ALPHA)
+    earlier = bounds.betting_bounds(values[: len(values) // 2 + 1], ALPHA)
     assert low >= earlier[0] - 1e-9 and high <= earlier[1] + 1e-9
 
 
@@ -85,11 +67,11 @@ def test_bounds_of_a_mean_lie_below_the_greatest_mean_so_far_mirror_each_other_a
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.floats(0.01, 0.3))
 def test_bounds_of_a_share_exclude_what_the_capital_excludes(right, alpha):
     right = np.array(right)
-    low, high = mixture_bounds(right, alpha)
+    low, high = bounds.mixture_bounds(right, alpha)
     shares = np.linspace(0.001, 0.999, 199)
     found = np.cumsum(right) / np.arange(1, len(right) + 1)
     for share in shares:
-        excluded = mixture_log_capital(right, share) >= -math.log(alpha)
+        excluded = bounds.mixture_log_capital(right, share) >= -math.log(alpha)
         assert (share < low - 1e-9) <= bool(np.any(excluded & (found > share)))
         assert (share > high + 1e-9) <= bool(np.any(excluded & (found < share)))
         assert not np.any(excluded) or share <= low + 1e-9 or share >= high - 1e-9
@@ -98,21 +80,22 @@ def test_bounds_of_a_share_exclude_what_the_capital_excludes(right, alpha):
 @pytest.mark.parametrize("stop", ["once", "sequential"])
 @pytest.mark.parametrize("clean", [True, False])
 def test_a_hundred_thousand_seeds_all_alike_give_finite_bounds(stop, clean):
-    found = share_bounds(np.full(MANY, clean), 0.95, stop)
+    found = bounds.share_bounds(np.full(MANY, clean), 0.95, stop)
     low, high = (found.low, found.high) if clean else (1 - found.high, 1 - found.low)
     assert 1 - 2e-4 < low < 1 and high == 1
 
 
 def test_ten_thousand_values_all_alike_give_finite_bounds():
     for value in (0.0, 0.5, 1.0):
-        low, high = betting_bounds(np.full(10_000, value), ALPHA)
+        low, high = bounds.betting_bounds(np.full(10_000, value), ALPHA)
         assert low <= value <= high and high - low < 0.05
 
 
 def test_a_mean_close_to_its_greatest_value_needs_as_many_seeds_as_it_says():
-    needed = perfect_seeds_needed(0.99, 0.95)
-    assert betting_bounds(np.ones(needed), ALPHA)[0] >= 0.99 > betting_bounds(np.ones(needed - 1), ALPHA)[0]
-    assert math.isinf(perfect_seeds_needed(1.0, 0.95))
+    needed = bounds.perfect_seeds_needed(0.99, 0.95)
+    enough, fewer = (bounds.betting_bounds(np.ones(count), ALPHA)[0] for count in (needed, needed - 1))
+    assert enough >= 0.99 > fewer
+    assert math.isinf(bounds.perfect_seeds_needed(1.0, 0.95))
 
 
 def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
@@ -126,7 +109,7 @@ def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
 @given(
     st.lists(st.floats(0, 0.9), min_size=3, max_size=40),
     st.floats(0.01, 0.3),
-    st.sampled_from([(1.0, VARIATION), (math.inf, VARIATION), (0.0, VARIATION_FROM_ZERO)]),
+    st.sampled_from([(1.0, bounds.VARIATION), (math.inf, bounds.VARIATION), (0.0, bounds.VARIATION_FROM_ZERO)]),
 )
 def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a_skewness_by_the_spread(
     values, alpha, limit
@@ -137,7 +120,7 @@ def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a
     if deviation < 1e-6:
         return
     wanted = stats.t.ppf(1 - alpha, count - 1) / math.sqrt(count)
-    skewness = min(stats.skew(values), -SKEWNESS)
+    skewness = min(stats.skew(values), -bounds.SKEWNESS)
 
     def of_cubic(low):  # Hall (1992), equation for T = (mean − low)/deviation
         error = (mean - low) / deviation
@@ -146,28 +129,29 @@ def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a
     gain = variation * wanted * deviation / (greatest - mean)  # of values as skewed as the inverse Gaussian law
     error = wanted * (1 + min(gain, 1))
     expected = [mean - error * deviation, optimize.brentq(of_cubic, -1e4, 1e4)]
-    assert float(skewed_bounds(values, alpha, greatest)) == pytest.approx(min(expected), rel=1e-5, abs=1e-5)
+    assert float(bounds.skewed_bounds(values, alpha, greatest)) == pytest.approx(min(expected), rel=1e-5, abs=1e-5)
 
 
 def test_a_bound_of_skewed_values_errs_as_often_as_it_may_where_t_errs_twice_as_often():
     values = np.random.default_rng(5).gamma(2.0, 0.5, (20_000, 20))
-    high = -skewed_bounds(-values, ALPHA, 0.0)
+    high = -bounds.skewed_bounds(-values, ALPHA, 0.0)
     half = stats.t.ppf(1 - ALPHA, 19) * values.std(axis=1, ddof=1) / math.sqrt(20)
     assert np.mean(values.mean(axis=1) + half <= 1) > 0.08
     assert np.mean(high <= 1) <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(values))
 
 
 def test_a_bound_of_skewed_values_says_nothing_of_equal_values_or_one_and_does_not_depend_on_the_unit():
-    assert skewed_bounds(np.full(10, 0.1), ALPHA) == skewed_bounds(np.array([1.0]), ALPHA) == -math.inf
+    assert bounds.skewed_bounds(np.full(10, 0.1), ALPHA) == bounds.skewed_bounds(np.array([1.0]), ALPHA) == -math.inf
     values = np.array([[0.2, 0.3, 0.9], [0.5, 0.4, 0.1]])
-    assert skewed_bounds(1e6 * values, ALPHA, 1e6) == pytest.approx(1e6 * skewed_bounds(values, ALPHA, 1.0))
+    large = bounds.skewed_bounds(1e6 * values, ALPHA, 1e6)
+    assert large == pytest.approx(1e6 * bounds.skewed_bounds(values, ALPHA, 1.0))
 
 
 def test_bounds_that_contradict_each_other_stay_where_they_were_before():
     values = np.concatenate([np.ones(60), np.zeros(200)])
-    found = mean_bounds(values, values, 0.95, "sequential", UNIT)
+    found = bounds.mean_bounds(values, values, 0.95, "sequential", UNIT)
     assert found.low <= found.high
-    low, high = betting_bounds(values, ALPHA)
+    low, high = bounds.betting_bounds(values, ALPHA)
     assert low > high and found.low == low
 
 
@@ -178,7 +162,7 @@ def campaigns(rng, share, seeds, count=400):
 @pytest.mark.parametrize("share", [0.99, 0.9, 0.5])
 def test_a_sequence_of_a_share_errs_at_most_five_percent_however_often_it_is_looked_at(share):
     right = campaigns(np.random.default_rng(1), share, 2_000)
-    ever = np.any(mixture_log_capital(right, share) >= -math.log(ALPHA), axis=1)
+    ever = np.any(bounds.mixture_log_capital(right, share) >= -math.log(ALPHA), axis=1)
     assert ever.mean() <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(ever))
 
 
@@ -196,5 +180,5 @@ def test_a_sequence_of_a_mean_errs_at_most_five_percent_each_way(draw):
     values = rng.beta(2.0, 0.5, shape) if draw == "beta" else np.where(rng.random(shape) < 0.9, 0.98, 0.0)
     mean = 0.8 if draw == "beta" else 0.9 * 0.98
     for above, threshold in ((values, mean), (1 - values, 1 - mean)):
-        ever = np.any(log_capital(above, threshold) >= -math.log(ALPHA), axis=1)
+        ever = np.any(bounds.log_capital(above, threshold) >= -math.log(ALPHA), axis=1)
         assert ever.mean() <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(ever))

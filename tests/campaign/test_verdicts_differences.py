@@ -3,11 +3,9 @@
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import yaml
 
 from benchmarks.resampled_means import STORED, TRAFFICS, differences, turned
 from modsim3d.campaign.done_rows import with_plan
-from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.plan import cases_of
 from modsim3d.campaign.ranking import worst_runs
 from modsim3d.campaign.report.campaign_page import mean_sections, paired_sections
@@ -16,12 +14,9 @@ from modsim3d.campaign.report.words import required_scores
 from modsim3d.campaign.verdicts.bounds import skewed_bounds
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import measured_offers, seeds_needed, warnings_of
-from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.row import table_of
 from modsim3d.cli.campaign_text import requirement_in_words
-from modsim3d.core.errors import InputError
-from tests.campaign.campaigns import html_of_blocks, run_campaign_file
-from tests.campaign.hand_made_tables import plan_of, table_of_scores
+from tests.campaign.campaigns import html_of_blocks, problems_of, run_campaign_file
+from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 NO_WORSE = {"score": "siap_completeness", "of": "new", "minus": "old", "at_least": -0.02}
 TRACKERS = ({"tracker": "sort", "name": "old"}, {"tracker": "bytetrack", "name": "new"})
@@ -66,12 +61,12 @@ def test_the_bound_of_a_difference_lies_between_minus_and_plus_the_span_of_the_s
 
 @pytest.mark.parametrize("crashed", [{0}, {1}])
 def test_a_lost_run_of_either_tracker_takes_the_worst_possible_difference(crashed):
-    values = values_of(0.0, 100)
-    met, lost = one({**NO_WORSE, "at_least": -0.1}, values), one({**NO_WORSE, "at_least": -0.1}, values, crashed)
+    values, requirement = values_of(0.0, 100), {**NO_WORSE, "at_least": -0.1}
+    met, lost = one(requirement, values), one(requirement, values, crashed)
     assert (met.outcome, lost.outcome, lost.crashed) == ("met", "met", 1)
     difference = np.append(-1.0, (values[:, 1] - values[:, 0])[1:])
     assert lost.low == pytest.approx(float(skewed_bounds(difference, 0.05, 1.0)))
-    assert one({**NO_WORSE, "at_least": -0.1}, values, range(10)).outcome == "undecided"
+    assert one(requirement, values, range(10)).outcome == "undecided"
 
 
 def test_a_lost_run_or_an_infinite_value_is_wrong_with_in_and_leaves_a_mean_without_worst_value_undecided():
@@ -92,13 +87,9 @@ def test_a_managed_score_must_rest_on_enough_of_both_trackers(lazy):
     plan = plan_of(6, [requirement], TRACKERS)
     assert "resting_on" in warnings_of(plan)[0]
     plan = plan_of(6, [{**requirement, "resting_on": 0.8}], TRACKERS)
-    few = lambda run: run in (0, 1) and ("old", "new")[run % 2] == lazy  # noqa: E731
-    rows = [
-        {"run": run, "status": "done", "appearances": 2, "rmse_px": 3.0, "misses": 8 if few(run) else 0,
-         "true_positives": 2 if few(run) else 10}
-        for run in range(12)
-    ]  # fmt: skip
-    (verdict,) = judged(plan, table_of(rows))
+    few, many = {"misses": 8, "true_positives": 2}, {"misses": 0, "true_positives": 10}
+    rows = [few if name == lazy else many for name in ("old", "new")] + [many] * 10
+    (verdict,) = judged(plan, table_of_runs({"appearances": 2, "rmse_px": 3.0, **row} for row in rows))
     assert (verdict.nothing, verdict.estimate) == (1, pytest.approx(5 / 6))
 
 
@@ -118,12 +109,8 @@ def test_a_difference_that_no_tracks_at_all_would_meet_says_so():
     ({"where": {"tracker": "new"}}, "require[0]: a difference names its trackers with of and minus"),
 ])  # fmt: skip
 def test_a_difference_that_names_no_two_trackers_is_one_clear_error(requirement, said, tmp_path):
-    keys = {"scene": "harbour", "steps": 5, "trackers": [*TRACKERS], "require": [{**NO_WORSE, **requirement}]}
-    file = tmp_path / "campaign.yaml"
-    file.write_text(yaml.safe_dump(keys))
-    with pytest.raises(InputError) as refused:
-        checked(read_campaign(file))
-    (problem,) = refused.value.problems
+    keys = {"scene": "harbour", "steps": 5, "trackers": [*TRACKERS]}
+    (problem,) = problems_of(tmp_path, **keys, require=[{**NO_WORSE, **requirement}])
     assert said in problem
 
 
@@ -180,10 +167,9 @@ def test_a_mean_difference_fails_if_every_run_of_the_tracker_itself_crashed_and_
 
 
 def test_a_campaign_page_traces_a_difference_to_the_runs_of_both_and_its_worst_run_has_the_worst_difference(tmp_path):
-    requirement = {**NO_WORSE, "score": "hota", "at_least": 0.9, "in": 0.5}
-    result = run_campaign_file(
-        tmp_path, scene="harbour", steps=12, seeds={"traffic": 3}, trackers=[*TRACKERS], require=[requirement]
-    )
+    require = [{**NO_WORSE, "score": "hota", "at_least": 0.9, "in": 0.5}]
+    keys = {"scene": "harbour", "steps": 12, "seeds": {"traffic": 3}, "trackers": [*TRACKERS]}
+    result = run_campaign_file(tmp_path, **keys, require=require)
     assert [each.tracker for each in result.verdicts] == ["new − old"]
     hota = result.table["hota"].to_numpy().reshape(3, 2)
     (worst,) = worst_runs(result.folder, result.table, result.verdicts, count=1)

@@ -2,17 +2,13 @@
 
 import numpy as np
 import pytest
-import yaml
 
 from modsim3d.campaign.done_rows import needed_seeds
-from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.verdicts.bounds import clean_seeds_needed
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import levels_of, warnings_of
-from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.row import table_of
-from modsim3d.core.errors import InputError
-from tests.campaign.hand_made_tables import plan_of, table_of_scores
+from tests.campaign.campaigns import problems_of
+from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.9}
 SCORES = ("id_switches", "hota", "mota", "idf1")
@@ -22,12 +18,9 @@ def verdicts_of(wrong, seeds, confidence=0.95, stop="once", level="family"):
     """Verdicts on shares of four scores, of which so many seeds are wrong."""
     require = [{"score": each, "at_least": 0.5, "in": 0.9, "confidence": confidence} for each in SCORES[1 : len(wrong)]]
     plan = plan_of(seeds, [{**CLEAN, "confidence": confidence}, *require], level=level, stop=stop)
-    rows = [
-        {"run": run, "status": "done", "id_switches": int(run < wrong[0])}
-        | {name: 0.1 if run < bad else 0.9 for name, bad in zip(SCORES[1:], wrong[1:], strict=False)}
-        for run in range(seeds)
-    ]
-    return judged(plan, table_of(rows))
+    others = list(zip(SCORES[1:], wrong[1:], strict=False))
+    rows = ({name: 0.1 if run < bad else 0.9 for name, bad in others} for run in range(seeds))
+    return judged(plan, table_of_runs({"id_switches": int(run < wrong[0]), **row} for run, row in enumerate(rows)))
 
 
 def test_a_verdict_alone_is_judged_at_its_own_level_and_two_at_half_of_it():
@@ -58,13 +51,12 @@ def test_the_family_errs_no_more_than_one_of_its_verdicts_may(stop):
     """Eight shares at their threshold: each verdict alone is wrong more often in all than its level."""
     rng, wrong = np.random.default_rng(3), {"family": 0, "each": 0}
     names = ("hota", "deta", "idf1", "idr", "mota", "assa", "detre", "detpr")
+    require = [{"score": name, "at_least": 0.5, "in": 0.8, "confidence": 0.9} for name in names]
     for _ in range(60):
-        right = rng.random((60, 8)) < 0.8
-        values = [dict(zip(names, each.astype(float), strict=True)) for each in right]
-        rows = [{"run": run, "status": "done"} | each for run, each in enumerate(values)]
+        right = (rng.random((60, 8)) < 0.8).astype(float)
+        table = table_of_runs(dict(zip(names, each, strict=True)) for each in right)
         for level in wrong:
-            require = [{"score": name, "at_least": 0.5, "in": 0.8, "confidence": 0.9} for name in names]
-            verdicts = judged(plan_of(60, require, level=level, stop=stop), table_of(rows))
+            verdicts = judged(plan_of(60, require, level=level, stop=stop), table)
             wrong[level] += any(each.outcome == "met" for each in verdicts)
     assert wrong["family"] <= 0.1 * 60 + 6 and wrong["family"] < wrong["each"]
 
@@ -93,12 +85,6 @@ def test_levels_say_that_they_are_those_of_the_family():
 
 
 def test_a_family_has_one_confidence(tmp_path):
-    file = tmp_path / "campaign.yaml"
-    require = [CLEAN, {**CLEAN, "confidence": 0.9}]
-    keys = {"scene": "harbour", "steps": 5, "trackers": ["sort"], "level": "family", "require": require}
-    file.write_text(yaml.safe_dump(keys))
-    with pytest.raises(InputError) as refused:
-        checked(read_campaign(file))
-    assert refused.value.problems == (
-        "level: family has one confidence for all requirements, and these have 0.9 and 0.95",
-    )
+    keys = {"scene": "harbour", "steps": 5, "trackers": ["sort"], "level": "family"}
+    (said,) = problems_of(tmp_path, **keys, require=[CLEAN, {**CLEAN, "confidence": 0.9}])
+    assert said == "level: family has one confidence for all requirements, and these have 0.9 and 0.95"

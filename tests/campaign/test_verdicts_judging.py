@@ -11,8 +11,7 @@ from modsim3d.campaign.verdicts.bounds import skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import levels_of, seeds_needed, warnings_of
-from modsim3d.campaign.work.row import table_of
-from tests.campaign.hand_made_tables import plan_of, table_of_scores
+from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
 HOTA = {"score": "hota", "at_least": 0.6}
@@ -144,16 +143,14 @@ def test_a_mean_is_judged_on_the_side_that_the_requirement_names(requirement, me
 
 def test_seeds_in_which_nothing_went_wrong_are_left_out_and_fail_nothing():
     plan = plan_of(4, [{"score": "mean_track_break_s", "at_most": 3, "resting_on": 0.5}])
-    rows = [{"run": run, "status": "done", "appearances": 2, "established": 2 * (run > 0)} for run in range(4)]
-    (verdict,) = judged(plan, table_of(rows))
+    (verdict,) = judged(plan, table_of_runs({"appearances": 2, "established": 2 * (run > 0)} for run in range(4)))
     assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 1, 3)
     assert "nothing of that kind went wrong" in verdict.why
 
 
 def test_a_run_whose_tracker_gave_nothing_makes_its_seed_wrong_beside_one_that_is_right():
     plan = plan_of(2, [{"score": "detpr", "at_least": 0.6, "in": 0.5}], detector=2)
-    rows = [{"run": run, "status": "done", "appearances": 3, "detpr": None if run == 1 else 0.9} for run in range(4)]
-    (verdict,) = judged(plan, table_of(rows))
+    (verdict,) = judged(plan, table_of_runs({"appearances": 3, "detpr": detpr} for detpr in (0.9, None, 0.9, 0.9)))
     assert (verdict.estimate, verdict.nothing, verdict.undefined, verdict.left_out) == (0.5, 1, 0, 0)
 
 
@@ -167,29 +164,22 @@ def test_a_run_whose_tracker_gave_nothing_makes_its_seed_wrong_beside_one_that_i
 ])  # fmt: skip
 def test_a_requirement_that_no_tracks_at_all_would_meet_says_so(requirement, said):
     """In each run there are 10 vessel-frames in 10 frames: without tracks GOSPA is half of its cutoff, 100 px."""
-    row = {"status": "done", "frames": 10, "true_positives": 8, "misses": 2, "appearances": 2, "id_switches": 0}
-    rows = [{**row, "run": run, "gospa": 9.0 + run, "mota": 0.7 + run / 100, "false_track_s": 1.0} for run in range(6)]
-    (verdict,) = judged(plan_of(6, [requirement]), table_of(rows))
+    row = {"frames": 10, "true_positives": 8, "misses": 2, "appearances": 2, "id_switches": 0, "false_track_s": 1.0}
+    table = table_of_runs({**row, "gospa": 9.0 + run, "mota": 0.7 + run / 100} for run in range(6))
+    (verdict,) = judged(plan_of(6, [requirement]), table)
     assert verdict.met_without_tracks == said == ("No tracks at all would meet it too" in verdict.why)
 
 
 def test_each_tracker_and_each_condition_has_a_verdict_and_drawn_values_split_nothing():
     vary = [{"grid": {"detector.miss_rate": [0.1, 0.2]}}, {"uniform": {"waves.level": [0, 3]}}]
-    plan = plan_of(
-        4, [HOTA, {**HOTA, "where": {"tracker": "sort", "detector.miss_rate": 0.2}}], ("bytetrack", "sort"), vary=vary
-    )
-    values = np.tile([0.1, 0.2, 0.3, 0.4], 4) + np.repeat([0.01, 0.02, 0.03, 0.04], 4)  # seed, condition, tracker
+    one_case = {**HOTA, "where": {"tracker": "sort", "detector.miss_rate": 0.2}}
+    plan = plan_of(4, [HOTA, one_case], ("bytetrack", "sort"), vary=vary)
+    values = np.add.outer([0.01, 0.02, 0.03, 0.04], [0.1, 0.2, 0.3, 0.4])  # by seed, condition and tracker
     verdicts = judged(plan, table_of_scores(plan, "hota", values))
-    found = [(each.requirement, each.tracker, each.values["detector.miss_rate"], each.estimate) for each in verdicts]
-    expected = [
-        (0, "bytetrack", 0.1, 0.125),
-        (0, "bytetrack", 0.2, 0.325),
-        (0, "sort", 0.1, 0.225),
-        (0, "sort", 0.2, 0.425),
-        (1, "sort", 0.2, 0.425),
-    ]
-    assert [each[:3] for each in found] == [each[:3] for each in expected]
-    assert [each[3] for each in found] == pytest.approx([each[3] for each in expected])
+    found = [(each.requirement, each.tracker, each.values["detector.miss_rate"]) for each in verdicts]
+    of_all = [(0, "bytetrack", 0.1), (0, "bytetrack", 0.2), (0, "sort", 0.1), (0, "sort", 0.2)]
+    assert found == [*of_all, (1, "sort", 0.2)]
+    assert [each.estimate for each in verdicts] == pytest.approx([0.125, 0.325, 0.225, 0.425, 0.425])
     assert levels_of(plan).any_wrong == pytest.approx(0.25) and levels_of(plan).all_met == pytest.approx(0.05)
 
 
@@ -204,46 +194,27 @@ def test_levels_leave_out_a_bound_that_says_nothing_and_are_never_a_probability_
     assert "as far as it was measured" in first and "`in` is exact there too" in last
 
 
-def test_a_state_within_the_runs_has_columns_of_its_own():
-    plan = plan_of(5, [{**HOTA, "in": 0.5, "where": {"state": ["haze", "clear"]}}])
-    rows = [
-        {
-            "run": run,
-            "status": "done",
-            "hota": 0.9,
-            "state.haze.hota": 0.5 + run / 100,
-            "state.clear.hota": 0.8 + run / 100,
-        }
-        for run in range(5)
-    ]
-    haze, clear = judged(plan, table_of(rows))
-    assert (haze.outcome, clear.outcome) == ("failed", "met")
-    assert haze.text == "hota at least 0.6 in state haze, in 50 % of traffic seeds" and haze.values == {"state": "haze"}
-
-
 def test_rows_behind_a_missing_one_do_not_count_and_a_crashed_run_rests_on_nothing():
     plan = plan_of(1000, [{**CLEAN, "in": 0.5}], stop="sequential")
     table = table_of_scores(plan, "id_switches", [0] * 20)
-    (verdict,) = judged(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))
-    assert verdict.seeds == 5
+    assert judged(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))[0].seeds == 5
     values, share = np.array([[1.0], [np.nan], [2.0]]), np.array([[0.8], [np.nan], [0.4]])
     runs = Runs(values, np.isnan(values), np.zeros((3, 1), dtype=bool), share)
     assert runs.rests_on == pytest.approx(0.4)
 
 
 def test_a_plan_that_is_too_small_is_said_so_before_it_starts():
-    (once,) = warnings_of(plan_of(298, [CLEAN]))
-    assert "299 traffic seeds that are all right, or 473 if one is not, and has 298" in once
-    (sequential,) = warnings_of(plan_of(679, [CLEAN], stop="sequential"))
-    assert "680" in sequential
-    assert warnings_of(plan_of(299, [CLEAN])) == warnings_of(plan_of(680, [CLEAN], stop="sequential")) == []
-    assert warnings_of(plan_of(50, [{"score": "hota", "at_least": 1.2}]))
-    assert warnings_of(plan_of(1, [HOTA]))
-    (no_share,) = warnings_of(plan_of(50, [{"score": "id_switches", "at_most": 0}]))
-    assert TOO_FEW in no_share
-    (drawn,) = warnings_of(plan_of(50, [HOTA], uncertainty="learned"))
-    assert "over all detectors that the labelled set allows" in drawn
-    assert warnings_of(plan_of(50, [{**HOTA, "in": 0.9}], uncertainty="learned")) == []
+    def warned(seeds, requirement, **keys):
+        (said,) = warnings_of(plan_of(seeds, [requirement], **keys)) or [""]
+        return said
+
+    assert "299 traffic seeds that are all right, or 473 if one is not, and has 298" in warned(298, CLEAN)
+    assert "680" in warned(679, CLEAN, stop="sequential")
+    assert warned(299, CLEAN) == warned(680, CLEAN, stop="sequential") == ""
+    assert warned(50, {"score": "hota", "at_least": 1.2}) and warned(1, HOTA)
+    assert TOO_FEW in warned(50, {"score": "id_switches", "at_most": 0})
+    assert "over all detectors that the labelled set allows" in warned(50, HOTA, uncertainty="learned")
+    assert warned(50, {**HOTA, "in": 0.9}, uncertainty="learned") == ""
 
 
 @pytest.mark.parametrize("stop", ["once", "sequential"])
@@ -276,12 +247,11 @@ def test_the_seeds_between_two_measured_confidences_are_those_that_both_need(mon
 
 def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
     plan = plan_of(6, [{**HOTA, "in": 0.5, "where": {"state": "haze"}}])
-    hota = [0.7, None, 0.72, 0.71, 0.7, 0.7]
-    rows = [{"run": run, "status": "done", "hota": 0.1, "state.haze.hota": hota[run]} for run in range(6)]
-    (verdict,) = judged(plan, table_of(rows))
+    rows = ({"hota": 0.1, "state.haze.hota": hota} for hota in (0.7, None, 0.72, 0.71, 0.7, 0.7))
+    (verdict,) = judged(plan, table_of_runs(rows))
     assert (verdict.outcome, verdict.seeds, verdict.undefined) == ("met", 5, 1)
-    said = "1 traffic seed without hota in state haze left out: 1000001. The truth has nothing to score there."
-    assert said in verdict.why
+    left_out = "1 traffic seed without hota in state haze left out: 1000001. The truth has nothing to score there."
+    assert left_out in verdict.why
 
 
 def test_pairing_takes_off_what_both_trackers_share():
@@ -317,9 +287,8 @@ def test_a_run_that_crashed_or_has_nothing_to_score_widens_a_paired_difference_a
     whole, lost = (paired(plan, table_of_scores(plan, "hota", values, crashed), "hota")[0] for crashed in ((), (6,)))
     assert (lost.crashed, lost.seeds) == (1, 99)
     assert lost.low < whole.low and lost.high > whole.high
-    rows = [
-        {"run": run, "status": "done", "appearances": 2, "assa": None if run == 7 else 0.7 + run % 4 / 100}
-        for run in range(100)
-    ]
-    (found,) = paired(plan_of(50, [], ("bytetrack", "sort")), table_of(rows), "assa")
+    assa = [0.7 + run % 4 / 100 for run in range(100)]
+    assa[7] = None
+    table = table_of_runs({"appearances": 2, "assa": each} for each in assa)
+    (found,) = paired(plan_of(50, [], ("bytetrack", "sort")), table, "assa")
     assert (found.crashed, found.undefined, found.seeds) == (1, 0, 49)

@@ -6,7 +6,9 @@ import json
 import shlex
 import shutil
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,41 +16,32 @@ import pytest
 
 from modsim3d.campaign import reproduce, worst_film
 from modsim3d.campaign.folder import CampaignFolder
-from modsim3d.campaign.keys import CampaignKeys, read_campaign
+from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.ranking import WorstRun, worst_runs
 from modsim3d.campaign.reproduce import remade
-from modsim3d.campaign.running import CampaignResult, run_plan
+from modsim3d.campaign.running import CampaignResult
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.work import layers
-from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import row_of, rules_of
 from modsim3d.campaign.work.worst_moment import Mistakes
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.campaign.worst_film import in_words, moment_picture
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.conftest import Modsim3d, modsim3d
+from tests.campaign.campaigns import interrupt, run_campaign_file
+from tests.cli.conftest import Modsim3d
 from tests.tracking.hand_made import box, hand_made
 
-__all__ = ["modsim3d"]
-CAMPAIGN = """
-scene: harbour
-steps: 20
-seeds: {traffic: 2, detector: 2}
-vary:
-  - grid: {state: [good, terrible], detector.operating_threshold: [0.2]}
-trackers:
-  - sort
-  - {tracker: sort, name: hasty, set: {minimum_consecutive_frames: 1}}
-score: {similarity: centre, scale_px: 200}
-require:
-  - {score: hota, at_least: 0.9}
-  - {score: false_track_s, at_most: 0}
-"""
+CAMPAIGN: dict[str, Any] = {
+    "scene": "harbour", "steps": 20, "seeds": {"traffic": 2, "detector": 2},
+    "vary": [{"grid": {"state": ["good", "terrible"], "detector.operating_threshold": [0.2]}}],
+    "trackers": ["sort", {"tracker": "sort", "name": "hasty", "set": {"minimum_consecutive_frames": 1}}],
+    "score": {"similarity": "centre", "scale_px": 200},
+    "require": [{"score": "hota", "at_least": 0.9}, {"score": "false_track_s", "at_most": 0}],
+}  # fmt: skip
 CRASHES = 5
 """Number of the run that crashes."""
 
@@ -59,19 +52,29 @@ def crash(*_: object) -> None:
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
-    folder = tmp_path_factory.mktemp("worst")
-    (folder / "c.yaml").write_text(CAMPAIGN)
     with pytest.MonkeyPatch.context() as patch:
-        made, calls = layers.tracks_of, []
+        made, calls = layers.tracks_of, count()
 
-        def tracks_of(*arguments: object) -> object:
-            calls.append(1)
-            return crash() if len(calls) == CRASHES + 1 else made(*arguments)  # type: ignore[arg-type]
+        def tracks_of(*arguments: Any) -> object:
+            return crash() if next(calls) == CRASHES else made(*arguments)
 
         patch.setattr(layers, "tracks_of", tracks_of)
-        result = run_plan(checked(read_campaign(folder / "c.yaml")), folder / "out", ThisProcess)
-    assert result is not None and result.table["status"].to_pylist().count("crashed") == 1
+        result = run_campaign_file(tmp_path_factory.mktemp("worst"), **CAMPAIGN)
+    assert result.table["status"].to_pylist().count("crashed") == 1
     return result
+
+
+@pytest.fixture
+def again(campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path) -> Modsim3d:
+    """The command that makes a run of the campaign again, into the folder `again`, with more options."""
+    line = "campaign", "reproduce", campaign.folder.path
+    return lambda number, *options: modsim3d(*line, number, "--out", tmp_path / "again", *options)
+
+
+def files_in(folder: Path) -> dict[Path, bytes]:
+    """The files of a run directory but its log, which names times."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
+    return {path.relative_to(folder): path.read_bytes() for path in files}
 
 
 def verdict(requirement: int, outcome: Outcome, tracker: str = "sort", condition: int = 0) -> Verdict:
@@ -83,14 +86,8 @@ def found(campaign: CampaignResult, *verdicts: Verdict, count: int = 5) -> list[
 
 
 def values(campaign: CampaignResult, score: str, tracker: str | None = None, condition: int = 0) -> list[float]:
-    rows = campaign.table.to_pylist()
-    return [
-        row[score]
-        for row in rows
-        if row["status"] == "done"
-        and tracker in (None, row["tracker"])
-        and (tracker is None or row["condition"] == condition)
-    ]
+    rows = [row for row in campaign.table.to_pylist() if row["status"] == "done"]
+    return [row[score] for row in rows if tracker is None or (row["tracker"], row["condition"]) == (tracker, condition)]
 
 
 def test_runs_that_crashed_come_first_with_their_error(campaign: CampaignResult) -> None:
@@ -100,9 +97,8 @@ def test_runs_that_crashed_come_first_with_their_error(campaign: CampaignResult)
 
 
 def test_without_requirements_the_lowest_hota_comes_first(campaign: CampaignResult) -> None:
-    rest = found(campaign, count=4)[1:]
-    assert [each.value for each in rest] == sorted(values(campaign, "hota"))[:3]
-    assert {each.score for each in rest} == {"hota"}
+    rest = [(each.score, each.value) for each in found(campaign, count=4)[1:]]
+    assert rest == [("hota", value) for value in sorted(values(campaign, "hota"))[:3]]
 
 
 def test_failed_requirements_take_turns_and_come_before_undecided_ones(campaign: CampaignResult) -> None:
@@ -126,20 +122,16 @@ def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> N
     keys = CampaignKeys.model_validate({"scene": "harbour", "trackers": ["sort"], "require": [requirement]})
     folder = CampaignFolder(tmp_path, {}, Plan.of(keys))
     same = {name: [0] * 4 for name in ("condition", "traffic_seed", "detector_seed")}
-    scores = {
-        "hota": [0.1, 0.9, 0.9, 0.9],
-        "state.good.hota": [0.9, 0.5, 0.3, None],
-        "state.bad.hota": [0.9, 0.1, 0.8, None],
-    }
+    scores = {"state.good.hota": [0.9, 0.5, 0.3, None], "state.bad.hota": [0.9, 0.1, 0.8, None]}
     facts = {"run": [0, 1, 2, 3], "status": ["done"] * 4, "tracker": ["sort"] * 4, "worst_s": [1.0] * 4}
-    worst = worst_runs(folder, pa.table({**facts, **same, **scores}), [verdict(0, "failed")])
+    table = pa.table({**facts, **same, "hota": [0.1, 0.9, 0.9, 0.9], **scores})
+    worst = worst_runs(folder, table, [verdict(0, "failed")])
     assert [each.number for each in worst] == [1, 2, 0]  # nothing is known of the last one in these states
 
 
 def test_a_run_that_is_made_again_has_the_row_of_the_campaign(campaign: CampaignResult) -> None:
     worst = found(campaign)[1]
-    made = remade(campaign.folder, worst.number)
-    row = row_of(worst.number, made, rules_of(campaign.folder.keys.score))
+    row = row_of(worst.number, remade(campaign.folder, worst.number), rules_of(campaign.folder.keys.score))
     stored = campaign.table.to_pylist()[worst.number]
     assert {name: stored[name] for name in row} == row
     assert row["worst_s"] == worst.moment_s
@@ -150,9 +142,8 @@ def test_the_picture_shows_the_tracks_at_the_moment(campaign: CampaignResult) ->
     made = remade(campaign.folder, worst.number)
     assert worst.moment_s is not None
     pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
-    images = [np.asarray(each) for each in pictures]
-    assert images[0].shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000
-    assert images[0].shape != images[1].shape or (images[0] != images[1]).any()
+    assert np.asarray(pictures[0]).shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000
+    assert not np.array_equal(*map(np.asarray, pictures))
     none = replace(made, tracks=made.tracks.take(np.empty(0, dtype=np.int64)))
     assert moment_picture(none, worst.moment_s, 640, rules) != pictures[0]
 
@@ -162,8 +153,8 @@ def test_the_head_of_the_picture_says_what_is_wrong() -> None:
     tracks = [(step, 8 if step < 3 else 9, box()) for step in range(4)] + [(3, 20, box(400))]
     scored = hand_made(truth, tracks, 4)
     names = scored.rows.scene.vessel_names
-    said = in_words(Mistakes.of(scored).in_frame(3), names)
-    assert said == f"1 vessel missed, 1 track on nothing, switch of {names[0]} from #8 to #9"
+    wanted = f"1 vessel missed, 1 track on nothing, switch of {names[0]} from #8 to #9"
+    assert in_words(Mistakes.of(scored).in_frame(3), names) == wanted
 
 
 def test_a_number_beyond_the_plan_is_told(campaign: CampaignResult) -> None:
@@ -172,22 +163,16 @@ def test_a_number_beyond_the_plan_is_told(campaign: CampaignResult) -> None:
 
 
 def test_the_command_makes_the_run_that_the_options_of_run_make(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path
+    campaign: CampaignResult, again: Modsim3d, modsim3d: Modsim3d, tmp_path: Path
 ) -> None:
-    out = tmp_path / "again"
-    said = modsim3d("campaign", "reproduce", campaign.folder.path, 15, "--out", out)
+    said, out = again(15), tmp_path / "again"
     assert said.status == 0 and "Every column is as in the campaign." in said.out
     assert f"modsim3d score {out} {out}_tracks --similarity centre:200.0" in said.out
     planned = campaign.folder.plan.run(15)
     settings = {"detector.operating_threshold": 0.2}
     seeds = {"seed": planned.traffic_seed, "detector_seed": planned.detector_seed}
     run_scene(load_scene("harbour", steps=20, state="terrible", settings=settings, **seeds), tmp_path / "plain")
-    names = sorted(path.relative_to(out) for path in out.rglob("*") if path.is_file() and path.name != "run.log")
-    plain = tmp_path / "plain"
-    assert names == sorted(
-        path.relative_to(plain) for path in plain.rglob("*") if path.is_file() and path.name != "run.log"
-    )
-    assert [name for name in names if (out / name).read_bytes() != (plain / name).read_bytes()] == []
+    assert files_in(out) == files_in(tmp_path / "plain")
     said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre:200", "--json")
     assert json.loads(said.out)["trackers"][0]["hota"] == campaign.table["hota"][15].as_py()
 
@@ -213,15 +198,9 @@ def test_the_command_that_films_follows_the_one_that_makes_the_run_again(
     assert log.stat().st_mtime_ns > before[0]
 
 
-def test_another_run_or_the_tracks_of_another_tracker_are_refused(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path
-) -> None:
-    out = tmp_path / "again"
-    line = ("--out", out)
-    assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, *line).status == 0
-    other_tracker, other_seed, other_state = (
-        modsim3d("campaign", "reproduce", campaign.folder.path, n, *line) for n in (3, 0, 6)
-    )
+def test_another_run_or_the_tracks_of_another_tracker_are_refused(again: Modsim3d, tmp_path: Path) -> None:
+    assert again(2).status == 0
+    out, (other_tracker, other_seed, other_state) = tmp_path / "again", map(again, (3, 0, 6))
     assert other_tracker.status == other_seed.status == other_state.status == 2
     assert "tracks.parquet exists: use --overwrite" in other_tracker.err
     assert all(f"{out}" in said.err and "use --overwrite" in said.err for said in (other_seed, other_state))
@@ -229,55 +208,42 @@ def test_another_run_or_the_tracks_of_another_tracker_are_refused(
     for table in reversed(tables):  # a damaged file is not taken for the run
         content = table.read_bytes()
         table.write_bytes(content[:-9] + bytes(9))
-        assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, *line).status == 2
+        assert again(2).status == 2
         table.write_bytes(content)
-    assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, *line).status == 0
+    assert again(2).status == 0
 
 
-def test_an_interrupted_run_is_gone_on_with(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    out = tmp_path / "again"
+def test_an_interrupted_run_is_gone_on_with(again: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(RunDirectory, "finish", interrupted)
-        said = modsim3d("campaign", "reproduce", campaign.folder.path, 2, "--out", out)
+        patch.setattr(RunDirectory, "finish", interrupt)
+        said = again(2)
     assert said.status == 130 and "the same command goes on" in said.err
-    assert modsim3d("campaign", "reproduce", campaign.folder.path, 2, "--out", out).status == 0
+    assert again(2).status == 0
 
 
-def test_the_command_films_the_moment(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_film_is_of_the_moment(campaign: CampaignResult, again: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worst_film, "AROUND_S", 1.0)
-    said = modsim3d("campaign", "reproduce", campaign.folder.path, 15, "--out", tmp_path / "again", "--film", "--json")
-    filmed, moment_s = json.loads(said.out)["film"], campaign.table["worst_s"][15].as_py()
+    filmed = json.loads(again(15, "--film", "--json").out)["film"]
+    moment_s = campaign.table["worst_s"][15].as_py()
     assert Path(filmed["path"]).stat().st_size > 10_000
     assert (filmed["from_s"], filmed["to_s"]) == (moment_s - 1, moment_s + 1)
 
 
-def test_a_run_that_crashed_crashes_again(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_crashed_crashes_again(again: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reproduce, "track_run", lambda *_, **__: crash())
-    said = modsim3d("campaign", "reproduce", campaign.folder.path, CRASHES, "--out", tmp_path / "again", "--film")
-    assert said.status == 0
-    assert "The run crashed again, with the error that the campaign has." in said.out
+    said = again(CRASHES, "--film")
+    assert said.status == 0 and "The run crashed again, with the error that the campaign has." in said.out
     assert "ValueError: the filter has lost its mind\n  " in said.out and "in crash" in said.out
     assert "Traceback" not in said.out + said.err
-    said = modsim3d("campaign", "reproduce", campaign.folder.path, 0, "--out", tmp_path / "other")
+    said = again(0, "--out", tmp_path / "other")
     assert said.status == 1 and "The run crashed." in said.out
 
 
-def test_a_run_that_comes_out_otherwise_is_told_with_the_versions(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_comes_out_otherwise_names_the_versions(again: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
     now = reproduce.versions()
     monkeypatch.setattr(reproduce, "versions", lambda: {**now, "numpy": "9.9"})
     monkeypatch.setattr(reproduce, "row_of", lambda *made: {**row_of(*made), "hota": 0.5})
-    said = modsim3d("campaign", "reproduce", campaign.folder.path, 0, "--out", tmp_path / "again")
+    said = again(0)
     assert said.status == 1
     assert "1 columns are not as in the campaign: hota." in said.out
     assert f"The campaign was made with other versions: numpy {now['numpy']} → 9.9." in said.out

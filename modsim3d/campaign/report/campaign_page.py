@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -68,25 +67,19 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
         remark += "modsim3d campaign table has all."
     shown = without_judged(plan, rows, verdicts)
     remark += " Intervals of means that are required are those of the requirements, above." * (shown != rows)
+    stopped = (  # stopping changes intervals for a number of seeds fixed beforehand
+        " This campaign ended when its requirements were decided, so these intervals describe and prove nothing: those "
+        "of the requirements hold however often they are looked at."
+    ) * (plan.keys.stop != "once")
     return [
         Text(
             f"Mean over traffic seeds [{100 * LEVEL:g} % interval by Student's t]. The value of a seed is the mean "
             "over its detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: "
-            f"of twenty, one is expected to miss.{_stopped(plan)}{remark}",
+            f"of twenty, one is expected to miss.{stopped}{remark}",
             "soft",
         ),
         mean_table(shown, "", names=score_name),
     ]
-
-
-def _stopped(plan: Plan) -> str:
-    """Sentence on sequential campaigns: how stopping changes intervals for a number of seeds fixed beforehand."""
-    if plan.keys.stop == "once":
-        return ""
-    return (
-        " This campaign ended when its requirements were decided, so these intervals describe and prove nothing: those "
-        "of the requirements hold however often they are looked at."
-    )
 
 
 def _badness(score: Score, mean: float | None) -> float:
@@ -166,26 +159,15 @@ MAX_ERRORS, MAX_NUMBERS = 20, 8
 def worst_sections(
     folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], advance: Callable[[int], None]
 ) -> list[Block]:
-    """The worst runs, each with the moment at which it went wrong and the commands that show more.
-
-    Args:
-        folder: The campaign.
-        table: Its rows.
-        verdicts: The verdicts on its requirements.
-        advance: Called with 1 after each run.
-    """
+    """The worst runs, each with the moment at which it went wrong and the commands that show more; `advance` is called
+    with 1 after each run."""
     found = worst_runs(folder, table, verdicts, WORST) if len(table) else []
-    return [
-        Heading("The worst runs"),
-        Text(
-            "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "
-            "failed requirements come before the others. They say how a tracker fails, and nothing about how often."
-            if found
-            else "",
-            "soft",
-        ),
-        *(block for each in found for block in _worst_run(folder, each, advance)),
-    ]
+    about = (
+        "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "
+        "failed requirements come before the others. They say how a tracker fails, and nothing about how often."
+    )
+    blocks = (block for each in found for block in _worst_run(folder, each, advance))
+    return [Heading("The worst runs"), Text(about if found else "", "soft"), *blocks]
 
 
 def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[[int], None]) -> Iterator[Block]:
@@ -238,9 +220,7 @@ def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
         f"{counted(len(crashed), 'run')} of {len(table):,} crashed. Means and charts are of the other runs; "
         "requirements count each crash as wrong, or stay undecided. To see an error again:"
     )
-    first, path = ordered[0][1][0]["run"], folder.path
-    out = shlex.quote(str(path / "runs" / str(first)))
-    again = f"modsim3d campaign reproduce {shlex.quote(str(path))} {first} --out {out}"
+    again = folder.reproducing(ordered[0][1][0]["run"])
     more = f"The {MAX_ERRORS} most frequent errors are shown." if len(ordered) > MAX_ERRORS else ""
     return [
         Heading("Runs that crashed"),
@@ -261,15 +241,8 @@ def campaign_page(
     advance: Callable[[int], None] = lambda done: None,
     command: str | None = None,
 ) -> str:
-    """The page as HTML.
-
-    Args:
-        folder: The campaign.
-        table: Its rows, see `results_table`.
-        verdicts: The verdicts on its requirements.
-        advance: Called with 1 after each picture.
-        command: What the page says it was made by; the call from Python if None.
-    """
+    """Page of a campaign as HTML. `advance` is called with 1 after each picture; `command` is what the page says it was
+    made by, the call from Python if None."""
     plan = folder.plan
     asked = "are its requirements met?" if plan.keys.require else "what does it compare?"
     document = Document(
@@ -292,11 +265,9 @@ def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
     """The verdicts, and at which level they hold together; nothing without requirements."""
     if not plan.keys.require:
         return []
-    together: list[Block] = [
-        Heading("How often verdicts are wrong", 3),
-        Text(" ".join(levels_of(plan).sentences()), "soft"),
-    ]
-    return [Heading("Requirements"), *requirement_sections(plan, verdicts), *together]
+    levels = Text(" ".join(levels_of(plan).sentences()), "soft")
+    wrong = Heading("How often verdicts are wrong", 3)
+    return [Heading("Requirements"), *requirement_sections(plan, verdicts), wrong, levels]
 
 
 def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:

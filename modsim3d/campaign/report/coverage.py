@@ -35,13 +35,7 @@ _DIGITS = 16
 
 
 def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
-    """Evidence of each verdict: runs, seeds, checksums, versions, and the commands that repeat it.
-
-    Args:
-        folder: The campaign.
-        table: Its rows so far, see `results_table`.
-        verdicts: The verdicts on its requirements.
-    """
+    """Evidence of each verdict: runs, seeds, checksums, versions, and the commands that repeat it."""
     return [
         Heading("What each verdict rests on"),
         *_verdicts(folder.plan, table, verdicts),
@@ -64,17 +58,9 @@ def _verdicts(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Itera
             requirement = plan.keys.require[verdict.requirement]
             labels = [label for label in (requirement.of, requirement.minus) if label is not None]
         chosen = (conditions == verdict.condition) & np.isin(trackers, labels)
-        rows.append(
-            [
-                f"{verdict.requirement + 1}. {verdict.text}",
-                verdict.tracker,
-                f"{verdict.condition}",
-                verdict.outcome,
-                numbers_in_words(runs[chosen]),
-                numbers_in_words(np.unique(seeds[chosen])),
-                f"{len(np.unique(looks[chosen]))}",
-            ]
-        )
+        text, numbers = f"{verdict.requirement + 1}. {verdict.text}", numbers_in_words(runs[chosen])
+        counts = numbers_in_words(np.unique(seeds[chosen])), f"{len(np.unique(looks[chosen]))}"
+        rows.append([text, verdict.tracker, f"{verdict.condition}", verdict.outcome, numbers, *counts])
     header = ["requirement", "tracker", "condition", "outcome", "runs", "traffic seeds", "detector seeds"]
     yield Table("", header, rows)
     yield from _left_out(len(verdicts), VERDICTS)
@@ -146,24 +132,14 @@ TENTHS, QUARTERS = 10, 4
 
 
 def empty_draws(keys: CampaignKeys, table: pa.Table) -> list[str]:
-    """In words, which parts of the drawn ranges have no run that is done.
-
-    Args:
-        keys: The campaign file.
-        table: The rows.
-    """
+    """Parts of the drawn ranges that have no run that is done, in words."""
     done = table.filter(pc.equal(table["status"], DONE))
     drawn = {key: values for factor in keys.vary for key, values in factor.ranges.items() if key in table.column_names}
     said = [text for key, values in drawn.items() for text in _of_key(key, values, done[key])]
     numbers = {key: values for key, values in drawn.items() if values.choices is None}
     for one, other in combinations(numbers, 2):
-        squares = {
-            (int(a), int(b))
-            for a, b in zip(
-                *(np.floor(_shares(numbers[key], done[key]) * QUARTERS) for key in (one, other)), strict=True
-            )
-        }
-        if missing := QUARTERS**2 - len(squares):
+        quarters = (np.floor(_shares(numbers[key], done[key]) * QUARTERS).tolist() for key in (one, other))
+        if missing := QUARTERS**2 - len(set(zip(*quarters, strict=True))):
             said.append(f"{one} with {other}: no draw in {missing} of {QUARTERS**2} squares of quarters of both ranges")
     return said
 
@@ -208,24 +184,11 @@ def _stretches(empty: Mask) -> Iterator[tuple[int, int]]:
     return ((int(first), int(stop)) for first, stop in list(pairwise(edges.tolist()))[::2])
 
 
-__all__ = ["coverage_sections", "trace_sections"]
-
 NO_CLAIM = (
     "A verdict holds for what is counted here. A dash stands for what was not covered: no claim is made about it."
 )
-ENCOUNTERS = dict(
-    zip(
-        KINDS.values(),
-        (
-            "head-on",
-            "crossing from starboard",
-            "crossing from port",
-            "own ship overtakes",
-            "own ship is overtaken",
-        ),
-        strict=True,
-    )
-)
+_ENCOUNTERS = "head-on", "crossing from starboard", "crossing from port", "own ship overtakes", "own ship is overtaken"
+ENCOUNTERS = dict(zip(KINDS.values(), _ENCOUNTERS, strict=True))
 SEAS = {
     "calm": 0.0,
     "smooth": 0.1,
@@ -243,19 +206,12 @@ _FRAMES = "vessel-frames"
 
 @dataclass(frozen=True)
 class CoverageTable:
-    """A table of a page.
+    """A table of a page."""
 
-    Attributes:
-        title: What its bins are of.
-        unit: What is counted.
-        rows: A row for each bin.
-        note: In a sentence, what the bins mean, or why there are none.
-    """
-
-    title: str
-    unit: str
+    title: str  # of what its bins are
+    unit: str  # what is counted
     rows: tuple[CountedBin, ...]
-    note: str = ""
+    note: str = ""  # sentence on what the bins mean, or why there are none
 
     @property
     def empty(self) -> tuple[str, ...]:
@@ -270,12 +226,7 @@ class CoverageTable:
 
 
 def coverage_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
-    """Coverage of the rows of a campaign, in the order of a page.
-
-    Args:
-        folder: The campaign.
-        table: Its rows so far, see `results_table`.
-    """
+    """Coverage of the rows of a campaign, in the order of a page."""
     truths = Truths.of(table)
     parts = tuple(_parts(folder, table, truths))
     return [
@@ -307,10 +258,8 @@ def _parts(folder: CampaignFolder, table: pa.Table, truths: Truths) -> Iterator[
     yield _encounters(truths)
     yield CoverageTable("Performance states of the detector", "frames", counted_states(folder, table))
     classes = sorted(name for name in table.column_names if name.startswith(VESSELS))
-    named = [(name, name.removeprefix(VESSELS)) for name in classes]
-    yield CoverageTable(
-        "Classes", "vessels", tuple(truths.counted(*each) for each in named), "Vessels that a camera saw."
-    )
+    seen = tuple(truths.counted(name, name.removeprefix(VESSELS)) for name in classes)
+    yield CoverageTable("Classes", "vessels", seen, "Vessels that a camera saw.")
     span = truths.span("covered.least_range_m", "covered.most_range_m", "m")
     note = f"Distance of a visible vessel from the camera. {span}"
     yield CoverageTable("Range", _FRAMES, _binned(truths, RANGES.names, RANGES.labels), note)
@@ -329,9 +278,8 @@ def _binned(truths: Truths, names: Sequence[str], labels: Sequence[str]) -> tupl
 def _encounters(truths: Truths) -> CoverageTable:
     title, unit = "Encounters of own ship", "encounters"
     if not truths.known("met.seen"):
-        return CoverageTable(
-            title, unit, (), "No vessel carries a camera, so there is no own ship that could meet another."
-        )
+        none = "No vessel carries a camera, so there is no own ship that could meet another."
+        return CoverageTable(title, unit, (), none)
     rows = tuple(truths.counted(*each) for each in ENCOUNTERS.items())
     met, seen = sum(row.count for row in rows), truths.counted("met.seen", "").count
     nearest = truths.span("covered.closest_approach_m", "covered.closest_approach_m", "m", "Closest approach of a run")
@@ -345,9 +293,8 @@ def _encounters(truths: Truths) -> CoverageTable:
 def _occlusions(truths: Truths) -> CoverageTable:
     title, unit = "Occlusions by length", "occlusions"
     if not truths.known(OCCLUSIONS.names[0]):
-        return CoverageTable(
-            title, unit, (), "The source of the truth cannot tell what is hidden: no occlusion is known."
-        )
+        none = "The source of the truth cannot tell what is hidden: no occlusion is known."
+        return CoverageTable(title, unit, (), none)
     hidden_s = truths.total("covered.hidden_s")
     note = (
         "Less than half of the vessel's silhouette is visible. "
@@ -376,7 +323,6 @@ def _rolls(truths: Truths) -> CoverageTable:
 
 
 def _gaps(folder: CampaignFolder, table: pa.Table, parts: Sequence[CoverageTable]) -> Iterator[Block]:
-    """Gaps in the coverage, in one list."""
     said = [f"{part.title}: {', '.join(part.empty)}" for part in parts if part.empty]
     said += [f"{part.title}: {part.note}" for part in parts if not part.rows]
     said += empty_draws(folder.keys, table)

@@ -21,19 +21,12 @@ _NEEDED = (COVERED, MET, "condition", "frames", "traffic_seed")
 
 @dataclass(frozen=True)
 class CountedBin:
-    """A bin.
-
-    Attributes:
-        label: What it is.
-        count: How often it was met, each truth counted once.
-        runs: Number of runs in which it was.
-        seeds: Number of traffic seeds in which it was.
-    """
+    """A bin."""
 
     label: str
-    count: int
-    runs: int
-    seeds: int
+    count: int  # how often it was met, each truth counted once
+    runs: int  # number of those in which it was
+    seeds: int  # number of traffic seeds in which it was
 
     @property
     def cells(self) -> list[str]:
@@ -44,15 +37,10 @@ class CountedBin:
 
 @dataclass(frozen=True, eq=False)
 class Covered:
-    """Rows that each stand for several runs: n of them.
+    """Rows that each stand for several runs: n of them."""
 
-    Attributes:
-        rows: The columns of the first run of each.
-        runs: Number of runs of each, shape (n,).
-    """
-
-    rows: pa.Table
-    runs: Indices
+    rows: pa.Table  # columns of the first run of each
+    runs: Indices  # number of runs of each, shape (n,)
 
     @classmethod
     def by(cls, table: pa.Table, key: str) -> Self:

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import combinations, pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import pyarrow as pa
 
 from modsim3d.campaign.keys import Range
 from modsim3d.campaign.means import LEVEL
-from modsim3d.campaign.plan import Plan, text_of
+from modsim3d.campaign.plan import Plan, text_of, value_of
 from modsim3d.campaign.report.words import Score, axis_of, required_scores
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.document import Beside, Block, Cell, Figure, Heading, Row, Table, Text
@@ -28,19 +27,12 @@ from modsim3d.view.pages.charts import ChartInterval, band, forest, legend, mark
 
 @dataclass(frozen=True, eq=False)
 class MeanGrid:
-    """Means over traffic seeds with Student's intervals, arrays of one shape; NaN where there are too few seeds.
-
-    Attributes:
-        mean: The means.
-        low: Lower ends of the intervals.
-        high: Upper ends.
-        seeds: Numbers of traffic seeds with a value.
-    """
+    """Means over traffic seeds with Student's intervals, arrays of one shape; NaN where there are too few seeds."""
 
     mean: Array
     low: Array
     high: Array
-    seeds: Indices
+    seeds: Indices  # numbers of traffic seeds with a value
 
     def with_least(self, seeds: int) -> MeanGrid:
         """The estimates that rest on so many seeds; the others are NaN."""
@@ -50,16 +42,8 @@ class MeanGrid:
 
 
 def seed_cells(plan: Plan, table: pa.Table, column: str) -> Array:
-    """A score by traffic seed, condition and tracker: the mean over detector seeds, NaN where no run has a value.
-
-    Args:
-        plan: The plan.
-        table: Rows of the campaign, in any number and order.
-        column: The column with the score.
-
-    Returns:
-        Shape (traffic seeds up to the last with a row, conditions, trackers).
-    """
+    """A score by traffic seed, up to the last with a row, condition and tracker, an axis each: the mean over detector
+    seeds, NaN where no run has a value. Rows may have any number and order."""
     seeds, trackers = plan.keys.seeds.detector, len(plan.keys.trackers)
     runs = table["run"].to_numpy()
     count = int(runs.max()) // plan.runs_by_seed + 1 if len(runs) else 0
@@ -91,18 +75,9 @@ def over_seeds(values: Array) -> MeanGrid:
 
 
 def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
-    """Means over the traffic seeds at each level of a parameter.
-
-    The value of a seed at a level is the mean over its conditions at that level.
-
-    Args:
-        cells: A score, shape (seeds, conditions, trackers).
-        index: The level of each seed and condition, −1 for none, shape (seeds, conditions).
-        levels: Number of levels.
-
-    Returns:
-        Arrays of the shape (levels, trackers).
-    """
+    """Means over the traffic seeds at each level of a parameter, shape (levels, trackers). The value of a seed at a
+    level is the mean over its conditions at that level. `cells` is a score, (seeds, conditions, trackers), and `index`
+    the level of each seed and condition, (seeds, conditions), −1 for none."""
     found = []
     for level in range(levels):
         at = index == level
@@ -123,25 +98,15 @@ DECADES = 1.5
 
 @dataclass(frozen=True, eq=False)
 class VariedKey:
-    """A key that is varied.
-
-    Attributes:
-        key: The key.
-        levels: Names of the levels: values, or stretches of numbers.
-        index: The level of each traffic seed and condition, −1 where the key is not set, shape (seeds, conditions).
-        numbers: The numbers of each, NaN where the key is not set, shape (seeds, conditions); None if they are none.
-        places: Numbers of the levels, shape (levels,); middles of stretches; None without numbers.
-        binned: Whether levels are stretches.
-        log: Whether numbers belong on a logarithmic axis.
-    """
+    """A key that is varied; levels are values, or stretches of numbers if `binned`."""
 
     key: str
-    levels: tuple[str, ...]
-    index: Indices
-    numbers: Array | None = None
-    places: Array | None = None
+    levels: tuple[str, ...]  # their names
+    index: Indices  # level of each traffic seed and condition, (seeds, conditions), −1 where the key is not set
+    numbers: Array | None = None  # of each, (seeds, conditions), NaN where the key is not set; None if they are none
+    places: Array | None = None  # of the levels, (levels,): numbers, or middles of stretches; None without numbers
     binned: bool = False
-    log: bool = False
+    log: bool = False  # whether numbers belong on a logarithmic axis
 
     @cached_property
     def on_axis(self) -> Array:
@@ -151,12 +116,7 @@ class VariedKey:
 
 
 def parameters_of(plan: Plan, table: pa.Table) -> list[VariedKey]:
-    """The parameters with more than one value, in the order of the file.
-
-    Args:
-        plan: The plan.
-        table: Rows of the campaign.
-    """
+    """Parameters with more than one value, in the order of the file."""
     seed = table["run"].to_numpy() // plan.runs_by_seed
     seeds = int(seed.max()) + 1 if len(seed) else 0
     ranges = {key: each for factor in plan.keys.vary for key, each in factor.ranges.items()}
@@ -169,13 +129,9 @@ def parameters_of(plan: Plan, table: pa.Table) -> list[VariedKey]:
                 drawn[place] = value
             found.append(_parameter(key, [[value] * len(plan.conditions) for value in drawn], ranges[key]))
         else:
-            row = [_value(condition, key) for condition in plan.conditions]
+            row = [value_of(condition, key) for condition in plan.conditions]
             found.append(_parameter(key, [row], None, seeds))
     return [each for each in found if len(each.levels) > 1]
-
-
-def _value(condition: Any, key: str) -> Any:
-    return Path(condition.scene).stem if key == "scene" else condition.values.get(key)
 
 
 def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, repeat: int = 1) -> VariedKey:
@@ -185,17 +141,14 @@ def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, re
     if not (numeric and flat):
         names = list(dict.fromkeys(map(text_of, flat)))
         places = {name: place for place, name in enumerate(names)}
-        index = np.array(
-            [[-1 if value is None else places[text_of(value)] for value in row] for row in values], dtype=np.int64
-        )
-        return VariedKey(key, tuple(names), np.repeat(index, repeat, axis=0))
+        rows = [[-1 if value is None else places[text_of(value)] for value in row] for row in values]
+        return VariedKey(key, tuple(names), np.repeat(np.array(rows, dtype=np.int64), repeat, axis=0))
     numbers = np.array([[np.nan if value is None else float(value) for value in row] for row in values])
     known = np.unique(numbers[np.isfinite(numbers)])
     log = bool(known[0] > 0 and np.log10(known[-1] / known[0]) >= DECADES) if span is None else span.scale == "log"
     if len(known) <= MAX_LEVELS:
         index = np.where(np.isfinite(numbers), np.searchsorted(known, numbers), -1)
-        names = [f"{value:g}" for value in known]
-        places_of = known
+        names, places_of = [f"{value:g}" for value in known], known
     else:
         index, names, places_of = _binned(numbers, known, log)
     numbers, index = (np.repeat(each, repeat, axis=0) for each in (numbers, index))
@@ -277,16 +230,11 @@ def _chart(parameter: VariedKey, score: Score, cells: Array, trackers: Sequence[
 
 
 def _rows(parameter: VariedKey, found: MeanGrid) -> list[tuple[str, list[ChartInterval]]]:
-    return [
-        (
-            level,
-            [
-                ChartInterval(float(found.mean[place, t]), float(found.low[place, t]), float(found.high[place, t]), t)
-                for t in range(found.mean.shape[1])
-            ],
-        )
-        for place, level in enumerate(parameter.levels)
-    ]
+    def intervals(place: int) -> list[ChartInterval]:
+        ends = zip(found.mean[place].tolist(), found.low[place].tolist(), found.high[place].tolist(), strict=True)
+        return [ChartInterval(*each, series) for series, each in enumerate(ends)]
+
+    return [(level, intervals(place)) for place, level in enumerate(parameter.levels)]
 
 
 def _lines(parameter: VariedKey, score: Score, cells: Array, found: MeanGrid, title: str) -> str:
@@ -312,15 +260,10 @@ def _lines(parameter: VariedKey, score: Score, cells: Array, found: MeanGrid, ti
         known = np.isfinite(found.mean[:, series])
         x, mean = parameter.on_axis[known], found.mean[known, series]
         content += charts.line(axes, x, mean, charts.colour_of(series)) + marks(axes, x, mean, series)
-    return _with_thresholds(axes, content, score, title, parameter)
-
-
-def _with_thresholds(axes: charts.Axes, content: str, score: Score, title: str, parameter: VariedKey) -> str:
-    """The drawing with a dashed line at each threshold, which its side of what is right is written at."""
-    for text, value in score.threshold_words:
+    for text, value in score.threshold_words:  # a dashed line, at which its side of what is right is written
         content += charts.line(axes, np.array(axes.x), np.full(2, value), "var(--ink)", dashed=True, width=1.4)
-        x, y = axes.place(axes.x[1], value)
-        content += f'<text x="{x - 4:.1f}" y="{y - 4:.1f}" text-anchor="end">{text}</text>'
+        right, height = axes.place(axes.x[1], value)
+        content += f'<text x="{right - 4:.1f}" y="{height - 4:.1f}" text-anchor="end">{text}</text>'
     return axes.drawing(content, title, axis_of(parameter.key), score.label)
 
 
@@ -363,16 +306,12 @@ def _heat_maps(parameters: Sequence[VariedKey], score: Score, cells: Array, trac
         span = span_of([*found.mean.flat], 0)
         mean, seeds = found.mean.reshape(shape), found.seeds.reshape(shape)
         yield Heading(f"{first.key} × {second.key}", 3)
-        yield Beside(
-            [
-                _heat_map(first, second, mean[:, :, place], seeds[:, :, place], span, tracker)
-                for place, tracker in enumerate(trackers)
-            ]
-        )
+        of_trackers = zip(np.moveaxis(mean, 2, 0), np.moveaxis(seeds, 2, 0), trackers, strict=True)
+        yield Beside([_heat_map(first, second, *each, span) for each in of_trackers])
 
 
 def _heat_map(
-    first: VariedKey, second: VariedKey, mean: Array, seeds: Indices, span: tuple[float, float], name: str
+    first: VariedKey, second: VariedKey, mean: Array, seeds: Indices, name: str, span: tuple[float, float]
 ) -> Table:
     differ = len(np.unique(seeds)) > 1
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -38,19 +37,12 @@ NO_RATE = (
 
 
 def write_search_page(folder: CampaignFolder, path: Path, command: str | None = None) -> str:
-    """Write the page of a search, and return its first sentence.
-
-    Raises:
-        ModsimError: The trials are damaged, or the page cannot be written.
-    """
-    search, table = folder.keys.search, _table(folder)
+    """Write the page of a search, and return its first sentence. Raises ModsimError if the trials are damaged, or the
+    page cannot be written."""
+    search, table = folder.keys.search, search_table(folder)
     assert search is not None
     write_files({path: search_page(folder, search, table, command)})
     return lead(search, table)
-
-
-def _table(folder: CampaignFolder) -> pa.Table:
-    return search_table(folder)
 
 
 def lead(search: SearchKeys, table: pa.Table) -> str:
@@ -70,14 +62,7 @@ def lead(search: SearchKeys, table: pa.Table) -> str:
 
 
 def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, command: str | None = None) -> str:
-    """The page as HTML.
-
-    Args:
-        folder: The campaign.
-        search: Its search.
-        table: Its trials, in their order.
-        command: What the page says it was made by; the call from Python if None.
-    """
+    """Page of a search as HTML; `command` is what it says it was made by, the call from Python if None."""
     score = Score(search.minimise or search.maximise or "")
     left = f"Not finished: {len(table):,} of {counted(search.budget, 'trial')} are done."
     document = Document(
@@ -91,7 +76,7 @@ def search_page(folder: CampaignFolder, search: SearchKeys, table: pa.Table, com
             Heading("Others"),
             *_others(table),
             Heading("Where it looked"),
-            Table("", (), [*_ranges(search), *_facts(folder)]),
+            Table("", (), [*((key, _range(each)) for key, each in search.over.items()), *_facts(folder)]),
         ],
     )
     return document_page(document, rests_on(folder, "findings of a search", command))
@@ -113,9 +98,8 @@ def _progress(search: SearchKeys, score: Score, table: pa.Table) -> list[Block]:
     y = np.array([row[score.column] for row in rows], dtype=float)
     best = np.minimum.accumulate(y) if search.minimise else np.maximum.accumulate(y)
     axes = charts.Axes((-1, max(float(x[-1]) + 1, 1.0)), span_of(y.tolist()), 620, 300)
-    content = marks(axes, x, y, 0, opacity=0.5) + charts.line(
-        axes, np.repeat(x, 2)[1:], np.repeat(best, 2)[:-1], charts.colour_of(1)
-    )
+    line = charts.line(axes, np.repeat(x, 2)[1:], np.repeat(best, 2)[:-1], charts.colour_of(1))
+    content = marks(axes, x, y, 0, opacity=0.5) + line
     draw = partial(axes.drawing, content, f"{score.name} of each trial", "trial", score.label)
     return [Figure(draw, "Dots: trials in their order. Line: the worst until then.")]
 
@@ -127,7 +111,7 @@ def _worst(folder: CampaignFolder, search: SearchKeys, score: Score, table: pa.T
             three_digits(row[score.column]),
             *(_value(row[key]) for key in search.over),
             str(row["traffic_seed"]),
-            _again(folder, row["run"]),
+            folder.reproducing(row["run"]),
         )
         for row in _done(search, table)[:SHOWN]
     ]
@@ -141,10 +125,6 @@ def _others(table: pa.Table) -> list[Block]:
     return [Table("", ("trial", "status", "error"), rows[:SHOWN], about=said)]
 
 
-def _ranges(search: SearchKeys) -> Sequence[tuple[str, str]]:
-    return [(key, _range(each)) for key, each in search.over.items()]
-
-
 def _range(each: Range) -> str:
     if each.choices is not None:
         return "one of " + ", ".join(map(text_of, each.choices))
@@ -155,19 +135,13 @@ def _range(each: Range) -> str:
 def _facts(folder: CampaignFolder) -> list[tuple[str, str]]:
     search, keys = folder.keys.search, folder.keys
     assert search is not None
-    versions = ", ".join(f"{name} {version}" for name, version in folder.facts["versions"].items())
     return [
         ("tracker", ", ".join(each.label for each in keys.trackers)),
         ("traffic seeds", f"{search.seeds:,} to choose from"),
         ("budget", f"{counted(search.budget, 'trial')}, {search.batch:,} at once"),
-        ("versions", versions),
+        ("versions", ", ".join(f"{name} {version}" for name, version in folder.facts["versions"].items())),
         ("SHA-256 of the plan", folder.facts["sha256"]),
     ]
-
-
-def _again(folder: CampaignFolder, number: int) -> str:
-    out = shlex.quote(str(folder.path / "runs" / str(number)))
-    return f"modsim3d campaign reproduce {shlex.quote(str(folder.path))} {number} --out {out}"
 
 
 def _value(value: Any) -> str:
@@ -183,17 +157,9 @@ def write_page(
     advance: Callable[[int], None] = lambda done: None,
     command: str | None = None,
 ) -> str:
-    """Write the page of a campaign, and return its first sentence.
-
-    Args:
-        folder: The campaign, finished or not.
-        path: The file.
-        advance: Called with 1 after each picture.
-        command: What the page says it was made by; the call from Python if None.
-
-    Raises:
-        ModsimError: The results are damaged, or the page cannot be written.
-    """
+    """Write the page of a campaign, finished or not, and return its first sentence. `advance` is called with 1 after
+    each picture; `command` is what the page says it was made by, the call from Python if None. Raises ModsimError if
+    the results are damaged, or the page cannot be written."""
     if folder.keys.search is not None:
         return write_search_page(folder, path, command)
     table = results_table(folder)

@@ -43,15 +43,10 @@ _LOW_IS_GOOD = ("siap_spuriousness",)
 
 @dataclass(frozen=True)
 class Score:
-    """A score that the page shows.
+    """A score that the page shows."""
 
-    Attributes:
-        column: Its column in the results.
-        requirements: Those that it is held against.
-    """
-
-    column: str
-    requirements: tuple[Requirement, ...] = ()
+    column: str  # in the results
+    requirements: tuple[Requirement, ...] = ()  # those that it is held against
 
     @property
     def key(self) -> str:
@@ -185,8 +180,7 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
 def confidences(plan: Plan) -> str:
     """The confidence of the requirements, or their range."""
     found = sorted({100 * each.confidence for each in plan.keys.require})
-    ends = dict.fromkeys(f"{value:g} %" for value in (found[0], found[-1]))
-    return " to ".join(ends)
+    return " to ".join(dict.fromkeys(f"{value:g} %" for value in (found[0], found[-1])))
 
 
 def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Block]:
@@ -197,7 +191,9 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
     for place in sorted(range(len(by_requirement)), key=lambda each: ORDER.index(outcome_of(by_requirement[each]))):
         found = by_requirement[place]
         requirement = plan.keys.require[place]
-        text = ", ".join([requirement_text(requirement), *_where(plan, requirement)])
+        given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
+        about = [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
+        text = ", ".join([requirement_text(requirement), *about])
         count = Counter(each.outcome for each in found)
         said = SIGNS[outcome_of(found)]
         if len(count) > 1:
@@ -211,22 +207,21 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
 def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> Iterator[Block]:
     ordered = sorted(found, key=lambda each: ORDER.index(each.outcome))
     shown = ordered[:MAX_ROWS]
-    limit, least = _limit(requirement)
+    of_mean = requirement.share is None
+    limit = requirement.threshold if requirement.share is None else requirement.share
+    least = not of_mean or requirement.at_least is not None  # the interval must lie above the limit
     span = span_of([limit, *(_or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
-    what = "mean"
-    if requirement.share is not None:
-        what, span = "share of seeds", (max(0.0, span[0]), min(1.0, span[1]))
-    keys = varying(plan)
-    groups = groups_of(plan, requirement)
-    columns = [*key_columns(keys), *groups]
+    span = span if of_mean else (max(0.0, span[0]), min(1.0, span[1]))
+    keys, groups = varying(plan), groups_of(plan, requirement)
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
-    interval = f"{what} [interval, each end {levels}]"
-    header = ("tracker", *columns, "outcome", interval, _axis(limit, least, span), *OFTEN_EMPTY, "seeds")
+    interval = f"{'mean' if of_mean else 'share of seeds'} [interval, each end {levels}]"
+    side = f"at {'least' if least else 'most'} {three_digits(limit)}"
+    axis = f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side}"
+    header = ("tracker", *key_columns(keys), *groups, "outcome", interval, axis, *OFTEN_EMPTY, "seeds")
     rows = [_row(each, plan, keys, groups, limit, least, span) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
-    notes = {place: _note(each, limit) for place, each in enumerate(shown)}
-    table = Table("", names, kept, bad, notes=notes)
+    table = Table("", names, kept, bad, notes={place: _note(each, limit) for place, each in enumerate(shown)})
     if len(rows) > MAX_OPEN:
         first = sum(each.outcome != "met" for each in shown)
         yield Fold(f"All {counted(len(rows), 'verdict')}, failed ones first", [table], 0 < first <= MAX_OPEN)
@@ -271,24 +266,6 @@ def _note(each: Verdict, limit: float) -> str:
     return each.why if three_digits(limit) in three_digits_with_interval(each.estimate, each.low, each.high) else ""
 
 
-def _where(plan: Plan, requirement: Requirement) -> list[str]:
-    """The trackers, conditions and parts of the runs that a requirement is about, if not all."""
-    given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
-    return [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
-
-
-def _limit(requirement: Requirement) -> tuple[float, bool]:
-    """Threshold for the interval, and whether the interval must lie above it."""
-    if requirement.share is not None:
-        return requirement.share, True
-    return requirement.threshold, requirement.at_least is not None
-
-
-def _axis(limit: float, least: bool, span: tuple[float, float]) -> str:
-    side = "at least" if least else "at most"
-    return f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side} {three_digits(limit)}"
-
-
 def _by_requirement(plan: Plan, verdicts: Sequence[Verdict]) -> list[list[Verdict]]:
     found: list[list[Verdict]] = [[] for _ in plan.keys.require]
     for each in verdicts:
@@ -310,23 +287,13 @@ _ROWS = ".rows", ".parquet"
 
 
 def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenance:
-    """Provenance of the page of a campaign.
-
-    Args:
-        folder: The campaign.
-        page: What kind of page it is.
-        command: What it was made by; the call from Python if None.
-    """
+    """Provenance of a page of the kind `page`; `command` made it, the call from Python if None."""
     keys, facts = folder.keys, folder.facts
-    search = keys.search
-    traffic = f"{search.seeds:,} to choose from" if search else f"{keys.seeds.traffic:,}"
-    own = [
-        Input("file that the campaign names", name, digest, "when it was planned")
-        for name, digest in facts["files"].items()
-    ]
-    plan = Input(
-        "plan", f"sha256 in {PLAN}", facts["sha256"], "of everything that decides a row; what a worker compares"
-    )
+    traffic = f"{keys.search.seeds:,} to choose from" if keys.search else f"{keys.seeds.traffic:,}"
+    what, when = "file that the campaign names", "when it was planned"
+    own = [Input(what, name, digest, when) for name, digest in facts["files"].items()]
+    about = "of everything that decides a row; what a worker compares"
+    plan = Input("plan", f"sha256 in {PLAN}", facts["sha256"], about)
     return Provenance(
         page=page,
         made_by=command or f"modsim3d.campaign.report.search_page.write_page of {folder.path} from Python",

@@ -22,13 +22,8 @@ VARIATION_FROM_ZERO = 1.1
 
 
 def skewed_bounds(values: Array, alpha: float, greatest: float = math.inf) -> Array:
-    """Lower bounds of means of values that may be skewed towards low ones, see `corrected_bounds`.
-
-    Args:
-        values: Shape (…, n); those of each row have a mean.
-        alpha: The probability of error that is aimed at.
-        greatest: The greatest possible value.
-    """
+    """Lower bounds of the means of the rows of `values`, (…, n), which may be skewed towards low ones, see
+    `corrected_bounds`."""
     count, mean = values.shape[-1], values.mean(axis=-1)
     falls = mean[..., None] - values
     variance, cubed = (falls**2).mean(axis=-1), (falls**3).mean(axis=-1)
@@ -42,25 +37,16 @@ def corrected_bounds(
     mean: ArrayLike, deviation: ArrayLike, skewness: ArrayLike, count: int, alpha: float, greatest: float = math.inf
 ) -> Array:
     """Lower bounds of means, the lesser of two; minus infinity where there is none. They are approximations.
-
     - Student's t, corrected by the cubic of Hall (1992), "On the removal of skewness by transformation", J. R. Stat.
       Soc. B 54, 221-228, for the skewness of the sample, and one of at least `SKEWNESS`.
     - Student's t with h·(1 + v·h/d) for the half-width h, at most 2·h, where d is what the mean lacks to the best value
       and v is `VARIATION` or `VARIATION_FROM_ZERO`. In scores that cannot be better than best, spread and skewness come
-      from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the
-      coefficient of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
+      from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the coefficient
+      of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
       distribution has two, a Poisson distribution one.
-
-    The rule was chosen, and how often it errs measured, by `script/campaign sequences`.
-
-    Args:
-        mean: Means, all of one shape.
-        deviation: Standard deviations of the values, with n − 1.
-        skewness: Skewness of the values, with n, mirrored: positive if they are skewed towards low ones.
-        count: Number of values.
-        alpha: The probability of error that is aimed at.
-        greatest: The greatest possible value.
-    """
+    The rule was chosen, and how often it errs measured, by `script/campaign sequences`. Standard deviations are with n
+    − 1; skewness is with n and mirrored: positive if values are skewed towards low ones. `alpha` is the probability of
+    error that is aimed at, and `greatest` the greatest possible value."""
     mean, deviation = np.asarray(mean, dtype=np.float64), np.asarray(deviation, dtype=np.float64)
     half, lacks = half_widths(mean, deviation, count, alpha), greatest - mean
     skewness, variation = np.maximum(skewness, SKEWNESS), VARIATION if greatest else VARIATION_FROM_ZERO
@@ -76,12 +62,8 @@ def corrected_bounds(
 
 
 def lower_end(excluded: Callable[[float], bool], halvings: int) -> float:
-    """The greatest number in [0, 1) up to which all are excluded, 0 if none is.
-
-    Args:
-        excluded: Whether a number is; if it is, so are all below it.
-        halvings: How often the interval is halved: the number is rounded down by 2**-halvings at most.
-    """
+    """The greatest number in [0, 1) up to which all are excluded, 0 if none is; if one is excluded, so are all below
+    it. It is rounded down by 2**-halvings at most."""
     low, high = 0.0, 1.0
     for _ in range(halvings):
         middle = (low + high) / 2
@@ -113,32 +95,17 @@ _HALVINGS = 52
 
 
 def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
-    """The least number of seeds, fixed beforehand, that shows a share if so many of them are wrong.
-
-    For 0.99 at 0.95 it is 299 without failures and 473 with one.
-
-    Args:
-        share: The least share that must be right, in (0, 1).
-        confidence: The confidence of the statement.
-        failures: Number of seeds that are wrong.
-    """
+    """The least number of seeds, fixed beforehand, that shows the least share that must be right, in (0, 1), if so many
+    of them are wrong. For 0.99 at 0.95 it is 299 without failures and 473 with one."""
     return least_whole(lambda seeds: bool(special.bdtr(failures, seeds, 1 - share) <= 1 - confidence), failures + 1)
 
 
 def mixture_log_capital(right: Mask, share: float) -> Array:
-    """How strongly the seeds so far speak against a share being the true one, after each seed.
-
-    The logarithm of a capital that starts at 1 and is a martingale if the share is the true one, so that it ever
-    reaches 1/α with probability α at most (Ville's inequality). It is the likelihood of the seeds, mixed over all
-    shares by a beta(1/2, 1/2) distribution, divided by their likelihood at this share (Robbins 1970).
-
-    Args:
-        right: Which seeds are right, in the order of the plan, shape (…, n).
-        share: The share, in (0, 1).
-
-    Returns:
-        The logarithms, shape (…, n).
-    """
+    """Evidence of the seeds so far against a share in (0, 1) being the true one, after each seed, shape (…, n). `right`
+    has them in the order of the plan. It is the logarithm of a capital that starts at 1 and is a martingale if the
+    share is the true one, so that it ever reaches 1/α with probability α at most (Ville's inequality): the likelihood
+    of the seeds, mixed over all shares by a beta(1/2, 1/2) distribution, divided by their likelihood at this share
+    (Robbins 1970)."""
     count = np.arange(1, right.shape[-1] + 1)
     good = np.cumsum(right, axis=-1)
     mixed = special.betaln(good + HALF, count - good + HALF) - special.betaln(HALF, HALF)
@@ -148,12 +115,8 @@ def mixture_log_capital(right: Mask, share: float) -> Array:
 
 
 def mixture_bounds(right: Mask, alpha: float) -> tuple[float, float]:
-    """The greatest lower bound and the least upper bound after any number of the seeds.
-
-    Args:
-        right: Which seeds are right, in the order of the plan, shape (n,).
-        alpha: The greatest probability that an upper or a lower bound is ever wrong, of both together.
-    """
+    """The greatest lower bound and the least upper bound after any number of the seeds, (n,) in the order of the plan.
+    `alpha` is the greatest probability that an upper or a lower bound is ever wrong, of both together."""
     return _lower(right, alpha), 1 - _lower(~right, alpha)
 
 
@@ -192,15 +155,8 @@ _LOG_WEIGHTS: Array = np.log(_WEIGHTS / _WEIGHTS.sum())
 
 
 def log_capital(values: Array, mean: float) -> Array:
-    """The logarithm of the capital after each value, of a gambler who bets that the values are above a mean.
-
-    Args:
-        values: Values in [0, 1], in the order of the plan, shape (…, n).
-        mean: The mean, in (0, 1].
-
-    Returns:
-        Shape (…, n).
-    """
+    """Logarithm of the capital after each value, (…, n), of a gambler who bets that the values, in [0, 1] and in the
+    order of the plan, are above a mean in (0, 1]."""
     stakes = STAKES.reshape(-1, *(1,) * values.ndim)
     with np.errstate(divide="ignore"):  # all is lost: minus infinity, and so it stays
         grown = np.cumsum(np.log1p(stakes * (values / mean - 1)), axis=-1)
@@ -209,12 +165,9 @@ def log_capital(values: Array, mean: float) -> Array:
 
 
 def betting_bounds(values: Array, alpha: float) -> tuple[float, float]:
-    """The greatest lower bound and the least upper bound of the mean after any number of the values.
-
-    Args:
-        values: Values in [0, 1], in the order of the plan, shape (n,).
-        alpha: The greatest probability that a lower bound is ever wrong; the same for an upper one.
-    """
+    """The greatest lower bound and the least upper bound of the mean after any number of the values, (n,) in [0, 1] in
+    the order of the plan. `alpha` is the greatest probability that a lower bound is ever wrong; the same for an upper
+    one."""
     return _lower_by_betting(values, alpha), 1 - _lower_by_betting(1 - values, alpha)
 
 
@@ -241,12 +194,7 @@ def _lower_by_betting(values: Array, alpha: float) -> float:
 
 @dataclass(frozen=True)
 class Bounds:
-    """A lower and an upper bound, each one-sided at the confidence; infinite where there is none.
-
-    Attributes:
-        low: The lower bound.
-        high: The upper bound.
-    """
+    """A lower and an upper bound, each one-sided at the confidence; infinite where there is none."""
 
     low: float
     high: float
@@ -261,13 +209,7 @@ UNKNOWN = Bounds(-math.inf, math.inf)
 
 
 def share_bounds(right: Mask, confidence: float, stop: str) -> Bounds:
-    """The bounds of the share of seeds that are right.
-
-    Args:
-        right: Which seeds are right, in the order of the plan, shape (n,).
-        confidence: The confidence of each bound.
-        stop: How often the campaign is looked at, as in its file.
-    """
+    """Bounds of the share of seeds that are right, each at the confidence; `right` is (n,) in the order of the plan."""
     alpha = 1 - confidence
     if stop == "once":
         return Bounds(*exact_bounds(int(right.sum()), len(right), alpha))
@@ -275,16 +217,10 @@ def share_bounds(right: Mask, confidence: float, stop: str) -> Bounds:
 
 
 def mean_bounds(worst: Array, best: Array, confidence: float, stop: str, limits: tuple[float, float]) -> Bounds:
-    """The bounds of the mean of all seeds.
-
-    Args:
-        worst: A value for each seed, in the order of the plan, with the least possible value in place of each one that
-            is lost; minus infinity if there is none; shape (n,).
-        best: The same with the greatest possible value.
-        confidence: The confidence of each bound.
-        stop: How often the campaign is looked at, as in its file.
-        limits: The least and the greatest possible value; both finite if the campaign is looked at more than once.
-    """
+    """Bounds of the mean of all seeds, each at the confidence. `worst` has a value for each seed, (n,) in the order of
+    the plan, with the least possible value in place of each one that is lost, minus infinity if there is none; `best`
+    has the greatest in its place. `limits` are the least and the greatest possible value; both finite if the campaign
+    is looked at more than once."""
     alpha, (least, greatest) = 1 - confidence, limits
     if stop == "once":
         return Bounds(_low(worst, alpha, limits), -_low(-best, alpha, (-greatest, -least)))
@@ -309,11 +245,9 @@ def _scaled(values: Array, limits: tuple[float, float]) -> Array:
 
 
 def _consistent(after: Callable[[int], Bounds], count: int) -> Bounds:
-    """The bounds after all seeds, or after the most first ones whose bounds do not contradict each other.
-
-    Bounds only move towards each other. If they ever cross, which has the probability of an error, nothing that comes
-    later moves them.
-    """
+    """Bounds after all seeds, or after the most first ones whose bounds do not contradict each other. Bounds only move
+    towards each other. If they ever cross, which has the probability of an error, nothing that comes later moves
+    them."""
     found = after(count)
     if found.low <= found.high:
         return found

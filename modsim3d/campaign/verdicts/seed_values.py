@@ -20,22 +20,14 @@ from modsim3d.core.statistics import t_bounds
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """A score in the runs of a tracker in a condition, by traffic seed and detector seed.
+    """A score in the runs of a tracker in a condition, by traffic seed and detector seed, arrays of shape (s, d). A run
+    without a value is the tracker's fault or not. It is where the tracker gave nothing to score, or too little: that
+    counts as a crash does. Otherwise the truth has nothing to score, or nothing of what is counted went wrong."""
 
-    A run without a value is the tracker's fault or not. It is where the tracker gave nothing to score, or too little:
-    that counts as a crash does. Otherwise the truth has nothing to score, or nothing of what is counted went wrong.
-
-    Attributes:
-        values: The scores, NaN where there is none, shape (s, d).
-        crashed: Which runs crashed, shape (s, d).
-        nothing: In which ones the tracker gave nothing to score, or less than the requirement asks for, shape (s, d).
-        share: The share of what is to be followed that the score rests on, NaN where there is nothing, shape (s, d).
-    """
-
-    values: Array
+    values: Array  # NaN where there is none
     crashed: Mask
-    nothing: Mask
-    share: Array
+    nothing: Mask  # the tracker gave nothing to score, or less than the requirement asks for
+    share: Array  # of what is to be followed that the score rests on, NaN where there is nothing
 
     @property
     def lost(self) -> Mask:
@@ -69,10 +61,8 @@ class Runs:
         return float(known.mean()) if len(known) else None
 
     def means(self, instead: float) -> Array:
-        """The mean of each seed that is not undefined, with a value in place of lost runs, shape (m,).
-
-        NaN stands for leaving them out, and is the mean of a seed that has no others.
-        """
+        """Mean of each seed that is not undefined, with a value in place of lost runs, shape (m,). NaN stands for
+        leaving them out, and is the mean of a seed that has no others."""
         values = np.where(self.lost, instead, self.values)[~self.undefined]
         defined = ~np.isnan(values)
         sums, counts = np.where(defined, values, 0).sum(axis=1), defined.sum(axis=1)
@@ -111,13 +101,8 @@ class SeedRows:
         self._crashed = pc.equal(self._table["status"], CRASHED).to_numpy().astype(bool).reshape(self._shape)
 
     def runs_of(self, case: Case, score: str, resting_on: float | None = None) -> Runs:
-        """The runs of a case.
-
-        Args:
-            case: A tracker in a condition, or in a part of its runs.
-            score: A key of the scores.
-            resting_on: The least share that the score of a run must rest on, of both trackers in a difference.
-        """
+        """Runs of a case; `resting_on` is the least share that the score of a run, in a difference of both, must rest
+        on."""
         if case.minus is not None:
             both = (replace(case, tracker=tracker, minus=None) for tracker in (case.tracker, case.minus))
             one, other = (self.runs_of(each, score, resting_on) for each in both)
@@ -155,48 +140,29 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """A score of one tracker less that of another on the same traffic and detections, in one condition.
+    """A score of one tracker less that of another on the same traffic and detections, in one condition. `crashed`
+    counts seeds in which a run of either crashed or gave nothing to score; the interval takes the least and the
+    greatest possible difference for them, and there is none if the score has no bounds. `variance_ratio` is the
+    variance of a difference between seeds that are not shared over that of the paired one: so many times the seeds
+    would be needed without pairing; None if unknown."""
 
-    Attributes:
-        first: Name of the tracker in tables.
-        second: Name of the one that is taken off.
-        condition: Number of the condition.
-        score: The score.
-        mean: Mean difference over traffic seeds; None without any.
-        low: Lower end of its two-sided interval at `CONFIDENCE`; None if unknown.
-        high: Upper end.
-        seeds: Number of traffic seeds in which both have the score.
-        crashed: Number of seeds in which a run of either crashed or gave nothing to score; the interval takes the least
-            and the greatest possible difference for them, and there is none if the score has no bounds.
-        undefined: Number of seeds in which either has no score.
-        variance_ratio: Variance of a difference between seeds that are not shared over that of the paired one: so many
-            times the seeds would be needed without pairing; None if unknown.
-    """
-
-    first: str
-    second: str
+    first: str  # name of the tracker in tables
+    second: str  # name of the one that is taken off
     condition: int
     score: str
-    mean: float | None
-    low: float | None
+    mean: float | None  # over traffic seeds; None without any
+    low: float | None  # of the two-sided interval at `CONFIDENCE`; None if unknown
     high: float | None
-    seeds: int
+    seeds: int  # traffic seeds in which both have the score
     crashed: int
-    undefined: int
+    undefined: int  # seeds in which either has no score
     variance_ratio: float | None
 
 
 def paired(plan: Plan, table: pa.Table, score: str) -> tuple[PairedDifference, ...]:
-    """The paired differences of a score between every two trackers in each condition.
-
-    Intervals are by Student's t if the campaign is looked at once, and there are none before all its runs are done; of
-    a sequential campaign they hold however often it is looked at, and only scores with bounds have them.
-
-    Args:
-        plan: The plan.
-        table: The rows so far, see `results_table`.
-        score: A key of the scores.
-    """
+    """Paired differences of a score between every two trackers in each condition. Intervals are by Student's t if the
+    campaign is looked at once, and there are none before all its runs are done; of a sequential campaign they hold
+    however often it is looked at, and only scores with bounds have them."""
     rows = SeedRows(plan, table)
     pairs = list(combinations(range(len(plan.keys.trackers)), 2))
     return tuple(
@@ -245,9 +211,6 @@ def _variance_ratio(one: Runs, other: Runs, difference: Runs) -> float | None:
     means = difference.values[both].mean(axis=1)
     if t_bounds(means, 0.5) is None:
         return None
-    first, second, paired_variance = (_variance(each.values[both]) for each in (one, other, difference))
+    runs = (one, other, difference)
+    first, second, paired_variance = (float(each.values[both].mean(axis=1).var(ddof=1)) for each in runs)
     return (first + second) / paired_variance
-
-
-def _variance(values: Array) -> float:
-    return float(values.mean(axis=1).var(ddof=1))

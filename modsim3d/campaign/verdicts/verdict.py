@@ -29,7 +29,6 @@ from modsim3d.campaign.verdicts.wording import (
     stepped,
 )
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
-from modsim3d.core.arrays import Indices
 from modsim3d.core.text import counted
 
 Outcome = Literal["met", "failed", "undecided"]
@@ -93,14 +92,9 @@ _NAMED = 5
 
 
 def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
-    """A verdict for each requirement, tracker and condition that it is about.
-
-    A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is undecided.
-
-    Args:
-        plan: The plan.
-        table: The rows so far, see `results_table`; those before the first traffic seed that is not whole count.
-    """
+    """A verdict for each requirement, tracker and condition that it is about, on the rows before the first traffic seed
+    that is not whole. A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is
+    undecided."""
     rows, cases = SeedRows(plan, table), cases_of_all(plan)
 
     @cache
@@ -192,16 +186,12 @@ def _of_left_out(runs: Runs, requirement: Requirement, name: str, base: int) -> 
     alone = counted(int(runs.left_out.sum()), "run")
     whole = counted(int(runs.undefined.sum()), "traffic seed")
     for seeds, what in ((runs.undefined, whole), (runs.left_out.any(axis=1), f"{alone} of other traffic seeds")):
-        if seeds.any():
-            yield f"{what} without {name} left out: {_named(np.flatnonzero(seeds), base)}."
+        if named := [str(traffic_seed(base, index)) for index in np.flatnonzero(seeds).tolist()]:
+            more = ", …" * (len(named) > _NAMED)
+            yield f"{what} without {name} left out: {', '.join(named[:_NAMED])}{more}."
     if np.any(runs.undefined) or np.any(runs.left_out):
         clean = " or nothing of that kind went wrong" if facts_of(requirement.score).of_faults else ""
         yield f"The truth has nothing to score there{clean}."
-
-
-def _named(seeds: Indices, base: int) -> str:
-    named = ", ".join(str(traffic_seed(base, int(index))) for index in seeds[:_NAMED])
-    return named + (", …" if len(seeds) > _NAMED else "")
 
 
 def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs, rows: SeedRows, case: Case) -> bool:

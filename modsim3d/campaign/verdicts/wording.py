@@ -53,8 +53,7 @@ def rounded(value: float) -> str:
     return _rounded(value, round)
 
 
-def _rounded(value: float, whole: object) -> str:
-    assert callable(whole)
+def _rounded(value: float, whole: Callable[[float], int]) -> str:
     if not math.isfinite(value) or value == 0:
         return f"{value:g}".replace("inf", "∞")
     size = min(abs(value), abs(1 - value) or 1.0) if 0 < value < 1 else abs(value)
@@ -71,29 +70,17 @@ def _rounded(value: float, whole: object) -> str:
 
 @dataclass(frozen=True)
 class Levels:
-    """The greatest probabilities of error of the verdicts of a campaign.
+    """The greatest probabilities of error of the verdicts of a campaign."""
 
-    Attributes:
-        verdicts: Number of verdicts: for each requirement one for each tracker, condition and state.
-        met: That a requirement that does not hold is called met; the greatest of all verdicts.
-        failed: That a requirement that holds is called failed; the greatest of all verdicts.
-        all_met: That all are called met although one does not hold: an error of that one, so no greater than `met`.
-        any_wrong: That one verdict or more is wrong: at most the sum of all (union bound).
-        mean_wrong: The sum itself: so many verdicts are wrong at most, in the mean of many such campaigns.
-        sequential: Whether this holds however often the campaign is looked at; else it is looked at once.
-        family: Whether the level is that of all verdicts that are met, and of all that failed, by Holm's step-down.
-        measured: Whether a mean is judged by a bound whose errors were measured and not proved.
-    """
-
-    verdicts: int
-    met: float
-    failed: float
-    all_met: float
-    any_wrong: float
-    mean_wrong: float
-    sequential: bool
-    measured: bool
-    family: bool = False
+    verdicts: int  # number: for each requirement one for each tracker, condition and state
+    met: float  # that a requirement that does not hold is called met; the greatest of all verdicts
+    failed: float  # that a requirement that holds is called failed; the greatest of all verdicts
+    all_met: float  # that all are called met although one does not hold: an error of that one, so no greater than `met`
+    any_wrong: float  # that one verdict or more is wrong: at most the sum of all (union bound)
+    mean_wrong: float  # the sum itself: so many verdicts are wrong at most, in the mean of many such campaigns
+    sequential: bool  # whether this holds however often the campaign is looked at; else it is looked at once
+    measured: bool  # whether a mean is judged by a bound whose errors were measured and not proved
+    family: bool = False  # of all verdicts that are met, and of all that failed, by Holm's step-down
 
     def sentences(self) -> list[str]:
         """The levels in words."""
@@ -160,13 +147,9 @@ def measured_offers() -> dict[str, Any]:
 
 
 def seeds_needed(column: str, bound: str, confidence: float) -> float:
-    """The least number of traffic seeds with a value from which on a bound of their mean is given; infinite: never.
-
-    Args:
-        column: A key of the scores; with `state.` before it for a state within the runs, and so on.
-        bound: `LOW` or `HIGH`.
-        confidence: The confidence; between two that were measured, both must hold, and beyond them nothing is given.
-    """
+    """The least number of traffic seeds with a value from which on a bound (`LOW` or `HIGH`) of their mean is given;
+    infinite: never. `column` is a key of the scores; with `state.` before it for a state within the runs, and so on.
+    Between two confidences that were measured, both must hold, and beyond them nothing is given."""
     offers = measured_offers()
     levels, seeds = offers["confidences"], offers["seeds"].get(column, {}).get(bound)
     if seeds is None or not levels[0] <= confidence <= levels[-1]:
@@ -177,7 +160,7 @@ def seeds_needed(column: str, bound: str, confidence: float) -> float:
 
 
 def offered_from(requirement: Requirement, group: str) -> float:
-    """From how many seeds on the bound that a requirement on a mean is held against is given."""
+    """Number of seeds from which on the bound that a requirement on a mean is held against is given."""
     bound = LOW if requirement.at_least is not None else HIGH
     return seeds_needed(_column(requirement, group), bound, requirement.confidence)
 
@@ -190,13 +173,8 @@ def offered(bounds: Bounds, requirement: Requirement, seeds: int, group: str) ->
 
 
 def too_few(requirement: Requirement, seeds: int, group: str) -> str:
-    """Why a mean over so many seeds, looked at once, cannot be met; empty if it can.
-
-    Args:
-        requirement: The requirement.
-        seeds: The seeds with a value.
-        group: What divides the runs into parts, if it is about one.
-    """
+    """Reason why a mean over so many seeds with a value, looked at once, cannot be met; empty if it can. `group`
+    divides the runs into parts, if it is about one."""
     needed = offered_from(requirement, group)
     if needed <= seeds:
         return ""
@@ -232,15 +210,10 @@ def at_step(plan: Plan, place: int, count: int, taken: int) -> Requirement:
 
 
 def stepped(count: int, holds: Callable[[int, int], bool]) -> dict[int, int]:
-    """Statements, of `count`, that hold together, each with the number of those that held before.
-
-    After Holm (1979), "A simple sequentially rejective multiple test procedure", Scand. J. Stat. 6, 65-70: all are
-    tested with α/m; what holds leaves its part to the others, which are tested again with α/(m − k).
-
-    Args:
-        count: Their number.
-        holds: Whether the one at a place does, when so many others are known to hold.
-    """
+    """Statements, of `count`, that hold together, each with the number of those that held before. `holds` tells whether
+    the one at a place does, when so many others are known to hold. After Holm (1979), "A simple sequentially rejective
+    multiple test procedure", Scand. J. Stat. 6, 65-70: all are tested with α/m; what holds leaves its part to the
+    others, which are tested again with α/(m − k)."""
     found: dict[int, int] = {}
     while new := [place for place in range(count) if place not in found and holds(place, len(found))]:
         found |= dict.fromkeys(new, len(found))
@@ -278,14 +251,8 @@ def warnings_of(plan: Plan) -> list[str]:
 
 
 def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefined: int = 0) -> str:
-    """Why a plan is too small to meet a requirement, whatever its runs give; empty if it is not.
-
-    Args:
-        keys: The keys of the campaign.
-        requirement: The requirement.
-        group: What divides the runs into parts, if it is about one.
-        undefined: How many traffic seeds are known to have no value.
-    """
+    """Reason why a plan is too small to meet a requirement, whatever its runs give; empty if it is not. `group` divides
+    the runs into parts, if it is about one; `undefined` traffic seeds are known to have no value."""
     seeds = keys.seeds.traffic - undefined
     least, greatest = limits_of(requirement, keys.score)
     at_least, facts = requirement.at_least is not None, facts_of(requirement.score)

@@ -40,14 +40,9 @@ Names = Sequence[str]
 
 
 def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapping[str, Names]) -> Iterator[str]:
-    """Problems of values in `where` that no run has: a requirement about no run would never be judged.
-
-    Args:
-        requirement: The requirement.
-        where: Its place in the file.
-        plan: The plan.
-        parts: Names of the parts of all runs, by what divides them.
-    """
+    """Problems of values in `where` that no run has: a requirement about no run would never be judged. The argument
+    `where` is the place of the requirement in the file, and `parts` the names of the parts of all runs, by what divides
+    them."""
     known, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [each.label for each in plan.keys.trackers]
     found = [
         f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"
@@ -99,14 +94,8 @@ def score_problems(requirement: Requirement, where: str) -> Iterator[str]:
 def judging_problems(
     requirement: Requirement, where: str, plan: Plan, facts: Sequence[ConditionFacts]
 ) -> Iterator[str]:
-    """Scores that a part of a run does not have, parts that a run does not have, and means without bounds.
-
-    Args:
-        requirement: The requirement; its score and the keys of `where` are known.
-        where: Its place in the file.
-        plan: The plan.
-        facts: What is known of each condition.
-    """
+    """Scores that a part of a run does not have, parts that a run does not have, and means without bounds. The score
+    and the keys of `where` are known; the argument `where` is the place of the requirement in the file."""
     score = requirement.score
     bounded = score not in SCORES or is_bounded(score, plan.keys.score)
     if plan.keys.stop == "sequential" and requirement.share is None and not bounded:
@@ -152,55 +141,32 @@ _ELSEWHERE = {
 
 @dataclass(frozen=True)
 class ConditionFacts:
-    """Facts about a condition before it is run.
+    """Facts about a condition before it is run."""
 
-    Attributes:
-        scene: Name of the scene.
-        truth_sha256: Checksum of the scene without its detector and seed.
-        detector_sha256: Checksum of the detector.
-        truth_has_seed: Whether the truth depends on the traffic seed.
-        traffic_has_seed: Whether the traffic does; else the results are of this traffic only.
-        states: Names of the detector's performance states.
-        cameras: Names of the cameras.
-        trackers: Each tracker's name in tables, with its settings and versions.
-    """
-
-    scene: str
-    truth_sha256: str
+    scene: str  # name
+    truth_sha256: str  # of the scene without its detector and seed
     detector_sha256: str
-    truth_has_seed: bool
-    traffic_has_seed: bool
-    states: tuple[str, ...]
-    cameras: tuple[str, ...]
-    trackers: dict[str, dict[str, Any]]
+    truth_has_seed: bool  # whether the truth depends on the traffic seed
+    traffic_has_seed: bool  # whether the traffic does; else the results are of this traffic only
+    states: tuple[str, ...]  # names of the detector's performance states
+    cameras: tuple[str, ...]  # names
+    trackers: dict[str, dict[str, Any]]  # settings and versions of each, by its name in tables
 
 
 @dataclass(frozen=True)
 class CheckedCampaign:
-    """A campaign that can be run.
-
-    Attributes:
-        file: The file.
-        plan: Its plan.
-        facts: What is known of each condition.
-        content: The plan as `plan.json` has it, with the checksums of files and plug-ins and the versions of packages.
-        sha256: Checksum of all that decides the results.
-    """
+    """A campaign that can be run."""
 
     file: CampaignFile
     plan: Plan
     facts: tuple[ConditionFacts, ...]
-    content: dict[str, Any]
-    sha256: str
+    content: dict[str, Any]  # of `plan.json`, with the checksums of files and plug-ins and the versions of packages
+    sha256: str  # of all that decides the results
 
 
 def checked(file: CampaignFile) -> CheckedCampaign:
-    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values.
-
-    Raises:
-        InputError: With every problem.
-        ModsimError: A library that it needs is not installed.
-    """
+    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values. Raises
+    InputError with every problem, and ModsimError if a library that it needs is not installed."""
     keys, source = file.keys, f"campaign {file.path}"
     packages = {**versions(), **search_versions(keys)}
     if too_large := [*_size_problems(keys)]:
@@ -213,8 +179,9 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     facts = [*_facts_of_all(known, scenes, paths, plugins, problems)] if known else []
     if len(facts) == len(plan.conditions):
         problems += _requirement_problems(plan, facts)
-    else:
-        problems += _score_problems(keys)
+    else:  # no more can be said of the requirements yet
+        for place, requirement in enumerate(keys.require):
+            problems += score_problems(requirement, f"require[{place}]")
     own = {plugin.key: dict(plugin.files) for plugin in sorted(plugins, key=lambda plugin: plugin.key)}
     problems += changed_plugins(own, "Python loaded it: start it again")
     if problems:
@@ -276,11 +243,8 @@ def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
 def _facts_of_all(
     plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin], problems: list[str]
 ) -> Iterator[ConditionFacts]:
-    """Facts about the conditions that can be run.
-
-    The files and plug-ins that they are made of are added to those given, and what is wrong with the others to the
-    problems.
-    """
+    """Facts about the conditions that can be run. The files and plug-ins that they are made of are added to those
+    given, and what is wrong with the others to the problems."""
     first = [plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions))]
     ends = [replace(first[0], condition=first[0].condition.with_values(values)) for values in _ends(plan.keys)]
     missing = {
@@ -312,12 +276,6 @@ def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
         for key, each in ranges.items():
             for value in each.choices if each.choices is not None else (value_at(each, 0.0), value_at(each, 1 - 1e-12)):
                 yield {key: value}
-
-
-def _score_problems(keys: CampaignKeys) -> Iterator[str]:
-    """Scores that are not there, where no more can be said of the requirements yet."""
-    for place, requirement in enumerate(keys.require):
-        yield from score_problems(requirement, f"require[{place}]")
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:

@@ -1,7 +1,5 @@
-"""Coverage by the truth of a run: encounters, ranges, sizes, occlusions, waves.
-
-It says nothing of detections or tracks, so it is the same for all detectors and trackers over one truth.
-"""
+"""Coverage by the truth of a run: encounters, ranges, sizes, occlusions, waves. It says nothing of detections or
+tracks, so it is the same for all detectors and trackers over one truth."""
 
 from __future__ import annotations
 
@@ -32,17 +30,11 @@ from modsim3d.world.traffic.generate import DrawnTraffic
 
 @dataclass(frozen=True)
 class Bins:
-    """Bins of a quantity from 0 up; the last one is open, and a value at an edge belongs to the bin above it.
+    """Bins of a quantity from 0 up; the last one is open, and a value at an edge belongs to the bin above it."""
 
-    Attributes:
-        prefix: How the names of its columns begin.
-        unit: Unit of the edges.
-        edges: Between two bins, ascending.
-    """
-
-    prefix: str
-    unit: str
-    edges: tuple[int, ...]
+    prefix: str  # of the names of its columns
+    unit: str  # of the edges
+    edges: tuple[int, ...]  # between two bins, ascending
 
     @property
     def names(self) -> tuple[str, ...]:

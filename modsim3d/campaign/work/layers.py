@@ -56,27 +56,11 @@ Blocks = Sequence[tuple[Truth, int, int]]
 
 @dataclass(frozen=True, eq=False)
 class TruthLayer:
-    """The truth of a run: as blocks for its detector, and as a table; one is made from the other when it is needed.
+    """Truth of a run: as blocks for its detector, and as a table; one is made from the other when it is needed."""
 
-    Attributes:
-        scene: The scene, with any detector.
-        made: The blocks, if they were made here.
-        stored: The table, if it was read.
-    """
-
-    scene: Scene
-    made: Blocks | None = None
-    stored: pa.Table | None = None
-
-    @classmethod
-    def of_blocks(cls, blocks: Blocks, scene: Scene) -> TruthLayer:
-        """Truth that was made."""
-        return cls(scene, made=blocks)
-
-    @classmethod
-    def of_table(cls, table: pa.Table, scene: Scene) -> TruthLayer:
-        """Truth that was read."""
-        return cls(scene, stored=table)
+    scene: Scene  # with any detector
+    made: Blocks | None = None  # the blocks, if they were made here
+    stored: pa.Table | None = None  # the table, if it was read
 
     @cached_property
     def blocks(self) -> Blocks:
@@ -102,11 +86,7 @@ class TruthLayer:
         return pa.concat_tables(rows).combine_chunks()
 
     def with_detected(self, detected: pa.Array | pa.ChunkedArray) -> pa.Table:
-        """The table `truth` of a run.
-
-        Args:
-            detected: Whether each row was detected.
-        """
+        """Table `truth` of a run, given whether each row was detected."""
         return self.table.append_column(tables.TRUTH.field(DETECTED), detected)
 
 
@@ -123,13 +103,7 @@ def stored_detections(made: Mapping[str, pa.Table]) -> dict[str, pa.Table]:
 
 
 def rows_of(stored: Mapping[str, pa.Table], truth: TruthLayer, scene: Scene) -> RunRows | None:
-    """The rows of a run from its layers; None if they do not belong together.
-
-    Args:
-        stored: What was kept of the detections.
-        truth: The truth.
-        scene: The scene with its detector.
-    """
+    """Rows of a run from its layers, with `stored` of the detections; None if they do not belong together."""
     detected = stored[DETECTED]
     if len(detected) != len(truth.table):
         return None
@@ -161,11 +135,9 @@ _KEY = b"modsim3d_layer"
 
 
 class StoredLayers:
-    """Layers in a folder that any number of processes, campaigns and machines may share.
-
-    A layer is in `LAYER/AB/ABCD…/`, a Parquet file for each of its tables. Its folder is complete from the moment at
-    which it has its name. Pages carry checksums, so that a damaged layer is noticed and made anew.
-    """
+    """Layers in a folder that any number of processes, campaigns and machines may share. A layer is in
+    `LAYER/AB/ABCD…/`, a Parquet file for each of its tables. Its folder is complete from the moment at which it has its
+    name. Pages carry checksums, so that a damaged layer is noticed and made anew."""
 
     def __init__(self, folder: Path, kept: Collection[Layer]) -> None:
         """Take the folder, and the layers that are written; those that are there are read, whichever they are."""
@@ -176,12 +148,7 @@ class StoredLayers:
         return layer in self._kept
 
     def path(self, layer: Layer, key: str) -> Path:
-        """The folder of a layer.
-
-        Args:
-            layer: Which one.
-            key: The checksum of all that decides it, in hexadecimal.
-        """
+        """Folder of a layer; `key` is the checksum of all that decides it, in hexadecimal."""
         return self._folder / layer / key[:2] / key
 
     def read(self, layer: Layer, key: str, schemas: Mapping[str, pa.Schema]) -> dict[str, pa.Table] | None:
@@ -195,13 +162,8 @@ class StoredLayers:
             return None
 
     def write(self, layer: Layer, key: str, tables: Mapping[str, pa.Table]) -> None:
-        """Write a layer, in place of a damaged one if there is one.
-
-        Nothing waits for the disk here: what a machine that stops leaves half written is damaged, and made anew.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Write a layer, in place of a damaged one if there is one; OutputError if it cannot be written. Nothing waits
+        for the disk here: what a machine that stops leaves half written is damaged, and made anew."""
         final = self.path(layer, key)
         partial = final.with_name(f".{uuid.uuid4().hex}")
         try:
@@ -217,10 +179,7 @@ class StoredLayers:
 
 def _put_in_place(partial: Path, final: Path) -> None:
     """Give a complete folder its name; one that is there is damaged, or another process has made the same meanwhile.
-
-    Raises:
-        OSError: It cannot be renamed.
-    """
+    Raises OSError if it cannot be renamed."""
     if final.exists():
         damaged = final.with_name(f".{uuid.uuid4().hex}")
         with suppress(FileNotFoundError):
@@ -240,12 +199,8 @@ def _write(path: Path, table: pa.Table, key: str) -> None:
 
 
 def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
-    """A table of a layer.
-
-    Raises:
-        ValueError: It is of another layer, or has other columns.
-        OSError: It cannot be read, or is damaged.
-    """
+    """A table of a layer; ValueError if it is of another layer or has other columns, OSError if it is damaged or
+    unreadable."""
     with path.open("rb") as file:
         table = pq.read_table(file, page_checksum_verification=True, use_threads=False)
     if (table.schema.metadata or {}).get(_KEY) != key.encode() or not table.schema.equals(schema):
@@ -255,15 +210,7 @@ def _read(path: Path, schema: pa.Schema, key: str) -> pa.Table:
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """One run in all its layers.
-
-    Attributes:
-        rows: Truth and detections.
-        tracks: The tracks.
-        truth_key: Checksum of all that decides the truth.
-        detections_key: The same for the detections.
-        tracks_key: The same for the tracks.
-    """
+    """One run in all its layers, with the checksums of all that decides each."""
 
     rows: RunRows
     tracks: Tracks
@@ -289,12 +236,8 @@ class RunLayers:
         self._opened.close()
 
     def made(self, run: PlannedRun) -> Made:
-        """All layers of a run.
-
-        Raises:
-            ModsimError: The scene, the detector or the tracker cannot be what the run asks for.
-            OutputError: A layer that is kept cannot be written.
-        """
+        """All layers of a run. Raises ModsimError if the scene, the detector or the tracker cannot be what the run asks
+        for, and OutputError if a layer that is kept cannot be written."""
         scene = self._scenes.of(run.condition, run.traffic_seed, run.detector_seed)
         renderer = self._open(scene)
         truth_key = truth_digest(scene, renderer.context.description if renderer else "none")
@@ -329,11 +272,11 @@ class RunLayers:
         """The truth, from the disk if it is there."""
         stored = self._stored.read("truth", key, TRUTH)
         if stored is not None:
-            return TruthLayer.of_table(stored["truth"], scene)
+            return TruthLayer(scene, stored=stored["truth"])
         blocks = [(truth_block(scene, first, stop, renderer), first, stop) for first, stop in step_ranges(scene)]
         for block in blocks:
             check_block(scene, *block, renderer)
-        truth = TruthLayer.of_blocks(blocks, scene)
+        truth = TruthLayer(scene, made=blocks)
         if self._stored.keeps("truth"):
             self._stored.write("truth", key, {"truth": truth.table})
         return truth

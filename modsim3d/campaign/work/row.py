@@ -72,13 +72,7 @@ def rules_of(keys: ScoreKeys) -> Rules:
 
 
 def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
-    """The row of a run.
-
-    Args:
-        number: The run's number.
-        made: Its layers.
-        rules: By which tracks are scored.
-    """
+    """Row of a run, whose tracks are scored by the rules."""
     scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules)
     scores = scores_of(scored)
     times_s = scene.times_s(0, scene.steps)
@@ -160,17 +154,11 @@ SCORES_BY = dict.fromkeys(GROUPS, (RECALL,)) | {
 
 @dataclass(frozen=True)
 class Basis:
-    """The share of what is to be followed on which a score rests: one column over the sum of others.
+    """The share of what is to be followed on which a score rests: one column over the sum of others."""
 
-    Attributes:
-        of: What it is a share of.
-        part: The column that is divided.
-        whole: Those that it is divided by; none if it is a share already.
-    """
-
-    of: str
+    of: str  # what it is a share of
     part: str
-    whole: tuple[str, ...] = ()
+    whole: tuple[str, ...] = ()  # none if `part` is a share already
 
     def share(self, column: Columns) -> Array:
         """The share in each row; NaN where there is nothing to follow."""
@@ -185,27 +173,18 @@ FOLLOWED = Basis("vessel-frames", "true_positives", ("true_positives", "misses")
 
 @dataclass(frozen=True)
 class ScoreFacts:
-    """A score.
-
-    Attributes:
-        least: The least value that it can have.
-        greatest: The greatest.
-        managed: Whether it is a mean over what the tracker follows or reports. Then a tracker that gives up improves
-            it, and one that does nothing leaves it undefined. If not, only the truth can leave it undefined.
-        expected: The column with the number of things in the truth that a tracker could be scored on: where there are
-            none, the truth alone leaves it undefined, managed or not.
-        of_faults: Whether it is a mean over things that went wrong: it is undefined also where nothing did.
-        basis: The share that it rests on.
-        without_tracks: Its value without any track; None if it has none, or if it depends on the truth.
-    """
+    """Facts of a score. It is `managed` if it is a mean over what the tracker follows or reports: then a tracker that
+    gives up improves it, and one that does nothing leaves it undefined. If not, only the truth can leave it undefined.
+    `expected` is the column with the number of things in the truth that a tracker could be scored on: where there are
+    none, the truth alone leaves it undefined, managed or not."""
 
     least: float = 0.0
     greatest: float = math.inf
     managed: bool = False
     expected: str = "appearances"
-    of_faults: bool = False
-    basis: Basis = FOLLOWED
-    without_tracks: float | None = 0.0
+    of_faults: bool = False  # a mean over things that went wrong: undefined also where nothing did
+    basis: Basis = FOLLOWED  # the share that it rests on
+    without_tracks: float | None = 0.0  # value without any track; None if it has none, or if it depends on the truth
 
 
 _SHARE = ScoreFacts(greatest=1.0)
@@ -245,10 +224,8 @@ SHARES = frozenset(name for name, facts in _KNOWN.items() if (facts.least, facts
 
 
 def facts_of(score: str, group: str = "") -> ScoreFacts:
-    """Facts of a score, or of that of a part of a run; others are numbers of things, and times, of 0 or more.
-
-    The rows have no number of matches by state or camera: `deta` is never above the share that is followed.
-    """
+    """Facts of a score, or of that of a part of a run; others are numbers of things, and times, of 0 or more. The rows
+    have no number of matches by state or camera: `deta` is never above the share that is followed."""
     facts = _KNOWN.get(score, ScoreFacts())
     if group not in (STATE, CAMERA):
         return facts
@@ -272,12 +249,7 @@ def without_tracks(score: str, keys: ScoreKeys, column: Columns) -> Array | None
 
 
 def score_bounds(score: str, keys: ScoreKeys) -> tuple[float, float]:
-    """The least and the greatest value that a score can have; infinite where there is none.
-
-    Args:
-        score: A key of the scores.
-        keys: How tracks are scored.
-    """
+    """The least and the greatest value that a score can have; infinite where there is none."""
     facts = facts_of(score)
     return facts.least, keys.gospa_c if score == "ospa" else facts.greatest
 
@@ -335,11 +307,8 @@ def _range_problems(plan: Plan, search: SearchKeys) -> Iterator[str]:
 
 
 def search_versions(keys: CampaignKeys) -> dict[str, str]:
-    """The version of Optuna, if the campaign has a search, whose trials depend on it.
-
-    Raises:
-        ModsimError: It is not installed.
-    """
+    """Version of Optuna, if the campaign has a search, whose trials depend on it; ModsimError if it is not
+    installed."""
     if keys.search is None:
         return {}
     try:

@@ -35,12 +35,8 @@ def digest(*parts: Any) -> str:
 
 
 def truth_digest(scene: Scene, backend: str) -> str:
-    """Digest of the truth: the scene without its detector, and the versions of what makes it.
-
-    Args:
-        scene: The scene.
-        backend: The OpenGL context that draws it.
-    """
+    """Digest of the truth: the scene without its detector, and the versions of what makes it, the OpenGL `backend`
+    too."""
     packages = {name: version(name) for name in VERSIONED}
     plugins = [[plugin.group, plugin.name, plugin.package, plugin.sha256] for plugin in scene.plugins]
     return digest(scene.copy.truth_sha256(), scene.seed if scene.truth_has_seed else None, packages, plugins, backend)
@@ -60,11 +56,8 @@ def detector_digest(detector: DetectorModel) -> str:
 
 
 def versions() -> dict[str, str]:
-    """The version of every package that decides a row.
-
-    Raises:
-        ModsimError: TrackEval, which makes the scores, is not installed.
-    """
+    """Version of every package that decides a row; ModsimError if TrackEval, which makes the scores, is not
+    installed."""
     try:
         return {name: version(name) for name in (*VERSIONED, "trackeval")}
     except PackageNotFoundError:
@@ -75,12 +68,8 @@ def versions() -> dict[str, str]:
 
 
 def checksums(paths: Iterable[Path], base: Path) -> dict[str, str]:
-    """The SHA-256 of files by their paths; what ships with the package is left out, since its version is known.
-
-    Args:
-        paths: The files.
-        base: The folder of the campaign file: paths of what is in it are relative to it.
-    """
+    """The SHA-256 of files by their paths, which are relative to the folder `base` of the campaign file if they are in
+    it. Those that ship with the package are left out, since its version is known."""
     shipped = (data_folder("scenes").resolve(), data_folder("meshes").resolve())
     own = sorted(path for path in set(paths) if not any(path.is_relative_to(folder) for folder in shipped))
     return {_name(path, base): file_sha256(path) for path in own}
@@ -91,12 +80,10 @@ def changed_files(files: Mapping[str, str], base: Path) -> list[str]:
     problems = []
     for name, expected in files.items():
         try:
-            found = file_sha256(base / name)
+            if file_sha256(base / name) != expected:
+                problems.append(f"{name} has changed since the campaign was planned")
         except OSError as error:
             problems.append(f"{name} cannot be read any more: {error.strerror or error}")
-            continue
-        if found != expected:
-            problems.append(f"{name} has changed since the campaign was planned")
     return problems
 
 
@@ -133,19 +120,12 @@ class Latest(Generic[T]):
 
 @dataclass(frozen=True)
 class DetectorChoice:
-    """Settings that decide a detector.
+    """Settings that decide a detector."""
 
-    Attributes:
-        detector: A file, or the name of a shipped detector; None: the scene's.
-        state: The state that it is in for the whole scene; None: it changes as the detector says.
-        state_from: Where the state is from, as `--from`.
-        settings: Keys below `detector`.
-    """
-
-    detector: str | None
-    state: str | None
-    state_from: str | None
-    settings: Mapping[str, Any]
+    detector: str | None  # a file, or the name of a shipped one; None: the scene's
+    state: str | None  # for the whole scene; None: it changes as the detector says
+    state_from: str | None  # where the state is from, as `--from`
+    settings: Mapping[str, Any]  # keys below `detector`
 
     @classmethod
     def of(cls, values: Mapping[str, Any], folder: Path) -> DetectorChoice:
@@ -159,11 +139,7 @@ class DetectorChoice:
         )
 
     def file(self, scene_file: Path) -> Path:
-        """The detector file, given that of the scene.
-
-        Raises:
-            InputError: There is none.
-        """
+        """The detector file, given that of the scene; InputError if there is none."""
         if self.detector is not None:
             return find_detector(self.detector)
         placed = state_settings(self.state, self.state_from, None)
@@ -172,11 +148,7 @@ class DetectorChoice:
 
 
 def located(name: Any, folder: Path, shipped: Any) -> str:
-    """A shipped name as it is, and a path from the folder.
-
-    Raises:
-        InputError: It is no text.
-    """
+    """A shipped name as it is, and a path from the folder; InputError if it is no text."""
     if not isinstance(name, str):
         raise InputError("campaign", [f"a file or the name of a shipped one is text (got {shown(name)})"])
     path = folder / name
@@ -187,29 +159,15 @@ class Scenes:
     """Scenes of runs; the latest are kept, since a traffic that is drawn costs a second."""
 
     def __init__(self, steps: int | None, folder: Path, *, learned: bool = False) -> None:
-        """Open nothing yet.
-
-        Args:
-            steps: Number of steps in place of the scenes'; None: theirs.
-            folder: What paths in conditions are relative to.
-            learned: Whether detectors are drawn from what `modsim3d learn` says of them, one for each traffic seed.
-        """
+        """Take the number of steps, None for that of each scene, and the folder that paths in conditions are relative
+        to. `learned` draws detectors from what `modsim3d learn` says of them, one for each traffic seed."""
         self._steps, self._folder, self._learned = steps, folder, learned
         self._scenes: Latest[tuple[str, Scene]] = Latest(4)
         self._detectors: Latest[DetectorModel] = Latest(64)
         self._known: Latest[tuple[Path, LearnedUncertainty]] = Latest(64)
 
     def of(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
-        """The scene of a run.
-
-        Args:
-            condition: The scene and the values of its keys.
-            seed: Seed of the scene.
-            detector_seed: Seed of the detector.
-
-        Raises:
-            InputError: The scene or the detector is wrong.
-        """
+        """Scene of a run with its seed and that of its detector; InputError if the scene or the detector is wrong."""
         choice = self._choice(condition, seed)
         wanted = digest(condition.scene, condition.of_detector(), choice.settings)
         loaded_with, scene = self._scenes.get(
@@ -238,17 +196,13 @@ class Scenes:
             drawn = drawn_detector(known, seed)
         except ModsimError as error:
             raise InputError(f"detector {file}", [str(error)]) from None
-        left = {
-            key: value for key, value in drawn.items() if not any(_is_within(key, each) for each in choice.settings)
-        }
+        within = tuple(f"{key}." for key in choice.settings)
+        left = {key: value for key, value in drawn.items() if not key.startswith(within)}
         return replace(choice, settings={**left, **choice.settings})
 
     def alone(self, condition: Condition, seed: int, detector_seed: int) -> Scene:
-        """Scene loaded by itself: its copy in a run directory has the run's detector and its seed.
-
-        Raises:
-            InputError: The scene or the detector is wrong.
-        """
+        """Scene loaded by itself: its copy in a run directory has the run's detector and its seed. Raises InputError if
+        the scene or the detector is wrong."""
         return self._load(condition, seed, self._choice(condition, seed), detector_seed)
 
     def _load(self, condition: Condition, seed: int, choice: DetectorChoice, detector_seed: int | None = None) -> Scene:
@@ -275,21 +229,12 @@ def _detector(choice: DetectorChoice, scene_file: Path) -> DetectorModel:
     )[0]
 
 
-def _is_within(key: str, other: str) -> bool:
-    """Whether a key leads into what another one holds."""
-    return key.startswith(f"{other}.")
-
-
 def _known(file: Path) -> tuple[Path, LearnedUncertainty]:
     return file, read_uncertainty(file)
 
 
 def detector_file(scene_file: Path) -> Path:
-    """The detector file of a scene file.
-
-    Raises:
-        InputError: It names none.
-    """
+    """Detector file of a scene file; InputError if it names none."""
     data = (load_json if scene_file.suffix == ".json" else load_yaml)(scene_file, "scene")
     named = data.get("detector") if isinstance(data, dict) else None
     if not isinstance(named, str):

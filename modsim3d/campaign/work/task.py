@@ -12,7 +12,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import orjson
 import pyarrow as pa
@@ -41,25 +40,15 @@ _CHECKSUM_BYTES = hashlib.sha256().digest_size
 
 @dataclass(frozen=True)
 class Work:
-    """Settings that all tasks of a campaign have in common.
-
-    Attributes:
-        keys: The campaign file.
-        base: The folder that its paths are relative to.
-        folder: The folder of the campaign, which every worker can reach.
-        plan_sha256: Checksum of the plan.
-        cache: The folder of layers on the disk; None: `cache` in that of the campaign.
-        files: Checksums of the files that scenes and detectors are made of.
-        plugins: Checksums of the files of each plug-in.
-    """
+    """Settings that all tasks of a campaign have in common."""
 
     keys: CampaignKeys
-    base: str
-    folder: str
+    base: str  # folder that the paths of the campaign file are relative to
+    folder: str  # of the campaign, which every worker can reach
     plan_sha256: str
-    cache: str | None = None
-    files: Mapping[str, str] = field(default_factory=dict)
-    plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    cache: str | None = None  # folder of layers on the disk; None: `cache` in that of the campaign
+    files: Mapping[str, str] = field(default_factory=dict)  # checksums of those that scenes and detectors are made of
+    plugins: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # checksums of the files of each
 
     @property
     def layers(self) -> Path:
@@ -74,21 +63,16 @@ def with_cache(work: Work, cache: Path | None) -> Work:
 
 @dataclass(frozen=True)
 class Task:
-    """Some runs of a campaign.
-
-    Attributes:
-        work: What all tasks have in common.
-        runs: The runs; those with the same truth follow each other.
-    """
+    """Some runs of a campaign."""
 
     work: Work
-    runs: tuple[PlannedRun, ...]
+    runs: tuple[PlannedRun, ...]  # those with the same truth follow each other
 
     @property
     def path(self) -> Path:
         """The file with its rows, named by what is in it."""
-        name = name_of_rows(self.work.plan_sha256, [run.number for run in self.runs])
-        return Path(self.work.folder) / DONE_FOLDER / name
+        numbers = [run.number for run in self.runs]
+        return Path(self.work.folder, DONE_FOLDER, name_of_rows(self.work.plan_sha256, numbers))
 
 
 def name_of_rows(plan_sha256: str, numbers: Sequence[int]) -> str:
@@ -98,23 +82,14 @@ def name_of_rows(plan_sha256: str, numbers: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """Cost of a task.
-
-    Attributes:
-        runs: Number of runs.
-        crashed: Number of those that failed.
-        wall_s: Time by the clock.
-        cpu_s: Time of the processor.
-        host: Name of the machine.
-        process: Number of the process.
-    """
+    """Cost of a task."""
 
     runs: int
-    crashed: int
-    wall_s: float
-    cpu_s: float
-    host: str
-    process: int
+    crashed: int  # number of runs that failed
+    wall_s: float  # by the clock
+    cpu_s: float  # of the processor
+    host: str  # name of the machine
+    process: int  # number of the process
 
 
 class Worker:
@@ -131,34 +106,22 @@ class Worker:
             self._layers = None
 
     def do(self, task: Task, begin: Callable[[int], None] = lambda number: None) -> TaskReport:
-        """Do a task, unless its file is there, and write its file.
-
-        Args:
-            task: The task.
-            begin: Called with the number of each run before it is made.
-
-        Raises:
-            OutputError: The file cannot be written.
-            ModsimError: A file that runs are made of is not as it was when the campaign was planned.
-        """
+        """Do a task, unless its file is there, and write its file. `begin` is called with the number of each run before
+        it is made. Raises OutputError if the file cannot be written, and ModsimError if a file that runs are made of is
+        not as it was when the campaign was planned."""
         if (report := stored_report(task.path)) is not None:
             return report
         started, cpu = time.perf_counter(), _cpu_s()
         rows = [self._row(run, task.work, begin) for run in task.runs]
         _check_unchanged(task.work)
-        crashed = sum(row["status"] == CRASHED for row in rows)
-        report = TaskReport(
-            len(rows), crashed, time.perf_counter() - started, _cpu_s() - cpu, platform.node(), os.getpid()
-        )
+        crashed, wall_s = sum(row["status"] == CRASHED for row in rows), time.perf_counter() - started
+        report = TaskReport(len(rows), crashed, wall_s, _cpu_s() - cpu, platform.node(), os.getpid())
         store(task.path, table_of(rows), report)
         return report
 
     def _row(self, run: PlannedRun, work: Work, begin: Callable[[int], None]) -> dict[str, object]:
-        """The row of a run; one that fails, for whatever reason, has a row too.
-
-        Raises:
-            OutputError: A layer that is kept cannot be written.
-        """
+        """Row of a run; one that fails, for whatever reason, has a row too. Raises OutputError if a layer cannot be
+        kept."""
         begin(run.number)
         try:
             return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
@@ -177,8 +140,7 @@ class Worker:
 
 def changes(work: Work) -> list[str]:
     """Changes of the files and plug-ins of a campaign, one line for each file."""
-    since = "the campaign was planned"
-    return [*changed_files(work.files, Path(work.base)), *changed_plugins(work.plugins, since)]
+    return [*changed_files(work.files, Path(work.base)), *changed_plugins(work.plugins, "the campaign was planned")]
 
 
 def _check_unchanged(work: Work) -> None:
@@ -187,25 +149,17 @@ def _check_unchanged(work: Work) -> None:
 
 
 def store_crashed(task: Task, error: str) -> None:
-    """Write the file of a task whose runs ended their workers.
-
-    Raises:
-        OutputError: The file cannot be written.
-        ModsimError: A file that runs are made of is not as it was when the campaign was planned.
-    """
+    """Write the file of a task whose runs ended their workers. Raises OutputError if it cannot be written, and
+    ModsimError if a file that runs are made of is not as it was when the campaign was planned."""
     _check_unchanged(task.work)
     rows = [crashed_row(run.number, error) for run in task.runs]
     store(task.path, table_of(rows), TaskReport(len(rows), len(rows), 0.0, 0.0, "", 0))
 
 
 def store(path: Path, table: pa.Table, report: TaskReport) -> None:
-    """Write rows whole, under a name of their own until they are; another process may write the same file.
-
-    It is a Parquet file, and after it comes its SHA-256, so that any damage is noticed before it is read.
-
-    Raises:
-        OutputError: The file cannot be written. So it is when the folder is gone: the campaign has ended without it.
-    """
+    """Write rows whole, under a name of their own until they are; another process may write the same file. It is a
+    Parquet file, and after it comes its SHA-256, so that any damage is noticed before it is read. Raises OutputError if
+    it cannot be written. So it is when the folder is gone: the campaign has ended without it."""
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     table = table.replace_schema_metadata({_REPORT: orjson.dumps(asdict(report))})
     content = pa.BufferOutputStream()
@@ -254,25 +208,23 @@ _OPTIONS = {"state": "--state", "from": "--from", "detector": "--detector"}
 
 
 def condition_problems(condition: Condition, error: ModsimError, section: str = "vary") -> Iterator[str]:
-    """The problems of a condition, each with the varied key that it is about, or with all of them.
-
-    Args:
-        condition: The condition with the values of all its keys.
-        error: What its scene, its detector or a tracker said.
-        section: Where its keys are in the file.
-    """
+    """Problems of a condition, each with the key that it is about, or with all varied ones, by what its scene, its
+    detector or a tracker said. `section` is where its keys are in the file."""
     if not isinstance(error, InputError):
         yield f"{_in_words(condition)}: {error}"
         return
     for problem in error.problems:
         said = f"{error.source}: {problem}"
-        key = next((key for key in _longest_first(condition.all_values) if _is_about(key, problem, said)), None)
+        longest_first = sorted(condition.all_values, key=len, reverse=True)
+        key = next((key for key in longest_first if _is_about(key, problem, said)), None)
         if key is None:
             yield f"{_in_words(condition)}: {said}"
         else:
             source = f" ({error.source})" if layer_of(key) == "tracks" else ""
             place = section if key in condition.values else "set"
-            yield f"{place}: {key} {shown(condition.all_values[key])}: {_without(problem, _option_of(key))}{source}"
+            rest = problem.removeprefix(_option_of(key))
+            rest = rest.removeprefix(":").strip() if rest.startswith((":", " ")) else rest
+            yield f"{place}: {key} {shown(condition.all_values[key])}: {rest}{source}"
 
 
 def key_readings(condition: Condition, detector: DetectorModel, searched: Collection[str]) -> Iterator[tuple[str, str]]:
@@ -298,21 +250,11 @@ def _is_about(key: str, problem: str, said: str) -> bool:
     return _option_of(key) in said
 
 
-def _longest_first(values: Mapping[str, Any]) -> list[str]:
-    return sorted(values, key=len, reverse=True)
-
-
 def _option_of(key: str) -> str:
     """Name of a key in messages."""
     if key in _OPTIONS:
         return _OPTIONS[key]
     return key.removeprefix(f"{TRACKER}.") if layer_of(key) == "tracks" else f"--set {key}"
-
-
-def _without(problem: str, option: str) -> str:
-    """A problem without the option at its beginning."""
-    rest = problem.removeprefix(option)
-    return rest.removeprefix(":").strip() if rest.startswith((":", " ")) else rest
 
 
 def _in_words(condition: Condition) -> str:

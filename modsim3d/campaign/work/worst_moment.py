@@ -18,28 +18,19 @@ _DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class Mistakes:
-    """Mistakes of a tracker in a run: n of them in order of time.
+    """Mistakes of a tracker in a run: n of them in order of time. `LOST`: a vessel that should be followed is not.
+    `FALSE`: a track follows nothing. `SWITCHED`: a vessel is followed by another track than last. Of the first two
+    kinds `seconds` is the time that the frame stands for; of a switch the whole window, since whoever watches that
+    track has lost the vessel. Nothing counts while a vessel is new: it was never followed, and came less than a window
+    ago."""
 
-    Attributes:
-        kind: `LOST`: a vessel that should be followed is not. `FALSE`: a track follows nothing. `SWITCHED`: a vessel is
-            followed by another track than last. Shape (n,).
-        frame: Number of the frame, as in `RunRows`, shape (n,).
-        seconds: What it counts, shape (n,): of the first two kinds the time that the frame stands for; of a switch the
-            whole window, since whoever watches that track has lost the vessel. Nothing while a vessel is new: it was
-            never followed, and came less than a window ago.
-        boxes_px: The vessel's box, or the track's of the second kind, shape (n, 4).
-        vessel: Index of the vessel, `NOBODY` of the second kind, shape (n,).
-        before: Number of the track that followed the vessel before a switch, else `NOBODY`, shape (n,).
-        after: Number of the track that does so from the switch on, else `NOBODY`, shape (n,).
-    """
-
-    kind: Indices
-    frame: Indices
-    seconds: Array
-    boxes_px: Array
-    vessel: Indices
-    before: Indices
-    after: Indices
+    kind: Indices  # shape (n,)
+    frame: Indices  # number as in `RunRows`, shape (n,)
+    seconds: Array  # what it counts, shape (n,)
+    boxes_px: Array  # of the vessel, or of the track that follows nothing, shape (n, 4)
+    vessel: Indices  # its index, `NOBODY` of a track that follows nothing, shape (n,)
+    before: Indices  # number of the track that followed the vessel before a switch, else `NOBODY`, shape (n,)
+    after: Indices  # number of the track that does so from the switch on, else `NOBODY`, shape (n,)
 
     @classmethod
     def of(cls, scored: Scored) -> Mistakes:
@@ -75,9 +66,7 @@ class Mistakes:
 
 def _new(scored: Scored) -> Mask:
     """Mask of the matching's vessels that came less than a window ago and were never followed before, shape (n,).
-
-    Trackers wait for some detections before they report a track: all of them lose all vessels when a run begins.
-    """
+    Trackers wait for some detections before they report a track: all of them lose all vessels when a run begins."""
     truth, rows = scored.following.truth, scored.truth_rows
     time_s, followed = scored.times_s[truth.frame // scored.by_step], scored.pairs[0]
     until_s = np.full(int(truth.identity.max(initial=-1)) + 1, np.inf)
@@ -98,13 +87,10 @@ def _switches(scored: Scored) -> tuple[Indices, Indices, Indices]:
 
 
 def worst_moment_s(scored: Scored) -> float | None:
-    """The moment at which a run went wrong, as its timestamps have it; None if nothing is wrong in it.
-
-    Of all stretches of 5 s it is the one with most mistakes, in all cameras together: vessel-seconds in which a vessel
-    is lost, track-seconds in which a track follows nothing, and 5 s for each identity switch. See `Mistakes`. The
-    moment is the median of the mistakes in that stretch, so that there is one to see. Of equal stretches it is the
-    first.
-    """
+    """The moment at which a run went wrong, as its timestamps have it; None if nothing is wrong in it. Of all stretches
+    of 5 s it is the one with most mistakes, in all cameras together: vessel-seconds in which a vessel is lost,
+    track-seconds in which a track follows nothing, and 5 s for each identity switch. See `Mistakes`. The moment is the
+    median of the mistakes in that stretch, so that there is one to see. Of equal stretches it is the first."""
     mistakes = Mistakes.of(scored)
     if not len(mistakes.frame):
         return None
@@ -113,13 +99,9 @@ def worst_moment_s(scored: Scored) -> float | None:
     stop = np.searchsorted(time_s, time_s + WINDOW_S - 1e-6)
     first = int(np.argmax(np.round(before_s[stop] - before_s[:-1], _DECIMALS)))
     half_s = (before_s[first] + before_s[stop[first]]) / 2
-    step = int(mistakes.frame[_row_at(before_s, half_s)]) // scored.by_step
+    median = int(np.searchsorted(before_s[1:], half_s - 1e-9))  # the row in which the sum passes it
+    step = int(mistakes.frame[median]) // scored.by_step
     return float(scored.rows.scene.timestamps(step, step + 1)[0])
-
-
-def _row_at(before_s: Array, seconds: float) -> int:
-    """The row in which a sum passes a value, where the sums before each row are given, shape (n + 1,)."""
-    return int(np.searchsorted(before_s[1:], seconds - 1e-9))
 
 
 def step_at(scored: Scored, moment_s: float) -> int:

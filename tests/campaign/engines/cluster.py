@@ -17,8 +17,7 @@ from tests.campaign.engines.campaigns import waited_for
 def free_port() -> int:
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
-        port: int = found.getsockname()[1]
-        return port
+        return int(found.getsockname()[1])
 
 
 def answers(port: int) -> bool:
@@ -41,9 +40,8 @@ class Cluster:
 
     def start_worker(self) -> subprocess.Popen[bytes]:
         """A worker with two threads, of which only one may make runs."""
-        return self._start(
-            "worker", self.address, "--no-nanny", "--nthreads", "2", "--no-dashboard", "--host", "127.0.0.1"
-        )
+        options = "--no-nanny", "--nthreads", "2", "--no-dashboard", "--host", "127.0.0.1"
+        return self._start("worker", self.address, *options)
 
     def close(self) -> None:
         for process in self._processes:
@@ -53,11 +51,8 @@ class Cluster:
     def _start(self, *arguments: str) -> subprocess.Popen[bytes]:
         line = [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *arguments[1:]]
         environment = {**os.environ, "DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "critical"}
-        self._processes.append(
-            subprocess.Popen(
-                line, cwd=self._folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-            )
-        )
+        quiet = subprocess.DEVNULL
+        self._processes.append(subprocess.Popen(line, cwd=self._folder, env=environment, stdout=quiet, stderr=quiet))
         return self._processes[-1]
 
 

@@ -43,9 +43,6 @@ class Mortal(Tracker):
             DEATHS[self.how]()
         yield from Fragile().follow(frames, camera)
 
-def segfault():
-    ctypes.string_at(0)
-
 def interrupt():
     raise KeyboardInterrupt
 
@@ -53,7 +50,7 @@ DEATHS = {
     "exit": lambda: os._exit(3),
     "nothing": lambda: os._exit(0),
     "system_exit": lambda: sys.exit(5),
-    "segfault": segfault,
+    "segfault": lambda: ctypes.string_at(0),
     "deaf": lambda: (os.closerange(3, 256), time.sleep(60)),
     "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "term": lambda: os.kill(os.getpid(), signal.SIGTERM),
@@ -65,13 +62,12 @@ DEATHS = {
 @pytest.fixture(scope="session")
 def campaigns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Campaigns]:
     folder = tmp_path_factory.mktemp("engines")
-    site = folder / "site"
-    (site / "fragile-1.0.dist-info").mkdir(parents=True)
+    site, info = folder / "site", folder / "site" / "fragile-1.0.dist-info"
+    info.mkdir(parents=True)
     (site / "fragile.py").write_text(TRACKER, encoding="utf-8")
-    (site / "fragile-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: fragile\nVersion: 1.0\n")
-    (site / "fragile-1.0.dist-info" / "entry_points.txt").write_text(
-        "[modsim3d.trackers]\nfragile = fragile:Fragile\nmortal = fragile:Mortal\n"
-    )
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: fragile\nVersion: 1.0\n")
+    points = "fragile = fragile:Fragile\nmortal = fragile:Mortal\n"
+    (info / "entry_points.txt").write_text(f"[modsim3d.trackers]\n{points}")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(site)
         patch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(Path(__file__).resolve().parents[3])]))
@@ -79,6 +75,12 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Campaigns]:
         made = Campaigns(folder)
         made.run("plain", ThisProcess, "reference")
         yield made
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """The folder of a campaign, not there yet."""
+    return tmp_path / "out"
 
 
 @pytest.fixture

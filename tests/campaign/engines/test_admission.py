@@ -16,25 +16,21 @@ from tests.campaign.engines.campaigns import Campaigns
 
 @pytest.mark.parametrize("package", ["fragile", "numpy"])
 def test_a_worker_with_other_versions_is_refused(
-    campaigns: Campaigns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
+    campaigns: Campaigns, out: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:
-    here, _ = campaigns.planned(tmp_path / "out")
+    here, _ = campaigns.planned(out)
     check_worker(here.work)
-    here_is = serving.version(package)
-    other = {**serving.versions(), "numpy": "9.9"}
-    with monkeypatch.context() as patch:
-        if package == "numpy":
-            patch.setattr(serving, "versions", lambda: other)
-        else:
-            patch.setattr(serving, "version", lambda name: "9.9")
-        with pytest.raises(ModsimError, match=f"on {platform.node()} has .*{package} 9.9 instead of {here_is}"):
-            check_worker(here.work)
+    here_is, other = serving.version(package), {**serving.versions(), "numpy": "9.9"}
+    if package == "numpy":
+        monkeypatch.setattr(serving, "versions", lambda: other)
+    else:
+        monkeypatch.setattr(serving, "version", lambda name: "9.9")
+    with pytest.raises(ModsimError, match=f"on {platform.node()} has .*{package} 9.9 instead of {here_is}"):
+        check_worker(here.work)
 
 
-def test_a_worker_that_finds_another_campaign_or_a_damaged_plan_is_refused(
-    campaigns: Campaigns, tmp_path: Path
-) -> None:
-    here, _ = campaigns.planned(tmp_path / "out")
+def test_a_worker_that_finds_another_campaign_or_a_damaged_plan_is_refused(campaigns: Campaigns, out: Path) -> None:
+    here, _ = campaigns.planned(out)
     with pytest.raises(ModsimError, match="finds another campaign at"):
         check_worker(replace(here.work, plan_sha256="0" * 64))
     (here.path / "plan.json").write_bytes(b"{}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,9 +12,9 @@ import pytest
 from modsim3d.campaign.dask import DaskEngine, _raise_unless_killed
 from modsim3d.campaign.folder import killed_sentence
 from modsim3d.campaign.work.task import TaskReport
-from modsim3d.campaign.workers import Death, ThisProcess
+from modsim3d.campaign.workers import Death
 from modsim3d.core.errors import ModsimError
-from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
+from tests.campaign.engines.campaigns import Campaigns, alive, waited_for
 from tests.campaign.engines.cluster import Cluster, cluster, free_port
 
 
@@ -30,35 +31,32 @@ def shared(campaigns: Campaigns, tmp_path_factory: pytest.TempPathFactory) -> It
         yield made
 
 
-def test_a_client_that_is_killed_and_started_again_ends_with_the_same_bytes(
-    campaigns: Campaigns, shared: Cluster, tmp_path: Path
-) -> None:
-    with campaigns.holding() as hold, campaigns.coordinator(shared.address, tmp_path / "out") as client:
-        waited_for(lambda: numbers_in(hold))
+def test_a_client_that_was_killed_goes_on_to_the_same_bytes(campaigns: Campaigns, shared: Cluster, out: Path) -> None:
+    with campaigns.holding() as waiting, campaigns.coordinator(shared.address, out) as client:
+        waiting()
         client.kill()
-    campaigns.run("plain", lambda: DaskEngine(shared.address), tmp_path / "out")
-    assert content(tmp_path / "out") == campaigns.reference
+    campaigns.check_end(out, lambda: DaskEngine(shared.address))
 
 
 def test_a_run_ends_its_process_the_worker_stays_and_what_is_not_wanted_any_more_is_ended_at_once(
-    campaigns: Campaigns, shared: Cluster, tmp_path: Path
+    campaigns: Campaigns, shared: Cluster, out: Path
 ) -> None:
-    _, tasks = campaigns.planned(tmp_path / "out")
-    engine, fatal = DaskEngine(shared.address), campaigns.fatal_task(tmp_path / "fatal")
+    _, tasks = campaigns.planned(out)
+    _, (both,) = campaigns.planned(out.with_name("fatal"), "fatal")
+    engine, fatal = DaskEngine(shared.address), replace(both, runs=both.runs[1:])
     engine.submit(fatal)
     assert engine.next() == (fatal, Death.of(1, 9))
-    with campaigns.holding() as hold:
+    with campaigns.holding() as waiting:
         for task in tasks:
             engine.submit(task)
-        waited_for(lambda: numbers_in(hold))
-        (worker,) = numbers_in(hold)  # a single one: the second thread waits
+        (worker,) = waiting()  # a single one: the second thread waits
         engine.close()
         waited_for(lambda: not alive(worker))
 
 
-def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Cluster, tmp_path: Path) -> None:
-    here, tasks = campaigns.planned(tmp_path / "out")
-    (here.path / "plan.json").rename(tmp_path / "elsewhere")
+def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Cluster, out: Path) -> None:
+    here, tasks = campaigns.planned(out)
+    (here.path / "plan.json").rename(out.with_name("elsewhere"))
     engine = DaskEngine(shared.address)
     engine.submit(tasks[0])
     with pytest.raises(ModsimError, match=r"the worker on .* cannot read .*/plan.json \(No such file or directory\)"):
@@ -66,11 +64,8 @@ def test_a_worker_without_the_folder_says_so(campaigns: Campaigns, shared: Clust
     engine.close()
 
 
-def test_a_run_that_ends_the_process_of_a_worker_has_crashed(
-    campaigns: Campaigns, doomed: Path, shared: Cluster, tmp_path: Path
-) -> None:
-    result = campaigns.run("killed", lambda: DaskEngine(shared.address), tmp_path / "out")
-    assert result is not None
+def test_a_run_ending_its_process_has_crashed(campaigns: Campaigns, doomed: Path, shared: Cluster, out: Path) -> None:
+    result = campaigns.run("killed", lambda: DaskEngine(shared.address), out)
     assert result.table["error"].to_pylist() == [None, "the run ended its worker process (exit status 3)", None]
     assert "1 worker (SIGKILL 1×); runs under way: 2 (" in str(killed_sentence(result.folder))
 
@@ -89,22 +84,19 @@ def test_a_task_whose_workers_were_lost_too_often_is_tried_again() -> None:
         _raise_unless_killed(MemoryError("too large"))
 
 
-def test_workers_and_the_scheduler_are_lost_and_others_come(
-    campaigns: Campaigns, shared: Cluster, tmp_path: Path
-) -> None:
+def test_workers_and_the_scheduler_are_lost_and_others_come(campaigns: Campaigns, shared: Cluster, out: Path) -> None:
     """It leaves nothing of the cluster that the tests above share."""
-    here, tasks = campaigns.planned(tmp_path / "out")
+    here, tasks = campaigns.planned(out)
     with closing(shared) as made:
         scheduler, first = made._processes
         engine = DaskEngine(made.address)
         engine.submit(tasks[0])
         waited_for(tasks[0].path.exists)
         first.kill()  # after it has finished, before anybody has asked for the result
-        with campaigns.holding() as hold:
+        with campaigns.holding() as waiting:
             second = made.start_worker()  # it was not there when the task was handed in
             engine.submit(tasks[1])
-            waited_for(lambda: numbers_in(hold))
-            (killed,) = numbers_in(hold)
+            (killed,) = waiting()
             second.kill()  # in the middle; its process ends with it
             waited_for(lambda: not alive(killed))
             scheduler.kill()
@@ -115,5 +107,4 @@ def test_workers_and_the_scheduler_are_lost_and_others_come(
         assert {task.path for task, _ in done} == {task.path for task in tasks[:2]} == set(here.done.iterdir())
         assert all(isinstance(report, TaskReport) and report.crashed == 0 for _, report in done)
         engine.close()
-    campaigns.run("plain", ThisProcess, tmp_path / "out")
-    assert content(tmp_path / "out") == campaigns.reference
+    campaigns.check_end(out)

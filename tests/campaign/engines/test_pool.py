@@ -9,26 +9,24 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.workers import CampaignWorker, Death, ProcessPool, ThisProcess
-from tests.campaign.engines.campaigns import Campaigns, alive, content, numbers_in, waited_for
+from modsim3d.campaign.workers import CampaignWorker, Death, ProcessPool
+from tests.campaign.engines.campaigns import Campaigns, alive, waited_for
 
 
-def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, tmp_path: Path) -> None:
-    here, tasks = campaigns.planned(tmp_path / "out")
+def test_a_process_that_is_killed_in_a_task_is_replaced(campaigns: Campaigns, out: Path) -> None:
+    here, tasks = campaigns.planned(out)
     pool = ProcessPool(1)
-    with campaigns.holding() as hold:
+    with campaigns.holding() as waiting:
         for task in tasks[:2]:
             pool.submit(task)
-        waited_for(lambda: numbers_in(hold))
-        (killed,) = numbers_in(hold)
+        (killed,) = waiting()
         os.kill(killed, signal.SIGKILL)
         assert pool.next() == (tasks[0], Death.of(0, -signal.SIGKILL))
         pool.submit(tasks[0])
     assert [pool.next()[0] for _ in range(2)] == [tasks[1], tasks[0]]
     assert set(here.done.iterdir()) == {task.path for task in tasks[:2]}
     pool.close()
-    campaigns.run("plain", ThisProcess, tmp_path / "out")
-    assert content(tmp_path / "out") == campaigns.reference
+    campaigns.check_end(out)
 
 
 def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
@@ -37,29 +35,23 @@ def test_a_process_that_has_done_nothing_is_ended_at_once() -> None:
     assert process._process.returncode == -signal.SIGKILL
 
 
-def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaigns: Campaigns, tmp_path: Path) -> None:
+def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaigns: Campaigns, out: Path) -> None:
     """The worker is the first to have it; the main process has it a moment later."""
-    out = tmp_path / "out"
-    with campaigns.holding() as hold, campaigns.coordinator("1", out) as coordinator:
-        waited_for(lambda: numbers_in(hold))
-        os.kill(numbers_in(hold)[0], signal.SIGTERM)
+    with campaigns.holding() as waiting, campaigns.coordinator("1", out) as coordinator:
+        os.kill(waiting()[0], signal.SIGTERM)
         time.sleep(0.5)
         coordinator.send_signal(signal.SIGINT)
         assert coordinator.wait(30) in (-signal.SIGINT, 1)
-    campaigns.run("plain", ThisProcess, out)
-    assert content(out) == campaigns.reference
+    campaigns.check_end(out)
 
 
 @pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
 def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(
-    campaigns: Campaigns, tmp_path: Path, number: signal.Signals, count: int
+    campaigns: Campaigns, out: Path, number: signal.Signals, count: int
 ) -> None:
-    out = tmp_path / "out"
-    with campaigns.holding() as hold, campaigns.coordinator(str(count), out) as coordinator:
-        waited_for(lambda: len(numbers_in(hold)) == count)
-        workers = numbers_in(hold)
+    with campaigns.holding() as waiting, campaigns.coordinator(str(count), out) as coordinator:
+        workers = waiting(count)
         coordinator.send_signal(number)
         assert coordinator.wait(30) in (-number, 1)
-        waited_for(lambda: not any(alive(worker) for worker in workers))
-    campaigns.run("plain", ThisProcess, out)
-    assert content(out) == campaigns.reference
+        waited_for(lambda: not any(map(alive, workers)))
+    campaigns.check_end(out)

@@ -19,15 +19,11 @@ from modsim3d.campaign.work.row import crashed_row
 from modsim3d.campaign.work.task import TaskReport, Worker
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import OutputError
+from tests.campaign.campaigns import interrupt
 from tests.campaign.engines.campaigns import Campaigns, content
 
-STEPS = [
-    *((module, name) for module in (done_rows, folder) for name in ("make_folder", "sync_file", "sync_folder")),
-    (folder.shutil, "rmtree"),
-    (done_rows, "write_files"),
-    (running, "remove_done"),
-    (running, "write_verdicts"),
-]
+STEPS = [(module, name) for module in (done_rows, folder) for name in ("make_folder", "sync_file", "sync_folder")]
+STEPS += [(folder.shutil, "rmtree"), (done_rows, "write_files"), (running, "remove_done"), (running, "write_verdicts")]
 """What the end of a campaign does, and where it may be interrupted."""
 
 
@@ -48,13 +44,10 @@ def half(campaigns: Campaigns, made: CampaignFolder, tmp_path: Path) -> Iterator
     for each in sorted((tmp_path / "out" / "done").iterdir())[2:]:
         each.unlink()
     yield tmp_path / "out"
-    campaigns.run("plain", ThisProcess, tmp_path / "out")
-    assert content(tmp_path / "out") == campaigns.reference
+    campaigns.check_end(tmp_path / "out")
 
 
-def test_a_file_that_was_cut_off_is_made_again_and_what_is_half_written_or_of_another_plan_is_nothing(
-    half: Path,
-) -> None:
+def test_a_cut_off_file_is_made_again_and_what_is_half_written_or_of_another_plan_is_nothing(half: Path) -> None:
     damaged = min((half / "done").iterdir())
     damaged.write_bytes(damaged.read_bytes()[:-100])
     (half / "done" / ".000000008_0.rows.0").write_bytes(b"PAR1")
@@ -85,12 +78,12 @@ def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(
 
 
 def test_a_crash_between_any_two_steps_of_the_end(
-    campaigns: Campaigns, made: CampaignFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    campaigns: Campaigns, made: CampaignFolder, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     campaign = campaigns.checked()
     steps = 0
     while True:
-        out, left = shutil.copytree(made.path, tmp_path / f"out{steps}"), steps
+        out, left = shutil.copytree(made.path, out.with_name(f"out{steps}")), steps
 
         def step(function: Callable[..., object], *given: object, **options: object) -> object:
             nonlocal left
@@ -116,22 +109,18 @@ def test_a_crash_between_any_two_steps_of_the_end(
 def test_results_in_place_beside_rows_that_were_not_removed_and_two_processes_that_end_at_once(
     half: Path, campaigns: Campaigns, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def killed(folder: object) -> None:
-        raise KeyboardInterrupt
-
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(running, "remove_done", killed)
+        patch.setattr(running, "remove_done", interrupt)
         campaigns.run("plain", ThisProcess, half)
-    assert (half / "results").is_dir()
-    assert (half / "done").is_dir()
+    assert (half / "results").is_dir() and (half / "done").is_dir()
     campaigns.run("plain", ThisProcess, half)
     here, _ = campaigns.planned(half)
     done_rows.write_results(here, done_rows.results_table(here), [])  # by another one, where there are no locks
 
 
-def test_a_worker_that_comes_late_does_not_bring_the_folder_back(campaigns: Campaigns, tmp_path: Path) -> None:
-    _, tasks = campaigns.planned(tmp_path / "out")
-    campaigns.run("plain", ThisProcess, tmp_path / "out")
+def test_a_worker_that_comes_late_does_not_bring_the_folder_back(campaigns: Campaigns, out: Path) -> None:
+    _, tasks = campaigns.planned(out)
+    campaigns.run("plain", ThisProcess, out)
     with pytest.raises(OutputError, match="cannot be written"):
         Worker().do(tasks[0])
-    assert content(tmp_path / "out") == campaigns.reference
+    assert content(out) == campaigns.reference

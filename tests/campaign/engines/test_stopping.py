@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from functools import partial
 from pathlib import Path
 
 import pyarrow as pa
@@ -12,8 +13,9 @@ from modsim3d.campaign import running
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.task import Task, TaskReport
-from modsim3d.campaign.workers import LOST, Death, ThisProcess
-from tests.campaign.engines.campaigns import Campaigns, content
+from modsim3d.campaign.workers import Death, ThisProcess
+from tests.campaign.campaigns import Losing
+from tests.campaign.engines.campaigns import Campaigns, Content, content
 
 
 class Shuffled(ThisProcess):
@@ -40,53 +42,37 @@ def decided(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def one_by_one(campaigns: Campaigns) -> dict[str, bytes]:
+def one_by_one(campaigns: Campaigns) -> Content:
     """What comes of a campaign that is decided by two of four seeds."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running, "judged", decided_by_the_second_seed)
         result = campaigns.run("sequential", ThisProcess, "one_by_one")
-    assert result is not None
     assert result.table["run"].to_pylist() == list(range(4))
     return content(campaigns.folder / "one_by_one")
 
 
 @pytest.mark.usefixtures("decided")
 @pytest.mark.parametrize("width", [2, 8])
-def test_runs_beyond_the_end_are_left_out(
-    campaigns: Campaigns, tmp_path: Path, one_by_one: dict[str, bytes], width: int
-) -> None:
-    campaigns.run("sequential", lambda: Shuffled(width), tmp_path / "many")
-    assert content(tmp_path / "many") == one_by_one
+def test_runs_beyond_the_end_are_left_out(campaigns: Campaigns, out: Path, one_by_one: Content, width: int) -> None:
+    campaigns.run("sequential", lambda: Shuffled(width), out)
+    assert content(out) == one_by_one
 
 
 @pytest.mark.usefixtures("decided")
-def test_a_campaign_that_went_on_beyond_its_end_and_was_killed_ends_where_it_should(
-    campaigns: Campaigns, tmp_path: Path, one_by_one: dict[str, bytes]
-) -> None:
-    here, tasks = campaigns.planned(tmp_path / "killed", "sequential")
+def test_a_campaign_killed_beyond_its_end_counts_no_more(campaigns: Campaigns, out: Path, one_by_one: Content) -> None:
+    here, tasks = campaigns.planned(out, "sequential")
     engine = ThisProcess()
     for task in (tasks[3], tasks[1], tasks[0]):  # the third is missing
         engine.submit(task)
         engine.next()
     engine.close()
     assert len(list(here.done.iterdir())) == 3
-    campaigns.run("sequential", ThisProcess, tmp_path / "killed")
-    assert content(tmp_path / "killed") == one_by_one
+    campaigns.run("sequential", ThisProcess, out)
+    assert content(out) == one_by_one
 
 
-class Deadly(ThisProcess):
-    """Loses each task with a run of the tracker `fatal`."""
-
-    def next(self) -> tuple[Task, TaskReport | Death]:
-        if any(run.tracker.label == "fatal" for run in self._waiting[0].runs):
-            return self._waiting.pop(0), LOST
-        return super().next()
-
-
-def test_a_run_that_ends_its_process_each_time_is_reported_and_the_rest_goes_on(
-    campaigns: Campaigns, tmp_path: Path
-) -> None:
-    result = campaigns.run("fatal", Deadly, tmp_path / "out")
-    assert result is not None
-    assert result.table["status"].to_pylist() == ["done", "crashed"]
-    assert result.table["error"].to_pylist() == [None, running.DIED]
+def test_a_run_that_always_ends_its_process_is_reported_and_the_rest_goes_on(campaigns: Campaigns, out: Path) -> None:
+    deadly = partial(Losing, lambda task: any(run.tracker.label == "fatal" for run in task.runs))
+    table = campaigns.run("fatal", deadly, out).table
+    assert table["status"].to_pylist() == ["done", "crashed"]
+    assert table["error"].to_pylist() == [None, running.DIED]
