@@ -141,10 +141,8 @@ PLACES = (
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Some frames of a camera: which way it looks, and what is in the picture by the vessels' boxes.
-
-    A warning needs no meshes, whose silhouettes take long at the start of every run.
-    """
+    """Some frames of a camera: which way it looks, and what is in the picture by the vessels' boxes. A warning needs no
+    meshes, whose silhouettes take long at the start of every run."""
 
     sight: Sight
     outlines: Outlines
@@ -156,10 +154,7 @@ class Outlook:
         return cls(sight, sight.outlines(as_shoeboxes=True))
 
     def sees_a_vessel(self) -> bool:
-        """Whether a vessel shows a pixel or more in one of the frames.
-
-        It is taken to where hulls intersect.
-        """
+        """Whether a vessel shows a pixel or more in one of the frames. It is taken to where hulls intersect."""
         unseen = analytic_occlusion(self.outlines, self.sight.camera.intrinsics).visible_px < MIN_AREA_PX
         return bool((self.outlines.boxed & ~unseen).any())
 
@@ -209,10 +204,8 @@ def blind_cameras(scene: Scene, steps: int, camera_counts: dict[str, Counts]) ->
 
 
 def blind_at_first(scene: Scene) -> list[str]:
-    """A sentence on each camera that sees no vessel in its first frames, nor in some others over the whole scene.
-
-    Of a live scene nothing is said: its poses are not there yet.
-    """
+    """A sentence on each camera that sees no vessel in its first frames, nor in some others over the whole scene. Of a
+    live scene nothing is said: its poses are not there yet."""
     sentences = []
     for camera in () if scene.live else scene.cameras:
         steps = _some_frames(scene, camera, scene.steps)

@@ -90,10 +90,8 @@ def faults_of(frames: Iterable[Frame]) -> Outcome:
 
 
 def detected_rows(frame: Frame) -> list[int | None]:
-    """Row of a frame's truth that each of its detections detects, None for a false positive.
-
-    A duplicate and the smaller part of a split box are false positives, though they come from a vessel.
-    """
+    """Row of a frame's truth that each of its detections detects, None for a false positive. A duplicate and the
+    smaller part of a split box are false positives, though they come from a vessel."""
     row_of: dict[str | None, int] = {vessel: row for row, vessel in enumerate(frame.truth.vessels)}
     found = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
     return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]

@@ -48,10 +48,8 @@ class FootErrors(Columns):
 
 
 def state_shares(model: DetectorModel) -> Array:
-    """Probability of each performance state, given that there is a true detection, shape (states,).
-
-    The long run of the chain from its initial state; a schedule of forced states is not looked at.
-    """
+    """Probability of each performance state, given that there is a true detection, shape (states,). The long run of the
+    chain from its initial state; a schedule of forced states is not looked at."""
     chain = (np.eye(len(model.states)) + model.transition_matrix) / 2  # the same long run, and no period
     for _ in range(_DOUBLINGS):
         chain = chain @ chain
@@ -62,10 +60,8 @@ def state_shares(model: DetectorModel) -> Array:
 
 
 def foot_errors(model: DetectorModel, boxes_px: Array) -> FootErrors:
-    """Distribution of the errors of detected boxes, shape (n, 4).
-
-    Errors that grow with the box are worked out for the detected size less its mean error: the true one is not known.
-    """
+    """Distribution of the errors of detected boxes, shape (n, 4). Errors that grow with the box are worked out for the
+    detected size less its mean error: the true one is not known."""
     source, shares = BoxErrorSource.from_model(model), state_shares(model)
     observed = np.maximum(sizes(boxes_px), 1.0)
     growth = _mixed(source, shares, observed)[0][:, 2:]
@@ -146,7 +142,6 @@ def _turned(vessels: PosesInWaves, carrier: int, by_rad: Array) -> PosesInWaves:
 Attitude = Literal["true", "measured"]
 MAX_RANGE_ERROR = 0.05
 """Greatest standard deviation of the inverse range, over the inverse range, at which a position is given.
-
 `script/campaign positions` measures what comes of it, and docs/positions.md says why it is so small."""
 _EDGE_PX = 1e-3  # boxes are rounded to that
 _CUT_STDS = 3.0
@@ -278,10 +273,8 @@ def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErro
 
 
 def _cut(boxes_px: Array, errors: FootErrors, image_size_px: tuple[int, int]) -> Mask:
-    """Whether the image may cut a vessel at its left, right and lower side, by its detected box, shape (n, 3).
-
-    The box of a vessel that is cut ends at the edge of the image but for its error.
-    """
+    """Whether the image may cut a vessel at its left, right and lower side, by its detected box, shape (n, 3). The box
+    of a vessel that is cut ends at the edge of the image but for its error."""
     width, height = image_size_px
     inside = np.stack([boxes_px[:, 0], width - boxes_px[:, 2], height - boxes_px[:, 3]], axis=-1)
     expected = errors.edge_means * [1, -1, -1]
@@ -329,11 +322,9 @@ def _turn_least(changes: Array) -> Array:
 
 
 def _on_the_sea(flat_per_m: Array, horizon_per_m: Array, covariance: Array) -> Array:
-    """Covariances of bearing and inverse range from those of bearing and flat inverse range, shape (n, 2, 2).
-
-    The slope is that between one standard deviation less and one more: at the horizon of a curved sea that of the curve
-    itself is infinite.
-    """
+    """Covariances of bearing and inverse range from those of bearing and flat inverse range, shape (n, 2, 2). The slope
+    is that between one standard deviation less and one more: at the horizon of a curved sea that of the curve itself is
+    infinite."""
     std = np.sqrt(covariance[:, 1, 1])
     more, less = (inverse_range(flat_per_m + side * std, horizon_per_m) for side in (1, -1))
     slope = np.where(std > 0, (more - less) / np.where(std > 0, 2 * std, 1.0), 1.0)

@@ -43,11 +43,9 @@ class TrackerDetections(Columns):
 
 
 def anonymised(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> TrackerDetections:
-    """Round detections, and bring them into an order that tells nothing either.
-
-    Equally confident detections of a frame follow each other by their boxes. For the arguments see
-    `TrackerDetections`; they are in any order, and not rounded.
-    """
+    """Round detections, and bring them into an order that tells nothing either. Equally confident detections of a frame
+    follow each other by their boxes. For the arguments see `TrackerDetections`; they are in any order, and not
+    rounded."""
     boxes_px, confidence = boxes_px.round(BOX_DECIMALS), confidence.round(_CONFIDENCE_DECIMALS)
     order = np.lexsort((-confidence, frame))
     # Few detections are equally confident: only those are put in order of their boxes.

@@ -83,10 +83,8 @@ def check_block(
 
 
 def _frames_to_check(scene: Scene, first: int, stop: int, streamed: bool) -> Iterator[FrameKey]:
-    """Frames of steps first to stop − 1 that are checked.
-
-    They follow from the seed, the scene and its number of steps: not from time, nor from how a run is split.
-    """
+    """Frames of steps first to stop − 1 that are checked. They follow from the seed, the scene and its number of steps:
+    not from time, nor from how a run is split."""
     check = scene.annotation.check
     if check == "all":
         for index, camera in enumerate(scene.cameras):
@@ -173,10 +171,8 @@ def frame_count(scene: Scene) -> int:
 
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> Iterator[FrameKey]:
-    """The frames of steps first to stop − 1 that a stream checks, which follow from what came before them.
-
-    They are one at each of the first steps with frames, and a camera's first frame at or after each step that is drawn.
-    """
+    """The frames of steps first to stop − 1 that a stream checks, which follow from what came before them. They are one
+    at each of the first steps with frames, and a camera's first frame at or after each step that is drawn."""
     if all(camera.frame_rate_hz is None and not camera.start_offset_s for camera in scene.cameras):
         for step in range(first, stop):  # at every step, as below, in fewer calls: a live step waits for them
             if step < MIN_FRAMES:

@@ -72,11 +72,9 @@ class BoxSample:
         return BoxSample(_least(np.concatenate([self.rows, other.rows])), self.counts + other.counts)
 
     def truncation(self, scene: Scene) -> dict[str, dict[str, Any]]:
-        """How resampling shifts the box errors, by name of the state, as `run.json` has it.
-
-        In the units of the detector file, averaged over the sampled boxes: the share of first draws that are
-        resampled, the mean and covariance after resampling, and the standard error of that mean.
-        """
+        """How resampling shifts the box errors, by name of the state, as `run.json` has it. In the units of the
+        detector file, averaged over the sampled boxes: the share of first draws that are resampled, the mean and
+        covariance after resampling, and the standard error of that mean."""
         source = BoxErrorSource.from_model(scene.detector)
         report = {}
         for index, performance in enumerate(scene.detector.states):
@@ -213,10 +211,8 @@ class BlockMaker:
 
     @contextmanager
     def _truth(self, folder: Path, first: int, stop: int) -> Iterator[tuple[Truth, int, int]]:
-        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks.
-
-        Truth that is new is kept, at the latest when the context ends, unless the cross-check finds it wrong.
-        """
+        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks. Truth
+        that is new is kept, at the latest when the context ends, unless the cross-check finds it wrong."""
         try:
             with self._truth_and_kept(folder, first, stop) as found:
                 yield found

@@ -47,10 +47,8 @@ class OwnShips:
 
 
 def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
-    """The vessels that carry cameras at steps first to stop − 1; at least one vessel must carry one.
-
-    The result does not depend on where a run is split into blocks.
-    """
+    """The vessels that carry cameras at steps first to stop − 1; at least one vessel must carry one. The result does
+    not depend on where a run is split into blocks."""
     begin, end = scene.own_motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
     own, times_s = list(scene.own_ships), scene.times_s(begin, end)
     sea = scene.own_motion.at(np.arange(begin, end))
@@ -77,10 +75,8 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
 
 
 def measured_attitudes_at(scene: Scene, streams: Streams, first: int, stop: int) -> Array:
-    """Measured roll, pitch and heading of the K vessels that carry cameras, shape (S, K, 3), as in `OwnShips`.
-
-    They need no motion at later steps, as rates and forces do. The streams are those of the scene's seed.
-    """
+    """Measured roll, pitch and heading of the K vessels that carry cameras, shape (S, K, 3), as in `OwnShips`. They
+    need no motion at later steps, as rates and forces do. The streams are those of the scene's seed."""
     sea, own = scene.own_motion.at(np.arange(first, stop)), list(scene.own_ships)
     return _as_measured(scene, streams, sea.poses.headings_rad[:, own], sea.angles_rad[:, own], first)
 

@@ -126,11 +126,8 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
 
 
 def _check_place(scene: Scene, calm: Sight) -> None:
-    """Raise an error if the camera is inside a body.
-
-    In `calm`, waves move only the vessels that carry cameras. Waves take time to compute, so those of other vessels are
-    added only for vessels that come within reach of the camera.
-    """
+    """Raise an error if the camera is inside a body. In `calm`, waves move only the vessels that carry cameras. Waves
+    take time to compute, so those of other vessels are added only for vessels that come within reach of the camera."""
     if scene.annotation.allow_camera_inside:
         return
     sight, motion = calm, scene.motion

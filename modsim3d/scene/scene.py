@@ -336,10 +336,8 @@ class Scene:
         return Snapshot(self.vessels, vessel_poses, self.obstacles, sights, self.annotation.supersample)
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
-        """The sea's side of the horizon in a camera's images at ascending steps of shape (S,), shape (S, 3).
-
-        See `Intrinsics.sea_half_plane`.
-        """
+        """The sea's side of the horizon in a camera's images at ascending steps of shape (S,), shape (S, 3). See
+        `Intrinsics.sea_half_plane`."""
         if not len(steps):
             return np.empty((0, 3))
         ashore = camera.mount.vessel is None  # then no vessel's poses are needed
@@ -369,10 +367,8 @@ class Scene:
         return vessel_poses.of_camera(camera.mount, column, composition)
 
     def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
-        """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,).
-
-        The result does not depend on where a run is split into blocks.
-        """
+        """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,). The result does not
+        depend on where a run is split into blocks."""
         if camera.frame_rate_hz is None and not camera.start_offset_s:
             return np.arange(first, stop)
         begin = max(first - 1, 0)

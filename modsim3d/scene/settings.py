@@ -89,10 +89,8 @@ class Settings:
     """
 
     def __init__(self, settings: Iterable[Setting]) -> None:
-        """Take the settings; those with fewer keys come first, so that the others go into what they set.
-
-        Miss rates come last, since they change what others set.
-        """
+        """Take the settings; those with fewer keys come first, so that the others go into what they set. Miss rates
+        come last, since they change what others set."""
         self.problems: list[str] = []
         self._settings = sorted(settings, key=lambda setting: (is_miss_rate(setting.parts), len(setting.parts)))
         self._of_files: dict[str, list[Setting]] = {section: [] for section in FILE_SECTIONS}

@@ -56,11 +56,9 @@ class Sight:
     curved: bool = False
 
     def outlines(self, *, as_shoeboxes: bool = False, measured: bool = True) -> Outlines:
-        """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh.
-
-        With `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out. For `measured`
-        see `outline`.
-        """
+        """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh. With
+        `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out. For `measured` see
+        `outline`."""
         bodies = self._bodies(self.others, as_shoeboxes=as_shoeboxes)
         if not as_shoeboxes:
             bodies += self._own_hull()
@@ -68,10 +66,8 @@ class Sight:
         return outline(self.camera.intrinsics, self.camera_poses, bodies, measured=measured)
 
     def drawing(self, row: int, supersample: int = 1) -> Drawing:
-        """View at one of the S steps, projected by the code of the cross-check.
-
-        It is of the vessels, the obstacles, and the hull that carries the camera if that has a mesh.
-        """
+        """View at one of the S steps, projected by the code of the cross-check. It is of the vessels, the obstacles,
+        and the hull that carries the camera if that has a mesh."""
         with_mesh = np.array([vessel.has_mesh for vessel in self.vessels])
         present = self.others[row] | (self.carriers[row] & with_mesh)
         camera_R_world, camera_m = self.camera_poses.camera_R_world[row], self.camera_poses.positions_m[row]
@@ -208,12 +204,10 @@ class Snapshot:
             return (drawing if vessel is None else drawing.only(vessel)).ids(IdRenderer(context), drawing.image)
 
     def to_trimesh(self) -> trimesh.Scene:
-        """The scene in the world's axes, in metres, w3 up; the sea is flat.
-
-        Each vessel that is present is a geometry and a node under its ID, with its pose in waves. An obstacle is one
-        under `obstacle:NAME`. A camera is a frame `camera#NAME` that looks along its −z, with y up, as in OpenGL and
-        glTF. The first camera is also the trimesh scene's camera, which has no skew, distortion or principal point.
-        """
+        """The scene in the world's axes, in metres, w3 up; the sea is flat. Each vessel that is present is a geometry
+        and a node under its ID, with its pose in waves. An obstacle is one under `obstacle:NAME`. A camera is a frame
+        `camera#NAME` that looks along its −z, with y up, as in OpenGL and glTF. The first camera is also the trimesh
+        scene's camera, which has no skew, distortion or principal point."""
         import trimesh  # takes 0.3 s
 
         scene = trimesh.Scene(base_frame=BASE_FRAME)

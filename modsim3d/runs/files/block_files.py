@@ -122,10 +122,8 @@ def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Column) ->
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:
-    """Join a file of such lines to one JSON object.
-
-    JSON escapes line breaks inside strings, so the bytes `}`, line break, `{` occur only between two lines.
-    """
+    """Join a file of such lines to one JSON object. JSON escapes line breaks inside strings, so the bytes `}`, line
+    break, `{` occur only between two lines."""
     with lines.open("rb") as source:
         if not source.read(1):
             out.write(b"{}\n")
@@ -277,10 +275,8 @@ def kept_truth_path(folder: Path, first: int, stop: int) -> Path:
 
 
 def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth | None:
-    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged.
-
-    A file of another run or with other steps is damaged too.
-    """
+    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged. A
+    file of another run or with other steps is damaged too."""
     path = kept_truth_path(folder, first, stop)
     if not path.is_file():
         return None
@@ -300,10 +296,8 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
 
 @contextmanager
 def truth_kept(folder: Path, truth: Truth, first: int, stop: int) -> Iterator[None]:
-    """Keep the truth of a block on the disk, so that an interrupted run can be resumed.
-
-    A thread waits for the disk, while what is made of the truth is made; at the end the truth is on the disk.
-    """
+    """Keep the truth of a block on the disk, so that an interrupted run can be resumed. A thread waits for the disk,
+    while what is made of the truth is made; at the end the truth is on the disk."""
     path, packed = kept_truth_path(folder, first, stop), io.BytesIO()
     np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
     with packed.getbuffer() as content, ThreadPoolExecutor(1) as thread:

@@ -44,10 +44,8 @@ _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parq
 
 
 def files_of_run(folder: Path) -> set[str]:
-    """Paths inside a run directory of all files of the finished run in it; none if there is none.
-
-    A run of an older version has no list of its files: then they are the names that such a version wrote.
-    """
+    """Paths inside a run directory of all files of the finished run in it; none if there is none. A run of an older
+    version has no list of its files: then they are the names that such a version wrote."""
     run = read_json(folder / RUN_FILE)
     if not is_of_a_run(run):
         return set()

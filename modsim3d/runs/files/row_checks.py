@@ -79,10 +79,8 @@ class TableRows:
     def numbers(
         self, column: str, least: float, greatest: float | Array, *, slack: float = 0.0, nullable: bool = False
     ) -> Array:
-        """A column of numbers, at most `slack` outside their range (`greatest` may be one for each row).
-
-        NaN for null, shape (n,).
-        """
+        """A column of numbers, at most `slack` outside their range (`greatest` may be one for each row). NaN for null,
+        shape (n,)."""
         values = tables.number_column(self.table, column)
         if not nullable:
             self.refuse(column, np.isnan(values), "a number")

@@ -73,11 +73,9 @@ def locked_run(folder: Path) -> Iterator[None]:
 
 
 class RunDirectory:
-    """The folder of one run, while it is written; `locked_run` holds its lock.
-
-    The truth of finished blocks is kept, so that an interrupted run can be resumed. A resumed run writes the files of
-    the detector from the start, because the detector is cheap.
-    """
+    """The folder of one run, while it is written; `locked_run` holds its lock. The truth of finished blocks is kept, so
+    that an interrupted run can be resumed. A resumed run writes the files of the detector from the start, because the
+    detector is cheap."""
 
     def __init__(
         self,

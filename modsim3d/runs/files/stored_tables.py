@@ -39,10 +39,8 @@ from modsim3d.truth.record import Truth
 
 
 def truth_of(table: pa.Table, scene: Scene) -> Truth:
-    """The truth in rows of the table `truth` of a run of a scene.
-
-    The table does not say which boxes intersect in space, so `intersections` is empty.
-    """
+    """The truth in rows of the table `truth` of a run of a scene. The table does not say which boxes intersect in
+    space, so `intersections` is empty."""
     occluders = Occluders.of(table, scene.occluder_names)
     return Truth(
         step=integer_column(table, "step"),
@@ -99,11 +97,9 @@ def detections_of(
 
 
 def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices, kind: Indices) -> Indices:
-    """Row of the second target of each merged box, else −1, shape (m,).
-
-    The second targets of a frame are those that were detected and have no box of their own. The tables do not say which
-    of them belongs to which of several merged boxes of a frame, so they are assigned in order.
-    """
+    """Row of the second target of each merged box, else −1, shape (m,). The second targets of a frame are those that
+    were detected and have no box of their own. The tables do not say which of them belongs to which of several merged
+    boxes of a frame, so they are assigned in order."""
     partner = np.full(len(frame), -1)
     merged = np.flatnonzero(kind == MERGED)
     without_box = flags(truth, "detected")[flags(truth, "annotated")]

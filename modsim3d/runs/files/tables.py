@@ -146,9 +146,7 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
 
 class TableWriter:
     """Writes a Parquet file whose row groups all have the same size, so that its bytes do not depend on the blocks.
-
-    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks.
-    """
+    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         """Open the file."""

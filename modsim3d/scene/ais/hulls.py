@@ -81,11 +81,9 @@ class AisHull:
 def antenna_offset(
     to_bow_m: float, to_stern_m: float, to_port_m: float, to_starboard_m: float
 ) -> tuple[float, float] | None:
-    """How far the hull's centre lies ahead and to port of the antenna (ITU-R M.1371-5, annex 8, figure 41).
-
-    The distances are A, B, C and D of the standard: the centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C = 0
-    with B and D given means that only the size is known; then the result is None.
-    """
+    """How far the hull's centre lies ahead and to port of the antenna (ITU-R M.1371-5, annex 8, figure 41). The
+    distances are A, B, C and D of the standard: the centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C = 0 with
+    B and D given means that only the size is known; then the result is None."""
     if to_bow_m == 0 and to_port_m == 0:
         return None
     return (to_bow_m - to_stern_m) / 2, (to_port_m - to_starboard_m) / 2

@@ -129,9 +129,7 @@ def local_metres(latitude_deg: Array, longitude_deg: Array, origin: tuple[float,
 
 def places(metres: Array, origin: tuple[float, float]) -> tuple[Array, Array]:
     """Latitude and longitude of places at sea level, shape (n,) each, from metres east and north of an origin, (n, 2).
-
-    The other way round than `local_metres`, to a millimetre within 200 km.
-    """
+    The other way round than `local_metres`, to a millimetre within 200 km."""
     import pymap3d
 
     east, north = metres[:, 0], metres[:, 1]

@@ -72,10 +72,8 @@ def layouts() -> tuple[Layout, ...]:
 
 
 def layout_of(header: Sequence[str]) -> Layout | None:
-    """The layout that a header fits best, or None if it fits none.
-
-    A layout that misses fewer of its needed columns comes first, because layouts share the names of many others.
-    """
+    """The layout that a header fits best, or None if it fits none. A layout that misses fewer of its needed columns
+    comes first, because layouts share the names of many others."""
     best = max(layouts(), key=lambda layout: (-len(layout.missing(header)), len(layout.found(header))))
     telling = [name for name in best.found(header).values() if len(name.strip()) > 1]  # any table may have an A and a B
     return best if len(telling) >= MIN_NAMES else None
@@ -349,10 +347,8 @@ def _text(cell: Any) -> str:
 
 
 def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
-    """Values, NaN where a cell is empty or NaN, and which cells are not numbers, shape (n,) each.
-
-    A decimal comma is read as a point: the Danish description shows positions as 57,8794.
-    """
+    """Values, NaN where a cell is empty or NaN, and which cells are not numbers, shape (n,) each. A decimal comma is
+    read as a point: the Danish description shows positions as 57,8794."""
     trimmed = pc.ascii_trim_whitespace(texts)
     given = pc.if_else(pc.equal(trimmed, ""), pa.scalar(None, pa.string()), trimmed)
     wrong = np.zeros(len(texts), dtype=bool)

@@ -53,11 +53,9 @@ _FIRST_S, _FIRST_LOG_S, _LAST_S, _DAY_S = 631_152_000.0, 1_041_379_200.0, 4_102_
 
 
 def time_beside(tag: str | None, before: str, after: str) -> float | None:
-    """Unix time that a tag block or the text around a sentence has; None if neither has one.
-
-    What has a name such as `toa` or `rxtime` comes first, then dates. Of several Unix times the first before the
-    sentence counts, or the last after it; none where they are more than a day apart, for one is something else.
-    """
+    """Unix time that a tag block or the text around a sentence has; None if neither has one. What has a name such as
+    `toa` or `rxtime` comes first, then dates. Of several Unix times the first before the sentence counts, or the last
+    after it; none where they are more than a day apart, for one is something else."""
     if tag and (found := _TAG.search(tag)) and _FIRST_S <= (said_s := _unix_s(found[1])) < _LAST_S:
         return said_s
     text = f"{before}|{after}"

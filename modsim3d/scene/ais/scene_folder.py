@@ -214,10 +214,8 @@ _DECIMALS = 3
 
 
 def report_times(traffic: AisTraffic) -> bytes:
-    """The content of `report_times.json.gz`: the start, and seconds since then of each vessel's positions.
-
-    `used_s` are those of the positions that its poses are made of, `jumps_s` of those that it cannot have reached.
-    """
+    """The content of `report_times.json.gz`: the start, and seconds since then of each vessel's positions. `used_s` are
+    those of the positions that its poses are made of, `jumps_s` of those that it cannot have reached."""
     vessels = {
         str(vessel.mmsi): {
             "used_s": vessel.reported_s.round(_DECIMALS).tolist(),
@@ -352,10 +350,8 @@ def _poses_text(traffic: AisTraffic) -> str:
 
 
 def detector_text(single: Path, labels: Sequence[str]) -> str:
-    """The text of a detector file for some labels, made from a file with a single label.
-
-    If that label is the only one, the file is copied as it is. Otherwise it gets a confusion matrix for all of them.
-    """
+    """The text of a detector file for some labels, made from a file with a single label. If that label is the only one,
+    the file is copied as it is. Otherwise it gets a confusion matrix for all of them."""
     text = read_text(single, "detector file")
     data: dict[str, Any] = load_yaml(single, "detector file")
     if list(labels) == data["labels"]:

@@ -72,9 +72,7 @@ def viewpoint(vessels: Indices, places_m: Array, half_lengths_m: Array) -> Viewp
 
 def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
     """Direction from the target at right angles to the traffic around it, in radians from w1, and a distance in metres.
-
-    The direction is to the south, so that the light comes from behind; the distance shows half of the traffic.
-    """
+    The direction is to the south, so that the light comes from behind; the distance shows half of the traffic."""
     near = places_m[np.abs(places_m - target_m).max(axis=1) <= 1.5 * CELL_M]
     spread = near - near.mean(axis=0)
     _, directions = np.linalg.eigh(spread.T @ spread)
@@ -87,9 +85,7 @@ def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
 
 def _clear_place(places_m: Array, clearance_m: Array, target_m: Array, bearing_rad: float, distance_m: float) -> Array:
     """The first place that is clear of all hulls: at the bearing and distance, turned aside, or further away.
-
-    `clearance_m`, shape (n,), is the distance to keep from each of the places, shape (n, 2).
-    """
+    `clearance_m`, shape (n,), is the distance to keep from each of the places, shape (n, 2)."""
     for attempt in range(TRIES):
         turned = bearing_rad + (0.0, np.pi, 0.5, -0.5)[attempt % 4]
         further = distance_m * 1.5 ** (attempt // 4)

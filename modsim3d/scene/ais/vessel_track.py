@@ -42,11 +42,9 @@ class ReportedTrack:
 
 
 def steps_near(known_s: Array, times_s: Array, max_gap_s: float) -> Indices:
-    """The times, shape (m,) ascending, at which a vessel with some reports may be there, as indices, shape (k,).
-
-    These are all from one report, shape (n,) ascending, to the next, where they are not further apart than the longest
-    gap, and those at a report. A vessel with a few reports costs little then, however long the scene is.
-    """
+    """The times, shape (m,) ascending, at which a vessel with some reports may be there, as indices, shape (k,). These
+    are all from one report, shape (n,) ascending, to the next, where they are not further apart than the longest gap,
+    and those at a report. A vessel with a few reports costs little then, however long the scene is."""
     joined = np.append(np.diff(known_s) <= max_gap_s, False)
     last = np.where(joined, np.append(known_s[1:], known_s[-1:]), known_s)
     stops = np.searchsorted(times_s, last + ROUNDING_S, side="right")
@@ -58,12 +56,10 @@ def steps_near(known_s: Array, times_s: Array, max_gap_s: float) -> Indices:
 
 def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
     """Whether a vessel is there at some times, shape (m,), its places in metres, (m, 2), and headings in radians, (m,).
-
     Between two reports the vessel follows the cubic with the reported velocities at both ends (cubic Hermite
     interpolation), or a straight line where these are unknown or do not fit the positions. Its heading turns evenly
     along the shorter arc. The vessel is away before the first report, after the last, and between reports that are
-    further apart than the longest gap.
-    """
+    further apart than the longest gap."""
     known = track.times_s
     if len(known) == 1:
         there = np.abs(times_s - known[0]) <= ROUNDING_S
@@ -94,9 +90,7 @@ def _places(track: ReportedTrack, leg: Indices, share: Array) -> Array:
 
 def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_port_m: float) -> Array:
     """Places of a hull's centre from those of its antenna, shape (m, 2), at headings counter-clockwise from w1, (m,).
-
-    The centre lies `ahead_m` ahead of the antenna and `to_port_m` to port of it.
-    """
+    The centre lies `ahead_m` ahead of the antenna and `to_port_m` to port of it."""
     cosine, sine = np.cos(headings_rad), np.sin(headings_rad)
     offset = np.stack([ahead_m * cosine - to_port_m * sine, ahead_m * sine + to_port_m * cosine], axis=-1)
     return antenna_m + offset
@@ -162,10 +156,8 @@ def fill_headings(
 
 
 def _bearings(times_s: Array, places_m: Array, max_gap_s: float) -> tuple[Array, Array, Array]:
-    """Bearing, distance and time from the position before each report to the one after, shape (n,) each.
-
-    Where the gap before or after is too long, the report's own position is used in place of that neighbour.
-    """
+    """Bearing, distance and time from the position before each report to the one after, shape (n,) each. Where the gap
+    before or after is too long, the report's own position is used in place of that neighbour."""
     number = len(times_s)
     linked = np.diff(times_s) <= max_gap_s
     before = np.arange(number) - np.r_[False, linked].astype(np.int64)
@@ -274,9 +266,7 @@ class VesselTrack:
 
 def vessel_track(positions: Positions, places_m: Array, hull: AisHull, grid: TimeGrid, options: Options) -> VesselTrack:
     """The track of one vessel from its reports by time, with their metres east and north of the origin, shape (n, 2).
-
-    Jumps are dropped, and missing headings and courses filled in.
-    """
+    Jumps are dropped, and missing headings and courses filled in."""
     every_s = positions.time_s - grid.start_s
     kept = reachable(every_s, places_m, options.max_speed_kn * KNOT_M_S)
     used, places, since_s = positions.take(kept), places_m[kept], every_s[kept]
