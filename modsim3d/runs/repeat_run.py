@@ -52,11 +52,11 @@ def _flat(value: object, left_out: frozenset[str], path: str = "") -> dict[str, 
     """Values of nested objects by their path with dots."""
     if not isinstance(value, dict):
         return {path: value}
-    inner = [(f"{path}.{key}" if path else key, entry) for key, entry in value.items()]
     found: dict[str, object] = {}
-    for key, entry in inner:
-        if key not in left_out:
-            found |= _flat(entry, left_out, key)
+    for key, entry in value.items():
+        inner = f"{path}.{key}" if path else key
+        if inner not in left_out:
+            found |= _flat(entry, left_out, inner)
     return found
 
 
@@ -113,19 +113,12 @@ _OF_LIVE_RUNS = frozenset({"scene_sha256", "poses_sha256"})  # the copy of a liv
 
 @dataclass(frozen=True)
 class RepeatedFile:
-    """A file of the stored run.
+    """A file of the stored run."""
 
-    Attributes:
-        name: Path inside the run directory.
-        stored: What is wrong with the stored file against the list in `run.json`; empty if nothing is.
-        repeated: How the repeated run's file differs from the one that was written; empty if it has the same bytes.
-        is_input: Whether the run is repeated from this file, so that there is nothing to compare.
-    """
-
-    name: str
-    stored: str = ""
-    repeated: str = ""
-    is_input: bool = False
+    name: str  # path inside the run directory
+    stored: str = ""  # what is wrong with the stored file against the list in run.json; empty if nothing is
+    repeated: str = ""  # how the repeated run's file differs from the one that was written; empty if by no byte
+    is_input: bool = False  # the run is repeated from this file, so that there is nothing to compare
 
     @property
     def same(self) -> bool:
@@ -159,11 +152,8 @@ class Repetition:
 def repeat_run(
     run: FinishedRun, again: Path, *, workers: WorkerCount = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Repetition:
-    """Run the scene of a finished run, from `read_finished`, into a new folder, and compare.
-
-    Raises:
-        ModsimError: The scene cannot be run here.
-    """
+    """Run the scene of a finished run, from `read_finished`, into a new folder, and compare. Raises ModsimError if the
+    scene cannot be run here."""
     folder, content, _, scene = run
     listed: FileList = content.get("files") or {}
     thesis = [name for name in listed if name.startswith(tuple(THESIS_LINES)) and name.endswith(".json")]

@@ -145,23 +145,10 @@ def write_run(
     thesis_json: bool = True,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
-    """Write the run directory of a scene from the blocks that workers make; see `run_scene`.
-
-    Args:
-        scene: The scene.
-        folder: The run directory; it is locked until the workers have ended.
-        opened_workers: From `open_block_workers`.
-        settings_by: Gives the settings, see `settings_of`.
-        most_steps: Most steps of a block, as for `step_ranges`.
-        truth_run: The content of `run.json` of the run whose truth is taken.
-        overwrite: Replace a run that is there.
-        resume: Continue an interrupted run that is there.
-        thesis_json: Write the thesis's JSON.
-        progress: Called with the number of steps done since its last call.
-
-    Raises:
-        ModsimError: The scene cannot be run, or the folder cannot be used.
-    """
+    """Write the run directory of a scene from the blocks that workers make; see `run_scene`. The folder is locked until
+    the workers have ended. `settings_by` gives the settings, see `settings_of`; `most_steps` is that of `step_ranges`;
+    `truth_run` is the content of `run.json` of the run whose truth is taken. Raises ModsimError if the scene cannot be
+    run or the folder cannot be used."""
     started = time.perf_counter()
     if scene.live and resume:
         raise ModsimError(
@@ -347,13 +334,9 @@ def detect_run(
 
 
 def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:
-    """A run's scene with another detector or another seed of it.
-
-    The seed of the scene changes too, unless the truth depends on it.
-
-    Raises:
-        InputError: The detector is wrong or does not know the label of a vessel, or a setting is not of the detector.
-    """
+    """A run's scene with another detector or another seed of it; the seed of the scene changes too, unless the truth
+    depends on it. Raises InputError for a wrong detector, one that does not know a vessel's label, and a setting not of
+    it."""
     for key in settings:
         if key.partition(".")[0] not in ("detector", "detector_seed"):
             raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])

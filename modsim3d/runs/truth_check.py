@@ -37,11 +37,8 @@ FrameKey = tuple[int, int]
 
 
 class TruthCheckError(ModsimError):
-    """The truth is not what OpenGL draws: an error in modsim3d, or in the OpenGL library.
-
-    Attributes:
-        masks: The pixels of the vessel in the truth, and as they were drawn, both (h, w).
-    """
+    """Truth that is not what OpenGL draws: an error in modsim3d, or in the OpenGL library. `masks` are the pixels of
+    the vessel in the truth, and as they were drawn, both (h, w)."""
 
     def __init__(self, message: str, masks: tuple[Mask, Mask]) -> None:
         """Take the message, and what its picture shows."""
@@ -57,18 +54,8 @@ def check_block(
     scene: Scene, truth: Truth, first: int, stop: int, renderer: IdRenderer | None, *, streamed: bool = False
 ) -> Checked:
     """Check the truth of steps first to stop − 1; without a renderer nothing was drawn, and nothing is checked.
-
-    Args:
-        scene: The scene.
-        truth: Its truth at these steps.
-        first: First step.
-        stop: The step after the last.
-        renderer: From `open_renderer`.
-        streamed: Check the first frames and then one step in a thousand, as where the number of steps is not known.
-
-    Raises:
-        TruthCheckError: It is not what OpenGL draws.
-    """
+    `streamed` checks the first frames and then one step in a thousand, as where the number of steps is not known.
+    Raises TruthCheckError if the truth is not what OpenGL draws."""
     if renderer is None:
         return Checked()
     drawn = int(truth.drawn.sum())
