@@ -133,13 +133,7 @@ class FrameDetections:
     def _repr_html_(self) -> str:
         """A notebook's table, with a row for each detection."""
         rows = [
-            (
-                self.labels[i],
-                f"{self.confidence[i]:.2f}",
-                _box(self.boxes_px[i]),
-                self.kinds[i],
-                self.vessels[i] or "–",
-            )
+            (self.labels[i], f"{self.confidence[i]:.2f}", _box(self.boxes_px[i]), self.kinds[i], self.vessels[i] or "–")
             for i in range(len(self))
         ]
         header = ("label", "confidence", "box [px]", "kind", "vessel")

@@ -252,8 +252,8 @@ def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErro
     inverse = inverse_range(seen[:, 1], horizon)
     covariance = _on_the_sea(seen[:, 1], horizon, covariance)
     left, right, lower = _cut(boxes_px, errors, view.camera.intrinsics.image_size_px).T
-    right, down, _ = -poses.camera_R_world[:, :, 2].T
-    footless = lower | ~(down > np.abs(right))  # of the image's four sides, another is nearest to down in the world
+    across, down, _ = -poses.camera_R_world[:, :, 2].T
+    footless = lower | ~(down > np.abs(across))  # of the image's four sides, another is nearest to down in the world
     return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, left | right, footless)
 
 

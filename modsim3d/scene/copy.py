@@ -23,21 +23,15 @@ _NOT_OF_TRUTH = ("seed", "detector", "detector_seed")
 
 @dataclass(frozen=True, eq=False)
 class SceneCopy:
-    """A scene file and the files that it names.
-
-    Attributes:
-        name: Name of the scene.
-        document: Content of the scene file with what the caller set, and with the paths of the copy.
-        files: Path in the copy → original file.
-        changed: Path in the copy → content, of the files that are not as the original, or have none.
-        read: Every file that the scene is read from; also those that are not copied but written into the document.
-    """
+    """A scene file and the files that it names."""
 
     name: str
-    document: Mapping[str, Any]
-    files: Mapping[str, Path]
+    document: Mapping[str, Any]  # content of the scene file with what the caller set, and with the paths of the copy
+    files: Mapping[str, Path]  # path in the copy → original file
     changed: Mapping[str, bytes] = field(default_factory=dict)
+    """Path in the copy → content, of the files that are not as the original, or have none."""
     read: tuple[Path, ...] = ()
+    """Every file that the scene is read from; also those that are not copied but written into the document."""
 
     @property
     def names(self) -> tuple[str, ...]:

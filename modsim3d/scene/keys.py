@@ -304,17 +304,12 @@ class SceneKeys(Strict):
 
 @dataclass(frozen=True)
 class Ais:
-    """AIS equipment, and how good it is.
+    """AIS equipment, and how good it is."""
 
-    Attributes:
-        vessels: ID → `A`, `B` or `none`, of the vessels whose class is not chosen by size and label.
-        drop_out: Share of the reports that are not received.
-        position_noise_m: Standard deviation of a position along each axis.
-    """
-
+    # ID → `A`, `B` or `none`, of those whose class is not chosen by size and label
     vessels: Mapping[str, str] = field(default_factory=dict)
-    drop_out: float = 0.05
-    position_noise_m: float = 3.0
+    drop_out: float = 0.05  # share of the reports that are not received
+    position_noise_m: float = 3.0  # standard deviation of a position along each axis
 
 
 USUAL_AIS = Ais()

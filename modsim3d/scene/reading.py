@@ -109,11 +109,8 @@ def _place_problems(scene: Scene) -> list[str]:
 
 
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
-    """Problems of each camera's place at some ascending steps of shape (S,): it has no pose, or is inside a body.
-
-    Returns:
-        Name of the camera → its problems; only cameras that have one and are not left out.
-    """
+    """Problems of each camera's place at some ascending steps of shape (S,), by the camera's name, of those not left
+    out: it has no pose, or is inside a body."""
     found, calm = {}, None
     for camera in scene.cameras:
         if camera.name not in leave_out:
@@ -158,12 +155,8 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def find_scene(scene: StrPath) -> Path:
-    """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for.
-
-    Raises:
-        InputError: There is no such file and no such scene.
-        TypeError: It is neither text nor a path.
-    """
+    """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for. Raises
+    InputError if there is no such file and no such scene; TypeError for what is neither text nor a path."""
     path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
     name = os.fspath(scene)
     try:

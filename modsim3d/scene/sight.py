@@ -29,28 +29,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """View of a camera at S steps: what is in front of it, and from where it looks.
-
-    It makes `Bodies` of the vessels' and obstacles' solids, and of these the `Outlines` that the camera sees.
-
-    Attributes:
-        steps: The steps, shape (S,).
-        vessels: All V vessels of the scene.
-        poses: Poses of all vessels as the camera sees them: on a curved sea, the other vessels lie lower.
-        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
-        others: Vessels that are present and do not carry the camera, shape (S, V).
-        carriers: The vessel that carries the camera, shape (S, V).
-        obstacles: All obstacles of the scene.
-        curved: Whether the sea is curved.
-    """
+    """View of a camera at S steps: what is in front of it, and from where it looks. It makes `Bodies` of the solids of
+    all V vessels and of the obstacles, and of these the `Outlines` that the camera sees."""
 
     camera: Camera
-    steps: Indices
+    steps: Indices  # (S,)
     vessels: tuple[Vessel, ...]
-    poses: Poses
-    world_R_vessel: Array
-    others: Mask
-    carriers: Mask
+    poses: Poses  # of all vessels as the camera sees them: on a curved sea, the other vessels lie lower
+    world_R_vessel: Array  # VCF to WCF, waves included, (S, V, 3, 3)
+    others: Mask  # present vessels that do not carry the camera, (S, V)
+    carriers: Mask  # the vessel that carries the camera, (S, V)
     camera_poses: CameraPoses
     obstacles: tuple[Obstacle, ...] = ()
     curved: bool = False

@@ -61,20 +61,12 @@ def truth_of(table: pa.Table, scene: Scene) -> Truth:
 def detections_of(
     tables: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
 ) -> Detections:
-    """The detections of a camera in a run, whose detector was given these targets.
-
-    The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
-    limit on the number of detections or the operating threshold removed either, so `gated` knows only the other gates.
-
-    Args:
-        tables: Rows of `frames`, `truth` and `detections` of the same steps as the camera's frames.
-        model: The detector, which need not be the run's.
-        frames: All frames of the camera at these steps.
-        targets: The annotated vessels in these frames.
-
-    Raises:
-        RunDirectoryError: The model does not know a performance state or a label in the tables.
-    """
+    """The detections of a camera in a run, whose detector was given these targets, the annotated vessels in all frames
+    of the camera at some steps; `tables` are rows of `frames`, `truth` and `detections` of the same steps. The detector
+    need not be the run's. The tables do not say which box errors were resampled, so `redrawn` is false. They do not say
+    which vessels the limit on the number of detections or the operating threshold removed either, so `gated` knows only
+    the other gates. Raises RunDirectoryError if the model does not know a performance state or a label in the
+    tables."""
     chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in tables.items()}
     table = chosen["detections"]
     frame, kind = np.searchsorted(frames.steps, integer_column(table, "step")), indices(table, "kind", KINDS)
@@ -154,11 +146,8 @@ class StoredTable:
     """A table of a finished run, whose footer has been checked; its rows are checked as they are read."""
 
     def __init__(self, folder: Path, name: str, scene: Scene) -> None:
-        """Check the footer: the columns and their types, and the steps of each row group.
-
-        Raises:
-            RunDirectoryError: The file is not the table that a run of the scene has written.
-        """
+        """Check the footer: the columns and their types, and the steps of each row group. Raises RunDirectoryError if
+        the file is not the table that a run of the scene has written."""
         self.path = folder / f"{name}.parquet"
         self._name, self._scene, self._run = name, scene, _identity(folder / RUN_FILE)
         self._kept: tuple[tuple[int, int], pa.Table] | None = None
@@ -177,13 +166,8 @@ class StoredTable:
         return int(self._metadata.num_rows)
 
     def groups(self) -> Iterator[pa.Table]:
-        """The rows, about a row group at a time: the table of a long run is larger than memory.
-
-        A step that is in two row groups comes whole.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written.
-        """
+        """The rows, about a row group at a time: the table of a long run is larger than memory. A step that is in two
+        row groups comes whole. Raises RunDirectoryError if a row is not what a run has written."""
         first = 0
         for stop in (self._steps[:, 1] + 1).tolist():
             if stop > first:
@@ -191,11 +175,8 @@ class StoredTable:
                 first = stop
 
     def rows(self, first: int, stop: int) -> TableRows:
-        """The rows of steps first to stop − 1; only the row groups are read that may hold such rows.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written.
-        """
+        """The rows of steps first to stop − 1; only the row groups are read that may hold such rows. Raises
+        RunDirectoryError if a row is not what a run has written."""
         here = np.flatnonzero((self._steps[:, 1] >= first) & (self._steps[:, 0] < stop))
         begin, end = (int(here[0]), int(here[-1]) + 1) if len(here) else (0, 0)
         return self._checked(begin, end, first, stop)
@@ -270,16 +251,9 @@ class StoredTables:
     """The tables `frames`, `truth` and `detections` of a finished run."""
 
     def __init__(self, folder: Path, scene: Scene, listed: Mapping[str, FileEntry] | None = None) -> None:
-        """Check the footers of all tables.
-
-        Args:
-            folder: The run directory.
-            scene: The run's scene, if need be with another detector.
-            listed: The list of files in `run.json`; None if it has none, or if it was compared before.
-
-        Raises:
-            RunDirectoryError: A table is missing, or is not what a run of the scene has written.
-        """
+        """Check the footers of all tables. The detector of the scene need not be the run's; `listed` is the list of
+        files in `run.json`, None if it has none or was compared before. Raises RunDirectoryError if a table is missing,
+        or is not what a run of the scene has written."""
         self._scene, self._listed = scene, listed or {}
         self.by_name = {name: StoredTable(folder, name, scene) for name in CHECKS}
         self._own_ship = folder / f"{OWN_SHIP}.parquet"
@@ -290,11 +264,7 @@ class StoredTables:
                 _check_schema(self._own_ship, found, table_columns.BEFORE_ATTITUDE if former else wanted)
 
     def check_counts(self, counts: dict[str, float]) -> None:
-        """Check the number of rows of each table against the counts of `run.json`.
-
-        Raises:
-            RunDirectoryError: A table has another number of rows.
-        """
+        """Raise RunDirectoryError if a table has another number of rows than by the counts of `run.json`."""
         expected = {
             "frames": counts["frames"],
             "truth": counts["vessel_frames"],
@@ -305,43 +275,28 @@ class StoredTables:
                 raise RunDirectoryError(f"{table.path} has {len(table)} rows, but {rows:g} by the counts of run.json")
 
     def truth(self, first: int, stop: int) -> pa.Table:
-        """The truth of steps first to stop − 1.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written.
-        """
+        """The truth of steps first to stop − 1. Raises RunDirectoryError if a row is not what a run has written."""
         return self.by_name["truth"].rows(first, stop).table
 
     def rows_of(self, name: str) -> pa.Table:
-        """All rows of one table.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written, or the table is not the one that the run has listed.
-        """
+        """All rows of one table. Raises RunDirectoryError if a row is not what a run has written, or the table is not
+        the one that the run has listed."""
         self._check_checksum(self.by_name[name].path)
         return self.by_name[name].rows(0, self._scene.steps).table
 
     def own_ship(self) -> pa.Table:
-        """All rows of the table of the vessels that carry a camera.
-
-        Raises:
-            RunDirectoryError: It is not the table that the run has listed.
-        """
-        path = self._own_ship
-        self._check_checksum(path)
-        with damage_named(path):
-            table = pq.read_table(path)
-        return (
-            table_columns.with_attitude(table) if table.column_names == table_columns.BEFORE_ATTITUDE.names else table
-        )
+        """All rows of the table of the vessels that carry a camera. Raises RunDirectoryError if the run has listed
+        another."""
+        self._check_checksum(self._own_ship)
+        with damage_named(self._own_ship):
+            table = pq.read_table(self._own_ship)
+        former = table.column_names == table_columns.BEFORE_ATTITUDE.names
+        return table_columns.with_attitude(table) if former else table
 
     def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
-        """The rows of steps first to stop − 1 by the table's name.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written, two tables contradict each other, or all rows are
-                read and a table is not the one that the run has listed.
-        """
+        """The rows of steps first to stop − 1 by the table's name. Raises RunDirectoryError if a row is not what a run
+        has written, two tables contradict each other, or all rows are read and a table is not the one that the run has
+        listed."""
         rows = {name: table.rows(first, stop) for name, table in self.by_name.items()}
         check_together(rows["frames"], rows["truth"], rows["detections"], self._scene)
         if stop - first == self._scene.steps:
@@ -349,11 +304,7 @@ class StoredTables:
         return {name: part.table for name, part in rows.items()}
 
     def check_checksums(self) -> None:
-        """Check that each table has the checksum in `run.json`, where this lists it.
-
-        Raises:
-            RunDirectoryError: A table was changed.
-        """
+        """Raise RunDirectoryError if a table has not the checksum in `run.json`, where this lists it."""
         for table in self.by_name.values():
             self._check_checksum(table.path)
 
@@ -372,11 +323,7 @@ def _identity(run_file: Path) -> tuple[int, int] | None:
 
 
 def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
-    """Check the columns of a table, in their order, and their types.
-
-    Raises:
-        RunDirectoryError: A column is missing, is not known, or has another type or place.
-    """
+    """Raise RunDirectoryError if a column of a table is missing, is not known, or has another type or place."""
     if found.equals(wanted):  # names and types in their order; tenfold as fast as to ask for each
         return
     problems = [f"column '{name}' is missing" for name in wanted.names if name not in found.names]
@@ -396,11 +343,8 @@ def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
 
 @contextmanager
 def damage_named(path: Path) -> Iterator[None]:
-    """Errors of reading a table as one error that names its file.
-
-    Raises:
-        RunDirectoryError: The file is missing, cannot be read, or is not the table that a run has written.
-    """
+    """Errors of reading a table as one error that names its file: RunDirectoryError if the file is missing, cannot be
+    read, or is not the table that a run has written."""
     try:
         yield
     except FileNotFoundError:

@@ -167,11 +167,8 @@ class _Rows:
 
 
 def read_nmea(path: Path) -> Iterator[Chunk]:
-    """Reports of a log of NMEA sentences.
-
-    Raises:
-        InputError: The file cannot be read, or no sentence in it has a time.
-    """
+    """Reports of a log of NMEA sentences. Raises InputError if the file cannot be read, or no sentence in it has a
+    time."""
     rows = _Rows()
     timed, untimed, around = 0, 0, ""
     first_s, last_s, minutes = np.inf, -np.inf, True
@@ -200,26 +197,25 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
 def _messages(stream: IO[bytes], rows: _Rows) -> Iterator[list[_Part]]:
     """The parts of each whole message; incomplete messages are counted as dropped."""
     pending: dict[tuple[Any, ...], dict[int, _Part]] = {}
+
+    def give_up(line: int) -> None:
+        rows.drop("incomplete", line, "other parts of this message are missing")
+
     for part in _parts(stream, rows):
         sentence = part.sentence
         key = (sentence.talker_id, sentence.frag_cnt, sentence.seq_id, sentence.channel)
         parts = pending.setdefault(key, {}) if sentence.frag_cnt != 1 else {}
         if sentence.frag_num in parts or not _close(parts, part):
-            rows.drop("incomplete", part.line, "other parts of this message are missing")
+            give_up(part.line)
             parts.clear()
         parts[sentence.frag_num] = part
         if len(pending) > MAX_PENDING:
-            _give_up(pending.pop(next(iter(pending))), rows)
+            give_up(min(part.line for part in pending.pop(next(iter(pending))).values()))
         if len(parts) == sentence.frag_cnt:
             yield [parts[place] for place in sorted(parts)]
             pending.pop(key, None)
     for parts in pending.values():
-        _give_up(parts, rows)
-
-
-def _give_up(parts: dict[int, _Part], rows: _Rows) -> None:
-    """Count a message as dropped whose other parts have not come."""
-    rows.drop("incomplete", min(part.line for part in parts.values()), "other parts of this message are missing")
+        give_up(min(part.line for part in parts.values()))
 
 
 def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:

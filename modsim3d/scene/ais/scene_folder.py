@@ -205,8 +205,6 @@ def _flatness(distance_m: float) -> str:
     return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
 
 
-# ---- Writes a scene folder that is ready to run ----
-
 # ---- When each vessel has reported ----
 
 REPORT_TIMES = "report_times.json.gz"
@@ -259,11 +257,8 @@ DETECTOR_NOTE = """\
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that is not empty, unless it holds a scene made from AIS that may be replaced.
-
-    Raises:
-        ModsimError: The folder is not free, or is no folder.
-    """
+    """Refuse a folder that is not empty, unless it holds a scene made from AIS that may be replaced. Raises ModsimError
+    if the folder is not free, or is no folder."""
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise ModsimError(f"{folder} is there already and is not a folder: choose another with --out")
     if not folder.is_dir() or all(path.name == LOCK_FILE for path in folder.iterdir()):
@@ -279,18 +274,9 @@ def check_free(folder: Path, overwrite: bool) -> None:
 def write_scene(
     traffic: AisTraffic, folder: Path, detector: Path, overwrite: bool = False, page: str | None = None
 ) -> None:
-    """Write everything that the scene needs, and the report.
-
-    Args:
-        traffic: What the scene shows.
-        folder: The scene folder; made if it does not exist.
-        detector: A detector file with one label, to be copied or spread over the scene's labels.
-        overwrite: Replace a scene folder that is there.
-        page: The page that shows what became of the reports, as HTML; none is written if None.
-
-    Raises:
-        ModsimError: The folder is not free.
-    """
+    """Write everything that the scene needs, and the report. `detector` is a detector file with one label, to be copied
+    or spread over the scene's labels; `page` is the HTML page that shows what became of the reports. Raises ModsimError
+    if the folder is not free."""
     check_free(folder, overwrite)
     labels = sorted({traffic.options.label(vessel.hull.group) for vessel in traffic.vessels})
     files = {
