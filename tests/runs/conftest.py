@@ -1,7 +1,5 @@
 """Runs that several files of this folder read."""
 
-from __future__ import annotations
-
 import pytest
 
 from modsim3d.runs.run import run_scene

@@ -43,11 +43,6 @@ def test_the_copy_in_a_run_is_called_as_the_scene_and_gives_the_same_scene(tmp_p
     assert (again.name, again.sha256) == ("sound", scene.sha256)
 
 
-def test_settings_that_are_no_mapping_are_refused_by_name():
-    with pytest.raises(TypeError, match=r"settings: a mapping of keys to values is needed \(got list\)"):
-        load_scene("strait", settings=["waves.level=large"])
-
-
 def test_a_scene_names_a_shipped_detector_and_a_file_of_that_name_comes_first(tmp_path):
     path = in_folder(tmp_path / "sound", "scene.yaml", "three_labels")
     with pytest.raises(InputError, match="known: sailboat, motorboat, ferry"):

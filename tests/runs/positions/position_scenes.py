@@ -1,7 +1,5 @@
 """A scene with own ship under way in waves, a rolled and distorted camera on its bow, and one ashore."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,9 +1,8 @@
 """The campaign of positions: its stored result is within its bounds, and a small one agrees."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import pytest
@@ -14,8 +13,7 @@ from modsim3d.runs.locating import MAX_RANGE_ERROR
 
 @pytest.fixture(scope="module")
 def stored() -> dict[str, Any]:
-    data: dict[str, Any] = json.loads((OUT / "positions.json").read_text(encoding="utf-8"))
-    return data
+    return json.loads((OUT / "positions.json").read_text(encoding="utf-8"))
 
 
 def test_the_stored_result_is_complete_and_within_bounds(stored: dict[str, Any]) -> None:
@@ -26,9 +24,7 @@ def test_the_stored_result_is_complete_and_within_bounds(stored: dict[str, Any])
     for name in SCENES:
         attitudes = {attitude for scene, _, attitude, _ in seen if scene == name}
         assert attitudes in ({"ashore"}, {"true", "measured"})
-        assert {
-            (name, sea, a, errors) for sea in ("flat", "curved") for a in attitudes for errors in (1.0, 0.2)
-        } <= seen
+        assert set(product([name], ("flat", "curved"), attitudes, (1.0, 0.2))) <= seen
     assert (OUT / "positions.md").read_text(encoding="utf-8") == page(stored)
 
 

@@ -1,7 +1,5 @@
 """Readers over TCP that are slow, gone, back, or send: each line that one can still get arrives, once and in order."""
 
-from __future__ import annotations
-
 import errno
 import socket
 import threading
@@ -42,40 +40,32 @@ def rest_of(reader: socket.socket) -> list[bytes]:
         return list(lines)
 
 
-class Background:
+class Background(threading.Thread):
     """Calls a function in a thread; `result` waits for it."""
 
     def __init__(self, call: Callable[[], object]) -> None:
-        self._found: object = None
-        self._thread = threading.Thread(target=self._run, args=(call,), daemon=True)
-        self._thread.start()
+        super().__init__(daemon=True)
+        self._call, self._found = call, None
+        self.start()
 
-    def _run(self, call: Callable[[], object]) -> None:
+    def run(self) -> None:
         try:
-            self._found = call()
+            self._found = self._call()
         except BaseException as error:
             self._found = error
 
-    @property
-    def running(self) -> bool:
-        return self._thread.is_alive()
-
     def result(self) -> object:
-        self._thread.join(LONG_S)
-        assert not self._thread.is_alive()
+        self.join(LONG_S)
+        assert not self.is_alive()
         return self._found
-
-
-def still_open() -> tuple[int, int]:
-    """How many descriptors and threads this process has."""
-    return len(list(Path("/dev/fd").iterdir())), threading.active_count()
 
 
 @pytest.fixture(autouse=True)
 def nothing_stays_open() -> Iterator[None]:
-    before = still_open()
+    """No descriptor and no thread."""
+    before = len([*Path("/dev/fd").iterdir()]), threading.active_count()
     yield
-    assert still_open() == before
+    assert (len([*Path("/dev/fd").iterdir()]), threading.active_count()) == before
 
 
 def send_all(server: LineServer, lines: list[bytes] = LINES) -> None:
@@ -100,12 +90,12 @@ def test_the_slowest_reader_holds_the_stream_up_and_loses_nothing() -> None:
         server.wait_for_reader()
         sending = Background(lambda: (send_all(server), server.finish()))
         first = slow.recv(len(HEADER), socket.MSG_WAITALL)
-        assert sending.running, "3 MB fit into no buffer"
+        assert sending.is_alive(), "3 MB fit into no buffer"
         assert [first, *rest_of(slow)] == [HEADER, *LINES]
         assert sending.result() == (None, None)
         received = fast.result()
-        assert isinstance(received, list)
-        assert received[0] == HEADER and received[1:] == LINES[len(LINES) + 1 - len(received) :]
+        assert isinstance(received, list) and received[0] == HEADER
+        assert received[1:] == LINES[len(LINES) + 1 - len(received) :]
 
 
 def test_what_is_kept_is_bounded_and_a_reader_that_comes_back_gets_it_from_the_oldest_line() -> None:
@@ -176,7 +166,7 @@ def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
         pushing = Background(lambda: reader.sendall(b"GET / HTTP/1.1\r\n" * 20_000))
         reading = Background(lambda: rest_of(reader))
         send_all(server)
-        assert pushing.running, "320 kB were taken in"
+        assert pushing.is_alive(), "320 kB were taken in"
         server.finish()
         assert reading.result() == [HEADER, *LINES]
         pushing.result()
