@@ -21,7 +21,6 @@ from modsim3d.runs.files.stored_tables import damage_named
 from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import FinishedRun
-from modsim3d.scene.scene import Scene
 
 # ---- How two files of the same name differ, in words ----
 
@@ -161,28 +160,21 @@ def repeat_run(
     made = orjson.loads((again / RUN_FILE).read_bytes())
     names = sorted({name for name in {**listed, **made["files"]} if not _is_input(name)})
     files = [_compared(folder, again, name, listed, made["files"]) for name in names]
-    files += [
-        RepeatedFile(name, _damage(folder, name, listed), is_input=True) for name in _inputs(folder, scene, listed)
-    ]
+    inputs = [name for name in listed if _is_input(name)]
+    if not listed:
+        inputs = [POSES_FILE] if (folder / POSES_FILE).is_file() else []
+        inputs += [f"{SCENE_FOLDER}/{name}" for name in scene.copy.names]
+    files += [RepeatedFile(name, _damage(folder, name, listed), is_input=True) for name in sorted(inputs)]
     # Older runs do not say where their traffic came from.
     later = {"traffic_seed", "traffic_sha256", "crosscheck"} - content.keys()
     left_out = _NOT_REPEATED | later | (_OF_LIVE_RUNS if "poses_sha256" in content else frozenset())
     settings = settings_difference((folder / RUN_FILE).read_bytes(), (again / RUN_FILE).read_bytes(), left_out)
-    return Repetition(
-        (*files, RepeatedFile(RUN_FILE, repeated=settings)), tuple(_versions(content, made)), bool(listed)
-    )
+    files.append(RepeatedFile(RUN_FILE, repeated=settings))
+    return Repetition(tuple(files), tuple(_versions(content, made)), bool(listed))
 
 
 def _is_input(name: str) -> bool:
     return name == POSES_FILE or name.startswith(f"{SCENE_FOLDER}/")
-
-
-def _inputs(folder: Path, scene: Scene, listed: FileList) -> list[str]:
-    """Files that the run is repeated from."""
-    if listed:
-        return sorted(filter(_is_input, listed))
-    poses = [POSES_FILE] if (folder / POSES_FILE).is_file() else []
-    return sorted([*(f"{SCENE_FOLDER}/{name}" for name in scene.copy.names), *poses])
 
 
 def _compared(stored: Path, again: Path, name: str, listed: FileList, made: FileList) -> RepeatedFile:

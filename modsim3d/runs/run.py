@@ -30,6 +30,7 @@ from modsim3d.truth.crosscheck.comparison import Checked
 FORMAT = 2
 """Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
+Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,7 +65,6 @@ class RunResult:
         return f"<RunResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return key_table(f"Run {self.folder}", self._rows())
 
     def _rows(self) -> dict[str, str]:
@@ -200,16 +200,15 @@ def _log(total: BlockTally, seconds: float) -> str:
 
 
 def _write_blocks(
-    scene: Scene,
-    directory: RunDirectory,
-    workers: BlockWorkers,
-    most_steps: int | None,
-    progress: Callable[[int], None],
+    scene: Scene, directory: RunDirectory, workers: BlockWorkers, most_steps: int | None, progress: Progress
 ) -> BlockTally:
     """Make all blocks and write them; one that needs target statistics needs all truth first."""
     counted, statistics = BlockTally(), TargetStatistics()
     if scene.detector.needs_target_statistics:
-        counted, statistics = _take_target_statistics(scene, directory.work, workers, most_steps, progress)
+        count = partial(BlockMaker.count_targets, folder=directory.work)
+        for tally, part in workers.map(count, step_ranges(scene, most_steps)):
+            counted, statistics = counted + tally, statistics + part
+            progress(tally.steps)
     total = BlockTally()
     make = partial(BlockMaker.make, folder=directory.work, statistics=statistics, kinds=directory.line_kinds)
     for tally, files in workers.map(make, _with_steps_kept(scene, directory.work, most_steps)):
@@ -223,17 +222,6 @@ def _write_blocks(
         return total
     kept = {name: getattr(counted, name) for name in ("resumed_steps", "damaged_blocks", "checked")}
     return replace(total, **kept)
-
-
-def _take_target_statistics(
-    scene: Scene, folder: Path, workers: BlockWorkers, most_steps: int | None, progress: Callable[[int], None]
-) -> tuple[BlockTally, TargetStatistics]:
-    """Make and keep all truth; a tally of its steps, and the statistics of its targets."""
-    total, statistics = BlockTally(), TargetStatistics()
-    for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene, most_steps)):
-        total, statistics = total + tally, statistics + part
-        progress(tally.steps)
-    return total, statistics
 
 
 def _with_steps_kept(scene: Scene, folder: Path, most_steps: int | None) -> Iterator[Range]:

@@ -58,7 +58,6 @@ class StoredRun:
         return f"<StoredRun {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return key_table(f"Run {self.folder}", self._rows())
 
     def _rows(self) -> dict[str, str]:

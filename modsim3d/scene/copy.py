@@ -108,7 +108,6 @@ def _pose_file(number: int, file: str) -> str:
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """The section of a pose source with its files renamed."""
     if isinstance(value, dict):
         return {key: _renamed(inner, names) for key, inner in value.items()}
     if isinstance(value, list):
@@ -117,5 +116,4 @@ def _renamed(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
-    """The section with its keys in the order of its model."""
     return {name: keys[name] for name in model.model_fields if name in keys}

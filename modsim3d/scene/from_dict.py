@@ -121,7 +121,6 @@ class _DictParts(SceneParts):
             self._keep(FILE, lambda: pose_file(poses, names, self.name))
 
     def _keep(self, name: str, content: Callable[[], bytes]) -> None:
-        """Keep the content of a file of the copy."""
         if (written := self._collect(content)) is not None:
             self.contents[name] = written
 

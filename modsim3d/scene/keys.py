@@ -180,7 +180,6 @@ class WavesKeys(Strict):
         return self
 
     def _sea_problems(self) -> list[str]:
-        """Problems of the keys of a spectrum."""
         needed = ("significant_height_m", "peak_period_s", "direction_rad")
         if self.spectrum is None:
             stray = [key for key in (*needed, "peakedness") if getattr(self, key) is not None]

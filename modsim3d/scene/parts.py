@@ -124,7 +124,12 @@ def drawn_vessels(
     vessels = parse_vessels(entries, section)
     # A source of our own and any plug-in may have a key that renames labels.
     key = f": set {section}.labels" if "labels" in getattr(type(source.keys), "model_fields", {}) else ""
-    problems = [*_name_problems(vessels, request), *(each + key for each in _label_problems(vessels, labels))]
+    problems = [
+        f"draws a vessel '{vessel.name}', and the scene's vessels have one of this name: rename one of them"
+        for vessel in vessels
+        if vessel.name in (request.names or ())
+    ]
+    problems += [each + key for each in _label_problems(vessels, labels)]
     problems += _file_problems(entries, source.keys.files)
     if problems:
         raise InputError(section, problems[:MOST_PROBLEMS])
@@ -136,13 +141,6 @@ def _with_mesh(vessel: Vessel, mesh: object, request: PoseRequest, meshes: Scene
         return vessel
     solid = meshes.solid(mesh, request.folder, section, vessel.name, "mesh")
     return replace(vessel, solid=solid, shape=mesh_name(mesh))
-
-
-def _name_problems(vessels: Sequence[Vessel], request: PoseRequest) -> Iterator[str]:
-    taken = set(request.names or ())
-    for vessel in vessels:
-        if vessel.name in taken:
-            yield f"draws a vessel '{vessel.name}', and the scene's vessels have one of this name: rename one of them"
 
 
 def _label_problems(vessels: Sequence[Vessel], labels: Sequence[str] | None) -> Iterator[str]:
@@ -379,15 +377,13 @@ class SceneParts:
             names = (*(request.names or ()), *(vessel.name for vessel in drawn))
             request = replace(request, names=names, vessels=(*request.vessels, *drawn))
         poses = self._collect(lambda: source.build(request))
-        if poses is not None and not isinstance(poses, LivePoses):
-            self._check_steps(source.name, len(poses.timestamps))
-        return poses
-
-    def _check_steps(self, source: str, available: int) -> None:
-        steps = self.data.get("steps")
+        if poses is None or isinstance(poses, LivePoses):
+            return poses
+        steps, available = self.data.get("steps"), len(poses.timestamps)
         if isinstance(steps, int) and steps > available:
-            name = "the pose file" if source == "file" else f"poses.{source}"
+            name = "the pose file" if source.name == "file" else f"poses.{source.name}"
             self.problems.append(f"steps: {steps} asked for, but {name} has {available}")
+        return poses
 
     def _wave_level(self) -> tuple[Axes, Plugin | None] | None:
         waves = self.data.get("waves")
@@ -404,7 +400,6 @@ class SceneParts:
                 yield f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})"
 
     def _vessel_labels(self) -> Iterator[tuple[Any, str]]:
-        """Names and labels of the vessels that have one."""
         for name, entry in (self.vessel_entries or {}).items():
             if isinstance(entry, dict) and isinstance(entry.get("label"), str):
                 yield name, entry["label"]

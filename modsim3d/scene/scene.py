@@ -47,21 +47,22 @@ def scene_lines(scene: Scene) -> str:
 
 def scene_table(scene: Scene) -> str:
     """HTML table of a scene, with sizes of images and all that is there besides."""
+    detector_seed = scene.detector_seed
     cameras = [
         f"{camera.name} ({camera.intrinsics.image_size_px[0]} × {camera.intrinsics.image_size_px[1]} px, "
         f"{'on ' + camera.mount.vessel if camera.mount.vessel else 'ashore'})"
         for camera in scene.cameras
     ]
     obstacles = listed([obstacle.name for obstacle in scene.obstacles])
+    moved = "every vessel" if scene.waves and scene.waves.apply_to == "all" else "vessels with a camera"
     rows = {
         "vessels": _vessels(scene),
         "cameras": listed(cameras),
         "obstacles": f"{len(scene.obstacles)} ({obstacles})" if scene.obstacles else "none",
-        "waves": _waves(scene),
+        "waves": f"move {moved}" if scene.waves else "none",
         "traffic": scene.traffic,
         "steps": _steps(scene),
-        "seed": f"{scene.seed}"
-        + ("" if scene.detector_seed == scene.seed else f", of the detector {scene.detector_seed}"),
+        "seed": str(scene.seed) + (f", of the detector {detector_seed}" if detector_seed != scene.seed else ""),
         "truth": f"{scene.annotation.source}, mode {scene.annotation.mode}",
         "detector": scene.detector.in_words(),
     }
@@ -70,12 +71,6 @@ def scene_table(scene: Scene) -> str:
 
 def _vessels(scene: Scene) -> str:
     return f"{counted(len(scene.vessels), 'vessel')} ({listed(scene.vessel_names)})"
-
-
-def _waves(scene: Scene) -> str:
-    if scene.waves is None:
-        return "none"
-    return "move every vessel" if scene.waves.apply_to == "all" else "move vessels with a camera"
 
 
 def _steps(scene: Scene) -> str:
@@ -165,7 +160,6 @@ class Scene:
         return scene_lines(self)
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return scene_table(self)
 
     @classmethod
@@ -247,9 +241,8 @@ class Scene:
         if not self.drawn_vessels:
             return None
         poses = self.poses.poses(0, self.steps)
-        said = [
-            (vessel.name, vessel.label, *np.round(vessel.extents_m, _SAME_DECIMALS).tolist()) for vessel in self.vessels
-        ]
+        sizes = (np.round(vessel.extents_m, _SAME_DECIMALS).tolist() for vessel in self.vessels)
+        said = [(vessel.name, vessel.label, *size) for vessel, size in zip(self.vessels, sizes, strict=True)]
         digest = hashlib.sha256(repr(said).encode())
         digest.update(poses.present.tobytes())
         for values in (poses.positions_m, poses.headings_rad):
@@ -334,12 +327,10 @@ class Scene:
         `Intrinsics.sea_half_plane`."""
         if not len(steps):
             return np.empty((0, 3))
-        ashore = camera.mount.vessel is None  # then no vessel's poses are needed
-        poses = (
-            poses_ashore(camera.mount, len(steps))
-            if ashore
-            else self.camera_poses(camera, self.own_motion.at(steps), steps)
-        )
+        if camera.mount.vessel is None:  # then no vessel's poses are needed
+            poses = poses_ashore(camera.mount, len(steps))
+        else:
+            poses = self.camera_poses(camera, self.own_motion.at(steps), steps)
         return camera.intrinsics.sea_half_plane(poses.camera_R_world)
 
     def camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:

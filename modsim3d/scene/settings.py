@@ -179,7 +179,8 @@ def changed(content: Any, parts: Sequence[str], setting: Setting, where: KeyPath
         problem = f"{join_path(*where)} is {kind_of(content)}, which has no keys that could be set"
         raise InputError(setting.name, [problem])
     key, rest = _split(content, parts)
-    model = _model_at(where)
+    # None for a section whose keys are names, or depend on plug-ins.
+    model = model_at(DetectorFile, where[1:]) if where[:1] == ("detector",) else model_at(SceneKeys, where)
     if key not in content:
         _check_new(content, key, bool(rest), model, setting, where)
     inner, path = changed(content.get(key), rest, setting, (*where, _text(key)))
@@ -206,13 +207,6 @@ def _index(content: Sequence[Any], part: str, setting: Setting, where: KeyPath) 
         return int(part)
     problem = f"{join_path(*where)} is a list of {len(content)}: its items are 0 to {len(content) - 1} (got '{part}')"
     raise InputError(setting.name, [problem])
-
-
-def _model_at(where: KeyPath) -> type[BaseModel] | None:
-    """The keys that a section may have; None for one whose keys are names, or depend on plug-ins."""
-    if where[:1] == ("detector",):
-        return model_at(DetectorFile, where[1:])
-    return model_at(SceneKeys, where)
 
 
 def _check_new(

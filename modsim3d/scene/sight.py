@@ -211,11 +211,8 @@ class Snapshot:
             place = sight.camera_poses
             pose = _transform(place.camera_R_world[0].T @ CV_TO_GL, place.positions_m[0])
             scene.graph.update(CAMERA_PREFIX + sight.camera.name, matrix=pose)
-        first = self.sights[0].camera
-        lens = first.intrinsics
-        scene.camera = trimesh.scene.Camera(
-            CAMERA_PREFIX + first.name, lens.image_size_px, lens.focal_px, z_near=lens.near_clip_m
-        )
+        name, lens = CAMERA_PREFIX + self.sights[0].camera.name, self.sights[0].camera.intrinsics
+        scene.camera = trimesh.scene.Camera(name, lens.image_size_px, lens.focal_px, z_near=lens.near_clip_m)
         return scene
 
 

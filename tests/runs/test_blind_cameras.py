@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 import yaml
 
+from modsim3d import Scene, run_scene
 from modsim3d.cli.run_summary import run_warnings
 from modsim3d.runs.camera_sequences import blind_at_first
-from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene, shipped_scenes
-from modsim3d.scene.scene import Scene
 from tests.cli.bad_input.builders import at, lens
 
 DETECTOR = Path(__file__).parents[2] / "scenes" / "detectors" / "thesis.yaml"

@@ -8,14 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modsim3d import Frame, RunDirectoryError, RunResult, Scene, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.core.boxes import iou
-from modsim3d.core.errors import RunDirectoryError
-from modsim3d.runs.frames import Frame
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import RunResult, run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from tests.run_folders import edited_run
 from tests.scenes import mistaken_strait
 
@@ -66,8 +60,7 @@ def test_large_errors_put_boxes_off_their_vessels(tmp_path: Path) -> None:
     scene = load_scene("simulation_1", mode=2, steps=60, source="analytic")
     slow = sum((Counter(counted(frame)) for frame in simulate_frames(scene)), Counter[str]())
     counts = asdict(run_scene(scene, tmp_path / "run").counts)
-    assert {name: counts[name] for name in slow} == slow
-    assert slow["below_half_iou"] > slow["off_vessel"] > 20
+    assert {name: counts[name] for name in slow} == slow and slow["below_half_iou"] > slow["off_vessel"] > 20
 
 
 def test_run_json_has_the_counts_of_all_cameras_and_of_each(result: RunResult) -> None:
@@ -78,14 +71,13 @@ def test_run_json_has_the_counts_of_all_cameras_and_of_each(result: RunResult) -
         assert data["counts"][name] == sum(counts[name] for counts in data["camera_counts"].values()), name
 
 
-def test_a_camera_without_counts_is_refused(result: RunResult, tmp_path: Path) -> None:
+def test_a_camera_without_counts_is_refused_unless_the_run_is_of_the_format_before(
+    result: RunResult, tmp_path: Path
+) -> None:
     one = {"bow": asdict(result.camera_counts["bow"])}
     for name, wrong in {"one": one, "none": None}.items():
         with pytest.raises(RunDirectoryError, match="must have every count of every camera"):
             open_run(edited_run(result.folder, tmp_path / name, camera_counts=wrong))
-
-
-def test_a_run_of_the_format_before_is_read(result: RunResult, tmp_path: Path) -> None:
     counts = asdict(result.counts)
     del counts["off_vessel"]
     old = edited_run(result.folder, tmp_path / "old", format=1, counts=counts, camera_counts=None)

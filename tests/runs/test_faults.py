@@ -17,15 +17,12 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from modsim3d import ModsimError, load_scene, open_run, run_scene
 from modsim3d.cli.run_summary import print_summary
-from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import write_files
 from modsim3d.runs import pipeline
 from modsim3d.runs.files.block_files import finished_truth
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt, run_files
 
 BLOCK, STEPS = 75, 150  # two blocks
@@ -40,9 +37,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def whole(scene, tmp_path_factory) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    run_scene(scene, folder)
-    return run_files(folder)
+    return run_files(run_scene(scene, tmp_path_factory.mktemp("whole") / "run").folder)
 
 
 class Counted:

@@ -9,6 +9,7 @@ import numpy as np
 import orjson
 import pytest
 
+from modsim3d import Scene, load_scene
 from modsim3d.core.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
@@ -16,8 +17,6 @@ from modsim3d.runs.files.block_files import annotation_lines, detection_lines, j
 from modsim3d.runs.files.run_file import frame_lines, list_texts, number_texts, string_texts
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.tracker_view import TrackerDetections, tracker_lines
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import annotation_boxes
 
 Made = tuple[Scene, Block]

@@ -9,11 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.core.errors import OutputError
+from modsim3d import OutputError, load_scene, open_run, run_scene
 from modsim3d.io.overwrite_guard import LOCK_FILE, locked_file, locked_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import run_files
 
 RUN = ("run", "harbour", "--source", "rectangles", "--steps", "800", "--no-sheet")  # several blocks
@@ -39,9 +36,8 @@ def stopped_after_a_block(out: Path, *options: object, by: signal.Signals = sign
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What an undisturbed run writes."""
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    run_scene(load_scene("harbour", source="rectangles", steps=800), folder)
-    return run_files(folder, LOCK_FILE)
+    scene = load_scene("harbour", source="rectangles", steps=800)
+    return run_files(run_scene(scene, tmp_path_factory.mktemp("whole") / "run").folder, LOCK_FILE)
 
 
 @pytest.mark.parametrize("option", ["--resume", "--overwrite"])

@@ -5,11 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modsim3d import RunRows, StoredRun, load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes, having, outcomes
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.scene.reading import load_scene
 from tests.scenes import mistaken_strait
 
 VESSEL = [100.0, 100.0, 120.0, 110.0]

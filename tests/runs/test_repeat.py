@@ -11,19 +11,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from modsim3d import detect_run, load_scene, run_scene
 from modsim3d.runs.repeat_run import difference, repeat_run
-from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
-from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import Call
 from tests.runs.test_stream import lines, live_scene
 
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("repeat") / "stored"
-    run_scene(load_scene("simulation_1", steps=40, seed=3, mode=1, source="analytic"), folder)
-    return folder
+    scene = load_scene("simulation_1", steps=40, seed=3, mode=1, source="analytic")
+    return run_scene(scene, tmp_path_factory.mktemp("repeat") / "stored").folder
 
 
 @pytest.fixture
@@ -131,5 +129,4 @@ def test_differences_of_tables_are_told_by_column(tmp_path: Path) -> None:
 def test_a_run_without_the_thesis_json_is_repeated_without_it(tmp_path: Path) -> None:
     run_scene(load_scene("simulation_1", steps=5, source="analytic"), tmp_path / "run", thesis_json=False)
     repetition = repeat_run(read_finished(tmp_path / "run"), tmp_path / "again")
-    assert repetition.same
-    assert [path.name for path in (tmp_path / "again").glob("*.json")] == ["run.json"]
+    assert repetition.same and [path.name for path in (tmp_path / "again").glob("*.json")] == ["run.json"]

@@ -11,13 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d.core.errors import RunDirectoryError
+from modsim3d import RunDirectoryError, load_scene, run_scene, simulate_frames
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline
-from modsim3d.runs.pipeline import Simulation, simulate_frames, truth_block
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt, run_files
 
 STEPS = 300
@@ -33,9 +30,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def finished(scene, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("runs") / "first"
-    run_scene(scene, folder)
-    return folder
+    return run_scene(scene, tmp_path_factory.mktemp("runs") / "first").folder
 
 
 def test_without_the_thesis_json_all_other_files_are_the_same_bytes(scene, finished, tmp_path):
@@ -110,8 +105,7 @@ def test_tables_and_json_tell_the_same(finished):
         if row["annotated"]:
             box = annotations[row["timestamp"]][row["vessel"]]["bbox"]
             assert box["centre"]["x"] == (row["visible_x_min_px"] + row["visible_x_max_px"]) / 2
-            assert box["height"] == row["visible_y_max_px"] - row["visible_y_min_px"]
-            assert box["depth"] == row["depth_m"]
+            assert box["height"] == row["visible_y_max_px"] - row["visible_y_min_px"] and box["depth"] == row["depth_m"]
     drawn = pq.read_table(finished / "detections.parquet").to_pylist()
     detections = json.loads((finished / "detections_C0.json").read_text())
     assert len(drawn) == sum(map(len, detections.values()))
@@ -142,15 +136,14 @@ def test_truth_table_obeys_its_own_arithmetic(finished):
         assert row["visible_px"] + covered == row["silhouette_px"]
         assert math.isclose(row["visible_fraction"], row["visible_px"] / row["silhouette_px"])
         assert (row["visible_x_min_px"] is None) == (row["visible_px"] == 0)
-        assert row["annotated"] == (row["visible_px"] > 0)
-        assert row["annotated"] or not row["detected"]
+        assert (row["annotated"] == (row["visible_px"] > 0) and row["annotated"]) or not row["detected"]
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
 def test_modes_annotate_what_they_say(mode, renderer):
     scene = load_scene("simulation_1", mode=mode, steps=1500)
-    simulation = Simulation(scene, TargetStatistics())
-    truth = truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
+    simulation = pipeline.Simulation(scene, TargetStatistics())
+    truth = pipeline.truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
     assert (truth.visible_px == 0).any()
     part = simulation.detect(truth, 1200, 1300).cameras[0]
     np.testing.assert_array_equal(truth.annotated, (truth.visible_px > 0) | (mode == 0))
@@ -224,5 +217,4 @@ def test_small_errors_match_and_large_errors_are_counted(scene, finished):
     counts = json.loads((finished / "run.json").read_text())["counts"]
     assert counts["detected"] + counts["missed"] == counts["annotated"]
     # The source's errors have a standard deviation of 40–85 px on boxes of 10–80 px.
-    assert counts["below_half_iou"] > 0.9 * counts["detected"]
-    assert 0 < counts["redrawn"] < counts["detected"]
+    assert counts["below_half_iou"] > 0.9 * counts["detected"] and 0 < counts["redrawn"] < counts["detected"]

@@ -9,10 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
+from modsim3d import Scene, open_run
 from modsim3d.detector.records import KINDS
 from modsim3d.runs import pipeline as simulate
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.scene import Scene
 from tests.cli.bad_input.builders import Call
 from tests.run_folders import interrupt, run_files
 
@@ -29,14 +28,9 @@ vessels:
 poses: {circular: {centre_m: [300, 0], radius_m: [5, 150], rotation_rate_rad_s: [0.02, 0.06]}}
 cameras:
   C0: &camera
-    focal_length_m: 0.02
-    pixel_size_m: [1.0e-5, 1.0e-5]
-    principal_point_px: [1000, 500]
-    image_size_px: [2000, 1000]
-    pose: {position_m: [0, 0, 12], pitch_rad: 0.04}
-  C1:
-    <<: *camera
-    pose: {position_m: [0, 50, 12], pitch_rad: 0.04, roll_rad: 0.1}
+    {focal_length_m: 0.02, pixel_size_m: [1.0e-5, 1.0e-5], principal_point_px: [1000, 500], image_size_px: [2000, 1000],
+     pose: {position_m: [0, 0, 12], pitch_rad: 0.04}}
+  C1: {<<: *camera, pose: {position_m: [0, 50, 12], pitch_rad: 0.04, roll_rad: 0.1}}
 annotation: {mode: 0, source: analytic}
 detector: rich.yaml
 """
@@ -57,8 +51,7 @@ def scene(folder: Path) -> Scene:
 
 @pytest.fixture(scope="module")
 def run(folder: Path, scene: Scene) -> Path:
-    modsim3d.run_scene(scene, folder / "run")
-    return folder / "run"
+    return modsim3d.run_scene(scene, folder / "run").folder
 
 
 def test_two_workers_write_the_bytes_of_one(call: Call, folder: Path, run: Path) -> None:

@@ -11,13 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from modsim3d.core.errors import ModsimError, RunDirectoryError
+from modsim3d import ModsimError, RunDirectoryError, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.runs import pipeline, stored_run
 from modsim3d.runs.files.stored_tables import truth_of
-from modsim3d.runs.pipeline import open_renderer, simulate_frames, truth_block
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.truth.record import COLUMNS
 from tests.run_folders import edited_run, interrupt
 from tests.scenes import write_scene
@@ -37,7 +33,7 @@ def finished(scene, tmp_path_factory) -> Path:
     return run_scene(scene, tmp_path_factory.mktemp("stored") / "run").folder
 
 
-def assert_same_frames(found, expected):
+def assert_same_frames(found, expected, atol=1e-9):
     for a, b in zip(found, expected, strict=True):
         for name in ("camera", "step", "timestamp", "state", "image_size_px", "scene_vessels"):
             assert getattr(a, name) == getattr(b, name)
@@ -47,7 +43,7 @@ def assert_same_frames(found, expected):
                 ours, theirs = getattr(one, field.name), getattr(other, field.name)
                 if isinstance(theirs, np.ndarray):
                     # The files give a box as centre and size: back to sides it may differ by rounding.
-                    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+                    np.testing.assert_allclose(ours, theirs, rtol=0, atol=atol)
                 else:
                     assert ours == theirs
 
@@ -97,8 +93,8 @@ def test_steps_at_which_nothing_is_seen_read_back_as_empty_frames(tmp_path):
 def test_truth_read_back_is_the_truth(scene, finished):
     run = open_run(finished)
     read = truth_of(run.finished_tables.truth(10, 120), run.scene)
-    with open_renderer(scene) as renderer:
-        made = truth_block(scene, 10, 120, renderer)
+    with pipeline.open_renderer(scene) as renderer:
+        made = pipeline.truth_block(scene, 10, 120, renderer)
     for name in COLUMNS:
         if name != "intersections":
             np.testing.assert_array_equal(getattr(read, name), getattr(made, name), err_msg=name)

@@ -15,12 +15,8 @@ import pyarrow as pa
 import pytest
 import yaml
 
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d import InputError, ModsimError, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.runs.files import tables
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import LivePoses, follow, read_steps
 from tests.scenes import camera_keys, write_scene
@@ -124,10 +120,14 @@ class Watched(io.BytesIO):
 
 
 def test_each_frame_is_there_before_the_next_line_is_read(tmp_path, monkeypatch):
-    source = Watched("".join(lines(6)).encode())
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
-    reads = [(frame.step, frame.camera, source.read_lines) for frame in simulate_frames(live_scene(tmp_path))]
-    assert reads == [(step, camera, step + 1) for step in range(6) for camera in ("C0", "shore")]
+    """Where the scene has fewer steps, the next line stays unread."""
+    for steps, given in ((6, {}), (2, {"steps": 2})):
+        source = Watched("".join(lines(6)).encode())
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
+        scene = live_scene(tmp_path, **given)
+        reads = [(frame.step, frame.camera, source.read_lines) for frame in simulate_frames(scene)]
+        assert reads == [(step, camera, step + 1) for step in range(steps) for camera in ("C0", "shore")]
+    assert source.read_lines == 2
 
 
 def test_loading_and_checking_read_nothing(call, tmp_path, monkeypatch):
@@ -222,19 +222,9 @@ def test_a_file_that_does_not_grow_ends_after_the_timeout(tmp_path, timeout_s):
     assert [frame.timestamp for frame in simulate_frames(scene)][::2] == ["0.0", "0.1", "0.2"]
 
 
-def test_steps_end_a_stream_and_the_next_line_stays_unread(tmp_path, monkeypatch):
-    source = Watched("".join(lines(6)).encode())
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
-    assert len(list(simulate_frames(live_scene(tmp_path, steps=2)))) == 4
-    assert source.read_lines == 2
-
-
-def test_an_empty_line_ends_a_stream():
+def test_an_empty_line_ends_a_stream_of_whole_lines_of_any_length():
     given = [line(0, "own").encode(), b" \r\n", b"not json\n"]
     assert [timestamp for timestamp, _ in read_steps(given, "it", ["own"])] == ["0.0"]
-
-
-def test_follow_gives_whole_lines_of_any_length():
     given = [b"a\n", b"x" * 100_000 + b"\n", b"\n", b"last"]
     assert list(follow(io.BytesIO(b"".join(given)), None)) == given
 
@@ -346,8 +336,7 @@ def test_what_a_stream_cannot_do_is_refused_in_one_message(call, tmp_path, monke
         ("check truth", "check truth needs a scene whose steps are known"),
     ):
         status, said = call(*command.split(), path, *options)
-        assert status == 2 and part in said
-        assert not (tmp_path / "runs").exists()
+        assert status == 2 and part in said and not (tmp_path / "runs").exists()
 
 
 def test_lines_as_a_pose_file(tmp_path):

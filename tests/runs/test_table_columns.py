@@ -9,10 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from modsim3d import RunDirectoryError, StoredRun, open_run
 from modsim3d.core.boxes import centre_form, corner_form
-from modsim3d.core.errors import RunDirectoryError
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, schema_of
-from modsim3d.runs.stored_run import StoredRun, open_run
 from tests.run_folders import edited_run
 
 PAGE = Path(__file__).parents[2] / "docs" / "tables.md"

@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from modsim3d import StoredRun, load_scene, run_scene
 from modsim3d.core.arrays import Indices
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import StoredRun
 from modsim3d.runs.tracker_view import anonymised, tracker_lines
-from modsim3d.scene.reading import load_scene
 
 
 def told_to_a_tracker(path: Path) -> tuple[list[float], dict[int, list[dict[str, Any]]]]:

@@ -9,24 +9,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from PIL import Image
 
 import modsim3d
-from modsim3d.cli.main import app
+from modsim3d import Scene, detect_run, load_scene, run_scene, simulate_frames
 from modsim3d.cli.run_summary import _check_rows
 from modsim3d.runs import pipeline, truth_check
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.truth_check import TruthCheckError, frame_count
 from modsim3d.scene import sight
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.truth import buffer_drawing, outlines, rendered
 from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
-from tests.command_line import call
+from tests.cli.bad_input.builders import Call
 from tests.run_folders import interrupt
 from tests.scenes import CAMERA_HEIGHT_M, camera_keys, write_scene
 
@@ -206,8 +202,7 @@ def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
     path = write_boats(tmp_path, camera={"distortion": {"k1": -0.1}}, supersample=2)
     bent = run_scene(load_scene(path), tmp_path / "bent").checked
     whole = run_scene(load_scene(write_boats(tmp_path, render="full")), tmp_path / "whole").checked
-    assert bent is not None and whole is not None
-    assert bent.from_spans == whole.from_spans == 0
+    assert bent is not None and whole is not None and bent.from_spans == whole.from_spans == 0
     assert bent.vessels == whole.vessels == 3 * len(BOATS)
 
 
@@ -285,21 +280,24 @@ def test_frames_in_memory_and_streams_are_checked_from_the_first_on(
 def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
     scene = load_scene("simulation_1")
     samples = [truth_check._sample(replace(scene, seed=seed), 0, scene.steps) for seed in (0, 0, 1)]
-    assert samples[0] == samples[1] != samples[2]
-    assert len(samples[0]) == frame_count(scene) == 4
-    assert frame_count(replace(scene, steps=5)) == 3
-    assert frame_count(replace(scene, steps=150_000)) > 30
+    assert samples[0] == samples[1] != samples[2] and len(samples[0]) == frame_count(scene) == 4
+    assert frame_count(replace(scene, steps=5)) == 3 and frame_count(replace(scene, steps=150_000)) > 30
 
 
 def test_the_command_names_vessel_and_command_and_draws_the_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
 ) -> None:
     plant(monkeypatch, "span off by one")
     (tmp_path / "my boats").mkdir()
     path = write_boats(tmp_path / "my boats", supersample=2)
-    assert call(monkeypatch, "run", path, "--out", tmp_path / "run", "--no-sheet") == 2
-    text = " ".join(capsys.readouterr().err.split())
-    assert "silhouette pixels" in text and f"run '{path}' --seed" in text and "view frame unchecked" in text
+    status, said = call("run", path, "--out", tmp_path / "run", "--no-sheet")
+    text = " ".join(said.split())
+    assert (
+        status == 2
+        and "silhouette pixels" in text
+        and f"run '{path}' --seed" in text
+        and "view frame unchecked" in text
+    )
     assert "--set annotation.supersample=2" in text and "cross_check.png" in text
     assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
 
@@ -313,13 +311,11 @@ def test_no_command_is_given_for_a_scene_without_a_file(tmp_path: Path, monkeypa
     assert "modsim3d run" not in str(stopped.value)
 
 
-def test_the_summary_has_a_row(tmp_path: Path) -> None:
+def test_the_summary_has_a_row(call: Call, tmp_path: Path) -> None:
     path = write_boats(tmp_path)
     for option, row in (("check=sample", "pixels equal, boxes within"), ("source=analytic", "nothing was drawn")):
-        line = ["run", str(path), "--set", f"annotation.{option}", "--out", str(tmp_path / option), "--no-sheet"]
-        done = CliRunner().invoke(app, line)
-        assert done.exit_code == 0, done.output
-        assert row in " ".join(done.output.split())
+        status, said = call("run", path, "--set", f"annotation.{option}", "--out", tmp_path / option, "--no-sheet")
+        assert status == 0 and row in " ".join(said.split()), said
 
 
 @pytest.mark.parametrize("supersample", [1, 2])
@@ -334,8 +330,7 @@ def test_counting_pixels_of_public_id_buffers_gives_the_numbers_of_the_truth(tmp
     number = {name: each for each, name in image.names.items()}
     for row in rows:
         whole, seen = frame.silhouette(row["vessel"]), image.ids == number[row["vessel"]]
-        assert whole.sum() / supersample**2 == row["silhouette_px"]
-        assert seen.sum() / supersample**2 == row["visible_px"]
+        assert whole.sum() / supersample**2 == row["silhouette_px"] and seen.sum() / supersample**2 == row["visible_px"]
         for mask, kind in ((whole, "full"), (seen, "visible")):
             y, x = np.nonzero(mask)
             said = [row[f"{kind}_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")]
@@ -344,20 +339,15 @@ def test_counting_pixels_of_public_id_buffers_gives_the_numbers_of_the_truth(tmp
     np.testing.assert_array_equal(run.scene.at(2).render_ids("C0").ids, image.ids)
 
 
-def test_view_writes_an_id_buffer_as_png_or_npy(scene: Scene, tmp_path: Path) -> None:
-    from PIL import Image
-
+def test_view_writes_an_id_buffer_as_png_or_npy(call: Call, scene: Scene, tmp_path: Path) -> None:
     run_scene(scene, tmp_path / "run")
     expected = scene.at(1).render_ids("C0").ids
-    command = ["view", "frame", str(tmp_path / "run"), "1", "--kind", "id_buffer"]
-    for line in (command, [*command, "--out", str(tmp_path / "ids.npy")]):
-        done = CliRunner().invoke(app, line)
-        assert done.exit_code == 0, done.output
-        assert "near" in done.output
+    for options in ([], ["--out", tmp_path / "ids.npy"]):
+        status, said = call("view", "frame", tmp_path / "run", 1, "--kind", "id_buffer", *options)
+        assert status == 0 and "near" in said, said
     np.testing.assert_array_equal(np.array(Image.open(tmp_path / "run" / "id_buffer_C0_000001.png")), expected)
     np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected)
-    refused = CliRunner().invoke(app, ["view", "frame", str(tmp_path / "run"), "--kind", "id_buffer"])
-    assert refused.exit_code != 0
+    assert call("view", "frame", tmp_path / "run", "--kind", "id_buffer")[0] != 0
 
 
 def test_unknown_names_are_refused(scene: Scene) -> None:

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modsim3d import load_scene, run_scene
 from modsim3d.runs import pipeline, workers
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import run_files
 
 

@@ -25,8 +25,7 @@ def refused(call, tmp_path):
 
     def look(scene):
         first, second = call("check", "scene", scene), call("run", scene, "--out", tmp_path / "out", "--no-sheet")
-        assert first == second and first[0] == 2
-        assert not (tmp_path / "out").exists()
+        assert first == second and first[0] == 2 and not (tmp_path / "out").exists()
         head, problem = first[1].splitlines()
         assert head == f"modsim3d: scene {scene}:"
         return problem.strip()

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d import camera_placement
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, camera_placement
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
 

@@ -10,13 +10,9 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from modsim3d.core.errors import InputError, RunDirectoryError
+from modsim3d import InputError, RunDirectoryError, Scene, load_scene, open_run, run_scene
 from modsim3d.io.plugins import POSE_SOURCES, Plugin
 from modsim3d.io.validation import Strict
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.world.mesh_reading import shipped_meshes
 from modsim3d.world.poses import registry
 from modsim3d.world.poses.base import PoseRequest, PosesByTime, SourceKeys

@@ -11,15 +11,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from modsim3d import InputError, load_scene, open_run, run_scene
 from modsim3d.core.arrays import Array
-from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera_poses import rotation_vector, world_R_vehicle
 from modsim3d.runs.files.overwrite import listed_file
 from modsim3d.runs.files.table_columns import MEASURED_ATTITUDE
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.cameras import own_ships_at, true_attitudes
-from modsim3d.scene.reading import load_scene
 from modsim3d.world.floating_vessels import GRAVITY_M_S2, Motion
 from modsim3d.world.poses.base import generated_timestamps
 from modsim3d.world.poses.circular import CircularMotion
@@ -251,8 +248,7 @@ def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):
     assert both.own_ships == (0, 1)
     run_scene(both, tmp_path / "run")
     table = pq.read_table(tmp_path / "run" / "ownship.parquet")
-    assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2
-    assert table["step"].to_pylist()[:4] == [0, 0, 1, 1]
+    assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2 and table["step"].to_pylist()[:4] == [0, 0, 1, 1]
 
 
 def test_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path):

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, load_scene, run_scene
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 
 SIMULATION = data_folder("scenes") / "simulation_1.yaml"
 

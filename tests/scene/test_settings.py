@@ -10,17 +10,14 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, detect_run, load_detector, load_scene, run_scene
 from modsim3d.detector.confidence import NormalScores
-from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.runs.repeat_run import repeat_run
-from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
-from modsim3d.scene.reading import load_scene
 from modsim3d.scene.settings import Setting, changed, choose_detector, read_settings
 from tests.cli.bad_input.builders import GOOD, Inputs
 
@@ -73,8 +70,7 @@ def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(scene: Path) 
         },
     )
     camera, detector = loaded.cameras[0], loaded.detector
-    assert (loaded.seed, camera.mount.pitch_rad) == (7, 0.1)
-    assert camera.intrinsics.image_size_px == (600, 480)
+    assert (loaded.seed, camera.mount.pitch_rad) == (7, 0.1) and camera.intrinsics.image_size_px == (600, 480)
     assert camera.intrinsics.principal_point_px == (300, 200)
     assert [vessel.length_m for vessel in loaded.vessels] == [8.0, 9.5]
     assert (detector.states[0].false_discovery_rate, detector.gates.max_range_m) == (0.3, 500)

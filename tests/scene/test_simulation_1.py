@@ -19,8 +19,7 @@ def test_scene_follows_the_tables(scene):
     assert (scene.steps, scene.annotation.mode, scene.detector.confidence_threshold) == (1500, 0, 0.2)
     assert scene.timestamps(0, 4) == ("0.0", "0.2", "0.4", "0.6")
     sizes = [(v.air_draft_m, v.beam_m, v.length_m) for v in scene.vessels]
-    assert sizes == [(20, 4, 14)] * 2 + [(4, 3, 7)] * 3
-    assert {v.label for v in scene.vessels} == {"Vessel"}
+    assert sizes == [(20, 4, 14)] * 2 + [(4, 3, 7)] * 3 and {v.label for v in scene.vessels} == {"Vessel"}
     (camera,) = scene.cameras
     lens, mount = camera.intrinsics, camera.mount
     assert (lens.image_size_px, lens.principal_point_px) == ((3600, 2400), (1800, 1200))

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, load_scene
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import truth_block
-from modsim3d.scene.reading import load_scene
 from modsim3d.scene.sight import CV_TO_GL
 from modsim3d.truth.buffer_drawing import triangles_of
 from modsim3d.world.vessels import Vessel
@@ -143,16 +142,13 @@ def test_a_turned_scene_is_upright_in_glb_viewers(scene):
         np.testing.assert_allclose(after.graph[name][0][:3, 3], [w1, w3, -w2], atol=1e-9)
 
 
-def test_a_vessel_fills_its_length_beam_and_air_draft():
+def test_a_vessel_fills_its_length_beam_and_air_draft_and_meshes_stay_watertight(scene):
     vessel = Vessel("a", "Vessel", 30.0, 8.0, 5.0)
     mesh = vessel.to_trimesh()
     np.testing.assert_allclose(mesh.bounds, [[-15, -4, 0], [15, 4, 5]])
     assert mesh.is_watertight and mesh.volume == pytest.approx(30 * 8 * 5)
     mesh.apply_scale(2.0)  # its own copy
     np.testing.assert_allclose(vessel.to_trimesh().extents, [30, 8, 5])
-
-
-def test_shipped_meshes_stay_watertight(scene):
     for vessel in scene.vessels:
         mesh = vessel.to_trimesh()
         assert mesh.is_watertight and mesh.volume > 0, vessel.name

@@ -91,7 +91,6 @@ class RunDirectory:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
 
     def _open_files(self) -> None:
-        """Copy the scene, and open the files of the run for writing."""
         self._scene.copy.write(self.work / SCENE_FOLDER)
         self._writers = {
             name: tables.TableWriter(self.work / f"{name}.parquet", schema)

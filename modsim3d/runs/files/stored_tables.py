@@ -16,22 +16,11 @@ from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
-from modsim3d.runs.files import table_columns
+from modsim3d.runs.files import table_columns, tables
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
 from modsim3d.runs.files.overwrite import RUN_FILE
 from modsim3d.runs.files.row_checks import TableRows, check_detections, check_frames, check_together, check_truth
 from modsim3d.runs.files.run_file import FileEntry, check_content
-from modsim3d.runs.files.tables import (
-    DETECTIONS,
-    Occluders,
-    detection_boxes_px,
-    flags,
-    indices,
-    integer_column,
-    number_column,
-    positions,
-    truth_boxes_px,
-)
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
 
@@ -41,38 +30,39 @@ from modsim3d.truth.record import Truth
 def truth_of(table: pa.Table, scene: Scene) -> Truth:
     """The truth in rows of the table `truth` of a run of a scene. The table does not say which boxes intersect in
     space, so `intersections` is empty."""
-    occluders = Occluders.of(table, scene.occluder_names)
+    occluders = tables.Occluders.of(table, scene.occluder_names)
     return Truth(
-        step=integer_column(table, "step"),
-        camera=indices(table, "camera", [camera.name for camera in scene.cameras]),
-        vessel=indices(table, "vessel", scene.vessel_names),
-        full_boxes_px=truth_boxes_px(table, "full"),
-        visible_boxes_px=truth_boxes_px(table, "visible"),
-        **{name: number_column(table, name) for name in table_columns.TRUTH_NUMBERS},
+        step=tables.integer_column(table, "step"),
+        camera=tables.indices(table, "camera", [camera.name for camera in scene.cameras]),
+        vessel=tables.indices(table, "vessel", scene.vessel_names),
+        full_boxes_px=tables.truth_boxes_px(table, "full"),
+        visible_boxes_px=tables.truth_boxes_px(table, "visible"),
+        **{name: tables.number_column(table, name) for name in table_columns.TRUTH_NUMBERS},
         occluder_offsets=occluders.offsets,
         occluder=occluders.name,
         occluder_px=occluders.px,
-        annotated=flags(table, "annotated"),
+        annotated=tables.flags(table, "annotated"),
         drawn=np.zeros(len(table), dtype=bool),
         intersections=np.empty((0, 4), dtype=np.int64),
     )
 
 
 def detections_of(
-    tables: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
+    rows: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
 ) -> Detections:
     """The detections of a camera in a run, whose detector was given these targets, the annotated vessels in all frames
-    of the camera at some steps; `tables` are rows of `frames`, `truth` and `detections` of the same steps. The detector
+    of the camera at some steps; `rows` are those of `frames`, `truth` and `detections` of the same steps. The detector
     need not be the run's. The tables do not say which box errors were resampled, so `redrawn` is false. They do not say
     which vessels the limit on the number of detections or the operating threshold removed either, so `gated` knows only
     the other gates. Raises RunDirectoryError if the model does not know a performance state or a label in the
     tables."""
-    chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in tables.items()}
+    chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in rows.items()}
     table = chosen["detections"]
-    frame, kind = np.searchsorted(frames.steps, integer_column(table, "step")), indices(table, "kind", KINDS)
-    count, vessel = len(targets.vessel_ids), indices(table, "vessel", targets.vessel_ids)
+    frame = np.searchsorted(frames.steps, tables.integer_column(table, "step"))
+    kind = tables.indices(table, "kind", KINDS)
+    count, vessel = len(targets.vessel_ids), tables.indices(table, "vessel", targets.vessel_ids)
     wanted = np.where(vessel == NOBODY, NOBODY, frame * count + vessel)
-    target = positions(targets.frame * count + targets.vessel, wanted)
+    target = tables.positions(targets.frame * count + targets.vessel, wanted)
     return Detections(
         states=_known_indices(chosen["frames"], "state", [state.name for state in model.states]),
         frame=frame,
@@ -80,9 +70,9 @@ def detections_of(
         partner=_partners(chosen["truth"], targets, frame, target, kind),
         kind=kind,
         label=_known_indices(table, "label", model.labels),
-        confidence=number_column(table, "confidence"),
-        boxes_px=detection_boxes_px(table),
-        errors_px=np.column_stack([number_column(table, name) for name in table_columns.ERRORS]),
+        confidence=tables.number_column(table, "confidence"),
+        boxes_px=tables.detection_boxes_px(table),
+        errors_px=np.column_stack([tables.number_column(table, name) for name in table_columns.ERRORS]),
         redrawn=np.zeros(len(table), dtype=bool),
         gated=~model.gates.passed(frames, targets),
     )
@@ -94,7 +84,7 @@ def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices
     boxes of a frame, so they are assigned in order."""
     partner = np.full(len(frame), -1)
     merged = np.flatnonzero(kind == MERGED)
-    without_box = flags(truth, "detected")[flags(truth, "annotated")]
+    without_box = tables.flags(truth, "detected")[tables.flags(truth, "annotated")]
     without_box[target[target >= 0]] = False
     rows = np.flatnonzero(without_box)
     for where in np.unique(frame[merged]):
@@ -104,7 +94,7 @@ def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices
 
 def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     """A column of names as indices; a name that the detector does not know is an error."""
-    found = indices(table, name, names)
+    found = tables.indices(table, name, names)
     unknown = np.flatnonzero(found == NOBODY)
     if len(unknown):
         raise RunDirectoryError(
@@ -120,7 +110,7 @@ _CENTRE_FORM = dict(zip(table_columns.CENTRE_FORM, ("x_px", "y_px", "width_px", 
 FORMAT_1_DETECTIONS = pa.schema(
     [
         field.with_name(_CENTRE_FORM.get(field.name, field.name)).remove_metadata()
-        for field in DETECTIONS
+        for field in tables.DETECTIONS
         if field.name not in table_columns.BOX_SIDES
     ]
 )
@@ -128,11 +118,11 @@ FORMAT_1_DETECTIONS = pa.schema(
 
 def from_format_1(table: pa.Table) -> pa.Table:
     """Rows of format 1 as rows of today's table; the corners are rounded as the centres were."""
-    boxes_px = corner_form(np.column_stack([number_column(table, name) for name in _CENTRE_FORM.values()]))
+    boxes_px = corner_form(np.column_stack([tables.number_column(table, name) for name in _CENTRE_FORM.values()]))
     columns = dict(zip(table.column_names, table.columns, strict=True))
     columns |= {name: columns[former] for name, former in _CENTRE_FORM.items()}
     columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(table_columns.BOX_SIDES)}
-    return pa.table([columns[name] for name in DETECTIONS.names], schema=DETECTIONS)
+    return pa.table([columns[name] for name in tables.DETECTIONS.names], schema=tables.DETECTIONS)
 
 
 CHECKS: dict[str, Callable[[TableRows, Scene], object]] = {

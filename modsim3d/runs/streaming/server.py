@@ -270,9 +270,9 @@ class LineServer:
         try:
             while not self._stopping:
                 with self._changed:
-                    timeout = self._prepare()
+                    timeouts = [self._prepared(reader) for reader in list(self._readers)]
                     self._changed.notify_all()
-                events = self._selector.select(timeout)
+                events = self._selector.select(min((each for each in timeouts if each is not None), default=None))
                 with self._changed:
                     for key, _ in events:
                         key.data()
@@ -281,14 +281,9 @@ class LineServer:
         finally:
             self._close()
 
-    def _prepare(self) -> float | None:
-        """Ask the system for what each reader is waited for, and disconnect those who are waited for too long; the time
-        for which nothing need be done unless something happens."""
-        timeouts = [self._prepared(reader) for reader in list(self._readers)]
-        return min((each for each in timeouts if each is not None), default=None)
-
     def _prepared(self, reader: Reader) -> float | None:
-        """How long nothing need be done for a reader; None if that depends on others."""
+        """Ask the system for what a reader is waited for, or disconnect it if it is waited for too long; the time in
+        which nothing need be done for it, None if that depends on others."""
         if self._ended and not reader.leaving and not reader.wants(self._backlog):
             self._attempt(reader, reader.say_goodbye)
         if reader not in self._readers:

@@ -194,7 +194,6 @@ def summary_rows(traffic: AisTraffic) -> list[tuple[str, list[tuple[str, str, st
 
 
 def _farthest_m(traffic: AisTraffic) -> float:
-    """The greatest distance of a vessel from the origin."""
     return max(float(np.linalg.norm(vessel.places_m, axis=1).max()) for vessel in traffic.vessels)
 
 

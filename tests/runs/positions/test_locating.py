@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 import modsim3d
+from modsim3d import ModsimError, Scene
 from modsim3d.core.arrays import Array
-from modsim3d.core.errors import ModsimError
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.geometry.camera_poses import heading_of, poses_on_board
 from modsim3d.runs import locating
 from modsim3d.runs.locating import MAX_RANGE_ERROR, Located, locate, state_shares
 from modsim3d.scene.cameras import own_ships_at
-from modsim3d.scene.scene import Scene
 from tests.runs.positions.position_scenes import STEPS, detector, position_scene
 
 BOXES = np.array([[600.0, 380, 660, 430], [100, 420, 180, 470], [900, 350, 1200, 600], [500, 340, 530, 400]])

@@ -22,8 +22,7 @@ INCOMPLETE = ("", "127.0.0.1", ":5000", "127.0.0.1:", "127.0.0.1:-1", "127.0.0.1
     ],
 )
 def test_an_address_is_read_and_written(text: str, address: Address, loopback: bool) -> None:
-    assert Address.parse(text) == address
-    assert address.loopback is loopback
+    assert Address.parse(text) == address and address.loopback is loopback
     assert str(address) == text.replace("localhost", "127.0.0.1")
 
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 import modsim3d
+from modsim3d import Scene, load_scene
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import open_renderer, simulate_blocks, truth_block
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 
 BUSY, EMPTY = 110, 20
 """A step of Simulation 2 with four vessels in the image, as those after it; and one with none."""

@@ -7,6 +7,7 @@ import sys
 import pytest
 
 from tests.command_line import call as command
+from tests.run_folders import run_files
 from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, old_file, read_json, row
 
 DANISH = SAMPLES / "danish.csv"
@@ -94,9 +95,8 @@ def test_swapped_columns_are_exchanged_where_the_user_says_so(monkeypatch, tmp_p
     swapped = swapped_copy(SAMPLES / name, tmp_path)
     assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / "right") == 0
     assert command(monkeypatch, "ais", swapped, "--swap-coordinates", "--out", tmp_path / "exchanged") == 0
-    for written in (tmp_path / "right").iterdir():
-        if written.name not in ("report.json", "ais.html"):
-            assert written.read_bytes() == (tmp_path / "exchanged" / written.name).read_bytes(), written.name
+    right, exchanged = (run_files(tmp_path / name, "report.json", "ais.html") for name in ("right", "exchanged"))
+    assert right == exchanged
     assert read_json(tmp_path / "exchanged" / "report.json")["swap_coordinates"]
 
 
@@ -201,8 +201,7 @@ def test_negative_degrees_can_be_given(monkeypatch, tmp_path):
 def test_same_files_give_the_same_bytes(monkeypatch, tmp_path, name):
     for out in ("a", "b"):
         assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / out, "--label", "type") == 0
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+    assert run_files(tmp_path / "a") == run_files(tmp_path / "b")
 
 
 def test_readers_are_imported_only_where_they_are_used():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.detector.file.reading import load_detector
+from modsim3d import load_detector, load_scene, run_scene
 from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.io.input_files import data_folder
 from modsim3d.scene.ais import scene_folder
@@ -19,7 +19,6 @@ from modsim3d.scene.ais.messages import Particulars, SeaRegion, local_metres
 from modsim3d.scene.ais.scene_folder import messages_read, messages_used, report, write_scene
 from modsim3d.scene.ais.traffic import CLEARANCE_M, viewpoint
 from modsim3d.scene.ais.vessel_track import heading_rad
-from modsim3d.scene.reading import load_scene
 from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, old_file, only, row, traffic_of
 
 THESIS = data_folder("scenes") / "detectors" / "thesis.yaml"
@@ -38,8 +37,7 @@ def written(folder: Path, *paths: Path, **options) -> dict[str, bytes]:
 def test_every_sample_becomes_a_scene_that_loads(tmp_path, name):
     written(tmp_path / "scene", SAMPLES / name)
     scene = load_scene(tmp_path / "scene" / "scene.yaml")
-    assert (scene.steps, len(scene.vessels)) == (361, 10)
-    assert scene.poses.poses(0, 361).present.sum() == 3448
+    assert (scene.steps, len(scene.vessels)) == (361, 10) and scene.poses.poses(0, 361).present.sum() == 3448
 
 
 def test_old_and_2025_layout_of_the_same_traffic_give_the_same_scene(tmp_path):
@@ -126,14 +124,10 @@ def steady(*changes: tuple[int, dict[str, object]], **common: object) -> list[st
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"latitude": 91.0}, "no_position"),
-        ({"longitude": 181.0}, "no_position"),
-        ({"latitude": ""}, "no_position"),
+        *((place, "no_position") for place in ({"latitude": 91.0}, {"longitude": 181.0}, {"latitude": ""})),
+        *(({"mmsi": mmsi}, "not_a_ship") for mmsi in (992190001, 2190001, 111219001)),
         ({"longitude": 200.0}, "impossible_position"),
         ({"latitude": 56.02}, "jump"),
-        ({"mmsi": 992190001}, "not_a_ship"),
-        ({"mmsi": 2190001}, "not_a_ship"),
-        ({"mmsi": 111219001}, "not_a_ship"),
         ({"speed": "fast"}, "unreadable"),
     ],
 )
@@ -171,8 +165,7 @@ def test_dimensions_of_zero_are_those_of_the_ship_type(tmp_path):
         hull = only(traffic_of(old_file(tmp_path, *steady(ship_type=code, length=0, beam="")))).hull
         typical = ship_types()[group]
         assert (hull.length_m, hull.beam_m, hull.air_draft_m) == (typical.length_m, typical.beam_m, typical.air_draft_m)
-        assert {"length", "beam", "antenna"} <= set(hull.defaults)
-        assert ("type" in hull.defaults) == (group == "unknown")
+        assert {"length", "beam", "antenna"} <= set(hull.defaults) and ("type" in hull.defaults) == (group == "unknown")
 
 
 def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
@@ -201,8 +194,7 @@ def test_dimensions_that_no_ship_has_are_not_believed(tmp_path):
 def test_dimensions_come_from_the_four_distances(dimensions, length, beam, antenna):
     text, sizes = np.array(["70"], dtype=object), np.array([*dimensions, np.nan, np.nan], dtype=float)[:, None]
     hull = hulls(Particulars(np.array([1]), np.zeros(1), text, text, *sizes), [1])[1]
-    assert (hull.length_m, hull.beam_m) == (length, beam)
-    assert ("antenna" not in hull.defaults) == antenna
+    assert (hull.length_m, hull.beam_m) == (length, beam) and ("antenna" not in hull.defaults) == antenna
     assert (hull.ahead_m, hull.to_port_m) == ((-20, -5) if antenna else (0, 0))
 
 
@@ -230,8 +222,7 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
 def test_region_leaves_out_the_rest(tmp_path):
     rows = steady() + [text.replace("219000001", "219000002").replace(",56.0,", ",57.0,") for text in steady()]
     traffic = traffic_of(old_file(tmp_path, *rows), region=SeaRegion.between(55.5, 11, 56.5, 13))
-    assert [vessel.mmsi for vessel in traffic.vessels] == [219000001]
-    assert traffic.dropped["outside_region"] == 30
+    assert [vessel.mmsi for vessel in traffic.vessels] == [219000001] and traffic.dropped["outside_region"] == 30
 
 
 def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
@@ -245,8 +236,7 @@ def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
 def test_slow_and_small_vessels_are_kept_and_lie_still(tmp_path):
     rows = [row(60 * k, speed=0.0, course=(77 * k) % 360, heading=511, length=3, beam=1) for k in range(5)]
     vessel = only(traffic_of(old_file(tmp_path, *rows)))
-    assert np.ptp(vessel.steps) == len(vessel.steps) - 1
-    assert np.ptp(vessel.headings_rad) == 0
+    assert np.ptp(vessel.steps) == len(vessel.steps) - 1 and np.ptp(vessel.headings_rad) == 0
     assert np.ptp(vessel.places_m, axis=0).tolist() == [0, 0]
 
 
@@ -254,8 +244,7 @@ def test_labels_by_type_come_with_a_detector_that_knows_them(tmp_path):
     write_scene(traffic_of(SAMPLES / "danish.csv", labels_by_type=True, labels={"tug": "Workboat"}), tmp_path, THESIS)
     scene = load_scene(tmp_path / "scene.yaml")
     assert {vessel.label for vessel in scene.vessels} == set(scene.detector.labels)
-    assert "Workboat" in scene.detector.labels
-    assert "Tanker" in scene.detector.labels
+    assert "Workboat" in scene.detector.labels and "Tanker" in scene.detector.labels
 
 
 @pytest.mark.parametrize("labels", [["Vessel"], ["A", "B"], [f"L{k}" for k in range(7)]])
@@ -273,8 +262,6 @@ def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path
 
 
 def test_folder_is_self_contained_and_runs(tmp_path):
-    from modsim3d.runs.run import run_scene
-
     write_scene(traffic_of(SAMPLES / "receiver.nmea", duration_s=20), tmp_path / "made", THESIS)
     (tmp_path / "made").rename(tmp_path / "moved")
     scene = load_scene(tmp_path / "moved" / "scene.yaml", source="analytic")
@@ -313,8 +300,7 @@ def test_table_of_ship_types_knows_every_code_once():
     words = Counter(word for entry in table.values() for word in entry["words"])
     assert max(codes.values()) == max(words.values()) == 1
     assert set(range(20, 100)) - set(codes) == {38, 39}  # reserved
-    assert set(range(1001, 1026)) <= set(codes)
-    assert len({entry["label"] for entry in table.values()}) == len(table)
+    assert set(range(1001, 1026)) <= set(codes) and len({entry["label"] for entry in table.values()}) == len(table)
     assert group_of("Cargo") == group_of("74") == group_of("70.0") == "cargo"
     assert group_of("15") == group_of("something") == group_of("") == "unknown"
 
@@ -340,5 +326,4 @@ def test_of_reports_of_the_same_time_one_is_kept_whichever_comes_first(tmp_path)
 def test_vessels_that_report_at_the_same_time_are_no_duplicates(tmp_path):
     rows = [*(row(k) for k in (0, 10, 20)), *(row(k, 56.01, mmsi=219000002) for k in (20, 30))]
     traffic = traffic_of(old_file(tmp_path, *rows))
-    assert traffic.dropped["duplicate"] == 0
-    assert [vessel.messages for vessel in traffic.vessels] == [3, 2]
+    assert traffic.dropped["duplicate"] == 0 and [vessel.messages for vessel in traffic.vessels] == [3, 2]
