@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,17 @@ def run_files(folder: Path, *without: str) -> dict[str, bytes]:
     """Content by path of all files below a folder, but for logs and files of the names that are left out."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name not in ("run.log", *without))
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def edited_run(source: Path, folder: Path, **changes: Any) -> Path:
+    """A copy of a run with other entries in its `run.json`; None removes one. Its other files are links."""
+    folder.mkdir()
+    for path in source.iterdir():
+        if path.name != "run.json":
+            (folder / path.name).symlink_to(path)
+    content = json.loads((source / "run.json").read_text()) | changes
+    (folder / "run.json").write_text(json.dumps({key: value for key, value in content.items() if value is not None}))
+    return folder
 
 
 def interrupt(scene: Scene, folder: Path, blocks: int = 1, **options: Any) -> Path:

@@ -17,23 +17,14 @@ from modsim3d.truth.record import Truth, annotation_boxes
 
 @dataclass(frozen=True, eq=False)
 class CameraBlock:
-    """One camera's part of a block.
+    """One camera's part of a block."""
 
-    Attributes:
-        camera: Index into the scene's cameras.
-        steps: Steps at which it took a frame, ascending, shape (S,).
-        sea_half_planes: (a, b, c) of each frame, with a·x + b·y + c >= 0 on the sea's side of the horizon, (S, 3).
-        truth: What it saw, in order of step and vessel.
-        target_rows: Rows of `truth` that were annotated and given to the detector, shape (n,).
-        detections: What the detector made of it. `frame` indexes `steps`; `target` indexes `target_rows`.
-    """
-
-    camera: int
-    steps: Indices
-    sea_half_planes: Array
-    truth: Truth
-    target_rows: Indices
-    detections: Detections
+    camera: int  # index into the scene's cameras
+    steps: Indices  # at which it took a frame, ascending, (S,)
+    sea_half_planes: Array  # (a, b, c) of each frame, a·x + b·y + c >= 0 on the sea's side of the horizon, (S, 3)
+    truth: Truth  # in order of step and vessel
+    target_rows: Indices  # rows of `truth` that were annotated and given to the detector, (n,)
+    detections: Detections  # `frame` indexes `steps`; `target` indexes `target_rows`
 
     @cached_property
     def truth_row(self) -> Indices:
@@ -55,15 +46,11 @@ class CameraBlock:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Truth and detections of steps first to stop − 1 of a scene.
-
-    Attributes:
-        timestamps: The text of each step's time.
-        cameras: One part for each camera, in the order of the scene's cameras.
-    """
+    """Truth and detections of steps first to stop − 1 of a scene: a part for each camera, in the order of the scene's
+    cameras."""
 
     first: int
-    timestamps: tuple[str, ...]
+    timestamps: tuple[str, ...]  # the text of each step's time
     cameras: tuple[CameraBlock, ...]
 
     @property

@@ -22,44 +22,26 @@ from modsim3d.truth.outlines import Outlines
 
 @dataclass(frozen=True, eq=False)
 class SequenceTruth(Columns):
-    """The vessels in a camera's images: n rows in order of frame and vessel.
+    """The vessels in a camera's images: n rows in order of frame and vessel, each column of shape (n,) but for the
+    boxes."""
 
-    Attributes:
-        frame: Row of the camera's frames, shape (n,).
-        vessel: Index of the vessel, shape (n,).
-        label: Index of its true label, shape (n,).
-        annotated: Whether it was given to the detector, shape (n,).
-        boxes_px: The box of the annotation mode, or the whole vessel's where it is not annotated, shape (n, 4).
-        visible_fraction: NaN where unknown, shape (n,).
-        silhouette_px: Pixels of the whole vessel, hidden or not, shape (n,).
-        visible_px: Pixels of it that are visible; NaN where unknown, shape (n,).
-    """
-
-    frame: Indices
-    vessel: Indices
-    label: Indices
-    annotated: Mask
-    boxes_px: Array
-    visible_fraction: Array
-    silhouette_px: Array
-    visible_px: Array
+    frame: Indices  # row of the camera's frames
+    vessel: Indices  # index of the vessel
+    label: Indices  # index of its true label
+    annotated: Mask  # given to the detector
+    boxes_px: Array  # of the annotation mode, or the whole vessel's where it is not annotated, (n, 4)
+    visible_fraction: Array  # NaN where unknown
+    silhouette_px: Array  # pixels of the whole vessel, hidden or not
+    visible_px: Array  # pixels of it that are visible; NaN where unknown
 
 
 @dataclass(frozen=True, eq=False)
 class CameraSequence:
-    """The F frames of one camera.
-
-    Attributes:
-        camera: The camera.
-        steps: The step of each frame, ascending, shape (F,).
-        times_s: Times since the scene's first step, shape (F,).
-        truth: What is true in them.
-        detections: What a tracker may read of them.
-    """
+    """The F frames of one camera: what is true in them, and what a tracker may read of them."""
 
     camera: Camera
-    steps: Indices
-    times_s: Array
+    steps: Indices  # of the frames, ascending, (F,)
+    times_s: Array  # since the scene's first step, (F,)
     truth: SequenceTruth
     detections: TrackerDetections
 
@@ -141,10 +123,8 @@ PLACES = (
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Some frames of a camera: which way it looks, and what is in the picture by the vessels' boxes.
-
-    A warning needs no meshes, whose silhouettes take long at the start of every run.
-    """
+    """Some frames of a camera: which way it looks, and what is in the picture by the vessels' boxes. A warning needs no
+    meshes, whose silhouettes take long at the start of every run."""
 
     sight: Sight
     outlines: Outlines
@@ -156,10 +136,7 @@ class Outlook:
         return cls(sight, sight.outlines(as_shoeboxes=True))
 
     def sees_a_vessel(self) -> bool:
-        """Whether a vessel shows a pixel or more in one of the frames.
-
-        It is taken to where hulls intersect.
-        """
+        """Whether a vessel shows a pixel or more in one of the frames. It is taken to where hulls intersect."""
         unseen = analytic_occlusion(self.outlines, self.sight.camera.intrinsics).visible_px < MIN_AREA_PX
         return bool((self.outlines.boxed & ~unseen).any())
 
@@ -209,10 +186,8 @@ def blind_cameras(scene: Scene, steps: int, camera_counts: dict[str, Counts]) ->
 
 
 def blind_at_first(scene: Scene) -> list[str]:
-    """A sentence on each camera that sees no vessel in its first frames, nor in some others over the whole scene.
-
-    Of a live scene nothing is said: its poses are not there yet.
-    """
+    """A sentence on each camera that sees no vessel in its first frames, nor in some others over the whole scene. Of a
+    live scene nothing is said: its poses are not there yet."""
     sentences = []
     for camera in () if scene.live else scene.cameras:
         steps = _some_frames(scene, camera, scene.steps)

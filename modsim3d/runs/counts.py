@@ -28,19 +28,12 @@ GOOD_IOU = 0.5
 
 
 class Outcome(IntFlag):
-    """Faults of a detection; 0 if there is none. The names are those of the counts in `run.json`.
+    """Faults of a detection; 0 if there is none. The names are those of the counts in `run.json`."""
 
-    Attributes:
-        FALSE_POSITIVE: It is not the one detection of a vessel; its kind says what it is.
-        MISLABELLED: It has another label than its vessel.
-        BELOW_HALF_IOU: Its box has IoU < 0.5 with its vessel's annotated box.
-        OFF_VESSEL: Its box does not even touch that box; `BELOW_HALF_IOU` is set too.
-    """
-
-    FALSE_POSITIVE = 1
-    MISLABELLED = 2
-    BELOW_HALF_IOU = 4
-    OFF_VESSEL = 8
+    FALSE_POSITIVE = 1  # it is not the one detection of a vessel; its kind says what it is
+    MISLABELLED = 2  # it has another label than its vessel
+    BELOW_HALF_IOU = 4  # its box has IoU < 0.5 with its vessel's annotated box
+    OFF_VESSEL = 8  # its box does not even touch that box; BELOW_HALF_IOU is set too
 
 
 NOTHING_WRONG = Outcome(0)
@@ -49,14 +42,9 @@ Outcomes = NDArray[np.uint8]
 
 
 def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Array) -> Outcomes:
-    """The outcome of each of m detections.
-
-    Args:
-        false: Which are false positives, shape (m,). What follows says nothing about these.
-        mislabelled: Which have another label than their vessel, shape (m,).
-        boxes_px: Their boxes, shape (m, 4).
-        annotated_px: The annotated boxes of their vessels, shape (m, 4).
-    """
+    """The outcome of each of m detections, by their boxes, shape (m, 4), and the annotated boxes of their vessels,
+    shape (m, 4). For the false positives the other arguments say nothing. `mislabelled` have another label than their
+    vessel, shape (m,)."""
     overlap = iou(boxes_px, annotated_px)
     flags = (
         Outcome.MISLABELLED * mislabelled
@@ -90,10 +78,8 @@ def faults_of(frames: Iterable[Frame]) -> Outcome:
 
 
 def detected_rows(frame: Frame) -> list[int | None]:
-    """Row of a frame's truth that each of its detections detects, None for a false positive.
-
-    A duplicate and the smaller part of a split box are false positives, though they come from a vessel.
-    """
+    """Row of a frame's truth that each of its detections detects, None for a false positive. A duplicate and the
+    smaller part of a split box are false positives, though they come from a vessel."""
     row_of: dict[str | None, int] = {vessel: row for row, vessel in enumerate(frame.truth.vessels)}
     found = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
     return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]
@@ -105,47 +91,28 @@ WORTH_A_WARNING_PX = 1.0
 
 @dataclass(frozen=True)
 class Counts:
-    """Counts over the frames of one camera, or of all, summed over steps. The names are keys of `run.json`.
-
-    Attributes:
-        vessel_frames: Vessels whose silhouette was in a frame.
-        seen: Vessels with a visible pixel.
-        partly_hidden: Vessels with some visible pixels, but fewer than silhouette pixels.
-        fully_hidden: Vessels with silhouette pixels, none of them visible.
-        annotated: Vessels that were given to the detector.
-        detected: Annotated vessels that were detected, under whatever label.
-        missed: Annotated vessels that were not detected.
-        missed_by_gate: Missed vessels that a hard limit removed, not chance.
-        merged: Detections that are one box for two vessels.
-        mislabelled: Detections of a vessel under another label.
-        false_positives: Detections of nothing, and second boxes of a vessel.
-        clipped: Detections of a vessel whose box was cut at the image edge.
-        redrawn: Detections of a vessel whose box error was resampled, because it shrank the box below one pixel.
-        below_half_iou: Detections of a vessel whose box has IoU < 0.5 with the annotated one. An evaluation that
-            matches boxes counts such a detection as a miss and a false positive.
-        off_vessel: Of these, the detections whose box does not even overlap the annotated one: IoU is 0.
-        off_by_curvature: Vessels on a flat sea whose box the Earth's curvature would move by more than a pixel.
-        largest_curvature_px: The largest such shift.
-    """
+    """Counts over the frames of one camera, or of all, summed over steps. The names are keys of `run.json`."""
 
     frames: int = 0
-    vessel_frames: int = 0
-    seen: int = 0
-    partly_hidden: int = 0
-    fully_hidden: int = 0
-    annotated: int = 0
-    detected: int = 0
-    missed: int = 0
-    missed_by_gate: int = 0
-    merged: int = 0
-    mislabelled: int = 0
-    false_positives: int = 0
-    clipped: int = 0
-    redrawn: int = 0
+    vessel_frames: int = 0  # vessels whose silhouette was in a frame
+    seen: int = 0  # vessels with a visible pixel
+    partly_hidden: int = 0  # vessels with some visible pixels, but fewer than silhouette pixels
+    fully_hidden: int = 0  # vessels with silhouette pixels, none of them visible
+    annotated: int = 0  # vessels that were given to the detector
+    detected: int = 0  # annotated vessels that were detected, under whatever label
+    missed: int = 0  # annotated vessels that were not detected
+    missed_by_gate: int = 0  # missed vessels that a hard limit removed, not chance
+    merged: int = 0  # detections that are one box for two vessels
+    mislabelled: int = 0  # detections of a vessel under another label
+    false_positives: int = 0  # detections of nothing, and second boxes of a vessel
+    clipped: int = 0  # detections of a vessel whose box was cut at the image edge
+    redrawn: int = 0  # detections of a vessel whose box error was resampled: it shrank the box below one pixel
     below_half_iou: int = 0
-    off_vessel: int = 0
-    off_by_curvature: int = 0
-    largest_curvature_px: float = 0.0
+    """Detections of a vessel whose box has IoU < 0.5 with the annotated one. An evaluation that matches boxes counts
+    such a detection as a miss and a false positive."""
+    off_vessel: int = 0  # detections of these whose box does not even overlap the annotated one: IoU is 0
+    off_by_curvature: int = 0  # vessels on a flat sea whose box the Earth's curvature would move by more than a pixel
+    largest_curvature_px: float = 0.0  # the largest such shift
 
     @property
     def true_detections(self) -> int:
@@ -193,13 +160,8 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
 
 
 def detection_counts(detections: Detections, boxes_px: Array, labels: Indices) -> dict[str, int]:
-    """Counts of what a detector put out, by their names in `Counts`.
-
-    Args:
-        detections: The detections, of which t are true.
-        boxes_px: The annotated box of the vessel that each true one is of, shape (t, 4).
-        labels: Index of the label of that vessel, shape (t,).
-    """
+    """Counts of what a detector put out, by their names in `Counts`. For each of the t true detections, `boxes_px`, (t,
+    4), is the annotated box of its vessel, and `labels`, (t,), the index of that vessel's label."""
     true = np.flatnonzero(~detections.false())
     found = detections.boxes_px[true]
     outcome = outcomes(np.zeros(len(true), dtype=bool), detections.label[true] != labels, found, boxes_px)

@@ -76,7 +76,6 @@ class FrameTruth:
         return f"<FrameTruth: {self._in_words()}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table, with a row for each vessel."""
         rows = [
             (
                 self.vessels[i],
@@ -131,17 +130,9 @@ class FrameDetections:
         return f"<FrameDetections: {self._in_words()}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table, with a row for each detection."""
-        rows = [
-            (
-                self.labels[i],
-                f"{self.confidence[i]:.2f}",
-                _box(self.boxes_px[i]),
-                self.kinds[i],
-                self.vessels[i] or "–",
-            )
-            for i in range(len(self))
-        ]
+        vessels, boxes = [vessel or "–" for vessel in self.vessels], map(_box, self.boxes_px)
+        confidence = [f"{value:.2f}" for value in self.confidence]
+        rows = list(zip(self.labels, confidence, boxes, self.kinds, vessels, strict=True))
         header = ("label", "confidence", "box [px]", "kind", "vessel")
         return column_table(f"Detections: {self._in_words()}", header, rows)
 

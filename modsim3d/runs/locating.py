@@ -32,26 +32,18 @@ _DOUBLINGS = 60
 
 @dataclass(frozen=True, eq=False)
 class FootErrors(Columns):
-    """Errors of the centre's column and row and of the foot's row of n boxes, and of their edges, in pixels.
+    """Errors of n boxes in pixels: of the centre's column and row and of the foot's row; and of the left, right and
+    lower edge."""
 
-    Attributes:
-        means: Shape (n, 3).
-        covariances: Shape (n, 3, 3).
-        edge_means: Of the left, right and lower edge, shape (n, 3).
-        edge_stds: Their standard deviations, shape (n, 3).
-    """
-
-    means: Array
-    covariances: Array
-    edge_means: Array
-    edge_stds: Array
+    means: Array  # (n, 3)
+    covariances: Array  # (n, 3, 3)
+    edge_means: Array  # (n, 3)
+    edge_stds: Array  # (n, 3)
 
 
 def state_shares(model: DetectorModel) -> Array:
-    """Probability of each performance state, given that there is a true detection, shape (states,).
-
-    The long run of the chain from its initial state; a schedule of forced states is not looked at.
-    """
+    """Probability of each performance state, given that there is a true detection, shape (states,). The long run of the
+    chain from its initial state; a schedule of forced states is not looked at."""
     chain = (np.eye(len(model.states)) + model.transition_matrix) / 2  # the same long run, and no period
     for _ in range(_DOUBLINGS):
         chain = chain @ chain
@@ -62,10 +54,8 @@ def state_shares(model: DetectorModel) -> Array:
 
 
 def foot_errors(model: DetectorModel, boxes_px: Array) -> FootErrors:
-    """Distribution of the errors of detected boxes, shape (n, 4).
-
-    Errors that grow with the box are worked out for the detected size less its mean error: the true one is not known.
-    """
+    """Distribution of the errors of detected boxes, shape (n, 4). Errors that grow with the box are worked out for the
+    detected size less its mean error: the true one is not known."""
     source, shares = BoxErrorSource.from_model(model), state_shares(model)
     observed = np.maximum(sizes(boxes_px), 1.0)
     growth = _mixed(source, shares, observed)[0][:, 2:]
@@ -97,28 +87,18 @@ _NO_TURN = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """A camera at S ascending steps.
-
-    Attributes:
-        steps: Shape (S,).
-        vessels: Poses of the vessels at these steps; the roll, pitch and yaw of the one that carries the camera are
-            those that are known of it.
-        attitude_std_rad: Standard deviations of known roll, pitch and heading, shape (3,).
-    """
+    """A camera at S ascending steps, with the attitude that is known of the vessel that carries it."""
 
     scene: Scene
     camera: Camera
-    steps: Indices
-    vessels: PosesInWaves
-    attitude_std_rad: Array
+    steps: Indices  # (S,)
+    vessels: PosesInWaves  # at these steps; the carrier's roll, pitch and yaw are those that are known of it
+    attitude_std_rad: Array  # of known roll, pitch and heading, (3,)
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera, steps: Indices, *, measured: bool) -> Viewpoints:
-        """With the attitude that the vessel's inertial unit measures, or with the true one.
-
-        Raises:
-            InputError: The vessel that carries the camera has no pose at a step.
-        """
+        """Viewpoints with the attitude that the vessel's inertial unit measures, or with the true one. Raises
+        InputError if the vessel that carries the camera has no pose at a step."""
         vessels, carrier = scene.motion.at(steps), camera.mount.vessel
         if carrier is None or not measured:
             return cls(scene, camera, steps, vessels, np.zeros(3))
@@ -146,7 +126,6 @@ def _turned(vessels: PosesInWaves, carrier: int, by_rad: Array) -> PosesInWaves:
 Attitude = Literal["true", "measured"]
 MAX_RANGE_ERROR = 0.05
 """Greatest standard deviation of the inverse range, over the inverse range, at which a position is given.
-
 `script/campaign positions` measures what comes of it, and docs/positions.md says why it is so small."""
 _EDGE_PX = 1e-3  # boxes are rounded to that
 _CUT_STDS = 3.0
@@ -273,27 +252,19 @@ def _located(view: Viewpoints, frame: Indices, boxes_px: Array, errors: FootErro
     inverse = inverse_range(seen[:, 1], horizon)
     covariance = _on_the_sea(seen[:, 1], horizon, covariance)
     left, right, lower = _cut(boxes_px, errors, view.camera.intrinsics.image_size_px).T
-    footless = lower | ~_upright(poses)
+    across, down, _ = -poses.camera_R_world[:, :, 2].T
+    footless = lower | ~(down > np.abs(across))  # of the image's four sides, another is nearest to down in the world
     return _given(seen[:, 0], inverse, covariance, poses.positions_m[:, :2], horizon, left | right, footless)
 
 
 def _cut(boxes_px: Array, errors: FootErrors, image_size_px: tuple[int, int]) -> Mask:
-    """Whether the image may cut a vessel at its left, right and lower side, by its detected box, shape (n, 3).
-
-    The box of a vessel that is cut ends at the edge of the image but for its error.
-    """
+    """Whether the image may cut a vessel at its left, right and lower side, by its detected box, shape (n, 3). The box
+    of a vessel that is cut ends at the edge of the image but for its error."""
     width, height = image_size_px
     inside = np.stack([boxes_px[:, 0], width - boxes_px[:, 2], height - boxes_px[:, 3]], axis=-1)
     expected = errors.edge_means * [1, -1, -1]
     cut: Mask = (inside <= _EDGE_PX) | (inside - expected <= _CUT_STDS * errors.edge_stds + _EDGE_PX)
     return cut
-
-
-def _upright(poses: CameraPoses) -> Mask:
-    """Whether down in the world is nearest to down in the image, of its four sides, shape (n,)."""
-    right, down, _ = -poses.camera_R_world[:, :, 2].T
-    upright: Mask = down > np.abs(right)
-    return upright
 
 
 def _rows(poses: CameraPoses, frame: Indices) -> CameraPoses:
@@ -329,11 +300,9 @@ def _turn_least(changes: Array) -> Array:
 
 
 def _on_the_sea(flat_per_m: Array, horizon_per_m: Array, covariance: Array) -> Array:
-    """Covariances of bearing and inverse range from those of bearing and flat inverse range, shape (n, 2, 2).
-
-    The slope is that between one standard deviation less and one more: at the horizon of a curved sea that of the curve
-    itself is infinite.
-    """
+    """Covariances of bearing and inverse range from those of bearing and flat inverse range, shape (n, 2, 2). The slope
+    is that between one standard deviation less and one more: at the horizon of a curved sea that of the curve itself is
+    infinite."""
     std = np.sqrt(covariance[:, 1, 1])
     more, less = (inverse_range(flat_per_m + side * std, horizon_per_m) for side in (1, -1))
     slope = np.where(std > 0, (more - less) / np.where(std > 0, 2 * std, 1.0), 1.0)
@@ -343,14 +312,9 @@ def _on_the_sea(flat_per_m: Array, horizon_per_m: Array, covariance: Array) -> A
 
 
 def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cameras_m: Array) -> tuple[Array, Array]:
-    """Positions (n, 2) from bearings and inverse ranges, and their covariances to first order (n, 2, 2).
-
-    Args:
-        bearing_rad: Shape (n,).
-        inverse_per_m: Shape (n,); NaN gives NaN.
-        covariance: Of bearing and inverse range, shape (n, 2, 2).
-        cameras_m: w1 and w2 of the camera, shape (n, 2).
-    """
+    """Positions (n, 2) from bearings (n,) and inverse ranges (n,), NaN for NaN, and their covariances to first order
+    (n, 2, 2). `covariance` is that of bearing and inverse range, (n, 2, 2); `cameras_m` are w1 and w2 of the camera,
+    (n, 2)."""
     range_m = (1 / inverse_per_m)[:, None]
     along = np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=-1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=-1)

@@ -41,11 +41,8 @@ Range = tuple[int, int]
 
 @contextmanager
 def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
-    """The ID renderer that a scene's truth needs; None if its source needs none.
-
-    Raises:
-        RendererError: There is no OpenGL library.
-    """
+    """The ID renderer that a scene's truth needs; None if its source needs none. Raises RendererError if there is no
+    OpenGL library."""
     if scene.annotation.source != "rendered":
         yield None
         return
@@ -59,10 +56,7 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
 
 def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
     """Truth of all cameras in the frames that they take at steps first to stop − 1; `open_renderer` gives the renderer.
-
-    Raises:
-        ModsimError: The vessel that carries a camera is missing.
-    """
+    Raises ModsimError if the vessel that carries a camera is missing."""
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
     every = taken[0][2]
     if len(taken) > 1:
@@ -90,11 +84,8 @@ def _camera_truth(scene: Scene, index: int, sight: Sight, renderer: IdRenderer |
 def occlusion_by(
     outlines: Outlines, intrinsics: Intrinsics, annotation: Annotation, renderer: IdRenderer | None
 ) -> Occlusion:
-    """Who hides how much of whom in front of a camera, by the source of truth that the annotation names.
-
-    Raises:
-        ModsimError: The rendered source has no renderer.
-    """
+    """Who hides how much of whom in front of a camera, by the source of truth that the annotation names. Raises
+    ModsimError if the rendered source has no renderer."""
     if annotation.source == "analytic":
         return analytic_occlusion(outlines, intrinsics)
     if annotation.source == "rectangles":
@@ -148,13 +139,8 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
 
 
 def scene_statistics(scene: Scene, blocks: Iterable[tuple[Truth, int, int]]) -> TargetStatistics:
-    """Statistics of all targets of a scene, which its detector needs before it starts.
-
-    Args:
-        scene: The scene.
-        blocks: For each block its truth, its first step, and the step after its last. They are not read if the
-            detector needs no statistics.
-    """
+    """Statistics of all targets of a scene, which its detector needs before it starts. `blocks` gives for each block
+    its truth, its first step, and the step after its last; they are not read if the detector needs no statistics."""
     parts = (part for block in blocks for part in detector_inputs(scene, *block))
     return target_statistics(scene.detector, ((part.frames, part.targets) for part in parts))
 
@@ -208,15 +194,9 @@ def block_ranges(steps: int, block_steps: int) -> list[Range]:
 
 
 def step_ranges(scene: Scene, most_steps: int | None = None) -> Iterator[Range]:
-    """The blocks of a scene; in a live scene one for each step, which is waited for when its block is asked for.
-
-    Args:
-        scene: The scene.
-        most_steps: Most steps of a block; `block_steps(scene)` if None.
-
-    Raises:
-        InputError: The poses that came are wrong, or a camera has no place at the step.
-    """
+    """The blocks of a scene, of `block_steps(scene)` steps or of `most_steps` at most; in a live scene one for each
+    step, which is waited for when its block is asked for. Raises InputError if the poses that came are wrong, or a
+    camera has no place at the step."""
     poses = scene.poses
     if not isinstance(poses, LivePoses):
         yield from block_ranges(scene.steps, most_steps or block_steps(scene))
@@ -232,11 +212,7 @@ def step_ranges(scene: Scene, most_steps: int | None = None) -> Iterator[Range]:
 
 
 def check_scene(scene: object) -> None:
-    """Refuse what is no scene, such as the path of one.
-
-    Raises:
-        TypeError: It is no scene.
-    """
+    """Raise TypeError for what is no scene, such as the path of one."""
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: a Scene is needed, from modsim3d.load_scene (got {type(scene).__name__})")
 
@@ -264,14 +240,8 @@ def _simulated(scene: Scene) -> Iterator[Frame]:
 
 def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Block]:
     """Simulate a scene in memory, block by block; a live scene gives a step's block before it waits for the next step.
-
-    Args:
-        scene: The scene.
-        most_steps: Most steps of a block, for whoever cannot wait for a whole one; no result depends on it.
-
-    Raises:
-        ModsimError: The scene asks for what cannot be, at the first block or while blocks are made.
-    """
+    No result depends on `most_steps`, the most steps of a block, which is for whoever cannot wait for a whole one.
+    Raises ModsimError if the scene asks for what cannot be, at the first block or while blocks are made."""
     with open_renderer(scene) as renderer:
         if renderer is not None and (most_steps is not None or isinstance(scene.poses, LivePoses)):
             renderer.prepare()  # who waits for single steps would wait for this at one of them

@@ -21,7 +21,6 @@ from modsim3d.runs.files.stored_tables import damage_named
 from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import FinishedRun
-from modsim3d.scene.scene import Scene
 
 # ---- How two files of the same name differ, in words ----
 
@@ -52,11 +51,11 @@ def _flat(value: object, left_out: frozenset[str], path: str = "") -> dict[str, 
     """Values of nested objects by their path with dots."""
     if not isinstance(value, dict):
         return {path: value}
-    inner = [(f"{path}.{key}" if path else key, entry) for key, entry in value.items()]
     found: dict[str, object] = {}
-    for key, entry in inner:
-        if key not in left_out:
-            found |= _flat(entry, left_out, key)
+    for key, entry in value.items():
+        inner = f"{path}.{key}" if path else key
+        if inner not in left_out:
+            found |= _flat(entry, left_out, inner)
     return found
 
 
@@ -113,19 +112,12 @@ _OF_LIVE_RUNS = frozenset({"scene_sha256", "poses_sha256"})  # the copy of a liv
 
 @dataclass(frozen=True)
 class RepeatedFile:
-    """A file of the stored run.
+    """A file of the stored run."""
 
-    Attributes:
-        name: Path inside the run directory.
-        stored: What is wrong with the stored file against the list in `run.json`; empty if nothing is.
-        repeated: How the repeated run's file differs from the one that was written; empty if it has the same bytes.
-        is_input: Whether the run is repeated from this file, so that there is nothing to compare.
-    """
-
-    name: str
-    stored: str = ""
-    repeated: str = ""
-    is_input: bool = False
+    name: str  # path inside the run directory
+    stored: str = ""  # what is wrong with the stored file against the list in run.json; empty if nothing is
+    repeated: str = ""  # how the repeated run's file differs from the one that was written; empty if by no byte
+    is_input: bool = False  # the run is repeated from this file, so that there is nothing to compare
 
     @property
     def same(self) -> bool:
@@ -159,11 +151,8 @@ class Repetition:
 def repeat_run(
     run: FinishedRun, again: Path, *, workers: WorkerCount = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Repetition:
-    """Run the scene of a finished run, from `read_finished`, into a new folder, and compare.
-
-    Raises:
-        ModsimError: The scene cannot be run here.
-    """
+    """Run the scene of a finished run, from `read_finished`, into a new folder, and compare. Raises ModsimError if the
+    scene cannot be run here."""
     folder, content, _, scene = run
     listed: FileList = content.get("files") or {}
     thesis = [name for name in listed if name.startswith(tuple(THESIS_LINES)) and name.endswith(".json")]
@@ -171,28 +160,21 @@ def repeat_run(
     made = orjson.loads((again / RUN_FILE).read_bytes())
     names = sorted({name for name in {**listed, **made["files"]} if not _is_input(name)})
     files = [_compared(folder, again, name, listed, made["files"]) for name in names]
-    files += [
-        RepeatedFile(name, _damage(folder, name, listed), is_input=True) for name in _inputs(folder, scene, listed)
-    ]
+    inputs = [name for name in listed if _is_input(name)]
+    if not listed:
+        inputs = [POSES_FILE] if (folder / POSES_FILE).is_file() else []
+        inputs += [f"{SCENE_FOLDER}/{name}" for name in scene.copy.names]
+    files += [RepeatedFile(name, _damage(folder, name, listed), is_input=True) for name in sorted(inputs)]
     # Older runs do not say where their traffic came from.
     later = {"traffic_seed", "traffic_sha256", "crosscheck"} - content.keys()
     left_out = _NOT_REPEATED | later | (_OF_LIVE_RUNS if "poses_sha256" in content else frozenset())
     settings = settings_difference((folder / RUN_FILE).read_bytes(), (again / RUN_FILE).read_bytes(), left_out)
-    return Repetition(
-        (*files, RepeatedFile(RUN_FILE, repeated=settings)), tuple(_versions(content, made)), bool(listed)
-    )
+    files.append(RepeatedFile(RUN_FILE, repeated=settings))
+    return Repetition(tuple(files), tuple(_versions(content, made)), bool(listed))
 
 
 def _is_input(name: str) -> bool:
     return name == POSES_FILE or name.startswith(f"{SCENE_FOLDER}/")
-
-
-def _inputs(folder: Path, scene: Scene, listed: FileList) -> list[str]:
-    """Files that the run is repeated from."""
-    if listed:
-        return sorted(filter(_is_input, listed))
-    poses = [POSES_FILE] if (folder / POSES_FILE).is_file() else []
-    return sorted([*(f"{SCENE_FOLDER}/{name}" for name in scene.copy.names), *poses])
 
 
 def _compared(stored: Path, again: Path, name: str, listed: FileList, made: FileList) -> RepeatedFile:

@@ -30,6 +30,7 @@ from modsim3d.truth.crosscheck.comparison import Checked
 FORMAT = 2
 """Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
+Progress = Callable[[int], None]
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,7 +65,6 @@ class RunResult:
         return f"<RunResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return key_table(f"Run {self.folder}", self._rows())
 
     def _rows(self) -> dict[str, str]:
@@ -145,23 +145,10 @@ def write_run(
     thesis_json: bool = True,
     progress: Callable[[int], None] = lambda steps: None,
 ) -> RunResult:
-    """Write the run directory of a scene from the blocks that workers make; see `run_scene`.
-
-    Args:
-        scene: The scene.
-        folder: The run directory; it is locked until the workers have ended.
-        opened_workers: From `open_block_workers`.
-        settings_by: Gives the settings, see `settings_of`.
-        most_steps: Most steps of a block, as for `step_ranges`.
-        truth_run: The content of `run.json` of the run whose truth is taken.
-        overwrite: Replace a run that is there.
-        resume: Continue an interrupted run that is there.
-        thesis_json: Write the thesis's JSON.
-        progress: Called with the number of steps done since its last call.
-
-    Raises:
-        ModsimError: The scene cannot be run, or the folder cannot be used.
-    """
+    """Write the run directory of a scene from the blocks that workers make; see `run_scene`. The folder is locked until
+    the workers have ended. `settings_by` gives the settings, see `settings_of`; `most_steps` is that of `step_ranges`;
+    `truth_run` is the content of `run.json` of the run whose truth is taken. Raises ModsimError if the scene cannot be
+    run or the folder cannot be used."""
     started = time.perf_counter()
     if scene.live and resume:
         raise ModsimError(
@@ -213,16 +200,15 @@ def _log(total: BlockTally, seconds: float) -> str:
 
 
 def _write_blocks(
-    scene: Scene,
-    directory: RunDirectory,
-    workers: BlockWorkers,
-    most_steps: int | None,
-    progress: Callable[[int], None],
+    scene: Scene, directory: RunDirectory, workers: BlockWorkers, most_steps: int | None, progress: Progress
 ) -> BlockTally:
     """Make all blocks and write them; one that needs target statistics needs all truth first."""
     counted, statistics = BlockTally(), TargetStatistics()
     if scene.detector.needs_target_statistics:
-        counted, statistics = _take_target_statistics(scene, directory.work, workers, most_steps, progress)
+        count = partial(BlockMaker.count_targets, folder=directory.work)
+        for tally, part in workers.map(count, step_ranges(scene, most_steps)):
+            counted, statistics = counted + tally, statistics + part
+            progress(tally.steps)
     total = BlockTally()
     make = partial(BlockMaker.make, folder=directory.work, statistics=statistics, kinds=directory.line_kinds)
     for tally, files in workers.map(make, _with_steps_kept(scene, directory.work, most_steps)):
@@ -236,17 +222,6 @@ def _write_blocks(
         return total
     kept = {name: getattr(counted, name) for name in ("resumed_steps", "damaged_blocks", "checked")}
     return replace(total, **kept)
-
-
-def _take_target_statistics(
-    scene: Scene, folder: Path, workers: BlockWorkers, most_steps: int | None, progress: Callable[[int], None]
-) -> tuple[BlockTally, TargetStatistics]:
-    """Make and keep all truth; a tally of its steps, and the statistics of its targets."""
-    total, statistics = BlockTally(), TargetStatistics()
-    for tally, part in workers.map(partial(BlockMaker.count_targets, folder=folder), step_ranges(scene, most_steps)):
-        total, statistics = total + tally, statistics + part
-        progress(tally.steps)
-    return total, statistics
 
 
 def _with_steps_kept(scene: Scene, folder: Path, most_steps: int | None) -> Iterator[Range]:
@@ -347,13 +322,9 @@ def detect_run(
 
 
 def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:
-    """A run's scene with another detector or another seed of it.
-
-    The seed of the scene changes too, unless the truth depends on it.
-
-    Raises:
-        InputError: The detector is wrong or does not know the label of a vessel, or a setting is not of the detector.
-    """
+    """A run's scene with another detector or another seed of it; the seed of the scene changes too, unless the truth
+    depends on it. Raises InputError for a wrong detector, one that does not know a vessel's label, and a setting not of
+    it."""
     for key in settings:
         if key.partition(".")[0] not in ("detector", "detector_seed"):
             raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])

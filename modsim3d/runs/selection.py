@@ -29,18 +29,12 @@ class StepFrames:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Frames of a stored run.
-
-    Attributes:
-        cameras: Indices into the scene's cameras.
-        steps: The n steps, ascending.
-        durations_s: Time from each step to the next, shape (n,).
-    """
+    """Frames of a stored run."""
 
     run: StoredRun
-    cameras: tuple[int, ...]
-    steps: tuple[int, ...]
-    durations_s: Array
+    cameras: tuple[int, ...]  # indices into the scene's cameras
+    steps: tuple[int, ...]  # n, ascending
+    durations_s: Array  # from each step to the next, (n,)
 
     @property
     def camera_names(self) -> tuple[str, ...]:
@@ -70,11 +64,8 @@ class Selection:
 
 
 def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
-    """Indices of the cameras with these names; of all cameras if no name is given.
-
-    Raises:
-        ModsimError: The run has no camera of that name.
-    """
+    """Indices of the cameras with these names; of all cameras if no name is given. Raises ModsimError for a name that
+    no camera of the run has."""
     known = [camera.name for camera in run.scene.cameras]
     unknown = [name for name in names if name not in known]
     if unknown:
@@ -91,19 +82,9 @@ def select(
     every: int = 1,
     only_with_vessels: bool = False,
 ) -> Selection:
-    """Select steps of a run.
-
-    Args:
-        run: The run.
-        cameras: Indices into the scene's cameras.
-        from_s: First time in seconds, as in the run's timestamps; by default that of the first step.
-        to_s: Last time; by default that of the last step.
-        every: Take every K-th of the steps between these times.
-        only_with_vessels: Leave out steps at which no camera has a vessel in its image.
-
-    Raises:
-        ModsimError: No step is left.
-    """
+    """Select every `every`-th of the steps of a run from `from_s` to `to_s` in seconds, as in the run's timestamps; by
+    default the times of the first and last step. `only_with_vessels` leaves out steps at which no camera has a vessel
+    in its image. `cameras` are indices into the scene's cameras. Raises ModsimError if no step is left."""
     times = times_of(run)
     start_s, end_s = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
     steps = np.flatnonzero((times >= start_s - NEAR_S) & (times <= end_s + NEAR_S))[::every]
@@ -121,11 +102,7 @@ def select(
 
 
 def find_step(run: StoredRun, text: str) -> int:
-    """A step by its number, `255`, or by its time, `51.0` or `51s`.
-
-    Raises:
-        ModsimError: There is no such step.
-    """
+    """A step by its number, `255`, or by its time, `51.0` or `51s`. Raises ModsimError if there is no such step."""
     if re.fullmatch(r"\d+", text):
         step = int(text)
         if step >= run.steps:
@@ -143,11 +120,8 @@ def find_step(run: StoredRun, text: str) -> int:
 
 
 def times_of(run: StoredRun) -> Array:
-    """The times of the steps that are there in seconds, as in the run's timestamps, shape (steps,).
-
-    Raises:
-        ModsimError: No step is there.
-    """
+    """The times of the steps that are there in seconds, as in the run's timestamps, shape (steps,). Raises ModsimError
+    if no step is there."""
     run.check_has_steps()
     return np.array([float(text) for text in run.scene.timestamps(0, run.steps)])
 

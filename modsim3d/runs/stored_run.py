@@ -58,7 +58,6 @@ class StoredRun:
         return f"<StoredRun {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return key_table(f"Run {self.folder}", self._rows())
 
     def _rows(self) -> dict[str, str]:
@@ -78,11 +77,7 @@ class StoredRun:
 
     @property
     def finished_tables(self) -> StoredTables:
-        """The tables of a finished run.
-
-        Raises:
-            RunDirectoryError: The run was interrupted.
-        """
+        """Tables of a finished run. Raises RunDirectoryError if the run was interrupted."""
         if self.stored is None:
             raise RunDirectoryError(f"{self.folder} holds an interrupted run: {self.how_to_finish}")
         return self.stored
@@ -200,11 +195,7 @@ class StoredRun:
         return {name: table(block, self.scene) for name, (_, table) in TABLES.items()}
 
     def check_has_steps(self) -> None:
-        """Refuse an interrupted run that has no whole block.
-
-        Raises:
-            RunDirectoryError: No step is there.
-        """
+        """Raise RunDirectoryError for an interrupted run that has no whole block."""
         if not self.steps:
             raise RunDirectoryError(
                 f"{self.folder} holds an interrupted run that has not finished a single block of steps: "
@@ -241,12 +232,8 @@ class StoredRun:
 
 
 def opened_run(run: StoredRun | StrPath) -> StoredRun:
-    """A run that was opened, or that is opened now from its directory.
-
-    Raises:
-        RunDirectoryError: See `open_run`.
-        TypeError: It is neither a run, nor text, nor a path.
-    """
+    """A run that was opened, or that is opened now from its directory. Raises what `open_run` raises, and TypeError for
+    what is neither a run, nor text, nor a path."""
     return run if isinstance(run, StoredRun) else open_run(as_path(run, "run", "a run directory or a StoredRun"))
 
 
@@ -299,12 +286,8 @@ class FinishedRun(NamedTuple):
 
 
 def read_finished(folder: Path) -> FinishedRun:
-    """Read a finished run's `run.json` and its scene.
-
-    Raises:
-        RunDirectoryError: There is no finished run, or one of these is not what a run has written.
-        InputError: The scene cannot be read.
-    """
+    """Read a finished run's `run.json` and its scene. Raises RunDirectoryError if there is no finished run, or one of
+    these is not what a run has written; InputError if the scene cannot be read."""
     source = folder / RUN_FILE
     if not source.is_file():
         interrupted = (folder / UNFINISHED / SETTINGS_FILE).is_file()

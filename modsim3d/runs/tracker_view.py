@@ -22,19 +22,12 @@ _CONFIDENCE_DECIMALS = 6
 
 @dataclass(frozen=True, eq=False)
 class TrackerDetections(Columns):
-    """Detections as a tracker may read them: m rows by frame, the most confident of a frame first.
+    """Detections as a tracker may read them: m rows by frame, the most confident of a frame first."""
 
-    Attributes:
-        frame: Number of the frame, shape (m,).
-        label: Index of the label, shape (m,).
-        boxes_px: x_min, y_min, x_max, y_max, rounded, shape (m, 4).
-        confidence: Rounded, shape (m,).
-    """
-
-    frame: Indices
-    label: Indices
-    boxes_px: Array
-    confidence: Array
+    frame: Indices  # number of the frame, (m,)
+    label: Indices  # index of the label, (m,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, rounded, (m, 4)
+    confidence: Array  # rounded, (m,)
 
     @classmethod
     def of(cls, detections: Detections) -> TrackerDetections:
@@ -43,11 +36,9 @@ class TrackerDetections(Columns):
 
 
 def anonymised(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> TrackerDetections:
-    """Round detections, and bring them into an order that tells nothing either.
-
-    Equally confident detections of a frame follow each other by their boxes. For the arguments see
-    `TrackerDetections`; they are in any order, and not rounded.
-    """
+    """Round detections, and bring them into an order that tells nothing either. Equally confident detections of a frame
+    follow each other by their boxes. For the arguments see `TrackerDetections`; they are in any order, and not
+    rounded."""
     boxes_px, confidence = boxes_px.round(BOX_DECIMALS), confidence.round(_CONFIDENCE_DECIMALS)
     order = np.lexsort((-confidence, frame))
     # Few detections are equally confident: only those are put in order of their boxes.

@@ -37,11 +37,8 @@ FrameKey = tuple[int, int]
 
 
 class TruthCheckError(ModsimError):
-    """The truth is not what OpenGL draws: an error in modsim3d, or in the OpenGL library.
-
-    Attributes:
-        masks: The pixels of the vessel in the truth, and as they were drawn, both (h, w).
-    """
+    """Truth that is not what OpenGL draws: an error in modsim3d, or in the OpenGL library. `masks` are the pixels of
+    the vessel in the truth, and as they were drawn, both (h, w)."""
 
     def __init__(self, message: str, masks: tuple[Mask, Mask]) -> None:
         """Take the message, and what its picture shows."""
@@ -57,18 +54,8 @@ def check_block(
     scene: Scene, truth: Truth, first: int, stop: int, renderer: IdRenderer | None, *, streamed: bool = False
 ) -> Checked:
     """Check the truth of steps first to stop − 1; without a renderer nothing was drawn, and nothing is checked.
-
-    Args:
-        scene: The scene.
-        truth: Its truth at these steps.
-        first: First step.
-        stop: The step after the last.
-        renderer: From `open_renderer`.
-        streamed: Check the first frames and then one step in a thousand, as where the number of steps is not known.
-
-    Raises:
-        TruthCheckError: It is not what OpenGL draws.
-    """
+    `streamed` checks the first frames and then one step in a thousand, as where the number of steps is not known.
+    Raises TruthCheckError if the truth is not what OpenGL draws."""
     if renderer is None:
         return Checked()
     drawn = int(truth.drawn.sum())
@@ -83,10 +70,8 @@ def check_block(
 
 
 def _frames_to_check(scene: Scene, first: int, stop: int, streamed: bool) -> Iterator[FrameKey]:
-    """Frames of steps first to stop − 1 that are checked.
-
-    They follow from the seed, the scene and its number of steps: not from time, nor from how a run is split.
-    """
+    """Frames of steps first to stop − 1 that are checked. They follow from the seed, the scene and its number of steps:
+    not from time, nor from how a run is split."""
     check = scene.annotation.check
     if check == "all":
         for index, camera in enumerate(scene.cameras):
@@ -173,10 +158,8 @@ def frame_count(scene: Scene) -> int:
 
 
 def _frames_of_stream(scene: Scene, first: int, stop: int) -> Iterator[FrameKey]:
-    """The frames of steps first to stop − 1 that a stream checks, which follow from what came before them.
-
-    They are one at each of the first steps with frames, and a camera's first frame at or after each step that is drawn.
-    """
+    """The frames of steps first to stop − 1 that a stream checks, which follow from what came before them. They are one
+    at each of the first steps with frames, and a camera's first frame at or after each step that is drawn."""
     if all(camera.frame_rate_hz is None and not camera.start_offset_s for camera in scene.cameras):
         for step in range(first, stop):  # at every step, as below, in fewer calls: a live step waits for them
             if step < MIN_FRAMES:

@@ -41,17 +41,13 @@ _NO_ROWS = read_only(np.empty((0, 7)))
 
 @dataclass(frozen=True, eq=False)
 class BoxSample:
-    """Boxes spread evenly over a run, the same however it was split into blocks.
-
-    Each box has a key, a hash of its step, vessel and camera. Of each state the boxes with the least keys are kept.
-
-    Attributes:
-        rows: Key, state, camera and annotated box in pixels, in order of state and key, shape (n, 7).
-        counts: State → number of detections of a vessel in that state, whether kept or not.
-    """
+    """Boxes spread evenly over a run, the same however it was split into blocks. Each box has a key, a hash of its
+    step, vessel and camera. Of each state the boxes with the least keys are kept."""
 
     rows: Array = field(default_factory=lambda: _NO_ROWS)
+    """Key, state, camera and annotated box in pixels, in order of state and key, shape (n, 7)."""
     counts: Counter[int] = field(default_factory=Counter)
+    """State → number of detections of a vessel in that state, whether kept or not."""
 
     @classmethod
     def of(cls, block: Block, scene: Scene) -> BoxSample:
@@ -72,11 +68,9 @@ class BoxSample:
         return BoxSample(_least(np.concatenate([self.rows, other.rows])), self.counts + other.counts)
 
     def truncation(self, scene: Scene) -> dict[str, dict[str, Any]]:
-        """How resampling shifts the box errors, by name of the state, as `run.json` has it.
-
-        In the units of the detector file, averaged over the sampled boxes: the share of first draws that are
-        resampled, the mean and covariance after resampling, and the standard error of that mean.
-        """
+        """How resampling shifts the box errors, by name of the state, as `run.json` has it. In the units of the
+        detector file, averaged over the sampled boxes: the share of first draws that are resampled, the mean and
+        covariance after resampling, and the standard error of that mean."""
         source = BoxErrorSource.from_model(scene.detector)
         report = {}
         for index, performance in enumerate(scene.detector.states):
@@ -125,24 +119,15 @@ IF_KILLED = "what was finished is kept: go on with --resume, perhaps with fewer 
 
 @dataclass(frozen=True, eq=False)
 class BlockTally:
-    """Counts over one or more blocks; tallies can be added.
-
-    Attributes:
-        resumed_steps: Number of steps whose truth was taken from an interrupted run.
-        damaged_blocks: Number of blocks whose truth an interrupted run had kept in a file that is damaged.
-        camera_counts: What happened, by name of the camera.
-        boxes: A sample of the detected boxes.
-        intersecting: Pairs of vessels or obstacles whose hulls intersect, as indices: the analytic source cannot tell
-            what is visible of them.
-        checked: What the cross-check found.
-    """
+    """Counts over one or more blocks; tallies can be added."""
 
     steps: int = 0
-    resumed_steps: int = 0
-    damaged_blocks: int = 0
-    camera_counts: dict[str, Counts] = field(default_factory=dict)
+    resumed_steps: int = 0  # whose truth was taken from an interrupted run
+    damaged_blocks: int = 0  # whose truth an interrupted run had kept in a file that is damaged
+    camera_counts: dict[str, Counts] = field(default_factory=dict)  # by name of the camera
     boxes: BoxSample = field(default_factory=BoxSample)
     intersecting: frozenset[tuple[int, int]] = frozenset()
+    """Pairs of vessels or obstacles whose hulls intersect: the analytic source cannot tell what is visible of them."""
     checked: Checked = field(default_factory=Checked)
 
     def __add__(self, other: BlockTally) -> BlockTally:
@@ -182,14 +167,9 @@ class BlockMaker:
     def make(
         self, steps: Range, folder: Path, statistics: TargetStatistics, kinds: Sequence[str]
     ) -> tuple[BlockTally, BlockFiles]:
-        """Make a block: its counts, and what it adds to the files.
-
-        Args:
-            steps: First step, and the step after the last.
-            folder: Where truth is kept.
-            statistics: Those of the whole scene's targets, the same for all blocks.
-            kinds: The kinds of JSON lines, see `line_kinds`.
-        """
+        """Make a block of steps, from the first to before the last: its counts, and what it adds to the files. Truth is
+        kept in `folder`; `statistics` are those of the whole scene's targets, the same for all blocks; `kinds` see
+        `line_kinds`."""
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
             checked = Checked() if self._scene.detector.needs_target_statistics else self._check(truth, first, stop)
@@ -213,10 +193,8 @@ class BlockMaker:
 
     @contextmanager
     def _truth(self, folder: Path, first: int, stop: int) -> Iterator[tuple[Truth, int, int]]:
-        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks.
-
-        Truth that is new is kept, at the latest when the context ends, unless the cross-check finds it wrong.
-        """
+        """The truth of some steps, the number of steps that an interrupted run had kept, and of damaged blocks. Truth
+        that is new is kept, at the latest when the context ends, unless the cross-check finds it wrong."""
         try:
             with self._truth_and_kept(folder, first, stop) as found:
                 yield found
@@ -246,20 +224,14 @@ BlockWorkers = Workers[BlockMaker]
 def open_block_workers(
     scene: Scene, workers: WorkerCount, truth_run: Path | None = None
 ) -> AbstractContextManager[BlockWorkers]:
-    """One worker in this process, and perhaps more in processes of their own; see `BlockMaker`.
-
-    Raises:
-        RendererError: There is no OpenGL library.
-    """
+    """One worker in this process, and perhaps more in processes of their own; see `BlockMaker`. Raises RendererError if
+    there is no OpenGL library."""
     return open_workers(workers, IF_KILLED, _open_block_maker, scene, truth_run, here_too=True)
 
 
 def backend_of(workers: BlockWorkers) -> str:
-    """A description of the OpenGL context that draws the ID images; `none` if nothing is rendered.
-
-    Raises:
-        RendererError: There is no OpenGL library.
-    """
+    """A description of the OpenGL context that draws the ID images; `none` if nothing is rendered. Raises RendererError
+    if there is no OpenGL library."""
     (backend,) = workers.map(_backend, [None])
     return backend
 

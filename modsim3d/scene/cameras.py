@@ -20,37 +20,23 @@ NEIGHBOURS = 2
 
 @dataclass(frozen=True, eq=False)
 class OwnShips:
-    """K vessels that carry cameras at S steps. Body axes are v1 forward, v2 to port, v3 up; rates are right-handed.
+    """K vessels that carry cameras at S steps. Body axes are v1 forward, v2 to port, v3 up; rates are right-handed."""
 
-    Attributes:
-        vessels: Indices into the scene's vessels, shape (K,).
-        positions_m: Origins of the vessels in WCF, heave included, shape (S, K, 3).
-        headings_rad: Without waves, counter-clockwise from w1, shape (S, K).
-        angles_rad: Roll, pitch and yaw in waves: port side down, bow down, to port, shape (S, K, 3).
-        rates_rad_s: Angular velocity against the world in body axes, shape (S, K, 3).
-        forces_m_s2: Specific force at the unit in body axes, shape (S, K, 3): acceleration less gravity. A level vessel
-            at rest has +g along v3.
-        measured_rates_rad_s: Angular velocity with the unit's errors, shape (S, K, 3).
-        measured_forces_m_s2: Specific force with the unit's errors, shape (S, K, 3).
-        measured_attitudes_rad: Measured roll, pitch and heading, the heading with the yaw in waves, shape (S, K, 3).
-    """
-
-    vessels: Indices
-    positions_m: Array
-    headings_rad: Array
-    angles_rad: Array
-    rates_rad_s: Array
+    vessels: Indices  # indices into the scene's vessels, (K,)
+    positions_m: Array  # origins of the vessels in WCF, heave included, (S, K, 3)
+    headings_rad: Array  # without waves, counter-clockwise from w1, (S, K)
+    angles_rad: Array  # roll, pitch and yaw in waves: port side down, bow down, to port, (S, K, 3)
+    rates_rad_s: Array  # angular velocity against the world in body axes, (S, K, 3)
     forces_m_s2: Array
-    measured_rates_rad_s: Array
-    measured_forces_m_s2: Array
-    measured_attitudes_rad: Array
+    """Specific force at the unit in body axes: acceleration less gravity, so +g along v3 for a level vessel at rest."""
+    measured_rates_rad_s: Array  # with the unit's errors, (S, K, 3)
+    measured_forces_m_s2: Array  # with the unit's errors, (S, K, 3)
+    measured_attitudes_rad: Array  # roll, pitch and heading, the heading with the yaw in waves, (S, K, 3)
 
 
 def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
-    """The vessels that carry cameras at steps first to stop − 1; at least one vessel must carry one.
-
-    The result does not depend on where a run is split into blocks.
-    """
+    """The vessels that carry cameras at steps first to stop − 1; at least one vessel must carry one. The result does
+    not depend on where a run is split into blocks."""
     begin, end = scene.own_motion.with_neighbours(np.arange(first, stop), NEIGHBOURS)
     own, times_s = list(scene.own_ships), scene.times_s(begin, end)
     sea = scene.own_motion.at(np.arange(begin, end))
@@ -77,10 +63,8 @@ def own_ships_at(scene: Scene, first: int, stop: int) -> OwnShips:
 
 
 def measured_attitudes_at(scene: Scene, streams: Streams, first: int, stop: int) -> Array:
-    """Measured roll, pitch and heading of the K vessels that carry cameras, shape (S, K, 3), as in `OwnShips`.
-
-    They need no motion at later steps, as rates and forces do. The streams are those of the scene's seed.
-    """
+    """Measured roll, pitch and heading of the K vessels that carry cameras, shape (S, K, 3), as in `OwnShips`. They
+    need no motion at later steps, as rates and forces do. The streams are those of the scene's seed."""
     sea, own = scene.own_motion.at(np.arange(first, stop)), list(scene.own_ships)
     return _as_measured(scene, streams, sea.poses.headings_rad[:, own], sea.angles_rad[:, own], first)
 
@@ -93,24 +77,16 @@ def _as_measured(scene: Scene, streams: Streams, headings_rad: Array, angles_rad
 
 
 def true_attitudes(headings_rad: Array, angles_rad: Array) -> Array:
-    """Roll, pitch and heading, the heading with the yaw in waves, shape (..., 3).
-
-    Args:
-        headings_rad: Headings without waves, shape (...).
-        angles_rad: Roll, pitch and yaw in waves, shape (..., 3).
-    """
+    """Roll, pitch and heading, the heading with the yaw in waves, shape (..., 3), from headings without waves, shape
+    (...), and roll, pitch and yaw in waves, shape (..., 3)."""
     attitudes: Array = angles_rad.copy()
     attitudes[..., 2] += headings_rad
     return attitudes
 
 
 def specific_force(world_R_body: Array, accelerations_m_s2: Array) -> Array:
-    """Specific force in body axes that accelerometers measure, f = Rᵀ (a − g) with g pointing down, shape (..., 3).
-
-    Args:
-        world_R_body: Rotations to WCF, shape (..., 3, 3).
-        accelerations_m_s2: Accelerations in WCF, shape (..., 3).
-    """
+    """Specific force in body axes that accelerometers measure, f = Rᵀ (a − g) with g pointing down, shape (..., 3),
+    from rotations to WCF, shape (..., 3, 3), and accelerations in WCF, shape (..., 3)."""
     against_gravity = accelerations_m_s2 + np.array([0.0, 0.0, GRAVITY_M_S2])
     force: Array = (np.swapaxes(world_R_body, -1, -2) @ against_gravity[..., None])[..., 0]
     return force

@@ -23,21 +23,15 @@ _NOT_OF_TRUTH = ("seed", "detector", "detector_seed")
 
 @dataclass(frozen=True, eq=False)
 class SceneCopy:
-    """A scene file and the files that it names.
-
-    Attributes:
-        name: Name of the scene.
-        document: Content of the scene file with what the caller set, and with the paths of the copy.
-        files: Path in the copy → original file.
-        changed: Path in the copy → content, of the files that are not as the original, or have none.
-        read: Every file that the scene is read from; also those that are not copied but written into the document.
-    """
+    """A scene file and the files that it names."""
 
     name: str
-    document: Mapping[str, Any]
-    files: Mapping[str, Path]
+    document: Mapping[str, Any]  # content of the scene file with what the caller set, and with the paths of the copy
+    files: Mapping[str, Path]  # path in the copy → original file
     changed: Mapping[str, bytes] = field(default_factory=dict)
+    """Path in the copy → content, of the files that are not as the original, or have none."""
     read: tuple[Path, ...] = ()
+    """Every file that the scene is read from; also those that are not copied but written into the document."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -114,7 +108,6 @@ def _pose_file(number: int, file: str) -> str:
 
 
 def _renamed(value: Any, names: Mapping[str, str]) -> Any:
-    """The section of a pose source with its files renamed."""
     if isinstance(value, dict):
         return {key: _renamed(inner, names) for key, inner in value.items()}
     if isinstance(value, list):
@@ -123,5 +116,4 @@ def _renamed(value: Any, names: Mapping[str, str]) -> Any:
 
 
 def _ordered(keys: dict[str, Any], model: type[BaseModel]) -> dict[str, Any]:
-    """The section with its keys in the order of its model."""
     return {name: keys[name] for name in model.model_fields if name in keys}

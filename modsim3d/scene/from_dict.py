@@ -15,7 +15,7 @@ from modsim3d.detector.file.reading import content_of, parse_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.validation import kind_of, shown
-from modsim3d.scene.parts import SceneParts, title_of
+from modsim3d.scene.parts import SceneParts
 from modsim3d.scene.reading import assembled
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import Setting, replacing
@@ -111,15 +111,9 @@ class _DictParts(SceneParts):
         detector: object,
         settings: Iterable[Setting],
     ) -> None:
-        """Read all parts.
-
-        Args:
-            name: Name of the scene.
-            data: The content with plain values; where something stands for a file, the file of the scene's copy.
-            arrays: The section `poses` if it has arrays.
-            detector: Content of a detector file, or a detector that was read; None if `data` names a file.
-            settings: What replaces keys of `data`.
-        """
+        """Read all parts. `data` has plain values, and where something stands for a file, the file of the scene's copy.
+        `arrays` is the section `poses` if it has arrays; `detector` is the content of a detector file or a detector
+        that was read, None if `data` names a file."""
         self._arrays, self._inline = arrays, detector
         super().__init__(Path(name), data, settings)
         if arrays is not None and isinstance(self.poses, RecordedPoses) and self.vessels is not None:
@@ -127,7 +121,6 @@ class _DictParts(SceneParts):
             self._keep(FILE, lambda: pose_file(poses, names, self.name))
 
     def _keep(self, name: str, content: Callable[[], bytes]) -> None:
-        """Keep the content of a file of the copy."""
         if (written := self._collect(content)) is not None:
             self.contents[name] = written
 
@@ -136,11 +129,6 @@ class _DictParts(SceneParts):
         """The files of vessels and poses that the mapping names."""
         files = super().read[1:]
         return files if self._arrays is None else tuple(file for file in files if file != self.folder / FILE)
-
-    @property
-    def name(self) -> str:
-        """Name of the scene in errors."""
-        return title_of(self.path)
 
     def _detector(self) -> DetectorModel | None:
         content = self._inline
@@ -157,6 +145,6 @@ class _DictParts(SceneParts):
         return model
 
     def _source(self) -> NamedSource | None:
-        return (
-            super()._source() if self._arrays is None else NamedSource("file", ArrayKeys(self._arrays, self.name), None)
-        )
+        if self._arrays is None:
+            return super()._source()
+        return NamedSource("file", ArrayKeys(self._arrays, self.name), None)

@@ -180,7 +180,6 @@ class WavesKeys(Strict):
         return self
 
     def _sea_problems(self) -> list[str]:
-        """Problems of the keys of a spectrum."""
         needed = ("significant_height_m", "peak_period_s", "direction_rad")
         if self.spectrum is None:
             stray = [key for key in (*needed, "peakedness") if getattr(self, key) is not None]
@@ -304,17 +303,12 @@ class SceneKeys(Strict):
 
 @dataclass(frozen=True)
 class Ais:
-    """AIS equipment, and how good it is.
+    """AIS equipment, and how good it is."""
 
-    Attributes:
-        vessels: ID → `A`, `B` or `none`, of the vessels whose class is not chosen by size and label.
-        drop_out: Share of the reports that are not received.
-        position_noise_m: Standard deviation of a position along each axis.
-    """
-
+    # ID → `A`, `B` or `none`, of those whose class is not chosen by size and label
     vessels: Mapping[str, str] = field(default_factory=dict)
-    drop_out: float = 0.05
-    position_noise_m: float = 3.0
+    drop_out: float = 0.05  # share of the reports that are not received
+    position_noise_m: float = 3.0  # standard deviation of a position along each axis
 
 
 USUAL_AIS = Ais()

@@ -45,11 +45,7 @@ class SceneMeshes:
         """Plug-ins that gave shapes."""
 
     def solid(self, entry: object, folder: Path, source: str, *path: object) -> Solid:
-        """The solid of an entry; see `load_mesh`.
-
-        Raises:
-            InputError: The entry or the file is wrong.
-        """
+        """The solid of an entry; see `load_mesh`. Raises InputError if the entry or the file is wrong."""
         key = orjson.dumps([str(folder), entry], default=str)
         if key not in self._solids:
             self._solids[key] = self._load(entry, folder, source, *path)
@@ -99,11 +95,8 @@ def mesh_name(entry: object) -> str:
 
 
 def read_obstacle(name: str, keys: ObstacleKeys, meshes: SceneMeshes, folder: Path, scene: str) -> Obstacle:
-    """An obstacle of a scene file in a folder, whose mesh is added to those of the scene.
-
-    Raises:
-        InputError: The name is not printable, or the mesh cannot be read.
-    """
+    """An obstacle of a scene file in a folder, whose mesh is added to those of the scene. Raises InputError if the name
+    is not printable, or the mesh cannot be read."""
     where = join_path("obstacles", name)
     if not name or not name.isprintable():
         raise InputError(scene, [f"{where}: an obstacle's name must be printable text (got {name!r})"])
@@ -121,17 +114,9 @@ MAX_NAMES = 3
 def drawn_vessels(
     source: NamedSource, request: PoseRequest, labels: Sequence[str] | None, meshes: SceneMeshes
 ) -> tuple[Vessel, ...]:
-    """The vessels that a pose source draws for a scene, in its order; most sources draw none.
-
-    Args:
-        source: The source.
-        request: The scene as its file describes it.
-        labels: The detector's labels; None if they are not known.
-        meshes: The scene's meshes; those of the vessels are added.
-
-    Raises:
-        InputError: With every problem found; each begins with the source's section of the scene file.
-    """
+    """The vessels that a pose source draws for a scene, in its order; most sources draw none. Their meshes are added to
+    the scene's. `labels` are the detector's, None if not known. Raises InputError with every problem found; each begins
+    with the source's section of the scene file."""
     entries = source.vessels(request)
     if not entries:
         return ()
@@ -139,7 +124,12 @@ def drawn_vessels(
     vessels = parse_vessels(entries, section)
     # A source of our own and any plug-in may have a key that renames labels.
     key = f": set {section}.labels" if "labels" in getattr(type(source.keys), "model_fields", {}) else ""
-    problems = [*_name_problems(vessels, request), *(each + key for each in _label_problems(vessels, labels))]
+    problems = [
+        f"draws a vessel '{vessel.name}', and the scene's vessels have one of this name: rename one of them"
+        for vessel in vessels
+        if vessel.name in (request.names or ())
+    ]
+    problems += [each + key for each in _label_problems(vessels, labels)]
     problems += _file_problems(entries, source.keys.files)
     if problems:
         raise InputError(section, problems[:MOST_PROBLEMS])
@@ -151,13 +141,6 @@ def _with_mesh(vessel: Vessel, mesh: object, request: PoseRequest, meshes: Scene
         return vessel
     solid = meshes.solid(mesh, request.folder, section, vessel.name, "mesh")
     return replace(vessel, solid=solid, shape=mesh_name(mesh))
-
-
-def _name_problems(vessels: Sequence[Vessel], request: PoseRequest) -> Iterator[str]:
-    taken = set(request.names or ())
-    for vessel in vessels:
-        if vessel.name in taken:
-            yield f"draws a vessel '{vessel.name}', and the scene's vessels have one of this name: rename one of them"
 
 
 def _label_problems(vessels: Sequence[Vessel], labels: Sequence[str] | None) -> Iterator[str]:
@@ -198,13 +181,8 @@ def title_of(path: Path) -> str:
 
 @dataclass(frozen=True)
 class _Location:
-    """Where the mapping of vessels is.
-
-    Attributes:
-        source: The file that holds it, for errors.
-        path: Keys that lead to it in that file.
-        folder: Folder that paths in it are relative to.
-    """
+    """Where the mapping of vessels is: the file that holds it, for errors; the keys that lead to it in that file; and
+    the folder that paths in it are relative to."""
 
     source: str
     path: tuple[str, ...]
@@ -212,37 +190,21 @@ class _Location:
 
 
 class SceneParts:
-    """The parts of a scene, and everything that is wrong with each.
-
-    A part that is wrong is None; the others are read all the same, so that the user sees every problem at once.
-
-    Attributes:
-        path: The scene file.
-        settings: What the caller sets in place of what is written in the files.
-        data: Content of the scene file with the settings.
-        changed_detector: Content of the detector file with the settings; None if there are none.
-        contents: Path in a copy of the scene → content, of what the scene has in place of files.
-        problems: Every problem, one line each.
-        keys: The content, validated.
-        vessel_entries: The mapping of vessels as in its file.
-        source: The keys of the pose source.
-        wave_level: Axes of the wave level that the scene names, and the plug-in that has it.
-        obstacles: The obstacles that could be read.
-        vessels: The vessels of the scene file, then those that the pose source draws.
-    """
+    """The parts of a scene, and everything that is wrong with each. A part that is wrong is None; the others are read
+    all the same, so that the user sees every problem at once."""
 
     def __init__(self, path: Path, data: dict[str, Any], settings: Iterable[Setting] = ()) -> None:
         """Read all parts."""
         self.path, self.settings = path, Settings(settings)
-        self.data = self.settings.in_scene(data)
-        self.changed_detector: dict[str, Any] | None = None
-        self.contents: dict[str, bytes] = {}
+        self.data = self.settings.in_scene(data)  # content of the scene file with what the caller sets
+        self.changed_detector: dict[str, Any] | None = None  # the detector file's with that; None if none is for it
+        self.contents: dict[str, bytes] = {}  # path in a copy of the scene → content, of what stands for a file
         self.folder = path.resolve().parent
-        self.problems: list[str] = []
+        self.problems: list[str] = []  # every problem, one line each
         self.meshes = SceneMeshes()
         self.keys = self._keys()
         self.vessels_at = self._vessels_at()
-        self.vessel_entries = self._vessel_entries()
+        self.vessel_entries = self._vessel_entries()  # as in their file
         self.source = self._source()
         boxes = self._boxes()
         self.detector = self._detector()
@@ -252,6 +214,7 @@ class SceneParts:
         drawn = self._drawn(boxes)
         self.poses = self._poses(boxes, drawn)
         self.wave_level = self._wave_level()
+        # Those of the scene file, then those that the pose source draws.
         self.vessels = None if boxes is None else (*map(self._with_mesh, boxes), *(drawn or ()))
         self.problems = self.settings.problems + self.settings.named(self.problems)
 
@@ -414,15 +377,13 @@ class SceneParts:
             names = (*(request.names or ()), *(vessel.name for vessel in drawn))
             request = replace(request, names=names, vessels=(*request.vessels, *drawn))
         poses = self._collect(lambda: source.build(request))
-        if poses is not None and not isinstance(poses, LivePoses):
-            self._check_steps(source.name, len(poses.timestamps))
-        return poses
-
-    def _check_steps(self, source: str, available: int) -> None:
-        steps = self.data.get("steps")
+        if poses is None or isinstance(poses, LivePoses):
+            return poses
+        steps, available = self.data.get("steps"), len(poses.timestamps)
         if isinstance(steps, int) and steps > available:
-            name = "the pose file" if source == "file" else f"poses.{source}"
+            name = "the pose file" if source.name == "file" else f"poses.{source.name}"
             self.problems.append(f"steps: {steps} asked for, but {name} has {available}")
+        return poses
 
     def _wave_level(self) -> tuple[Axes, Plugin | None] | None:
         waves = self.data.get("waves")
@@ -439,7 +400,6 @@ class SceneParts:
                 yield f"cameras.{name}.mount.vessel: no vessel '{vessel}' ({nearest(vessel, names)})"
 
     def _vessel_labels(self) -> Iterator[tuple[Any, str]]:
-        """Names and labels of the vessels that have one."""
         for name, entry in (self.vessel_entries or {}).items():
             if isinstance(entry, dict) and isinstance(entry.get("label"), str):
                 yield name, entry["label"]

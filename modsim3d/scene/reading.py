@@ -56,7 +56,11 @@ def scene_problems(scene: Scene) -> list[str]:
     if scene.live:
         return problems + _live_problems(scene)
     problems += [problem for camera in scene.cameras if (problem := _frame_problem(scene, camera))]
-    return problems + _place_problems(scene)
+    misplaced: dict[str, tuple[str, ...]] = {}
+    for first in range(0, scene.steps, CHECKED_STEPS):
+        steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
+        misplaced.update(place_problems(scene, steps, leave_out=misplaced))
+    return problems + [problem for found in misplaced.values() for problem in found]
 
 
 def _live_problems(scene: Scene) -> list[str]:
@@ -100,20 +104,9 @@ def _frame_problem(scene: Scene, camera: Camera) -> str | None:
     return None
 
 
-def _place_problems(scene: Scene) -> list[str]:
-    found: dict[str, tuple[str, ...]] = {}
-    for first in range(0, scene.steps, CHECKED_STEPS):
-        steps = np.arange(first, min(first + CHECKED_STEPS, scene.steps))
-        found.update(place_problems(scene, steps, leave_out=found))
-    return [problem for problems in found.values() for problem in problems]
-
-
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
-    """Problems of each camera's place at some ascending steps of shape (S,): it has no pose, or is inside a body.
-
-    Returns:
-        Name of the camera → its problems; only cameras that have one and are not left out.
-    """
+    """Problems of each camera's place at some ascending steps of shape (S,), by the camera's name, of those not left
+    out: it has no pose, or is inside a body."""
     found, calm = {}, None
     for camera in scene.cameras:
         if camera.name not in leave_out:
@@ -126,11 +119,8 @@ def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()
 
 
 def _check_place(scene: Scene, calm: Sight) -> None:
-    """Raise an error if the camera is inside a body.
-
-    In `calm`, waves move only the vessels that carry cameras. Waves take time to compute, so those of other vessels are
-    added only for vessels that come within reach of the camera.
-    """
+    """Raise an error if the camera is inside a body. In `calm`, waves move only the vessels that carry cameras. Waves
+    take time to compute, so those of other vessels are added only for vessels that come within reach of the camera."""
     if scene.annotation.allow_camera_inside:
         return
     sight, motion = calm, scene.motion
@@ -152,21 +142,14 @@ def _check_place(scene: Scene, calm: Sight) -> None:
     raise InputError(scene.title, [problem])
 
 
-# ---- Reads a scene file and every file that it names, and reports everything that is wrong with them at ----
-
-
 def shipped_scenes() -> dict[str, Path]:
     """Scenes that come with the package, by name."""
     return {path.stem: path for path in sorted(data_folder("scenes").glob("*.yaml"))}
 
 
 def find_scene(scene: StrPath) -> Path:
-    """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for.
-
-    Raises:
-        InputError: There is no such file and no such scene.
-        TypeError: It is neither text nor a path.
-    """
+    """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for. Raises
+    InputError if there is no such file and no such scene; TypeError for what is neither text nor a path."""
     path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
     name = os.fspath(scene)
     try:
@@ -294,7 +277,7 @@ def assembled(parts: SceneParts) -> Scene:
 
 
 def _camera(name: str, keys: CameraKeys) -> Camera:
-    """The camera that a scene file describes."""
+    coefficients = keys.distortion.model_dump() if keys.distortion else {}
     intrinsics = Intrinsics.from_lens(
         keys.focal_length_m,
         keys.pixel_size_m,
@@ -302,18 +285,11 @@ def _camera(name: str, keys: CameraKeys) -> Camera:
         keys.image_size_px,
         keys.skew,
         keys.near_clip_m,
-        _distortion(keys),
+        Distortion(**coefficients) if any(coefficients.values()) else None,  # a pinhole's are all zero
     )
     place = keys.mount or keys.pose
     values: Mapping[str, Any] = place.model_dump() if place is not None else {}
     return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)
-
-
-def _distortion(keys: CameraKeys) -> Distortion | None:
-    """The lens distortion; None for a pinhole, whose coefficients are all zero."""
-    if keys.distortion is None or not any(keys.distortion.model_dump().values()):
-        return None
-    return Distortion(**keys.distortion.model_dump())
 
 
 def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level: Axes | None) -> Waves | None:
@@ -330,9 +306,8 @@ def _waves(keys: WavesKeys | None, seed: int, vessels: tuple[Vessel, ...], level
         )
         hulls = {vessel.name: Hull(vessel.length_m, vessel.beam_m) for vessel in vessels}
         return Waves(FloatingVessels(sea, hulls), keys.apply_to, keys.composition)
-    axes = level
-    if axes is None:
+    if level is None:
         given = [getattr(keys, name) for name in AXES]
         roll, pitch, yaw = (Axis(**axis.model_dump()) if axis else Axis() for axis in given)
-        axes = (roll, pitch, yaw)
-    return Waves(SecondOrderWaves(axes, seed, keys.interval_s), keys.apply_to, keys.composition)
+        level = (roll, pitch, yaw)
+    return Waves(SecondOrderWaves(level, seed, keys.interval_s), keys.apply_to, keys.composition)

@@ -47,21 +47,22 @@ def scene_lines(scene: Scene) -> str:
 
 def scene_table(scene: Scene) -> str:
     """HTML table of a scene, with sizes of images and all that is there besides."""
+    detector_seed = scene.detector_seed
     cameras = [
         f"{camera.name} ({camera.intrinsics.image_size_px[0]} × {camera.intrinsics.image_size_px[1]} px, "
         f"{'on ' + camera.mount.vessel if camera.mount.vessel else 'ashore'})"
         for camera in scene.cameras
     ]
     obstacles = listed([obstacle.name for obstacle in scene.obstacles])
+    moved = "every vessel" if scene.waves and scene.waves.apply_to == "all" else "vessels with a camera"
     rows = {
         "vessels": _vessels(scene),
         "cameras": listed(cameras),
         "obstacles": f"{len(scene.obstacles)} ({obstacles})" if scene.obstacles else "none",
-        "waves": _waves(scene),
+        "waves": f"move {moved}" if scene.waves else "none",
         "traffic": scene.traffic,
         "steps": _steps(scene),
-        "seed": f"{scene.seed}"
-        + ("" if scene.detector_seed == scene.seed else f", of the detector {scene.detector_seed}"),
+        "seed": str(scene.seed) + (f", of the detector {detector_seed}" if detector_seed != scene.seed else ""),
         "truth": f"{scene.annotation.source}, mode {scene.annotation.mode}",
         "detector": scene.detector.in_words(),
     }
@@ -70,12 +71,6 @@ def scene_table(scene: Scene) -> str:
 
 def _vessels(scene: Scene) -> str:
     return f"{counted(len(scene.vessels), 'vessel')} ({listed(scene.vessel_names)})"
-
-
-def _waves(scene: Scene) -> str:
-    if scene.waves is None:
-        return "none"
-    return "move every vessel" if scene.waves.apply_to == "all" else "move vessels with a camera"
 
 
 def _steps(scene: Scene) -> str:
@@ -90,16 +85,10 @@ _EARLY = 1e-6  # of an interval: 0.3 / 0.1 is a hair below 3, and the frame at 0
 
 
 def takes_frame(times_s: Array, rate_hz: float | None, offset_s: float) -> Mask:
-    """Whether a camera takes a frame at each of consecutive steps, shape (n,): one has become due since the last step.
-
-    Frame k is due at offset + k / rate. A step has one frame at most: if several become due between two steps, the
-    later ones are lost.
-
-    Args:
-        times_s: Times of the steps since the scene's first step, shape (n,). Frames due by the first are taken there.
-        rate_hz: Frames a second; None for one at every step from the offset on.
-        offset_s: Due time of the first frame.
-    """
+    """Whether a camera takes a frame at each of consecutive steps, shape (n,): one has become due since the last step;
+    those due by the first step are taken there. Frame k is due at offset + k / rate. A step has one frame at most: if
+    several become due between two steps, the later ones are lost. `rate_hz` is None for one at every step from the
+    offset on. `times_s` are times since the scene's first step, shape (n,)."""
     if rate_hz is None:
         return times_s >= offset_s - _EARLY
     due = np.maximum(np.floor((times_s - offset_s) * rate_hz + _EARLY).astype(np.int64) + 1, 0)
@@ -171,7 +160,6 @@ class Scene:
         return scene_lines(self)
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return scene_table(self)
 
     @classmethod
@@ -253,9 +241,8 @@ class Scene:
         if not self.drawn_vessels:
             return None
         poses = self.poses.poses(0, self.steps)
-        said = [
-            (vessel.name, vessel.label, *np.round(vessel.extents_m, _SAME_DECIMALS).tolist()) for vessel in self.vessels
-        ]
+        sizes = (np.round(vessel.extents_m, _SAME_DECIMALS).tolist() for vessel in self.vessels)
+        said = [(vessel.name, vessel.label, *size) for vessel, size in zip(self.vessels, sizes, strict=True)]
         digest = hashlib.sha256(repr(said).encode())
         digest.update(poses.present.tobytes())
         for values in (poses.positions_m, poses.headings_rad):
@@ -336,18 +323,14 @@ class Scene:
         return Snapshot(self.vessels, vessel_poses, self.obstacles, sights, self.annotation.supersample)
 
     def sea_half_planes(self, camera: Camera, steps: Indices) -> Array:
-        """The sea's side of the horizon in a camera's images at ascending steps of shape (S,), shape (S, 3).
-
-        See `Intrinsics.sea_half_plane`.
-        """
+        """The sea's side of the horizon in a camera's images at ascending steps of shape (S,), shape (S, 3). See
+        `Intrinsics.sea_half_plane`."""
         if not len(steps):
             return np.empty((0, 3))
-        ashore = camera.mount.vessel is None  # then no vessel's poses are needed
-        poses = (
-            poses_ashore(camera.mount, len(steps))
-            if ashore
-            else self.camera_poses(camera, self.own_motion.at(steps), steps)
-        )
+        if camera.mount.vessel is None:  # then no vessel's poses are needed
+            poses = poses_ashore(camera.mount, len(steps))
+        else:
+            poses = self.camera_poses(camera, self.own_motion.at(steps), steps)
         return camera.intrinsics.sea_half_plane(poses.camera_R_world)
 
     def camera_poses(self, camera: Camera, vessel_poses: PosesInWaves, steps: Indices) -> CameraPoses:
@@ -369,10 +352,8 @@ class Scene:
         return vessel_poses.of_camera(camera.mount, column, composition)
 
     def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
-        """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,).
-
-        The result does not depend on where a run is split into blocks.
-        """
+        """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,). The result does not
+        depend on where a run is split into blocks."""
         if camera.frame_rate_hz is None and not camera.start_offset_s:
             return np.arange(first, stop)
         begin = max(first - 1, 0)

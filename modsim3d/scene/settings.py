@@ -30,19 +30,12 @@ _INDEX = re.compile(r"\[(\d+)\]")
 
 @dataclass(frozen=True)
 class Setting:
-    """A key and its new value.
+    """A key and its new value."""
 
-    Attributes:
-        key: The keys that lead to it, with dots between them; those of the detector file are below `detector`.
-        value: What stands there from now on, as a YAML file would have it.
-        option: What messages call it in place of the key, such as `--set waves.level`; empty: the key.
-        may_be_unread: Whether a detector may have no use for it.
-    """
-
-    key: str
-    value: Any
-    option: str = ""
-    may_be_unread: bool = True
+    key: str  # the keys that lead to it, with dots between them; those of the detector file are below `detector`
+    value: Any  # as a YAML file would have it
+    option: str = ""  # what messages call it in place of the key, such as `--set waves.level`; empty: the key
+    may_be_unread: bool = True  # a detector may have no use for it
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -57,13 +50,8 @@ class Setting:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a setting is in the files.
-
-    Attributes:
-        file: What problems say before the path, which is in the scene file if this is empty.
-        path: The path in the file.
-        option: The option.
-    """
+    """Where a setting is in the files: the path in the scene file, or in the file that problems name before the
+    path."""
 
     file: str
     path: KeyPath
@@ -82,17 +70,12 @@ class _Place:
 
 
 class Settings:
-    """Settings of a scene and of the files that it names.
-
-    Attributes:
-        problems: What is wrong with the settings themselves, one line each.
-    """
+    """Settings of a scene and of the files that it names; `problems` has what is wrong with themselves, one line
+    each."""
 
     def __init__(self, settings: Iterable[Setting]) -> None:
-        """Take the settings; those with fewer keys come first, so that the others go into what they set.
-
-        Miss rates come last, since they change what others set.
-        """
+        """Take the settings; those with fewer keys come first, so that the others go into what they set. Miss rates
+        come last, since they change what others set."""
         self.problems: list[str] = []
         self._settings = sorted(settings, key=lambda setting: (is_miss_rate(setting.parts), len(setting.parts)))
         self._of_files: dict[str, list[Setting]] = {section: [] for section in FILE_SECTIONS}
@@ -157,10 +140,7 @@ def replacing(values: Mapping[str, object]) -> list[Setting]:
 
 def settings_of(values: Mapping[str, object], *, may_be_unread: bool = False) -> list[Setting]:
     """The settings that the option `--set` gives, from keys with dots to values; see `Setting` for the other argument.
-
-    Raises:
-        TypeError: It is no mapping.
-    """
+    Raises TypeError if the values are no mapping."""
     if not isinstance(values, Mapping):
         raise TypeError(f"settings: a mapping of keys to values is needed (got {type(values).__name__})")
     return [Setting(str(key), plain(value), f"--set {key}", may_be_unread) for key, value in values.items()]
@@ -172,11 +152,8 @@ def plain(value: Any) -> Any:
 
 
 def read_settings(texts: Sequence[str], example: str = "waves.level=large") -> dict[str, object]:
-    """Keys and values from texts such as the example; values are YAML, and the last one of a key counts.
-
-    Raises:
-        InputError: A text has no key or no `=`, or its value is not YAML.
-    """
+    """Keys and values from texts such as the example; values are YAML, and the last one of a key counts. Raises
+    InputError if a text has no key or no `=`, or its value is not YAML."""
     values: dict[str, object] = {}
     for text in texts:
         key, equals, value = text.partition("=")
@@ -187,19 +164,9 @@ def read_settings(texts: Sequence[str], example: str = "waves.level=large") -> d
 
 
 def changed(content: Any, parts: Sequence[str], setting: Setting, where: KeyPath = ()) -> tuple[Any, KeyPath]:
-    """The content with the new value in it, and the path to it; the given content stays as it is.
-
-    A key that replaces others, as `level` replaces the `spectrum` of waves, removes them.
-
-    Args:
-        content: A scene file's content, or that of a part of it.
-        parts: The keys that lead from there to the value.
-        setting: The setting.
-        where: The path that leads to the content in the scene.
-
-    Raises:
-        InputError: No such key can be set.
-    """
+    """The content with the new value in it, and the path to it; the given content stays as it is. `parts` are the keys
+    that lead from the content to the value, and `where` is the path from the scene to the content. A key that replaces
+    others, as `level` replaces the `spectrum` of waves, removes them. Raises InputError if no such key can be set."""
     if not parts:
         return setting.value, where
     if isinstance(content, list):
@@ -212,7 +179,8 @@ def changed(content: Any, parts: Sequence[str], setting: Setting, where: KeyPath
         problem = f"{join_path(*where)} is {kind_of(content)}, which has no keys that could be set"
         raise InputError(setting.name, [problem])
     key, rest = _split(content, parts)
-    model = _model_at(where)
+    # None for a section whose keys are names, or depend on plug-ins.
+    model = model_at(DetectorFile, where[1:]) if where[:1] == ("detector",) else model_at(SceneKeys, where)
     if key not in content:
         _check_new(content, key, bool(rest), model, setting, where)
     inner, path = changed(content.get(key), rest, setting, (*where, _text(key)))
@@ -241,13 +209,6 @@ def _index(content: Sequence[Any], part: str, setting: Setting, where: KeyPath) 
     raise InputError(setting.name, [problem])
 
 
-def _model_at(where: KeyPath) -> type[BaseModel] | None:
-    """The keys that a section may have; None for one whose keys are names, or depend on plug-ins."""
-    if where[:1] == ("detector",):
-        return model_at(DetectorFile, where[1:])
-    return model_at(SceneKeys, where)
-
-
 def _check_new(
     content: Mapping[Any, Any], key: str, inside: bool, model: type[BaseModel] | None, setting: Setting, where: KeyPath
 ) -> None:
@@ -272,11 +233,8 @@ NO_DETECTOR = ""
 
 
 def state_settings(state: str | None, state_from: StrPath | None, detector: StrPath | None) -> list[Setting]:
-    """Settings that put the detector into one state for the whole scene.
-
-    Raises:
-        InputError: `state_from` comes without a state or beside a detector, or has no detector of this name.
-    """
+    """Settings that put the detector into one state for the whole scene. Raises InputError if `state_from` comes
+    without a state or beside a detector, or has no detector of this name."""
     place = None if state_from is None else as_path(state_from, "state_from")
     if place is not None and (state is None or detector is not None):
         problem = "--state says which one to take from there: give both" if state is None else "so is --detector"
@@ -300,11 +258,8 @@ def choose_detector(
     state_from: StrPath | None = None,
     may_be_unread: bool = False,
 ) -> tuple[DetectorModel, Path]:
-    """A detector without a scene, and its file; see `load_scene` for what the arguments mean.
-
-    Raises:
-        InputError: No detector is named, its file is wrong, or a setting is not one of the detector.
-    """
+    """A detector without a scene, and its file; see `load_scene` for what the arguments mean. Raises InputError if no
+    detector is named, its file is wrong, or a setting is not one of the detector."""
     if detector is None and state_from is None:
         raise InputError("--detector", ["is missing: give a detector file, or --state NAME --from conditions"])
     for key in settings or {}:

@@ -29,38 +29,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """View of a camera at S steps: what is in front of it, and from where it looks.
-
-    It makes `Bodies` of the vessels' and obstacles' solids, and of these the `Outlines` that the camera sees.
-
-    Attributes:
-        steps: The steps, shape (S,).
-        vessels: All V vessels of the scene.
-        poses: Poses of all vessels as the camera sees them: on a curved sea, the other vessels lie lower.
-        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
-        others: Vessels that are present and do not carry the camera, shape (S, V).
-        carriers: The vessel that carries the camera, shape (S, V).
-        obstacles: All obstacles of the scene.
-        curved: Whether the sea is curved.
-    """
+    """View of a camera at S steps: what is in front of it, and from where it looks. It makes `Bodies` of the solids of
+    all V vessels and of the obstacles, and of these the `Outlines` that the camera sees."""
 
     camera: Camera
-    steps: Indices
+    steps: Indices  # (S,)
     vessels: tuple[Vessel, ...]
-    poses: Poses
-    world_R_vessel: Array
-    others: Mask
-    carriers: Mask
+    poses: Poses  # of all vessels as the camera sees them: on a curved sea, the other vessels lie lower
+    world_R_vessel: Array  # VCF to WCF, waves included, (S, V, 3, 3)
+    others: Mask  # present vessels that do not carry the camera, (S, V)
+    carriers: Mask  # the vessel that carries the camera, (S, V)
     camera_poses: CameraPoses
     obstacles: tuple[Obstacle, ...] = ()
     curved: bool = False
 
     def outlines(self, *, as_shoeboxes: bool = False, measured: bool = True) -> Outlines:
-        """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh.
-
-        With `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out. For `measured`
-        see `outline`.
-        """
+        """Outlines of the other vessels, the obstacles, and the hull that carries the camera if that has a mesh. With
+        `as_shoeboxes`, shoeboxes replace meshes, and the hull that carries the camera is left out. For `measured` see
+        `outline`."""
         bodies = self._bodies(self.others, as_shoeboxes=as_shoeboxes)
         if not as_shoeboxes:
             bodies += self._own_hull()
@@ -68,10 +54,8 @@ class Sight:
         return outline(self.camera.intrinsics, self.camera_poses, bodies, measured=measured)
 
     def drawing(self, row: int, supersample: int = 1) -> Drawing:
-        """View at one of the S steps, projected by the code of the cross-check.
-
-        It is of the vessels, the obstacles, and the hull that carries the camera if that has a mesh.
-        """
+        """View at one of the S steps, projected by the code of the cross-check. It is of the vessels, the obstacles,
+        and the hull that carries the camera if that has a mesh."""
         with_mesh = np.array([vessel.has_mesh for vessel in self.vessels])
         present = self.others[row] | (self.carriers[row] & with_mesh)
         camera_R_world, camera_m = self.camera_poses.camera_R_world[row], self.camera_poses.positions_m[row]
@@ -208,12 +192,10 @@ class Snapshot:
             return (drawing if vessel is None else drawing.only(vessel)).ids(IdRenderer(context), drawing.image)
 
     def to_trimesh(self) -> trimesh.Scene:
-        """The scene in the world's axes, in metres, w3 up; the sea is flat.
-
-        Each vessel that is present is a geometry and a node under its ID, with its pose in waves. An obstacle is one
-        under `obstacle:NAME`. A camera is a frame `camera#NAME` that looks along its −z, with y up, as in OpenGL and
-        glTF. The first camera is also the trimesh scene's camera, which has no skew, distortion or principal point.
-        """
+        """The scene in the world's axes, in metres, w3 up; the sea is flat. Each vessel that is present is a geometry
+        and a node under its ID, with its pose in waves. An obstacle is one under `obstacle:NAME`. A camera is a frame
+        `camera#NAME` that looks along its −z, with y up, as in OpenGL and glTF. The first camera is also the trimesh
+        scene's camera, which has no skew, distortion or principal point."""
         import trimesh  # takes 0.3 s
 
         scene = trimesh.Scene(base_frame=BASE_FRAME)
@@ -229,11 +211,8 @@ class Snapshot:
             place = sight.camera_poses
             pose = _transform(place.camera_R_world[0].T @ CV_TO_GL, place.positions_m[0])
             scene.graph.update(CAMERA_PREFIX + sight.camera.name, matrix=pose)
-        first = self.sights[0].camera
-        lens = first.intrinsics
-        scene.camera = trimesh.scene.Camera(
-            CAMERA_PREFIX + first.name, lens.image_size_px, lens.focal_px, z_near=lens.near_clip_m
-        )
+        name, lens = CAMERA_PREFIX + self.sights[0].camera.name, self.sights[0].camera.intrinsics
+        scene.camera = trimesh.scene.Camera(name, lens.image_size_px, lens.focal_px, z_near=lens.near_clip_m)
         return scene
 
 

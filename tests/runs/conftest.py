@@ -1,12 +1,8 @@
 """Runs that several files of this folder read."""
 
-from __future__ import annotations
-
 import pytest
 
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.scene.reading import load_scene
+from modsim3d import StoredRun, load_scene, open_run, run_scene
 
 
 @pytest.fixture(scope="package")

@@ -1,7 +1,5 @@
 """A camera that sees no vessel is warned of by name, with the way it looks and where the vessels are."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -11,21 +9,19 @@ import numpy as np
 import pytest
 import yaml
 
+from modsim3d import Scene, run_scene
 from modsim3d.cli.run_summary import run_warnings
 from modsim3d.runs.camera_sequences import blind_at_first
-from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene, shipped_scenes
-from modsim3d.scene.scene import Scene
 from tests.cli.bad_input.builders import at, lens
 
 DETECTOR = Path(__file__).parents[2] / "scenes" / "detectors" / "thesis.yaml"
 SIZE = {"length_m": 12.0, "beam_m": 4.0, "air_draft_m": 3.0, "label": "Vessel"}
 BOATS = {"one": (100.0, 5.0), "two": (150.0, -8.0)}
+Keys, Boats = dict[str, Any], dict[str, tuple[float, float]]
 
 
-def scene_of(
-    folder: Path, mount: dict[str, Any], boats: dict[str, tuple[float, float]] | None = None, **more: Any
-) -> Scene:
+def scene_of(folder: Path, mount: Keys, boats: Boats | None = None, **more: Any) -> Scene:
     """A vessel that carries a camera 4 m above the sea and looks along w1, and boats that lie still."""
     boats = BOATS if boats is None else boats
     tracks = {name: [[0, w1, w2], [6, w1, w2 + 1]] for name, (w1, w2) in boats.items()}
@@ -39,12 +35,11 @@ def scene_of(
         "detector": str(DETECTOR),
         **more,
     }
-    content = {key: value for key, value in content.items() if value is not None}
-    (folder / "scene.yaml").write_text(yaml.dump(content))
+    (folder / "scene.yaml").write_text(yaml.dump({key: value for key, value in content.items() if value is not None}))
     return load_scene(folder / "scene.yaml")
 
 
-BLIND: dict[str, tuple[dict[str, Any], dict[str, tuple[float, float]] | None, str]] = {
+BLIND: dict[str, tuple[Keys, Boats | None, str]] = {
     "the sign of the pitch": (
         {"pitch_rad": -0.6},
         None,
@@ -75,22 +70,18 @@ def test_a_blind_camera_is_warned_of_with_the_reason(tmp_path: Path, why: str) -
     assert re.search(said, at_first), at_first
 
 
-WALL = {"polygon_m": [[50, -100], [52, -100], [52, 100], [50, 100]], "height_m": 80}
+WALLS = {
+    "analytic": {"polygon_m": [[50, -100], [52, -100], [52, 100], [50, 100]], "height_m": 80},
+    "rendered": {"mesh": "ferry", "size_m": [200, 2, 80], "position_m": [50, 0, 0], "heading_rad": 1.5708},
+}
 
 
-def test_a_camera_behind_a_wall_is_told_that_vessels_are_hidden(tmp_path: Path) -> None:
-    scene = scene_of(tmp_path, {}, obstacles={"wall": WALL})
-    (at_first,) = blind_at_first(scene)
-    assert at_first.endswith("vessels: 2 in the picture but hidden")
-    (warning,) = run_warnings(scene, run_scene(scene, tmp_path / "run"))
-    assert warning.endswith("vessels: 2 in the picture but hidden")
-
-
-def test_an_obstacle_of_a_mesh_hides_as_a_wall_does(tmp_path: Path) -> None:
-    wall = {"mesh": "ferry", "size_m": [200, 2, 80], "position_m": [50, 0, 0], "heading_rad": 1.5708}
-    scene = scene_of(tmp_path, {}, obstacles={"wall": wall}, annotation={"mode": 2, "source": "rendered"})
-    (at_first,) = blind_at_first(scene)
-    assert at_first.endswith("vessels: 2 in the picture but hidden")
+@pytest.mark.parametrize("source", WALLS)
+def test_a_camera_behind_a_wall_is_told_that_vessels_are_hidden(tmp_path: Path, source: str) -> None:
+    annotation = {"mode": 2, "source": source}
+    scene = scene_of(tmp_path, {}, obstacles={"wall": WALLS[source]}, annotation=annotation)
+    for (warning,) in (blind_at_first(scene), run_warnings(scene, run_scene(scene, tmp_path / "run"))):
+        assert warning.endswith("vessels: 2 in the picture but hidden")
 
 
 def test_of_a_run_in_which_nobody_is_seen_that_is_said_first(tmp_path: Path) -> None:
@@ -98,17 +89,14 @@ def test_of_a_run_in_which_nobody_is_seen_that_is_said_first(tmp_path: Path) -> 
     up = lens(mount={"vessel": "own", "position_m": [4.0, 0.0, 4.0], "pitch_rad": -0.6})
     scene = scene_of(tmp_path, {}, cameras={"bow": up, "shore": away})
     said = run_warnings(scene, run_scene(scene, tmp_path / "run"))
-    assert said[0] == "no camera sees a vessel in this run"
-    assert [line.split(":")[0] for line in said[1:]] == [
-        "camera 'bow' sees no vessel in its 12 frames",
-        "camera 'shore' sees no vessel in its 12 frames",
-    ]
+    blind = [f"camera '{name}' sees no vessel in its 12 frames" for name in ("bow", "shore")]
+    assert [line.split(":")[0] for line in said] == ["no camera sees a vessel in this run", *blind]
     assert said[2].endswith("vessels: 3 behind it")
 
 
 def test_a_vessel_that_comes_into_view_late_is_no_reason_to_warn(tmp_path: Path) -> None:
-    boats = {"late": [[0, -50, 5], [200, -51, 5], [290, 100, 5], [300, 101, 5]]}
-    poses = {"tracks": {"own": [[0, 0, 0], [300, 1, 0]], **boats}}
+    late = [[0, -50, 5], [200, -51, 5], [290, 100, 5], [300, 101, 5]]
+    poses = {"tracks": {"own": [[0, 0, 0], [300, 1, 0]], "late": late}}
     scene = scene_of(tmp_path, {}, {"late": (0.0, 0.0)}, poses=poses, steps=600)
     assert blind_at_first(scene) == []
     warnings = run_warnings(scene, run_scene(scene, tmp_path / "run"))
@@ -116,11 +104,10 @@ def test_a_vessel_that_comes_into_view_late_is_no_reason_to_warn(tmp_path: Path)
 
 
 def test_of_a_live_scene_it_is_said_after_the_run(tmp_path: Path) -> None:
-    steps = [
-        {f"{step}.0": {name: at(w1, w2) for name, (w1, w2) in {"own": (step, 0.0), **BOATS}.items()}}
-        for step in range(4)
-    ]
-    (tmp_path / "live.jsonl").write_text("".join(json.dumps(step) + "\n" for step in steps))
+    with (tmp_path / "live.jsonl").open("w") as file:
+        for step in range(4):
+            places = {name: at(*place) for name, place in {"own": (step, 0.0), **BOATS}.items()}
+            file.write(json.dumps({f"{step}.0": places}) + "\n")
     poses = {"stream": {"file": "live.jsonl", "timeout_s": 0}}
     scene = scene_of(tmp_path, {"pitch_rad": -0.6}, poses=poses, steps=9, time_step_s=None)
     assert blind_at_first(scene) == []

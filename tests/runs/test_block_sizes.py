@@ -12,15 +12,8 @@ from modsim3d.truth.record import COLUMNS, concatenate
 from tests.scenes import outlines_of, vessel
 
 STEPS = 14
-
-
-SCENES = {
-    "harbour": {},
-    "simulation_1": {"sea": "curved"},
-    "simulation_3": {},
-    "strait": {},  # with obstacles, and cameras of rates of their own
-}
-"""Shipped scenes, with settings."""
+SCENES = {"harbour": {}, "simulation_1": {"sea": "curved"}, "simulation_3": {}, "strait": {}}
+"""Shipped scenes, with settings; the strait has obstacles, and cameras of rates of their own."""
 
 
 @pytest.mark.parametrize("source", ["rendered", "analytic", "rectangles"])
@@ -54,9 +47,8 @@ def test_one_horizon_is_the_same_bits_as_among_many():
 
 def test_one_silhouette_is_the_same_bits_as_among_many():
     rng = np.random.default_rng(4)
-    boats = [
-        (vessel(f"v{i}"), (rng.uniform(50, 500), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)) for i in range(15)
-    ]
+    places = [((rng.uniform(50, 500), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)) for _ in range(15)]
+    boats = [(vessel(f"v{i}"), *place) for i, place in enumerate(places)]
     together = outlines_of(boats)
     alone = [outlines_of([boat]) for boat in boats]
     assert len(together) == 15

@@ -1,9 +1,5 @@
-"""A sample of the faults of `script/campaign faults`: calls that fail, full disks, power cuts, damaged blocks.
-
-Two writers and kills are tried in test_one_writer.py and test_overwriting.py.
-"""
-
-from __future__ import annotations
+"""A sample of the faults of `script/campaign faults`: calls that fail, full disks, power cuts, damaged blocks. Two
+writers and kills are tried in test_one_writer.py and test_overwriting.py."""
 
 import errno
 import gc
@@ -21,37 +17,27 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from modsim3d import ModsimError, load_scene, open_run, run_scene
 from modsim3d.cli.run_summary import print_summary
-from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import write_files
 from modsim3d.runs import pipeline
 from modsim3d.runs.files.block_files import finished_truth
 from modsim3d.runs.files.tables import ROW_GROUP_ROWS, TableWriter
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt, run_files
 
 BLOCK, STEPS = 75, 150  # two blocks
 
 
-@pytest.fixture(scope="module", autouse=True)
-def short_blocks():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK)
-        yield
-
-
 @pytest.fixture(scope="module")
 def scene():
-    return load_scene("simulation_1", source="analytic", steps=STEPS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK)
+        yield load_scene("simulation_1", source="analytic", steps=STEPS)
 
 
 @pytest.fixture(scope="module")
 def whole(scene, tmp_path_factory) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    run_scene(scene, folder)
-    return run_files(folder)
+    return run_files(run_scene(scene, tmp_path_factory.mktemp("whole") / "run").folder)
 
 
 class Counted:
@@ -142,20 +128,20 @@ def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
     on_disk: dict[int, bytes] = {}  # by inode
     seen = []
 
+    def cut(call: int, _: object) -> None:
+        seen.append(call)
+        if len(seen) == int(share * sum(calls.values())):
+            raise PowerCutError
+
     def keep(call: int, descriptor: int) -> None:
         cut(call, descriptor)
         path = Path(f"/proc/self/fd/{descriptor}")
         if path.is_file():
             on_disk[os.fstat(descriptor).st_ino] = path.read_bytes()
 
-    def cut(call: int, _: object) -> None:
-        seen.append(call)
-        if len(seen) == int(share * sum(calls.values())):
-            raise PowerCutError
-
     with monkeypatch.context() as watched, pytest.raises(PowerCutError):
-        for name, before in (("fsync", keep), ("replace", cut)):
-            Counted(watched, name, before)
+        Counted(watched, "fsync", keep)
+        Counted(watched, "replace", cut)
         run_scene(scene, tmp_path / "run")
     for path in [path for path in (tmp_path / "run").rglob("*") if path.is_file()]:
         path.write_bytes(on_disk.get(path.stat().st_ino, b""))
@@ -177,11 +163,8 @@ def flipped(data: bytes) -> bytes:
 
 
 DAMAGES = {
-    "empty": lambda data: b"",
-    "cut": lambda data: data[:5000],
-    "without its last byte": lambda data: data[:-1],
-    "one bit": flipped,
-    "zeros": lambda data: bytes(len(data)),
+    **{"empty": lambda data: b"", "cut": lambda data: data[:5000], "without its last byte": lambda data: data[:-1]},
+    **{"one bit": flipped, "zeros": lambda data: bytes(len(data))},
     "another file": lambda data: b"PK\x03\x04" + data[:-4],
 }
 
@@ -193,7 +176,7 @@ def test_a_damaged_block_is_made_anew_and_told(scene, whole, tmp_path, capsys, d
     result = run_scene(scene, tmp_path / "run", resume=True)
     assert (result.damaged_blocks, result.resumed_steps) == (1, BLOCK)
     assert run_files(tmp_path / "run") == whole
-    assert "1 damaged blocks of it made anew" in (tmp_path / "run" / "run.log").read_text()
+    assert "1 damaged blocks of it made anew" in (tmp_path / "run/run.log").read_text()
     print_summary(scene, result, sheet=False)
     assert "blocks of the interrupted run, made anew" in capsys.readouterr().out
 
@@ -211,8 +194,7 @@ def test_an_interrupted_run_shows_the_steps_before_a_damaged_block(scene, tmp_pa
     second.write_bytes(flipped(second.read_bytes()))
     run = open_run(tmp_path / "run")
     assert finished_truth(tmp_path / "run" / "unfinished", run.scene, BLOCK, 2 * BLOCK) is None
-    assert run.steps == BLOCK
-    assert len(list(run.frames())) == BLOCK
+    assert run.steps == len(list(run.frames())) == BLOCK
 
 
 def test_a_kept_block_of_another_run_or_of_other_steps_is_made_anew(scene, whole, tmp_path):

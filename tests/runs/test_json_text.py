@@ -1,7 +1,5 @@
 """The JSON of a run, made from columns, against the plain way: a dictionary for each row, written by orjson."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import orjson
 import pytest
 
+from modsim3d import Scene, load_scene
 from modsim3d.core.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
@@ -18,8 +17,6 @@ from modsim3d.runs.files.block_files import annotation_lines, detection_lines, j
 from modsim3d.runs.files.run_file import frame_lines, list_texts, number_texts, string_texts
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.tracker_view import TrackerDetections, tracker_lines
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import annotation_boxes
 
 Made = tuple[Scene, Block]
@@ -28,9 +25,8 @@ Made = tuple[Scene, Block]
 @pytest.fixture(scope="module", params=["strait", "simulation_3"])
 def made(request: pytest.FixtureRequest) -> Made:
     """Two cameras and second boxes of a vessel; and frames without anything."""
-    keys = {"duplicates": 0.5, "splits": 0.2, "split_aspect": 2, "merges": 0.5}
+    keys = {"duplicates": 0.5, "splits": 0.2, "split_aspect": 2, "merges": 0.5} if request.param == "strait" else {}
     settings = {f"detector.false_positives.{key}": value for key, value in keys.items()}
-    settings = settings if request.param == "strait" else {}
     scene = load_scene(request.param, steps=24, source="analytic", settings=settings)
     truth = truth_block(scene, 0, 24, None)
     return scene, Simulation(scene, scene_statistics(scene, [(truth, 0, 24)])).detect(truth, 0, 24)
@@ -62,13 +58,11 @@ def plain_detections(block: Block, part: CameraBlock, scene: Scene) -> list[byte
 def plain_tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> list[bytes]:
     told, labels, lines = TrackerDetections.of(part.detections), scene.detector.labels, []
     times_s = scene.times_s(block.first, block.stop)
+    boxes, confidence = told.boxes_px.tolist(), told.confidence.tolist()
     for frame, step in enumerate(part.steps.tolist()):
         entries = [
-            {"box_px": box, "label": labels[label], "confidence": confidence}
-            for number, box, label, confidence in zip(
-                told.frame, told.boxes_px.tolist(), told.label, told.confidence.tolist(), strict=True
-            )
-            if number == frame
+            {"box_px": boxes[row], "label": labels[told.label[row]], "confidence": confidence[row]}
+            for row in np.flatnonzero(told.frame == frame).tolist()
         ]
         time_s = float(times_s[step - block.first])
         lines.append(orjson.dumps({"time_s": time_s, "step": step, "detections": entries}) + b"\n")
@@ -95,11 +89,7 @@ def plain_lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) 
 
 @pytest.mark.parametrize(
     ("fast", "plain"),
-    [
-        (annotation_lines, plain_annotations),
-        (detection_lines, plain_detections),
-        (tracker_lines, plain_tracker_lines),
-    ],
+    [(annotation_lines, plain_annotations), (detection_lines, plain_detections), (tracker_lines, plain_tracker_lines)],
 )
 def test_lines_are_those_of_a_dictionary_for_each_row(made: Made, fast: Callable, plain: Callable) -> None:
     scene, block = made
@@ -140,9 +130,9 @@ def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
     assert list_texts(np.empty((0, 4))) == []
 
 
-@pytest.mark.parametrize("strings", [[], ["0.0"], ['a",\n  "b', "", ",\n  ", "\\", 'ø"', "[\n"]])
-def test_string_texts_are_those_of_each_string(strings: list[str]) -> None:
-    assert string_texts(strings) == [orjson.dumps(string) for string in strings]
+def test_string_texts_are_those_of_each_string() -> None:
+    for strings in ([], ["0.0"], ['a",\n  "b', "", ",\n  ", "\\", 'ø"', "[\n"]):
+        assert string_texts(strings) == [orjson.dumps(string) for string in strings]
 
 
 def test_a_line_holds_the_rows_of_its_frame_and_may_be_empty() -> None:

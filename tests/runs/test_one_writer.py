@@ -9,19 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.core.errors import OutputError
+from modsim3d import OutputError, load_scene, open_run, run_scene
 from modsim3d.io.overwrite_guard import LOCK_FILE, locked_file, locked_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import run_files
 
 RUN = ("run", "harbour", "--source", "rectangles", "--steps", "800", "--no-sheet")  # several blocks
 LONG_S = 120
-
-
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "modsim3d.cli.main", *map(str, arguments)]
 
 
 def done(program: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -30,8 +23,8 @@ def done(program: Path, *arguments: object) -> subprocess.CompletedProcess[str]:
 
 def stopped_after_a_block(out: Path, *options: object, by: signal.Signals = signal.SIGSTOP) -> subprocess.Popen[bytes]:
     """A run that a signal has stopped after it has kept its first block."""
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    running = subprocess.Popen(command(*RUN, "--out", out, *options), **quiet)
+    command = [sys.executable, "-m", "modsim3d.cli.main", *RUN, "--out", str(out), *map(str, options)]
+    running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + LONG_S
     while not list((out / "unfinished").glob("truth_*.npz")):
         assert running.poll() is None and time.monotonic() < deadline
@@ -43,9 +36,8 @@ def stopped_after_a_block(out: Path, *options: object, by: signal.Signals = sign
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """What an undisturbed run writes."""
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    run_scene(load_scene("harbour", source="rectangles", steps=800), folder)
-    return run_files(folder, LOCK_FILE)
+    scene = load_scene("harbour", source="rectangles", steps=800)
+    return run_files(run_scene(scene, tmp_path_factory.mktemp("whole") / "run").folder, LOCK_FILE)
 
 
 @pytest.mark.parametrize("option", ["--resume", "--overwrite"])
@@ -55,9 +47,8 @@ def test_a_second_process_is_refused_by_name_and_the_first_run_is_whole(prepared
         second = done(prepared, *RUN, "--out", tmp_path / "run", option)
     finally:
         first.send_signal(signal.SIGCONT)
-    assert second.returncode == 2
+    assert second.returncode == 2 and "Traceback" not in second.stderr
     assert f"is being written by modsim3d run, process {first.pid} on {os.uname().nodename}" in second.stderr
-    assert "Traceback" not in second.stderr
     assert first.wait(LONG_S) == 0
     assert run_files(tmp_path / "run", LOCK_FILE) == whole
 
@@ -75,10 +66,8 @@ def test_detect_is_refused_while_another_process_writes(prepared, tmp_path):
     run_scene(load_scene("simulation_1", source="analytic", steps=5), tmp_path / "first")
     with locked_folder(tmp_path / "second"):
         refused = done(prepared, "detect", tmp_path / "first", "--out", tmp_path / "second")
-    assert refused.returncode == 2
-    assert f"process {os.getpid()} on " in refused.stderr
-    assert not (tmp_path / "second").exists()
-    assert open_run(tmp_path / "first").finished
+    assert refused.returncode == 2 and f"process {os.getpid()} on " in refused.stderr
+    assert not (tmp_path / "second").exists() and open_run(tmp_path / "first").finished
 
 
 def test_a_lock_is_kept_out_of_forked_processes_and_of_other_programs(tmp_path):
@@ -100,10 +89,7 @@ def test_a_lock_is_kept_out_of_forked_processes_and_of_other_programs(tmp_path):
 
 
 def test_one_of_two_writers_is_refused_within_a_process_and_by_another_name(tmp_path):
-    (tmp_path / "link").symlink_to(tmp_path / "out.json")
-    with (
-        locked_file(tmp_path / "out.json"),
-        pytest.raises(OutputError, match="wait for it to end"),
-        locked_file(tmp_path / "link"),
-    ):
+    out, link = tmp_path / "out.json", tmp_path / "link"
+    link.symlink_to(out)
+    with locked_file(out), pytest.raises(OutputError, match="wait for it to end"), locked_file(link):
         raise AssertionError

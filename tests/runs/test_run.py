@@ -11,27 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d.core.errors import RunDirectoryError
+from modsim3d import RunDirectoryError, load_scene, run_scene, simulate_frames
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline
-from modsim3d.runs.pipeline import Simulation, simulate_frames, truth_block
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import interrupt, run_files
 
 STEPS = 300
-FILES = {
-    "run.json",
-    "run.log",
-    "annotations_C0.json",
-    "detections_C0.json",
-    "tracker_input_C0.jsonl",
-    "frames.parquet",
-    "truth.parquet",
-    "detections.parquet",
-    "scene",
-}
+THESIS_JSON = {"annotations_C0.json", "detections_C0.json"}
+TABLES = {"frames.parquet", "truth.parquet", "detections.parquet"}
+FILES = {"run.json", "run.log", "tracker_input_C0.jsonl", "scene"} | THESIS_JSON | TABLES
 
 
 @pytest.fixture(scope="module")
@@ -41,16 +30,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def finished(scene, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("runs") / "first"
-    run_scene(scene, folder)
-    return folder
-
-
-def test_run_directory_holds_what_is_promised_and_nothing_else(finished):
-    assert {path.name for path in finished.iterdir()} == FILES
-
-
-THESIS_JSON = {"annotations_C0.json", "detections_C0.json"}
+    return run_scene(scene, tmp_path_factory.mktemp("runs") / "first").folder
 
 
 def test_without_the_thesis_json_all_other_files_are_the_same_bytes(scene, finished, tmp_path):
@@ -67,9 +47,7 @@ def test_an_interrupted_run_goes_on_with_and_without_the_thesis_json(tmp_path):
     for first, then in ((True, False), (False, True)):
         folder = interrupt(scene, tmp_path / f"{first}", thesis_json=first)
         assert run_scene(scene, folder, resume=True, thesis_json=then).resumed_steps
-        assert {name.name for name in folder.glob("*.json*")} - {"run.json", "tracker_input_C0.jsonl"} == (
-            THESIS_JSON if then else set()
-        )
+        assert {path.name for path in folder.iterdir()} == (FILES if then else FILES - THESIS_JSON)
 
 
 def test_replacing_a_run_leaves_no_thesis_json_of_the_old_one(tmp_path):
@@ -89,15 +67,14 @@ def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished,
 
 def test_run_json_holds_no_time_and_no_host(finished):
     data = json.loads((finished / "run.json").read_text())
-    assert data["seed"] == 0
-    assert data["counts"]["frames"] == STEPS
-    assert len(data["scene_sha256"]) == 64
+    assert (data["seed"], data["counts"]["frames"], len(data["scene_sha256"])) == (0, STEPS, 64)
     assert data["versions"]["modsim3d"] == modsim3d.__version__
     assert {"format", "backend", "annotation", "steps"} <= set(data)
     assert not {"time", "date", "host", "seconds"} & {key.lower() for key in data}
 
 
-def test_run_json_lists_every_file_with_its_size_and_checksum(finished):
+def test_run_directory_holds_what_is_promised_and_run_json_lists_it_with_size_and_checksum(finished):
+    assert {path.name for path in finished.iterdir()} == FILES
     listed = json.loads((finished / "run.json").read_text())["files"]
     written = {path for path in finished.rglob("*") if path.is_file() and path.name not in ("run.json", "run.log")}
     assert list(listed) == sorted(str(path.relative_to(finished)) for path in written)
@@ -109,18 +86,15 @@ def test_run_json_lists_every_file_with_its_size_and_checksum(finished):
 def test_thesis_json_has_a_key_for_every_step_and_the_figures_fields(finished):
     annotations = json.loads((finished / "annotations_C0.json").read_text())
     detections = json.loads((finished / "detections_C0.json").read_text())
-    expected = list(load_scene("simulation_1").timestamps(0, STEPS))
-    assert list(annotations) == list(detections) == expected
+    assert list(annotations) == list(detections) == list(load_scene("simulation_1").timestamps(0, STEPS))
     for entry in annotations["0.2"].values():
-        assert set(entry) == {"label", "bbox"}
+        assert set(entry) == {"label", "bbox"} and set(entry["bbox"]["centre"]) == {"x", "y"}
         assert set(entry["bbox"]) == {"centre", "height", "width", "depth"}
-        assert set(entry["bbox"]["centre"]) == {"x", "y"}
     found = [entry for step in detections.values() for entry in step.values()]
     assert found
     for entry in found:
-        assert set(entry) == {"label", "confidenceScore", "bbox"}
+        assert set(entry) == {"label", "confidenceScore", "bbox"} and 0.2 <= entry["confidenceScore"] <= 1
         assert set(entry["bbox"]) == {"centre", "height", "width"}
-        assert 0.2 <= entry["confidenceScore"] <= 1
 
 
 def test_tables_and_json_tell_the_same(finished):
@@ -131,29 +105,24 @@ def test_tables_and_json_tell_the_same(finished):
         if row["annotated"]:
             box = annotations[row["timestamp"]][row["vessel"]]["bbox"]
             assert box["centre"]["x"] == (row["visible_x_min_px"] + row["visible_x_max_px"]) / 2
-            assert box["height"] == row["visible_y_max_px"] - row["visible_y_min_px"]
-            assert box["depth"] == row["depth_m"]
+            assert box["height"] == row["visible_y_max_px"] - row["visible_y_min_px"] and box["depth"] == row["depth_m"]
     drawn = pq.read_table(finished / "detections.parquet").to_pylist()
     detections = json.loads((finished / "detections_C0.json").read_text())
     assert len(drawn) == sum(map(len, detections.values()))
     for row in drawn:
-        entries = detections[row["timestamp"]].values()
-        assert [row["centre_x_px"], row["width_px"], row["confidence"]] in [
-            [e["bbox"]["centre"]["x"], e["bbox"]["width"], e["confidenceScore"]] for e in entries
-        ]
+        entries = [(entry["bbox"], entry["confidenceScore"]) for entry in detections[row["timestamp"]].values()]
+        told = [(box["centre"]["x"], box["width"], confidence) for box, confidence in entries]
+        assert (row["centre_x_px"], row["width_px"], row["confidence"]) in told
 
 
 def test_frames_table_counts_what_the_others_hold(finished):
     frames = pq.read_table(finished / "frames.parquet").to_pylist()
-    truth = pq.read_table(finished / "truth.parquet")
-    detections = pq.read_table(finished / "detections.parquet")
+    truth, detections = (pq.read_table(finished / f"{name}.parquet") for name in ("truth", "detections"))
     assert [row["step"] for row in frames] == list(range(STEPS))
-    steps, annotated = truth["step"].to_numpy(), truth["annotated"].to_numpy()
-    detected = truth["detected"].to_numpy()
+    steps, annotated, detected = (truth[name].to_numpy() for name in ("step", "annotated", "detected"))
     kinds = np.array(detections["kind"].to_pylist())
     for row in frames[::17]:
-        here = steps == row["step"]
-        drawn = detections["step"].to_numpy() == row["step"]
+        here, drawn = steps == row["step"], detections["step"].to_numpy() == row["step"]
         assert row["n_annotated"] == (here & annotated).sum()
         assert row["n_detected"] == (here & detected).sum() == (drawn & (kinds == "true")).sum()
         assert row["n_false"] == (drawn & (kinds == "false_positive")).sum()
@@ -161,28 +130,23 @@ def test_frames_table_counts_what_the_others_hold(finished):
 
 def test_truth_table_obeys_its_own_arithmetic(finished):
     rows = pq.read_table(finished / "truth.parquet").to_pylist()
-    hidden = [row for row in rows if row["occluded_by"]]
-    assert hidden
+    assert any(row["occluded_by"] for row in rows)
     for row in rows:
         covered = sum(entry["px"] for entry in row["occluded_by"])
         assert row["visible_px"] + covered == row["silhouette_px"]
         assert math.isclose(row["visible_fraction"], row["visible_px"] / row["silhouette_px"])
         assert (row["visible_x_min_px"] is None) == (row["visible_px"] == 0)
-        assert row["annotated"] == (row["visible_px"] > 0)
-        assert row["annotated"] or not row["detected"]
+        assert (row["annotated"] == (row["visible_px"] > 0) and row["annotated"]) or not row["detected"]
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
 def test_modes_annotate_what_they_say(mode, renderer):
     scene = load_scene("simulation_1", mode=mode, steps=1500)
-    simulation = Simulation(scene, TargetStatistics())
-    truth = truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
+    simulation = pipeline.Simulation(scene, TargetStatistics())
+    truth = pipeline.truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
     assert (truth.visible_px == 0).any()
     part = simulation.detect(truth, 1200, 1300).cameras[0]
-    if mode == 0:
-        assert truth.annotated.all()
-    else:
-        np.testing.assert_array_equal(truth.annotated, truth.visible_px > 0)
+    np.testing.assert_array_equal(truth.annotated, (truth.visible_px > 0) | (mode == 0))
     boxes = truth.visible_boxes_px if mode == 2 else truth.full_boxes_px
     assert np.isfinite(boxes[part.target_rows]).all()
     partly = (truth.visible_fraction > 0) & (truth.visible_fraction < 0.7)
@@ -194,14 +158,12 @@ def test_interrupted_run_goes_on_to_the_same_bytes_with_the_same_settings_only(s
     folder = interrupt(scene, tmp_path / "killed", blocks=2)
     assert not (folder / "run.json").exists()
     lines = (folder / "unfinished" / "detections_C0.jsonl").read_text().splitlines()
-    assert len(lines) == 240
-    assert all(json.loads(line) for line in lines)
+    assert len(lines) == 240 and all(json.loads(line) for line in lines)
     with pytest.raises(RunDirectoryError, match="--resume or --overwrite"):
         run_scene(scene, folder)
     with pytest.raises(RunDirectoryError, match="another scene, seed, settings or version"):
         run_scene(load_scene("simulation_1", mode=2, steps=STEPS, seed=5), folder, resume=True)
-    result = run_scene(scene, folder, resume=True)
-    assert result.resumed_steps == 240
+    assert run_scene(scene, folder, resume=True).resumed_steps == 240
     assert run_files(folder) == run_files(finished)
 
 
@@ -212,10 +174,9 @@ def test_python_way_gives_the_same_as_the_files(scene, finished):
     boxes = np.concatenate([frame.detections.boxes_px for frame in frames])
     assert boxes[:, 0].tolist() == [row["x_min_px"] for row in drawn]
     frame = frames[151]
-    assert frame.timestamp == "30.2"
+    assert (frame.timestamp, frame.truth.boxes_px.shape) == ("30.2", (5, 4))
     assert frame.truth.vessels == tuple(f"vessel{i}" for i in range(1, 6))
     assert frame.truth.occluded_by[4].keys() == {"vessel2"}
-    assert frame.truth.boxes_px.shape == (5, 4)
     sources = [vessel for vessel in frame.detections.vessels if vessel is not None]
     assert sorted(sources) == [v for v, found in zip(frame.truth.vessels, frame.truth.detected, strict=True) if found]
 
@@ -243,9 +204,8 @@ def test_own_files_run(tmp_path):
         "    mount: {vessel: own, position_m: [4, 0, 3], pitch_rad: 0.02}\n"
         "annotation: {mode: 2}\n"
     )
-    result = run_scene(load_scene(tmp_path / "scene.yaml"), tmp_path / "out")
-    assert result.counts.frames == 5
-    assert result.counts.annotated == 5
+    counts = run_scene(load_scene(tmp_path / "scene.yaml"), tmp_path / "out").counts
+    assert counts.frames == counts.annotated == 5
     annotations = json.loads((tmp_path / "out" / "annotations_bow.json").read_text())
     assert list(annotations) == list(poses)
     # At step t the other's near side is 74 − 2t m ahead of the camera at most; it moves to port: columns fall.
@@ -257,5 +217,4 @@ def test_small_errors_match_and_large_errors_are_counted(scene, finished):
     counts = json.loads((finished / "run.json").read_text())["counts"]
     assert counts["detected"] + counts["missed"] == counts["annotated"]
     # The source's errors have a standard deviation of 40–85 px on boxes of 10–80 px.
-    assert counts["below_half_iou"] > 0.9 * counts["detected"]
-    assert 0 < counts["redrawn"] < counts["detected"]
+    assert counts["below_half_iou"] > 0.9 * counts["detected"] and 0 < counts["redrawn"] < counts["detected"]

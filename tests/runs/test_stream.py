@@ -15,12 +15,8 @@ import pyarrow as pa
 import pytest
 import yaml
 
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d import InputError, ModsimError, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.runs.files import tables
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import LivePoses, follow, read_steps
 from tests.scenes import camera_keys, write_scene
@@ -41,9 +37,8 @@ def line(step, *names):
 
 def lines(steps=STEPS):
     """`a` comes and goes, `b` comes late and leaves."""
-    return [
-        line(t, "own", *(["a"] if t % 9 < 6 else []), *(["b"] if 10 <= t < 28 else [])) for t in range(steps)
-    ]  # fmt: skip
+    there = {"own": lambda t: True, "a": lambda t: t % 9 < 6, "b": lambda t: 10 <= t < 28}
+    return [line(t, *(name for name, at in there.items() if at(t))) for t in range(steps)]
 
 
 def scene_of(folder, poses, source="analytic", **keys):
@@ -52,11 +47,8 @@ def scene_of(folder, poses, source="analytic", **keys):
         "C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2]}),
         "shore": camera_keys(pose={"position_m": [-30, 3, 9]}),
     }
-    usual = {
-        "cameras": cameras,
-        "annotation": {"mode": 2, "source": source},
-        "waves": {"level": "large", "apply_to": "all"},
-    }
+    waves = {"level": "large", "apply_to": "all"}
+    usual = {"cameras": cameras, "annotation": {"mode": 2, "source": source}, "waves": waves}
     return write_scene(folder, boats, keys.pop("steps", None), time_step_s=None, poses=poses, **usual | keys)
 
 
@@ -81,11 +73,8 @@ def content(folder, leave_out=("run.log", "run.json", "poses.jsonl")):
 def test_a_live_run_writes_the_bytes_of_a_run_from_a_pose_file(tmp_path, stdin, source):
     text = lines()
     stdin("".join(text))
-    live = run_scene(live_scene(tmp_path, source=source), tmp_path / "live")
-    assert live.steps == STEPS
-    whole = {}
-    for each in text:
-        whole |= json.loads(each)
+    assert run_scene(live_scene(tmp_path, source=source), tmp_path / "live").steps == STEPS
+    whole = {time: places for each in text for time, places in json.loads(each).items()}
     (tmp_path / "poses.json").write_text(json.dumps(whole))
     run_scene(load_scene(scene_of(tmp_path, {"file": "poses.json"}, source)), tmp_path / "file")
     assert content(tmp_path / "live") == content(tmp_path / "file")
@@ -101,16 +90,10 @@ def test_a_live_run_writes_the_bytes_of_a_run_from_a_pose_file(tmp_path, stdin, 
 
 
 def test_a_live_camera_has_its_own_frame_rate(tmp_path, stdin):
-    def slow(poses):
-        path = scene_of(tmp_path, poses)
-        data = json.loads(path.read_text())
-        data["cameras"]["shore"] |= {"frame_rate_hz": 3, "start_offset_s": 0.2}
-        path.write_text(json.dumps(data))
-        return load_scene(path)
-
+    slow = {"cameras.shore.frame_rate_hz": 3, "cameras.shore.start_offset_s": 0.2}
     stdin("".join(lines()))
-    run_scene(slow({"stream": "-"}), tmp_path / "live")
-    run_scene(slow({"file": "live/poses.jsonl"}), tmp_path / "file")
+    for name, poses in (("live", {"stream": "-"}), ("file", {"file": "live/poses.jsonl"})):
+        run_scene(load_scene(scene_of(tmp_path, poses), settings=slow), tmp_path / name)
     assert content(tmp_path / "live") == content(tmp_path / "file")
     steps = [0.2, 0.6, 0.9, 1.2]
     assert [float(text) for text in json.loads((tmp_path / "live" / "detections_shore.json").read_text())][:4] == steps
@@ -137,13 +120,14 @@ class Watched(io.BytesIO):
 
 
 def test_each_frame_is_there_before_the_next_line_is_read(tmp_path, monkeypatch):
-    source = Watched("".join(lines(6)).encode())
-    scene = live_scene(tmp_path)
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
-    reads = []
-    for frame in simulate_frames(scene):
-        reads.append((frame.step, frame.camera, source.read_lines))
-    assert reads == [(step, camera, step + 1) for step in range(6) for camera in ("C0", "shore")]
+    """Where the scene has fewer steps, the next line stays unread."""
+    for steps, given in ((6, {}), (2, {"steps": 2})):
+        source = Watched("".join(lines(6)).encode())
+        monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
+        scene = live_scene(tmp_path, **given)
+        reads = [(frame.step, frame.camera, source.read_lines) for frame in simulate_frames(scene)]
+        assert reads == [(step, camera, step + 1) for step in range(steps) for camera in ("C0", "shore")]
+    assert source.read_lines == 2
 
 
 def test_loading_and_checking_read_nothing(call, tmp_path, monkeypatch):
@@ -155,8 +139,7 @@ def test_loading_and_checking_read_nothing(call, tmp_path, monkeypatch):
     path = scene_of(tmp_path, {"stream": "-"})
     monkeypatch.setattr(sys, "stdin", Stdin())
     status, said = call("check", "scene", path)
-    assert status == 0 and "as they come" in said
-    assert load_scene(path).live
+    assert status == 0 and "as they come" in said and load_scene(path).live
 
 
 def test_a_pipe_gives_a_frame_for_each_line(tmp_path, monkeypatch):
@@ -175,9 +158,9 @@ def test_a_pipe_gives_a_frame_for_each_line(tmp_path, monkeypatch):
 def test_what_has_come_can_be_simulated_again(tmp_path, stdin):
     stdin("".join(lines(5)))
     scene = live_scene(tmp_path)
-    boxes = [[frame.detections.boxes_px for frame in simulate_frames(scene)] for _ in range(2)]
-    assert len(boxes[0]) == 10
-    np.testing.assert_equal(boxes[0], boxes[1])
+    first, second = ([frame.detections.boxes_px for frame in simulate_frames(scene)] for _ in range(2))
+    assert len(first) == 10
+    np.testing.assert_equal(first, second)
 
 
 def process(program, path, out):
@@ -188,12 +171,10 @@ def process(program, path, out):
 def wait_for_lines(path, count):
     """Until a file has that many lines; the bound is only there so that a broken program fails and does not hang."""
     give_up = time.monotonic() + 60
-    while time.monotonic() < give_up:
-        text = path.read_bytes() if path.exists() else b""
-        if text.count(b"\n") >= count:
-            return text
+    while not path.exists() or path.read_bytes().count(b"\n") < count:
+        assert time.monotonic() < give_up, f"{path} never had {count} lines"
         time.sleep(0.01)
-    raise AssertionError(f"{path} never had {count} lines")
+    return path.read_bytes()
 
 
 def test_a_real_process_answers_each_line_with_a_line(prepared, tmp_path):
@@ -210,8 +191,7 @@ def test_a_real_process_answers_each_line_with_a_line(prepared, tmp_path):
             assert [json.loads(given)["step"] for given in text.splitlines()] == list(range(step + 1))
         _, errors = running.communicate(timeout=60)
         assert running.returncode == 0, errors.decode()
-    assert len(json.loads((out / "detections_C0.json").read_text())) == 4
-    assert not (out / "unfinished").exists()
+    assert len(json.loads((out / "detections_C0.json").read_text())) == 4 and not (out / "unfinished").exists()
 
 
 def test_a_file_is_followed_while_it_is_written(prepared, tmp_path):
@@ -242,25 +222,11 @@ def test_a_file_that_does_not_grow_ends_after_the_timeout(tmp_path, timeout_s):
     assert [frame.timestamp for frame in simulate_frames(scene)][::2] == ["0.0", "0.1", "0.2"]
 
 
-def test_steps_end_a_stream_and_the_next_line_stays_unread(tmp_path, monkeypatch):
-    source = Watched("".join(lines(6)).encode())
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=source))
-    assert len(list(simulate_frames(live_scene(tmp_path, steps=2)))) == 4
-    assert source.read_lines == 2
-
-
-def test_an_empty_line_ends_a_stream():
+def test_an_empty_line_ends_a_stream_of_whole_lines_of_any_length():
     given = [line(0, "own").encode(), b" \r\n", b"not json\n"]
     assert [timestamp for timestamp, _ in read_steps(given, "it", ["own"])] == ["0.0"]
-
-
-def test_follow_gives_whole_lines_of_any_length():
-    assert list(follow(io.BytesIO(b"a\n" + b"x" * 100_000 + b"\n\nlast"), None)) == [
-        b"a\n",
-        b"x" * 100_000 + b"\n",
-        b"\n",
-        b"last",
-    ]
+    given = [b"a\n", b"x" * 100_000 + b"\n", b"\n", b"last"]
+    assert list(follow(io.BytesIO(b"".join(given)), None)) == given
 
 
 BAD = {
@@ -290,10 +256,9 @@ def test_a_bad_line_is_told_with_its_number_and_what_is_finished_is_kept(call, t
     stdin("".join(lines(2)).encode() + bad)
     out = tmp_path / "out"
     status, said = call("run", scene_of(tmp_path, {"stream": "-"}), "--out", out, "--no-sheet")
-    assert status == 2
+    assert status == 2 and "Traceback" not in said
     for part in (*parts, "the 2 steps before are kept as complete lines in"):
         assert part in said
-    assert "Traceback" not in said
     for name in ("detections_C0", "annotations_shore", "poses"):
         kept = (out / "unfinished" / f"{name}.jsonl").read_text().splitlines()
         assert [list(json.loads(each)) for each in kept] == [["0.0"], ["0.1"]]
@@ -351,13 +316,15 @@ def test_a_stream_takes_no_sea_and_no_rates_that_need_steps_to_come(tmp_path):
         "dropout": {"model": "logistic", "anchor": "state_rate", "distance_m": {"per_doubling": 1, "reference": 50}},
         "false_positives": {"model": "per_image", "rate": 1},
     }
-    detector = tmp_path / "anchored.json"
-    detector.write_text(json.dumps(anchored))
+    (tmp_path / "anchored.json").write_text(json.dumps(anchored))
     with pytest.raises(InputError) as caught:
-        live_scene(tmp_path, waves=sea, detector=str(detector))
-    assert "waves.spectrum: the sea needs the velocities of vessels" in str(caught.value)
-    assert "detector: holds rates over the whole scene (anchor: state_rate)" in str(caught.value)
-    assert "give false_positives a size" in str(caught.value)
+        live_scene(tmp_path, waves=sea, detector="anchored.json")
+    for part in (
+        "waves.spectrum: the sea needs the velocities of vessels",
+        "detector: holds rates over the whole scene (anchor: state_rate)",
+        "give false_positives a size",
+    ):
+        assert part in str(caught.value)
 
 
 def test_what_a_stream_cannot_do_is_refused_in_one_message(call, tmp_path, monkeypatch):
@@ -369,15 +336,13 @@ def test_what_a_stream_cannot_do_is_refused_in_one_message(call, tmp_path, monke
         ("check truth", "check truth needs a scene whose steps are known"),
     ):
         status, said = call(*command.split(), path, *options)
-        assert status == 2 and part in said
-        assert not (tmp_path / "runs").exists()
+        assert status == 2 and part in said and not (tmp_path / "runs").exists()
 
 
 def test_lines_as_a_pose_file(tmp_path):
     (tmp_path / "poses.jsonl").write_text("".join(lines(5)) + "\n")
     scene = load_scene(scene_of(tmp_path, {"file": "poses.jsonl"}))
-    assert scene.timestamps(0, 5) == ("0.0", "0.1", "0.2", "0.3", "0.4")
-    assert not scene.live
+    assert scene.timestamps(0, 5) == ("0.0", "0.1", "0.2", "0.3", "0.4") and not scene.live
 
 
 @pytest.mark.parametrize(
@@ -401,8 +366,7 @@ def test_half_a_line_at_the_end_of_an_interrupted_runs_poses_is_left_out(tmp_pat
     (tmp_path / "unfinished" / "scene").mkdir(parents=True)
     (tmp_path / "unfinished" / "poses.jsonl").write_text("".join(lines(3)) + torn)
     scene = load_scene(scene_of(tmp_path / "unfinished" / "scene", {"file": "../poses.jsonl"}))
-    assert scene.timestamps(0, 3) == ("0.0", "0.1", "0.2")
-    assert scene.steps == 3
+    assert (scene.steps, scene.timestamps(0, 3)) == (3, ("0.0", "0.1", "0.2"))
 
 
 def test_live_poses_keep_what_came_and_refuse_what_never_came():

@@ -1,7 +1,5 @@
 """The columns of every table: the page, Arrow's metadata and what a run writes say the same."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -11,50 +9,36 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from modsim3d import RunDirectoryError, StoredRun, open_run
 from modsim3d.core.boxes import centre_form, corner_form
-from modsim3d.core.errors import RunDirectoryError
-from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, TableColumn, schema_of
-from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, COLUMNS, schema_of
+from tests.run_folders import edited_run
 
 PAGE = Path(__file__).parents[2] / "docs" / "tables.md"
 UNITS = {"_px": "px", "_m": "m", "_rad": "rad", "_rad_s": "rad/s", "_m_s2": "m/s²", "_s": "s"}
 
 
-@pytest.fixture(scope="module")
-def run(strait_run: StoredRun) -> StoredRun:
-    return strait_run
-
-
-def rows_of_the_page(table: str) -> list[str]:
-    section = PAGE.read_text(encoding="utf-8").partition(f"\n## {table}.parquet\n")[2].partition("\n## ")[0]
-    return [line for line in section.splitlines() if line.startswith("| `")]
-
-
-def row_of(column: TableColumn) -> str:
-    return re.sub(" +", " ", f"| `{column.name}` | `{column.type}` | {column.unit} | {column.meaning} |")
-
-
 @pytest.mark.parametrize("table", COLUMNS)
 def test_the_page_documents_every_column(table: str) -> None:
-    assert rows_of_the_page(table) == [row_of(column) for column in COLUMNS[table]]
+    rows = [f"| `{each.name}` | `{each.type}` | {each.unit} | {each.meaning} |" for each in COLUMNS[table]]
+    section = PAGE.read_text(encoding="utf-8").partition(f"\n## {table}.parquet\n")[2].partition("\n## ")[0]
+    said = [line for line in section.splitlines() if line.startswith("| `")]
+    assert said == [re.sub(" +", " ", row) for row in rows]
 
 
-def test_the_page_has_a_section_for_every_table_and_no_other() -> None:
+def test_the_page_and_a_run_have_every_table_and_no_other(strait_run: StoredRun) -> None:
     assert re.findall(r"^## (\w+)\.parquet$", PAGE.read_text(encoding="utf-8"), re.MULTILINE) == list(COLUMNS)
+    assert {path.stem for path in strait_run.folder.rglob("*.parquet")} == set(COLUMNS)
 
 
 @pytest.mark.parametrize("table", COLUMNS)
-def test_a_written_table_has_the_columns_with_unit_and_description(run: StoredRun, table: str) -> None:
-    written = pq.read_schema(run.folder / f"{table}.parquet")
+def test_a_written_table_has_the_columns_with_unit_and_description(strait_run: StoredRun, table: str) -> None:
+    written = pq.read_schema(strait_run.folder / f"{table}.parquet")
     assert written.names == [column.name for column in COLUMNS[table]]
     for field, column in zip(written, COLUMNS[table], strict=True):
         assert field.type == column.type
         said = {key: value.decode() for key, value in field.metadata.items() if not key.startswith(b"PARQUET:")}
         assert said == {b"unit": column.unit, b"description": column.meaning}
-
-
-def test_every_parquet_file_of_a_run_is_one_of_the_tables(run: StoredRun) -> None:
-    assert {path.stem for path in run.folder.rglob("*.parquet")} == set(COLUMNS)
 
 
 @pytest.mark.parametrize("table", COLUMNS)
@@ -65,40 +49,37 @@ def test_a_unit_in_the_name_is_the_unit(table: str) -> None:
         assert column.meaning and "|" not in column.meaning
 
 
-def test_corners_and_centre_of_a_detection_are_those_of_the_thesis_file(run: StoredRun) -> None:
-    table = pq.read_table(run.folder / "detections.parquet")
+def test_corners_and_centre_of_a_detection_are_those_of_the_thesis_file(strait_run: StoredRun) -> None:
+    table = pq.read_table(strait_run.folder / "detections.parquet")
     corners, centred = (np.column_stack([table[name] for name in names]) for names in (BOX_SIDES, CENTRE_FORM))
     np.testing.assert_array_equal(centred, centre_form(corners))
     np.testing.assert_allclose(corner_form(centred), corners, atol=1e-9)
     assert (corners[:, :2] < corners[:, 2:]).all()
-    found = json.loads((run.folder / "detections_bow.json").read_text())
+    found = json.loads((strait_run.folder / "detections_bow.json").read_text())
     boxes = [entry["bbox"] for frame in found.values() for entry in frame.values()]
     told = sorted((b["centre"]["x"], b["centre"]["y"], b["width"], b["height"]) for b in boxes)
     assert told == sorted(map(tuple, centred[np.array(table["camera"].to_pylist()) == "bow"].tolist()))
     np.testing.assert_array_equal(
-        corners, np.concatenate([frame.detections.boxes_px for frame in sorted(run.frames(), key=lambda f: f.step)])
+        corners,
+        np.concatenate([frame.detections.boxes_px for frame in sorted(strait_run.frames(), key=lambda f: f.step)]),
     )
 
 
 def rewritten(run: StoredRun, folder: Path, table: pa.Table, **changes: object) -> Path:
-    """A copy of a run with another table of detections and other entries in `run.json`."""
-    folder.mkdir()
-    for path in run.folder.iterdir():
-        if path.name not in ("run.json", "detections.parquet"):
-            (folder / path.name).symlink_to(path)
+    """A copy of a run with another table of detections, other entries in `run.json` and no list of files."""
+    edited_run(run.folder, folder, files=None, **changes)
+    (folder / "detections.parquet").unlink()
     pq.write_table(table, folder / "detections.parquet")
-    data = json.loads((run.folder / "run.json").read_text()) | changes
-    (folder / "run.json").write_text(json.dumps({key: value for key, value in data.items() if value is not None}))
     return folder
 
 
-def test_detections_of_the_format_before_are_read(run: StoredRun, tmp_path: Path) -> None:
-    now = pq.read_table(run.folder / "detections.parquet")
+def test_detections_of_the_format_before_are_read(strait_run: StoredRun, tmp_path: Path) -> None:
+    now = pq.read_table(strait_run.folder / "detections.parquet")
     former = {"centre_x_px": "x_px", "centre_y_px": "y_px"}
     old = now.drop_columns(list(BOX_SIDES)).rename_columns(
         [former.get(name, name) for name in now.column_names if name not in BOX_SIDES]
     )
-    folder = rewritten(run, tmp_path / "old", old, format=1, camera_counts=None, files=None)
+    folder = rewritten(strait_run, tmp_path / "old", old, format=1, camera_counts=None)
     again = open_run(folder).tables()["detections"]
     assert again.schema.equals(schema_of("detections"), check_metadata=True)
     for name in now.column_names:
@@ -106,14 +87,14 @@ def test_detections_of_the_format_before_are_read(run: StoredRun, tmp_path: Path
             np.testing.assert_allclose(again[name], now[name], atol=1e-9)
         else:
             assert again[name].equals(now[name]), name
-    assert len(list(open_run(folder).frames(3, 9))) == len(list(run.frames(3, 9)))
+    assert len(list(open_run(folder).frames(3, 9))) == len(list(strait_run.frames(3, 9)))
 
 
 @pytest.mark.parametrize(("name", "by"), [("centre_x_px", 0.5), ("height_px", 1.0)])
-def test_a_centre_form_of_another_box_is_refused(run: StoredRun, tmp_path: Path, name: str, by: float) -> None:
-    table = pq.read_table(run.folder / "detections.parquet")
+def test_a_centre_form_of_another_box_is_refused(strait_run: StoredRun, tmp_path: Path, name: str, by: float) -> None:
+    table = pq.read_table(strait_run.folder / "detections.parquet")
     values = table[name].to_numpy().copy()
     values[7] += by
     moved = table.set_column(table.column_names.index(name), table.schema.field(name), pa.array(values))
     with pytest.raises(RunDirectoryError, match=rf"row 7, column '{name}': must be that of the box from "):
-        open_run(rewritten(run, tmp_path / "moved", moved, files=None)).tables()
+        open_run(rewritten(strait_run, tmp_path / "moved", moved)).tables()

@@ -1,65 +1,39 @@
 """The file for a tracker: every detection of every frame, in time order, and nothing of the truth."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from modsim3d import StoredRun, load_scene, run_scene
 from modsim3d.core.arrays import Indices
 from modsim3d.detector.records import KINDS, Detections
-from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import StoredRun
 from modsim3d.runs.tracker_view import anonymised, tracker_lines
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 
 
-@pytest.fixture(scope="module")
-def run(strait_run: StoredRun) -> StoredRun:
-    return strait_run
-
-
-class Tracker:
-    """Takes one line after another, as a tracker would, and knows no other file."""
-
-    def __init__(self) -> None:
-        self.times_s: list[float] = []
-        self.seen: dict[int, list[dict[str, Any]]] = {}
-
-    def take(self, line: bytes) -> None:
-        frame = json.loads(line)
-        assert list(frame) == ["time_s", "step", "detections"]
-        assert not self.times_s or frame["time_s"] > self.times_s[-1]
-        self.times_s.append(frame["time_s"])
-        self.seen[frame["step"]] = frame["detections"]
-
-
-def fed(path: Path) -> Tracker:
-    tracker = Tracker()
-    with path.open("rb") as lines:
-        for line in lines:
-            tracker.take(line)
-    return tracker
+def told_to_a_tracker(path: Path) -> tuple[list[float], dict[int, list[dict[str, Any]]]]:
+    """Times in seconds, and step → detections, from one line after another, as a tracker would take them."""
+    frames = [json.loads(line) for line in path.read_bytes().splitlines()]
+    assert all(list(frame) == ["time_s", "step", "detections"] for frame in frames)
+    times_s = [frame["time_s"] for frame in frames]
+    assert (np.diff(times_s) > 0).all()
+    return times_s, {frame["step"]: frame["detections"] for frame in frames}
 
 
 @pytest.mark.parametrize("camera", ["bow", "quay"])
-def test_a_tracker_gets_every_detection_of_every_frame(run: StoredRun, camera: str) -> None:
-    tracker = fed(run.folder / f"tracker_input_{camera}.jsonl")
-    frames = [frame for frame in run.frames() if frame.camera == camera]
-    assert list(tracker.seen) == [frame.step for frame in frames]
-    np.testing.assert_allclose(tracker.times_s, [float(frame.timestamp) for frame in frames])
-    assert sum(map(len, tracker.seen.values())) > 50
+def test_a_tracker_gets_every_detection_of_every_frame(strait_run: StoredRun, camera: str) -> None:
+    times_s, seen = told_to_a_tracker(strait_run.folder / f"tracker_input_{camera}.jsonl")
+    frames = [frame for frame in strait_run.frames() if frame.camera == camera]
+    assert list(seen) == [frame.step for frame in frames]
+    np.testing.assert_allclose(times_s, [float(frame.timestamp) for frame in frames])
+    assert sum(map(len, seen.values())) > 50
     for frame in frames:
-        found, given = frame.detections, tracker.seen[frame.step]
+        found, given = frame.detections, seen[frame.step]
         boxes, confidence = np.round(found.boxes_px, 3).tolist(), np.round(found.confidence, 6).tolist()
         expected = [repr(entry) for entry in zip(boxes, found.labels, confidence, strict=True)]
         told = [repr((entry["box_px"], entry["label"], entry["confidence"])) for entry in given]
@@ -68,25 +42,19 @@ def test_a_tracker_gets_every_detection_of_every_frame(run: StoredRun, camera: s
 
 def test_frames_without_detections_are_there(tmp_path: Path) -> None:
     run_scene(load_scene("simulation_3", steps=20, source="analytic"), tmp_path / "run")
-    tracker = fed(tmp_path / "run" / "tracker_input_C1.jsonl")
-    assert tracker.seen == {step: [] for step in range(20)}
+    assert told_to_a_tracker(tmp_path / "run" / "tracker_input_C1.jsonl")[1] == {step: [] for step in range(20)}
 
 
 @pytest.mark.parametrize("camera", ["bow", "quay"])
-def test_nothing_in_it_is_of_the_truth(run: StoredRun, camera: str) -> None:
-    text = (run.folder / f"tracker_input_{camera}.jsonl").read_text()
-    names = set(run.scene.vessel_names) - set(run.scene.detector.labels)
-    for word in (*names, *KINDS[1:], "vessel", "kind"):
-        assert f'"{word}' not in text
-    for entries in fed(run.folder / f"tracker_input_{camera}.jsonl").seen.values():
+def test_nothing_in_it_is_of_the_truth(strait_run: StoredRun, camera: str) -> None:
+    path = strait_run.folder / f"tracker_input_{camera}.jsonl"
+    text, names = path.read_text(), set(strait_run.scene.vessel_names) - set(strait_run.scene.detector.labels)
+    assert not [word for word in (*names, *KINDS[1:], "vessel", "kind") if f'"{word}' in text]
+    for entries in told_to_a_tracker(path)[1].values():
         assert all(list(entry) == ["box_px", "label", "confidence"] for entry in entries)
         keys = [(-entry["confidence"], entry["box_px"], entry["label"]) for entry in entries]
         assert keys == sorted(keys)
         assert all(edge == round(edge, 3) for entry in entries for edge in entry["box_px"])  # no last bits
-
-
-def lines_with(scene: Scene, block: Block, part: CameraBlock, detections: Detections) -> list[bytes]:
-    return tracker_lines(block, replace(part, detections=detections), scene).splitlines(keepends=True)
 
 
 def permuted(detections: Detections, order: Indices) -> Detections:
@@ -94,18 +62,19 @@ def permuted(detections: Detections, order: Indices) -> Detections:
     return replace(detections, **{name: getattr(detections, name)[order] for name in columns})
 
 
-def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order(run: StoredRun) -> None:
-    scene, steps = run.scene, run.steps
+def test_the_lines_do_not_depend_on_where_detections_came_from_or_in_which_order(strait_run: StoredRun) -> None:
+    scene, steps = strait_run.scene, strait_run.steps
     truth = truth_block(scene, 0, steps, None)
     block = Simulation(scene, scene_statistics(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
     for part in block.cameras:
         found = part.detections
-        lines = partial(lines_with, scene, block, part)
         by_origin = permuted(found, np.lexsort((found.target, found.kind, found.frame)))
         by_size = permuted(found, np.lexsort((found.boxes_px[:, 0], found.frame)))
         nobody = np.full(len(found), -1)
         unknown = replace(found, target=nobody, partner=nobody, kind=np.ones_like(found.kind))
-        assert lines(found) == lines(by_origin) == lines(by_size) == lines(unknown)
+        expected = tracker_lines(block, part, scene)
+        for other in (by_origin, by_size, unknown):
+            assert tracker_lines(block, replace(part, detections=other), scene) == expected
 
 
 @pytest.mark.parametrize("count", [0, 1, 300])
@@ -114,8 +83,11 @@ def test_detections_are_told_by_frame_confidence_box_and_label(count: int) -> No
     frame, label = np.sort(rng.integers(0, 9, count)), rng.integers(0, 3, count)
     boxes, confidence = rng.integers(0, 2, (count, 4)) / 1.0, rng.integers(0, 3, count) / 2
     found = anonymised(frame, label, boxes, confidence)
-    keys = zip(frame.tolist(), (-confidence).tolist(), boxes.tolist(), label.tolist(), strict=True)
-    told_keys = zip(
-        found.frame.tolist(), (-found.confidence).tolist(), found.boxes_px.tolist(), found.label.tolist(), strict=True
+    keys, told = (
+        list(zip(*(column.tolist() for column in columns), strict=True))
+        for columns in (
+            (frame, -confidence, boxes, label),
+            (found.frame, -found.confidence, found.boxes_px, found.label),
+        )
     )
-    assert list(told_keys) == sorted(keys)
+    assert told == sorted(keys)

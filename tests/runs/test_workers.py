@@ -10,12 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from modsim3d import load_scene, run_scene
 from modsim3d.runs import pipeline, workers
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from tests.run_folders import run_files
-
-COMMAND = ["run", "harbour", "--no-sheet"]
 
 
 def test_two_workers_write_the_bytes_of_one(tmp_path, monkeypatch):
@@ -23,10 +20,6 @@ def test_two_workers_write_the_bytes_of_one(tmp_path, monkeypatch):
     for count in (1, 2):
         run_scene(load_scene("harbour", steps=35), tmp_path / str(count), workers=count)
     assert run_files(tmp_path / "1") == run_files(tmp_path / "2")
-
-
-def children(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
 BLOCK_STEPS = 10
@@ -50,18 +43,16 @@ cli.main()
 
 def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path, monkeypatch):
     command = [sys.executable, "-c", STALLING_WORKER, "run", "simulation_2", "--no-sheet", "--steps", "55"]
-    out = ["--workers", "2", "--out", str(tmp_path / "run")]
+    command += ["--workers", "2", "--out", str(tmp_path / "run")]
     single = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
-    pipe = subprocess.PIPE
-    running = subprocess.Popen([*command, *out], stdout=pipe, stderr=pipe, text=True, env={**os.environ, **single})
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    running = subprocess.Popen(command, **pipes, text=True, env={**os.environ, **single})
     parts = tmp_path / "run" / "unfinished"
     wait_for(lambda: list(parts.glob("truth_*.npz")), running)
-    (worker,) = children(running.pid)
-    os.kill(worker, signal.SIGKILL)
+    (worker,) = Path(f"/proc/{running.pid}/task/{running.pid}/children").read_text().split()
+    os.kill(int(worker), signal.SIGKILL)
     _, said = running.communicate(timeout=90)
-    assert running.returncode == 2
-    assert said.count("a worker process died") == 1
-    assert "Traceback" not in said
+    assert running.returncode == 2 and said.count("a worker process died") == 1 and "Traceback" not in said
     kept = {path.name: path.read_bytes() for path in parts.glob("truth_*.npz")}
     assert kept
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", BLOCK_STEPS)
@@ -82,34 +73,19 @@ def wait_for(state, running):
 
 def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path):
     said = []
+    how = {"capture_output": True, "text": True, "timeout": 60, "env": {**os.environ, "MODSIM3D_GL": "nonsense"}}
     for count in ("1", "2"):
-        out = ["--steps", "5", "--workers", count, "--out", str(tmp_path / count)]
-        done = subprocess.run(
-            [prepared, *COMMAND, *out],
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-            env={**os.environ, "MODSIM3D_GL": "nonsense"},
-        )
+        command = [prepared, "run", "harbour", "--no-sheet", "--steps", "5", "--workers", count]
+        done = subprocess.run([*command, "--out", tmp_path / count], check=False, **how)
         assert done.returncode == 2
         said.append([line for line in done.stderr.splitlines() if line.startswith("modsim3d:")])
-    assert said[0] == said[1]
-    assert len(said[0]) == 1
+    assert said[0] == said[1] and len(said[0]) == 1
 
 
 def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
-    command = [
-        prepared,
-        "run",
-        "simulation_2",
-        "--no-sheet",
-        "--set",
-        "annotation.render=full",
-        "--out",
-        str(tmp_path / "run"),
-    ]
+    command = [prepared, "run", "simulation_2", "--no-sheet", "--set", "annotation.render=full"]
+    command += ["--out", tmp_path / "run"]
     (tmp_path / "first.py").write_text(SHORT_BLOCKS)
     environment = {**os.environ, "FIRST": str(tmp_path / "first.py")}
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
@@ -120,9 +96,7 @@ def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     except subprocess.TimeoutExpired:  # Python drops an interrupt that comes while an object is finalised
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=60)
-    assert running.returncode == 130
-    assert "go on with --resume" in said
-    assert "Traceback" not in said
+    assert running.returncode == 130 and "go on with --resume" in said and "Traceback" not in said
 
 
 def test_script_without_a_main_guard_runs_once(tmp_path):

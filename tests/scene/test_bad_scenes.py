@@ -1,12 +1,11 @@
 """Files that are cut off, incomplete or no meshes: one clear error at the command line, exit status 2, no traceback.
-
-Swapped latitudes and longitudes are in `ais/test_ais_command.py`, broken streams in `test_stream.py`.
-"""
+Swapped latitudes and longitudes are in `ais/test_ais_command.py`, broken streams in `test_stream.py`."""
 
 import gzip
 import json
 import struct
 import tracemalloc
+from itertools import product
 
 import pytest
 
@@ -15,6 +14,7 @@ from modsim3d.scene.keys import PoseKeys
 from modsim3d.scene.reading import load_scene
 from tests.scenes import camera_keys, write_scene
 
+STEPS = 5
 BOATS = {"own": ([8, 4, 2], []), "other": ([20, 6, 9], [])}
 WEDGE = "v 0 0 0\nv 4 0 0\nv 0 2 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 
@@ -25,8 +25,7 @@ def refused(call, tmp_path):
 
     def look(scene):
         first, second = call("check", "scene", scene), call("run", scene, "--out", tmp_path / "out", "--no-sheet")
-        assert first == second and first[0] == 2
-        assert not (tmp_path / "out").exists()
+        assert first == second and first[0] == 2 and not (tmp_path / "out").exists()
         head, problem = first[1].splitlines()
         assert head == f"modsim3d: scene {scene}:"
         return problem.strip()
@@ -34,28 +33,21 @@ def refused(call, tmp_path):
     return look
 
 
-def poses(steps=5, absent=()):
-    return [
-        {
-            f"{step}.0": {
-                name: {"center_position_m": [60.0 * place + step, 0, 0], "heading_rad": 0.0}
-                for place, name in enumerate(BOATS)
-                if (step, name) not in absent
-            }
-        }
-        for step in range(steps)
-    ]
-
-
 def scene_of(folder, file, **keys):
     cameras = {"C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2.5]})}
     return write_scene(folder, BOATS, None, time_step_s=None, poses={"file": file}, cameras=cameras, **keys)
 
 
-def whole(form):
+def whole(form, absent=()):
+    """A pose file of five steps, but for what is absent at some: steps and vessels."""
+    places = {name: [60.0 * place, 0, 0] for place, name in enumerate(BOATS)}
+    poses = {f"{step}.0": {} for step in range(STEPS)}
+    for (step, entries), name in product(enumerate(poses.values()), BOATS):
+        if (step, name) not in absent:
+            entries[name] = {"center_position_m": [places[name][0] + step, 0, 0], "heading_rad": 0.0}
     if form == "json":
-        return json.dumps({time: entry for step in poses() for time, entry in step.items()}, indent=1).encode()
-    return "".join(json.dumps(step) + "\n" for step in poses()).encode()
+        return json.dumps(poses, indent=1).encode()
+    return "".join(json.dumps({time: entries}) + "\n" for time, entries in poses.items()).encode()
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
@@ -77,7 +69,7 @@ def test_poses_that_are_cut_off_are_told_and_whole_ones_are_unpacked_whatever_th
         assert name in said and "not a complete gzip file" in said
     other = f"poses.{form}" if packed else f"poses.{form}.gz"
     (tmp_path / other).write_bytes(content)
-    assert load_scene(scene_of(tmp_path, other)).steps == len(poses())
+    assert load_scene(scene_of(tmp_path, other)).steps == STEPS
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -103,9 +95,7 @@ def test_a_short_text_takes_little_room(tmp_path, packed):
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
 def test_own_ship_missing_at_a_step_names_camera_vessel_and_time(tmp_path, refused, form):
-    steps = poses(absent={(3, "own"), (4, "own"), (1, "other")})
-    text = json.dumps({time: entry for step in steps for time, entry in step.items()})
-    (tmp_path / f"poses.{form}").write_text(text if form == "json" else "\n".join(map(json.dumps, steps)))
+    (tmp_path / f"poses.{form}").write_bytes(whole(form, absent={(3, "own"), (4, "own"), (1, "other")}))
     said = refused(scene_of(tmp_path, f"poses.{form}"))
     assert said == "cameras.C0.mount.vessel: 'own' has no pose at time 3.0 s"
 
@@ -125,32 +115,25 @@ MESHES = {
 }
 
 
-@pytest.mark.parametrize("whose", ["vessel", "obstacle"])
+@pytest.mark.parametrize("whose", ["vessels.other", "obstacles.rock"])
 @pytest.mark.parametrize("fault", MESHES)
 def test_a_bad_mesh_is_told_with_whose_it_is_and_why(tmp_path, refused, whose, fault):
     name, write, reason = MESHES[fault]
     write(tmp_path / name)
     (tmp_path / "poses.json").write_bytes(whole("json"))
-    rock = {"rock": {"mesh": name, "size_m": [9, 9, 9], "position_m": [200, 30, 0]}} if whose == "obstacle" else {}
-    path = scene_of(tmp_path, "poses.json", **({"obstacles": rock} if rock else {}))
-    if whose == "vessel":
-        data = json.loads(path.read_text())
+    path = scene_of(tmp_path, "poses.json")
+    data = json.loads(path.read_text())
+    if whose == "vessels.other":
         data["vessels"]["other"]["mesh"] = name
-        path.write_text(json.dumps(data))
+    else:
+        data["obstacles"] = {"rock": {"mesh": name, "size_m": [9, 9, 9], "position_m": [200, 30, 0]}}
+    path.write_text(json.dumps(data))
     said = refused(path)
-    assert said.startswith("obstacles.rock.mesh: " if rock else "vessels.other.mesh: ")
-    assert reason in said
+    assert said.startswith(f"{whose}.mesh: ") and reason in said
 
 
-@pytest.mark.parametrize(
-    "angles",
-    [
-        {"yaw_rad": 3.141592653589793},  # astern
-        {"yaw_rad": -4.7},
-        {"pitch_rad": 1.5708},  # straight down, as from a mast or a drone
-        {"roll_rad": -1.5708},  # on its side
-        {"roll_rad": 3.14159},  # upside down
-    ],
-)
-def test_angles_that_cameras_have_are_taken(angles: dict[str, float]) -> None:
-    assert PoseKeys.model_validate({"position_m": (0, 0, 9), **angles}).model_dump(include=set(angles)) == angles
+def test_angles_that_cameras_have_are_taken():
+    """Astern, straight down, as from a mast or a drone, on its side, and upside down."""
+    angles = [("yaw_rad", 3.141592653589793), ("yaw_rad", -4.7), ("pitch_rad", 1.5708)]
+    for name, angle in (*angles, ("roll_rad", -1.5708), ("roll_rad", 3.14159)):
+        assert getattr(PoseKeys.model_validate({"position_m": (0, 0, 9), name: angle}), name) == angle

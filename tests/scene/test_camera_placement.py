@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d import camera_placement
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, camera_placement
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import Mount, poses_ashore
 
@@ -49,10 +48,8 @@ def test_distance_of_the_program_cuts_the_circle_at_the_sides_and_that_of_eq_b_2
     pose = camera_placement((1000, 1000), 500, height_m=20, whole=False, **LEGACY)
     assert pose["position_m"] == pytest.approx([1000 + 500 / 0.36, 1000, 20])
     seen = columns(pose)
-    assert seen.min() < -100
-    assert seen.max() > 3700
-    view_rad = 2 * math.atan(0.36)
-    assert 500 / math.tan(2 * view_rad) < 100 < 500
+    assert seen.min() < -100 and seen.max() > 3700
+    assert 500 / math.tan(2 * 2 * math.atan(0.36)) < 100 < 500
 
 
 def test_pitch_of_table_9_5_is_that_of_eq_b_3_with_the_distance_to_the_origin():
@@ -65,8 +62,5 @@ def test_pitch_of_table_9_5_is_that_of_eq_b_3_with_the_distance_to_the_origin():
 def test_wrong_lengths_are_named_together():
     with pytest.raises(InputError) as wrong:
         camera_placement((math.nan, 0), -5, height_m=0, **LEGACY)
-    assert wrong.value.problems == (
-        "radius_m: -5 is not a length above 0",
-        "height_m: 0 is not a length above 0",
-        "centre_m: nan is not finite",
-    )
+    lengths = tuple(f"{name} is not a length above 0" for name in ("radius_m: -5", "height_m: 0"))
+    assert wrong.value.problems == (*lengths, "centre_m: nan is not finite")

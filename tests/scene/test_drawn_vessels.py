@@ -1,7 +1,5 @@
 """Vessels that a pose source draws from the seed join those of the scene file, wherever the scene is read."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable, Mapping
@@ -12,19 +10,16 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from modsim3d.core.errors import InputError, RunDirectoryError
+from modsim3d import InputError, RunDirectoryError, Scene, load_scene, open_run, run_scene
 from modsim3d.io.plugins import POSE_SOURCES, Plugin
 from modsim3d.io.validation import Strict
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.world.mesh_reading import shipped_meshes
 from modsim3d.world.poses import registry
 from modsim3d.world.poses.base import PoseRequest, PosesByTime, SourceKeys
 from tests.cli.bad_input.builders import ASHORE, GOOD, lens
 
 seen: list[PoseRequest] = []
+OWN = dict(GOOD["vessels"]["vehicle1"])
 
 
 class Convoy(PosesByTime):
@@ -63,12 +58,9 @@ def write(tmp_path: Path) -> Write:
     """A function that writes the good scene with a convoy, with some keys of its section and some of the scene."""
 
     def scene(convoy: Mapping[str, Any] | None = None, **keys: Any) -> Path:
-        data = {**copy.deepcopy(GOOD["scene"]), "steps": 3, "time_step_s": 0.5, "vessels": "vessels.json"}
+        data = {**copy.deepcopy(GOOD["scene"]), "steps": 3, "time_step_s": 0.5, "vessels": {"own": OWN}}
         data["poses"], data["cameras"] = {"convoy": dict(convoy or {})}, {"shore": lens(pose=ASHORE)}
-        own = {"own": GOOD["vessels"]["vehicle1"]}
-        contents = {"scene": data | keys, "vessels": own, "detector": GOOD["detector"]}
-        for name, content in contents.items():
-            (tmp_path / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
+        (tmp_path / "scene.json").write_text(json.dumps(data | keys), encoding="utf-8")
         (tmp_path / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
         return tmp_path / "scene.json"
 
@@ -78,23 +70,21 @@ def write(tmp_path: Path) -> Write:
 def test_drawn_vessels_come_after_those_of_the_scene_file_and_depend_on_the_seed(write: Write) -> None:
     path = write(obstacles={"quay": {"polygon_m": [[0, 90], [9, 90], [9, 99]], "height_m": 3}})
     assert load_scene(path).vessel_names == ("own", "drawn_0")
-    scene = load_scene(path, seed=3)
+    scene, strait = load_scene(path, seed=3), load_scene("strait")
     assert scene.vessel_names == ("own", "drawn_0", "drawn_1", "drawn_2")
     assert [vessel.has_mesh for vessel in scene.vessels] == [False, True, True, True]
     assert scene.poses.poses(0, 3).present.shape == (3, 4)
     assert (seen[-1].names, [vessel.name for vessel in seen[-1].vessels]) == (("own",), ["own"])
     assert [obstacle.name for obstacle in seen[-1].obstacles] == ["quay"]
     assert (scene.traffic_seed, scene.traffic) == (3, "drawn from seed 3")
-    assert load_scene("strait").traffic_seed is None
-    assert load_scene("strait").traffic == "this traffic only"
+    assert (strait.traffic_seed, strait.traffic) == (None, "this traffic only")
 
 
 def test_a_setting_inside_the_section_reaches_the_source(write: Write) -> None:
     path = write({"most": 3})
     assert len(load_scene(path, seed=3, settings={"poses.convoy.most": 2}).vessels) == 1
-    with pytest.raises(
-        InputError, match=r"--set poses\.convoy\.label: |poses\.convoy: draws vessels with the label 'x'"
-    ):
+    said = r"--set poses\.convoy\.label: |poses\.convoy: draws vessels with the label 'x'"
+    with pytest.raises(InputError, match=said):
         load_scene(path, seed=3, settings={"poses.convoy.label": "x"})
 
 
@@ -112,23 +102,14 @@ def test_a_scene_may_have_no_vessels_but_drawn_ones(write: Write) -> None:
 
 
 WRONG = {
-    "label": ({"label": "tug"}, "poses.convoy: draws vessels with the label 'tug' (drawn_0, drawn_1, drawn_2), which"),
-    "name": (
-        {"entries": {"own": dict(GOOD["vessels"]["vehicle1"])}},
-        "poses.convoy: draws a vessel 'own', and the scene's vessels have one of this name",
-    ),
-    "marked name": (
-        {"entries": {"obstacle:x": dict(GOOD["vessels"]["vehicle1"])}},
-        "poses.convoy: obstacle:x: a vessel's ID must not begin with 'obstacle:'",
-    ),
-    "size": ({"entries": {"x": {**GOOD["vessels"]["vehicle1"], "length_m": -1}}}, "poses.convoy: x.length_m: "),
-    "no shape": (
-        {"entries": {"x": {**GOOD["vessels"]["vehicle1"], "mesh": "fery"}}},
-        "poses.convoy: x.mesh: nothing is called 'fery' here",
-    ),
+    "label": ({"label": "tug"}, "draws vessels with the label 'tug' (drawn_0, drawn_1, drawn_2), which"),
+    "name": ({"entries": {"own": OWN}}, "draws a vessel 'own', and the scene's vessels have one of this name"),
+    "marked name": ({"entries": {"obstacle:x": OWN}}, "obstacle:x: a vessel's ID must not begin with 'obstacle:'"),
+    "size": ({"entries": {"x": OWN | {"length_m": -1}}}, "x.length_m: "),
+    "no shape": ({"entries": {"x": OWN | {"mesh": "fery"}}}, "x.mesh: nothing is called 'fery' here"),
     "file": (
-        {"entries": {"x": {**GOOD["vessels"]["vehicle1"], "mesh": "x.glb"}}},
-        "poses.convoy: draws 'x' with the mesh x.glb, which is none of the files of the source",
+        {"entries": {"x": OWN | {"mesh": "x.glb"}}},
+        "draws 'x' with the mesh x.glb, which is none of the files of the source",
     ),
 }
 
@@ -138,7 +119,8 @@ def test_wrong_drawn_vessels_are_told_with_the_section_that_draws_them(write: Wr
     convoy, message = WRONG[case]
     with pytest.raises(InputError) as refused:
         load_scene(write(convoy), seed=3)
-    assert any(problem.startswith(message) for problem in refused.value.problems), refused.value.problems
+    problems = refused.value.problems
+    assert any(problem.startswith(f"poses.convoy: {message}") for problem in problems), problems
 
 
 @pytest.mark.parametrize(
@@ -166,14 +148,11 @@ def test_a_plugin_that_draws_nonsense_is_named(
 
 def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Write, tmp_path: Path) -> None:
     (tmp_path / "own.glb").write_bytes(shipped_meshes()["ferry"].read_bytes())
-    ferry = {**GOOD["vessels"]["vehicle1"], "mesh": "own.glb"}
-    path = write(
-        {"entries": {"ferry": ferry}, "files_named": ["own.glb"]}, annotation={"mode": 2, "source": "analytic"}
-    )
+    convoy = {"entries": {"ferry": OWN | {"mesh": "own.glb"}}, "files_named": ["own.glb"]}
+    path = write(convoy, annotation={"mode": 2, "source": "analytic"})
     first = run_scene(load_scene(path, seed=2), tmp_path / "first")
     stored = open_run(first.folder).scene
-    assert stored.vessel_names == ("own", "drawn_0", "drawn_1", "ferry")
-    assert stored.vessels[-1].has_mesh
+    assert stored.vessel_names == ("own", "drawn_0", "drawn_1", "ferry") and stored.vessels[-1].has_mesh
     assert json.loads((first.folder / "run.json").read_bytes())["traffic_seed"] == 2
     (tmp_path / "own.glb").unlink()  # the copy has one
     second = run_scene(load_scene(stored.path), tmp_path / "second")
@@ -189,9 +168,7 @@ def test_a_run_whose_seed_draws_another_traffic_now_is_not_opened(
     folder = run_scene(scene, tmp_path / "run").folder
     assert open_run(folder).scene.drawn_vessels == 2
     at = Convoy.at
-    monkeypatch.setattr(
-        Convoy, "at", lambda self, time_s, request: dict(list(at(self, time_s, request).items())[::-1][1:])
-    )
+    monkeypatch.setattr(Convoy, "at", lambda *given: dict([*at(*given).items()][::-1][1:]))
     with pytest.raises(RunDirectoryError, match="seed 2 draws another traffic here than when the run was made, with"):
         open_run(folder)
 
@@ -203,25 +180,16 @@ def test_the_checksum_of_a_traffic_is_that_of_every_processor(
     """Last bits of sines differ between processors: a run is opened where they do."""
     path, at = write(), Convoy.at
     before = load_scene(path, seed=2).traffic_sha256()
-    monkeypatch.setattr(
-        Convoy,
-        "at",
-        lambda self, time_s, request: {
-            name: ((place[0] + shift_m, *place[1:]), heading + shift_m)
-            for name, (place, heading) in at(self, time_s, request).items()
-        },
-    )
+
+    def shifted(*given: Any) -> Any:
+        poses = at(*given).items()
+        return {name: ((place[0] + shift_m, *place[1:]), turn + shift_m) for name, (place, turn) in poses}
+
+    monkeypatch.setattr(Convoy, "at", shifted)
     assert (load_scene(path, seed=2).traffic_sha256() == before) is same
 
 
 def test_a_scene_from_a_mapping_draws_vessels_too() -> None:
-    data = {
-        **GOOD["scene"],
-        "steps": 2,
-        "time_step_s": 0.5,
-        "vessels": {"own": GOOD["vessels"]["vehicle1"]},
-        "poses": {"convoy": {"most": np.int64(3)}},
-        "cameras": {"shore": lens(pose=ASHORE)},
-        "detector": GOOD["detector"],
-    }
+    data = {**GOOD["scene"], "steps": 2, "time_step_s": 0.5, "vessels": {"own": OWN}, "detector": GOOD["detector"]}
+    data |= {"poses": {"convoy": {"most": np.int64(3)}}, "cameras": {"shore": lens(pose=ASHORE)}}
     assert Scene.from_dict(data, seed=2).vessel_names == ("own", "drawn_0", "drawn_1")

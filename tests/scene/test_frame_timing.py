@@ -3,6 +3,7 @@
 import json
 import math
 from fractions import Fraction
+from itertools import count, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +13,16 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, load_scene, open_id_renderer, open_run, run_scene, simulate_frames
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs import pipeline as simulate
-from modsim3d.runs.pipeline import detector_inputs, simulate_frames, truth_block
-from modsim3d.runs.run import run_scene
+from modsim3d.runs import pipeline
 from modsim3d.runs.selection import select
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import takes_frame
 from modsim3d.view.films.plan import FilmPlan
 from modsim3d.view.films.renderer import FilmRenderer
-from modsim3d.view.pictures.plain import open_id_renderer
 from modsim3d.view.report.report import write_report
+from tests.run_folders import run_files
+from tests.runs.test_stored_run import assert_same_frames
 from tests.scenes import CAMERA_HEIGHT_M, camera_keys, write_scene
 from tests.view.report.unpacking import read
 
@@ -52,14 +50,8 @@ def rig(folder: Path, *, detector: str = "thesis", **timing: dict[str, float]) -
 
 def due_by_hand(step: str, steps: int, rate: str, offset: str) -> list[int]:
     """The first step at or after each due time, in exact decimals."""
-    taken, k = [], 0
-    while True:
-        due = Fraction(offset) + k / Fraction(rate)
-        index = math.ceil(due / Fraction(step))
-        if index >= steps:
-            return sorted(set(taken))
-        taken.append(index)
-        k += 1
+    due = (Fraction(offset) + k / Fraction(rate) for k in count())
+    return sorted(set(takewhile(lambda index: index < steps, (math.ceil(time / Fraction(step)) for time in due))))
 
 
 @given(
@@ -79,9 +71,9 @@ def test_no_frame_is_late_by_rounding_and_no_step_gives_two():
     assert takes_frame(np.arange(5) * 0.1, None, 0.2).tolist() == [False, False, True, True, True]
 
 
-@pytest.mark.parametrize("keys", [{}, {"frame_rate_hz": 3}, {"frame_rate_hz": 0.4, "start_offset_s": 0.75},
-                                  {"start_offset_s": 2.2}])  # fmt: skip
-def test_frames_are_the_same_however_the_steps_are_asked_for(tmp_path, keys):
+@pytest.mark.parametrize(("rate_hz", "offset_s"), [(None, 0), (3, 0), (0.4, 0.75), (None, 2.2)])
+def test_frames_are_the_same_however_the_steps_are_asked_for(tmp_path, rate_hz, offset_s):
+    keys = {"frame_rate_hz": rate_hz, "start_offset_s": offset_s}
     scene = load_scene(rig(tmp_path, C0=keys))
     (camera,) = scene.cameras
     whole = scene.frame_steps(camera, 0, STEPS)
@@ -93,15 +85,14 @@ def test_frames_are_the_same_however_the_steps_are_asked_for(tmp_path, keys):
         assert scene.last_frame(camera, stop) == (before[-1] if len(before) else None)
 
 
+SLOW = due_by_hand("0.1", STEPS, "4", "0.75")
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("rig")
     scene = rig(folder, fast={}, slow={"frame_rate_hz": 4, "start_offset_s": 0.75})
-    run_scene(load_scene(scene), folder / "run")
-    return folder / "run"
-
-
-SLOW = due_by_hand("0.1", STEPS, "4", "0.75")
+    return run_scene(load_scene(scene), folder / "run").folder
 
 
 def test_a_cameras_files_hold_its_own_frames(finished):
@@ -126,12 +117,7 @@ def test_a_slow_cameras_frames_are_those_of_a_fast_one_at_these_steps(tmp_path, 
     fast = load_scene(rig(tmp_path / "fast", detector=detector, C0={}, C1={}))
     taken = set(slow.frame_steps(slow.cameras[0], 0, STEPS).tolist())
     expected = [frame for frame in simulate_frames(fast) if frame.camera == "C1" or frame.step in taken]
-    for a, b in zip(simulate_frames(slow), expected, strict=True):
-        assert (a.camera, a.step, a.timestamp, a.state) == (b.camera, b.step, b.timestamp, b.state)
-        np.testing.assert_array_equal(a.truth.visible_boxes_px, b.truth.visible_boxes_px)
-        np.testing.assert_array_equal(a.detections.boxes_px, b.detections.boxes_px)
-        np.testing.assert_array_equal(a.detections.confidence, b.detections.confidence)
-        np.testing.assert_array_equal(a.sea_half_plane, b.sea_half_plane)
+    assert_same_frames(simulate_frames(slow), expected, atol=0)
 
 
 @pytest.mark.parametrize("detector", ["thesis", "rich"])
@@ -139,30 +125,21 @@ def test_blocks_of_one_step_give_the_same_bytes(tmp_path, monkeypatch, detector)
     cameras = {"C0": {"frame_rate_hz": 2.5, "start_offset_s": 1.0}, "C1": {"frame_rate_hz": 4, "start_offset_s": 0.7}}
     scene = load_scene(rig(tmp_path, detector=detector, **cameras))
     run_scene(scene, tmp_path / "whole")
-    monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 1)  # the first have no frame of any camera
+    monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 1)  # the first have no frame of any camera
     run_scene(scene, tmp_path / "single")
-    names = sorted(path.name for path in (tmp_path / "whole").iterdir() if path.is_file() and path.name != "run.log")
-    assert len(names) == 10
-    for name in names:
-        assert (tmp_path / "single" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
+    assert run_files(tmp_path / "single") == run_files(tmp_path / "whole")
 
 
 def test_frames_read_back_are_those_of_the_simulation(finished):
     run = open_run(finished)
-    for a, b in zip(run.frames(), simulate_frames(run.scene), strict=True):
-        assert (a.camera, a.step, a.state, a.truth.vessels) == (b.camera, b.step, b.state, b.truth.vessels)
-        np.testing.assert_allclose(a.detections.boxes_px, b.detections.boxes_px, atol=1e-9)
-        np.testing.assert_array_equal(a.sea_half_plane, b.sea_half_plane)
+    assert_same_frames(run.frames(), simulate_frames(run.scene))
 
 
 def test_the_detector_knows_when_the_camera_took_its_frame_before(finished):
     scene = open_run(finished).scene
-    _, slow = detector_inputs(scene, truth_block(scene, 12, 20, None), 12, 20)
-    assert slow.frames.steps.tolist() == [13, 15, 18]
-    assert slow.frames.previous_s == pytest.approx(1.0)
-    _, slow = detector_inputs(scene, truth_block(scene, 0, 8, None), 0, 8)
-    assert len(slow.frames) == 0
-    assert slow.frames.previous_s == -math.inf
+    for first, stop, steps, previous_s in ((12, 20, [13, 15, 18], 1.0), (0, 8, [], -math.inf)):
+        _, slow = pipeline.detector_inputs(scene, pipeline.truth_block(scene, first, stop, None), first, stop)
+        assert slow.frames.steps.tolist() == steps and slow.frames.previous_s == pytest.approx(previous_s)
 
 
 def test_films_show_the_last_frame_that_a_camera_took(finished):
@@ -173,14 +150,11 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
             assert fast.step == shown.step
             before = [step for step in SLOW if step <= shown.step]
             assert (slow and slow.step) == (before[-1] if before else None)
-    selection = select(run, (0, 1), to_s=1.0)
-    plan = FilmPlan(("detections",), (0, 1), 640)
+    right = {}  # the slow camera's picture, below its title
     with open_id_renderer(run.scene) as id_renderer:
-        pictures = {
-            shown.step: np.asarray(FilmRenderer(run.scene, plan, id_renderer).draw(shown))
-            for shown in selection.step_frames()
-        }
-    right = {step: picture[60:200, 330:] for step, picture in pictures.items()}  # the slow camera's, below its title
+        film = FilmRenderer(run.scene, FilmPlan(("detections",), (0, 1), 640), id_renderer)
+        for shown in select(run, (0, 1), to_s=1.0).step_frames():
+            right[shown.step] = np.array(film.draw(shown))[60:200, 330:]
     np.testing.assert_array_equal(right[8], right[9])
     assert np.any(right[9] != right[10])
     assert np.ptp(right[7].reshape(-1, 3), axis=0).max() == 0  # nothing yet
@@ -189,16 +163,14 @@ def test_films_show_the_last_frame_that_a_camera_took(finished):
 def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path):
     run = open_run(finished)
     whole, thinned = (read(write_report(run, tmp_path / f"{every}.html", every)) for every in (1, 3))
-    assert whole.taken[:, 0].tolist() == list(range(STEPS))
-    assert whole.taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
+    assert whole.taken[:, 0].tolist() == list(range(STEPS)) and whole.taken[:11, 1].tolist() == [-1] * 8 + [8, 8, 10]
     assert whole.stored == STEPS + len(SLOW) + 1  # and one for no frame yet
     assert whole.shown.max() == STEPS + len(SLOW) - 1
-    shown, count = whole.shown[:, 1], np.diff(whole.columns["truthStart"])
-    assert shown[7] == -1
-    assert shown[9] == shown[8] != shown[10]
+    shown, rows = whole.shown[:, 1], np.diff(whole.columns["truthStart"])
+    assert shown[7] == -1 and shown[9] == shown[8] != shown[10]
     truth = pq.read_table(finished / "truth.parquet").to_pylist()
     for step, camera in ((9, 8), (30, 30)):
-        assert count[shown[step]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
+        assert rows[shown[step]] == sum(row["camera"] == "slow" and row["step"] == camera for row in truth)
     assert thinned.taken[3:5].tolist() == [[9, 8], [12, 10]]
     assert f'<td>Frames</td><td class="number">{STEPS + len(SLOW)}</td>' in (tmp_path / "3.html").read_text()
 
@@ -237,8 +209,8 @@ def test_box_errors_have_the_correlation_time_asked_for_at_any_frame_rate(tmp_pa
     }  # fmt: skip
     (tmp_path / "detector.yaml").write_text(json.dumps(detector))
     run_scene(load_scene(path), tmp_path / "run")
-    table = pq.read_table(tmp_path / "run" / "detections.parquet").sort_by(
-        [("vessel", "ascending"), ("step", "ascending")]
+    table = pq.read_table(tmp_path / "run/detections.parquet").sort_by(
+        [(key, "ascending") for key in ("vessel", "step")]
     )
     for camera, interval in (("fast", 0.1), ("slow", 0.5)):
         ours = table["camera"].to_numpy(zero_copy_only=False) == camera

@@ -1,7 +1,5 @@
 """A scene without files is the scene that its files would be, and what is wrong with it is said as of a file."""
 
-from __future__ import annotations
-
 import copy
 import json
 from dataclasses import replace
@@ -10,25 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from typer.testing import CliRunner
 
-from modsim3d import Scene, load_scene, run_scene, simulate_frames
-from modsim3d.cli.main import app
-from modsim3d.core.errors import InputError
-from modsim3d.detector.file.reading import load_detector
+from modsim3d import InputError, Scene, load_detector, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import settings_of
-from modsim3d.runs.stored_run import open_run
 from tests.cli.bad_input.builders import ASHORE, GOOD, lens
 from tests.run_folders import interrupt, run_files
 
 SCENES = data_folder("scenes")
 THESIS = SCENES / "detectors" / "thesis.yaml"
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    """The files of a run but for the copy of its scene and the checksum of that."""
-    return {name: data for name, data in run_files(folder, "run.json").items() if not name.startswith("scene/")}
 
 
 def good(steps: int = 6) -> dict:
@@ -72,16 +60,17 @@ def inline(name: str, steps: int) -> dict:
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in SCENES.glob("*.yaml")))
 def test_a_shipped_scene_given_as_a_mapping_gives_the_bytes_of_its_file(name, tmp_path):
-    run_scene(load_scene(name, steps=5), tmp_path / "file")
+    result = run_scene(load_scene(name, steps=5), tmp_path / "file")
     scene = Scene.from_dict(inline(name, 5), name=name)
     run_scene(scene, tmp_path / "mapping")
-    assert results(tmp_path / "mapping") == results(tmp_path / "file")
-    frames = [*simulate_frames(scene)]
-    assert len(frames) == json.loads((tmp_path / "file" / "run.json").read_text())["counts"]["frames"]
+    of_file, of_mapping = (run_files(tmp_path / run, "run.json").items() for run in ("file", "mapping"))
+    others = {path for path, _ in of_file ^ of_mapping}  # the copies of the scene have files of their own
+    assert all(path.startswith("scene/") for path in others)
+    assert len([*simulate_frames(scene)]) == result.counts.frames
 
 
 @pytest.mark.parametrize("detector", ["inline", "read", "file"])
-def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch):
+def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch, call):
     monkeypatch.chdir(tmp_path)
     data = good()
     if detector != "inline":
@@ -91,12 +80,10 @@ def test_its_run_is_a_run_like_any_other(detector, tmp_path, monkeypatch):
     run_scene(scene, Path("run"))
     assert {"scene/mine.json", "scene/poses.json", "scene/detector.yaml"} <= run_files(Path("run")).keys()
     Path("mine.yaml").unlink(missing_ok=True)
-    said = CliRunner().invoke(app, ["check", "repeat", "run"], catch_exceptions=False)
-    assert said.exit_code == 0, said.output
-    again = CliRunner().invoke(app, ["run", "run/scene/mine.json", "--out", "again", "--no-sheet"])
-    assert again.exit_code == 0
-    assert run_files(Path("again")) == run_files(Path("run"))
-    assert open_run(Path("run")).scene.sha256 == scene.sha256
+    for line in (["check", "repeat", "run"], ["run", "run/scene/mine.json", "--out", "again", "--no-sheet"]):
+        status, said = call(*line)
+        assert status == 0, said
+    assert run_files(Path("again")) == run_files(Path("run")) and open_run(Path("run")).scene.sha256 == scene.sha256
     if detector != "file":
         run_scene(scene, Path("workers"), workers=2)
         assert run_files(Path("workers")) == run_files(Path("run"))
@@ -126,20 +113,16 @@ def test_it_keeps_nothing_of_the_callers(tmp_path):
 
 def test_columns_may_be_named_in_any_order_and_places_may_have_a_height(tmp_path):
     run_scene(Scene.from_dict(good()), tmp_path / "plain")
-    data = good()
-    flat = data["poses"]["positions_m"][:, ::-1]
-    deep = np.concatenate([flat, np.where(np.isnan(flat[..., :1]), np.nan, 0.0)], axis=2)
-    times = [round(0.1 * step, 1) for step in range(6)]
-    headings = data["poses"]["headings_rad"][:, ::-1].tolist()
-    data["poses"] = {
-        "positions_m": deep.tolist(), "headings_rad": headings, "times_s": times, "names": ["vehicle2", "vehicle1"],
-    }  # fmt: skip
+    poses = good()["poses"]
+    flat, headings = poses["positions_m"][:, ::-1], poses["headings_rad"][:, ::-1].tolist()
+    deep = np.concatenate([flat, np.where(np.isnan(flat[..., :1]), np.nan, 0.0)], axis=2).tolist()
+    named = {"times_s": [round(0.1 * step, 1) for step in range(6)], "names": ["vehicle2", "vehicle1"]}
+    data = good() | {"poses": {"positions_m": deep, "headings_rad": headings, **named}}
     run_scene(Scene.from_dict(data), tmp_path / "named")
     assert run_files(tmp_path / "named") == run_files(tmp_path / "plain")
-    data = good()
-    one = {key: data["poses"][key][:, :1] for key in ("positions_m", "headings_rad")}
-    data["poses"] = {**one, "time_step_s": np.float32(0.5), "names": np.array(["vehicle1"])}
-    scene = Scene.from_dict(data)
+    one = {key: poses[key][:, :1] for key in ("positions_m", "headings_rad")}
+    named = {"time_step_s": np.float32(0.5), "names": np.array(["vehicle1"])}
+    scene = Scene.from_dict(good() | {"poses": {**one, **named}})
     assert scene.poses.poses(0, 6).present.tolist() == [[True, False]] * 6
     assert scene.timestamps(0, 3) == ("0.0", "0.5", "1.0")
 
@@ -156,15 +139,13 @@ def test_a_vessel_may_have_any_name_that_one_in_a_file_may_have(tmp_path):
 
 
 def test_numbers_come_back_to_the_last_bit(tmp_path):
-    rng, data = np.random.default_rng(0), good(50)
-    data["poses"] = {
-        "positions_m": rng.normal(0, 10.0 ** rng.integers(-8, 8, (50, 2, 3))), "headings_rad": rng.normal(size=(50, 2)),
-        "times_s": np.cumsum(rng.random(50)) - 3.0,
-    }  # fmt: skip
-    scene = Scene.from_dict(data)
+    rng = np.random.default_rng(0)
+    positions = rng.normal(0, 10.0 ** rng.integers(-8, 8, (50, 2, 3)))
+    moved = {"headings_rad": rng.normal(size=(50, 2)), "times_s": np.cumsum(rng.random(50)) - 3.0}
+    scene = Scene.from_dict(good(50) | {"poses": {"positions_m": positions, **moved}})
     again = load_scene(scene.copy.write(tmp_path / "copy"))
-    np.testing.assert_array_equal(scene.poses.poses(0, 50).positions_m, data["poses"]["positions_m"])
-    np.testing.assert_array_equal(again.poses.poses(0, 50).positions_m, data["poses"]["positions_m"])
+    for each in (scene, again):
+        np.testing.assert_array_equal(each.poses.poses(0, 50).positions_m, positions)
     np.testing.assert_array_equal(again.times_s(0, 50), scene.times_s(0, 50))
 
 
@@ -174,16 +155,14 @@ def test_arrays_of_any_kind_of_number_will_do(dtype):
     data["poses"]["positions_m"] = np.ones((4, 2, 2), dtype=dtype) * np.array([[1, 2], [30, 4]], dtype=dtype)
     data["poses"]["headings_rad"] = np.ones((4, 2), dtype=dtype)
     scene = Scene.from_dict(data)
-    assert scene.steps == 4
-    assert scene.poses.poses(0, 4).positions_m[3].tolist() == [[1, 2, 0], [30, 4, 0]]
+    assert scene.steps == 4 and scene.poses.poses(0, 4).positions_m[3].tolist() == [[1, 2, 0], [30, 4, 0]]
 
 
 def test_what_the_caller_sets_replaces_what_stands_there(tmp_path):
     scene = Scene.from_dict(good(), seed=9, steps=np.int64(2), mode=0, source="rectangles", detector=THESIS,
                             detector_seed=4)  # fmt: skip
-    assert (scene.seed, scene.steps, scene.detector_seed) == (9, 2, 4)
+    assert (scene.seed, scene.steps, scene.detector_seed, len(scene.detector.states)) == (9, 2, 4, 4)
     assert (scene.annotation.mode, scene.annotation.source) == (0, "rectangles")
-    assert len(scene.detector.states) == 4
     assert settings_of(scene, "none")["seed"] == 9
     with pytest.raises(InputError) as error:
         Scene.from_dict({**good(), "annotation": 7}, mode=1)
@@ -198,12 +177,10 @@ def test_what_the_caller_sets_replaces_what_stands_there(tmp_path):
 def test_files_of_the_mapping_are_relative_to_the_working_directory(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("in").mkdir()
-    Path("in/vessels.json").write_text(json.dumps(GOOD["vessels"]))
-    Path("in/poses.json").write_text(json.dumps(GOOD["poses"]))
-    Path("in/detector.yaml").write_text(yaml.safe_dump(GOOD["detector"]))
-    data = good() | {
-        "vessels": Path("in/vessels.json"), "poses": {"file": Path("in/poses.json")}, "detector": "in/detector.yaml",
-    }  # fmt: skip
+    for name in ("vessels", "poses", "detector"):
+        Path(f"in/{name}.json").write_text(json.dumps(GOOD[name]))
+    files = {"vessels": Path("in/vessels.json"), "poses": {"file": Path("in/poses.json")}}
+    data = good() | files | {"detector": "in/detector.json"}
     assert Scene.from_dict(data).steps == 4
     Path("in/vessels.json").unlink()
     with pytest.raises(InputError, match="no such file") as error:
@@ -228,6 +205,7 @@ def scene_with(**keys: object) -> dict:
 
 
 NONE = changed(positions_m=np.zeros((0, 2, 2)), headings_rad=np.zeros((0, 2)))
+CAUSES_OF_OTHERS = ("vessels: missing", "vessels: a vessel's ID must be text")
 WRONG = [
     (changed(positions_m=None), "poses.positions_m: missing; an array of shape (T, N, 2) or (T, N, 3) is needed"),
     (changed(headings_rad=None), "poses.headings_rad: missing; an array of shape (T, N) is needed"),
@@ -271,16 +249,14 @@ WRONG = [
     (scene_with(seed={1, 2}), "seed: "),
 ]  # fmt: skip
 
-CAUSES_OF_OTHERS = ("vessels: missing", "vessels: a vessel's ID must be text")
-
 
 @pytest.mark.parametrize(("data", "problem"), WRONG)
 def test_what_is_wrong_is_said_in_a_line(data, problem):
     with pytest.raises(InputError) as error:
         Scene.from_dict(data)
-    assert error.value.source == "scene"
-    assert [found for found in error.value.problems if found.startswith(problem)]
-    assert len(error.value.problems) == 1 or problem in CAUSES_OF_OTHERS, error.value.problems
+    problems = error.value.problems
+    assert error.value.source == "scene" and [found for found in problems if found.startswith(problem)]
+    assert len(problems) == 1 or problem in CAUSES_OF_OTHERS, problems
 
 
 def test_every_problem_is_said_at_once_with_its_path():

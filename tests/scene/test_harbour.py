@@ -30,10 +30,8 @@ def test_script_writes_the_very_scene_that_is_shipped(tmp_path):
 
 
 def test_thirty_vessels_from_kayak_to_large_ship_are_there_throughout(scene):
-    assert len(scene.vessels) == 30
     lengths = [vessel.length_m for vessel in scene.vessels]
-    assert min(lengths) < 5
-    assert 200 < max(lengths) <= 300
+    assert len(lengths) == 30 and min(lengths) < 5 and 200 < max(lengths) <= 300
     assert {vessel.name.rstrip("0123456789") for vessel in scene.vessels} >= {"kayak", "yacht", "ferry", "ship"}
     assert scene.poses.poses(0, scene.steps).present.all()
 
@@ -44,8 +42,7 @@ def test_no_two_vessels_ever_touch(scene):
     areas_m2 = [vessel.length_m * vessel.beam_m for vessel in scene.vessels]
     np.testing.assert_allclose(shapely.area(hulls), np.tile(areas_m2, (80, 1)))
     first, second = np.array(list(combinations(range(30), 2))).T
-    apart = shapely.distance(hulls[:, first], hulls[:, second])
-    assert apart.min() > 1.0
+    assert shapely.distance(hulls[:, first], hulls[:, second]).min() > 1.0
 
 
 def test_every_vessel_has_a_shape_and_every_shipped_shape_is_there(scene):
@@ -59,10 +56,7 @@ def test_every_vessel_has_a_shape_and_every_shipped_shape_is_there(scene):
 
 
 def test_at_least_a_third_of_the_vessel_frames_are_partly_hidden(scene, renderer):
-    fractions = np.concatenate(
-        [truth_block(scene, step, step + 1, renderer).visible_fraction for step in range(0, scene.steps, 10)]
-    )
-    assert len(fractions) > 500
-    partly = (fractions > 0) & (fractions < 1)
-    assert partly.mean() >= 1 / 3
-    assert (fractions == 0).any()
+    truths = (truth_block(scene, step, step + 1, renderer) for step in range(0, scene.steps, 10))
+    fractions = np.concatenate([truth.visible_fraction for truth in truths])
+    assert len(fractions) > 500 and (fractions == 0).any()
+    assert ((fractions > 0) & (fractions < 1)).mean() >= 1 / 3

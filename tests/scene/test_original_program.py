@@ -1,10 +1,8 @@
 """Two frames of Simulation 1 as the thesis's authors published them, beside ours of the same poses.
-
 `tests/data/modsim/simulation_1.csv` names source and licence. The camera was not published with them. Two unknowns, its
 distance and its pitch, were fitted to the forty numbers. The program places its camera by Appendix B with a radius of
 530 m, 2472.2222 m from the world's origin, and rounds its rotation matrix to five decimals: computed in this way, the
-forty numbers agree to 1e-11 px, so that rounding is all that the fitted camera does not repeat.
-"""
+forty numbers agree to 1e-11 px, so that rounding is all that the fitted camera does not repeat."""
 
 from pathlib import Path
 
@@ -30,15 +28,9 @@ def annotated(source):
     sizes = ("length_m", "beam_m", "air_draft_m")
     vessels = {str(row["vessel"]): {"label": "Vessel", **{size: float(row[size]) for size in sizes}} for row in ROWS[0]}
     positions = np.stack([ROWS["w1_m"], ROWS["w2_m"]], axis=-1)
-    scene = Scene.from_dict(
-        {
-            "vessels": vessels,
-            "poses": {"positions_m": positions, "headings_rad": ROWS["heading_rad"], "time_step_s": 1.4},
-            "cameras": {"C0": camera},
-            "annotation": {"mode": 0, "source": source},
-            "detector": "thesis",
-        }
-    )
+    poses = {"positions_m": positions, "headings_rad": ROWS["heading_rad"], "time_step_s": 1.4}
+    data = {"vessels": vessels, "poses": poses, "cameras": {"C0": camera}, "detector": "thesis"}
+    scene = Scene.from_dict(data | {"annotation": {"mode": 0, "source": source}})
     with open_renderer(scene) as renderer:
         truth = truth_block(scene, 0, 2, renderer)
     assert truth.annotated.all()
@@ -46,16 +38,10 @@ def annotated(source):
     return truth.full_boxes_px.reshape(2, 5, 4)
 
 
-def test_projected_boxes_equal_the_published_annotations_to_0_0006_px():
-    boxes = annotated("analytic")
-    for values, published in (
-        ((boxes[..., :2] + boxes[..., 2:]) / 2, CENTRES),
-        (boxes[..., 2:] - boxes[..., :2], SIZES),
-    ):
-        np.testing.assert_allclose(values, published, rtol=0, atol=6e-4)
-
-
-def test_boxes_of_pixels_equal_the_published_annotations_to_a_pixel():
+def test_projected_boxes_equal_the_published_annotations_to_0_0006_px_and_boxes_of_pixels_to_a_pixel():
+    low, high = np.split(annotated("analytic"), 2, axis=-1)
+    np.testing.assert_allclose((low + high) / 2, CENTRES, rtol=0, atol=6e-4)
+    np.testing.assert_allclose(high - low, SIZES, rtol=0, atol=6e-4)
     np.testing.assert_allclose(annotated("rendered"), PUBLISHED_PX, rtol=0, atol=1)
 
 

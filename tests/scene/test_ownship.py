@@ -1,6 +1,5 @@
 """Own ship's motion and its inertial unit, against motions whose rates and forces are known."""
 
-import hashlib
 import json
 import math
 from dataclasses import fields, replace
@@ -12,14 +11,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from modsim3d import InputError, load_scene, open_run, run_scene
 from modsim3d.core.arrays import Array
-from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera_poses import rotation_vector, world_R_vehicle
+from modsim3d.runs.files.overwrite import listed_file
 from modsim3d.runs.files.table_columns import MEASURED_ATTITUDE
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.cameras import own_ships_at, true_attitudes
-from modsim3d.scene.reading import load_scene
 from modsim3d.world.floating_vessels import GRAVITY_M_S2, Motion
 from modsim3d.world.poses.base import generated_timestamps
 from modsim3d.world.poses.circular import CircularMotion
@@ -27,6 +24,7 @@ from modsim3d.world.vessel_motion import Imu, Waves
 from tests.scenes import camera_keys, write_scene
 
 STEPS, STEP_S = 120, 0.05
+TIMES_S = STEP_S * np.arange(STEPS)
 UP = [0.0, 0.0, GRAVITY_M_S2]
 VECTORS = st.lists(st.floats(-1, 1), min_size=3, max_size=3).map(np.array)
 
@@ -60,9 +58,8 @@ def scene(tmp_path):
 
 def on_a_circle(scene, radius=40.0, rate=0.2):
     """The scene with its vessels on a circle about the origin."""
-    poses = CircularMotion(
-        generated_timestamps(STEPS, STEP_S), (0.0, 0.0), np.full(2, radius), np.full(2, rate), np.zeros(2)
-    )
+    times = generated_timestamps(STEPS, STEP_S)
+    poses = CircularMotion(times, (0.0, 0.0), np.full(2, radius), np.full(2, rate), np.zeros(2))
     return replace(scene, poses=poses)
 
 
@@ -110,22 +107,18 @@ def test_lever_arm_changes_the_circle(scene):
 def test_roll_is_a_rate_about_the_bow_of_the_other_sign(scene):
     """Port down is left-handed about v1: p = −d roll / dt."""
     amplitude, rate = 0.2, 1.3
-    rolling = replace(scene, waves=Waves(Swinging(roll=amplitude)))
-    own = own_ship(rolling)
-    times = STEP_S * np.arange(STEPS)
-    inner = slice(1, -1)
-    p = -amplitude * rate * np.cos(rate * times)
-    np.testing.assert_allclose(own.rates_rad_s[inner, 0, 0], p[inner], atol=1e-3 * rate * amplitude)
+    own = own_ship(replace(scene, waves=Waves(Swinging(roll=amplitude))))
+    p = -amplitude * rate * np.cos(rate * TIMES_S)
+    np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, 0], p[1:-1], atol=1e-3 * rate * amplitude)
     np.testing.assert_allclose(own.rates_rad_s[:, 0, 1:], 0, atol=1e-12)
-    roll = amplitude * np.sin(rate * times)
+    roll = amplitude * np.sin(rate * TIMES_S)
     # Up, in body axes, leans away from the port side that is down.
     expected = GRAVITY_M_S2 * np.stack([0 * roll, -np.sin(roll), np.cos(roll)], axis=-1)
     np.testing.assert_allclose(own.forces_m_s2[:, 0], expected, atol=1e-9)
 
 
 def test_pitch_and_yaw_are_right_handed_rates(scene):
-    times = STEP_S * np.arange(STEPS)
-    expected = 0.1 * 1.3 * np.cos(1.3 * times)
+    expected = 0.1 * 1.3 * np.cos(1.3 * TIMES_S)
     for name, axis in (("pitch", 1), ("yaw", 2)):
         own = own_ship(replace(scene, waves=Waves(Swinging(**{name: 0.1}))))
         np.testing.assert_allclose(own.rates_rad_s[1:-1, 0, axis], expected[1:-1], atol=2e-4)
@@ -133,27 +126,25 @@ def test_pitch_and_yaw_are_right_handed_rates(scene):
 
 
 def test_heave_and_a_mast_in_roll_are_felt(scene):
-    times, rate = STEP_S * np.arange(STEPS), 1.3
+    rate = 1.3
+    sine, cosine = np.sin(rate * TIMES_S), np.cos(rate * TIMES_S)
     lifted = own_ship(replace(scene, waves=Waves(Swinging(heave=0.5))))
-    expected = GRAVITY_M_S2 - 0.5 * rate**2 * np.sin(rate * times)
+    expected = GRAVITY_M_S2 - 0.5 * rate**2 * sine
     np.testing.assert_allclose(lifted.forces_m_s2[1:-1, 0, 2], expected[1:-1], atol=1e-3)
-    np.testing.assert_allclose(lifted.positions_m[:, 0, 2], 0.5 * np.sin(rate * times))
+    np.testing.assert_allclose(lifted.positions_m[:, 0, 2], 0.5 * sine)
     mast = own_ship(replace(scene, waves=Waves(Swinging(roll=0.2)), imu=Imu((0.0, 0.0, 10.0))))
-    roll, turned = 0.2 * np.sin(rate * times), 0.2 * rate * np.cos(rate * times)
-    tangential = 10 * 0.2 * -(rate**2) * np.sin(rate * times)  # its top goes to port with positive roll
-    np.testing.assert_allclose(
-        mast.forces_m_s2[1:-1, 0, 1], (tangential - GRAVITY_M_S2 * np.sin(roll))[1:-1], atol=5e-3
-    )
+    roll, turned = 0.2 * sine, 0.2 * rate * cosine
+    across = 10 * 0.2 * -(rate**2) * sine - GRAVITY_M_S2 * np.sin(roll)  # its top goes to port with positive roll
+    np.testing.assert_allclose(mast.forces_m_s2[1:-1, 0, 1], across[1:-1], atol=5e-3)
     inward = GRAVITY_M_S2 * np.cos(roll) - 10 * turned**2
     np.testing.assert_allclose(mast.forces_m_s2[1:-1, 0, 2], inward[1:-1], atol=5e-3)
 
 
 def test_rates_carry_the_attitude_from_step_to_step(scene):
     """Integrated as a strapdown navigator would: R(t + h) = R(t) exp(ω h), with the mean of two rates."""
-    waves = Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05))
-    rough = replace(on_a_circle(scene), waves=waves)
-    rates, steps = own_ship(rough).rates_rad_s[:, 0], np.arange(STEPS)
-    attitude: Array = rough.motion.at(steps).world_R_vessel[:, 0]
+    rough = replace(on_a_circle(scene), waves=Waves(Swinging(roll=0.3, pitch=0.1, yaw=0.05)))
+    rates = own_ship(rough).rates_rad_s[:, 0]
+    attitude: Array = rough.motion.at(np.arange(STEPS)).world_R_vessel[:, 0]
     turn = Rotation.from_matrix(attitude[1])
     for step in range(1, STEPS - 2):
         turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)
@@ -162,9 +153,8 @@ def test_rates_carry_the_attitude_from_step_to_step(scene):
 
 
 def test_no_row_depends_on_how_the_run_is_split(scene):
-    noisy = replace(
-        on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=Imu((1.0, 2.0, 3.0), *np.arange(1, 9) / 50)
-    )
+    imu = Imu((1.0, 2.0, 3.0), *np.arange(1, 9) / 50)
+    noisy = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1)), imu=imu)
     whole = own_ship(noisy)
     for first, stop in ((0, 1), (1, 2), (0, 2), (57, 80), (STEPS - 2, STEPS - 1), (STEPS - 1, STEPS)):
         part = own_ships_at(noisy, first, stop)
@@ -173,14 +163,9 @@ def test_no_row_depends_on_how_the_run_is_split(scene):
 
 
 def test_errors_have_the_asked_spread_and_a_bias_stays(scene):
-    imu = Imu((0.0, 0.0, 0.0), 0.01, 0.0, 0.1, 0.0)
-    own = own_ship(replace(scene, imu=imu))
-    n = 3 * STEPS
-    for measured, true, sigma in (
-        (own.measured_rates_rad_s, own.rates_rad_s, 0.01),
-        (own.measured_forces_m_s2, own.forces_m_s2, 0.1),
-    ):
-        error = (measured - true).ravel()
+    own, n = own_ship(replace(scene, imu=Imu((0.0, 0.0, 0.0), 0.01, 0.0, 0.1, 0.0))), 3 * STEPS
+    for name, sigma in (("rates_rad_s", 0.01), ("forces_m_s2", 0.1)):
+        error = (getattr(own, f"measured_{name}") - getattr(own, name)).ravel()
         assert abs(error.mean()) < 4 * sigma / np.sqrt(n)
         assert abs(np.mean(error**2) - sigma**2) < 4 * sigma**2 * np.sqrt(2 / n)
     biases = []
@@ -221,10 +206,7 @@ def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfec
     table = pq.read_table(path)
     pq.write_table(table.drop_columns(list(MEASURED_ATTITUDE)), path)
     data = json.loads((tmp_path / "run" / "run.json").read_text())
-    data["files"]["ownship.parquet"] = {
-        "bytes": path.stat().st_size,
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-    }
+    data["files"]["ownship.parquet"] = listed_file(path)
     (tmp_path / "run" / "run.json").write_text(json.dumps(data))
     again = open_run(tmp_path / "run").table("ownship")
     assert again.column_names == table.column_names
@@ -233,12 +215,10 @@ def test_a_table_from_before_attitudes_were_measured_is_read_as_that_of_a_perfec
 
 
 def test_run_writes_a_row_for_each_step_and_own_ship_and_no_file_without_one(tmp_path, scene):
-    imu = Imu(rate_noise_rad_s=0.01)
-    rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=imu)
+    rough = replace(scene, waves=Waves(Swinging(0.2, 0.3)), imu=Imu(rate_noise_rad_s=0.01))
     run_scene(rough, tmp_path / "run")
     table = pq.read_table(tmp_path / "run" / "ownship.parquet")
-    assert table.num_rows == STEPS
-    assert table["vessel"].unique().to_pylist() == ["own"]
+    assert table["vessel"].to_pylist() == ["own"] * STEPS
     assert table["timestamp"].to_pylist() == list(scene.timestamps(0, STEPS))
     own = own_ship(rough)
     np.testing.assert_array_equal(table["w3_m"], own.positions_m[:, 0, 2])
@@ -261,16 +241,14 @@ def test_table_is_the_same_bytes_however_the_run_is_split(tmp_path, scene, monke
 
 
 def test_two_own_ships_take_turns_in_the_table(tmp_path, scene):
-    circling = on_a_circle(scene)
     ashore, bow = scene.cameras
     second = replace(bow, name="second", mount=replace(bow.mount, vessel="other"))
-    both = replace(circling, cameras=(ashore, bow, second))
+    annotation = replace(scene.annotation, allow_camera_inside=True)
+    both = replace(on_a_circle(scene), cameras=(ashore, bow, second), annotation=annotation)
     assert both.own_ships == (0, 1)
-    annotation = replace(both.annotation, allow_camera_inside=True)
-    run_scene(replace(both, annotation=annotation), tmp_path / "run")
+    run_scene(both, tmp_path / "run")
     table = pq.read_table(tmp_path / "run" / "ownship.parquet")
-    assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2
-    assert table["step"].to_pylist()[:4] == [0, 0, 1, 1]
+    assert table["vessel"].to_pylist()[:4] == ["own", "other"] * 2 and table["step"].to_pylist()[:4] == [0, 0, 1, 1]
 
 
 def test_unit_without_an_own_ship_and_unknown_keys_are_errors(tmp_path):

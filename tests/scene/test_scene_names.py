@@ -5,10 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, load_scene, run_scene
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 
 SIMULATION = data_folder("scenes") / "simulation_1.yaml"
 
@@ -41,11 +39,6 @@ def test_the_copy_in_a_run_is_called_as_the_scene_and_gives_the_same_scene(tmp_p
     run_scene(scene, tmp_path / "run")
     again = load_scene(tmp_path / "run" / "scene" / "sound.json")
     assert (again.name, again.sha256) == ("sound", scene.sha256)
-
-
-def test_settings_that_are_no_mapping_are_refused_by_name():
-    with pytest.raises(TypeError, match=r"settings: a mapping of keys to values is needed \(got list\)"):
-        load_scene("strait", settings=["waves.level=large"])
 
 
 def test_a_scene_names_a_shipped_detector_and_a_file_of_that_name_comes_first(tmp_path):

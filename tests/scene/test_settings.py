@@ -1,7 +1,5 @@
 """Keys that the caller sets: in the scene, in its detector and in its vessels, and what the copy in a run holds."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any
@@ -12,17 +10,14 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modsim3d.core.errors import InputError
+from modsim3d import InputError, detect_run, load_detector, load_scene, run_scene
 from modsim3d.detector.confidence import NormalScores
-from modsim3d.detector.file.reading import load_detector
 from modsim3d.detector.file.writing import detector_text
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import conditions_in
 from modsim3d.runs.repeat_run import repeat_run
-from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run, read_finished
-from modsim3d.scene.reading import load_scene
 from modsim3d.scene.settings import Setting, changed, choose_detector, read_settings
 from tests.cli.bad_input.builders import GOOD, Inputs
 
@@ -46,34 +41,19 @@ def problems(scene: Path | str, **options: Any) -> tuple[str, ...]:
     return caught.value.problems
 
 
-# ---- values ------------------------------------------------------------------------------------------------------
-
-
 def test_values_of_options_are_yaml() -> None:
     texts = ["a=large", "b.c=0.1", "d=[1, 2]", "e={f: true}", "g=", "h=x=y", "a=small"]
-    assert read_settings(texts) == {
-        "a": "small",
-        "b.c": 0.1,
-        "d": [1, 2],
-        "e": {"f": True},
-        "g": None,
-        "h": "x=y",
-    }
+    assert read_settings(texts) == {"a": "small", "b.c": 0.1, "d": [1, 2], "e": {"f": True}, "g": None, "h": "x=y"}
 
 
 def test_a_setting_leaves_the_content_that_it_is_given_and_what_an_alias_repeats_as_they_are() -> None:
     for key in ("cameras.C0.skew", "annotation.mode", "seed", "cameras.C0.image_size_px.1"):
-        content = copy.deepcopy(GOOD["scene"])
-        setting = Setting(key, 5)
+        content, setting = copy.deepcopy(GOOD["scene"]), Setting(key, 5)
         result, _ = changed(content, setting.parts, setting)
-        assert content == GOOD["scene"]
-        assert result != content
+        assert content == GOOD["scene"] != result
     content = parse_yaml("cameras: {a: &lens {skew: 0}, b: *lens}", "here")
     setting = Setting("cameras.a.skew", 3)
     assert changed(content, setting.parts, setting)[0] == {"cameras": {"a": {"skew": 3}, "b": {"skew": 0}}}
-
-
-# ---- every part of a scene ---------------------------------------------------------------------------------------
 
 
 def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(scene: Path) -> None:
@@ -89,13 +69,11 @@ def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(scene: Path) 
             "detector.gates.max_range_m": 500,
         },
     )
-    assert loaded.seed == 7
-    assert loaded.cameras[0].mount.pitch_rad == 0.1
-    assert loaded.cameras[0].intrinsics.image_size_px == (600, 480)
-    assert loaded.cameras[0].intrinsics.principal_point_px == (300, 200)
+    camera, detector = loaded.cameras[0], loaded.detector
+    assert (loaded.seed, camera.mount.pitch_rad) == (7, 0.1) and camera.intrinsics.image_size_px == (600, 480)
+    assert camera.intrinsics.principal_point_px == (300, 200)
     assert [vessel.length_m for vessel in loaded.vessels] == [8.0, 9.5]
-    assert loaded.detector.states[0].false_discovery_rate == 0.3
-    assert loaded.detector.gates.max_range_m == 500
+    assert (detector.states[0].false_discovery_rate, detector.gates.max_range_m) == (0.3, 500)
 
 
 def test_a_key_replaces_the_keys_that_cannot_stand_beside_it(tmp_path: Path) -> None:
@@ -125,9 +103,6 @@ def test_names_with_dots_can_be_set(tmp_path: Path) -> None:
     assert load_scene(inputs.write(), settings={"cameras.C0.left.skew": 2}).cameras[0].intrinsics.skew == 2
 
 
-# ---- messages ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("key", "value", "said"),
     [
@@ -149,8 +124,12 @@ def test_names_with_dots_can_be_set(tmp_path: Path) -> None:
 )
 def test_a_wrong_setting_is_named_as_it_was_given(scene: Path, key: str, value: object, said: str) -> None:
     (problem,) = problems(scene, settings={key: value})
-    assert problem.startswith(f"--set {key}: ")
-    assert said in problem
+    assert problem.startswith(f"--set {key}: ") and said in problem
+
+
+def test_settings_that_are_no_mapping_are_refused_by_name() -> None:
+    with pytest.raises(TypeError, match=r"settings: a mapping of keys to values is needed \(got list\)"):
+        load_scene("strait", settings=["waves.level=large"])  # type: ignore[arg-type]
 
 
 def test_a_problem_of_a_section_names_the_setting_inside_it(scene: Path) -> None:
@@ -163,12 +142,8 @@ def test_every_wrong_setting_is_told_beside_the_problems_of_the_files(tmp_path: 
     inputs = inputs_in(tmp_path)
     inputs.data["detector"]["confidence_threshold"] = 3
     said = problems(inputs.write(), settings={"foo": 1, "detector.bar": 2, "seed": -1})
-    assert [line.partition(":")[0].split(" /")[0] for line in said] == [
-        "--set foo",
-        "--set detector.bar",
-        "--set seed",
-        "detector",
-    ]
+    beginnings = ["--set foo", "--set detector.bar", "--set seed", "detector"]
+    assert [line.partition(":")[0].split(" /")[0] for line in said] == beginnings
 
 
 @pytest.mark.parametrize(
@@ -182,8 +157,7 @@ def test_every_wrong_setting_is_told_beside_the_problems_of_the_files(tmp_path: 
 def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(setting: dict[str, Any], works: str) -> None:
     (key,) = setting
     found = problems("strait", settings=setting)
-    assert found[0].startswith(f"--set {key}")
-    assert works in found[0]
+    assert found[0].startswith(f"--set {key}") and works in found[0]
     with pytest.raises(InputError, match=works):
         choose_detector("coastal", settings=setting)
     assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
@@ -193,9 +167,6 @@ def test_a_setting_of_a_state_that_is_not_forced_is_refused() -> None:
     key = "detector.states.clear.confidence.visibility_slope"
     (found,) = problems("strait", settings={key: 0.1}, state="haze")
     assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
-
-
-# ---- states and conditions ---------------------------------------------------------------------------------------
 
 
 def test_a_state_is_forced_for_the_whole_scene(scene: Path) -> None:
@@ -232,28 +203,18 @@ def test_a_condition_with_other_labels_is_refused_once(tmp_path: Path) -> None:
         entry["label"] = label
     (problem,) = problems(inputs.write(), state="noon_clear", state_from="conditions")
     assert problem.startswith("--state noon_clear --from conditions: this detector has the labels Vessel, and the ")
-    assert "ferry, sailboat" in problem
-    assert "modsim3d learn --from-condition" in problem
-
-
-# ---- the copy in a run -------------------------------------------------------------------------------------------
-
-CHANGES: dict[str, Any] = {
-    "waves.level": "small",
-    "vessels.vehicle1.beam_m": 3.5,
-    FOG_RATE: 0.25,
-    "detector.persistence.box_s": 1e-06,
-}
+    assert "ferry, sailboat" in problem and "modsim3d learn --from-condition" in problem
 
 
 def test_the_copy_in_a_run_has_the_settings_and_gives_the_same_bytes(scene: Path, tmp_path: Path) -> None:
-    loaded = load_scene(scene, source="analytic", settings=CHANGES, state="fog")
+    changes: dict[str, Any] = {"waves.level": "small", "vessels.vehicle1.beam_m": 3.5}
+    changes |= {FOG_RATE: 0.25, "detector.persistence.box_s": 1e-06}
+    loaded = load_scene(scene, source="analytic", settings=changes, state="fog")
     run_scene(loaded, tmp_path / "run")
     stored = yaml.safe_load((tmp_path / "run" / "scene" / "detector.yaml").read_text())
     assert stored["states"]["fog"]["false_discovery_rate"] == 0.25
     assert stored["performance"] == {"schedule": [[0, "fog"]]}
-    again = load_scene(open_run(tmp_path / "run").scene.path)
-    assert again.sha256 == loaded.sha256
+    assert load_scene(open_run(tmp_path / "run").scene.path).sha256 == loaded.sha256
     assert repeat_run(read_finished(tmp_path / "run"), tmp_path / "again").same
     assert {frame.state for frame in open_run(tmp_path / "run").frames()} == {"fog"}
 
@@ -276,8 +237,6 @@ def test_the_detector_of_a_finished_run_can_be_changed_and_its_truth_not(scene: 
     assert not (tmp_path / "other").exists()
 
 
-# ---- the text of a detector file ---------------------------------------------------------------------------------
-
 TEXTS = st.one_of(
     st.text(st.characters(codec="utf-8", categories=["L", "N", "P", "Zs"]), max_size=8),
     st.from_regex(r"[-+]?[0-9.eE_:]{1,6}", fullmatch=True),
@@ -295,7 +254,7 @@ def test_a_written_detector_reads_as_it_was(value: Any) -> None:
 
 @pytest.mark.parametrize("name", ["rich", "thesis", "three_labels"])
 def test_shipped_detectors_read_the_same_once_they_are_written_anew(name: str, tmp_path: Path) -> None:
-    file = RICH.with_name(f"{name}.yaml")
-    (tmp_path / "d.yaml").write_text(detector_text(load_yaml(file, "detector")))
-    assert load_yaml(tmp_path / "d.yaml", "detector") == load_yaml(file, "detector")
-    assert load_detector(tmp_path / "d.yaml").labels == load_detector(file).labels
+    file, written = RICH.with_name(f"{name}.yaml"), tmp_path / "d.yaml"
+    written.write_text(detector_text(load_yaml(file, "detector")))
+    assert load_yaml(written, "detector") == load_yaml(file, "detector")
+    assert load_detector(written).labels == load_detector(file).labels

@@ -16,19 +16,16 @@ def scene():
 
 
 def test_scene_follows_the_tables(scene):
-    assert scene.steps == 1500
+    assert (scene.steps, scene.annotation.mode, scene.detector.confidence_threshold) == (1500, 0, 0.2)
     assert scene.timestamps(0, 4) == ("0.0", "0.2", "0.4", "0.6")
     sizes = [(v.air_draft_m, v.beam_m, v.length_m) for v in scene.vessels]
-    assert sizes == [(20, 4, 14)] * 2 + [(4, 3, 7)] * 3
-    assert {v.label for v in scene.vessels} == {"Vessel"}
+    assert sizes == [(20, 4, 14)] * 2 + [(4, 3, 7)] * 3 and {v.label for v in scene.vessels} == {"Vessel"}
     (camera,) = scene.cameras
-    assert camera.intrinsics.image_size_px == (3600, 2400)
-    np.testing.assert_allclose(camera.intrinsics.focal_px, (5000, 5000))
-    assert camera.intrinsics.principal_point_px == (1800, 1200)
-    assert camera.mount.position_m == (2444, 1000, 20)
-    assert (camera.mount.roll_rad, camera.mount.pitch_rad, camera.mount.yaw_rad) == (0, 0.008, np.pi)
-    assert scene.annotation.mode == 0
-    assert scene.detector.confidence_threshold == 0.2
+    lens, mount = camera.intrinsics, camera.mount
+    assert (lens.image_size_px, lens.principal_point_px) == ((3600, 2400), (1800, 1200))
+    np.testing.assert_allclose(lens.focal_px, (5000, 5000))
+    assert mount.position_m == (2444, 1000, 20)
+    assert (mount.roll_rad, mount.pitch_rad, mount.yaw_rad) == (0, 0.008, np.pi)
     assert [state.name for state in scene.detector.states] == ["excellent", "good", "bad", "terrible"]
 
 
@@ -45,5 +42,4 @@ def test_rendered_and_projected_full_boxes_agree_within_a_pixel_over_the_whole_s
         seen = rendered_occlusion(outlines, camera.intrinsics, renderer)
         difference = np.abs(seen.full_boxes_px - outlines.boxes_px)
         worst, compared = max(worst, float(difference.max())), compared + len(outlines)
-    assert compared > 7000
-    assert worst <= 1.0
+    assert compared > 7000 and worst <= 1.0

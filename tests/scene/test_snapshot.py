@@ -1,17 +1,14 @@
 """Vessels and scenes as trimesh objects, held against what the ID pass draws."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np
 import pytest
 import trimesh
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, load_scene
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import truth_block
-from modsim3d.scene.reading import load_scene
 from modsim3d.scene.sight import CV_TO_GL
 from modsim3d.truth.buffer_drawing import triangles_of
 from modsim3d.world.vessels import Vessel
@@ -115,10 +112,9 @@ def test_every_vessel_obstacle_and_camera_is_a_node_at_its_pose(scene, exported)
         matrix, _ = exported.graph[f"camera#{camera.name}"]
         np.testing.assert_array_equal(matrix[:3, 3], pose.positions_m[0])
         np.testing.assert_array_equal(-matrix[:3, 2], pose.camera_R_world[0, 2])  # looks along its −z
-    width, height = scene.cameras[0].intrinsics.image_size_px
-    assert exported.camera.name == "camera#bow"
-    assert exported.camera.resolution.tolist() == [width, height]
-    np.testing.assert_allclose(np.diag(exported.camera.K)[:2], scene.cameras[0].intrinsics.focal_px)
+    camera, lens = exported.camera, scene.cameras[0].intrinsics
+    assert (camera.name, tuple(camera.resolution)) == ("camera#bow", lens.image_size_px)
+    np.testing.assert_allclose(np.diag(camera.K)[:2], lens.focal_px)
 
 
 def test_a_glb_file_keeps_names_poses_and_shapes(scene, exported, tmp_path):
@@ -137,9 +133,8 @@ def test_a_glb_file_keeps_names_poses_and_shapes(scene, exported, tmp_path):
 
 
 def test_a_turned_scene_is_upright_in_glb_viewers(scene):
-    turned = scene.at(STEP).to_trimesh()
-    turned.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
-    before, after = scene.at(STEP).to_trimesh(), turned
+    before, after = scene.at(STEP).to_trimesh(), scene.at(STEP).to_trimesh()
+    after.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]))
     w1, w2, w3 = before.bounds.T
     np.testing.assert_allclose(after.bounds.T, [w1, w3, -w2[::-1]], atol=1e-9)
     for name in ("camera#quay", "ferry"):
@@ -147,20 +142,16 @@ def test_a_turned_scene_is_upright_in_glb_viewers(scene):
         np.testing.assert_allclose(after.graph[name][0][:3, 3], [w1, w3, -w2], atol=1e-9)
 
 
-def test_a_vessel_fills_its_length_beam_and_air_draft():
-    mesh = Vessel("a", "Vessel", 30.0, 8.0, 5.0).to_trimesh()
+def test_a_vessel_fills_its_length_beam_and_air_draft_and_meshes_stay_watertight(scene):
+    vessel = Vessel("a", "Vessel", 30.0, 8.0, 5.0)
+    mesh = vessel.to_trimesh()
     np.testing.assert_allclose(mesh.bounds, [[-15, -4, 0], [15, 4, 5]])
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(30 * 8 * 5)
+    assert mesh.is_watertight and mesh.volume == pytest.approx(30 * 8 * 5)
     mesh.apply_scale(2.0)  # its own copy
-    np.testing.assert_allclose(Vessel("a", "Vessel", 30.0, 8.0, 5.0).to_trimesh().extents, [30, 8, 5])
-
-
-def test_shipped_meshes_stay_watertight(scene):
+    np.testing.assert_allclose(vessel.to_trimesh().extents, [30, 8, 5])
     for vessel in scene.vessels:
         mesh = vessel.to_trimesh()
-        assert mesh.is_watertight, vessel.name
-        assert mesh.volume > 0, vessel.name
+        assert mesh.is_watertight and mesh.volume > 0, vessel.name
 
 
 def test_an_absent_vessel_is_left_out(tmp_path):

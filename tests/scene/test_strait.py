@@ -51,21 +51,16 @@ def test_every_shipped_mesh_is_there_and_obstacles_and_own_hull_hide(scene, rend
         truth = truth_block(scene, first, first + 2, renderer)
         hiders |= {scene.occluder_names[index] for index in truth.occluder}
     assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
-    bow = scene.cameras[0]
-    outlines = scene.sight(bow, np.arange(3)).outlines()
+    outlines = scene.sight(scene.cameras[0], np.arange(3)).outlines()
     own = outlines.occluder == scene.vessel_names.index("own")
-    assert own.sum() == 3  # its own foredeck, in each frame
-    assert not outlines.boxed[own].any()
+    assert own.sum() == 3 and not outlines.boxed[own].any()  # its own foredeck, in each frame
 
 
 def test_the_cameras_run_at_their_own_rates(scene):
-    bow, quay = (scene.frame_steps(camera, 0, scene.steps) for camera in scene.cameras)
-    assert len(bow) == 300
-    assert quay.tolist() == list(range(1, 300, 2))
+    bow, quay = (scene.frame_steps(camera, 0, scene.steps).tolist() for camera in scene.cameras)
+    assert len(bow) == 300 and quay == list(range(1, 300, 2))
 
 
 def test_compare_finds_nothing_unexplained(scene, renderer):
     figures = compare_sources(scene, renderer, every=20).figures
-    assert figures.frames == 15 + 8
-    assert figures.vessel_frames > 80
-    assert figures.unexplained == 0
+    assert (figures.frames, figures.unexplained) == (15 + 8, 0) and figures.vessel_frames > 80

@@ -87,15 +87,9 @@ def _before_in_group(group: Indices) -> Indices:
 
 
 def _keys(scene: Scene, vessel: Indices, before: Indices) -> list[bytes]:
-    """The key of each detection in the object of its frame.
-
-    It is the vessel's ID, and `<vessel ID>#2` for the vessel's second box. False positives are numbered from 1.
-
-    Args:
-        scene: The scene.
-        vessel: The vessel of each of m detections, −1 for a false positive, shape (m,).
-        before: How many detections of the frame before each are of its vessel, shape (m,).
-    """
+    """The key of each of m detections in the object of its frame: the vessel's ID, and `<vessel ID>#2` for the vessel's
+    second box; false positives, of `vessel` −1, are numbered from 1. `before` counts the detections of the frame before
+    each that are of its vessel, shape (m,)."""
     names = string_texts(scene.vessel_names)
     keys = [names[index] for index in vessel.tolist()]
     for row in np.flatnonzero((vessel < 0) | (before > 0)).tolist():
@@ -122,10 +116,8 @@ def _lines(block: Block, part: CameraBlock, frame: Indices, *columns: Column) ->
 
 
 def join_lines(lines: Path, out: IO[bytes]) -> None:
-    """Join a file of such lines to one JSON object.
-
-    JSON escapes line breaks inside strings, so the bytes `}`, line break, `{` occur only between two lines.
-    """
+    """Join a file of such lines to one JSON object. JSON escapes line breaks inside strings, so the bytes `}`, line
+    break, `{` occur only between two lines."""
     with lines.open("rb") as source:
         if not source.read(1):
             out.write(b"{}\n")
@@ -174,12 +166,10 @@ def _has_places(truth: Truth, scene: Scene, first: int, stop: int) -> bool:
     indices = ((truth.camera, len(scene.cameras)), (truth.vessel, len(scene.vessels)), (truth.occluder, names))
     if not all(((index >= 0) & (index < count)).all() for index, count in indices):
         return False
-    within = ((first <= truth.step) & (truth.step < stop)).all()
     frame = truth.step * len(scene.cameras) + truth.camera
-    offsets = truth.occluder_offsets
-    pairs = truth.intersections[:, 2:]
+    offsets, pairs = truth.occluder_offsets, truth.intersections[:, 2:]
     return bool(
-        within
+        ((first <= truth.step) & (truth.step < stop)).all()
         and np.isin(frame, frames_taken(scene, first, stop)).all()
         and (np.diff(frame * len(scene.vessels) + truth.vessel) > 0).all()
         and offsets[0] == 0
@@ -247,15 +237,10 @@ def schemas_of(scene: Scene) -> dict[str, pa.Schema]:
 
 @dataclass(frozen=True, eq=False)
 class BlockFiles:
-    """Additions of a block to the files of a run.
+    """Additions of a block to the files of a run."""
 
-    Attributes:
-        tables: New rows by the name of the table.
-        lines: New complete lines by the kind of file and the index of the camera.
-    """
-
-    tables: dict[str, pa.Table]
-    lines: dict[tuple[str, int], bytes]
+    tables: dict[str, pa.Table]  # new rows by the name of the table
+    lines: dict[tuple[str, int], bytes]  # new complete lines by the kind of file and the index of the camera
 
     @classmethod
     def of(cls, block: Block, scene: Scene, kinds: Sequence[str]) -> BlockFiles:
@@ -277,10 +262,8 @@ def kept_truth_path(folder: Path, first: int, stop: int) -> Path:
 
 
 def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth | None:
-    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged.
-
-    A file of another run or with other steps is damaged too.
-    """
+    """The truth of a block that an interrupted run of a scene kept; None if it kept none, or if the file is damaged. A
+    file of another run or with other steps is damaged too."""
     path = kept_truth_path(folder, first, stop)
     if not path.is_file():
         return None
@@ -288,8 +271,8 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
         content = path.read_bytes()
     except OSError:
         return None
-    packed, digest = content[:-DIGEST_BYTES], content[-DIGEST_BYTES:]
-    if _digest(path, packed) != digest:
+    packed = content[:-DIGEST_BYTES]
+    if _digest(path, packed) != content[-DIGEST_BYTES:]:
         return None
     try:
         with np.load(io.BytesIO(packed)) as columns:
@@ -300,10 +283,8 @@ def finished_truth(folder: Path, scene: Scene, first: int, stop: int) -> Truth |
 
 @contextmanager
 def truth_kept(folder: Path, truth: Truth, first: int, stop: int) -> Iterator[None]:
-    """Keep the truth of a block on the disk, so that an interrupted run can be resumed.
-
-    A thread waits for the disk, while what is made of the truth is made; at the end the truth is on the disk.
-    """
+    """Keep the truth of a block on the disk, so that an interrupted run can be resumed. A thread waits for the disk,
+    while what is made of the truth is made; at the end the truth is on the disk."""
     path, packed = kept_truth_path(folder, first, stop), io.BytesIO()
     np.savez(packed, **{name: getattr(truth, name) for name in COLUMNS})
     with packed.getbuffer() as content, ThreadPoolExecutor(1) as thread:
@@ -319,7 +300,7 @@ def _keep(path: Path, packed: memoryview) -> None:
 
 
 def _digest(path: Path, packed: bytes | memoryview) -> bytes:
-    """The SHA-256 of a block with its run and its steps: of the run's settings, the file's name and what is in it."""
+    """SHA-256 of a block with its run and its steps: of the run's settings, the file's name and what is in it."""
     digest = hashlib.sha256(path.with_name(SETTINGS_FILE).read_bytes() + path.name.encode())
     digest.update(packed)
     return digest.digest()

@@ -33,10 +33,7 @@ _FILMS = "detections|scene|ids|corners|map|all"
 _PICTURE = re.compile(rf"(?:{_FILMS})(?:_\d+\.(?:png|svg|pdf)|\.(?:mp4|gif))")
 _FRAME = re.compile(r"frame_\d+\.png")
 _PART = re.compile(r"[AB]-\d+\.js")
-_FOLDERS = {
-    **dict.fromkeys(_FILMS.split("|"), _FRAME),
-    **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART),
-}
+_FOLDERS = {**dict.fromkeys(_FILMS.split("|"), _FRAME), **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART)}
 """Folders that other commands make in a run directory, and the names of the files in them."""
 LONGEST_NAME = 255
 """Bytes that a file system allows."""
@@ -44,10 +41,8 @@ _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parq
 
 
 def files_of_run(folder: Path) -> set[str]:
-    """Paths inside a run directory of all files of the finished run in it; none if there is none.
-
-    A run of an older version has no list of its files: then they are the names that such a version wrote.
-    """
+    """Paths inside a run directory of all files of the finished run in it; none if there is none. A run of an older
+    version has no list of its files: then they are the names that such a version wrote."""
     run = read_json(folder / RUN_FILE)
     if not is_of_a_run(run):
         return set()

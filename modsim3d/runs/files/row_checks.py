@@ -1,7 +1,5 @@
-"""Rules for the rows of a run's tables: each value alone, in its row, in its frame, and between the tables.
-
-Rows are checked as they are read, so that no reader has to guess. An error names file, row, column and value.
-"""
+"""Rules for the rows of a run's tables: each value alone, in its row, in its frame, and between the tables. Rows are
+checked as they are read, so that no reader has to guess. An error names file, row, column and value."""
 
 from __future__ import annotations
 
@@ -31,27 +29,17 @@ OF_NO_VESSEL = (FALSE_POSITIVE, PERSISTENT)
 
 @dataclass(frozen=True, eq=False)
 class TableRows:
-    """Consecutive rows of a table of a run, with the steps that they may belong to.
-
-    Attributes:
-        path: The table's file.
-        first_row: Number of the first of these rows in the file.
-        first: First step of the rows.
-        stop: The step after the last.
-    """
+    """Consecutive rows of a table of a run, with the steps that they may belong to, first to stop − 1."""
 
     path: Path
-    first_row: int
+    first_row: int  # number of the first of these rows in the file
     table: pa.Table
     first: int
     stop: int
 
     def refuse(self, column: str, wrong: Mask, right: str) -> None:
-        """Refuse the first row that is wrong (shape (n,)), if there is one; `right` says what the value must be.
-
-        Raises:
-            RunDirectoryError: A row is wrong.
-        """
+        """Raise RunDirectoryError for the first row that is wrong, if there is one; `right` says what the value must
+        be."""
         if wrong.any():
             row = int(np.argmax(wrong))
             raise RunDirectoryError(
@@ -79,10 +67,8 @@ class TableRows:
     def numbers(
         self, column: str, least: float, greatest: float | Array, *, slack: float = 0.0, nullable: bool = False
     ) -> Array:
-        """A column of numbers, at most `slack` outside their range (`greatest` may be one for each row).
-
-        NaN for null, shape (n,).
-        """
+        """A column of numbers, at most `slack` outside their range (`greatest` may be one for each row). NaN for null,
+        shape (n,)."""
         values = tables.number_column(self.table, column)
         if not nullable:
             self.refuse(column, np.isnan(values), "a number")
@@ -110,11 +96,8 @@ def _text(value: pa.Scalar) -> str:
 
 
 def check_frames(rows: TableRows, scene: Scene) -> Indices:
-    """Check rows of `frames`; the index of each frame's performance state, shape (n,).
-
-    Raises:
-        RunDirectoryError: A value is not what a run has written.
-    """
+    """Check rows of `frames`; the index of each frame's performance state, shape (n,). Raises RunDirectoryError, as all
+    checks here do, for a value that is not what a run has written."""
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
     if not np.array_equal(frame, taken):
         common = min(len(frame), len(taken))
@@ -155,11 +138,7 @@ def _frame_numbers(rows: TableRows, scene: Scene) -> Indices:
 
 
 def check_truth(rows: TableRows, scene: Scene) -> None:
-    """Check rows of `truth`.
-
-    Raises:
-        RunDirectoryError: A value is not what a run has written.
-    """
+    """Check rows of `truth`."""
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
     rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     vessel = rows.names("vessel", scene.vessel_names)
@@ -213,11 +192,7 @@ def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
 
 
 def check_detections(rows: TableRows, scene: Scene) -> None:
-    """Check rows of `detections`.
-
-    Raises:
-        RunDirectoryError: A value is not what a run has written.
-    """
+    """Check rows of `detections`."""
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
     rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     rows.refuse("step", np.diff(frame, prepend=-1) < 0, "after the row before, in order of step and camera")
@@ -245,11 +220,8 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
 
 
 def check_together(frames: TableRows, truth: TableRows, detections: TableRows, scene: Scene) -> None:
-    """Check that the rows of the same steps in the three tables, each checked before, are of one run.
-
-    Raises:
-        RunDirectoryError: They contradict each other.
-    """
+    """Raise RunDirectoryError unless the rows of the same steps in the three tables, each checked before, are of one
+    run."""
     frame, of_truth, drawn = (_numbers_of(rows.table, scene) for rows in (frames, truth, detections))
     state = tables.indices(frames.table, "state", [state.name for state in scene.detector.states])
     written = tables.indices(detections.table, "state", [state.name for state in scene.detector.states])
@@ -281,15 +253,8 @@ def _numbers_of(table: pa.Table, scene: Scene) -> Indices:
 
 
 def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
-    """How many boxes of its own each row of the truth has, 0 or 1, shape (n,).
-
-    Args:
-        truth: Rows of the truth table.
-        detections: Rows of the table of detections.
-        drawn: Number of the frame of each detection, shape (m,).
-        own: Whether it is the one box of its vessel, shape (m,).
-        scene: The scene.
-    """
+    """Number of boxes of its own that each row of the truth has, 0 or 1, shape (n,). For each detection, `drawn` is the
+    number of its frame, and `own` whether it is the one box of its vessel, shape (m,)."""
     vessels = len(scene.vessels)
     rows = np.flatnonzero(tables.flags(truth.table, "annotated"))
     key = (

@@ -19,14 +19,7 @@ from modsim3d.core.errors import RunDirectoryError
 from modsim3d.io.atomic_write import json_text, sync_file, sync_folder, written_whole
 from modsim3d.io.overwrite_guard import LOCK_FILE, identities, identity, is_inside, locked_folder
 from modsim3d.runs.files import block_files, tables
-from modsim3d.runs.files.block_files import (
-    OWN_SHIP,
-    SETTINGS_FILE,
-    THESIS_LINES,
-    BlockFiles,
-    line_kinds,
-    schemas_of,
-)
+from modsim3d.runs.files.block_files import OWN_SHIP, SETTINGS_FILE, THESIS_LINES, BlockFiles, line_kinds, schemas_of
 from modsim3d.runs.files.overwrite import (
     LOG_FILE,
     POSES_FILE,
@@ -56,12 +49,8 @@ REPLACES_FILE = "replaces.json"
 
 @contextmanager
 def locked_run(folder: Path) -> Iterator[None]:
-    """Hold the lock of a run directory, which is made if it is not there; hold it before workers start to write.
-
-    Raises:
-        OutputError: Another process writes to the folder.
-        RunDirectoryError: The folder cannot be written to, or is a file.
-    """
+    """Hold the lock of a run directory, which is made if it is not there; hold it before workers start to write. Raises
+    OutputError if another process writes to the folder, RunDirectoryError if it cannot be written to or is a file."""
     with ExitStack() as locks:
         try:
             if folder.exists() and not folder.is_dir():
@@ -73,11 +62,9 @@ def locked_run(folder: Path) -> Iterator[None]:
 
 
 class RunDirectory:
-    """The folder of one run, while it is written; `locked_run` holds its lock.
-
-    The truth of finished blocks is kept, so that an interrupted run can be resumed. A resumed run writes the files of
-    the detector from the start, because the detector is cheap.
-    """
+    """The folder of one run, while it is written; `locked_run` holds its lock. The truth of finished blocks is kept, so
+    that an interrupted run can be resumed. A resumed run writes the files of the detector from the start, because the
+    detector is cheap."""
 
     def __init__(
         self,
@@ -89,19 +76,9 @@ class RunDirectory:
         resume: bool = False,
         thesis_json: bool = True,
     ) -> None:
-        """Make the folder, or resume an interrupted run; a run that is replaced stays until the new one is finished.
-
-        Args:
-            folder: The run directory.
-            scene: The scene that is run.
-            settings: See `settings_of`; an interrupted run must have had the same.
-            overwrite: Replace a run that is there.
-            resume: Continue an interrupted run that is there.
-            thesis_json: Write the thesis's JSON.
-
-        Raises:
-            RunDirectoryError: The folder is taken, is no run directory, or cannot be written to.
-        """
+        """Make the folder, or resume an interrupted run, which must have had the same settings, see `settings_of`; a
+        run that is replaced stays until the new one is finished. Raises RunDirectoryError if the folder is taken, is no
+        run directory, or cannot be written to."""
         self.folder = folder
         self.work = folder / UNFINISHED
         self.line_kinds = line_kinds(thesis_json)
@@ -114,7 +91,6 @@ class RunDirectory:
             raise RunDirectoryError(f"{folder} cannot be written to: {error.strerror}") from error
 
     def _open_files(self) -> None:
-        """Copy the scene, and open the files of the run for writing."""
         self._scene.copy.write(self.work / SCENE_FOLDER)
         self._writers = {
             name: tables.TableWriter(self.work / f"{name}.parquet", schema)
@@ -137,11 +113,8 @@ class RunDirectory:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close all files; what was written stays.
-
-        Raises:
-            RunDirectoryError: The disk is full, or the files cannot be written for another reason.
-        """
+        """Close all files; what was written stays. Raises RunDirectoryError if the disk is full, or the files cannot be
+        written for another reason."""
         try:
             with ExitStack() as closing:  # where one cannot be closed, the others are closed all the same
                 closing.callback(self._close_lines)
@@ -263,11 +236,8 @@ class RunDirectory:
 
     @contextmanager
     def completing(self) -> Iterator[None]:
-        """Complete all files and put them on the disk, several at once, while the caller does something else.
-
-        Raises:
-            OSError: A file cannot be written.
-        """
+        """Complete all files and put them on the disk, several at once, while the caller does something else. Raises
+        OSError if a file cannot be written."""
         self._close_lines()
         with ThreadPoolExecutor(FILES_AT_ONCE) as threads:
             files = {name: threads.submit(self._complete, name) for name in self._file_names()}
@@ -275,14 +245,9 @@ class RunDirectory:
             self._files = {name: files[name].result() for name in sorted(files)}
 
     def finish(self, run: dict[str, Any], log: str) -> None:
-        """Put every file in its place, after `completing`.
-
-        `run.json` goes first and comes last, so that where it is all else is complete.
-
-        Args:
-            run: Content of `run.json`; the list of the files is added.
-            log: Content of `run.log`.
-        """
+        """Put every file in its place, after `completing`. `run.json` goes first and comes last, so that where it is
+        all else is complete. `run` is its content, to which the list of the files is added; `log` is the content of
+        `run.log`."""
         names, content = self._file_names(), {**run, "files": self._files}
         (self.work / LOG_FILE).write_text(log)
         (self.work / RUN_FILE).write_bytes(json_text(content))

@@ -82,49 +82,35 @@ class Truncation(Strict):
 
 
 class RunSettings(Strict):
-    """Everything that decides the content of the files, see `runs.run.settings_of`.
-
-    Attributes:
-        traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
-        plugins_sha256: Checksum of the files of each plug-in; None if there are none, or the run is older.
-        traffic_sha256: Checksum of the vessels and their poses where the vessels were drawn too.
-    """
+    """Everything that decides the content of the files, see `runs.run.settings_of`."""
 
     format: Literal[1, 2]
     scene: FileName
     scene_sha256: Sha256
     seed: Count
     detector_seed: Count
-    traffic_seed: Count | None = None
-    traffic_sha256: Sha256 | None = None
+    traffic_seed: Count | None = None  # that the traffic was drawn from; None where every seed has this traffic
+    traffic_sha256: Sha256 | None = None  # of the vessels and their poses where the vessels were drawn too
     steps: Count
     annotation: dict[Text, Any]
     cameras: list[Text]
     backend: Text
     plugins: dict[Text, Text]
+    # of the files of each plug-in; None if there are none, or the run is older
     plugins_sha256: dict[Text, Sha256] | None = None
     versions: dict[Text, Text]
     truth_versions: dict[Text, Text] | None = None
 
 
 class RunFile(RunSettings):
-    """The settings, and what is known after the run.
+    """The settings, and what is known after the run."""
 
-    Attributes:
-        counts: What happened in all frames, see `Counts`.
-        camera_counts: What happened in the frames of each camera; None in format 1.
-        files: Size and checksum of each file that the run has written, by its path in the run directory; None in a run
-            that was written before this was kept.
-        poses_sha256: Checksum of the poses that a live scene received.
-        crosscheck: What the cross-check of the truth found, see `Checked`; None in a run before there was one.
-    """
-
-    counts: RunCounts
-    camera_counts: dict[Text, RunCounts] | None = None
+    counts: RunCounts  # of all frames, see `Counts`
+    camera_counts: dict[Text, RunCounts] | None = None  # None in format 1
     truncation: dict[Text, Truncation]
-    poses_sha256: Sha256 | None = None
-    crosscheck: Crosscheck | None = None
-    files: dict[Text, FileEntry] | None = None
+    poses_sha256: Sha256 | None = None  # of the poses that a live scene received
+    crosscheck: Crosscheck | None = None  # see `Checked`; None in a run before there was one
+    files: dict[Text, FileEntry] | None = None  # by path in the run directory; None in a run before this was kept
 
     @field_validator("files")
     @classmethod
@@ -140,11 +126,8 @@ Model = TypeVar("Model", bound=RunSettings)
 
 
 def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model]:
-    """The content of `run.json` or `settings.json`, as it is and validated.
-
-    Raises:
-        RunDirectoryError: It is not what a run has written.
-    """
+    """The content of `run.json` or `settings.json`, as it is and validated. Raises RunDirectoryError if it is not what
+    a run has written."""
     try:
         content = load_json(path, "run")
         return content, model.model_validate(content)
@@ -157,18 +140,10 @@ def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model
 
 
 def check_scene_copy(folder: Path, settings: RunSettings, source: Path, listed: Collection[str] | None) -> None:
-    """Check that the copy of the scene is the one that the run has made.
-
-    Args:
-        folder: The folder of the copy.
-        settings: The content of the run's `source`.
-        source: `run.json` or `settings.json`.
-        listed: Paths inside the run directory of the run's files; other files in the folder are the user's. None if
-            the run has no such list: then all files in the folder are the copy.
-
-    Raises:
-        RunDirectoryError: It is missing, or was changed; see `SceneCopy.sha256`.
-    """
+    """Check that the copy of the scene in `folder` is the one that the run has made, by the content of its `source`,
+    `run.json` or `settings.json`. `listed` are the paths inside the run directory of the run's files; other files in
+    the folder are the user's. It is None if the run has no such list: then all files in the folder are the copy. Raises
+    RunDirectoryError if the copy is missing or was changed; see `SceneCopy.sha256`."""
     scene_file = folder / f"{settings.scene}.json"
     if not _is_file(scene_file):
         raise RunDirectoryError(f"{scene_file} is missing: {source} names it as the copy of the run's scene")
@@ -199,11 +174,7 @@ def _is_file(path: Path) -> bool:
 
 
 def check_same_scene(settings: RunSettings, scene: Scene, source: Path) -> None:
-    """Check that the settings are those of the scene in its copy.
-
-    Raises:
-        RunDirectoryError: One of them is another.
-    """
+    """Raise RunDirectoryError if one of the settings is not that of the scene in its copy."""
     expected = {
         "seed": scene.seed,
         "detector_seed": scene.detector_seed,
@@ -229,11 +200,7 @@ def check_same_scene(settings: RunSettings, scene: Scene, source: Path) -> None:
 
 
 def check_camera_counts(run: RunFile, source: Path) -> None:
-    """Check that a run of format 2 has every count of every camera.
-
-    Raises:
-        RunDirectoryError: One is missing.
-    """
+    """Raise RunDirectoryError if a run of format 2 has not every count of every camera."""
     of_cameras = run.camera_counts or {}
     complete = all("off_vessel" in counts for counts in (run.counts, *of_cameras.values()))
     if run.format > 1 and not (complete and list(of_cameras) == run.cameras):
@@ -241,11 +208,7 @@ def check_camera_counts(run: RunFile, source: Path) -> None:
 
 
 def check_files(folder: Path, run: RunFile) -> None:
-    """Check that every file that a run has listed is there, with its size.
-
-    Raises:
-        RunDirectoryError: One is missing, or has another size.
-    """
+    """Raise RunDirectoryError if a file that a run has listed is missing, or has another size."""
     for name, entry in (run.files or {}).items():
         path = folder / name
         if not _is_file(path):
@@ -255,16 +218,8 @@ def check_files(folder: Path, run: RunFile) -> None:
 
 
 def check_content(path: Path, sha256: str, source: str) -> None:
-    """Check that a file has a checksum.
-
-    Args:
-        path: The file.
-        sha256: Its checksum when it was written.
-        source: The file that says so, for the message.
-
-    Raises:
-        RunDirectoryError: It has another, is missing, or cannot be read.
-    """
+    """Check that a file has the checksum that the file `source` says it had when it was written. Raises
+    RunDirectoryError if it has another, is missing, or cannot be read."""
     try:
         found = file_sha256(path)
     except FileNotFoundError:
@@ -305,14 +260,9 @@ def list_texts(numbers: Array) -> list[bytes]:
 
 
 def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Column) -> bytes:
-    """A line for each frame: its head, the texts of its rows with commas between them, and the tail.
-
-    Args:
-        heads: What the line of each of F frames begins with.
-        tail: What every line ends with.
-        frame: The frame of each of n rows, from 0, ascending, shape (n,).
-        columns: What stands side by side in each row.
-    """
+    """A line for each of F frames: its head, the texts of its rows with commas between them, and the tail that all
+    have. `frame` is the frame of each of n rows, from 0, ascending, shape (n,); `columns` stand side by side in each
+    row."""
     bounds = np.searchsorted(frame, np.arange(len(heads) + 1)).tolist()
     before, between = [b","] * len(frame), b""
     for head, start, stop in zip(heads, bounds[:-1], bounds[1:], strict=True):

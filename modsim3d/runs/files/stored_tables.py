@@ -16,22 +16,11 @@ from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, MERGED, CameraFrames, Detections, Targets
-from modsim3d.runs.files import table_columns
+from modsim3d.runs.files import table_columns, tables
 from modsim3d.runs.files.block_files import OWN_SHIP, schemas_of
 from modsim3d.runs.files.overwrite import RUN_FILE
 from modsim3d.runs.files.row_checks import TableRows, check_detections, check_frames, check_together, check_truth
 from modsim3d.runs.files.run_file import FileEntry, check_content
-from modsim3d.runs.files.tables import (
-    DETECTIONS,
-    Occluders,
-    detection_boxes_px,
-    flags,
-    indices,
-    integer_column,
-    number_column,
-    positions,
-    truth_boxes_px,
-)
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
 
@@ -39,50 +28,41 @@ from modsim3d.truth.record import Truth
 
 
 def truth_of(table: pa.Table, scene: Scene) -> Truth:
-    """The truth in rows of the table `truth` of a run of a scene.
-
-    The table does not say which boxes intersect in space, so `intersections` is empty.
-    """
-    occluders = Occluders.of(table, scene.occluder_names)
+    """The truth in rows of the table `truth` of a run of a scene. The table does not say which boxes intersect in
+    space, so `intersections` is empty."""
+    occluders = tables.Occluders.of(table, scene.occluder_names)
     return Truth(
-        step=integer_column(table, "step"),
-        camera=indices(table, "camera", [camera.name for camera in scene.cameras]),
-        vessel=indices(table, "vessel", scene.vessel_names),
-        full_boxes_px=truth_boxes_px(table, "full"),
-        visible_boxes_px=truth_boxes_px(table, "visible"),
-        **{name: number_column(table, name) for name in table_columns.TRUTH_NUMBERS},
+        step=tables.integer_column(table, "step"),
+        camera=tables.indices(table, "camera", [camera.name for camera in scene.cameras]),
+        vessel=tables.indices(table, "vessel", scene.vessel_names),
+        full_boxes_px=tables.truth_boxes_px(table, "full"),
+        visible_boxes_px=tables.truth_boxes_px(table, "visible"),
+        **{name: tables.number_column(table, name) for name in table_columns.TRUTH_NUMBERS},
         occluder_offsets=occluders.offsets,
         occluder=occluders.name,
         occluder_px=occluders.px,
-        annotated=flags(table, "annotated"),
+        annotated=tables.flags(table, "annotated"),
         drawn=np.zeros(len(table), dtype=bool),
         intersections=np.empty((0, 4), dtype=np.int64),
     )
 
 
 def detections_of(
-    tables: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
+    rows: Mapping[str, pa.Table], model: DetectorModel, frames: CameraFrames, targets: Targets
 ) -> Detections:
-    """The detections of a camera in a run, whose detector was given these targets.
-
-    The tables do not say which box errors were resampled, so `redrawn` is false. They do not say which vessels the
-    limit on the number of detections or the operating threshold removed either, so `gated` knows only the other gates.
-
-    Args:
-        tables: Rows of `frames`, `truth` and `detections` of the same steps as the camera's frames.
-        model: The detector, which need not be the run's.
-        frames: All frames of the camera at these steps.
-        targets: The annotated vessels in these frames.
-
-    Raises:
-        RunDirectoryError: The model does not know a performance state or a label in the tables.
-    """
-    chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in tables.items()}
+    """The detections of a camera in a run, whose detector was given these targets, the annotated vessels in all frames
+    of the camera at some steps; `rows` are those of `frames`, `truth` and `detections` of the same steps. The detector
+    need not be the run's. The tables do not say which box errors were resampled, so `redrawn` is false. They do not say
+    which vessels the limit on the number of detections or the operating threshold removed either, so `gated` knows only
+    the other gates. Raises RunDirectoryError if the model does not know a performance state or a label in the
+    tables."""
+    chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in rows.items()}
     table = chosen["detections"]
-    frame, kind = np.searchsorted(frames.steps, integer_column(table, "step")), indices(table, "kind", KINDS)
-    count, vessel = len(targets.vessel_ids), indices(table, "vessel", targets.vessel_ids)
+    frame = np.searchsorted(frames.steps, tables.integer_column(table, "step"))
+    kind = tables.indices(table, "kind", KINDS)
+    count, vessel = len(targets.vessel_ids), tables.indices(table, "vessel", targets.vessel_ids)
     wanted = np.where(vessel == NOBODY, NOBODY, frame * count + vessel)
-    target = positions(targets.frame * count + targets.vessel, wanted)
+    target = tables.positions(targets.frame * count + targets.vessel, wanted)
     return Detections(
         states=_known_indices(chosen["frames"], "state", [state.name for state in model.states]),
         frame=frame,
@@ -90,23 +70,21 @@ def detections_of(
         partner=_partners(chosen["truth"], targets, frame, target, kind),
         kind=kind,
         label=_known_indices(table, "label", model.labels),
-        confidence=number_column(table, "confidence"),
-        boxes_px=detection_boxes_px(table),
-        errors_px=np.column_stack([number_column(table, name) for name in table_columns.ERRORS]),
+        confidence=tables.number_column(table, "confidence"),
+        boxes_px=tables.detection_boxes_px(table),
+        errors_px=np.column_stack([tables.number_column(table, name) for name in table_columns.ERRORS]),
         redrawn=np.zeros(len(table), dtype=bool),
         gated=~model.gates.passed(frames, targets),
     )
 
 
 def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices, kind: Indices) -> Indices:
-    """Row of the second target of each merged box, else −1, shape (m,).
-
-    The second targets of a frame are those that were detected and have no box of their own. The tables do not say which
-    of them belongs to which of several merged boxes of a frame, so they are assigned in order.
-    """
+    """Row of the second target of each merged box, else −1, shape (m,). The second targets of a frame are those that
+    were detected and have no box of their own. The tables do not say which of them belongs to which of several merged
+    boxes of a frame, so they are assigned in order."""
     partner = np.full(len(frame), -1)
     merged = np.flatnonzero(kind == MERGED)
-    without_box = flags(truth, "detected")[flags(truth, "annotated")]
+    without_box = tables.flags(truth, "detected")[tables.flags(truth, "annotated")]
     without_box[target[target >= 0]] = False
     rows = np.flatnonzero(without_box)
     for where in np.unique(frame[merged]):
@@ -116,7 +94,7 @@ def _partners(truth: pa.Table, targets: Targets, frame: Indices, target: Indices
 
 def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     """A column of names as indices; a name that the detector does not know is an error."""
-    found = indices(table, name, names)
+    found = tables.indices(table, name, names)
     unknown = np.flatnonzero(found == NOBODY)
     if len(unknown):
         raise RunDirectoryError(
@@ -132,7 +110,7 @@ _CENTRE_FORM = dict(zip(table_columns.CENTRE_FORM, ("x_px", "y_px", "width_px", 
 FORMAT_1_DETECTIONS = pa.schema(
     [
         field.with_name(_CENTRE_FORM.get(field.name, field.name)).remove_metadata()
-        for field in DETECTIONS
+        for field in tables.DETECTIONS
         if field.name not in table_columns.BOX_SIDES
     ]
 )
@@ -140,11 +118,11 @@ FORMAT_1_DETECTIONS = pa.schema(
 
 def from_format_1(table: pa.Table) -> pa.Table:
     """Rows of format 1 as rows of today's table; the corners are rounded as the centres were."""
-    boxes_px = corner_form(np.column_stack([number_column(table, name) for name in _CENTRE_FORM.values()]))
+    boxes_px = corner_form(np.column_stack([tables.number_column(table, name) for name in _CENTRE_FORM.values()]))
     columns = dict(zip(table.column_names, table.columns, strict=True))
     columns |= {name: columns[former] for name, former in _CENTRE_FORM.items()}
     columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(table_columns.BOX_SIDES)}
-    return pa.table([columns[name] for name in DETECTIONS.names], schema=DETECTIONS)
+    return pa.table([columns[name] for name in tables.DETECTIONS.names], schema=tables.DETECTIONS)
 
 
 CHECKS: dict[str, Callable[[TableRows, Scene], object]] = {
@@ -158,11 +136,8 @@ class StoredTable:
     """A table of a finished run, whose footer has been checked; its rows are checked as they are read."""
 
     def __init__(self, folder: Path, name: str, scene: Scene) -> None:
-        """Check the footer: the columns and their types, and the steps of each row group.
-
-        Raises:
-            RunDirectoryError: The file is not the table that a run of the scene has written.
-        """
+        """Check the footer: the columns and their types, and the steps of each row group. Raises RunDirectoryError if
+        the file is not the table that a run of the scene has written."""
         self.path = folder / f"{name}.parquet"
         self._name, self._scene, self._run = name, scene, _identity(folder / RUN_FILE)
         self._kept: tuple[tuple[int, int], pa.Table] | None = None
@@ -181,13 +156,8 @@ class StoredTable:
         return int(self._metadata.num_rows)
 
     def groups(self) -> Iterator[pa.Table]:
-        """The rows, about a row group at a time: the table of a long run is larger than memory.
-
-        A step that is in two row groups comes whole.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written.
-        """
+        """The rows, about a row group at a time: the table of a long run is larger than memory. A step that is in two
+        row groups comes whole. Raises RunDirectoryError if a row is not what a run has written."""
         first = 0
         for stop in (self._steps[:, 1] + 1).tolist():
             if stop > first:
@@ -195,11 +165,8 @@ class StoredTable:
                 first = stop
 
     def rows(self, first: int, stop: int) -> TableRows:
-        """The rows of steps first to stop − 1; only the row groups are read that may hold such rows.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written.
-        """
+        """The rows of steps first to stop − 1; only the row groups are read that may hold such rows. Raises
+        RunDirectoryError if a row is not what a run has written."""
         here = np.flatnonzero((self._steps[:, 1] >= first) & (self._steps[:, 0] < stop))
         begin, end = (int(here[0]), int(here[-1]) + 1) if len(here) else (0, 0)
         return self._checked(begin, end, first, stop)
@@ -274,16 +241,9 @@ class StoredTables:
     """The tables `frames`, `truth` and `detections` of a finished run."""
 
     def __init__(self, folder: Path, scene: Scene, listed: Mapping[str, FileEntry] | None = None) -> None:
-        """Check the footers of all tables.
-
-        Args:
-            folder: The run directory.
-            scene: The run's scene, if need be with another detector.
-            listed: The list of files in `run.json`; None if it has none, or if it was compared before.
-
-        Raises:
-            RunDirectoryError: A table is missing, or is not what a run of the scene has written.
-        """
+        """Check the footers of all tables. The detector of the scene need not be the run's; `listed` is the list of
+        files in `run.json`, None if it has none or was compared before. Raises RunDirectoryError if a table is missing,
+        or is not what a run of the scene has written."""
         self._scene, self._listed = scene, listed or {}
         self.by_name = {name: StoredTable(folder, name, scene) for name in CHECKS}
         self._own_ship = folder / f"{OWN_SHIP}.parquet"
@@ -294,11 +254,7 @@ class StoredTables:
                 _check_schema(self._own_ship, found, table_columns.BEFORE_ATTITUDE if former else wanted)
 
     def check_counts(self, counts: dict[str, float]) -> None:
-        """Check the number of rows of each table against the counts of `run.json`.
-
-        Raises:
-            RunDirectoryError: A table has another number of rows.
-        """
+        """Raise RunDirectoryError if a table has another number of rows than by the counts of `run.json`."""
         expected = {
             "frames": counts["frames"],
             "truth": counts["vessel_frames"],
@@ -309,43 +265,28 @@ class StoredTables:
                 raise RunDirectoryError(f"{table.path} has {len(table)} rows, but {rows:g} by the counts of run.json")
 
     def truth(self, first: int, stop: int) -> pa.Table:
-        """The truth of steps first to stop − 1.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written.
-        """
+        """The truth of steps first to stop − 1. Raises RunDirectoryError if a row is not what a run has written."""
         return self.by_name["truth"].rows(first, stop).table
 
     def rows_of(self, name: str) -> pa.Table:
-        """All rows of one table.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written, or the table is not the one that the run has listed.
-        """
+        """All rows of one table. Raises RunDirectoryError if a row is not what a run has written, or the table is not
+        the one that the run has listed."""
         self._check_checksum(self.by_name[name].path)
         return self.by_name[name].rows(0, self._scene.steps).table
 
     def own_ship(self) -> pa.Table:
-        """All rows of the table of the vessels that carry a camera.
-
-        Raises:
-            RunDirectoryError: It is not the table that the run has listed.
-        """
-        path = self._own_ship
-        self._check_checksum(path)
-        with damage_named(path):
-            table = pq.read_table(path)
-        return (
-            table_columns.with_attitude(table) if table.column_names == table_columns.BEFORE_ATTITUDE.names else table
-        )
+        """All rows of the table of the vessels that carry a camera. Raises RunDirectoryError if the run has listed
+        another."""
+        self._check_checksum(self._own_ship)
+        with damage_named(self._own_ship):
+            table = pq.read_table(self._own_ship)
+        former = table.column_names == table_columns.BEFORE_ATTITUDE.names
+        return table_columns.with_attitude(table) if former else table
 
     def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
-        """The rows of steps first to stop − 1 by the table's name.
-
-        Raises:
-            RunDirectoryError: A row is not what a run has written, two tables contradict each other, or all rows are
-                read and a table is not the one that the run has listed.
-        """
+        """The rows of steps first to stop − 1 by the table's name. Raises RunDirectoryError if a row is not what a run
+        has written, two tables contradict each other, or all rows are read and a table is not the one that the run has
+        listed."""
         rows = {name: table.rows(first, stop) for name, table in self.by_name.items()}
         check_together(rows["frames"], rows["truth"], rows["detections"], self._scene)
         if stop - first == self._scene.steps:
@@ -353,11 +294,7 @@ class StoredTables:
         return {name: part.table for name, part in rows.items()}
 
     def check_checksums(self) -> None:
-        """Check that each table has the checksum in `run.json`, where this lists it.
-
-        Raises:
-            RunDirectoryError: A table was changed.
-        """
+        """Raise RunDirectoryError if a table has not the checksum in `run.json`, where this lists it."""
         for table in self.by_name.values():
             self._check_checksum(table.path)
 
@@ -376,11 +313,7 @@ def _identity(run_file: Path) -> tuple[int, int] | None:
 
 
 def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
-    """Check the columns of a table, in their order, and their types.
-
-    Raises:
-        RunDirectoryError: A column is missing, is not known, or has another type or place.
-    """
+    """Raise RunDirectoryError if a column of a table is missing, is not known, or has another type or place."""
     if found.equals(wanted):  # names and types in their order; tenfold as fast as to ask for each
         return
     problems = [f"column '{name}' is missing" for name in wanted.names if name not in found.names]
@@ -400,11 +333,8 @@ def _check_schema(path: Path, found: pa.Schema, wanted: pa.Schema) -> None:
 
 @contextmanager
 def damage_named(path: Path) -> Iterator[None]:
-    """Errors of reading a table as one error that names its file.
-
-    Raises:
-        RunDirectoryError: The file is missing, cannot be read, or is not the table that a run has written.
-    """
+    """Errors of reading a table as one error that names its file: RunDirectoryError if the file is missing, cannot be
+    read, or is not the table that a run has written."""
     try:
         yield
     except FileNotFoundError:

@@ -26,17 +26,12 @@ _NO_ERROR = "null for what is not one box of one vessel"
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table.
-
-    Attributes:
-        unit: Unit of its numbers; empty if it has none.
-        meaning: What it holds, in plain text.
-    """
+    """A column of a table."""
 
     name: str
     type: pa.DataType
-    unit: str
-    meaning: str
+    unit: str  # of its numbers; empty if it has none
+    meaning: str  # in plain text
 
     @property
     def field(self) -> pa.Field:

@@ -146,9 +146,7 @@ def _in_order(schema: pa.Schema, tables: list[dict[str, Any]]) -> pa.Table:
 
 class TableWriter:
     """Writes a Parquet file whose row groups all have the same size, so that its bytes do not depend on the blocks.
-
-    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks.
-    """
+    Each row group is written from one contiguous chunk: the ends of pages may depend on chunks."""
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
         """Open the file."""
@@ -158,11 +156,7 @@ class TableWriter:
         self._failed = False
 
     def write(self, table: pa.Table) -> None:
-        """Add rows.
-
-        Raises:
-            OSError: They cannot be written; the file is of no use then.
-        """
+        """Add rows. Raises OSError if they cannot be written; the file is of no use then."""
         self._waiting.append(table)
         self._rows += len(table)
         if len(self._waiting) == MAX_WAITING:
@@ -171,11 +165,8 @@ class TableWriter:
             self._write_group(ROW_GROUP_ROWS)
 
     def close(self) -> None:
-        """Write the remaining rows and the footer, unless rows before them could not be written.
-
-        Raises:
-            OSError: They cannot be written; the file is of no use then.
-        """
+        """Write the remaining rows and the footer, unless rows before them could not be written. Raises OSError as
+        `write` does."""
         if self._failed:
             return
         if self._waiting:
@@ -251,17 +242,11 @@ def detection_boxes_px(table: pa.Table) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Occluders:
-    """Who hides whom: m entries of the n rows of a truth table.
+    """Who hides whom: m entries of the n rows of a truth table."""
 
-    Attributes:
-        counts: Number of entries of each row, shape (n,).
-        name: Index of the occluder's name, shape (m,).
-        px: Number of pixels that it hides, shape (m,).
-    """
-
-    counts: Indices
-    name: Indices
-    px: Array
+    counts: Indices  # number of entries of each row, (n,)
+    name: Indices  # index of the occluder's name, (m,)
+    px: Array  # number of pixels that it hides, (m,)
 
     @classmethod
     def of(cls, truth: pa.Table, occluder_names: Sequence[str]) -> Occluders:

@@ -26,17 +26,11 @@ from modsim3d.scene.scene import Scene
 
 @dataclass(frozen=True)
 class StepLines:
-    """Lines of a stream for one step: a line for each camera that takes a frame, or one line that none does.
-
-    Attributes:
-        step: Number of the step, from 0.
-        time_s: Time since the scene's first step.
-        lines: The complete lines.
-    """
+    """Lines of a stream for one step: a line for each camera that takes a frame, or one line that none does."""
 
     step: int
-    time_s: float
-    lines: tuple[bytes, ...]
+    time_s: float  # since the scene's first step
+    lines: tuple[bytes, ...]  # complete
 
 
 def header_line(scene: Scene) -> bytes:
@@ -67,15 +61,8 @@ def _calibration(camera: Camera) -> dict[str, Any]:
 
 def step_lines(scene: Scene, *, one_by_one: bool) -> Iterator[StepLines]:
     """The lines of each step of a scene; those of a live scene's step come before the next step is waited for.
-
-    Args:
-        scene: The scene.
-        one_by_one: Simulate each step by itself, so that none waits for later ones. It takes longer in all; the lines
-            are the same.
-
-    Raises:
-        ModsimError: The scene asks for what cannot be, or the poses that came are wrong.
-    """
+    `one_by_one` simulates each step by itself, so that none waits for later ones: it takes longer in all; the lines are
+    the same. Raises ModsimError if the scene asks for what cannot be, or the poses that came are wrong."""
     streams = Streams(scene.seed)  # once, since to make them takes as long as to draw from them
     for block in simulate_blocks(scene, 1 if one_by_one else None):
         yield from _lines_of(block, scene, streams)
@@ -126,14 +113,8 @@ def _with_camera(line: bytes, name: bytes, frames: int, attitude: bytes | None) 
 
 
 class Pace:
-    """Lets no step leave before its time, counted from the first step, and notes the step that was latest.
-
-    Every due time is counted from the first step, so that errors do not add up.
-
-    Attributes:
-        late_s: How much later than its time the latest step left.
-        latest: That step; None before the first one.
-    """
+    """Lets no step leave before its time, and notes how much later than its time the latest step left, and that step.
+    Every due time is counted from the first step, so that errors do not add up."""
 
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], object] = time.sleep
@@ -190,11 +171,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """The address that `--to` names.
-
-        Raises:
-            ModsimError: It is none.
-        """
+        """The address that `--to` names. Raises ModsimError if it is none."""
         if not text.startswith("tcp://"):
             raise ModsimError(
                 f"--to '{text}': is neither - (standard output) nor tcp://ADDRESS:PORT ({_EXAMPLE}); "
@@ -223,10 +200,7 @@ class Address:
 
     def listen(self, receive_bytes: int) -> socket.socket:
         """A socket that listens there and does not block; `receive_bytes` bounds what a connection takes in unread.
-
-        Raises:
-            ModsimError: The port is taken or may not be used, or this computer has no such address.
-        """
+        Raises ModsimError if the port is taken or may not be used, or this computer has no such address."""
         listener = None
         try:
             family, kind, protocol, _, place = socket.getaddrinfo(

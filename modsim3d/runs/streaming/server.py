@@ -18,11 +18,8 @@ from modsim3d.runs.streaming.lines import Address
 
 
 class Backlog:
-    """The latest chunks of a stream, counted from the stream's beginning; old ones make room for new ones.
-
-    Attributes:
-        first: Number of the oldest chunk that is kept.
-    """
+    """The latest chunks of a stream, counted from the stream's beginning; old ones make room for new ones. `first` is
+    the number of the oldest chunk that is kept."""
 
     def __init__(self, most_bytes: int) -> None:
         """Start empty. `most_bytes` is kept at most, or a single chunk that is larger."""
@@ -76,24 +73,16 @@ class ReaderGone(Exception):
 
 
 class Reader:
-    """A connection that lines are sent to. What it sends stays in its own system's buffers until the stream ends.
-
-    Attributes:
-        connection: Its socket, which does not block.
-        name: Its address, as messages have it.
-        next: Number of the chunk that it gets next.
-        leaving: It has everything and was told so; now it is waited for to hang up.
-        rests_until: Time of the monotonic clock before which it is not looked at.
-    """
+    """A connection that lines are sent to. What it sends stays in its own system's buffers until the stream ends."""
 
     def __init__(self, connection: socket.socket, name: str, header: bytes, first: int) -> None:
-        """Begin with the header and chunk `first`."""
+        """Begin with the header and chunk `first`; messages have the address of the reader as `name`."""
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-        self.connection, self.name, self.next = connection, name, first
-        self.leaving = False
-        self.rests_until = 0.0
+        self.connection, self.name, self.next = connection, name, first  # the chunk that it gets next
+        self.leaving = False  # it has everything and was told so; now it is waited for to hang up
+        self.rests_until = 0.0  # time of the monotonic clock before which it is not looked at
         self._pending = memoryview(header)
         self._waited_for_since: float | None = None
 
@@ -102,11 +91,7 @@ class Reader:
         return bool(self._pending) or self.next < backlog.stop
 
     def send(self, backlog: Backlog) -> None:
-        """Send what its system takes at once.
-
-        Raises:
-            ReaderGone: It is not there any more.
-        """
+        """Send what its system takes at once. Raises ReaderGone if it is not there any more."""
         if not self._pending:
             chunks, self.next = backlog.from_number(self.next, SEND_BYTES)
             self._pending = memoryview(chunks)
@@ -120,11 +105,7 @@ class Reader:
         self._waited_for_since = None
 
     def say_goodbye(self) -> None:
-        """Tell it that there is no more.
-
-        Raises:
-            ReaderGone: It is not there any more.
-        """
+        """Tell it that there is no more. Raises ReaderGone if it is not there any more."""
         self.leaving = True
         self._waited_for_since = None
         try:
@@ -133,11 +114,8 @@ class Reader:
             raise ReaderGone from None
 
     def has_hung_up(self) -> bool:
-        """Whether it has hung up too. What it has sent is dropped: closing over it could cost it the last lines.
-
-        Raises:
-            ReaderGone: It closed its connection without reading everything.
-        """
+        """Whether it has hung up too. What it has sent is dropped: closing over it could cost it the last lines. Raises
+        ReaderGone if it closed its connection without reading everything."""
         self.rests_until = time.monotonic() + DROP_S
         try:
             ended = not self.connection.recv(DROP_BYTES)
@@ -183,19 +161,14 @@ class NobodyReads(Exception):
 class LineServer:
     """Sends lines to whoever connects.
 
-    Each reader gets the header, then all lines that are kept, from the oldest on, then the lines as they come. A reader
-    that was away connects again and gets the kept lines again. The slowest reader holds the stream up once the lines
-    that it has not taken fill the backlog; one that takes nothing for ten times `wait_s` is disconnected.
-
         with LineServer(Address("127.0.0.1", 0), 60.0, header) as server:
             server.wait_for_reader()
             server.send(line)
             server.finish()
 
-    Attributes:
-        address: Where it listens, with the port that was chosen.
-        wait_s: How long to wait while there is no reader.
-    """
+    Each reader gets the header, then all lines that are kept, from the oldest on, then the lines as they come. A reader
+    that was away connects again and gets the kept lines again. The slowest reader holds the stream up once the lines
+    that it has not taken fill the backlog; one that takes nothing for ten times `wait_s` is disconnected."""
 
     def __init__(
         self,
@@ -207,19 +180,9 @@ class LineServer:
         tell: Tell = lambda text: None,
         backlog_bytes: int = BACKLOG_BYTES,
     ) -> None:
-        """Listen, and serve whoever connects.
-
-        Args:
-            address: Where to listen.
-            wait_s: How long to wait while there is no reader.
-            header: The first line.
-            warn: Called, from another thread, with a reader that is disconnected.
-            tell: Called, from another thread, with readers that come and go.
-            backlog_bytes: Most bytes of lines that are kept.
-
-        Raises:
-            ModsimError: The address cannot be used.
-        """
+        """Listen at `address`, whose port 0 is any free one, and serve whoever connects; `header` is the first line.
+        `wait_s` is how long to wait while there is no reader. Another thread calls `warn` with a reader that is
+        disconnected, and `tell` with readers that come and go. Raises ModsimError if the address cannot be used."""
         self._listener = address.listen(RECEIVE_BYTES)
         self.address = Address(address.host, self._listener.getsockname()[1])
         self.wait_s, self._header = wait_s, header
@@ -254,11 +217,7 @@ class LineServer:
         self._thread.join()
 
     def wait_for_reader(self) -> None:
-        """Wait until somebody has connected.
-
-        Raises:
-            ModsimError: Nobody has.
-        """
+        """Wait until somebody has connected. Raises ModsimError if nobody has."""
         with self._changed:
             if not self._wait_until(lambda: self._came > 0):
                 raise ModsimError(
@@ -266,11 +225,8 @@ class LineServer:
                 )
 
     def send(self, lines: bytes) -> None:
-        """Give lines to all readers; waits while the backlog is full of lines that one of them has yet to take.
-
-        Raises:
-            NobodyReads: The backlog is full, and there has been no reader for `wait_s`.
-        """
+        """Give lines to all readers; waits while the backlog is full of lines that one of them has yet to take. Raises
+        NobodyReads if the backlog is full, and there has been no reader for `wait_s`."""
         with self._changed:
             if not self._wait_until(lambda: self._fits(lines)):
                 raise NobodyReads
@@ -278,14 +234,8 @@ class LineServer:
         self._wake()
 
     def finish(self, *, come_back: bool = True) -> None:
-        """Send the rest, and wait until the readers have hung up.
-
-        Args:
-            come_back: If no reader has everything, wait `wait_s` for one to come back.
-
-        Raises:
-            NobodyReads: No reader has taken everything.
-        """
+        """Send the rest, and wait until the readers have hung up. If no reader has everything and `come_back` is set,
+        wait `wait_s` for one to come back. Raises NobodyReads if no reader has taken everything."""
         with self._changed:
             self._ended = True
             self._wake()
@@ -320,9 +270,9 @@ class LineServer:
         try:
             while not self._stopping:
                 with self._changed:
-                    timeout = self._prepare()
+                    timeouts = [self._prepared(reader) for reader in list(self._readers)]
                     self._changed.notify_all()
-                events = self._selector.select(timeout)
+                events = self._selector.select(min((each for each in timeouts if each is not None), default=None))
                 with self._changed:
                     for key, _ in events:
                         key.data()
@@ -331,17 +281,9 @@ class LineServer:
         finally:
             self._close()
 
-    def _prepare(self) -> float | None:
-        """Ask the system for what each reader is waited for, and disconnect those who are waited for too long.
-
-        Returns:
-            How long nothing need be done unless something happens.
-        """
-        timeouts = [self._prepared(reader) for reader in list(self._readers)]
-        return min((each for each in timeouts if each is not None), default=None)
-
     def _prepared(self, reader: Reader) -> float | None:
-        """How long nothing need be done for a reader; None if that depends on others."""
+        """Ask the system for what a reader is waited for, or disconnect it if it is waited for too long; the time in
+        which nothing need be done for it, None if that depends on others."""
         if self._ended and not reader.leaving and not reader.wants(self._backlog):
             self._attempt(reader, reader.say_goodbye)
         if reader not in self._readers:

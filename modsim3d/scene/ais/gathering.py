@@ -32,23 +32,16 @@ def by_sender(reason: str, mmsi: Indices) -> Counter[tuple[int, str]]:
 
 @dataclass
 class FileTally:
-    """Counts of one file.
-
-    Attributes:
-        messages: Number of messages read.
-        dropped: Reason → number of messages dropped when the file was read.
-        senders: Sender and reason → number of positions dropped, of those that could be read.
-        problems: One line on each of the first dropped messages.
-        odd: What cannot be right in all messages; empty if nothing is.
-    """
+    """Counts of one file."""
 
     path: Path
     format: str
-    messages: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
+    messages: int = 0  # read
+    dropped: Counter[str] = field(default_factory=Counter)  # reason → messages, when the file was read
     senders: Counter[tuple[int, str]] = field(default_factory=Counter)
-    problems: list[str] = field(default_factory=list)
-    odd: str = ""
+    """Sender and reason → number of positions dropped, of those that could be read."""
+    problems: list[str] = field(default_factory=list)  # one line on each of the first dropped messages
+    odd: str = ""  # what cannot be right in all messages; empty if nothing is
 
     def add(self, chunk: Chunk) -> None:
         """Count the messages of a part of the file."""
@@ -98,17 +91,12 @@ class Extent:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """Reports kept of all files.
+    """Reports kept of all files."""
 
-    Attributes:
-        positions: Positions of ships in the region and span that the user chose.
-        extent: What all positions cover, also those that were dropped.
-    """
-
-    positions: Positions
+    positions: Positions  # of ships in the region and span that the user chose
     particulars: Particulars
     files: list[FileTally]
-    extent: Extent
+    extent: Extent  # of all positions, also those that were dropped
 
     @property
     def dropped(self) -> Counter[str]:
@@ -118,11 +106,8 @@ class Gathered:
 
 def gather(paths: Sequence[Path], options: Options) -> Gathered:
     """Read files of any of the known formats; positions up to the longest gap before and after the scene are kept.
-
-    Raises:
-        InputError: A file cannot be read or is of no known format (every such file is named), too much of it cannot be
-            read, or latitude and longitude are swapped.
-    """
+    Raises InputError if a file cannot be read or is of no known format (every such file is named), too much of it
+    cannot be read, or latitude and longitude are swapped."""
     layouts = _layouts(paths)
     if not layouts:
         raise InputError("AIS", ["no files given"])

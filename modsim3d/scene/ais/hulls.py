@@ -59,33 +59,25 @@ MIN_M = 0.1
 
 @dataclass(frozen=True)
 class AisHull:
-    """A vessel as the scene needs it.
+    """A vessel as the scene needs it."""
 
-    Attributes:
-        name: Name as broadcast, or empty.
-        ahead_m: The centre of the hull lies this far ahead of the antenna.
-        to_port_m: The centre of the hull lies this far to port of the antenna.
-        defaults: Which of `type`, `length`, `beam`, `antenna` were left open, and `air_draft`, which always is.
-    """
-
-    name: str
+    name: str  # as broadcast, or empty
     group: str
     length_m: float
     beam_m: float
     air_draft_m: float
-    ahead_m: float
+    ahead_m: float  # the centre of the hull lies this far ahead of the antenna, and so far to port
     to_port_m: float
+    # which of `type`, `length`, `beam`, `antenna` were left open, and `air_draft`, which always is
     defaults: tuple[str, ...]
 
 
 def antenna_offset(
     to_bow_m: float, to_stern_m: float, to_port_m: float, to_starboard_m: float
 ) -> tuple[float, float] | None:
-    """How far the hull's centre lies ahead and to port of the antenna (ITU-R M.1371-5, annex 8, figure 41).
-
-    The distances are A, B, C and D of the standard: the centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C = 0
-    with B and D given means that only the size is known; then the result is None.
-    """
+    """Distances of the hull's centre ahead and to port of the antenna (ITU-R M.1371-5, annex 8, figure 41). The
+    distances given are A, B, C and D of the standard: the centre is (A − B) / 2 ahead and (C − D) / 2 to port. A = C =
+    0 with B and D given means that only the size is known; then the result is None."""
     if to_bow_m == 0 and to_port_m == 0:
         return None
     return (to_bow_m - to_stern_m) / 2, (to_port_m - to_starboard_m) / 2
@@ -130,15 +122,10 @@ def _hull(reported: Particulars) -> AisHull:
 def _extent(
     one_m: Array, other_m: Array, most_m: float, whole_m: Array, limit_m: float
 ) -> tuple[float | None, tuple[float, float] | None]:
-    """The latest length or beam, and the distances from the antenna to both ends; None where not known.
-
-    Args:
-        one_m: A or C, shape (n,).
-        other_m: B or D, shape (n,).
-        most_m: The largest value that fits the message's field; it means "this or more".
-        whole_m: Length or beam where the source gives it itself, shape (n,).
-        limit_m: Greater lengths or beams are not believed.
-    """
+    """The latest length or beam, and the distances from the antenna to both ends; None where not known. `one_m` is A or
+    C, and `other_m` B or D; `whole_m` is the length or beam where the source gives it itself, all of shape (n,).
+    `most_m` is the largest value that fits the message's field and means "this or more"; above `limit_m` none is
+    believed."""
     total = one_m + other_m
     good = np.flatnonzero((total >= MIN_M) & (total <= limit_m) & (np.minimum(one_m, other_m) >= 0))
     good = good[np.maximum(one_m, other_m)[good] < most_m]

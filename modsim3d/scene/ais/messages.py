@@ -14,71 +14,45 @@ from modsim3d.core.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Positions(Columns):
-    """Reported positions, shape (n,) each, NaN where a report leaves a value open.
+    """Reported positions, shape (n,) each, NaN where a report leaves a value open."""
 
-    Attributes:
-        mmsi: The vessel's identity.
-        time_s: Unix time.
-        latitude_deg: Latitude of the antenna, and with `longitude_deg` its place.
-        speed_kn: Speed over ground.
-        course_deg: Course over ground, clockwise from north.
-        heading_deg: True heading of the bow, clockwise from north.
-        ship: Whether the sender is of a kind that sits on ships (class A or B).
-        row: Its row or line in the file, the first being 1.
-    """
-
-    mmsi: Indices
-    time_s: Array
-    latitude_deg: Array
+    mmsi: Indices  # the vessel's identity
+    time_s: Array  # Unix time
+    latitude_deg: Array  # of the antenna
     longitude_deg: Array
-    speed_kn: Array
-    course_deg: Array
-    heading_deg: Array
-    ship: Mask
-    row: Indices
+    speed_kn: Array  # over ground
+    course_deg: Array  # over ground, clockwise from north
+    heading_deg: Array  # true heading of the bow, clockwise from north
+    ship: Mask  # the sender is of a kind that sits on ships (class A or B)
+    row: Indices  # its row or line in the file, the first being 1
 
 
 @dataclass(frozen=True, eq=False)
 class Particulars(Columns):
-    """Names, types and dimensions that vessels report, shape (n,) each, NaN or empty where they report none.
+    """Names, types and dimensions that vessels report, shape (n,) each, NaN or empty where they report none."""
 
-    Attributes:
-        mmsi: The vessel's identity.
-        time_s: Unix time at which this was last reported.
-        ship_type: Code or words of the source.
-        to_bow_m: From the antenna to the bow, A in the standard; the distances to the other sides are B, C and D.
-        length_m: Where the source gives the length itself, beside these distances or in their place.
-    """
-
-    mmsi: Indices
-    time_s: Array
+    mmsi: Indices  # the vessel's identity
+    time_s: Array  # Unix time at which this was last reported
     name: NDArray[np.object_]
-    ship_type: NDArray[np.object_]
-    to_bow_m: Array
+    ship_type: NDArray[np.object_]  # code or words of the source
+    to_bow_m: Array  # from the antenna, A in the standard; the distances to the other sides are B, C and D
     to_stern_m: Array
     to_port_m: Array
     to_starboard_m: Array
-    length_m: Array
+    length_m: Array  # where the source gives it itself, beside these distances or in their place
     beam_m: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Chunk:
-    """Result of a reader for a part of a file.
-
-    Attributes:
-        messages: Number of messages read, with those dropped.
-        dropped: Reason → number of messages that are in neither table.
-        problems: One line on each of the first dropped messages.
-        odd: What cannot be right in all messages so far; empty if nothing is.
-    """
+    """Result of a reader for a part of a file."""
 
     positions: Positions
     particulars: Particulars
-    messages: int
-    dropped: Mapping[str, int]
-    problems: tuple[str, ...] = ()
-    odd: str = ""
+    messages: int  # read, with those dropped
+    dropped: Mapping[str, int]  # reason → number of messages that are in neither table
+    problems: tuple[str, ...] = ()  # one line on each of the first dropped messages
+    odd: str = ""  # what cannot be right in all messages so far; empty if nothing is
 
 
 # ---- Places on the Earth ----
@@ -129,9 +103,7 @@ def local_metres(latitude_deg: Array, longitude_deg: Array, origin: tuple[float,
 
 def places(metres: Array, origin: tuple[float, float]) -> tuple[Array, Array]:
     """Latitude and longitude of places at sea level, shape (n,) each, from metres east and north of an origin, (n, 2).
-
-    The other way round than `local_metres`, to a millimetre within 200 km.
-    """
+    The other way round than `local_metres`, to a millimetre within 200 km."""
     import pymap3d
 
     east, north = metres[:, 0], metres[:, 1]
@@ -166,18 +138,9 @@ def exchanged(positions: Positions) -> Positions:
 
 
 def check_order(source: str, positions: Positions, exchange: bool) -> None:
-    """Refuse positions of a table that are possible only with latitude and longitude exchanged, such as 110, 35.
-
-    Whether latitude 12, longitude 56 is Denmark or the Arabian Sea only the courses tell, see `warning`.
-
-    Args:
-        source: Name of the file in the message.
-        positions: The table's positions, after the exchange if the user asked for it.
-        exchange: Whether the user did.
-
-    Raises:
-        InputError: There are such positions; their rows are named.
-    """
+    """Refuse positions of a table, after the exchange if the user asked for it, that are possible only with latitude
+    and longitude exchanged, such as 110, 35. Whether latitude 12, longitude 56 is Denmark or the Arabian Sea only the
+    courses tell, see `warning`. Raises InputError, which names the rows and the file `source`."""
     latitude, longitude = positions.latitude_deg, positions.longitude_deg
     wrong = np.flatnonzero(~_in_range(latitude, longitude) & _in_range(longitude, latitude))
     if not len(wrong):
@@ -212,11 +175,8 @@ def without_position(positions: Positions) -> Mask:
 def sift(
     positions: Positions, region: SeaRegion | None, first_s: float, last_s: float
 ) -> tuple[Positions, dict[str, Indices]]:
-    """Keep positions of ships in a region (everywhere if None) and between two Unix times.
-
-    Returns:
-        What was kept, and reason → the sender of each position dropped, shape (n,).
-    """
+    """Keep positions of ships in a region (everywhere if None) and between two Unix times; and reason → the sender of
+    each position dropped, shape (n,)."""
     dropped: dict[str, Indices] = {}
 
     def drop(reason: str, wrong: Mask) -> None:
@@ -237,13 +197,9 @@ def sift(
 
 
 def in_order(positions: Positions) -> tuple[Positions, int, int]:
-    """Sort by vessel and time and drop duplicates: one report of a vessel is kept for each time.
-
-    Which of them is decided by their values, known before unknown, so that the order of rows changes nothing.
-
-    Returns:
-        What was kept, the number of duplicates, and how many of these say the same in all columns.
-    """
+    """Sort by vessel and time and drop duplicates: one report of a vessel is kept for each time, chosen by values,
+    known before unknown, so that the order of rows changes nothing. Also the number of duplicates, and how many of
+    these say the same in all columns."""
     columns = (positions.heading_deg, positions.course_deg, positions.speed_kn)
     places = (positions.longitude_deg, positions.latitude_deg)
     order = np.lexsort((*columns, *places, positions.time_s, positions.mmsi))
@@ -267,18 +223,12 @@ def blank_unknown(positions: Positions) -> Positions:
 
 
 def reachable(times_s: Array, places_m: Array, max_speed_m_s: float) -> Mask:
-    """The largest part of a track in which each position can be reached from the one before, as a mask, shape (n,).
-
-    The track is cut wherever the speed between neighbours is too high. Of the chains of pieces in which each piece can
-    be reached from the one before, which is one of the thousand pieces before it, the one with most positions is kept.
-    So a single wrong position is dropped wherever it stands, also at the beginning, and of two vessels that share an
-    identity the one with more reports is kept.
-
-    Args:
-        times_s: Ascending, shape (n,).
-        places_m: East and north, shape (n, 2).
-        max_speed_m_s: A position that asks for more speed cannot be reached.
-    """
+    """The largest part of a track in which each position can be reached from the one before, as a mask, shape (n,). The
+    track is cut wherever the speed between neighbours is too high. Of the chains of pieces in which each piece can be
+    reached from the one before, which is one of the thousand pieces before it, the one with most positions is kept. So
+    a single wrong position is dropped wherever it stands, also at the beginning, and of two vessels that share an
+    identity the one with more reports is kept. Times are ascending, shape (n,); places are metres east and north, shape
+    (n, 2)."""
 
     def possible(start: Indices, end: Indices) -> Mask:
         way = np.linalg.norm(places_m[end] - places_m[start], axis=-1)

@@ -19,31 +19,19 @@ MIN_VALUE, MAX_VALUE = 1e-6, 1e9
 
 @dataclass(frozen=True)
 class Options:
-    """Choices of the user, as docs/ais.md lists them.
+    """Choices of the user, as docs/ais.md lists them."""
 
-    Attributes:
-        origin: Latitude and longitude of w1 = w2 = 0; the median position if None.
-        region: Positions outside are dropped; none are if None.
-        start_s: Unix time of the first step; the first report's if None.
-        end_s: Unix time of the last step; the last report's if None.
-        duration_s: Time from the first step to the last, in place of the end.
-        max_gap_s: A vessel is away between reports that are further apart.
-        max_speed_kn: A position that a vessel can reach only at a higher speed is dropped.
-        labels_by_type: Label vessels by group of ship type, not all of them `Vessel`.
-        labels: Group → label, for some or all groups.
-    """
-
-    origin: tuple[float, float] | None = None
-    region: SeaRegion | None = None
-    start_s: float | None = None
-    end_s: float | None = None
-    duration_s: float | None = None
+    origin: tuple[float, float] | None = None  # latitude and longitude of w1 = w2 = 0; the median position if None
+    region: SeaRegion | None = None  # positions outside are dropped; none are if None
+    start_s: float | None = None  # Unix time of the first step; the first report's if None
+    end_s: float | None = None  # Unix time of the last step; the last report's if None
+    duration_s: float | None = None  # from the first step to the last, in place of the end
     time_step_s: float = 1.0
-    max_gap_s: float = 400.0
-    max_speed_kn: float = 60.0
+    max_gap_s: float = 400.0  # a vessel is away between reports that are further apart
+    max_speed_kn: float = 60.0  # a position that a vessel can reach only at a higher speed is dropped
     swap_coordinates: bool = False
-    labels_by_type: bool = False
-    labels: Mapping[str, str] = field(default_factory=dict)
+    labels_by_type: bool = False  # label vessels by group of ship type, not all of them `Vessel`
+    labels: Mapping[str, str] = field(default_factory=dict)  # by group, for some or all groups
 
     def label(self, group: str) -> str:
         """The label of a vessel of a group."""
@@ -59,11 +47,7 @@ class Options:
         return first_s - self.max_gap_s, last_s + self.max_gap_s
 
     def check(self) -> None:
-        """Refuse values that are impossible or contradict each other.
-
-        Raises:
-            InputError: With every problem found.
-        """
+        """Raise InputError with every value that is impossible or contradicts another."""
         problems = [
             f"--{name}: must be above 0, from {MIN_VALUE:g} to {MAX_VALUE:g} (got {value:g})"
             for name, value in (
@@ -94,11 +78,8 @@ def time_text(unix_s: float) -> str:
 
 
 def parse_time(text: str, option: str) -> float:
-    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as in AIS.
-
-    Raises:
-        InputError: The text is no such time.
-    """
+    """Unix time from a date and time of ISO 8601; without a zone it is UTC, as in AIS. Raises InputError for other
+    texts."""
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
@@ -119,11 +100,8 @@ def parse_region(text: str) -> SeaRegion:
 
 
 def _degrees(text: str, option: str, form: str) -> list[float]:
-    """Numbers from a text of latitudes and longitudes in turn, separated by commas, as many as `form` names.
-
-    Raises:
-        InputError: There are more or fewer numbers than needed, or one is out of range.
-    """
+    """Numbers from a text of latitudes and longitudes in turn, separated by commas, as many as `form` names. Raises
+    InputError if there are more or fewer numbers, or one is out of range."""
     parts = text.split(",")
     try:
         values = [float(part) for part in parts]
@@ -146,11 +124,7 @@ def _degrees(text: str, option: str, form: str) -> list[float]:
 
 
 def parse_labels(texts: Iterable[str]) -> dict[str, str]:
-    """Labels by group, from texts such as `passenger=Ferry`.
-
-    Raises:
-        InputError: With every problem found.
-    """
+    """Labels by group, from texts such as `passenger=Ferry`. Raises InputError with every problem found."""
     labels: dict[str, str] = {}
     problems = []
     for text in texts:

@@ -36,19 +36,12 @@ MIN_NAMES = 3
 
 @dataclass(frozen=True)
 class Layout:
-    """A CSV layout.
-
-    Attributes:
-        name: Who publishes it.
-        columns: Our name of a column → its name in the file, in the published case.
-        time_format: Format of times, for `strptime`.
-        ships: Words in the column `station` that mean ships, in lower case.
-    """
+    """A CSV layout, by who publishes it."""
 
     name: str
-    columns: Mapping[str, str]
-    time_format: str
-    ships: frozenset[str]
+    columns: Mapping[str, str]  # our name of a column → its name in the file, in the published case
+    time_format: str  # of `strptime`
+    ships: frozenset[str]  # words in the column `station` that mean ships, in lower case
 
     def found(self, header: Sequence[str]) -> dict[str, str]:
         """Our name → the file's own name, of the columns that a header has."""
@@ -72,10 +65,8 @@ def layouts() -> tuple[Layout, ...]:
 
 
 def layout_of(header: Sequence[str]) -> Layout | None:
-    """The layout that a header fits best, or None if it fits none.
-
-    A layout that misses fewer of its needed columns comes first, because layouts share the names of many others.
-    """
+    """The layout that a header fits best, or None if it fits none. A layout that misses fewer of its needed columns
+    comes first, because layouts share the names of many others."""
     best = max(layouts(), key=lambda layout: (-len(layout.missing(header)), len(layout.found(header))))
     telling = [name for name in best.found(header).values() if len(name.strip()) > 1]  # any table may have an A and a B
     return best if len(telling) >= MIN_NAMES else None
@@ -105,11 +96,8 @@ def source_of(path: Path) -> str:
 
 @contextmanager
 def open_reports(path: Path) -> Iterator[io.BufferedReader]:
-    """The bytes of a file, unpacked if it is gzipped, whatever its name.
-
-    Raises:
-        InputError: It cannot be read or unpacked, also later while it is being read.
-    """
+    """The bytes of a file, unpacked if it is gzipped, whatever its name. Raises InputError if it cannot be read or
+    unpacked, also later while it is being read."""
     with open_input(path, "AIS file") as file:
         packed_by = UNPACKED_BY.get(file.peek(4)[:4])
         if packed_by:
@@ -118,11 +106,8 @@ def open_reports(path: Path) -> Iterator[io.BufferedReader]:
 
 
 def recognise(path: Path) -> Layout | None:
-    """The layout of a CSV file, or None for NMEA sentences.
-
-    Raises:
-        InputError: It is neither, is empty, or lacks columns that must be there.
-    """
+    """The layout of a CSV file, or None for NMEA sentences. Raises InputError if it is neither, is empty, or lacks
+    columns that must be there."""
     with open_reports(path) as file:
         lines = [line for line in _first_lines(file) if line.strip()]
     if not lines:
@@ -185,13 +170,9 @@ NOT_SAID = "Unknown"
 
 
 def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
-    """Reports of a CSV file, a block at a time.
-
-    A row with too many or too few cells, or one that cannot be read, is dropped and counted.
-
-    Raises:
-        InputError: The file cannot be read, or an identity has lost digits, so that several ships have become one.
-    """
+    """Reports of a CSV file, a block at a time. A row with too many or too few cells, or one that cannot be read, is
+    dropped and counted. Raises InputError if the file cannot be read, or an identity has lost digits, so that several
+    ships have become one."""
     with open_reports(path) as stream:
         first_row, nothing = 2, True  # the header is row 1, or that after blank rows
         while (line := stream.readline(LONGEST_LINE)) and not line.strip():
@@ -222,11 +203,7 @@ def read_csv(path: Path, layout: Layout) -> Iterator[Chunk]:
 
 
 def _blocks(stream: IO[bytes], path: Path) -> Iterator[bytes]:
-    """The rest of a file, cut at the ends of rows.
-
-    Raises:
-        InputError: A row does not end.
-    """
+    """The rest of a file, cut at the ends of rows. Raises InputError if a row does not end."""
     rest = b""
     while piece := stream.read(BLOCK_BYTES):
         rest += piece
@@ -281,16 +258,9 @@ def _table(block: bytes, path: Path, header: list[str], columns: list[str]) -> t
 def _chunk(
     table: pa.Table, columns: dict[str, str], layout: Layout, rows: Indices, skipped: int, problems: list[str]
 ) -> Chunk:
-    """The reports of a table with our names of columns.
-
-    Args:
-        table: Texts of the rows that have all cells.
-        columns: Our name of a column → the file's.
-        layout: The file's layout.
-        rows: Number of each row in the file, shape (n,).
-        skipped: Number of further rows, with too many or too few cells.
-        problems: One line on each of the first of those.
-    """
+    """The reports of a table with our names of columns. `table` has texts of the rows that have all cells, `columns`
+    our name of a column → the file's, and `rows` the number of each row in the file, shape (n,). `skipped` further rows
+    have too many or too few cells; `problems` has one line on each of the first of those."""
     bad = np.zeros(len(table), dtype=bool)
 
     def note(wrong: Mask, column: str, what: str) -> None:
@@ -349,10 +319,8 @@ def _text(cell: Any) -> str:
 
 
 def _numbers(texts: pa.Array) -> tuple[Array, Mask]:
-    """Values, NaN where a cell is empty or NaN, and which cells are not numbers, shape (n,) each.
-
-    A decimal comma is read as a point: the Danish description shows positions as 57,8794.
-    """
+    """Values, NaN where a cell is empty or NaN, and which cells are not numbers, shape (n,) each. A decimal comma is
+    read as a point: the Danish description shows positions as 57,8794."""
     trimmed = pc.ascii_trim_whitespace(texts)
     given = pc.if_else(pc.equal(trimmed, ""), pa.scalar(None, pa.string()), trimmed)
     wrong = np.zeros(len(texts), dtype=bool)

@@ -53,11 +53,9 @@ _FIRST_S, _FIRST_LOG_S, _LAST_S, _DAY_S = 631_152_000.0, 1_041_379_200.0, 4_102_
 
 
 def time_beside(tag: str | None, before: str, after: str) -> float | None:
-    """Unix time that a tag block or the text around a sentence has; None if neither has one.
-
-    What has a name such as `toa` or `rxtime` comes first, then dates. Of several Unix times the first before the
-    sentence counts, or the last after it; none where they are more than a day apart, for one is something else.
-    """
+    """Unix time that a tag block or the text around a sentence has; None if neither has one. What has a name such as
+    `toa` or `rxtime` comes first, then dates. Of several Unix times the first before the sentence counts, or the last
+    after it; none where they are more than a day apart, for one is something else."""
     if tag and (found := _TAG.search(tag)) and _FIRST_S <= (said_s := _unix_s(found[1])) < _LAST_S:
         return said_s
     text = f"{before}|{after}"
@@ -169,11 +167,8 @@ class _Rows:
 
 
 def read_nmea(path: Path) -> Iterator[Chunk]:
-    """Reports of a log of NMEA sentences.
-
-    Raises:
-        InputError: The file cannot be read, or no sentence in it has a time.
-    """
+    """Reports of a log of NMEA sentences. Raises InputError if the file cannot be read, or no sentence in it has a
+    time."""
     rows = _Rows()
     timed, untimed, around = 0, 0, ""
     first_s, last_s, minutes = np.inf, -np.inf, True
@@ -202,26 +197,25 @@ def read_nmea(path: Path) -> Iterator[Chunk]:
 def _messages(stream: IO[bytes], rows: _Rows) -> Iterator[list[_Part]]:
     """The parts of each whole message; incomplete messages are counted as dropped."""
     pending: dict[tuple[Any, ...], dict[int, _Part]] = {}
+
+    def give_up(line: int) -> None:
+        rows.drop("incomplete", line, "other parts of this message are missing")
+
     for part in _parts(stream, rows):
         sentence = part.sentence
         key = (sentence.talker_id, sentence.frag_cnt, sentence.seq_id, sentence.channel)
         parts = pending.setdefault(key, {}) if sentence.frag_cnt != 1 else {}
         if sentence.frag_num in parts or not _close(parts, part):
-            rows.drop("incomplete", part.line, "other parts of this message are missing")
+            give_up(part.line)
             parts.clear()
         parts[sentence.frag_num] = part
         if len(pending) > MAX_PENDING:
-            _give_up(pending.pop(next(iter(pending))), rows)
+            give_up(min(part.line for part in pending.pop(next(iter(pending))).values()))
         if len(parts) == sentence.frag_cnt:
             yield [parts[place] for place in sorted(parts)]
             pending.pop(key, None)
     for parts in pending.values():
-        _give_up(parts, rows)
-
-
-def _give_up(parts: dict[int, _Part], rows: _Rows) -> None:
-    """Count a message as dropped whose other parts have not come."""
-    rows.drop("incomplete", min(part.line for part in parts.values()), "other parts of this message are missing")
+        give_up(min(part.line for part in parts.values()))
 
 
 def _parts(stream: IO[bytes], rows: _Rows) -> Iterator[_Part]:

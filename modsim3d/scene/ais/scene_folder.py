@@ -194,7 +194,6 @@ def summary_rows(traffic: AisTraffic) -> list[tuple[str, list[tuple[str, str, st
 
 
 def _farthest_m(traffic: AisTraffic) -> float:
-    """The greatest distance of a vessel from the origin."""
     return max(float(np.linalg.norm(vessel.places_m, axis=1).max()) for vessel in traffic.vessels)
 
 
@@ -205,8 +204,6 @@ def _flatness(distance_m: float) -> str:
     return text if off_m < NOTICEABLE_M else f"{text}, where the plane is {off_m:.0f} m off: take less, with --region"
 
 
-# ---- Writes a scene folder that is ready to run ----
-
 # ---- When each vessel has reported ----
 
 REPORT_TIMES = "report_times.json.gz"
@@ -214,10 +211,8 @@ _DECIMALS = 3
 
 
 def report_times(traffic: AisTraffic) -> bytes:
-    """The content of `report_times.json.gz`: the start, and seconds since then of each vessel's positions.
-
-    `used_s` are those of the positions that its poses are made of, `jumps_s` of those that it cannot have reached.
-    """
+    """The content of `report_times.json.gz`: the start, and seconds since then of each vessel's positions. `used_s` are
+    those of the positions that its poses are made of, `jumps_s` of those that it cannot have reached."""
     vessels = {
         str(vessel.mmsi): {
             "used_s": vessel.reported_s.round(_DECIMALS).tolist(),
@@ -261,11 +256,8 @@ DETECTOR_NOTE = """\
 
 
 def check_free(folder: Path, overwrite: bool) -> None:
-    """Refuse a folder that is not empty, unless it holds a scene made from AIS that may be replaced.
-
-    Raises:
-        ModsimError: The folder is not free, or is no folder.
-    """
+    """Refuse a folder that is not empty, unless it holds a scene made from AIS that may be replaced. Raises ModsimError
+    if the folder is not free, or is no folder."""
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise ModsimError(f"{folder} is there already and is not a folder: choose another with --out")
     if not folder.is_dir() or all(path.name == LOCK_FILE for path in folder.iterdir()):
@@ -281,18 +273,9 @@ def check_free(folder: Path, overwrite: bool) -> None:
 def write_scene(
     traffic: AisTraffic, folder: Path, detector: Path, overwrite: bool = False, page: str | None = None
 ) -> None:
-    """Write everything that the scene needs, and the report.
-
-    Args:
-        traffic: What the scene shows.
-        folder: The scene folder; made if it does not exist.
-        detector: A detector file with one label, to be copied or spread over the scene's labels.
-        overwrite: Replace a scene folder that is there.
-        page: The page that shows what became of the reports, as HTML; none is written if None.
-
-    Raises:
-        ModsimError: The folder is not free.
-    """
+    """Write everything that the scene needs, and the report. `detector` is a detector file with one label, to be copied
+    or spread over the scene's labels; `page` is the HTML page that shows what became of the reports. Raises ModsimError
+    if the folder is not free."""
     check_free(folder, overwrite)
     labels = sorted({traffic.options.label(vessel.hull.group) for vessel in traffic.vessels})
     files = {
@@ -352,10 +335,8 @@ def _poses_text(traffic: AisTraffic) -> str:
 
 
 def detector_text(single: Path, labels: Sequence[str]) -> str:
-    """The text of a detector file for some labels, made from a file with a single label.
-
-    If that label is the only one, the file is copied as it is. Otherwise it gets a confusion matrix for all of them.
-    """
+    """The text of a detector file for some labels, made from a file with a single label. If that label is the only one,
+    the file is copied as it is. Otherwise it gets a confusion matrix for all of them."""
     text = read_text(single, "detector file")
     data: dict[str, Any] = load_yaml(single, "detector file")
     if list(labels) == data["labels"]:

@@ -44,17 +44,10 @@ class Viewpoint:
 
 
 def viewpoint(vessels: Indices, places_m: Array, half_lengths_m: Array) -> Viewpoint:
-    """A camera that looks across the busiest patch of water.
-
-    The patch is the square kilometre that most vessels visit. The camera looks at right angles to the main direction of
-    motion there, from the distance at which half of that traffic fills its view. If a hull comes near that place, the
-    camera is turned aside or moved further away.
-
-    Args:
-        vessels: The vessel of each pose, in the order of time, shape (n,).
-        places_m: Centre of its hull, shape (n, 2).
-        half_lengths_m: Half the length of each hull, shape (V,).
-    """
+    """A camera that looks across the busiest patch of water: the square kilometre that most vessels visit. It looks at
+    right angles to the main direction of motion there, from the distance at which half of that traffic fills its view.
+    If a hull comes near that place, the camera is turned aside or moved further away. For each pose in the order of
+    time, `vessels` has its vessel, shape (n,), and `places_m` the centre of its hull, shape (n, 2)."""
     spacing = max(1, len(vessels) // MAX_POSES_LOOKED_AT)
     target = _busiest(places_m[::spacing], vessels[::spacing])
     bearing, distance = _across(places_m, target)
@@ -72,9 +65,7 @@ def viewpoint(vessels: Indices, places_m: Array, half_lengths_m: Array) -> Viewp
 
 def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
     """Direction from the target at right angles to the traffic around it, in radians from w1, and a distance in metres.
-
-    The direction is to the south, so that the light comes from behind; the distance shows half of the traffic.
-    """
+    The direction is to the south, so that the light comes from behind; the distance shows half of the traffic."""
     near = places_m[np.abs(places_m - target_m).max(axis=1) <= 1.5 * CELL_M]
     spread = near - near.mean(axis=0)
     _, directions = np.linalg.eigh(spread.T @ spread)
@@ -87,9 +78,7 @@ def _across(places_m: Array, target_m: Array) -> tuple[float, float]:
 
 def _clear_place(places_m: Array, clearance_m: Array, target_m: Array, bearing_rad: float, distance_m: float) -> Array:
     """The first place that is clear of all hulls: at the bearing and distance, turned aside, or further away.
-
-    `clearance_m`, shape (n,), is the distance to keep from each of the places, shape (n, 2).
-    """
+    `clearance_m`, shape (n,), is the distance to keep from each of the places, shape (n, 2)."""
     for attempt in range(TRIES):
         turned = bearing_rad + (0.0, np.pi, 0.5, -0.5)[attempt % 4]
         further = distance_m * 1.5 ** (attempt // 4)
@@ -115,8 +104,6 @@ def _busiest(places_m: Array, vessels: Indices) -> Array:
 MAX_POSES = 3_000_000
 """About 250 MB of JSON, which takes minutes and gigabytes to read again."""
 EXCHANGE_HINT = "if latitude and longitude are in each other's place: --swap-coordinates exchanges them in all tables"
-
-
 FEW_MOVES = 50
 """So many moves are judged together."""
 DAY_S, SLOWEST = 86_400.0, 0.05
@@ -127,39 +114,25 @@ UNDER_WAY_KN, WRONG_COURSES, RIGHT_COURSES = 2.0, 0.8, 0.95
 
 @dataclass(frozen=True, eq=False)
 class AisTraffic:
-    """The vessels of a scene, and how they came about.
-
-    Attributes:
-        dropped: Reason → number of messages left out, in all files and afterwards.
-        origin: Latitude and longitude of w1 = w2 = 0.
-        vessels: Those that are there at some step, by identity.
-        elsewhere: Identities of vessels with usable positions that are there at no step.
-        left_out: Reason → number of positions dropped, of each sender of whom no position is left.
-        camera: A place to look from.
-        repeated: Number of duplicates that say the same as another, as those of several receivers do.
-        odd: What cannot be right in all positions together; empty if nothing is.
-    """
+    """The vessels of a scene, and how they came about."""
 
     options: Options
     files: list[FileTally]
-    dropped: Counter[str]
-    origin: tuple[float, float]
+    dropped: Counter[str]  # reason → number of messages left out, in all files and afterwards
+    origin: tuple[float, float]  # latitude and longitude of w1 = w2 = 0
     grid: TimeGrid
-    vessels: list[VesselTrack]
-    elsewhere: list[int]
-    left_out: dict[int, dict[str, int]]
-    camera: Viewpoint
-    repeated: int
-    odd: str = ""
+    vessels: list[VesselTrack]  # there at some step, by identity
+    elsewhere: list[int]  # identities of vessels with usable positions that are there at no step
+    left_out: dict[int, dict[str, int]]  # reason → number of positions dropped, of each sender of whom none is left
+    camera: Viewpoint  # a place to look from
+    repeated: int  # duplicates that say the same as another, as those of several receivers do
+    odd: str = ""  # what cannot be right in all positions together; empty if nothing is
 
 
 def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
-    """Tracks of all vessels in AIS files of any of the known formats, at the steps of a scene.
-
-    Raises:
-        InputError: Something is wrong with a file, or no vessel is left.
-        ModsimError: There would be too many steps or poses for one scene.
-    """
+    """Tracks of all vessels in AIS files of any of the known formats, at the steps of a scene. Raises InputError if
+    something is wrong with a file, or no vessel is left; ModsimError if there would be too many steps or poses for one
+    scene."""
     options.check()
     gathered = gather(paths, options)
     dropped = gathered.dropped
@@ -174,9 +147,11 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
     positions = blank_unknown(positions.take(near))
     if not len(positions):
         raise _nothing_left(gathered, options)
-    _check_identities(positions)
+    mmsi = np.unique(positions.mmsi).tolist()
+    if are_rounded(mmsi):
+        raise InputError("AIS", [f"its {len(mmsi)} MMSI, such as {mmsi[0]}, {ROUNDED}"])
     origin = options.origin or _origin(positions, grid)
-    every_hull = hulls(gathered.particulars, np.unique(positions.mmsi).tolist())
+    every_hull = hulls(gathered.particulars, mmsi)
     tracks = _limited(_tracks(positions, origin, every_hull, grid, options))
     dropped["jump"] += sum(track.jumps for track in tracks)
     vessels = [track for track in tracks if len(track.steps)]
@@ -187,13 +162,6 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
     odd = next((tally.odd for tally in gathered.files if tally.odd), "") or _odd(positions, origin)
     found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, odd
     return AisTraffic(options, gathered.files, *found)
-
-
-def _check_identities(positions: Positions) -> None:
-    """Refuse identities that have lost digits."""
-    mmsi = np.unique(positions.mmsi).tolist()
-    if are_rounded(mmsi):
-        raise InputError("AIS", [f"its {len(mmsi)} MMSI, such as {mmsi[0]}, {ROUNDED}"])
 
 
 def _odd(positions: Positions, origin: tuple[float, float]) -> str:

@@ -26,27 +26,18 @@ ROUNDING_S = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ReportedTrack:
-    """Reports of one vessel, with the places of its antenna.
+    """Reports of one vessel, with the places of its antenna."""
 
-    Attributes:
-        times_s: Ascending, shape (n,).
-        places_m: East and north, shape (n, 2).
-        velocities_m_s: East and north, NaN where unknown, shape (n, 2).
-        headings_rad: Counter-clockwise from w1, shape (n,).
-    """
-
-    times_s: Array
-    places_m: Array
-    velocities_m_s: Array
-    headings_rad: Array
+    times_s: Array  # ascending, (n,)
+    places_m: Array  # east and north, (n, 2)
+    velocities_m_s: Array  # east and north, NaN where unknown, (n, 2)
+    headings_rad: Array  # counter-clockwise from w1, (n,)
 
 
 def steps_near(known_s: Array, times_s: Array, max_gap_s: float) -> Indices:
-    """The times, shape (m,) ascending, at which a vessel with some reports may be there, as indices, shape (k,).
-
-    These are all from one report, shape (n,) ascending, to the next, where they are not further apart than the longest
-    gap, and those at a report. A vessel with a few reports costs little then, however long the scene is.
-    """
+    """The times, shape (m,) ascending, at which a vessel with some reports may be there, as indices, shape (k,). These
+    are all from one report, shape (n,) ascending, to the next, where they are not further apart than the longest gap,
+    and those at a report. A vessel with a few reports costs little then, however long the scene is."""
     joined = np.append(np.diff(known_s) <= max_gap_s, False)
     last = np.where(joined, np.append(known_s[1:], known_s[-1:]), known_s)
     stops = np.searchsorted(times_s, last + ROUNDING_S, side="right")
@@ -58,12 +49,10 @@ def steps_near(known_s: Array, times_s: Array, max_gap_s: float) -> Indices:
 
 def resample(track: ReportedTrack, times_s: Array, max_gap_s: float) -> tuple[Mask, Array, Array]:
     """Whether a vessel is there at some times, shape (m,), its places in metres, (m, 2), and headings in radians, (m,).
-
     Between two reports the vessel follows the cubic with the reported velocities at both ends (cubic Hermite
     interpolation), or a straight line where these are unknown or do not fit the positions. Its heading turns evenly
     along the shorter arc. The vessel is away before the first report, after the last, and between reports that are
-    further apart than the longest gap.
-    """
+    further apart than the longest gap."""
     known = track.times_s
     if len(known) == 1:
         there = np.abs(times_s - known[0]) <= ROUNDING_S
@@ -94,9 +83,7 @@ def _places(track: ReportedTrack, leg: Indices, share: Array) -> Array:
 
 def to_hull_centre(antenna_m: Array, headings_rad: Array, ahead_m: float, to_port_m: float) -> Array:
     """Places of a hull's centre from those of its antenna, shape (m, 2), at headings counter-clockwise from w1, (m,).
-
-    The centre lies `ahead_m` ahead of the antenna and `to_port_m` to port of it.
-    """
+    The centre lies `ahead_m` ahead of the antenna and `to_port_m` to port of it."""
     cosine, sine = np.cos(headings_rad), np.sin(headings_rad)
     offset = np.stack([ahead_m * cosine - to_port_m * sine, ahead_m * sine + to_port_m * cosine], axis=-1)
     return antenna_m + offset
@@ -121,21 +108,12 @@ class HeadingSource(IntEnum):
 def fill_headings(
     times_s: Array, places_m: Array, speed_kn: Array, course_deg: Array, heading_deg: Array, max_gap_s: float
 ) -> tuple[Array, Indices]:
-    """Compass headings of one vessel at each of its reports.
-
-    A missing heading is replaced by the course over ground while the vessel moves, or without a course by the bearing
-    from the position before to the one after. A vessel that does not move keeps its last heading, or takes its next. If
-    it has no heading at any time, the mean of its courses is used, and without courses north.
-
-    Args:
-        times_s: Ascending, shape (n,).
-        places_m: East and north, shape (n, 2).
-        speed_kn: NaN where unknown, shape (n,); courses and headings likewise.
-        max_gap_s: No bearing is taken between positions that are further apart in time.
-
-    Returns:
-        Degrees clockwise from north, shape (n,), and where each comes from, of `HeadingSource`, shape (n,).
-    """
+    """Compass headings of one vessel at each of its reports, in degrees clockwise from north, and where each comes
+    from, of `HeadingSource`, shape (n,) each. A missing heading is replaced by the course over ground while the vessel
+    moves, or without a course by the bearing from the position before to the one after, unless these are more than
+    `max_gap_s` apart. A vessel that does not move keeps its last heading, or takes its next. If it has no heading at
+    any time, the mean of its courses is used, and without courses north. Times are ascending, shape (n,); places are
+    metres east and north, shape (n, 2); speeds, courses and headings are NaN where unknown, shape (n,)."""
     bearing, way_m, span_s = _bearings(times_s, places_m, max_gap_s)
     implied_kn = way_m / np.where(span_s > 0, span_s, np.inf) / KNOT_M_S
     moving = np.where(np.isnan(speed_kn), (implied_kn >= MOVING_KN) & (way_m >= MOVING_M), speed_kn >= MOVING_KN)
@@ -162,10 +140,8 @@ def fill_headings(
 
 
 def _bearings(times_s: Array, places_m: Array, max_gap_s: float) -> tuple[Array, Array, Array]:
-    """Bearing, distance and time from the position before each report to the one after, shape (n,) each.
-
-    Where the gap before or after is too long, the report's own position is used in place of that neighbour.
-    """
+    """Bearing, distance and time from the position before each report to the one after, shape (n,) each. Where the gap
+    before or after is too long, the report's own position is used in place of that neighbour."""
     number = len(times_s)
     linked = np.diff(times_s) <= max_gap_s
     before = np.arange(number) - np.r_[False, linked].astype(np.int64)
@@ -187,15 +163,10 @@ MAX_STEPS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class TimeGrid:
-    """Times of a scene's steps.
+    """Times of a scene's steps."""
 
-    Attributes:
-        start_s: Unix time of the first step.
-        times_s: Time of each step since the first, shape (S,); `timestamps` has them as text.
-    """
-
-    start_s: float
-    times_s: Array
+    start_s: float  # Unix time of the first step
+    times_s: Array  # of each step since the first, (S,); `timestamps` has them as text
     timestamps: tuple[str, ...]
 
     @property
@@ -209,11 +180,8 @@ class TimeGrid:
 
 
 def time_grid(positions: Positions, options: Options) -> TimeGrid:
-    """The steps that the user asked for; by default they reach from the first report to the last.
-
-    Raises:
-        ModsimError: There would be too many steps.
-    """
+    """The steps that the user asked for; by default they reach from the first report to the last. Raises ModsimError if
+    there would be too many steps."""
     start = float(positions.time_s.min()) if options.start_s is None else options.start_s
     end = float(positions.time_s.max()) if options.end_s is None else options.end_s
     span = end - start if options.duration_s is None else options.duration_s
@@ -237,29 +205,18 @@ HEADING_NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class VesselTrack:
-    """One vessel of the traffic.
-
-    Attributes:
-        reported_s: Times of the positions that were used, since the first step, ascending, shape (m,).
-        reported_m: w1 and w2 of the antenna at these, shape (m, 2).
-        jumps_s: Times of the positions that the vessel cannot have reached, and that were dropped, shape (k,).
-        jumps_m: w1 and w2 of these, shape (k, 2).
-        replaced: What was missing → in how many of the used positions it was replaced.
-        steps: The steps at which it is there, ascending, shape (n,).
-        places_m: w1 and w2 of the hull's centre at these, shape (n, 2).
-        headings_rad: Counter-clockwise from w1 at these, shape (n,).
-    """
+    """One vessel of the traffic."""
 
     mmsi: int
     hull: AisHull
-    reported_s: Array
-    reported_m: Array
-    jumps_s: Array
-    jumps_m: Array
-    replaced: Counter[str]
-    steps: Indices
-    places_m: Array
-    headings_rad: Array
+    reported_s: Array  # of the positions that were used, since the first step, ascending, (m,)
+    reported_m: Array  # w1 and w2 of the antenna at these, (m, 2)
+    jumps_s: Array  # of the positions that the vessel cannot have reached, and that were dropped, (k,)
+    jumps_m: Array  # w1 and w2 of these, (k, 2)
+    replaced: Counter[str]  # what was missing → in how many of the used positions it was replaced
+    steps: Indices  # at which it is there, ascending, (n,)
+    places_m: Array  # w1 and w2 of the hull's centre at these, (n, 2)
+    headings_rad: Array  # counter-clockwise from w1 at these, (n,)
 
     @property
     def messages(self) -> int:
@@ -274,9 +231,7 @@ class VesselTrack:
 
 def vessel_track(positions: Positions, places_m: Array, hull: AisHull, grid: TimeGrid, options: Options) -> VesselTrack:
     """The track of one vessel from its reports by time, with their metres east and north of the origin, shape (n, 2).
-
-    Jumps are dropped, and missing headings and courses filled in.
-    """
+    Jumps are dropped, and missing headings and courses filled in."""
     every_s = positions.time_s - grid.start_s
     kept = reachable(every_s, places_m, options.max_speed_kn * KNOT_M_S)
     used, places, since_s = positions.take(kept), places_m[kept], every_s[kept]

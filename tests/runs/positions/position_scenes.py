@@ -1,7 +1,5 @@
 """A scene with own ship under way in waves, a rolled and distorted camera on its bow, and one ashore."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -44,6 +42,13 @@ def position_scene(**keys: Any) -> Scene:
     positions[:, 0, 0], headings[:, 0] = 4 * steps, 0.2
     positions[:, 1] = np.stack([300 + 2 * steps, 40 + 0 * steps], axis=1)
     positions[:, 2] = [400, 20]
+    mount = {"vessel": "flagship", "position_m": [8, 1, 7], "roll_rad": 0.1, "pitch_rad": 0.05, "yaw_rad": 0.1}
+    imu = {
+        "attitude_noise_rad": 0.004,
+        "attitude_bias_rad": 0.003,
+        "heading_noise_rad": 0.01,
+        "heading_bias_rad": 0.005,
+    }
     data: dict[str, Any] = {
         "seed": 3,
         "vessels": {
@@ -53,21 +58,11 @@ def position_scene(**keys: Any) -> Scene:
         },
         "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 0.5},
         "cameras": {
-            "bow": {
-                **LENS,
-                "distortion": {"k1": -0.1, "k2": 0.02, "p1": 0.001},
-                "mount": {
-                    **{"vessel": "flagship", "position_m": [8, 1, 7]},
-                    **{"roll_rad": 0.1, "pitch_rad": 0.05, "yaw_rad": 0.1},
-                },
-            },
+            "bow": {**LENS, "distortion": {"k1": -0.1, "k2": 0.02, "p1": 0.001}, "mount": mount},
             "shore": {**LENS, "pose": {"position_m": [-50, 30, 20], "pitch_rad": 0.05}},
         },
         "waves": {"spectrum": "jonswap", "significant_height_m": 1.0, "peak_period_s": 5.0, "direction_rad": 1.0},
-        "imu": {
-            **{"attitude_noise_rad": 0.004, "attitude_bias_rad": 0.003},
-            **{"heading_noise_rad": 0.01, "heading_bias_rad": 0.005},
-        },
+        "imu": imu,
         "annotation": {"source": "analytic"},
         "detector": detector(),
     }

@@ -1,7 +1,5 @@
 """Bearing, inverse range and position of boxes: against one-by-one geometry, and against Monte Carlo."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 
@@ -9,26 +7,19 @@ import numpy as np
 import pytest
 
 import modsim3d
+from modsim3d import ModsimError, Scene
 from modsim3d.core.arrays import Array
-from modsim3d.core.errors import ModsimError
 from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.geometry.camera_poses import heading_of, poses_on_board
-from modsim3d.runs.locating import (
-    FOOT_OF_ERRORS,
-    MAX_RANGE_ERROR,
-    Located,
-    Viewpoints,
-    foot_errors,
-    locate,
-    state_shares,
-)
+from modsim3d.runs import locating
+from modsim3d.runs.locating import MAX_RANGE_ERROR, Located, locate, state_shares
 from modsim3d.scene.cameras import own_ships_at
-from modsim3d.scene.scene import Scene
 from tests.runs.positions.position_scenes import STEPS, detector, position_scene
 
 BOXES = np.array([[600.0, 380, 660, 430], [100, 420, 180, 470], [900, 350, 1200, 600], [500, 340, 530, 400]])
-NO_ERRORS = detector(mean=[0, 0, 0, 0], covariance=np.zeros((4, 4)).tolist())
+EXACT = {"covariance": np.zeros((4, 4)).tolist()}
+NO_ERRORS = detector(mean=[0, 0, 0, 0], **EXACT)
 INSIDE = 1.959964  # 95 % of a normal number
 DRAWS, FEW_DRAWS = 20_000, 6_000
 
@@ -44,6 +35,12 @@ def sharp() -> Scene:
     return position_scene(detector=NO_ERRORS, imu={})
 
 
+def box_with(box: Array, errors: Array) -> Array:
+    """Boxes with errors of centre, width and height, shape (..., 4)."""
+    centre, size = errors[..., :2], errors[..., 2:]
+    return box + np.concatenate([centre - size / 2, centre + size / 2], axis=-1)
+
+
 def one_by_one(scene: Scene, camera: str, step: int, box: Array) -> tuple[float, float, Array]:
     """Bearing of the centre, and inverse range and place of the foot, by solving for the point of the sea."""
     place = scene.at(step)
@@ -52,11 +49,9 @@ def one_by_one(scene: Scene, camera: str, step: int, box: Array) -> tuple[float,
     rotation, centre = pose.camera_R_world[0], pose.positions_m[0]
     lens = scene.cameras[index].intrinsics
     middle, foot = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], [(box[0] + box[2]) / 2, box[3]]
-    ray = rotation.T @ lens.unproject(middle, 1.0)
-    down = rotation.T @ lens.unproject(foot, 1.0)
+    ray, down = (rotation.T @ lens.unproject(point, 1.0) for point in (middle, foot))
     away = -centre[2] / down[2] * down
-    bearing = float(heading_of(ray))
-    inverse = float(np.sign(-down[2]) / np.hypot(*away[:2]))
+    bearing, inverse = float(heading_of(ray)), float(np.sign(-down[2]) / np.hypot(*away[:2]))
     return bearing, inverse, centre[:2] + np.array([np.cos(bearing), np.sin(bearing)]) / inverse
 
 
@@ -76,23 +71,19 @@ def test_boxes_without_errors_are_where_their_rays_meet_the_sea(sharp: Scene, ca
             assert np.isnan(found.positions_m[row]).all()
 
 
-def test_the_mean_error_is_taken_out() -> None:
+def test_the_mean_error_is_taken_out(sharp: Scene) -> None:
     mean = np.array([4.0, -3, 10, 6])
-    same = detector(mean=mean.tolist(), covariance=np.zeros((4, 4)).tolist())
-    biased, sharp = position_scene(detector=same, imu={}), position_scene(detector=NO_ERRORS, imu={})
-    moved = BOXES + np.concatenate([mean[:2] - mean[2:] / 2, mean[:2] + mean[2:] / 2])
-    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, moved)
+    biased = position_scene(detector=detector(mean=mean.tolist(), **EXACT), imu={})
+    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, box_with(BOXES, mean))
     np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad)
     np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m)
 
 
-def test_relative_errors_are_taken_out_of_the_true_size() -> None:
+def test_relative_errors_are_taken_out_of_the_true_size(sharp: Scene) -> None:
     """To first order in the mean: the true size is the detected one less its mean error."""
     mean = np.array([0.02, -0.01, 0.05, 0.03])
-    model = detector(unit="relative", mean=mean.tolist(), covariance=np.zeros((4, 4)).tolist())
-    biased, sharp = position_scene(detector=model, imu={}), position_scene(detector=NO_ERRORS, imu={})
-    error = mean * np.tile(BOXES[:, 2:] - BOXES[:, :2], 2)
-    moved = BOXES + np.concatenate([error[:, :2] - error[:, 2:] / 2, error[:, :2] + error[:, 2:] / 2], axis=1)
+    biased = position_scene(detector=detector(unit="relative", mean=mean.tolist(), **EXACT), imu={})
+    moved = box_with(BOXES, mean * np.tile(BOXES[:, 2:] - BOXES[:, :2], 2))
     expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, moved)
     np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad, atol=1e-4)
     np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m, atol=2e-5)
@@ -116,8 +107,8 @@ def drawn_errors(scene: Scene, count: int) -> Array:
 
 
 def test_errors_of_centre_and_foot_are_those_of_the_mixture(scene: Scene) -> None:
-    drawn = drawn_errors(scene, DRAWS) @ FOOT_OF_ERRORS.T
-    law = foot_errors(scene.detector, BOXES[:1])
+    drawn = drawn_errors(scene, DRAWS) @ locating.FOOT_OF_ERRORS.T
+    law = locating.foot_errors(scene.detector, BOXES[:1])
     std = np.sqrt(np.diag(law.covariances[0]))
     np.testing.assert_allclose((drawn.mean(axis=0) - law.means[0]) / std, 0, atol=4 / np.sqrt(DRAWS))
     whitened = (np.cov(drawn.T) - law.covariances[0]) / (std[:, None] * std)
@@ -129,18 +120,15 @@ def test_errors_of_centre_and_foot_are_those_of_the_mixture(scene: Scene) -> Non
 def test_covariances_are_those_of_drawn_errors(scene: Scene, sea: str, camera: str, attitude: Any) -> None:
     """Boxes with drawn errors, seen from poses with drawn errors of the attitude, through a distorted lens."""
     curved, box = replace(scene, sea=sea), BOXES[0] + [0, 60, 0, 60]
-    errors = drawn_errors(curved, FEW_DRAWS)
-    boxes = box + np.concatenate([errors[:, :2] - errors[:, 2:] / 2, errors[:, :2] + errors[:, 2:] / 2], axis=1)
+    boxes = box_with(box, drawn_errors(curved, FEW_DRAWS))
     exact = replace(curved, detector=parse_detector(NO_ERRORS))
     drawn = replace(exact, imu=curved.imu if attitude == "measured" else type(curved.imu)())
     on_board = attitude == "measured" and camera == "bow"
     seeds = 30 if on_board else 1  # of the inertial unit: one for every draw would be slow
     views = [locate(replace(drawn, seed=seed), camera, 7, boxes[seed::seeds]) for seed in range(seeds)]
-    bearing = np.concatenate([view.bearing_rad for view in views])
-    inverse = np.concatenate([view.inverse_range_per_m for view in views])
     place = locate(curved, camera, 7, box[None], attitude)
     stated = np.array([place.bearing_std_rad[0], place.inverse_range_std_per_m[0]])
-    seen = np.cov(bearing, inverse)
+    seen = np.cov(np.concatenate([(view.bearing_rad, view.inverse_range_per_m) for view in views], axis=1))
     tolerance = 4 * np.sqrt(2 / (seeds if on_board else FEW_DRAWS))
     np.testing.assert_allclose(np.sqrt(np.diag(seen)) / stated, 1, atol=tolerance / 2 + 0.01)
     correlation = (seen[0, 1] - place.covariance_rad_per_m[0]) / stated.prod()
@@ -162,27 +150,23 @@ def test_a_heading_error_turns_bearings_and_nothing_else(scene: Scene) -> None:
 
 @pytest.mark.parametrize("composition", ["rigid", "additive"])
 def test_poses_from_a_perfect_unit_are_the_true_ones(composition: str) -> None:
-    waves = {"level": "huge", "composition": composition}
-    still = position_scene(waves=waves, imu={})
+    still = position_scene(waves={"level": "huge", "composition": composition}, imu={})
     camera, steps = still.cameras[0], np.arange(STEPS)
-    true, measured = (Viewpoints.of(still, camera, steps, measured=known).poses() for known in (False, True))
+    true, measured = (locating.Viewpoints.of(still, camera, steps, measured=known).poses() for known in (False, True))
     np.testing.assert_array_equal(true.camera_R_world, measured.camera_R_world)
     np.testing.assert_array_equal(true.positions_m, measured.positions_m)
     if composition == "rigid":  # a tracker can work the pose out from the table
         own = own_ships_at(still, 0, STEPS)
         roll, pitch, heading = own.measured_attitudes_rad[:, 0].T
-        rebuilt = poses_on_board(
-            camera.mount, own.positions_m[:, 0], heading, np.stack([roll, pitch, 0 * roll], axis=-1)
-        )
+        turns = np.stack([roll, pitch, 0 * roll], axis=-1)
+        rebuilt = poses_on_board(camera.mount, own.positions_m[:, 0], heading, turns)
         np.testing.assert_allclose(rebuilt.camera_R_world, true.camera_R_world, atol=1e-12)
         np.testing.assert_allclose(rebuilt.positions_m, true.positions_m, atol=1e-9)
 
 
 def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None:
     """They jump from π to −π there; derivatives must not."""
-    middle = np.array([620.0, 370, 660, 430])
-    across = np.linspace(-0.6, 0.6, 13)[:, None] * [1, 0, 1, 0]
-    boxes = middle + across
+    boxes = np.array([620.0, 370, 660, 430]) + np.linspace(-0.6, 0.6, 13)[:, None] * [1, 0, 1, 0]
     (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
     back = replace(scene, cameras=(replace(shore, mount=replace(shore.mount, yaw_rad=np.pi)),))
     ahead, behind = (locate(each, "shore", 0, boxes) for each in (scene, back))
@@ -210,11 +194,9 @@ def test_the_error_of_the_box_of_a_cut_vessel_does_not_make_it_whole(scene: Scen
     cut[side], cut[side - 2] = lines[side], lines[side] - np.sign(side - 1) * 100
     law, draws = scene.detector.states[0].box_error, np.random.default_rng(5)
     errors = draws.multivariate_normal(law.mean, law.covariance, FEW_DRAWS)
-    corners = errors[:, [0, 1, 0, 1]] + errors[:, [2, 3, 2, 3]] * [-0.5, -0.5, 0.5, 0.5]
     given = []
     for box in (cut, whole):
-        detected = np.clip(box + corners, 0, [width, height, width, height])
-        found = locate(scene, "shore", 0, detected)
+        found = locate(scene, "shore", 0, np.clip(box_with(box, errors), 0, [width, height, width, height]))
         given.append(np.isfinite(found.inverse_range_per_m if side == 3 else found.bearing_rad).mean())
     assert given[0] < 0.01 and given[1] == 1
 
@@ -248,19 +230,16 @@ def test_a_position_is_given_where_the_share_of_the_error_is_small(scene: Scene,
 
 def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene: Scene) -> None:
     """Normal errors of the foot: what the threshold promises, and what it spares a tracker."""
-    errors = drawn_errors(scene, DRAWS)
-    exact = position_scene(detector=NO_ERRORS)
-    tails = {}
+    errors, exact, tails = drawn_errors(scene, DRAWS), position_scene(detector=NO_ERRORS), {}
     for bottom in (760.0, 362.0):  # a position is given, and not
         box = np.array([600.0, bottom - 40, 660, bottom])
-        boxes = box + np.concatenate([errors[:, :2] - errors[:, 2:] / 2, errors[:, :2] + errors[:, 2:] / 2], axis=1)
+        boxes = box_with(box, errors)
         truth, found = locate(exact, "shore", 0, box[None]), locate(scene, "shore", 0, boxes)
         inverse, estimate = truth.inverse_range_per_m[0], found.inverse_range_per_m
         share = found.inverse_range_std_per_m[0] / inverse
         assert (share < MAX_RANGE_ERROR) == (bottom == 760)
-        error = np.where(
-            estimate > 0, (1 / estimate - 1 / inverse) * estimate**2 / found.inverse_range_std_per_m, np.inf
-        )
+        error = (1 / estimate - 1 / inverse) * estimate**2 / found.inverse_range_std_per_m
+        error[estimate <= 0] = np.inf
         tails[bottom] = np.mean(error < -INSIDE), np.mean(error > INSIDE)
     assert abs(sum(tails[760.0]) - 0.05) < 0.01
     assert tails[362.0][0] > 2 * 0.025 > 0.01 > tails[362.0][1]

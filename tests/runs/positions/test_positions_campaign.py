@@ -1,9 +1,8 @@
 """The campaign of positions: its stored result is within its bounds, and a small one agrees."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import pytest
@@ -14,21 +13,17 @@ from modsim3d.runs.locating import MAX_RANGE_ERROR
 
 @pytest.fixture(scope="module")
 def stored() -> dict[str, Any]:
-    data: dict[str, Any] = json.loads((OUT / "positions.json").read_text(encoding="utf-8"))
-    return data
+    return json.loads((OUT / "positions.json").read_text(encoding="utf-8"))
 
 
 def test_the_stored_result_is_complete_and_within_bounds(stored: dict[str, Any]) -> None:
-    assert problems(stored["rows"]) == []
-    assert stored["seeds"] == SEEDS and stored["most_range_error"] == MAX_RANGE_ERROR
+    assert problems(stored["rows"]) == [] and stored["seeds"] == SEEDS and stored["most_range_error"] == MAX_RANGE_ERROR
     seen = {(row["scene"], row["sea"], row["attitude"], row["errors"]) for row in stored["rows"]}
     assert {name for name, *_ in seen} == set(SCENES) and len(SCENES) == 5
     for name in SCENES:
         attitudes = {attitude for scene, _, attitude, _ in seen if scene == name}
         assert attitudes in ({"ashore"}, {"true", "measured"})
-        assert {
-            (name, sea, a, errors) for sea in ("flat", "curved") for a in attitudes for errors in (1.0, 0.2)
-        } <= seen
+        assert set(product([name], ("flat", "curved"), attitudes, (1.0, 0.2))) <= seen
     assert (OUT / "positions.md").read_text(encoding="utf-8") == page(stored)
 
 
@@ -61,8 +56,7 @@ def test_the_law_of_the_range_is_that_of_the_page() -> None:
     """The error over its stated deviation is −z (1 + ε z): its mean is −ε."""
     for row in position_law(100_000):
         if row["share"] <= 0.15:  # beyond, some inverse ranges are negative
-            assert row["mean"] == pytest.approx(-row["share"], abs=0.02)
-            assert row["short"] > 0.025 > row["far"]
+            assert row["mean"] == pytest.approx(-row["share"], abs=0.02) and row["short"] > 0.025 > row["far"]
 
 
 @pytest.mark.parametrize(("errors", "column"), [(1.0, 1), (0.2, 2)])

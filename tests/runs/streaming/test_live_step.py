@@ -1,7 +1,5 @@
 """A live step is one frame of few vessels: its time is that of many small calls, whose number does not vary."""
 
-from __future__ import annotations
-
 import cProfile
 import pstats
 import subprocess
@@ -12,10 +10,9 @@ import numpy as np
 import pytest
 
 import modsim3d
+from modsim3d import Scene, load_scene
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import open_renderer, simulate_blocks, truth_block
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 
 BUSY, EMPTY = 110, 20
 """A step of Simulation 2 with four vessels in the image, as those after it; and one with none."""
@@ -28,20 +25,6 @@ def scene() -> Scene:
     return load_scene("simulation_2", steps=BUSY + COUNTED)
 
 
-@pytest.fixture(scope="module")
-def calls(scene: Scene) -> dict[int, float]:
-    """Calls that our modules make in a step, from some steps on; by the first of them."""
-    blocks, found, done = simulate_blocks(scene, 1), {}, 0
-    for first, vessels in ((EMPTY, 0), (BUSY, 4)):
-        for _ in range(done, first):
-            next(blocks)
-        profile = cProfile.Profile()
-        counted = [profile.runcall(next, blocks) for _ in range(COUNTED)]
-        assert [len(block.cameras[0].truth) for block in counted] == [vessels] * COUNTED
-        found[first], done = our_calls(profile) / COUNTED, first + COUNTED
-    return found
-
-
 def our_calls(profile: cProfile.Profile) -> int:
     """Calls by the package's modules; what libraries call in turn differs by their versions."""
     entries = pstats.Stats(profile).stats.values()  # type: ignore[attr-defined]
@@ -49,12 +32,16 @@ def our_calls(profile: cProfile.Profile) -> int:
     return sum(count for file, count in by_caller if Path(file).is_relative_to(PACKAGE))
 
 
-def test_a_step_of_four_vessels_takes_few_calls(calls: dict[int, float]) -> None:
-    assert calls[BUSY] < 1130
-
-
-def test_a_step_without_vessels_takes_fewer(calls: dict[int, float]) -> None:
-    assert calls[EMPTY] < 470
+def test_a_step_of_four_vessels_takes_few_calls_and_one_without_fewer(scene: Scene) -> None:
+    blocks, done = simulate_blocks(scene, 1), 0
+    for first, vessels, most_calls in ((EMPTY, 0, 470), (BUSY, 4, 1130)):
+        for _ in range(done, first):
+            next(blocks)
+        profile = cProfile.Profile()
+        counted = [profile.runcall(next, blocks) for _ in range(COUNTED)]
+        assert [len(block.cameras[0].truth) for block in counted] == [vessels] * COUNTED
+        assert our_calls(profile) / COUNTED < most_calls
+        done = first + COUNTED
 
 
 def test_where_nothing_is_in_view_nothing_need_be_drawn(scene: Scene) -> None:

@@ -1,7 +1,5 @@
 """Readers over TCP that are slow, gone, back, or send: each line that one can still get arrives, once and in order."""
 
-from __future__ import annotations
-
 import errno
 import socket
 import threading
@@ -29,11 +27,13 @@ def serve(wait_s: float = LONG_S, **options: object) -> LineServer:
 
 
 def connect(server: LineServer, *, small: bool = False) -> socket.socket:
+    """A reader, once the server knows that somebody has come."""
     reader = socket.socket()
     reader.settimeout(LONG_S)
     if small:
         reader.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     reader.connect((server.address.host, server.address.port))
+    server.wait_for_reader()
     return reader
 
 
@@ -42,40 +42,32 @@ def rest_of(reader: socket.socket) -> list[bytes]:
         return list(lines)
 
 
-class Background:
+class Background(threading.Thread):
     """Calls a function in a thread; `result` waits for it."""
 
     def __init__(self, call: Callable[[], object]) -> None:
-        self._found: object = None
-        self._thread = threading.Thread(target=self._run, args=(call,), daemon=True)
-        self._thread.start()
+        super().__init__(daemon=True)
+        self._call, self._found = call, None
+        self.start()
 
-    def _run(self, call: Callable[[], object]) -> None:
+    def run(self) -> None:
         try:
-            self._found = call()
+            self._found = self._call()
         except BaseException as error:
             self._found = error
 
-    @property
-    def running(self) -> bool:
-        return self._thread.is_alive()
-
     def result(self) -> object:
-        self._thread.join(LONG_S)
-        assert not self._thread.is_alive()
+        self.join(LONG_S)
+        assert not self.is_alive()
         return self._found
-
-
-def still_open() -> tuple[int, int]:
-    """How many descriptors and threads this process has."""
-    return len(list(Path("/dev/fd").iterdir())), threading.active_count()
 
 
 @pytest.fixture(autouse=True)
 def nothing_stays_open() -> Iterator[None]:
-    before = still_open()
+    """No descriptor and no thread."""
+    before = len([*Path("/dev/fd").iterdir()]), threading.active_count()
     yield
-    assert still_open() == before
+    assert (len([*Path("/dev/fd").iterdir()]), threading.active_count()) == before
 
 
 def send_all(server: LineServer, lines: list[bytes] = LINES) -> None:
@@ -97,22 +89,20 @@ def test_two_readers_get_every_line_and_one_that_comes_late_gets_those_that_are_
 def test_the_slowest_reader_holds_the_stream_up_and_loses_nothing() -> None:
     with serve(backlog_bytes=10_000) as server:
         slow, fast = connect(server, small=True), Background(lambda: rest_of(connect(server)))
-        server.wait_for_reader()
         sending = Background(lambda: (send_all(server), server.finish()))
         first = slow.recv(len(HEADER), socket.MSG_WAITALL)
-        assert sending.running, "3 MB fit into no buffer"
+        assert sending.is_alive(), "3 MB fit into no buffer"
         assert [first, *rest_of(slow)] == [HEADER, *LINES]
         assert sending.result() == (None, None)
         received = fast.result()
-        assert isinstance(received, list)
-        assert received[0] == HEADER and received[1:] == LINES[len(LINES) + 1 - len(received) :]
+        assert isinstance(received, list) and received[0] == HEADER
+        assert received[1:] == LINES[len(LINES) + 1 - len(received) :]
 
 
 def test_what_is_kept_is_bounded_and_a_reader_that_comes_back_gets_it_from_the_oldest_line() -> None:
     with serve(backlog_bytes=100_000) as server:
         stays = Background(lambda: rest_of(connect(server)))
         leaves = connect(server)
-        server.wait_for_reader()
         send_all(server, LINES[:100])
         with leaves.makefile("rb") as lines:
             assert [next(lines) for _ in range(51)] == [HEADER, *LINES[:50]]
@@ -133,7 +123,6 @@ def test_what_is_kept_is_bounded_and_a_reader_that_comes_back_gets_it_from_the_o
 def test_a_reader_that_takes_nothing_is_disconnected_with_a_word() -> None:
     said: list[str] = []
     with serve(warn=said.append, backlog_bytes=10_000) as server, closing(connect(server, small=True)):
-        server.wait_for_reader()
         server.wait_s = 0.03
         with pytest.raises(NobodyReads):
             send_all(server)
@@ -146,7 +135,6 @@ def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
     gone = threading.Event()
     with serve(tell=lambda text: gone.set() if text.endswith("has gone") else None) as server:
         crashed = connect(server)
-        server.wait_for_reader()
         send_all(server, LINES[:100])
         crashed.recv(1000)
         ending = Background(server.finish)
@@ -159,7 +147,6 @@ def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
 def test_a_stream_that_nobody_takes_ends() -> None:
     with serve() as server:
         connect(server).close()
-        server.wait_for_reader()
         server.wait_s = 0.05
         with pytest.raises(NobodyReads):
             send_all(server)
@@ -171,12 +158,11 @@ def test_a_stream_that_nobody_takes_ends() -> None:
 def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
     with serve() as server:
         reader = connect(server)
-        server.wait_for_reader()
         reader.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         pushing = Background(lambda: reader.sendall(b"GET / HTTP/1.1\r\n" * 20_000))
         reading = Background(lambda: rest_of(reader))
         send_all(server)
-        assert pushing.running, "320 kB were taken in"
+        assert pushing.is_alive(), "320 kB were taken in"
         server.finish()
         assert reading.result() == [HEADER, *LINES]
         pushing.result()
@@ -185,7 +171,6 @@ def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
 def test_a_reader_that_sends_after_the_last_line_still_gets_all_lines() -> None:
     with serve() as server:
         reader = connect(server, small=True)
-        server.wait_for_reader()
         send_all(server, LINES[:100])
         ending = Background(server.finish)
         for _ in range(3):  # a closed connection would answer with a reset, which costs it what it has not read
@@ -217,7 +202,6 @@ def test_a_reader_that_ends_its_own_side_first_gets_everything() -> None:
         reader = connect(server)
         reader.shutdown(socket.SHUT_WR)
         reading = Background(lambda: rest_of(reader))
-        server.wait_for_reader()
         send_all(server)
         server.finish()
         assert reading.result() == [HEADER, *LINES]
@@ -249,7 +233,6 @@ def test_a_fault_in_the_thread_ends_the_stream(monkeypatch: pytest.MonkeyPatch) 
 def test_hanging_up_early_ends_at_once_and_what_was_sent_arrives() -> None:
     with serve() as server:
         reader = connect(server)
-        server.wait_for_reader()
         send_all(server, LINES[:10])
         first = reader.recv(8, socket.MSG_PEEK)
     assert first and rest_of(reader)[0] == HEADER

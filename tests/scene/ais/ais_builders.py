@@ -1,7 +1,5 @@
 """Small AIS files and options for the tests of modsim3d.scene.ais."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

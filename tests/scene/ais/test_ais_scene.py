@@ -1,7 +1,5 @@
 """From files to a scene: what is kept, dropped, filled in and written."""
 
-from __future__ import annotations
-
 import gzip
 import random
 import runpy
@@ -12,23 +10,15 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d.detector.file.reading import load_detector
+from modsim3d import load_detector, load_scene, run_scene
 from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.io.input_files import data_folder
+from modsim3d.scene.ais import scene_folder
 from modsim3d.scene.ais.hulls import TABLE, group_of, hulls, ship_types
 from modsim3d.scene.ais.messages import Particulars, SeaRegion, local_metres
-from modsim3d.scene.ais.scene_folder import (
-    REASONS,
-    detector_text,
-    messages_read,
-    messages_used,
-    report,
-    summary_rows,
-    write_scene,
-)
+from modsim3d.scene.ais.scene_folder import messages_read, messages_used, report, write_scene
 from modsim3d.scene.ais.traffic import CLEARANCE_M, viewpoint
 from modsim3d.scene.ais.vessel_track import heading_rad
-from modsim3d.scene.reading import load_scene
 from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, old_file, only, row, traffic_of
 
 THESIS = data_folder("scenes") / "detectors" / "thesis.yaml"
@@ -38,8 +28,7 @@ def written(folder: Path, *paths: Path, **options) -> dict[str, bytes]:
     """The scene's files, and the report without what it says of the input files."""
     traffic = traffic_of(*paths, **options)
     write_scene(traffic, folder, THESIS)
-    said = report(traffic)
-    said.pop("files")
+    said = {key: value for key, value in report(traffic).items() if key != "files"}
     names = ("scene.yaml", "vessels.json", "poses.json.gz", "detector.yaml")
     return {name: (folder / name).read_bytes() for name in names} | {"report": repr(said).encode()}
 
@@ -48,8 +37,7 @@ def written(folder: Path, *paths: Path, **options) -> dict[str, bytes]:
 def test_every_sample_becomes_a_scene_that_loads(tmp_path, name):
     written(tmp_path / "scene", SAMPLES / name)
     scene = load_scene(tmp_path / "scene" / "scene.yaml")
-    assert (scene.steps, len(scene.vessels)) == (361, 10)
-    assert scene.poses.poses(0, 361).present.sum() == 3448
+    assert (scene.steps, len(scene.vessels)) == (361, 10) and scene.poses.poses(0, 361).present.sum() == 3448
 
 
 def test_old_and_2025_layout_of_the_same_traffic_give_the_same_scene(tmp_path):
@@ -60,8 +48,7 @@ def test_old_and_2025_layout_of_the_same_traffic_give_the_same_scene(tmp_path):
 def test_danish_files_and_sentences_of_the_same_traffic_agree_to_their_precision(tmp_path):
     danish, nmea = (traffic_of(SAMPLES / name, origin=(56.03, 12.65)) for name in ("danish.csv", "receiver.nmea"))
     for one, other in zip(danish.vessels, nmea.vessels, strict=True):
-        assert one.hull == other.hull
-        assert one.replaced == other.replaced
+        assert (one.hull, one.replaced) == (other.hull, other.replaced)
         np.testing.assert_array_equal(one.steps, other.steps)
         # Sentences hold 1/10000 of a minute, half of which is 0.09 m; Danish files hold 0.06 m.
         np.testing.assert_allclose(one.places_m, other.places_m, atol=0.3)
@@ -84,12 +71,11 @@ def test_order_of_messages_changes_nothing(tmp_path, name):
 
 
 def test_several_files_packed_and_mixed_are_one_traffic(tmp_path):
-    lines = (SAMPLES / "danish.csv").read_text().splitlines(keepends=True)
-    halves = [lines[0] + "".join(lines[1:100]), lines[0] + "".join(lines[100:])]
-    paths = [tmp_path / "one.csv", tmp_path / "two.data"]
-    paths[0].write_text(halves[0])
-    paths[1].write_bytes(gzip.compress(halves[1].encode()))
-    assert written(tmp_path / "a", SAMPLES / "danish.csv") == written(tmp_path / "b", *reversed(paths))
+    header, *lines = (SAMPLES / "danish.csv").read_text().splitlines(keepends=True)
+    one, two = tmp_path / "one.csv", tmp_path / "two.data"
+    one.write_text(header + "".join(lines[:99]))
+    two.write_bytes(gzip.compress((header + "".join(lines[99:])).encode()))
+    assert written(tmp_path / "a", SAMPLES / "danish.csv") == written(tmp_path / "b", two, one)
     mixed = traffic_of(SAMPLES / "danish.csv", SAMPLES / "receiver.nmea")
     assert len(mixed.vessels) == 10
     assert mixed.dropped["duplicate"] == 2 * 251 - 250  # each file has 251 positions, one of them twice
@@ -105,13 +91,9 @@ def test_sample_vessels_are_where_the_script_drove_them():
         for place, step in enumerate(vessel.steps):
             east, north, course = ship.at(float(traffic.grid.timestamps[step]))
             angle = heading_rad(course)
-            ahead, port = (a - b) / 2, (c - d) / 2
-            if a == c == 0:
-                ahead = port = 0.0
-            centre = [
-                east + ahead * np.cos(angle) - port * np.sin(angle),
-                north + ahead * np.sin(angle) + port * np.cos(angle),
-            ]
+            ahead, port = (0.0, 0.0) if a == c == 0 else ((a - b) / 2, (c - d) / 2)
+            cosine, sine = np.cos(angle), np.sin(angle)
+            centre = [east + ahead * cosine - port * sine, north + ahead * sine + port * cosine]
             # Headings are rounded to a degree, which moves the centre by up to 0.5° of the antenna's distance from
             # it; 0.6 m where a report of the speed is missing in a turn.
             slack = 0.7 + np.deg2rad(0.6) * np.hypot(ahead, port)
@@ -122,9 +104,9 @@ def test_sample_vessels_are_where_the_script_drove_them():
 @pytest.mark.parametrize("name", SAMPLE_NAMES)
 def test_every_message_is_accounted_for(name):
     traffic = traffic_of(SAMPLES / name, region=None, start_s=1704362400 + 60, duration_s=120, max_gap_s=30)
-    used = sum(vessel.messages for vessel in traffic.vessels) + traffic.dropped["nothing"]
+    used = sum(vessel.messages for vessel in traffic.vessels)
     assert messages_used(traffic) >= used
-    assert set(traffic.dropped) <= {*REASONS, "particulars_only"}
+    assert set(traffic.dropped) <= {*scene_folder.REASONS, "particulars_only"}
     assert messages_read(traffic) == messages_used(traffic) + sum(traffic.dropped.values())
     if not traffic.elsewhere:
         assert messages_used(traffic) == used
@@ -132,36 +114,28 @@ def test_every_message_is_accounted_for(name):
 
 def steady(*changes: tuple[int, dict[str, object]], **common: object) -> list[str]:
     """Rows ten seconds apart of a vessel that goes east at 10 kn from 56° N, 12° E, some of them changed."""
-    changed = dict(changes)
     degrees = 10 * 1852 / 3600 * 10 / (6378137.0 * 1.00215 * np.cos(np.radians(56)) / 57.29577951)
-    rows = []
-    for place in range(30):
-        values = {"longitude": round(12 + place * degrees, 7), **common, **changed.get(place, {})}
-        rows.append(row(10 * place, **values))
-    return rows
+    places = [{"longitude": round(12 + place * degrees, 7), **common} for place in range(30)]
+    for place, values in changes:
+        places[place] |= values
+    return [row(10 * place, **values) for place, values in enumerate(places)]
 
 
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
-        ({"latitude": 91.0}, "no_position"),
-        ({"longitude": 181.0}, "no_position"),
-        ({"latitude": ""}, "no_position"),
+        *((place, "no_position") for place in ({"latitude": 91.0}, {"longitude": 181.0}, {"latitude": ""})),
+        *(({"mmsi": mmsi}, "not_a_ship") for mmsi in (992190001, 2190001, 111219001)),
         ({"longitude": 200.0}, "impossible_position"),
         ({"latitude": 56.02}, "jump"),
-        ({"mmsi": 992190001}, "not_a_ship"),
-        ({"mmsi": 2190001}, "not_a_ship"),
-        ({"mmsi": 111219001}, "not_a_ship"),
         ({"speed": "fast"}, "unreadable"),
     ],
 )
 def test_what_is_of_no_use_is_dropped_and_counted(tmp_path, changed, reason):
     traffic = traffic_of(old_file(tmp_path, *steady((7, changed))))
-    assert dict(+traffic.dropped) == {reason: 1}
-    vessel = only(traffic)
-    assert vessel.messages == 29
+    assert dict(+traffic.dropped) == {reason: 1} and only(traffic).messages == 29
     whole = only(traffic_of(old_file(tmp_path, *steady()), origin=traffic.origin))
-    np.testing.assert_allclose(vessel.places_m, whole.places_m, atol=0.05)
+    np.testing.assert_allclose(only(traffic).places_m, whole.places_m, atol=0.05)
 
 
 @pytest.mark.parametrize(
@@ -178,9 +152,8 @@ def test_what_is_of_no_use_is_dropped_and_counted(tmp_path, changed, reason):
 def test_missing_values_are_replaced_and_counted(tmp_path, changed, replaced):
     traffic = traffic_of(old_file(tmp_path, *steady((7, changed))))
     vessel = only(traffic)
-    extra = {"course_unknown": 1} if replaced == "heading_from_bearing" else {}
-    assert dict(vessel.replaced) == {replaced: 1, **extra}
-    assert report(traffic)["replaced"] == {replaced: 1, **extra}
+    expected = {replaced: 1} | ({"course_unknown": 1} if replaced == "heading_from_bearing" else {})
+    assert dict(vessel.replaced) == report(traffic)["replaced"] == expected
     np.testing.assert_allclose(vessel.headings_rad, 0, atol=1e-3)
     whole = only(traffic_of(old_file(tmp_path, *steady()), origin=traffic.origin))
     # A speed of 0.1 kn that is wrong bends the way by less than it is believed to.
@@ -191,13 +164,8 @@ def test_dimensions_of_zero_are_those_of_the_ship_type(tmp_path):
     for code, group in ((70, "cargo"), (36, "sailing"), ("", "unknown"), (1025, "tug"), ("60.0", "passenger")):
         hull = only(traffic_of(old_file(tmp_path, *steady(ship_type=code, length=0, beam="")))).hull
         typical = ship_types()[group]
-        assert (hull.length_m, hull.beam_m, hull.air_draft_m) == (
-            typical.length_m,
-            typical.beam_m,
-            typical.air_draft_m,
-        )
-        assert {"length", "beam", "antenna"} <= set(hull.defaults)
-        assert ("type" in hull.defaults) == (group == "unknown")
+        assert (hull.length_m, hull.beam_m, hull.air_draft_m) == (typical.length_m, typical.beam_m, typical.air_draft_m)
+        assert {"length", "beam", "antenna"} <= set(hull.defaults) and ("type" in hull.defaults) == (group == "unknown")
 
 
 def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
@@ -208,10 +176,9 @@ def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
 
 
 def test_dimensions_that_no_ship_has_are_not_believed(tmp_path):
-    hull = only(traffic_of(old_file(tmp_path, *steady(length=1022, beam=126)))).hull
-    assert (hull.length_m, hull.beam_m) == (130, 20)
-    hull = only(traffic_of(old_file(tmp_path, *steady(length=1e-9, beam=0.09)))).hull
-    assert (hull.length_m, hull.beam_m) == (130, 20)
+    for length, beam in ((1022, 126), (1e-9, 0.09)):
+        hull = only(traffic_of(old_file(tmp_path, *steady(length=length, beam=beam)))).hull
+        assert (hull.length_m, hull.beam_m) == (130, 20)
 
 
 @pytest.mark.parametrize(
@@ -225,14 +192,9 @@ def test_dimensions_that_no_ship_has_are_not_believed(tmp_path):
     ],
 )
 def test_dimensions_come_from_the_four_distances(dimensions, length, beam, antenna):
-    open_ = np.full(1, np.nan)
-    texts = np.array(["70"], dtype=object)
-    said = Particulars(
-        np.array([1]), np.zeros(1), texts, texts, *(np.array([float(d)]) for d in dimensions), open_, open_
-    )
-    hull = hulls(said, [1])[1]
-    assert (hull.length_m, hull.beam_m) == (length, beam)
-    assert ("antenna" not in hull.defaults) == antenna
+    text, sizes = np.array(["70"], dtype=object), np.array([*dimensions, np.nan, np.nan], dtype=float)[:, None]
+    hull = hulls(Particulars(np.array([1]), np.zeros(1), text, text, *sizes), [1])[1]
+    assert (hull.length_m, hull.beam_m) == (length, beam) and ("antenna" not in hull.defaults) == antenna
     assert (hull.ahead_m, hull.to_port_m) == ((-20, -5) if antenna else (0, 0))
 
 
@@ -249,8 +211,8 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
     start = 1704362400.0
     traffic = traffic_of(path, start_s=start + 15, duration_s=1, time_step_s=0.2)
     assert traffic.grid.timestamps == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
-    assert len(only(traffic).steps) == len(traffic.grid.times_s)
-    assert only(traffic).messages == 30  # reports up to the longest gap away carry the track over the edges
+    # Reports up to the longest gap away carry the track over the edges.
+    assert (len(only(traffic).steps), only(traffic).messages) == (len(traffic.grid.times_s), 30)
     early = traffic_of(path, start_s=start - 10, end_s=start + 10)
     assert only(early).steps.tolist() == list(range(10, 21))
     whole = only(traffic_of(path, origin=traffic.origin))
@@ -260,8 +222,7 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
 def test_region_leaves_out_the_rest(tmp_path):
     rows = steady() + [text.replace("219000001", "219000002").replace(",56.0,", ",57.0,") for text in steady()]
     traffic = traffic_of(old_file(tmp_path, *rows), region=SeaRegion.between(55.5, 11, 56.5, 13))
-    assert [vessel.mmsi for vessel in traffic.vessels] == [219000001]
-    assert traffic.dropped["outside_region"] == 30
+    assert [vessel.mmsi for vessel in traffic.vessels] == [219000001] and traffic.dropped["outside_region"] == 30
 
 
 def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
@@ -275,8 +236,7 @@ def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
 def test_slow_and_small_vessels_are_kept_and_lie_still(tmp_path):
     rows = [row(60 * k, speed=0.0, course=(77 * k) % 360, heading=511, length=3, beam=1) for k in range(5)]
     vessel = only(traffic_of(old_file(tmp_path, *rows)))
-    assert np.ptp(vessel.steps) == len(vessel.steps) - 1
-    assert np.ptp(vessel.headings_rad) == 0
+    assert np.ptp(vessel.steps) == len(vessel.steps) - 1 and np.ptp(vessel.headings_rad) == 0
     assert np.ptp(vessel.places_m, axis=0).tolist() == [0, 0]
 
 
@@ -284,13 +244,12 @@ def test_labels_by_type_come_with_a_detector_that_knows_them(tmp_path):
     write_scene(traffic_of(SAMPLES / "danish.csv", labels_by_type=True, labels={"tug": "Workboat"}), tmp_path, THESIS)
     scene = load_scene(tmp_path / "scene.yaml")
     assert {vessel.label for vessel in scene.vessels} == set(scene.detector.labels)
-    assert "Workboat" in scene.detector.labels
-    assert "Tanker" in scene.detector.labels
+    assert "Workboat" in scene.detector.labels and "Tanker" in scene.detector.labels
 
 
 @pytest.mark.parametrize("labels", [["Vessel"], ["A", "B"], [f"L{k}" for k in range(7)]])
 def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path, labels):
-    text = detector_text(THESIS, labels)
+    text = scene_folder.detector_text(THESIS, labels)
     (tmp_path / "detector.yaml").write_text(text, encoding="utf-8")
     model = load_detector(tmp_path / "detector.yaml")
     assert list(model.labels) == labels
@@ -303,14 +262,11 @@ def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path
 
 
 def test_folder_is_self_contained_and_runs(tmp_path):
-    from modsim3d.runs.run import run_scene
-
     write_scene(traffic_of(SAMPLES / "receiver.nmea", duration_s=20), tmp_path / "made", THESIS)
     (tmp_path / "made").rename(tmp_path / "moved")
     scene = load_scene(tmp_path / "moved" / "scene.yaml", source="analytic")
-    result = run_scene(scene, tmp_path / "run")
-    assert result.counts.frames == 21
-    assert result.counts.seen > 21
+    counts = run_scene(scene, tmp_path / "run").counts
+    assert counts.frames == 21 and counts.seen > 21
 
 
 def test_camera_looks_at_the_busiest_water_and_no_hull_comes_near():
@@ -344,8 +300,7 @@ def test_table_of_ship_types_knows_every_code_once():
     words = Counter(word for entry in table.values() for word in entry["words"])
     assert max(codes.values()) == max(words.values()) == 1
     assert set(range(20, 100)) - set(codes) == {38, 39}  # reserved
-    assert set(range(1001, 1026)) <= set(codes)
-    assert len({entry["label"] for entry in table.values()}) == len(table)
+    assert set(range(1001, 1026)) <= set(codes) and len({entry["label"] for entry in table.values()}) == len(table)
     assert group_of("Cargo") == group_of("74") == group_of("70.0") == "cargo"
     assert group_of("15") == group_of("something") == group_of("") == "unknown"
 
@@ -353,14 +308,14 @@ def test_table_of_ship_types_knows_every_code_once():
 def test_traffic_too_wide_for_a_plane_is_said(tmp_path):
     rows = [*steady(), row(0, 59.0, mmsi=219000002), row(10, 59.0, mmsi=219000002)]
     for path, wide in ((SAMPLES / "danish.csv", False), (old_file(tmp_path, *rows, name="wide.csv"), True)):
-        said = {name: meaning for _, table in summary_rows(traffic_of(path)) for name, _, meaning in table}
+        tables = scene_folder.summary_rows(traffic_of(path))
+        said = {name: meaning for _, table in tables for name, _, meaning in table}
         assert ("take less, with --region" in said["farthest"]) == wide
 
 
 def test_of_reports_of_the_same_time_one_is_kept_whichever_comes_first(tmp_path):
-    rows = steady()
-    for changed in ({"latitude": 56.0002}, {"heading": 511}, {"speed": 11.0}, {"course": 95.0}, {"longitude": 12.0079}):
-        rows += [steady((15, changed))[15]]
+    changes = ({"latitude": 56.0002}, {"heading": 511}, {"speed": 11.0}, {"course": 95.0}, {"longitude": 12.0079})
+    rows = steady() + [steady((15, changed))[15] for changed in changes]
     one = traffic_of(old_file(tmp_path, *rows, name="one.csv"))
     other = traffic_of(old_file(tmp_path, *rows[::-1], name="other.csv"))
     assert one.dropped["duplicate"] == other.dropped["duplicate"] == 5
@@ -371,5 +326,4 @@ def test_of_reports_of_the_same_time_one_is_kept_whichever_comes_first(tmp_path)
 def test_vessels_that_report_at_the_same_time_are_no_duplicates(tmp_path):
     rows = [*(row(k) for k in (0, 10, 20)), *(row(k, 56.01, mmsi=219000002) for k in (20, 30))]
     traffic = traffic_of(old_file(tmp_path, *rows))
-    assert traffic.dropped["duplicate"] == 0
-    assert [vessel.messages for vessel in traffic.vessels] == [3, 2]
+    assert traffic.dropped["duplicate"] == 0 and [vessel.messages for vessel in traffic.vessels] == [3, 2]

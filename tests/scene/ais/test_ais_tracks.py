@@ -1,7 +1,5 @@
 """Laws of projection, antenna offset, headings, jumps and resampling."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 
@@ -11,16 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.geometry.camera_poses import world_R_vehicle
+from modsim3d.scene.ais import vessel_track
 from modsim3d.scene.ais.hulls import antenna_offset
 from modsim3d.scene.ais.messages import SeaRegion, local_metres, median_place, reachable
-from modsim3d.scene.ais.vessel_track import (
-    HeadingSource,
-    ReportedTrack,
-    fill_headings,
-    heading_rad,
-    resample,
-    to_hull_centre,
-)
+from modsim3d.scene.ais.vessel_track import HeadingSource, ReportedTrack, heading_rad, resample
 
 NAN = math.nan
 metres = st.floats(-5000, 5000)
@@ -37,18 +29,15 @@ def test_local_metres_are_the_radii_of_curvature_times_angles_nearby(latitude, l
     meridian, transverse = a * (1 - e2) / w**1.5, a / w**0.5
     there = np.array([latitude + math.degrees(north_m / meridian)])
     across = transverse * math.cos(math.radians(latitude))
-    (east, north), *_ = local_metres(
-        there, np.array([longitude + math.degrees(east_m / across)]), (latitude, longitude)
-    )
+    eastward = np.array([longitude + math.degrees(east_m / across)])
+    (east, north), *_ = local_metres(there, eastward, (latitude, longitude))
     tilted = 0.02 * (1 + math.tan(math.radians(abs(latitude))))  # metres; 300² / 6.4e6 = 0.014, times the tangent
-    assert abs(east - east_m) < tilted
-    assert abs(north - north_m) < tilted
+    assert abs(east - east_m) < tilted and abs(north - north_m) < tilted
 
 
 def test_origin_is_the_median_also_across_the_date_line():
     latitude, longitude = median_place(np.array([52.0, 53.0, 54.0]), np.array([179.9, -179.9, 179.8]))
-    assert latitude == 53.0
-    assert abs(longitude) == pytest.approx(179.9)
+    assert latitude == 53.0 and abs(longitude) == pytest.approx(179.9)
 
 
 @pytest.mark.parametrize(("corners", "inside"), [((55, 12, 57, 13), 12.5), ((50, 179, 56, -179), 180.0)])
@@ -66,32 +55,24 @@ def test_antenna_offset_has_the_signs_of_the_standard():
     assert antenna_offset(0, 40, 4, 4) == (-20, 0)  # an antenna on the bow
 
 
-@pytest.mark.parametrize(
-    ("compass_deg", "centre"),
-    [(0, (-2, 10)), (90, (10, 2)), (180, (2, -10)), (270, (-10, -2))],
-)
-def test_hull_centre_is_ahead_and_to_port_whatever_the_heading(compass_deg, centre):
+def test_hull_centre_is_ahead_and_to_port_whatever_the_heading():
     # Heading north, port is west; heading east, port is north.
-    found = to_hull_centre(np.zeros((1, 2)), heading_rad(np.array([compass_deg])), 10, 2)
-    np.testing.assert_allclose(found[0], centre, atol=1e-12)
+    found = vessel_track.to_hull_centre(np.zeros((4, 2)), heading_rad(np.array([0, 90, 180, 270])), 10, 2)
+    np.testing.assert_allclose(found, [(-2, 10), (10, 2), (2, -10), (-10, -2)], atol=1e-12)
 
 
 @given(angles, metres, metres)
 def test_hull_centre_turns_with_the_vehicle_frame(heading, ahead, to_port):
-    found = to_hull_centre(np.zeros((1, 2)), np.array([heading]), ahead, to_port)
+    found = vessel_track.to_hull_centre(np.zeros((1, 2)), np.array([heading]), ahead, to_port)
     np.testing.assert_allclose(found[0], (world_R_vehicle(heading) @ [ahead, to_port, 0])[:2], atol=1e-8)
 
 
 @st.composite
-def tracks(draw, velocities=True):
-    number = draw(st.integers(1, 12))
-    steps = draw(st.lists(st.integers(1, 100), min_size=number, max_size=number))
-    places = draw(st.lists(st.tuples(metres, metres), min_size=number, max_size=number))
-    speed = st.floats(-20, 20) if velocities else st.just(NAN)
-    known = draw(st.lists(st.tuples(speed, speed), min_size=number, max_size=number))
-    headings = draw(st.lists(angles, min_size=number, max_size=number))
-    times = np.cumsum(steps).astype(np.float64)
-    return ReportedTrack(times, np.array(places), np.array(known), np.array(headings))
+def tracks(draw):
+    speed = st.floats(-20, 20)
+    reports = st.tuples(st.integers(1, 100), st.tuples(metres, metres), st.tuples(speed, speed), angles)
+    steps, *columns = map(np.array, zip(*draw(st.lists(reports, min_size=1, max_size=12)), strict=True))
+    return ReportedTrack(np.cumsum(steps).astype(np.float64), *columns)
 
 
 def same_direction(a, b):
@@ -149,10 +130,9 @@ def test_a_gap_longer_than_the_limit_is_absence_and_no_glide():
     times = np.array([10.0, 20.0, 120.0, 130.0])
     track = ReportedTrack(times, np.zeros((4, 2)), np.full((4, 2), NAN), np.zeros(4))
     grid = np.arange(0, 141, 5.0)
-    there, *_ = resample(track, grid, 99.9)
-    assert grid[there].tolist() == [10, 15, 20, 120, 125, 130]
-    there, *_ = resample(track, grid, 100)
-    assert grid[there].tolist() == np.arange(10, 131, 5).tolist()
+    for max_gap_s, expected in ((99.9, [10, 15, 20, 120, 125, 130]), (100, [*range(10, 131, 5)])):
+        there, *_ = resample(track, grid, max_gap_s)
+        assert grid[there].tolist() == expected
 
 
 @given(st.floats(0, 360), st.floats(-179, 179), st.floats(0, 1))
@@ -167,43 +147,29 @@ def headings_of(speed, course, heading, places=None, times=None):
     number = len(speed)
     times = np.arange(number) * 10.0 if times is None else np.array(times)
     places = np.zeros((number, 2)) if places is None else np.array(places, dtype=float)
-    return fill_headings(times, places, *(np.array(values, dtype=float) for values in (speed, course, heading)), 100)
+    return vessel_track.fill_headings(
+        times, places, *(np.array(values, dtype=float) for values in (speed, course, heading)), 100
+    )
 
 
-def test_missing_heading_is_the_course_of_a_vessel_that_moves():
-    filled, source = headings_of([10, 10], [45, 50], [NAN, 47])
-    assert filled.tolist() == [45, 47]
-    assert source.tolist() == [HeadingSource.COURSE, HeadingSource.REPORT]
+REPORT, COURSE, BEARING, HELD, NOTHING = HeadingSource
+WAY, ACROSS_A_GAP = [[0, 0], [50, 0], [50, 50]], ([[0, 0], [50, 0], [0, 5000], [0, 5050]], [0, 10, 1000, 1010])
 
 
-def test_without_course_the_heading_is_the_bearing_between_positions():
-    filled, source = headings_of([10] * 3, [NAN] * 3, [NAN] * 3, [[0, 0], [50, 0], [50, 50]])
-    np.testing.assert_allclose(filled, [90, 45, 0], atol=1e-9)
-    assert source.tolist() == [HeadingSource.BEARING] * 3
-
-
-def test_a_vessel_that_lies_still_keeps_its_heading_whatever_its_course_says():
-    filled, source = headings_of([0.1, 10, 0.1, 0, 0.2], [10, 200, 77, 300, 5], [NAN] * 5)
-    assert filled.tolist() == [200] * 5
-    assert source.tolist() == [
-        HeadingSource.HELD,
-        HeadingSource.COURSE,
-        HeadingSource.HELD,
-        HeadingSource.HELD,
-        HeadingSource.HELD,
-    ]
-
-
-def test_bearings_are_not_taken_across_a_gap():
-    places = [[0, 0], [50, 0], [0, 5000], [0, 5050]]
-    filled, _ = headings_of([10] * 4, [NAN] * 4, [NAN] * 4, places, [0, 10, 1000, 1010])
-    np.testing.assert_allclose(filled, [90, 90, 0, 0], atol=1e-9)
-
-
-def test_with_nothing_to_go_by_a_vessel_lies_north_and_that_is_said():
-    filled, source = headings_of([0, 0], [NAN, NAN], [NAN, NAN])
-    assert filled.tolist() == [0, 0]
-    assert source.tolist() == [HeadingSource.NOTHING] * 2
+@pytest.mark.parametrize(
+    ("reports", "headings_deg", "sources"),
+    [
+        (([10, 10], [45, 50], [NAN, 47]), [45, 47], [COURSE, REPORT]),  # the course of a vessel that moves
+        (([10] * 3, [NAN] * 3, [NAN] * 3, WAY), [90, 45, 0], [BEARING] * 3),  # between positions, without a course
+        (([0.1, 10, 0.1, 0, 0.2], [10, 200, 77, 300, 5], [NAN] * 5), [200] * 5, [HELD, COURSE] + [HELD] * 3),
+        (([10] * 4, [NAN] * 4, [NAN] * 4, *ACROSS_A_GAP), [90, 90, 0, 0], [BEARING] * 4),
+        (([0, 0], [NAN, NAN], [NAN, NAN]), [0, 0], [NOTHING] * 2),  # north, with nothing to go by
+    ],
+)
+def test_missing_headings_come_from_course_bearing_or_the_heading_before(reports, headings_deg, sources):
+    filled, source = headings_of(*reports)
+    np.testing.assert_allclose(filled, headings_deg, atol=1e-9)
+    assert source.tolist() == sources
 
 
 @given(st.integers(0, 19), st.floats(500, 1e5), st.floats(0, 2 * math.pi))
@@ -239,6 +205,4 @@ def test_reachable_keeps_as_many_as_any_choice_of_pieces(steps):
     places = np.array([[float(place), 0.0] for _, place in steps])
     kept = reachable(times, places, 5.0)
     assert kept.sum() == brute_force(times, places, 5.0, 1.0)
-    chain = np.flatnonzero(kept)
-    gaps = np.abs(np.diff(places[chain, 0])) <= 5.0 * (np.diff(times[chain]) + 1.0)
-    assert gaps.all()
+    assert (np.abs(np.diff(places[kept, 0])) <= 5.0 * (np.diff(times[kept]) + 1.0)).all()
