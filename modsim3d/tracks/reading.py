@@ -43,21 +43,15 @@ FORMAT = 1
 
 
 class TrackedRun(Strict):
-    """Identity of the run that was tracked.
-
-    Attributes:
-        scene_sha256: Checksum of the scene's copy in the run, as in `run.json`.
-        traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
-        detections_sha256: Checksum of the run's `detections.parquet`; None of a run without a list of its files.
-    """
+    """Identity of the run that was tracked."""
 
     scene: Text
-    scene_sha256: Sha256
+    scene_sha256: Sha256  # of the scene's copy in the run, as in `run.json`
     seed: Count
     detector_seed: Count
-    traffic_seed: Count | None
+    traffic_seed: Count | None  # that the traffic was drawn from; None where every seed has this traffic
     steps: Count
-    detections_sha256: Sha256 | None
+    detections_sha256: Sha256 | None  # of the run's `detections.parquet`; None of a run without a list of its files
 
 
 class TrackFacts(Strict):
@@ -81,27 +75,17 @@ def track_paths(folder: Path) -> list[Path]:
 
 
 def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: bool) -> None:
-    """Write tracks into a folder; the same tracks give the same bytes.
-
-    Raises:
-        OutputError: The files are there and are not to be overwritten, or cannot be written.
-        ModsimError: It is not known how the tracks were made.
-    """
+    """Write tracks into a folder; the same tracks give the same bytes. Raises OutputError if the files are there and
+    are not to be overwritten, or cannot be written, and ModsimError if it is not known how the tracks were made."""
     with claimed(track_paths(folder), overwrite=overwrite, inputs=read_of_run(run.folder)):
         write_claimed_tracks(folder, run, track_set)
 
 
 def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> None:
-    """Write tracks where the caller has claimed the files, before the work.
-
-    Raises:
-        OutputError: The files cannot be written.
-        ModsimError: It is not known how the tracks were made.
-    """
+    """Write tracks where the caller has claimed the files, before the work; for errors see `write_tracks`."""
     if track_set.origin is None:
-        raise ModsimError(
-            f"the tracks '{track_set.name}' have no origin: only those that modsim3d has made are written"
-        )
+        problem = "have no origin: only those that modsim3d has made are written"
+        raise ModsimError(f"the tracks '{track_set.name}' {problem}")
     buffer = io.BytesIO()
     table = track_table(track_set.tracks, run.scene)
     pq.write_table(table, buffer, compression="zstd", row_group_size=ROW_GROUP_ROWS)
@@ -114,16 +98,12 @@ def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> N
         "counts": {"rows": len(track_set.tracks), "tracks": int(track_set.tracks.identity.max(initial=-1)) + 1},
         "files": {TABLE: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}},
     }
-    text = json_text(facts)
-    write_files({folder / TABLE: content, folder / FACTS: text})
+    write_files({folder / TABLE: content, folder / FACTS: json_text(facts)})
 
 
 def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
-    """Read the tracks that `write_tracks` has written for a run.
-
-    Raises:
-        InputError: A file is missing or damaged, or the tracks are of another run.
-    """
+    """Read the tracks that `write_tracks` has written for a run. Raises InputError if a file is missing or damaged, or
+    the tracks are of another run."""
     facts = _facts(folder / FACTS)
     _check_run(facts.run, _tracked_run(run), source_of(folder))
     with open_input(folder / TABLE, "tracks", input_files.MAX_TEXT_BYTES) as file:
@@ -165,15 +145,11 @@ def _check_run(of: TrackedRun, run: TrackedRun, source: str) -> None:
     for name in ("scene", "seed", "detector_seed", "traffic_seed", "steps", "scene_sha256"):
         theirs, ours = getattr(of, name), getattr(run, name)
         if theirs != ours:
-            raise InputError(
-                source,
-                [f"these tracks are of another run: {name} was {shown(theirs)}, and is {shown(ours)} in this run"],
-            )
+            told = f"{name} was {shown(theirs)}, and is {shown(ours)} in this run"
+            raise InputError(source, [f"these tracks are of another run: {told}"])
     if None not in (of.detections_sha256, run.detections_sha256) and of.detections_sha256 != run.detections_sha256:
-        told = f"these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
-        raise InputError(
-            source, [f"these tracks are of other detections of the same scene and seeds: checksums {told}"]
-        )
+        told = f"checksums these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
+        raise InputError(source, [f"these tracks are of other detections of the same scene and seeds: {told}"])
 
 
 def _check_columns(table: pa.Table, source: str) -> None:
@@ -283,11 +259,8 @@ def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
 
 
 def _check_reading(file: FileRows, rows: RunRows, known: KnownBoxes, truth: KnownBoxes) -> None:
-    """Hold the boxes of each camera of a file against known ones.
-
-    Raises:
-        InputError: They are meant otherwise than they are read.
-    """
+    """Hold the boxes of each camera of a file against known ones. Raises InputError if they are meant otherwise than
+    they are read."""
     for index, camera in enumerate(rows.scene.cameras):
         if problem := misreading(_box_rows(file, rows, index), known, truth):
             where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""

@@ -34,27 +34,16 @@ from modsim3d.tracks.tracks import (
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
-    """The k rows of a file.
-
-    Attributes:
-        problems: What is wrong with the rows.
-        frame: Number of the frame as in `RunRows`, shape (k,).
-        track: Number of the track, shape (k,).
-        numbers: The box as the file has it, shape (k, 4).
-        form: What these are.
-        label: Index of the label, `NOBODY` for none, shape (k,).
-        confidence: NaN for none, shape (k,).
-        covariance_px2: Of the centre, NaN for none, shape (k, 2, 2).
-    """
+    """The k rows of a file."""
 
     problems: RowProblems
-    frame: Indices
-    track: Indices
-    numbers: Array
-    form: BoxForm
-    label: Indices
-    confidence: Array
-    covariance_px2: Array
+    frame: Indices  # number of the frame as in `RunRows`: (k,)
+    track: Indices  # number of the track: (k,)
+    numbers: Array  # the box as the file has it: (k, 4)
+    form: BoxForm  # of these numbers
+    label: Indices  # index of the label, `NOBODY` for none: (k,)
+    confidence: Array  # NaN for none: (k,)
+    covariance_px2: Array  # of the centre, NaN for none: (k, 2, 2)
 
     @property
     def boxes_px(self) -> Array:
@@ -62,11 +51,7 @@ class FileRows:
         return self.form.boxes_px(self.numbers)
 
     def check(self, rows: RunRows) -> None:
-        """Check all that a row says beside its frame.
-
-        Raises:
-            InputError: A row cannot be right.
-        """
+        """Check all that a row says beside its frame. Raises InputError if a row cannot be right."""
         self._check_boxes(rows)
         self._check_attributes()
         self._check_once(rows)
@@ -152,17 +137,13 @@ def tracks_of(files: Sequence[FileRows], cameras: int) -> Tracks:
     return Tracks.of(cameras, *(np.concatenate([getattr(file, name) for file in files]) for name in names))
 
 
-TIME_TOLERANCE_S = 0.0005
-"""A time may differ so much from that of its frame: half a millisecond, for files with three decimals."""
+TIME_TOLERANCE_S = 0.0005  # of a time from that of its frame: half a millisecond, for files with three decimals
 _COLUMNS = ("camera", "step", "time_s", "track", *CORNERS.names, *CENTRE.names, "label", "confidence", *COVARIANCES)
 
 
 def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
-    """Read a file whose first line names its columns; their order, and that of the lines, does not matter.
-
-    Raises:
-        InputError: The file cannot be read, a column is wrong, or a line has something that the run has not.
-    """
+    """Read a file whose first line names its columns; their order, and that of the lines, does not matter. Raises
+    InputError if the file cannot be read, a column is wrong, or a line has something that the run has not."""
     source = source_of(path)
     names, body = named_lines(path, "tracks")
     form = _form(names, rows, source)
@@ -182,11 +163,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
 
 
 def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
-    """The form of the boxes of a file whose columns are right.
-
-    Raises:
-        InputError: They are not.
-    """
+    """The form of the boxes of a file whose columns are right. Raises InputError if they are not."""
     if not any(name in _COLUMNS for name in names):
         needed = f"camera,step,track,{','.join(CORNERS.names)}"
         got = ",".join(names)
@@ -259,16 +236,12 @@ def _nearest(times_s: Array, wanted_s: Array) -> Indices:
 _FIRST = ("frame", "identity", *MOT.names, "confidence")
 _LEAST = 6
 _NO_CONFIDENCE = -1
-_DATA = "data"
-"""The folder inside that of a tracker in which evaluators look for its files."""
+_DATA = "data"  # the folder inside that of a tracker in which evaluators look for its files
 
 
 def read_mot_tracks(path: Path, rows: RunRows, cameras: Sequence[int] = ()) -> list[FileRows]:
-    """Read the files of some cameras, all if there are none: a folder of them, or the only one.
-
-    Raises:
-        InputError: A file is missing, is of no camera, cannot be read, or has a line that cannot be right.
-    """
+    """Read the files of some cameras, all if there are none: a folder of them, or the only one. Raises InputError if a
+    file is missing, is of no camera, cannot be read, or has a line that cannot be right."""
     return [_read(file, camera, rows) for camera, file in sorted(_files(path, rows, cameras).items())]
 
 

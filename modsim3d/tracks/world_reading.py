@@ -26,11 +26,8 @@ from modsim3d.tracks.world_rows import MAX_DEG, WorldRows, checked
 
 STATE = ("w1", "w2", "v1", "v2")
 IN_SCENE, ON_EARTH = ("w1_m", "w2_m"), ("latitude_deg", "longitude_deg")
-ALONG_AXES, OVER_GROUND, BY_COURSE = (
-    ("v1_m_s", "v2_m_s"),
-    ("v_east_m_s", "v_north_m_s"),
-    ("speed_m_s", "course_deg"),
-)
+ALONG_AXES, OVER_GROUND = ("v1_m_s", "v2_m_s"), ("v_east_m_s", "v_north_m_s")
+BY_COURSE = ("speed_m_s", "course_deg")
 _UNITS = {0: "m2", 1: "m2_s", 2: "m2_s2"}
 
 
@@ -41,25 +38,20 @@ def _covariance_name(row: int, column: int) -> str:
     return f"{STATE[row]}_{STATE[column]}_covariance_{unit}"
 
 
+# Column of each place of the upper triangle of the covariance.
 COVARIANCES = {(i, j): _covariance_name(i, j) for i in range(4) for j in range(i, 4)}
-"""Column of each place of the upper triangle of the covariance."""
 _OF_POSITION = tuple(COVARIANCES[place] for place in ((0, 0), (0, 1), (1, 1)))
 _OF_VELOCITY = tuple(COVARIANCES[place] for place in ((2, 2), (2, 3), (3, 3)))
 _OF_BOTH = tuple(COVARIANCES[i, j] for i in (0, 1) for j in (2, 3))
+# Columns that are there together or not at all.
 GROUPS = (IN_SCENE, ON_EARTH, ALONG_AXES, OVER_GROUND, BY_COURSE, _OF_POSITION, _OF_VELOCITY, _OF_BOTH)
-"""Columns that are there together or not at all."""
 COLUMNS = ("track", "time_s", "step", *(name for group in GROUPS for name in group))
-_ALIKE = 0.85
-"""Of names that are taken for slips of the pen; other columns are ignored."""
+_ALIKE = 0.85  # of names that are taken for slips of the pen; other columns are ignored
 _MISSING = ("", "nan", "NaN", "null")
 
 
 def header(path: Path) -> tuple[str, ...]:
-    """The cells of the first line.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+    """The cells of the first line. Raises InputError if the file cannot be read."""
     with open_input(path, "tracks", input_files.MAX_TEXT_BYTES) as file:
         line = file.readline(input_files.MAX_LINE_CHARACTERS)
     text = line.decode("utf-8", "replace").replace("\r", "\n").partition("\n")[0]
@@ -67,11 +59,7 @@ def header(path: Path) -> tuple[str, ...]:
 
 
 def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
-    """The rows of a CSV file.
-
-    Raises:
-        InputError: It cannot be read, or its columns are not those of tracks.
-    """
+    """The rows of a CSV file. Raises InputError if it cannot be read, or its columns are not those of tracks."""
     source = source_of(path)
     columns, body = named_lines(path, "tracks")
     if marks := no_commas(line := ",".join(columns)):
@@ -157,11 +145,9 @@ def _positions_m(known: Mapping[str, Array], degrees: Array | None, problems: Ro
     if degrees is None:
         return np.column_stack([known[name] for name in IN_SCENE])
     if run.scene.origin is None:
-        problem = (
-            "has latitude and longitude, but the run's scene has no origin: give the scene the key "
-            "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
-        )
-        raise InputError(problems.source, [problem])
+        keys = "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
+        problem = "has latitude and longitude, but the run's scene has no origin: give the scene the key"
+        raise InputError(problems.source, [f"{problem} {keys}"])
     swapped = "" if (np.abs(degrees[:, 1]) > MAX_DEG[0]).any() else ": are latitude and longitude swapped?"
     problems.refuse(
         (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1),
@@ -194,8 +180,7 @@ def _velocities_m_s(
 
 # ---- Tracks in the world from a ROS 2 bag ----
 
-MAP = "map"
-"""The frame of the scene's axes in the bags that a run is exported to."""
+MAP = "map"  # the frame of the scene's axes in the bags that a run is exported to
 _KINDS = (DETECTIONS_3D, ODOMETRY)
 
 
@@ -212,17 +197,8 @@ class _Estimate(NamedTuple):
 
 
 def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> WorldRows:
-    """The rows of a bag.
-
-    Args:
-        path: Its folder.
-        run: The run.
-        topic: The topic of the tracks; None for the only one that can be.
-
-    Raises:
-        InputError: It cannot be read, has no such topic or several, or another frame.
-        ModsimError: rosbags is not installed.
-    """
+    """The rows of a bag in a folder. The topic of the tracks is None for the only one that can be. Raises InputError if
+    it cannot be read, has no such topic or several, or another frame, and ModsimError if rosbags is not installed."""
     source = source_of(path)
     messages = list(read_bag(path, "tracks", lambda topics: [_chosen(topics, source, topic)], _estimates))
     word = f"{messages[0][0]} message" if messages else "message"

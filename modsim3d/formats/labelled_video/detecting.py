@@ -29,20 +29,13 @@ BLOCK_BOXES, BLOCK_FRAMES = 8000, 2000
 
 @dataclass(frozen=True, eq=False)
 class VideoChunk:
-    """Consecutive frames of a video, and what the detector was given and made of them.
-
-    Attributes:
-        steps: Place of each frame in the video, shape (S,).
-        rows: Rows of the sought boxes in these frames, shape (n,).
-        frame: Frame of each, counted from the first, shape (n,).
-        target_rows: Which of these rows are visible, and were given to the detector, shape (k,).
-    """
+    """Consecutive frames of a video, and what the detector was given and made of them."""
 
     video: Video
-    steps: Indices
-    rows: Indices
-    frame: Indices
-    target_rows: Indices
+    steps: Indices  # place of each frame in the video: (S,)
+    rows: Indices  # of the sought boxes in these frames: (n,)
+    frame: Indices  # of each of these rows, counted from the first: (n,)
+    target_rows: Indices  # places of those that are visible, and were given to the detector: (k,)
     detections: Detections
 
     @property
@@ -87,16 +80,8 @@ def detected_parts(
     seed: int,
     horizon: Array | None,
 ) -> Iterator[VideoChunk]:
-    """Run a detector over all videos, each of which is a camera of its own.
-
-    Args:
-        videos: The videos.
-        sought: Their boxes.
-        tracks: Names of the tracks.
-        model: The detector.
-        seed: Its seed.
-        horizon: The half-plane of the sea, shape (3,); None if it is not known.
-    """
+    """Run a detector over the boxes of all videos, each of which is a camera of its own. `horizon` is the half-plane of
+    the sea: (3,); None if it is not known."""
     sea = EVERYWHERE if horizon is None else horizon
     start_s = min(float(video.times_s[0]) for video in videos)
     rows = _rows_of(videos, sought)

@@ -47,16 +47,12 @@ from modsim3d.io.misreadings import LOST
 from modsim3d.io.strict_text import check_values, composed_values, parse_json
 from modsim3d.io.validation import nearest, shown
 
-_MAX_NAMES = 1000
-"""The search for a similar name among more of them takes seconds."""
+_MAX_NAMES = 1000  # the search for a similar name among more of them takes seconds
 
 
 def read_coco(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read COCO's ground truth and results of one condition, or its ground truth alone.
-
-    Raises:
-        InputError: The files are wrong; each problem names the index of its entry.
-    """
+    """Read COCO's ground truth and results of one condition, or its ground truth alone. Raises InputError if the files
+    are wrong; each problem names the index of its entry."""
     problems, frame_rate_hz = Problems(f"ground truth {truth}", options.skip_bad), options.frame_rate_hz
     content = _object(truth, "ground truth", problems.source)
     categories = categories_of(content, problems)
@@ -174,11 +170,7 @@ def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]
 
 
 def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
-    """Name and label of each category's ID, in the order of the file.
-
-    Raises:
-        InputError: They are none.
-    """
+    """Name and label of each category's ID, in the order of the file. Raises InputError if they are none."""
     known: dict[Any, tuple[str, int]] = {}
     names = set[str]()
     for index, entry in enumerate(_list(content, "categories", problems)):
@@ -187,8 +179,7 @@ def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, t
         if not _is_id(identity) or isinstance(identity, str) or not isinstance(name, str) or not name:
             raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
         if identity in known or name in names:
-            said = f"id {identity} or name {shown(name)} appears twice"
-            raise InputError(problems.source, [f"{where}: {said}"])
+            raise InputError(problems.source, [f"{where}: id {identity} or name {shown(name)} appears twice"])
         names.add(name)
         known[identity] = (name, len(known))
     return known
@@ -197,10 +188,8 @@ def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, t
 def _images(
     content: Mapping[str, Any], frame_rate_hz: float | None, problems: Problems
 ) -> tuple[dict[Any, int], ImageRows, tuple[ID | None, ...]]:
-    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text.
-
-    The last of what it returns are the names of the sequences.
-    """
+    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text; the
+    images; and the names of the sequences."""
     entries: dict[Any, tuple[str, dict[str, Any]]] = {}
     for index, entry in enumerate(_list(content, "images", problems)):
         where = f"images[{index}]"
@@ -307,10 +296,8 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
 
 
 def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | None:
-    """Identity of an annotation; None where it is not given or -1, as in MOT.
-
-    Other programs write whole numbers as 4.0 too. Adds a problem if it is neither a whole number nor a text.
-    """
+    """Identity of an annotation; None where it is not given or -1, as in MOT. Other programs write whole numbers as 4.0
+    too. Adds a problem if it is neither a whole number nor a text."""
     key = "track_id" if "track_id" in entry else "instance_id"
     identity = entry.get(key)
     if isinstance(identity, float) and identity.is_integer():
@@ -350,11 +337,10 @@ def _result(
     score, given = confidences.read(entry.get("score"), where, problems), entry.get("probabilities")
     if score is None:
         return
-    if given is not None and not _distribution(given, len(known.categories)):
-        problems.add(f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {shown(given)})")
+    count = len(known.categories)
+    if given is not None and not (
+        isinstance(given, list) and len(given) == count and all(is_number(value, 0, 1) for value in given)
+    ):
+        problems.add(f"{where}: probabilities must be {count} numbers from 0 to 1 (got {shown(given)})")
     else:
         rows.add(place, score, given)
-
-
-def _distribution(values: Any, count: int) -> bool:
-    return isinstance(values, list) and len(values) == count and all(is_number(value, 0, 1) for value in values)

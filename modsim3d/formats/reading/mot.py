@@ -5,10 +5,8 @@ frame, −1, x, y, width, height, confidence, and a class if the eighth number i
 is only one label. A confidence of −1 in every line means that none is given. Frames and pixels count from 1: a box that
 begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). A `seqinfo.ini` beside or
 above the truth gives the size of the images, their number and the frame rate.
-
 Lines of ten numbers may have others in the last three: places in the world (MOT15), or class, truncation and occlusion
-(VisDrone). These are recognised and not read as class or visibility.
-"""
+(VisDrone). These are recognised and not read as class or visibility."""
 
 from __future__ import annotations
 
@@ -53,18 +51,9 @@ _LOOKED_AT_LINES = 20
 def number_lines(
     path: Path, what: str, separator: str | None, least: int, problems: Problems
 ) -> Iterator[tuple[str, list[float]]]:
-    """Lines of numbers, each with its place in the file; skips empty lines.
-
-    Args:
-        path: The file.
-        what: Name of the file in messages.
-        separator: Between numbers, and perhaps at the end of a line; white space if None.
-        least: Numbers that a line must have.
-        problems: Collects the lines that are wrong.
-
-    Raises:
-        InputError: The file cannot be read, or its first lines hold no number at all.
-    """
+    """Lines of numbers, each with its place in the file; empty ones are skipped, wrong ones added to the problems. The
+    `separator` stands between numbers, and perhaps at the end of a line; white space if None. A line must have at least
+    so many numbers. Raises InputError if the file cannot be read, or its first lines hold no number at all."""
     text = read_text(path, what)
     lines = text.splitlines()
     whole = {line.count(separator) for line in lines[-_LOOKED_AT_LINES:-1] if line.strip()} if separator else set()
@@ -104,18 +93,12 @@ def _why(line: str, separator: str | None) -> str:
     return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
 
 
-_MAX_CLASSES = 10_000
-"""A larger number is no class but something else."""
+_MAX_CLASSES = 10_000  # a larger number is no class but something else
 _TINY = 1e-6
 _UNKNOWN = -1
-_MANY_EMPTY = 2
-"""A sequence that is so many times longer than what has boxes may not be annotated to its end."""
-_RANGES = {
-    "imWidth": (_TINY, MAX_PX),
-    "imHeight": (_TINY, MAX_PX),
-    "frameRate": (_TINY, 1e6),
-    "seqLength": (0.0, MAX_FRAMES),
-}
+_MANY_EMPTY = 2  # a sequence so many times longer than what has boxes may not be annotated to its end
+_SIDE_PX = (_TINY, MAX_PX)
+_RANGES = {"imWidth": _SIDE_PX, "imHeight": _SIDE_PX, "frameRate": (_TINY, 1e6), "seqLength": (0.0, MAX_FRAMES)}
 """Least and largest value of each key of a `seqinfo.ini`."""
 
 
@@ -140,19 +123,14 @@ class _Known:
 
 
 Line = tuple[str, list[float]]
-Lines = list[Line]
-"""Where each line is, and its numbers."""
+Lines = list[Line]  # where each line is, and its numbers
 
 
 def read_mot(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`, or from `gt.txt` alone.
-
-    Without detections, all classes up to the largest number are labels, if the truth names any. A frame rate that is
-    given overrides that of `seqinfo.ini`; if neither gives one, frames have no times.
-
-    Raises:
-        InputError: The files are wrong; each problem names its line.
-    """
+    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`, or from `gt.txt` alone. Without
+    detections, all classes up to the largest number are labels, if the truth names any. A frame rate that is given
+    overrides that of `seqinfo.ini`; if neither gives one, frames have no times. Raises InputError if the files are
+    wrong; each problem names its line."""
     labels, problems = options.labels, Problems(f"ground truth {truth}", options.skip_bad)
     annotated, said = plain_lines(number_lines(truth, "ground truth", ",", 6, problems), truth.name, problems)
     wrong, detected = Problems(f"detections {detections}", options.skip_bad), list[Line]()
@@ -192,9 +170,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
 
 def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[Lines, list[str]]:
     """Lines whose eighth number, if any, is a class and whose ninth is a visibility; and remarks on those that are not.
-
-    Classes that are no whole numbers are problems, unless most are none in lines of ten: these are not read.
-    """
+    Classes that are no whole numbers are problems, unless most are none in lines of ten: these are not read."""
     lines = list(lines)
     classed = [(where, numbers) for where, numbers in lines if len(numbers) > 7]
     broken = [(where, numbers) for where, numbers in classed if numbers[7] != int(numbers[7])]
@@ -312,11 +288,8 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
 
 
 def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str) -> SequenceInfo:
-    """Content of `seqinfo.ini` beside or above a file, or the given size of the images and nothing else.
-
-    Raises:
-        InputError: It is wrong, or the size is not known.
-    """
+    """Content of `seqinfo.ini` beside or above a file, or the given size of the images and nothing else. Raises
+    InputError if it is wrong, or the size is not known."""
     for folder in (truth.parent, truth.parent.parent):
         path = folder / "seqinfo.ini"
         if not path.is_file():
@@ -332,9 +305,8 @@ def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str)
         width, height, rate, frames = (number_in(section.get(key, "0")) for key in _RANGES)
         return SequenceInfo((width, height), int(frames), rate or None, section.get("name") or None)
     if size_px is None:
-        raise InputError(
-            source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]
-        )
+        problem = "the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"
+        raise InputError(source, [problem])
     return SequenceInfo(size_px, 0, None)
 
 

@@ -3,8 +3,7 @@
 Lines of detections end with the confidence, and perhaps the number of a track. The images lie in the folder `images`
 beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes.
 Without such files, every file in either folder stands for an image, and `images.txt` beside the labels, a name on each
-line, adds others. An image without a file of labels, or with an empty one, has nothing in it.
-"""
+line, adds others. An image without a file of labels, or with an empty one, has nothing in it."""
 
 from __future__ import annotations
 
@@ -42,16 +41,11 @@ from modsim3d.io.validation import shown
 
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "TIFF", "WEBP")
-_ORIENTATION, _LYING = 274, (5, 6, 7, 8)
-"""The tag of a photograph that says how to rotate it, and the values of it that swap width and height."""
+_ORIENTATION, _LYING = 274, (5, 6, 7, 8)  # tag of a photograph on how to rotate it; values that swap width and height
 
 
 def images_in(folder: Path) -> dict[str, Path]:
-    """Image files of a folder, by name without ending.
-
-    Raises:
-        InputError: Two images have the same name.
-    """
+    """Image files of a folder, by name without ending. Raises InputError if two images have the same name."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in ENDINGS:
@@ -63,11 +57,7 @@ def images_in(folder: Path) -> dict[str, Path]:
 
 
 def image_size_px(path: Path) -> tuple[float, float]:
-    """Width and height of the image as it is shown.
-
-    Raises:
-        InputError: The file is no image, or the image is too large.
-    """
+    """Width and height of the image as it is shown. Raises InputError if it is no image, or too large."""
     from PIL import Image, UnidentifiedImageError
 
     source = f"image {path}"
@@ -94,20 +84,14 @@ def image_size_px(path: Path) -> tuple[float, float]:
 
 
 def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition from the folders of labels and predictions, or those that have them as `labels`.
-
-    Names of the classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images.
-
-    Raises:
-        InputError: The files are wrong; each problem names its file and line.
-    """
+    """Read one condition from the folders of labels and predictions, or those that have them as `labels`. Names of the
+    classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images. Raises InputError if
+    the files are wrong; each problem names its file and line."""
     folder, predicted = _folder(truth, needed=True), _folder(detections)
     files = _images(folder, truth)
     if options.image_size_px is None and not files:
-        raise InputError(
-            f"ground truth {truth}",
-            ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
-        )
+        problem = "YOLO's files do not say how large the images are, which are not beside them: give --image-size"
+        raise InputError(f"ground truth {truth}", [problem])
     names = options.labels or _names(truth, folder)
     own = {composed(path.stem) for path in (*_files(folder), *_files(predicted))}
     stems = files or own | _listed(folder) | _listed(truth)
@@ -180,30 +164,23 @@ def _place(
     if not 0 <= number < _MAX_CLASSES or number != int(number):
         problems.add(f"{where}: class must be a whole number from 0 to {_MAX_CLASSES - 1} (got {number:g})")
     elif max(abs(x), abs(y), width, height) > 2:
-        problems.add(
-            f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {shown(numbers[1:5])})"
-        )
+        got = shown(numbers[1:5])
+        problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {got})")
     elif valid_box(box_px, where, problems):
         return LabelledRow(image, int(number), box_px)
     return None
 
 
-_MAX_CLASSES = 10_000
-"""A larger number is no class but something else."""
+_MAX_CLASSES = 10_000  # a larger number is no class but something else
 _LISTS, _TABLES = ("classes.txt", "obj.names"), ("data.yaml", "dataset.yaml")
 """Files that name the classes, beside the labels or above: a name on each line, or all in one; `names` of YAML."""
-_LABELS = ("labels", "obj_train_data")
-_NOT_LABELS = ("classes.txt", "images.txt")
-_LOOKED_AT_FILES = 10_000
-"""Below a folder without labels, for a hint: it may be the root of a disk."""
+_LABELS, _NOT_LABELS = ("labels", "obj_train_data"), ("classes.txt", "images.txt")
+_LOOKED_AT_FILES = 10_000  # below a folder without labels, for a hint: it may be the root of a disk
 
 
 def _folder(path: Path, needed: bool = False) -> Path:
-    """The folder that has the text files.
-
-    Raises:
-        InputError: Only folders below it have text files; or there are none at all, and they are needed.
-    """
+    """The folder that has the text files. Raises InputError if only folders below it have text files; or if there are
+    none at all, and they are needed."""
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
     folder = next((path / name for name in _LABELS if (path / name).is_dir()), path)

@@ -33,18 +33,12 @@ from modsim3d.truth.full_frame import vessel_masks
 
 # ---- The pixels of annotated vessels ----
 
-_BLOCK_FRAMES = 50
-"""Frames whose solids are in memory at a time."""
-_MAX_CHARACTERS = 7
-"""Of a number in the encoding, 5 bits each: images have fewer than 2^34 pixels."""
+_BLOCK_FRAMES = 50  # whose solids are in memory at a time
+_MAX_CHARACTERS = 7  # of a number in the encoding, 5 bits each: images have fewer than 2^34 pixels
 
 
 def check_masks(request: ExportRequest) -> None:
-    """Refuse a run whose truth was not counted from the image's own pixels.
-
-    Raises:
-        ModsimError: See above.
-    """
+    """Raise ModsimError for a run whose truth was not counted from the image's own pixels."""
     annotation, folder = request.run.scene.annotation, request.run.folder
     if annotation.source != "rendered":
         raise ModsimError(
@@ -59,11 +53,8 @@ def check_masks(request: ExportRequest) -> None:
 
 
 def mask_entries(request: ExportRequest) -> Iterator[dict[str, Any]]:
-    """The keys of each annotated vessel, in order of camera, frame and vessel.
-
-    Raises:
-        ModsimError: What is drawn now has not the pixels that the run counted.
-    """
+    """The keys of each annotated vessel, in order of camera, frame and vessel. Raises ModsimError if what is drawn now
+    has not the pixels that the run counted."""
     scene = request.run.scene
     with open_renderer(scene) as renderer:
         assert renderer is not None  # see `check_masks`
@@ -112,17 +103,11 @@ def _entry(whole: Pixels, seen: Pixels, mode: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Pixels of an image as runs down its columns, each of which continues the one before it.
+    """Pixels of an image as runs down its columns, each of which continues the one before it."""
 
-    Attributes:
-        size_px: Width and height of the image.
-        starts: The number of the first pixel of each run, ascending, shape (n,).
-        stops: The number after its last pixel, shape (n,).
-    """
-
-    size_px: tuple[int, int]
-    starts: Indices
-    stops: Indices
+    size_px: tuple[int, int]  # width and height of the image
+    starts: Indices  # number of the first pixel of each run, ascending: (n,)
+    stops: Indices  # number after its last pixel: (n,)
 
     @classmethod
     def of(cls, parts: Sequence[tuple[Mask, Region]], size_px: tuple[int, int]) -> Pixels:
@@ -188,11 +173,7 @@ FILES = ("gt.json", "dt.json")
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files.
-
-    Raises:
-        ModsimError: Masks are asked for, and the run's truth has none.
-    """
+    """The paths of the files. Raises ModsimError if masks are asked for, and the run's truth has none."""
     if request.masks:
         check_masks(request)
     return FILES
@@ -205,13 +186,8 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def write_coco(labelled: LabelledSet, folder: Path, masks: Iterable[dict[str, Any]] | None = None) -> tuple[Path, Path]:
-    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths.
-
-    Args:
-        labelled: The content.
-        folder: The folder.
-        masks: Keys to be added to each annotation, in their order.
-    """
+    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths. `masks`
+    are keys to be added to each annotation, in their order."""
     truth, results = (folder / name for name in FILES)
     content = ground_truth(labelled)
     if masks is not None:

@@ -1,7 +1,5 @@
 """A ROS 2 bag in MCAP of what a tracker may read, and beside it one of the truth.
-
-The bag that a tracker plays names no vessel but own ship. docs/ros.md has topics, types and frames.
-"""
+The bag that a tracker plays names no vessel but own ship. docs/ros.md has topics, types and frames."""
 
 from __future__ import annotations
 
@@ -47,9 +45,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
     from rosbags.typesys.store import Typestore
 
-
-VERSION: Final = 8
-"""Of `metadata.yaml`: ROS 2 Humble cannot read the profiles of version 9, and every newer ROS reads 8."""
+VERSION: Final = 8  # of `metadata.yaml`: ROS 2 Humble cannot read the profiles of 9, and every newer ROS reads 8
 
 
 class Bag:
@@ -75,10 +71,8 @@ class Bag:
 
 @contextmanager
 def open_bag(folder: Path, store: Typestore) -> Iterator[Bag]:
-    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`.
-
-    It is not compressed: the bytes of zstd depend on which copy of its library the process has loaded.
-    """
+    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`. It is
+    not compressed: the bytes of zstd depend on which copy of its library the process has loaded."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -105,21 +99,16 @@ def _latched() -> Qos:
 
 # ---- Names of topics and frames in a bag, after REP 103 and REP 105 ----
 
-MAP = "map"
-"""The world's frame: x = w1, y = w2, z = w3."""
+MAP = "map"  # the world's frame: x = w1, y = w2, z = w3
 
 
 @dataclass(frozen=True)
 class BagNames:
-    """Names in the bags of an export.
+    """Names in the bags of an export."""
 
-    Attributes:
-        cameras: For each camera, by its index, its name in topics and frames.
-        vessels: For each vessel that carries one of these, by its index, the prefix of its topics and frames: its name
-            and a slash, or nothing if it is the only vessel of the scene that carries cameras.
-    """
-
-    cameras: Mapping[int, str]
+    cameras: Mapping[int, str]  # name in topics and frames, of each camera by its index
+    # Prefix of topics and frames of each vessel that carries one of these, by its index: its name and a slash, or
+    # nothing if it is the only vessel of the scene that carries cameras.
     vessels: Mapping[int, str]
 
     def base(self, vessel: int) -> str:
@@ -136,11 +125,7 @@ class BagNames:
 
 
 def bag_names(request: ExportRequest) -> BagNames:
-    """The names for an export.
-
-    Raises:
-        InputError: Two cameras or two vessels have names that are the same in ROS.
-    """
+    """The names for an export. Raises InputError if two cameras or two vessels have names that are the same in ROS."""
     scene = request.run.scene
     carriers = {scene.cameras[index].mount.vessel for index in request.cameras}
     own = [index for index in scene.own_ships if scene.vessel_names[index] in carriers]
@@ -153,7 +138,9 @@ def bag_names(request: ExportRequest) -> BagNames:
 def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
     tokens: dict[int, str] = {}
     for index, name in names.items():
-        token = _token(kind, name)
+        token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+        if not token[:1].isalpha():  # ROS takes letters, digits and underscores, beginning with a letter
+            token = f"{kind}_{token}".rstrip("_")
         same = [names[other] for other, known in tokens.items() if known == token]
         if same:
             problem = f"{kind}s '{same[0]}' and '{name}' are both called '{token}' in ROS"
@@ -162,31 +149,17 @@ def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
     return tokens
 
 
-def _token(kind: str, name: str) -> str:
-    """A name of the letters, digits and underscores that ROS takes, beginning with a letter."""
-    token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-    return token if token[:1].isalpha() else f"{kind}_{token}".rstrip("_")
-
-
 # ---- Where the frames of a bag are ----
 
 
 @dataclass(frozen=True, eq=False)
 class OwnMotion:
-    """A vessel that carries a camera, at S steps.
+    """A vessel that carries a camera, at S steps."""
 
-    Attributes:
-        vessel: Index into the scene's vessels.
-        place: Its frame in the map.
-        velocities_m_s: Of its origin, along its own axes, shape (S, 3).
-        rates_rad_s: Angular velocity along its own axes, shape (S, 3).
-        measured: What its inertial unit measures.
-    """
-
-    vessel: int
-    place: FramePlace
-    velocities_m_s: Array
-    rates_rad_s: Array
+    vessel: int  # index into the scene's vessels
+    place: FramePlace  # of its frame in the map
+    velocities_m_s: Array  # of its origin, along its own axes: (S, 3)
+    rates_rad_s: Array  # angular velocity along its own axes: (S, 3)
     measured: MeasuredMotion
 
 
@@ -250,10 +223,8 @@ def _own_motion(
 
 
 def _world_R_vessel(attitudes_rad: Array) -> Array:
-    """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3).
-
-    The yaw in waves is about the world's axis, so it is part of the heading.
-    """
+    """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3). The yaw in waves is about the
+    world's axis, so it is part of the heading."""
     tilts = attitudes_rad * np.array([1.0, 1.0, 0.0])
     turns: Array = world_R_vehicle(attitudes_rad[..., 2]) @ np.swapaxes(vehicle_R_nominal(tilts), -1, -2)
     return turns
@@ -382,17 +353,13 @@ def _variances(imu: Imu) -> Variances:
     return Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
 
 
-BAGS = ("detections", "truth")
-"""Folders of the bags; the first is a tracker's."""
+BAGS = ("detections", "truth")  # folders of the bags; the first is a tracker's
 FILES = tuple(f"{bag}/{name}" for bag in BAGS for name in (f"{bag}.mcap", "metadata.yaml"))
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files.
-
-    Raises:
-        ModsimError: rosbags is not installed, the run has no step, or its names or times cannot be those of a bag.
-    """
+    """The paths of the files. Raises ModsimError if rosbags is not installed, the run has no step, or its names or
+    times cannot be those of a bag."""
     _recording(request)
     return FILES
 

@@ -30,11 +30,9 @@ from modsim3d.tracks.tracks import SEQUENCE_HEADING, free_name
 from modsim3d.world.vessels import Vessel
 
 ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
-SCORED, DISTRACTOR = 1, 8
-"""Classes of the format: the only one that evaluators score, and one whose matches they leave out."""
+SCORED, DISTRACTOR = 1, 8  # the only class that evaluators score, and one whose matches they leave out
 UNKNOWN = -1
-_MIN_IOU = 0.5
-"""From here on evaluators match a track to a distractor."""
+_MIN_IOU = 0.5  # from here on evaluators match a track to a distractor
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
@@ -44,11 +42,7 @@ def files(request: ExportRequest) -> tuple[str, ...]:
 
 
 def write(request: ExportRequest, folder: Path) -> None:
-    """Write a run.
-
-    Raises:
-        OutputError: The folder holds sequences of an earlier export that this one would not replace.
-    """
+    """Write a run. Raises OutputError if the folder holds sequences of an earlier export that it would not replace."""
     sequences = _sequences(request)
     _check_no_others(sequences, folder)
     contents = {f"{each.folder}/{file}": text(each) for each in sequences for file, text in _SEQUENCE_FILES.items()}
@@ -86,22 +80,20 @@ class _Sequence:
 
 def _sequences(request: ExportRequest) -> list[_Sequence]:
     labels, found = request.run.scene.detector.labels, list[_Sequence]()
+
+    def free(wanted: str, set_: str) -> str:
+        return free_name(wanted, [each.name for each in found if each.set == set_])
+
     for each in request.sequences:
-        name = _free_name(each.camera.name, ALL_SET, found)
-        found.append(_Sequence(ALL_SET, name, each, each.truth, each.detections))
+        found.append(_Sequence(ALL_SET, free(each.camera.name, ALL_SET), each, each.truth, each.detections))
     for each in request.sequences:
         for number, label in enumerate(labels):
             truth = each.truth.take(each.truth.label == number)
             detections = each.detections.take(each.detections.label == number)
             if truth.annotated.any() or len(detections):
-                name = _free_name(f"{each.camera.name}-{label}", CLASS_SET, found)
+                name = free(f"{each.camera.name}-{label}", CLASS_SET)
                 found.append(_Sequence(CLASS_SET, name, each, truth, detections))
     return found
-
-
-def _free_name(wanted: str, set_: str, given: Iterable[_Sequence]) -> str:
-    """A name for a folder like the one that is wanted, which no sequence of the set has."""
-    return free_name(wanted, [each.name for each in given if each.set == set_])
 
 
 def _info(sequence: _Sequence) -> str:
@@ -137,10 +129,8 @@ def _detections(sequence: _Sequence) -> str:
 
 
 def detection_text(found: TrackerDetections, classes: Indices | None = None) -> str:
-    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known.
-
-    With classes, shape (m,), they stand in place of the first number of that place, as in truth.
-    """
+    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known. With
+    classes, shape (m,), they stand in place of the first number of that place, as in truth."""
     unknown = np.full(len(found), UNKNOWN)
     last = [unknown if classes is None else classes, unknown, unknown]
     return _lines([found.frame + 1, unknown, *_places(found.boxes_px), found.confidence, *last])

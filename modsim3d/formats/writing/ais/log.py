@@ -42,14 +42,12 @@ from modsim3d.scene.scene import Scene
 
 # ---- AIS reports as NMEA sentences, through pyais ----
 
-EPOCH_S = 1_577_836_800
-"""Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute."""
+EPOCH_S = 1_577_836_800  # Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute
 NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
 FASTEST_KN = 102.2
 TURN_STEP, MAX_TURN = 4.733, 126
 """The rate of turn in degrees a minute is sent as its root times this, and from 708° a minute on as 126."""
-HEADING_FROM_M = 45.0
-"""From about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn."""
+HEADING_FROM_M = 45.0  # from about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn
 AT_ANCHOR, UNDER_WAY = 1, 0
 BY_GPS = 1
 NO_HOUR, NO_MINUTE = 24, 60
@@ -60,10 +58,7 @@ Fields = dict[str, Any]
 
 
 def position_fields(station: Station, seen: SensorReadings, row: int, at_rest: bool, between: bool) -> Fields:
-    """Message 1 or 3 of class A, or 18 of class B, with what was measured at a second.
-
-    Class B has no compass.
-    """
+    """Message 1 or 3 of class A, or 18 of class B, which has no compass, with what was measured at a second."""
     speed, course = float(seen.speed_kn[row]), float(seen.course_deg[row])
     fields: Fields = {
         "msg_type": 18 if station.ais_class == "B" else 3 if between else 1,
@@ -78,20 +73,17 @@ def position_fields(station: Station, seen: SensorReadings, row: int, at_rest: b
         flags = {"cs": True, "dsc": True, "band": True, "msg22": True}
         return fields | flags | {"heading": NO_HEADING, "radio": CARRIER_SENSE_STATE}
     turn = turn_field(float(seen.turn_deg_min[row])) if station.length_m >= HEADING_FROM_M else NO_TURN
-    status = AT_ANCHOR if at_rest else UNDER_WAY
     return fields | {
         "heading": round(float(seen.heading_deg[row])) % 360,
         "turn": turn,
-        "status": status,
+        "status": AT_ANCHOR if at_rest else UNDER_WAY,
         "maneuver": 0,
     }
 
 
 def turn_field(turn_deg_min: float) -> float:
-    """The rate of turn that is sent for one, in degrees a minute.
-
-    It is rounded to what the field can hold, since pyais takes 127 and 128 for codes with another meaning.
-    """
+    """The rate of turn that is sent for one, in degrees a minute. It is rounded to what the field can hold, since pyais
+    takes 127 and 128 for codes with another meaning."""
     coded = min(round(TURN_STEP * math.sqrt(abs(turn_deg_min))), MAX_TURN)
     return math.copysign((coded / TURN_STEP) ** 2, turn_deg_min)
 
@@ -114,15 +106,9 @@ def payload(fields: Fields) -> tuple[str, int]:
 
 
 def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time_s: float) -> str:
-    """The lines of a message in the log: a tag block with the Unix time, and the sentence.
-
-    Args:
-        message: The encoded message and its fill bits.
-        own: Whether own ship sent it.
-        channel: `A` or `B`.
-        sequence: Number from 0 to 9, which the parts of a long message share.
-        time_s: When it was sent, in seconds since the first step.
-    """
+    """The lines of a message and its fill bits in the log: a tag block with the Unix time, and the sentence. `channel`
+    is `A` or `B`, `sequence` a number from 0 to 9, which the parts of a long message share, and `time_s` counts from
+    the first step."""
     text, fill_bits = message
     block = f"c:{EPOCH_S + math.floor(time_s)}"
     tag = f"\\{block}*{reduce(xor, block.encode('ascii'), 0):02X}\\"
@@ -131,8 +117,7 @@ def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time
 
 
 LOG, TRUTH = "ais.nmea", "ais_truth.csv"
-NOWHERE = (0.0, 0.0)
-"""Latitude and longitude of a scene without an origin."""
+NOWHERE = (0.0, 0.0)  # latitude and longitude of a scene without an origin
 
 
 @dataclass(frozen=True, order=True)
@@ -148,11 +133,7 @@ class ReceivedReport:
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files.
-
-    Raises:
-        ModsimError: The chosen cameras are on board several vessels.
-    """
+    """The paths of the files. Raises ModsimError if the chosen cameras are on board several vessels."""
     own_ship(request)
     return LOG, TRUTH
 
@@ -178,11 +159,8 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def own_ship(request: ExportRequest) -> tuple[int, ...]:
-    """The index of the vessel that carries the chosen cameras; empty if all of them are ashore.
-
-    Raises:
-        ModsimError: Several vessels carry them.
-    """
+    """The index of the vessel that carries the chosen cameras; empty if all are ashore. Raises ModsimError if several
+    vessels carry them."""
     names = request.run.scene.vessel_names
     carriers = {request.run.scene.cameras[index].mount.vessel for index in request.cameras} - {None}
     found = tuple(index for index, name in enumerate(names) if name in carriers)
