@@ -95,11 +95,7 @@ class Sea:
 
 
 def jonswap_sea(
-    significant_height_m: float,
-    peak_period_s: float,
-    direction_rad: float,
-    seed: int,
-    peakedness: float = PEAKEDNESS,
+    significant_height_m: float, peak_period_s: float, direction_rad: float, seed: int, peakedness: float = PEAKEDNESS
 ) -> Sea:
     """A sea whose elevation has a variance of (H / 4)². Each wave has the energy of a band of frequencies. Its
     frequency is random within the band, so that the sea never repeats itself, and its phase is random. The significant

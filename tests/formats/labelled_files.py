@@ -1,12 +1,10 @@
 """A labelled video as COCO, MOT and YOLO files, with boxes in whatever form a test asks for."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -35,7 +33,7 @@ class Video:
     found: np.ndarray[Any, Any]
 
     @classmethod
-    def of(cls, seed: int = 0, frames: int = 40, noise_px: float = 2.0, bias: float = 1.0) -> Video:
+    def of(cls, seed: int = 0, frames: int = 40, noise_px: float = 2.0, bias: float = 1.0) -> Self:
         """Six boats that cross the image from edge to edge, and boxes `bias` times as large."""
         rng, step = np.random.default_rng(seed), np.arange(frames)[:, None]
         size = np.array([[40.0, 16], [90, 40], [300, 90], [30, 12], [200, 70], [60, 50]])

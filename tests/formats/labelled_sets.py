@@ -1,7 +1,5 @@
 """Labelled sets made from random numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results

@@ -1,7 +1,5 @@
 """Files as ultralytics, detectron2, Roboflow and the MOT challenge really write them."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -18,11 +16,9 @@ NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 
 
 def coco(tmp_path, results, names=NAMES, first_id=11, images=None, annotations=None):
+    common = {"width": 640, "height": 480, **(images or {})}
     truth = {
-        "images": [
-            {"id": first_id + k, "width": 640, "height": 480, "file_name": name, **(images or {})}
-            for k, name in enumerate(names)
-        ],
+        "images": [{"id": first_id + k, "file_name": name, **common} for k, name in enumerate(names)],
         "categories": [{"id": 1, "name": "kayak"}, {"id": 2, "name": "ferry"}],
         "annotations": annotations or [{"image_id": first_id, "category_id": 1, "bbox": [1, 2, 30, 40]}],
     }
@@ -57,7 +53,7 @@ NUMBERED = ("000010.jpg", "000011.jpg", "000012.jpg")
 def test_an_image_is_named_by_its_id_or_by_its_file_and_what_may_be_either_is_told(
     names, results, rows, doubtful, tmp_path
 ):
-    labelled = read_pair("day", *coco(tmp_path, results, names), ReadOptions())
+    labelled = read_pair("day", *coco(tmp_path, results, names))
     assert labelled.results.image.tolist() == rows and set(labelled.results.confidence) == {0.87512}
     assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
@@ -65,7 +61,7 @@ def test_an_image_is_named_by_its_id_or_by_its_file_and_what_may_be_either_is_to
 def test_a_file_name_that_two_images_have_stands_for_neither(tmp_path):
     files = coco(tmp_path, [result("a"), result("b")], ("one/a.jpg", "two/a.jpg", "b.jpg"))
     with pytest.raises(InputError, match=r"\[0\]: unknown image_id 'a'"):
-        read_pair("day", *files, ReadOptions())
+        read_pair("day", *files)
 
 
 def test_ids_of_images_may_be_text(tmp_path):
@@ -74,18 +70,17 @@ def test_ids_of_images_may_be_text(tmp_path):
     content["images"] = [{"id": name, "width": 640, "height": 480} for name in ("south", "north")]
     content["annotations"][0]["image_id"] = "south"
     truth.write_text(json.dumps(content))
-    labelled = read_pair("day", truth, detections, ReadOptions())
+    labelled = read_pair("day", truth, detections)
     assert labelled.images.names == ("north", "south") and labelled.results.image.tolist() == [0]
 
 
 def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path):
     files = coco(tmp_path, [result(11, 0), result(12, 1)])
     with pytest.raises(InputError) as raised:
-        read_pair("day", *files, ReadOptions())
-    assert raised.value.problems == (
-        "[0]: unknown category_id 0 (known: 1, 2)",
-        "category IDs are off by one: --category-offset 1 would set them right",
-    )
+        read_pair("day", *files)
+    unknown, hint = raised.value.problems
+    assert unknown == "[0]: unknown category_id 0 (known: 1, 2)"
+    assert hint == "category IDs are off by one: --category-offset 1 would set them right"
     assert read_pair("day", *files, ReadOptions(category_offset=1)).results.label.tolist() == [0, 1]
     with pytest.raises(InputError, match=r"\[1\]: unknown category_id 7 .*\Z"):
         read_pair("day", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())

@@ -14,8 +14,7 @@ from tests.world.drawn_traffic import LAND, OWN, TRAFFIC, Drive, draw, traffic_k
 SEEDS = range(6)
 STEP_S = 0.5
 ABAFT_RAD = math.radians(112.5)
-NEARER_M = float(np.nextafter(10.0, 0.0))
-"""Nearer than the clearance, which is the least distance that is kept."""
+NEARER_M = float(np.nextafter(10.0, 0.0))  # nearer than the clearance, which is the least distance that is kept
 
 
 @pytest.fixture(scope="module")
@@ -156,12 +155,11 @@ def test_vessels_of_a_lane_are_there_from_its_one_end_to_the_other():
 
 
 def test_arrivals_come_out_as_asked_and_traffic_is_stationary():
-    lane = {"waypoints_m": [[0, 0], [3000, 0]], "width_m": 400, "per_hour": 40, "kinds": "coaster", "speed_m_s": {}}
+    lane = {"waypoints_m": [[0, 0], [3000, 0]], "width_m": 400, "per_hour": 40, "kinds": "coaster"}
+    lanes = {"lane": lane | {"speed_m_s": {"coaster": 6.0}}}
     seen, early, late, expected, left_out = 0, 0, 0, 0.0, 0
     for seed in range(40):
-        drive = draw(
-            {"lanes": {"lane": lane | {"speed_m_s": {"coaster": 6.0}}}}, seed, steps=41, time_step_s=5.0, land={}
-        )
+        drive = draw({"lanes": lanes}, seed, steps=41, time_step_s=5.0, land={})
         seen += len(drive.of("lanes.lane"))
         left_out += sum(drive.traffic.left_out.values())
         early, late = early + drive.poses.present[0].sum(), late + drive.poses.present[-1].sum()
@@ -216,11 +214,8 @@ def test_sailing_craft_keep_away_from_the_wind():
 
 
 def same(first: Drive, second: Drive) -> bool:
-    ours, theirs = first.poses, second.poses
-    return first.vessels == second.vessels and all(
-        getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()
-        for name in ("present", "positions_m", "headings_rad")
-    )
+    ours, theirs = ([column.tobytes() for column in vars(drive.poses).values()] for drive in (first, second))
+    return first.vessels == second.vessels and ours == theirs
 
 
 def test_same_seed_gives_the_same_bytes_and_another_other_traffic(drives):
@@ -231,10 +226,8 @@ def test_same_seed_gives_the_same_bytes_and_another_other_traffic(drives):
 
 def test_a_changed_lane_leaves_the_draws_of_another_unchanged():
     lane = {"width_m": 200, "per_hour": 30, "kinds": ["coaster", "tug"]}
-    lanes = {
-        "a": lane | {"waypoints_m": [[0, 0], [3000, 0]]},
-        "b": lane | {"waypoints_m": [[0, 5000], [3000, 5000]]},
-    }
+    ways = {"a": [[0, 0], [3000, 0]], "b": [[0, 5000], [3000, 5000]]}
+    lanes = {name: lane | {"waypoints_m": way} for name, way in ways.items()}
     before = draw({"lanes": lanes}, steps=60, land={})
     lanes["a"] = lanes["a"] | {"per_hour": 60, "kinds": "tug"}
     after = draw({"lanes": lanes}, steps=60, land={})
@@ -266,9 +259,8 @@ def test_own_ship_follows_her_route_at_a_speed_of_the_range(drives):
 def test_entries_have_the_form_of_a_vessels_file_and_labels_may_be_renamed():
     drive = draw(TRAFFIC, 0)
     assert {entry["label"] for entry in drive.entries.values()} == {"boat", "sailboat", "ship"}
-    assert all(
-        entry.keys() <= {"length_m", "beam_m", "air_draft_m", "label", "mesh"} for entry in drive.entries.values()
-    )
+    keys = {"length_m", "beam_m", "air_draft_m", "label", "mesh"}
+    assert all(entry.keys() <= keys for entry in drive.entries.values())
     renamed = draw(traffic_keys(labels={"sailboat": "boat"}), 0)
     assert {vessel.label for vessel in renamed.vessels} == {"boat", "ship"}
     one = draw(traffic_keys(labels="Vessel"), 0)
