@@ -7,6 +7,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import pytest
+
+from modsim3d.core.errors import InputError
+from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
+from modsim3d.formats.reading.pair import read_pair
 
 WIDTH, HEIGHT = 1920, 1080
 NAMES = ("boat", "sailboat", "ship")
@@ -100,3 +105,9 @@ def yolo(
             lines = (f"{j % 3} {' '.join(f'{n:.8f}' for n in box)}{end}\n" for j, box in enumerate(shares))
             (folder / name / f"{k:03}.txt").write_text("".join(lines))
     return folder / "set", folder / "p"
+
+
+def refused(told: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> None:
+    """Check that a pair of files is refused with a message that matches."""
+    with pytest.raises(InputError, match=told):
+        read_pair("day", truth, detections, options)

@@ -10,6 +10,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import joined
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
+from tests.formats.labelled_files import refused
 from tests.formats.labelled_sets import random_set
 
 TRUTH = {
@@ -183,8 +184,7 @@ def test_mot(tmp_path):
     assert places == [f"det.txt line {k}" for k in (3, 4, 1, 2, 5)]
     assert raised.value.problems[-1].startswith("confidences are from 0.9 to 7 here: --confidence-scale")
     (tmp_path / "seqinfo.ini").unlink()
-    with pytest.raises(InputError, match="give --image-size"):
-        read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
+    refused("give --image-size", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())
 
 
 def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,40,0.9\n", size=(640, 480), labels=()):
@@ -233,10 +233,8 @@ def test_yolo(tmp_path):
     assert labelled.annotations.boxes_px[0].tolist() == [300, 100, 500, 300]
     assert labelled.results.image.tolist() == [2] and labelled.results.confidence.tolist() == [0.75]
     (predictions / "c.txt").write_text("1 0.5 0.5 0.2 0.2\n0.5 0.1 0.1 0.1 0.1 0.9\n0 400 300 20 20 0.9\n")
-    with pytest.raises(InputError, match=r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares"):
-        read_pair("day", truth, predictions, given)
-    with pytest.raises(InputError, match="give --image-size"):
-        read_pair("day", truth, predictions, ReadOptions())
+    refused(r"c.txt line 1: has 5 numbers.*\n.*c.txt line 2: class.*\n.*line 3: .*shares", truth, predictions, given)
+    refused("give --image-size", truth, predictions, ReadOptions())
 
 
 def yolo(tmp_path, line="0 0.5 0.5 0.25 0.5\n", data="names: [ferry]\n", labels=()):
@@ -270,8 +268,7 @@ def test_what_is_not_there_is_not_taken_for_another_kind_and_two_kinds_do_not_go
     assert raised.value.problems == (f"detections {tmp_path / 'nowhere'}: no such file or folder",)
     gt, _ = written(tmp_path)
     (tmp_path / "det.txt").touch()
-    with pytest.raises(InputError, match=r"looks like COCO and .* like MOT"):
-        read_pair("day", gt, tmp_path / "det.txt", ReadOptions())
+    refused(r"looks like COCO and .* like MOT", gt, tmp_path / "det.txt", ReadOptions())
 
 
 def test_joined_sets_keep_their_rows_apart():

@@ -11,6 +11,7 @@ from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair, read_truth
 from modsim3d.formats.reading.yolo import image_size_px
 from modsim3d.io.misreadings import are_rounded
+from tests.formats.labelled_files import refused
 
 NAMES = ("frame_000.jpg", "frame_001.jpg", "frame_002.jpg")
 
@@ -60,8 +61,7 @@ def test_an_image_is_named_by_its_id_or_by_its_file_and_what_may_be_either_is_to
 
 def test_a_file_name_that_two_images_have_stands_for_neither(tmp_path):
     files = coco(tmp_path, [result("a"), result("b")], ("one/a.jpg", "two/a.jpg", "b.jpg"))
-    with pytest.raises(InputError, match=r"\[0\]: unknown image_id 'a'"):
-        read_pair("day", *files)
+    refused(r"\[0\]: unknown image_id 'a'", *files)
 
 
 def test_ids_of_images_may_be_text(tmp_path):
@@ -82,15 +82,13 @@ def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path
     assert unknown == "[0]: unknown category_id 0 (known: 1, 2)"
     assert hint == "category IDs are off by one: --category-offset 1 would set them right"
     assert read_pair("day", *files, ReadOptions(category_offset=1)).results.label.tolist() == [0, 1]
-    with pytest.raises(InputError, match=r"\[1\]: unknown category_id 7 .*\Z"):
-        read_pair("day", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())
+    refused(r"\[1\]: unknown category_id 7 .*\Z", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())
 
 
 def test_what_was_meant_is_looked_for_only_in_what_is_shown(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("modsim3d.formats.reading.coco.nearest", lambda name, known: asked.append(name) or "a hint")
-    with pytest.raises(InputError, match=r"480 more"):
-        read_pair("day", *coco(tmp_path, [result(f"shot_{k}") for k in range(500)]), ReadOptions())
+    refused(r"480 more", *coco(tmp_path, [result(f"shot_{k}") for k in range(500)]), ReadOptions())
     assert len(asked) == 20  # among thousands of images each takes a tenth of a second
 
 
@@ -197,19 +195,14 @@ def test_the_size_of_an_image_is_known_without_its_pixels_and_too_large_ones_are
 
 def test_yolo_folders_that_are_not_meant_are_refused(yolo):
     labels, predictions = yolo / "set" / "labels" / "val", yolo / "predict" / "labels"
-    with pytest.raises(InputError, match=r"has no labels itself; those below it have: .*val"):
-        read_pair("day", yolo / "set", predictions, ReadOptions())
+    refused(r"has no labels itself; those below it have: .*val", yolo / "set", predictions, ReadOptions())
     (predictions / "c.txt").write_text("1 0.5 0.5 0.5 0.5 0.9\n")
-    with pytest.raises(InputError, match=r"c.txt: there is no image of this name"):
-        read_pair("day", labels, predictions, ReadOptions())
+    refused(r"c.txt: there is no image of this name", labels, predictions, ReadOptions())
     (predictions / "c.txt").unlink()
     (predictions / "b.txt").write_text("1 0.5 0.5 0.5 0.5\n")
-    with pytest.raises(InputError, match=r"b.txt line 1: has 5 numbers, must have 6.*\n.*save_conf=True"):
-        read_pair("day", labels, predictions, ReadOptions())
+    refused(r"b.txt line 1: has 5 numbers, must have 6.*\n.*save_conf=True", labels, predictions, ReadOptions())
     (predictions / "b.txt").unlink()
     assert len(read_pair("day", labels, predictions, ReadOptions()).results) == 0  # nothing was detected
     (yolo / "set" / "images" / "val" / "a.jpg").write_bytes(b"no image")
-    with pytest.raises(InputError, match=r"image .*a.jpg:\n.*cannot be read"):
-        read_pair("day", labels, predictions, ReadOptions())
-    with pytest.raises(InputError, match=r"has no labels: no .txt file"):
-        read_pair("day", yolo / "set" / "images" / "val", predictions, ReadOptions())
+    refused(r"image .*a.jpg:\n.*cannot be read", labels, predictions, ReadOptions())
+    refused(r"has no labels: no .txt file", yolo / "set" / "images" / "val", predictions, ReadOptions())
