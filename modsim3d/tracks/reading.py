@@ -6,6 +6,7 @@ import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -104,7 +105,10 @@ def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> N
 def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
     """Read the tracks that `write_tracks` has written for a run. Raises InputError if a file is missing or damaged, or
     the tracks are of another run."""
-    facts = _facts(folder / FACTS)
+    try:
+        facts = TrackFacts.model_validate(load_json(folder / FACTS, "tracks"))
+    except ValidationError as error:
+        raise InputError(source_of(folder / FACTS), describe(error, TrackFacts)) from None
     _check_run(facts.run, _tracked_run(run), source_of(folder))
     with open_input(folder / TABLE, "tracks", input_files.MAX_TEXT_BYTES) as file:
         content = file.read()
@@ -130,14 +134,6 @@ def _tracked_run(run: StoredRun) -> TrackedRun:
         steps=run.steps,
         detections_sha256=entry["sha256"] if entry else None,
     )
-
-
-def _facts(path: Path) -> TrackFacts:
-    content = load_json(path, "tracks")
-    try:
-        return TrackFacts.model_validate(content)
-    except ValidationError as error:
-        raise InputError(source_of(path), describe(error, TrackFacts)) from None
 
 
 def _check_run(of: TrackedRun, run: TrackedRun, source: str) -> None:
@@ -176,12 +172,11 @@ def _rows(table: pa.Table, rows: RunRows, source: str) -> FileRows:
     cameras = [camera.name for camera in scene.cameras]
     camera, label = indices(table, "camera", cameras), indices(table, "label", scene.detector.labels)
     problems.refuse(camera == NOBODY, lambda row: f"there is no camera {shown(table['camera'][row].as_py())}")
-    problems.refuse(
-        (label == NOBODY) & ~np.asarray(table["label"].is_null(), dtype=bool),
-        lambda row: (
-            f"there is no label '{table['label'][row]}' ({nearest(str(table['label'][row]), scene.detector.labels)})"
-        ),
-    )
+
+    def say(row: int) -> str:
+        return f"there is no label '{table['label'][row]}' ({nearest(str(table['label'][row]), scene.detector.labels)})"
+
+    problems.refuse((label == NOBODY) & ~np.asarray(table["label"].is_null(), dtype=bool), say)
     frame = frames_at(rows, camera, integer_column(table, "step"), problems)
     problems.settle()
     boxes = np.column_stack([number_column(table, name) for name in BOX_SIDES])
@@ -230,8 +225,10 @@ def read_tracks(path: StrPath, run: StoredRun, rows: RunRows, cameras: Sequence[
     known = _known("a detection", rows.detection_frame, rows.detection_boxes_px())
     true_px = np.concatenate([rows.boxes_px("visible"), rows.boxes_px("full")])
     truth = _known("a vessel", np.tile(rows.truth_frame, 2), true_px)
-    for file in files:
-        _check_reading(file, rows, known, truth)
+    for file, (index, camera) in product(files, enumerate(rows.scene.cameras)):
+        if problem := misreading(_box_rows(file, rows, index), known, truth):  # they are meant otherwise than read
+            where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
+            raise InputError(file.problems.source, [where + problem.told])
     for file in files:
         file.check(rows)
     tracks = tracks_of(files, len(rows.scene.cameras))
@@ -256,15 +253,6 @@ def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
     order = np.argsort(frame, kind="stable")
     order = order[np.isfinite(boxes_px[order]).all(axis=1)]
     return KnownBoxes(word, frame[order], boxes_px[order])
-
-
-def _check_reading(file: FileRows, rows: RunRows, known: KnownBoxes, truth: KnownBoxes) -> None:
-    """Hold the boxes of each camera of a file against known ones. Raises InputError if they are meant otherwise than
-    they are read."""
-    for index, camera in enumerate(rows.scene.cameras):
-        if problem := misreading(_box_rows(file, rows, index), known, truth):
-            where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
-            raise InputError(file.problems.source, [where + problem.told])
 
 
 def _box_rows(file: FileRows, rows: RunRows, camera: int) -> BoxRows:

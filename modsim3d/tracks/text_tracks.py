@@ -82,9 +82,8 @@ class FileRows:
         )
         (a, b), (_, d) = np.moveaxis(self.covariance_px2, 0, -1)
         known = ~np.isnan(self.covariance_px2)[:, [0, 0, 1], [0, 1, 1]]
-        self.problems.refuse(
-            known.any(axis=1) & ~known.all(axis=1), lambda row: "the covariance needs all three numbers, or none"
-        )
+        some = known.any(axis=1) & ~known.all(axis=1)
+        self.problems.refuse(some, lambda row: "the covariance needs all three numbers, or none")
         self.problems.refuse(
             known.all(axis=1) & ~covariances(a, b, d),
             lambda row: (
@@ -286,9 +285,8 @@ def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
     many = len(table)
     frame = _mot_frames(table, rows, camera)
     track = table.identities("identity", _NO_CONFIDENCE)
-    table.problems.refuse(
-        track == NOBODY, lambda row: "identity is -1, as in a file of detections: tracks need one of 0 or more"
-    )
+    unknown = "identity is -1, as in a file of detections: tracks need one of 0 or more"
+    table.problems.refuse(track == NOBODY, lambda row: unknown)
     numbers = np.column_stack([table.numbers(name) for name in MOT.names])
     confidence = table.numbers("confidence") if table.has("confidence") else np.full(many, np.nan)
     table.problems.settle()
@@ -303,10 +301,8 @@ def _mot_frames(table: TextTable, rows: RunRows, camera: int) -> Indices:
     number = table.whole_numbers("frame", 0)
     name = rows.scene.cameras[camera].name
     table.problems.refuse(number == 0, lambda row: "frame is 0: frames count from 1, and here perhaps from 0")
-    table.problems.refuse(
-        number > len(taken),
-        lambda row: f"there is no frame {number[row]}: camera '{name}' has frames 1 to {len(taken)}",
-    )
+    has = f"camera '{name}' has frames 1 to {len(taken)}"
+    table.problems.refuse(number > len(taken), lambda row: f"there is no frame {number[row]}: {has}")
     there = (number >= 1) & (number <= len(taken))
     found = np.full(len(table), NOBODY)
     found[there] = taken[number[there] - 1]

@@ -45,17 +45,10 @@ class TrueTracks(Columns):
             scored = scored & rows.annotated
             boxes_px = np.where(scored[:, None], rows.annotated_boxes_px, boxes_px)
         order = np.lexsort((rows.truth_vessel, rows.truth_frame))
-        return cls(
-            len(rows.scene.cameras),
-            order,
-            rows.truth_frame[order],
-            rows.truth_vessel[order],
-            appearances(rows, gap_s)[order],
-            indices(rows.truth, "label", rows.scene.detector.labels)[order],
-            boxes_px[order],
-            scored[order],
-            (unseen & (silhouette_px > 0))[order],
-        )
+        identity, label = appearances(rows, gap_s), indices(rows.truth, "label", rows.scene.detector.labels)
+        hidden = unseen & (silhouette_px > 0)
+        keys = np.arange(len(order)), rows.truth_frame, rows.truth_vessel, identity, label
+        return cls(len(rows.scene.cameras), *keys, boxes_px, scored, hidden).take(order)
 
 
 def appearances(rows: RunRows, gap_s: float) -> Indices:
@@ -79,7 +72,7 @@ def appearances(rows: RunRows, gap_s: float) -> Indices:
 # ---- Which track follows which vessel, frame by frame ----
 
 _SAME_AS_BEFORE = 1000.0
-"""What a pair of the frame before gains over all others, as CLEAR MOT has it (Bernardin & Stiefelhagen (2008))."""
+"""A pair of the frame before gains so much over all others, as CLEAR MOT has it (Bernardin & Stiefelhagen (2008))."""
 
 
 @dataclass(frozen=True, eq=False)

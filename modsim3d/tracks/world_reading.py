@@ -131,13 +131,12 @@ def _times_s(known: Mapping[str, Array], problems: RowProblems, run: StoredRun) 
     time_s = known["time_s"]
     if steps is not None:  # blank ones say nothing
         of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
-        problems.refuse(
-            np.abs(of_time - steps) > 0.5 + 1e-9,
-            lambda row: (
-                f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}: leave out "
-                "the column that is wrong"
-            ),
-        )
+
+        def say(row: int) -> str:
+            differ = f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}"
+            return f"{differ}: leave out the column that is wrong"
+
+        problems.refuse(np.abs(of_time - steps) > 0.5 + 1e-9, say)
     return time_s
 
 
@@ -149,12 +148,8 @@ def _positions_m(known: Mapping[str, Array], degrees: Array | None, problems: Ro
         problem = "has latitude and longitude, but the run's scene has no origin: give the scene the key"
         raise InputError(problems.source, [f"{problem} {keys}"])
     swapped = "" if (np.abs(degrees[:, 1]) > MAX_DEG[0]).any() else ": are latitude and longitude swapped?"
-    problems.refuse(
-        (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1),
-        lambda row: (
-            f"is no latitude and longitude in degrees (got {degrees[row, 0]:g} and {degrees[row, 1]:g}){swapped}"
-        ),
-    )
+    wrong, must = (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1), "is no latitude and longitude in degrees"
+    problems.refuse(wrong, lambda row: f"{must} (got {degrees[row, 0]:g} and {degrees[row, 1]:g}){swapped}")
     return local_metres(degrees[:, 0], degrees[:, 1], run.scene.origin)
 
 
@@ -204,10 +199,8 @@ def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> Worl
     word = f"{messages[0][0]} message" if messages else "message"
     number, frames = np.arange(len(messages)) + 1, [frame for _, frame, _ in messages]
     of_messages = RowProblems(source, number, word)
-    of_messages.refuse(
-        [frame != MAP for frame in frames],
-        lambda row: f"frame_id must be '{MAP}', the scene's axes (got {shown(frames[row])})",
-    )
+    wanted = f"frame_id must be '{MAP}', the scene's axes"
+    of_messages.refuse([frame != MAP for frame in frames], lambda row: f"{wanted} (got {shown(frames[row])})")
     of_messages.settle()
     found = [each for _, _, estimates in messages for each in estimates]
     start = float(run.scene.timestamps(0, 1)[0])
@@ -284,16 +277,10 @@ def _of_array(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
 
 def _of_odometry(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
     pose, twist = message.pose, message.twist
-    turn, speed = pose.pose.orientation, twist.twist.linear
-    yield _Estimate(
-        message.child_frame_id,
-        stamp_ns,
-        (pose.pose.position.x, pose.pose.position.y),
-        np.asarray(pose.covariance),
-        (turn.x, turn.y, turn.z, turn.w),
-        (speed.x, speed.y, speed.z),
-        np.asarray(twist.covariance),
-    )
+    place, turn, speed = pose.pose.position, pose.pose.orientation, twist.twist.linear
+    known = message.child_frame_id, stamp_ns, (place.x, place.y), np.asarray(pose.covariance)
+    quaternion, velocity = (turn.x, turn.y, turn.z, turn.w), (speed.x, speed.y, speed.z)
+    yield _Estimate(*known, quaternion, velocity, np.asarray(twist.covariance))
 
 
 # ---- Tracks in the world from files ----

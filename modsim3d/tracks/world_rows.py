@@ -145,9 +145,8 @@ def _check_twice(rows: WorldRows, track: Indices) -> None:
     order = np.lexsort((rows.time_s, track))
     twice = np.zeros(len(track), dtype=bool)
     twice[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(rows.time_s[order]) == 0)
-    rows.problems.refuse(
-        twice, lambda row: f"a track may be there once at a time (got track {rows.track[row]!r} again)"
-    )
+    once = "a track may be there once at a time"
+    rows.problems.refuse(twice, lambda row: f"{once} (got track {rows.track[row]!r} again)")
 
 
 def _check_covariances(rows: WorldRows) -> None:

@@ -95,7 +95,7 @@ def density_per_km2(tracks: HullTracks, polygon_m: Array) -> float:
 
 
 def lane_offsets(waypoints_m: Array, places_m: Array) -> tuple[Array, Array]:
-    """Where places of shape (n, 2) lie along and beside a line through waypoints of shape (k, 2).
+    """Position of places of shape (n, 2) along and beside a line through waypoints of shape (k, 2).
 
     Returns:
         Distance along the line to the nearest point on it, and the distance from there, positive to starboard of one

@@ -40,7 +40,7 @@ class _Part(BaseModel):
 
 
 class Accessor(_Part):
-    """How to read numbers out of a view (section 3.6.2)."""
+    """Numbers in a view (section 3.6.2)."""
 
     buffer_view: Count | None = None
     byte_offset: Count = 0

@@ -274,14 +274,14 @@ def test_latitude_and_longitude_need_an_origin(tmp_path: Path) -> None:
         read_world_tracks(write_csv(tmp_path / "t.csv", columns), nowhere)
 
 
-def store() -> Any:
+def store(messages: dict[str, str]) -> Any:
     types = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in VISION_MSGS.items():
+    for name, text in messages.items():
         types.register(get_types_from_msg(text, name))
     return types
 
 
-STORE = store()
+STORE = store(VISION_MSGS)
 
 
 def make(name: str, *values: Any) -> Any:
@@ -313,14 +313,20 @@ def odometry(time_s: float, track: str, place: np.ndarray, velocity: np.ndarray,
     return make("nav_msgs/Odometry", header(time_s, frame), track, known, covered)
 
 
-def array(time_s: float, tracks: dict[str, np.ndarray]) -> Any:
-    detections = []
-    for name, place in tracks.items():
-        known = pose(place, 0.0, STATE_COVARIANCE[:2, :2])
-        result = make("vision_msgs/ObjectHypothesisWithPose", make("vision_msgs/ObjectHypothesis", "boat", 1.0), known)
-        box = make("vision_msgs/BoundingBox3D", known.pose, make("geometry_msgs/Vector3", 0.0, 0.0, 0.0))
-        detections.append(make("vision_msgs/Detection3D", header(time_s), [result], box, name))
-    return make("vision_msgs/Detection3DArray", header(time_s), detections)
+def arrays(*, foxy: bool = False) -> list[Any]:
+    """The places of all steps without velocities; as vision_msgs of Foxy has them, whose results have id and score."""
+    messages = []
+    for time_s, both in zip(TIMES_S.tolist(), PLACES_M[:, TWO], strict=True):
+        detections = []
+        for name, place in zip("ab", both, strict=True):
+            known = pose(place, 0.0, STATE_COVARIANCE[:2, :2])
+            kind = ("boat", 1.0) if foxy else (make("vision_msgs/ObjectHypothesis", "boat", 1.0),)
+            results = [make("vision_msgs/ObjectHypothesisWithPose", *kind, known)]
+            box = make("vision_msgs/BoundingBox3D", known.pose, make("geometry_msgs/Vector3", 0.0, 0.0, 0.0))
+            identity = (True, name) if foxy else (name,)
+            detections.append(make("vision_msgs/Detection3D", header(time_s), results, box, *identity))
+        messages.append(make("vision_msgs/Detection3DArray", header(time_s), detections))
+    return messages
 
 
 def write_bag(folder: Path, topics: dict[str, tuple[str, list[Any]]], storage: str = "mcap") -> Path:
@@ -353,40 +359,25 @@ def test_a_bag_of_odometry_equals_csv(storage: str, run: StoredRun, tmp_path: Pa
         equal(read_world_tracks(path, run), expected)
 
 
+def without_velocity() -> dict[str, Any]:
+    return {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
+
+
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_bag_of_arrays_equals_csv_without_velocity(storage: str, run: StoredRun, tmp_path: Path) -> None:
-    messages = [
-        array(time_s, {name: PLACES_M[step, vessel] for name, vessel in zip("ab", TWO, strict=True)})
-        for step, time_s in enumerate(TIMES_S.tolist())
-    ]
-    columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
-    topics = {"/tracks": (DETECTIONS_3D, messages), "/odom": (ODOMETRY, odometries()[:2])}
-    bag = write_bag(tmp_path / "bag", topics, storage)
-    equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
+def test_a_bag_of_arrays_equals_csv_without_velocity(storage: str, read_csv, run: StoredRun, tmp_path: Path) -> None:
+    topics = {"/tracks": (DETECTIONS_3D, arrays()), "/odom": (ODOMETRY, odometries()[:2])}
+    equal(read_world_tracks(write_bag(tmp_path / "bag", topics, storage), run), read_csv(without_velocity()))
 
 
-def test_a_bag_of_old_vision_msgs_is_read(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bag_of_old_vision_msgs_is_read(read_csv, run: StoredRun, tmp_path: Path, monkeypatch) -> None:
     """Those of Foxy, whose detections have tracking_id and whose results have id and score themselves."""
     old = {name: text for name, text in VISION_MSGS.items() if not name.endswith("ObjectHypothesis")}
     result, detection = "vision_msgs/msg/ObjectHypothesisWithPose", "vision_msgs/msg/Detection3D"
     old[result] = "string id\nfloat64 score\ngeometry_msgs/PoseWithCovariance pose\n"
     old[detection] = old[detection].replace("string id", "bool is_tracking\nstring tracking_id")
-    foxy = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in old.items():
-        foxy.register(get_types_from_msg(text, name))
-    monkeypatch.setattr("tests.tracks.test_world_tracks.STORE", foxy)
-    messages = []
-    for step, time_s in enumerate(TIMES_S.tolist()):
-        found = []
-        for name, vessel in zip("ab", TWO, strict=True):
-            known = pose(PLACES_M[step, vessel], 0.0, STATE_COVARIANCE[:2, :2])
-            box = make("vision_msgs/BoundingBox3D", known.pose, make("geometry_msgs/Vector3", 0.0, 0.0, 0.0))
-            results = [make("vision_msgs/ObjectHypothesisWithPose", "boat", 1.0, known)]
-            found.append(make("vision_msgs/Detection3D", header(time_s), results, box, True, name))
-        messages.append(make("vision_msgs/Detection3DArray", header(time_s), found))
-    columns = {name: values for name, values in with_covariances(2).items() if name[:2] not in ("v1", "v2")}
-    bag = write_bag(tmp_path / "bag", {"/tracks": (DETECTIONS_3D, messages)})
-    equal(read_world_tracks(bag, run), read_world_tracks(write_csv(tmp_path / "t.csv", columns), run))
+    monkeypatch.setattr("tests.tracks.test_world_tracks.STORE", store(old))
+    bag = write_bag(tmp_path / "bag", {"/tracks": (DETECTIONS_3D, arrays(foxy=True))})
+    equal(read_world_tracks(bag, run), read_csv(without_velocity()))
 
 
 def test_what_is_wrong_with_a_bag_is_said(run: StoredRun, tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ class TruthResult:
     seconds: float
 
     def __repr__(self) -> str:
-        """Where it is, and its counts, in a line."""
+        """Its folder and its counts, in a line."""
         return f"<TruthResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
@@ -326,7 +326,7 @@ class _Work:
         return {**own, **tracker_files(parts, self.model), **stored}
 
     def occlusion(self) -> dict[str, int]:
-        """Where visible fractions come from."""
+        """Sources of visible fractions."""
         from_overlap = int(self.sought.from_overlap.sum())
         return {"from_file": len(self.sought) - from_overlap, "from_overlap": from_overlap}
 

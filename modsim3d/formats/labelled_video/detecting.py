@@ -64,7 +64,6 @@ class VideoChunk:
 class _Block:
     """Frames that the detector is given at once."""
 
-    video: Video
     rows: Indices
     frame: Indices
     target_rows: Indices
@@ -146,7 +145,7 @@ def _blocks(
             depth_m=sought.depth_m[targets],
             vessel_ids=ids,
         )
-        yield _Block(video, of_block, frame[ours] - first, visible, frames, seen)
+        yield _Block(of_block, frame[ours] - first, visible, frames, seen)
 
 
 def _ranges(starts: Indices) -> Iterator[tuple[int, int]]:
@@ -209,12 +208,11 @@ def tables_of(
 ) -> dict[str, bytes]:
     """The files of all tables, by the name of the table."""
     names = [str(track) for track in tracks]
-    made = {
-        "frames": [_frames(part, images, model) for part in parts],
-        "truth": [_truth(part, sought, names, model) for part in parts],
-        "detections": [_detections(part, sought, names, model) for part in parts],
+    return {
+        "frames": _file(TABLES["frames"], [_frames(part, images, model) for part in parts]),
+        "truth": _file(TABLES["truth"], [_truth(part, sought, names, model) for part in parts]),
+        "detections": _file(TABLES["detections"], [_detections(part, sought, names, model) for part in parts]),
     }
-    return {table: _file(TABLES[table], columns) for table, columns in made.items()}
 
 
 def _file(columns: Sequence[TableColumn], parts: Sequence[dict[str, Any]]) -> bytes:

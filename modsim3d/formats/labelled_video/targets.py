@@ -73,53 +73,33 @@ def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str,
     is no target: (k,), `tracks` its identities, by whose names the rows of an image are ordered, `source` what messages
     call the file. Raises InputError if a box that is to be found has no track, or an image has too many boxes."""
     rows = labelled.annotations
-    _check_count(labelled, source)
+    counts = np.bincount(rows.image, minlength=1)
+    if (most := int(counts.max())) > MAX_BOXES:
+        image = shown(labelled.images.names[int(counts.argmax())])
+        raise InputError(source, [f"image {image} has {most:,} boxes, and at most {MAX_BOXES:,} can be compared"])
     boxes_px = clip(rows.boxes_px, labelled.images.sizes_px[rows.image])
     inside = (sizes(boxes_px) > 0).all(axis=1)
     of_label = to_label[rows.label] >= 0
     wanted = ~rows.ignored & of_label
     solid = np.flatnonzero(inside & ~rows.crowd)
     found = np.flatnonzero(wanted & inside)
-    _check_tracks(labelled, found, source)
-    fractions, from_overlap, notes = _visible(
-        rows.visible_fraction, rows.image, boxes_px, rows.boxes_px[:, 3], solid, found
-    )
+    if len(without := found[rows.identity[found] < 0]):
+        image = shown(labelled.images.names[rows.image[without[0]]])
+        what = f"{len(without)} of {len(found)} boxes have no track, the first is in image {image}"
+        raise InputError(source, [f"{what}: each needs a track_id in COCO, or an identity of 0 or more in MOT"])
+    feet_px = rows.boxes_px[:, 3]
+    fractions, from_overlap, notes = _visible(rows.visible_fraction, rows.image, boxes_px, feet_px, solid, found)
     left_out = {
         "not to be considered": rows.ignored,
         "of classes that are not to be detected": ~rows.ignored & ~of_label,
         "outside their image": wanted & ~inside,
     }
-    said = [
-        f"{int(mask.sum())} of {len(rows)} boxes are left out: {why}" for why, mask in left_out.items() if mask.any()
-    ]
+    counted = ((why, int(mask.sum())) for why, mask in left_out.items())
+    said = [f"{count} of {len(rows)} boxes are left out: {why}" for why, count in counted if count]
     names = np.argsort(np.argsort(np.array([str(track) for track in tracks], dtype=object), kind="stable"))
     order = found[np.lexsort((names[rows.identity[found]] if len(names) else found, rows.image[found]))]
-    return TargetBoxes(
-        rows.image[order],
-        rows.identity[order],
-        to_label[rows.label[order]],
-        boxes_px[order],
-        fractions[order],
-        rows.depth_m[order],
-        from_overlap[order],
-        (*said, *notes),
-    )
-
-
-def _check_count(labelled: LabelledSet, source: str) -> None:
-    counts = np.bincount(labelled.annotations.image, minlength=1)
-    if (most := int(counts.max())) > MAX_BOXES:
-        image = shown(labelled.images.names[int(counts.argmax())])
-        raise InputError(source, [f"image {image} has {most:,} boxes, and at most {MAX_BOXES:,} can be compared"])
-
-
-def _check_tracks(labelled: LabelledSet, found: Indices, source: str) -> None:
-    rows = labelled.annotations
-    without = found[rows.identity[found] < 0]
-    if len(without):
-        image = shown(labelled.images.names[rows.image[without[0]]])
-        what = f"{len(without)} of {len(found)} boxes have no track, the first is in image {image}"
-        raise InputError(source, [f"{what}: each needs a track_id in COCO, or an identity of 0 or more in MOT"])
+    places = rows.image[order], rows.identity[order], to_label[rows.label[order]], boxes_px[order]
+    return TargetBoxes(*places, fractions[order], rows.depth_m[order], from_overlap[order], (*said, *notes))
 
 
 def _visible(

@@ -225,12 +225,8 @@ class ImageRows:
         sea: Sequence[float] = UNKNOWN,
     ) -> None:
         """Append an image, which may name a condition of its own."""
-        self.names.append(name)
-        self.sizes_px.append(size_px)
-        self.sequence.append(sequence)
-        self.time_s.append(time_s)
-        self.condition.append(own)
-        self.half_planes.append(sea)
+        for column, value in zip(vars(self).values(), (name, size_px, sequence, time_s, own, sea), strict=True):
+            column.append(value)
 
 
 def check_whole(names: Iterable[str], source: str) -> None:

@@ -22,22 +22,15 @@ from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import FileIds, LabelledSet
+from modsim3d.formats.reading import builder
 from modsim3d.formats.reading.builder import (
-    MAX_NUMBER,
     MAX_PX,
     NO_OPTIONS,
-    NOT_GIVEN,
-    AnnotationRows,
     Confidences,
-    ImageRows,
     LabelledRow,
     Problems,
     ReadOptions,
-    ResultRows,
     is_number,
-    labelled_set,
-    read_flag,
-    valid_box,
 )
 from modsim3d.io.input_files import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, MAX_LINE_CHARACTERS, read_text
 from modsim3d.io.misreadings import LOST, has_lost_digits, no_commas
@@ -89,7 +82,7 @@ def number_lines(
 
 
 def _why(line: str, separator: str | None) -> str:
-    """Why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
+    """Reason why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
     return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
 
 
@@ -139,7 +132,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
         detected, found = plain_lines(lines, detections.name, wrong)
         said += found
     info = sequence_info(truth, options.image_size_px, problems.source)
-    names = _all_class_names(annotated, labels) if detections is None else _class_names(annotated, detected, labels)
+    names = _class_names(annotated, None if detections is None else detected, labels)
     spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
@@ -152,7 +145,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     rate_hz = options.frame_rate_hz or info.rate_hz
     if rate_hz is None:
         notes.append(f"{condition}: the frame rate is not known, so frames have no times: give --frame-rate")
-    images = ImageRows()
+    images = builder.ImageRows()
     last = max((place.image + 1 for place in annotations.places + results.places), default=0)
     if 0 < info.frames < last or info.frames > _MANY_EMPTY * last > 0:
         notes.append(f"seqinfo.ini says {info.frames:,} frames (seqLength), and the last with a box is {last:,}")
@@ -165,7 +158,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     only = (labels[0] if labels else "object",)
     frames = tuple(range(1, len(images.names) + 1))
     ids = FileIds(frames, tuple(own[name] for name in order) or (0,), (info.name,), annotations.identities)
-    return labelled_set(condition, tuple(order) or only, images, annotations, results, notes, ids)
+    return builder.labelled_set(condition, tuple(order) or only, images, annotations, results, notes, ids)
 
 
 def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[Lines, list[str]]:
@@ -204,30 +197,24 @@ def _class_of(numbers: list[float]) -> int:
     return int(numbers[7]) if len(numbers) > 7 else -1
 
 
-def _class_names(annotated: Lines, detected: Lines, labels: tuple[str, ...]) -> dict[int, str]:
-    """Names of the classes by number; none if detections name no classes."""
-    if not any(_class_of(numbers) >= 1 for _, numbers in detected):
-        return {}
-    found = {_class_of(numbers) for _, numbers in annotated + detected}
-    return _named(sorted(number for number in found if 1 <= number <= _MAX_CLASSES), labels)
-
-
-def _all_class_names(annotated: Lines, labels: tuple[str, ...]) -> dict[int, str]:
-    """Names of the classes from 1 to the largest number; none if no line names a class."""
-    classes = (_class_of(numbers) for _, numbers in annotated)
-    return _named(range(1, max((number for number in classes if number <= _MAX_CLASSES), default=0) + 1), labels)
-
-
-def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
+def _class_names(annotated: Lines, detected: Lines | None, labels: tuple[str, ...]) -> dict[int, str]:
+    """Names of the classes by number; none if detections name no classes. Without detections those of all from 1 to the
+    largest number; none if no line names a class."""
+    found = {_class_of(numbers) for _, numbers in (*annotated, *(detected or ()))}
+    classes: Iterable[int] = sorted(number for number in found if 1 <= number <= _MAX_CLASSES)
+    if detected is None:
+        classes = range(1, max(classes, default=0) + 1)
+    elif not any(_class_of(numbers) >= 1 for _, numbers in detected):
+        classes = ()
     return {number: labels[number - 1] if number <= len(labels) else f"class_{number}" for number in classes}
 
 
-def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationRows:
-    rows = AnnotationRows(_corners)
+def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.AnnotationRows:
+    rows = builder.AnnotationRows(_corners)
     for where, numbers in lines:
-        if not is_number(numbers[1], NOT_GIVEN) or numbers[1] != int(numbers[1]):
-            low = "-1 or more" if numbers[1] < NOT_GIVEN else f"at most {MAX_NUMBER:g}"
-            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else low
+        if not is_number(numbers[1], builder.NOT_GIVEN) or numbers[1] != int(numbers[1]):
+            low = "-1 or more" if numbers[1] < builder.NOT_GIVEN else f"at most {builder.MAX_NUMBER:g}"
+            wanted = "a whole number" if is_number(numbers[1], builder.NOT_GIVEN) else low
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None
@@ -241,7 +228,7 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
             if visible is not None and not 0 <= visible <= 1 + _TINY:
                 problems.add(f"{where}: visibility must be from 0 to 1, or -1 if it is not known (got {visible:g})")
                 problems.hint = "a visibility in per cent must be divided by 100; another ninth column must be left out"
-            considered = flag is None or read_flag(flag, "the seventh number, the flag,", where, problems)
+            considered = flag is None or builder.read_flag(flag, "the seventh number, the flag,", where, problems)
             if problems.count > before and identity is None:
                 problems.hint = "this may be a file of detections, whose boxes have no track"
             elif flag is not None and 0 < flag < 1:
@@ -251,8 +238,8 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
     return rows
 
 
-def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> ResultRows:
-    rows = ResultRows(_corners)
+def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> builder.ResultRows:
+    rows = builder.ResultRows(_corners)
     for where, numbers in lines:
         confidence = confidences.read(numbers[6], where, problems)
         place = None if confidence is None else _place(where, numbers, problems, known)
@@ -282,7 +269,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
         got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
         problems.hint = next((told for told in known.said if told.startswith(where.partition(" line ")[0])), "")
-    elif valid_box(numbers[2:6], where, problems):
+    elif builder.valid_box(numbers[2:6], where, problems):
         return LabelledRow(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
     return None
 

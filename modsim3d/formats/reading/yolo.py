@@ -18,20 +18,8 @@ from typing import Any
 from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.reading.builder import (
-    MAX_PX,
-    NO_OPTIONS,
-    AnnotationRows,
-    Confidences,
-    ImageRows,
-    LabelledRow,
-    Problems,
-    ReadOptions,
-    ResultRows,
-    Scale,
-    labelled_set,
-    valid_box,
-)
+from modsim3d.formats.reading import builder
+from modsim3d.formats.reading.builder import NO_OPTIONS, Confidences, ImageRows, LabelledRow, Problems, ReadOptions
 from modsim3d.formats.reading.mot import number_lines
 from modsim3d.io.input_files import MAX_IMAGE_BYTES, composed, note_input, read_text
 from modsim3d.io.strict_text import load_yaml
@@ -78,8 +66,9 @@ def image_size_px(path: Path) -> tuple[float, float]:
         raise InputError(source, [f"cannot be read: {error}"]) from None
     except Exception as error:  # PIL lets errors of many kinds through for damaged files
         raise InputError(source, [f"cannot be read: {shown(str(error))}"]) from None
-    if not (0 < width <= MAX_PX and 0 < height <= MAX_PX):
-        raise InputError(source, [f"width and height must be from 1 to {MAX_PX:g} pixels (got {width} and {height})"])
+    if not (0 < width <= builder.MAX_PX and 0 < height <= builder.MAX_PX):
+        wanted = f"width and height must be from 1 to {builder.MAX_PX:g} pixels"
+        raise InputError(source, [f"{wanted} (got {width} and {height})"])
     return (height, width) if lying else (width, height)
 
 
@@ -111,11 +100,11 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
         rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
-    return labelled_set(condition, whole, images, annotations, results, notes)
+    return builder.labelled_set(condition, whole, images, annotations, results, notes)
 
 
-def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> AnnotationRows:
-    rows = AnnotationRows(corner_form)
+def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> builder.AnnotationRows:
+    rows = builder.AnnotationRows(corner_form)
     for image, where, numbers in _lines(paths, images, "labels", problems):
         if len(numbers) > 5:
             problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
@@ -125,10 +114,10 @@ def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> An
 
 
 def _results(
-    paths: list[Path], images: ImageRows, scale: Scale | None, problems: Problems
-) -> tuple[ResultRows, list[str]]:
+    paths: list[Path], images: ImageRows, scale: builder.Scale | None, problems: Problems
+) -> tuple[builder.ResultRows, list[str]]:
     """The results, and remarks on their confidences."""
-    rows, lines = ResultRows(corner_form), list(_lines(paths, images, "predictions", problems))
+    rows, lines = builder.ResultRows(corner_form), list(_lines(paths, images, "predictions", problems))
     given = ((where, numbers[5]) for _, where, numbers in lines if len(numbers) in (6, 7))
     confidences = Confidences.of(given, scale, problems)
     for image, where, numbers in lines:
@@ -166,7 +155,7 @@ def _place(
     elif max(abs(x), abs(y), width, height) > 2:
         got = shown(numbers[1:5])
         problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {got})")
-    elif valid_box(box_px, where, problems):
+    elif builder.valid_box(box_px, where, problems):
         return LabelledRow(image, int(number), box_px)
     return None
 
@@ -221,7 +210,10 @@ def _names(truth: Path, folder: Path) -> tuple[str, ...]:
     """Names of the classes from the first such file that is there, of YAML also from up to three folders above."""
     for path in (parent / name for parent in (truth, folder, folder.resolve().parent) for name in _LISTS):
         if path.is_file():
-            return _listed_names(path)
+            lines = [line.strip() for line in read_text(path, "classes").strip().splitlines()]
+            if len(lines) == 1 and "," in lines[0]:  # all in the only line
+                lines = [name.strip(" '\"") for name in lines[0].strip("[]").rstrip(",").split(",")]
+            return _checked(f"classes {path}", lines)
     above = folder.resolve().parents[:3]
     for path in (parent / name for parent in (truth, folder, *above) for name in _TABLES):
         if path.is_file():
@@ -229,14 +221,6 @@ def _names(truth: Path, folder: Path) -> tuple[str, ...]:
             if isinstance(content, dict) and (names := content.get("names")) is not None:
                 return _tabled_names(path, names)
     return ()
-
-
-def _listed_names(path: Path) -> tuple[str, ...]:
-    """Names of a text: one a line, or all in its only line with commas between them."""
-    lines = [line.strip() for line in read_text(path, "classes").strip().splitlines()]
-    if len(lines) == 1 and "," in lines[0]:
-        lines = [name.strip(" '\"") for name in lines[0].strip("[]").rstrip(",").split(",")]
-    return _checked(f"classes {path}", lines)
 
 
 def _tabled_names(path: Path, names: Any) -> tuple[str, ...]:

@@ -41,15 +41,12 @@ def check_masks(request: ExportRequest) -> None:
     """Raise ModsimError for a run whose truth was not counted from the image's own pixels."""
     annotation, folder = request.run.scene.annotation, request.run.folder
     if annotation.source != "rendered":
-        raise ModsimError(
-            f"{folder}: --masks needs a truth that was counted from pixels, and this one's source is "
-            f"{annotation.source}: run the scene with --source rendered"
-        )
+        remedy = f"this one's source is {annotation.source}: run the scene with --source rendered"
+        raise ModsimError(f"{folder}: --masks needs a truth that was counted from pixels, and {remedy}")
     if annotation.supersample != 1:
-        raise ModsimError(
-            f"{folder}: --masks needs one pixel of the truth for each of the image, and this one was drawn with "
-            f"supersample {annotation.supersample}: run the scene with --set annotation.supersample=1"
-        )
+        drawn = f"this one was drawn with supersample {annotation.supersample}"
+        needed = f"one pixel of the truth for each of the image, and {drawn}"
+        raise ModsimError(f"{folder}: --masks needs {needed}: run the scene with --set annotation.supersample=1")
 
 
 def mask_entries(request: ExportRequest) -> Iterator[dict[str, Any]]:
@@ -200,7 +197,9 @@ def write_coco(labelled: LabelledSet, folder: Path, masks: Iterable[dict[str, An
 def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
     """The content of a ground truth; IDs begin at 1."""
     images, rows = labelled.images, labelled.annotations
-    sizes, times = [list(map(_whole, size)) for size in images.sizes_px.tolist()], images.time_s.tolist()
+    # A whole number is written as one, as COCO has it.
+    sizes = [[int(side) if side.is_integer() else side for side in size] for size in images.sizes_px.tolist()]
+    times = images.time_s.tolist()
     entries = []
     for k, name in enumerate(images.names):
         entry: dict[str, Any] = {"id": k + 1, "file_name": name, "width": sizes[k][0], "height": sizes[k][1]}
@@ -235,23 +234,14 @@ def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
     results = labelled.results
     found = anonymised(results.image, results.label, results.boxes_px, results.confidence)
     columns = (column.tolist() for column in (found.frame, found.label, found.boxes_px, found.confidence))
-    return [
-        {
-            "image_id": image + 1,
-            "category_id": label + 1,
-            "bbox": [round(side, BOX_DECIMALS) for side in _sides(box)],
-            "score": score,
-        }
-        for image, label, box, score in zip(*columns, strict=True)
-    ]
+    entries = []
+    for image, label, box, score in zip(*columns, strict=True):
+        sides = [round(side, BOX_DECIMALS) for side in _sides(box)]
+        entries.append({"image_id": image + 1, "category_id": label + 1, "bbox": sides, "score": score})
+    return entries
 
 
 def _sides(corners: list[float]) -> list[float]:
     """Corner, width and height of a box."""
     x_min, y_min, x_max, y_max = corners
     return [x_min, y_min, x_max - x_min, y_max - y_min]
-
-
-def _whole(value: float) -> float:
-    """A whole number as one, as COCO has it."""
-    return int(value) if value.is_integer() else value

@@ -38,7 +38,6 @@ from modsim3d.io.ros_bag import DETECTIONS_2D, ODOMETRY, message_types
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.cameras import OwnShips, own_ships_at
 from modsim3d.scene.scene import Scene
-from modsim3d.world.vessel_motion import Imu
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
@@ -208,18 +207,11 @@ def own_motions(scene: Scene, names: BagNames, first: int, stop: int) -> list[Ow
 def _own_motion(
     own: OwnShips, column: int, names: BagNames, turns: Array, velocities_m_s: Array, wanted: slice
 ) -> OwnMotion:
-    vessel = int(own.vessels[column])
-    return OwnMotion(
-        vessel,
-        FramePlace(MAP, names.base(vessel), own.positions_m[wanted, column], quaternions(turns)),
-        velocities_m_s,
-        own.rates_rad_s[wanted, column],
-        MeasuredMotion(
-            quaternions(_world_R_vessel(own.measured_attitudes_rad[wanted, column])),
-            own.measured_rates_rad_s[wanted, column],
-            own.measured_forces_m_s2[wanted, column],
-        ),
-    )
+    vessel, here = int(own.vessels[column]), (wanted, column)
+    place = FramePlace(MAP, names.base(vessel), own.positions_m[here], quaternions(turns))
+    attitude = quaternions(_world_R_vessel(own.measured_attitudes_rad[here]))
+    measured = MeasuredMotion(attitude, own.measured_rates_rad_s[here], own.measured_forces_m_s2[here])
+    return OwnMotion(vessel, place, velocities_m_s, own.rates_rad_s[here], measured)
 
 
 def _world_R_vessel(attitudes_rad: Array) -> Array:
@@ -312,7 +304,10 @@ class BagRecording:
 
     def _own_ship(self, block: Block, motion: OwnMotion) -> Iterator[Stamped]:
         prefix, unit = self._names.vessels[motion.vessel], self._names.imu(motion.vessel)
-        variances = _variances(self._scene.imu)
+        imu = self._scene.imu  # variances of all errors are those of noise and offset
+        rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
+        force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
+        variances = Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))  # ROS's, about x, y and z
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
             speeds = motion.velocities_m_s[row], motion.rates_rad_s[row]
             yield Stamped(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
@@ -344,13 +339,6 @@ def _write(bag: Bag, sources: Iterable[Iterator[Stamped]]) -> None:
     """Write the messages of sources in order of time, and at one time in the order of the sources."""
     for stamp_ns, topic, message in heapq.merge(*sources, key=lambda stamped: stamped.stamp_ns):
         bag.write(topic, stamp_ns, message)
-
-
-def _variances(imu: Imu) -> Variances:
-    """Variances of all errors: noise and offset. Those of roll, pitch and heading are ROS's, about x, y and z."""
-    rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
-    force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
-    return Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
 
 
 BAGS = ("detections", "truth")  # folders of the bags; the first is a tracker's

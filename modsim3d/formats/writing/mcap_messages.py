@@ -150,34 +150,19 @@ class Messages:
         """A `CameraInfo`; the image is not rectified, so R is the identity and P has K's numbers."""
         width, height = intrinsics.image_size_px
         lens, matrix = intrinsics.distortion or Distortion(), intrinsics.matrix
-        return self._make(
-            CAMERA_INFO,
-            self._header(stamp_ns, frame),
-            height,
-            width,
-            "plumb_bob",
-            np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
-            matrix.ravel(),
-            np.eye(3).ravel(),
-            np.column_stack([matrix, np.zeros(3)]).ravel(),
-            0,
-            0,
-            self._types["sensor_msgs/RegionOfInterest"](0, 0, 0, 0, False),  # zeros: the whole image
-        )
+        distortion = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+        matrices = matrix.ravel(), np.eye(3).ravel(), np.column_stack([matrix, np.zeros(3)]).ravel()
+        whole = self._types["sensor_msgs/RegionOfInterest"](0, 0, 0, 0, False)  # zeros: the whole image
+        header = self._header(stamp_ns, frame)
+        return self._make(CAMERA_INFO, header, height, width, "plumb_bob", distortion, *matrices, 0, 0, whole)
 
     def transforms(self, stamp_ns: int, places: Iterable[tuple[FramePlace, int]]) -> Any:
         """A `TFMessage` of frames, each with the index of the step in its `FramePlace`."""
-        kind = self._types["geometry_msgs/TransformStamped"]
-        entries = [
-            kind(
-                self._header(stamp_ns, place.parent),
-                place.child,
-                self._types["geometry_msgs/Transform"](
-                    self._vector(place.positions_m[step]), self._quaternion(place.quaternions[step])
-                ),
-            )
-            for place, step in places
-        ]
+        kind, transform = self._types["geometry_msgs/TransformStamped"], self._types["geometry_msgs/Transform"]
+        entries = []
+        for place, step in places:
+            moved = transform(self._vector(place.positions_m[step]), self._quaternion(place.quaternions[step]))
+            entries.append(kind(self._header(stamp_ns, place.parent), place.child, moved))
         return self._make(TRANSFORMS, entries)
 
     def odometry(self, stamp_ns: int, place: FramePlace, step: int, velocity_m_s: Array, rates_rad_s: Array) -> Any:
@@ -185,27 +170,16 @@ class Messages:
         pose = self._pose(place.positions_m[step], place.quaternions[step])
         twist = self._types["geometry_msgs/Twist"](self._vector(velocity_m_s), self._vector(rates_rad_s))
         exact = np.zeros(36)
-        return self._make(
-            ODOMETRY,
-            self._header(stamp_ns, place.parent),
-            place.child,
-            self._pose_with_covariance(pose, exact),
-            self._types["geometry_msgs/TwistWithCovariance"](twist, exact),
-        )
+        covered = self._types["geometry_msgs/TwistWithCovariance"](twist, exact)
+        header = self._header(stamp_ns, place.parent)
+        return self._make(ODOMETRY, header, place.child, self._pose_with_covariance(pose, exact), covered)
 
     def imu(self, stamp_ns: int, frame: str, measured: MeasuredMotion, step: int, variances: Variances) -> Any:
         """An `Imu` of an inertial unit at a step."""
         turn, rate, force = (np.diag(each).ravel() for each in variances)
-        return self._make(
-            IMU,
-            self._header(stamp_ns, frame),
-            self._quaternion(measured.quaternions[step]),
-            turn,
-            self._vector(measured.rates_rad_s[step]),
-            rate,
-            self._vector(measured.forces_m_s2[step]),
-            force,
-        )
+        attitude, header = self._quaternion(measured.quaternions[step]), self._header(stamp_ns, frame)
+        rates, forces = self._vector(measured.rates_rad_s[step]), self._vector(measured.forces_m_s2[step])
+        return self._make(IMU, header, attitude, turn, rates, rate, forces, force)
 
     def _make(self, kind: str, *fields: Any) -> Any:
         return self._types[kind.replace("/msg/", "/")](*fields)

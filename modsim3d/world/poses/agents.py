@@ -99,11 +99,9 @@ def _placed(vessels: Sequence[Vessel], basin: AgentsKeys, rng: np.random.Generat
             if _clearance(fleet, i, basin, place, heading, 0.0)[0] >= 2 * basin.clearance_m:
                 break
         else:
-            problem = (
-                f"no free place for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) in a basin of "
-                f"{basin.size_m[0]} m × {basin.size_m[1]} m in {PLACING_DRAWS} draws: use fewer vessels"
-            )
-            raise InputError("poses.agents", [problem])
+            hull = f"vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m)"
+            water = f"a basin of {basin.size_m[0]} m × {basin.size_m[1]} m in {PLACING_DRAWS} draws: use fewer vessels"
+            raise InputError("poses.agents", [f"no free place for {hull} in {water}"])
         fleet.place[i], fleet.heading[i] = place[0], heading[0]
         fleet.speed[i] = fleet.wanted[i] / 2
         fleet.goal[i] = _new_goal(basin, rng)

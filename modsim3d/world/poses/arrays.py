@@ -149,10 +149,12 @@ def _timestamps(section: Mapping[str, Any], steps: int, problems: list[str]) -> 
         problems.append("poses: give exactly one of time_step_s and times_s")
         return ()
     if step_s is not None:
-        if problem := _step_problem(step_s):
-            problems.append(problem)
-            return ()
-        return generated_timestamps(steps, float(step_s))
+        number = isinstance(step_s, int | float | np.integer | np.floating) and not isinstance(step_s, bool)
+        if number and _MIN_STEP_S <= step_s <= _MAX_S:
+            return generated_timestamps(steps, float(step_s))
+        needed = f"a number of seconds from {_MIN_STEP_S:g} to {_MAX_S:g} is needed"
+        problems.append(f"poses.time_step_s: {needed} (got {shown(step_s)})")
+        return ()
     array = _numbers(section, "times_s", f"({steps},)", problems)
     if array is None:
         return ()
@@ -165,14 +167,6 @@ def _timestamps(section: Mapping[str, Any], steps: int, problems: list[str]) -> 
         order = f"times must increase, but {array[step + 1]:g} s comes after {array[step]:g} s"
         problems.append(f"poses.times_s[{step + 1}]: {order}")
     return tuple(map(repr, array.tolist()))
-
-
-def _step_problem(step_s: Any) -> str | None:
-    number = isinstance(step_s, int | float | np.integer | np.floating) and not isinstance(step_s, bool)
-    if number and _MIN_STEP_S <= step_s <= _MAX_S:
-        return None
-    needed = f"a number of seconds from {_MIN_STEP_S:g} to {_MAX_S:g} is needed"
-    return f"poses.time_step_s: {needed} (got {shown(step_s)})"
 
 
 def _value_problems(positions: Array, headings: Array, names: Sequence[str]) -> list[str]:

@@ -108,11 +108,9 @@ def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: St
             if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
                 break
         else:
-            problem = (
-                f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
-                f"{least} and {greatest} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
-            )
-            raise InputError("poses.circular", [problem])
+            hull = f"vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m)"
+            ring = f"radii {least} and {greatest} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
+            raise InputError("poses.circular", [f"no free ring for {hull} between {ring}"])
         rings.append((inner, outer))
         radii.append(radius)
     return np.array(radii)

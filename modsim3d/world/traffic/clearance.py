@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import shapely
@@ -107,11 +106,7 @@ class Land:
 
     def below(self, air_draft_m: float) -> shapely.Geometry:
         """Footprint of all that stands in the way of a vessel of an air draft; bridges above her mast do not."""
-        return next((area for base, area in reversed(self.levels) if base < air_draft_m), self._open)
-
-    @cached_property
-    def _open(self) -> shapely.Geometry:
-        return shapely.Polygon()
+        return next((area for base, area in reversed(self.levels) if base < air_draft_m), shapely.Polygon())
 
     def gaps(self, sweep: Sweep, interval_s: float, within_m: float) -> Array:
         """Least distance of each of C tracks to land in metres, shape (C,); more than `within_m` is infinite."""
@@ -207,11 +202,12 @@ class Waters:
             if gaps[0] < closest:
                 closest, conflict_s = gaps[0], float(self.times_s[steps[0]])
         costs = np.array([track.cost for track in tracks])
-        best, least = None, np.inf
+        best, least, off_land = None, np.inf, self.clearance_m + LAND_COMFORT * sweep.hull.length_m
         for index in np.argsort(costs + crowding, kind="stable").tolist():
             if costs[index] + crowding[index] >= least:
                 break  # land can only add to the cost
-            crowding[index] += self._near_land(sweep.row(index))
+            gaps = self.land.gaps(sweep.row(index), self.interval_s, off_land)
+            crowding[index] += _crowding(gaps, self.clearance_m, off_land)[0]
             if costs[index] + crowding[index] < least:
                 best, least = index, costs[index] + crowding[index]
         if best is None:
@@ -253,11 +249,6 @@ class Waters:
         ]
         near: list[int] = np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2).tolist()
         return near
-
-    def _near_land(self, sweep: Sweep) -> float:
-        comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
-        gaps = self.land.gaps(sweep, self.interval_s, comfort)
-        return float(_crowding(gaps, self.clearance_m, comfort)[0])
 
     def best(self, first: Track, changes: Callable[[float | None], Iterable[Sequence[Track]]]) -> Track | None:
         """The first track, as drawn, if it keeps well clear, else the best of it and of the changed ones; None if none

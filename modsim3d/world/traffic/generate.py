@@ -94,7 +94,7 @@ def _course(chart: Chart, hull: DrawnHull, wanderer: Wanderer) -> VesselPath | N
 
 
 def _water(chart: Chart, area: LeisureKeys, hull: DrawnHull) -> shapely.Geometry:
-    """Where the centre of a hull may be."""
+    """Water in which the centre of a hull may be."""
     land = chart.waters.land.below(hull.air_draft_m).buffer(hull.reach_m + chart.keys.clearance_m, quad_segs=4)
     water = shapely.Polygon(area.polygon_m).buffer(-hull.reach_m).difference(land)
     shapely.prepare(water)
@@ -134,10 +134,9 @@ def _tight(name: str, keys: OwnKeys, vessel: Vessel) -> list[str]:
     room = corner_radii_m(np.array(keys.waypoints_m), np.inf)
     if not len(room) or room.min() >= radius:
         return []
-    return [
-        f"own.{name}.waypoints_m[{int(np.argmin(room)) + 1}]: she turns on a radius of {radius:.0f} m, and the legs "
-        f"leave room for {room.min():.0f} m: use longer legs or a smaller change of course"
-    ]
+    turns = f"she turns on a radius of {radius:.0f} m, and the legs leave room for {room.min():.0f} m"
+    corner = f"own.{name}.waypoints_m[{int(np.argmin(room)) + 1}]"
+    return [f"{corner}: {turns}: use longer legs or a smaller change of course"]
 
 
 def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
@@ -221,10 +220,8 @@ def _too_many(chart: Chart) -> list[str]:
     if sum(means.values()) <= most:
         return []
     key = max(means, key=lambda name: means[name])
-    return [
-        f"{key}: means {means[key]:,.0f} vessels, of {sum(means.values()):,.0f} in all; at most {most:,.0f} can be "
-        f"planned for {duration:,.0f} s"
-    ]
+    possible = f"at most {most:,.0f} can be planned for {duration:,.0f} s"
+    return [f"{key}: means {means[key]:,.0f} vessels, of {sum(means.values()):,.0f} in all; {possible}"]
 
 
 def _on_land(land: Land, waypoints_m: np.ndarray, width_m: float) -> str:

@@ -152,11 +152,9 @@ def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]
             problems.append(f"lanes.{name}.waypoints_m: the lane is {long_m:.0f} m long: {needed_m}")
         tight = np.flatnonzero(room < needed)
         if len(tight):
-            problems.append(
-                f"lanes.{name}.waypoints_m[{tight[0] + 1}]: {kind} turns on a radius of {needed:.0f} m, and the legs "
-                f"leave room for {max(room[tight[0]], 0):.0f} m: use longer legs, a smaller change of course, or "
-                "another kind"
-            )
+            turns, free = f"{kind} turns on a radius of {needed:.0f} m", f"{max(room[tight[0]], 0):.0f} m"
+            remedy = f"the legs leave room for {free}: use longer legs, a smaller change of course, or another kind"
+            problems.append(f"lanes.{name}.waypoints_m[{tight[0] + 1}]: {turns}, and {remedy}")
     return problems
 
 

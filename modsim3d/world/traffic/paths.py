@@ -199,9 +199,7 @@ class Wanderer:
 
     def _next(self, place: Array, heading: float, gone_m: float) -> tuple[Array, float] | None:
         """The next waypoint and the course to it, wholly in the water; any course if there is no heading yet."""
-        short, long = (
-            max(radii * self.radius_m, time_s * self.speed_m_s) for radii, time_s in zip(LEG_RADII, LEG_S, strict=True)
-        )
+        short, long = np.maximum(np.multiply(LEG_RADII, self.radius_m), np.multiply(LEG_S, self.speed_m_s)).tolist()
         for trial in range(COURSES):
             urge = trial / (COURSES - 1)  # she turns sharper, and sooner, if the water ahead is short
             share, turn, side = self.rng.random(3)

@@ -16,26 +16,8 @@ from pyais.encode import ais_to_nmea_0183, data_to_payload
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.formats.writing.ais.reporting import (
-    AGE_S,
-    STATIC_B_AFTER_S,
-    Schedule,
-    heard,
-    own_static_schedule,
-    position_schedule,
-    rate,
-    static_schedule,
-)
-from modsim3d.formats.writing.ais.sensors import (
-    NO_CLASS,
-    Noise,
-    SensorReadings,
-    Station,
-    Stay,
-    measured,
-    stations,
-    stays,
-)
+from modsim3d.formats.writing.ais import reporting, sensors
+from modsim3d.formats.writing.ais.sensors import Noise, SensorReadings, Station, Stay, stations
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.scene.scene import Scene
@@ -52,7 +34,7 @@ AT_ANCHOR, UNDER_WAY = 1, 0
 BY_GPS = 1
 NO_HOUR, NO_MINUTE = 24, 60
 CARRIER_SENSE_STATE = 0b1_1100000000000000110
-"""What class B "CS" sends where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
+"""Sent by class B "CS" where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
 
 Fields = dict[str, Any]
 
@@ -166,10 +148,8 @@ def own_ship(request: ExportRequest) -> tuple[int, ...]:
     found = tuple(index for index, name in enumerate(names) if name in carriers)
     if len(found) > 1:
         vessels = " and ".join(f"'{names[index]}'" for index in found)
-        raise ModsimError(
-            f"{request.run.folder}: the cameras are on board {vessels}, and a log of AIS has one own ship: choose the "
-            "cameras of one of them with --camera"
-        )
+        remedy = "a log of AIS has one own ship: choose the cameras of one of them with --camera"
+        raise ModsimError(f"{request.run.folder}: the cameras are on board {vessels}, and {remedy}")
     return found
 
 
@@ -181,7 +161,7 @@ def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
     writer.writerow(("vessel", "ais_class", "mmsi", "own_ship"))
     for index, name in enumerate(scene.vessel_names):
         station = by_vessel.get(index)
-        row = (station.ais_class, station.mmsi, int(station.own)) if station else (NO_CLASS, "", 0)
+        row = (station.ais_class, station.mmsi, int(station.own)) if station else (sensors.NO_CLASS, "", 0)
         writer.writerow((name, *row))
     return table.getvalue()
 
@@ -189,7 +169,7 @@ def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
 def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[ReceivedReport]:
     """All reports that are received in the first steps of a scene, those of one station after another."""
     streams = Streams(scene.seed)
-    for station, found in zip(carried, stays(scene, steps, carried), strict=True):
+    for station, found in zip(carried, sensors.stays(scene, steps, carried), strict=True):
         seconds = int(found[-1].times_s[-1]) + 1 if found else 0
         sender = _Sender(scene, station, streams, Noise.of(station.name, streams, seconds))
         for number, stay in enumerate(found):
@@ -206,16 +186,16 @@ class _Sender:
     def reports(self, stay: Stay, number: int) -> Iterator[ReceivedReport]:
         """Reports received during a stay; `number` is its own, from 0."""
         station, scene = self._station, self._scene
-        seen = measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
+        seen = sensors.measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
         phases = self._streams.uniforms(Purpose.AIS_PHASE, station.name, first=number, count=1)[0].tolist()
         if station.own:
             yield from self._own_positions(seen, stay)
         else:
             yield from self._positions(seen, stay, phases[0])
         for part in range(1 if station.ais_class == "A" else 2):
-            schedule = static_schedule(stay.times_s, stay.end_s, phases[1], part * STATIC_B_AFTER_S)
+            schedule = reporting.static_schedule(stay.times_s, stay.end_s, phases[1], part * reporting.STATIC_B_AFTER_S)
             if station.own:  # whose station is asked for them when the log begins
-                schedule = own_static_schedule(stay.times_s, stay.end_s)
+                schedule = reporting.own_static_schedule(stay.times_s, stay.end_s)
             message = payload(static_fields(station, part))
             for time_s, _, ordinal in self._received(schedule, stay, part + 1):
                 yield ReceivedReport(time_s, station.mmsi, part + 1, ordinal, message, station.own)
@@ -223,22 +203,22 @@ class _Sender:
     def _own_positions(self, seen: SensorReadings, stay: Stay) -> Iterator[ReceivedReport]:
         """Own ship's position, which its own station gives once a second."""
         for row in range(len(seen.times_s)):
-            time_s = float(seen.times_s[row]) + AGE_S
+            time_s = float(seen.times_s[row]) + reporting.AGE_S
             message = payload(position_fields(self._station, seen, row, stay.at_rest, False))
             yield ReceivedReport(time_s, self._station.mmsi, 0, 0, message, True)
 
     def _positions(self, seen: SensorReadings, stay: Stay, phase: float) -> Iterator[ReceivedReport]:
-        often = rate(seen, self._station.ais_class, stay.at_rest)
-        schedule = position_schedule(stay.times_s, stay.end_s, often, self._station.ais_class, phase)
+        often = reporting.rate(seen, self._station.ais_class, stay.at_rest)
+        schedule = reporting.position_schedule(stay.times_s, stay.end_s, often, self._station.ais_class, phase)
         for time_s, row, ordinal in self._received(schedule, stay, 0):
             fields = position_fields(self._station, seen, row, stay.at_rest, bool(often.between[row]))
             yield ReceivedReport(time_s, self._station.mmsi, 0, ordinal, payload(fields), False)
 
-    def _received(self, schedule: Schedule, stay: Stay, kind: int) -> Iterator[tuple[float, int, int]]:
+    def _received(self, schedule: reporting.Schedule, stay: Stay, kind: int) -> Iterator[tuple[float, int, int]]:
         """Time, row of the measurements and number of each report; own ship's are never lost."""
         station, first, count = self._station, self._sent[kind], len(schedule.due_s)
         self._sent[kind] += count
         draws = self._streams.uniforms(Purpose.AIS_SLOT, station.name, str(kind), first=first, count=count)
         lost = 0.0 if station.own else self._scene.ais.drop_out
-        found = heard(schedule, stay.times_s, stay.end_s, lost, draws)
+        found = reporting.heard(schedule, stay.times_s, stay.end_s, lost, draws)
         yield from zip(found.times_s.tolist(), found.rows.tolist(), (found.numbers + first).tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""When an AIS station sends its reports, and which of them are lost.
+"""Times at which an AIS station sends its reports, and the reports that are lost.
 
 Intervals are those of ITU-R M.1371-5, annex 1, tables 1 and 2. Class A sends every 10 s below 14 knots, every 6 s up to
 23 knots, and every 2 s above; while it changes course every 3⅓ s below 14 knots and every 2 s above; at anchor below 3

@@ -73,9 +73,8 @@ def stations(scene: Scene, own: Collection[int]) -> tuple[Station, ...]:
         chosen = scene.ais.vessels.get(vessel.name, chosen)
         if chosen != NO_CLASS:
             sides, height_m = antenna_sides(vessel, chosen), vessel.air_draft_m / 2
-            found.append(
-                Station(index, vessel.name, mmsi, chosen, ship_type, index in own, vessel.length_m, sides, height_m)
-            )
+            identity = (index, vessel.name, mmsi, chosen, ship_type, index in own)
+            found.append(Station(*identity, vessel.length_m, sides, height_m))
     return tuple(found)
 
 
