@@ -17,17 +17,9 @@ from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.tables import positions
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracks import tracks
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, BoxForm
-from modsim3d.tracks.tracks import (
-    COVARIANCES,
-    FAR,
-    Tracks,
-    camera_sequence_names,
-    covariances,
-    far_tracks,
-    plain_name,
-    source_of,
-)
+from modsim3d.tracks.tracks import COVARIANCES, Tracks, camera_sequence_names, covariances, source_of
 
 # ---- The rows of a file ----
 
@@ -71,8 +63,8 @@ class FileRows:
         images = np.array([camera.intrinsics.image_size_px for camera in cameras])
         size = images[self.frame % len(cameras)]
         self.problems.refuse(
-            far_tracks(boxes, np.column_stack([self.frame % len(cameras), self.track]), size),
-            lambda row: f"{FAR}; the image has {size[row, 0]} x {size[row, 1]} px ({self._numbers(row)})",
+            tracks.far_tracks(boxes, np.column_stack([self.frame % len(cameras), self.track]), size),
+            lambda row: f"{tracks.FAR}; the image has {size[row, 0]} x {size[row, 1]} px ({self._numbers(row)})",
         )
 
     def _check_attributes(self) -> None:
@@ -267,7 +259,7 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> Mapping[int, Pa
 
 
 def _unknown(stem: str, names: tuple[str, ...], rows: RunRows) -> str:
-    of_class = {f"{name}-{plain_name(label)}" for name in names for label in rows.scene.detector.labels}
+    of_class = {f"{name}-{tracks.plain_name(label)}" for name in names for label in rows.scene.detector.labels}
     if stem in of_class:
         return f"{stem}.txt is of one class: give the tracks of all classes together, as for the set modsim3d-all"
     return f"{stem}.txt is of no camera of the run ({nearest(stem, names)})"

@@ -23,15 +23,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading import builder
-from modsim3d.formats.reading.builder import (
-    MAX_PX,
-    NO_OPTIONS,
-    Confidences,
-    LabelledRow,
-    Problems,
-    ReadOptions,
-    is_number,
-)
+from modsim3d.formats.reading.builder import NO_OPTIONS, Confidences, LabelledRow, Problems, ReadOptions, is_number
 from modsim3d.io.input_files import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, MAX_LINE_CHARACTERS, read_text
 from modsim3d.io.misreadings import LOST, has_lost_digits, no_commas
 from modsim3d.io.validation import shown
@@ -90,7 +82,7 @@ _MAX_CLASSES = 10_000  # a larger number is no class but something else
 _TINY = 1e-6
 _UNKNOWN = -1
 _MANY_EMPTY = 2  # a sequence so many times longer than what has boxes may not be annotated to its end
-_SIDE_PX = (_TINY, MAX_PX)
+_SIDE_PX = (_TINY, builder.MAX_PX)
 _RANGES = {"imWidth": _SIDE_PX, "imHeight": _SIDE_PX, "frameRate": (_TINY, 1e6), "seqLength": (0.0, MAX_FRAMES)}
 """Least and largest value of each key of a `seqinfo.ini`."""
 

@@ -17,19 +17,10 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
 from modsim3d.formats.reading.yolo import read_yolo
 from modsim3d.io.validation import shown
-from modsim3d.tracks.diagnosis import (
-    CENTRE,
-    MOT,
-    TOP_LEFT,
-    BoxForm,
-    BoxRows,
-    KnownBoxes,
-    agree,
-    implausible,
-    misreading,
-)
+from modsim3d.tracks import diagnosis
+from modsim3d.tracks.diagnosis import BoxForm, BoxRows, KnownBoxes, agree, implausible, misreading
 
-_FORMS = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}
+_FORMS = {"COCO": diagnosis.TOP_LEFT, "MOT": diagnosis.MOT, "YOLO": diagnosis.CENTRE}
 _UNUSED = {
     "COCO": {"--labels": "labels", "--image-size": "image_size_px"},
     "MOT": {"--category-offset": "category_offset"},

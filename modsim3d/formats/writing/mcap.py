@@ -16,20 +16,8 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.formats.writing.mcap_messages import (
-    CAMERA_INFO,
-    IMU,
-    TRANSFORMS,
-    FrameBoxes,
-    FramePlace,
-    MeasuredMotion,
-    Messages,
-    Variances,
-    detected_boxes,
-    quaternions,
-    stamps_ns,
-    true_boxes,
-)
+from modsim3d.formats.writing import mcap_messages
+from modsim3d.formats.writing.mcap_messages import FrameBoxes, FramePlace, MeasuredMotion, Messages, quaternions
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.geometry.camera_poses import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import first_derivative, slopes
@@ -268,17 +256,17 @@ class BagRecording:
         """Add the topics, and the frames that never move."""
         names, static = self._names, static_places(self._scene, self._names)
         for name in names.cameras.values():
-            tracker.add_topic(f"/{name}/camera_info", CAMERA_INFO)
+            tracker.add_topic(f"/{name}/camera_info", mcap_messages.CAMERA_INFO)
             tracker.add_topic(f"/{name}/detections", DETECTIONS_2D)
             truth.add_topic(f"/truth/{name}/boxes", DETECTIONS_2D)
         for prefix in names.vessels.values():
             tracker.add_topic(f"/{prefix}odom", ODOMETRY)
-            tracker.add_topic(f"/{prefix}imu", IMU)
+            tracker.add_topic(f"/{prefix}imu", mcap_messages.IMU)
         if names.vessels:
-            tracker.add_topic("/tf", TRANSFORMS)
-        truth.add_topic("/tf", TRANSFORMS)
+            tracker.add_topic("/tf", mcap_messages.TRANSFORMS)
+        truth.add_topic("/tf", mcap_messages.TRANSFORMS)
         if static:
-            tracker.add_topic("/tf_static", TRANSFORMS, latched=True)
+            tracker.add_topic("/tf_static", mcap_messages.TRANSFORMS, latched=True)
             first = self._stamps_ns[0]
             tracker.write("/tf_static", first, self._make.transforms(first, [(place, 0) for place in static]))
 
@@ -307,7 +295,8 @@ class BagRecording:
         imu = self._scene.imu  # variances of all errors are those of noise and offset
         rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
         force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
-        variances = Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))  # ROS's, about x, y and z
+        # Those of roll, pitch and heading are ROS's, about x, y and z.
+        variances = mcap_messages.Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
             speeds = motion.velocities_m_s[row], motion.rates_rad_s[row]
             yield Stamped(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
@@ -316,13 +305,13 @@ class BagRecording:
     def _camera(self, part: CameraBlock) -> Iterator[Stamped]:
         name, frame = self._names.cameras[part.camera], self._names.optical(part.camera)
         intrinsics = self._scene.cameras[part.camera].intrinsics
-        for stamp, boxes in self._stamped(part, detected_boxes(part, self._scene)):
+        for stamp, boxes in self._stamped(part, mcap_messages.detected_boxes(part, self._scene)):
             yield Stamped(stamp, f"/{name}/camera_info", self._make.camera_info(stamp, frame, intrinsics))
             yield Stamped(stamp, f"/{name}/detections", self._make.detections(stamp, frame, boxes))
 
     def _truth(self, part: CameraBlock) -> Iterator[Stamped]:
         topic, frame = f"/truth/{self._names.cameras[part.camera]}/boxes", self._names.optical(part.camera)
-        for stamp, boxes in self._stamped(part, true_boxes(part, self._scene)):
+        for stamp, boxes in self._stamped(part, mcap_messages.true_boxes(part, self._scene)):
             yield Stamped(stamp, topic, self._make.detections(stamp, frame, boxes))
 
     def _vessels(self, block: Block) -> Iterator[Stamped]:
@@ -369,7 +358,8 @@ def _recording(request: ExportRequest) -> BagRecording:
     run = request.run
     run.check_has_steps()
     messages, scene = Messages(message_types("--format mcap")), run.scene
-    return BagRecording(scene, bag_names(request), stamps_ns(scene.timestamps(0, run.steps), scene.title), messages)
+    stamps_ns = mcap_messages.stamps_ns(scene.timestamps(0, run.steps), scene.title)
+    return BagRecording(scene, bag_names(request), stamps_ns, messages)
 
 
 @contextmanager
