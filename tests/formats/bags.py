@@ -72,7 +72,6 @@ Topics = dict[str, list[Message]]
 
 
 def read_with_rosbags(bag: Path) -> Topics:
-    """The messages of a bag by topic, in the order of the file."""
     topics: Topics = defaultdict(list)
     with AnyReader([bag]) as reader:
         for connection, stamp_ns, raw in reader.messages():

@@ -26,7 +26,6 @@ VESSELS = {
 
 
 def exported_run(folder: Path, **annotation: object) -> StoredRun:
-    """Run the scene in a folder."""
     detector = yaml.safe_load((data_folder("scenes") / "detectors" / "rich.yaml").read_text(encoding="utf-8"))
     detector["labels"] = list(LABELS)
     (folder / "rich.yaml").write_text(yaml.safe_dump(detector), encoding="utf-8")

@@ -59,7 +59,6 @@ def tracks():
 
 
 def scene_of(steps: int = STEPS, **keys: Any) -> Scene:
-    """The scene of this module."""
     positions, headings = (values[:steps] for values in tracks())
     size = {name: {"length_m": length, "beam_m": beam} for name, (length, beam) in SIZES.items()}
     content = {
@@ -333,7 +332,6 @@ def test_a_scene_of_modsim3d_ais_knows_where_it_lies(monkeypatch, tmp_path, caps
 
 
 def exported(scene: Scene, folder) -> list[Line]:
-    """The log of a scene, which is run first."""
     run_scene(scene, folder / "run")
     write(ExportRequest(open_run(folder / "run"), (0, 1)), folder / "out")
     return read((folder / "out" / "ais.nmea").read_bytes())

@@ -13,7 +13,6 @@ from modsim3d.world.vessels import Vessel
 
 
 def seen(seconds, speed_kn=10.0, heading_deg=90.0, first_s=0, **other):
-    """Measurements one second after another."""
     n = np.zeros(seconds)
     columns = {"speed_kn": n + speed_kn, "heading_deg": n + heading_deg, "course_deg": n + 45, "turn_deg_min": n}
     place = {"latitude_deg": n + 56, "longitude_deg": n + 12}
@@ -25,7 +24,6 @@ def station(ais_class="A", length_m=90.0, mmsi=219000001, sides_m=(60, 30, 7, 8)
 
 
 def sent(fields):
-    """What a decoder makes of a message."""
     text = log.lines(log.payload(fields), False, "A", 3, 0.0)
     return decode(*[line.split("\\")[2].encode() for line in text.splitlines()])
 

@@ -53,7 +53,6 @@ def numbers(table: Table, *names: str) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def documented(file: str) -> list[str]:
-    """The columns that the page lists for a file."""
     section = PAGE.partition(f"\n### {file}\n")[2].partition("\n#")[0]
     return re.findall(r"`([a-z0-9_]+)`", "\n".join(re.findall(r"^\| (`[^|]+) \|", section, re.MULTILINE)))
 

@@ -116,7 +116,6 @@ def test_a_track_below_zero_is_nobodys(tmp_path):
 
 
 def of_track(tmp_path, **keys):
-    """Truth of one box with these keys."""
     box = {"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], **keys}
     return read_truth(coco(tmp_path, [], annotations=[box])[0], ReadOptions())[0]
 

@@ -44,12 +44,10 @@ def sea_scene(**keys: Any) -> Scene:
 
 
 def sea_run(folder: Path, **keys: Any) -> StoredRun:
-    """A run of the scene."""
     return open_run(run_scene(sea_scene(**keys), folder).folder)
 
 
 def write_csv(path: Path, columns: Mapping[str, Any]) -> Path:
-    """A table of text with a line of names."""
     lines = [",".join(columns), *(",".join(map(str, row)) for row in zip(*columns.values(), strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

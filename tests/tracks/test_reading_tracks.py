@@ -39,7 +39,6 @@ def read(small_run, small_rows, tmp_path):
 
 @pytest.fixture
 def read_mot(small_run, small_rows, tmp_path):
-    """Reads the texts of the files of a folder."""
     return lambda texts: read_tracks(write_mot(tmp_path / "mine", texts), small_run, small_rows)
 
 
@@ -344,7 +343,6 @@ def test_one_file_of_several_may_be_wrong(small_run, small_rows, small_tracks, t
 
 
 def one_off(rows, steps):
-    """Detections in the frame that many steps later."""
     tracks = detected_tracks(rows)
     there = tracks.take(np.isin(tracks.step + steps, rows.frames))
     return replace(there, frame=there.frame + steps)

@@ -33,7 +33,6 @@ def csv_text(rows, tracks, numbers=None, names="x_min_px,y_min_px,x_max_px,y_max
 
 
 def mot_texts(rows, tracks, numbers=None, first_frame=1) -> dict[str, str]:
-    """The text of each camera's file."""
     numbers = top_left(tracks.boxes_px) + np.array([1, 1, 0, 0]) if numbers is None else numbers
     cameras, texts = [camera.name for camera in rows.scene.cameras], {}
     for index, name in enumerate(cameras):

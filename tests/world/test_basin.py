@@ -22,7 +22,6 @@ BASIN = data_folder("scenes") / "basin"
 
 
 def footprints(poses, length=8.0, beam=4.0):
-    """Hulls as rectangles, shape (S, V)."""
     half = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * (length / 2, beam / 2)
     cosine, sine = np.cos(poses.headings_rad), np.sin(poses.headings_rad)
     turn = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)

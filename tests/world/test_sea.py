@@ -20,7 +20,6 @@ HEADINGS = st.floats(-np.pi, np.pi)
 
 
 def passage(times, heading=0.0, speed=0.0, start=(0.0, 0.0, 0.0)):
-    """A vessel that keeps its heading and speed."""
     ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
     velocity = np.broadcast_to(speed * ahead, (len(times), 3))
     places = start + times[:, None] * velocity
