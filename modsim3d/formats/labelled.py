@@ -17,25 +17,15 @@ from modsim3d.io.validation import shown
 
 @dataclass(frozen=True, eq=False)
 class Images:
-    """The images of one or more conditions.
-
-    Attributes:
-        names: One for each image.
-        sizes_px: Width and height, NaN where unknown, shape (I, 2).
-        condition: Index into the names of the conditions, shape (I,).
-        source: Index of the data set that each came from: different ones are resampled separately, shape (I,).
-        sequence: Images of equal number are consecutive frames of one camera, shape (I,).
-        time_s: Time of each image within its sequence; NaN where images are not consecutive frames, shape (I,).
-        half_planes: (a, b, c) with a·x + b·y + c >= 0 on the sea side of the horizon, NaN where unknown, shape (I, 3).
-    """
+    """The images of one or more conditions, I rows."""
 
     names: tuple[str, ...]
-    sizes_px: Array
-    condition: Indices
-    source: Indices
-    sequence: Indices
-    time_s: Array
-    half_planes: Array
+    sizes_px: Array  # width and height, NaN where unknown: (I, 2)
+    condition: Indices  # index into the names of the conditions: (I,)
+    source: Indices  # index of the data set that each came from; different ones are resampled separately: (I,)
+    sequence: Indices  # images of equal number are consecutive frames of one camera: (I,)
+    time_s: Array  # within its sequence; NaN where images are not consecutive frames: (I,)
+    half_planes: Array  # (a, b, c), a·x + b·y + c >= 0 on the sea side of the horizon, NaN where unknown: (I, 3)
 
     def __len__(self) -> int:
         """Number of images."""
@@ -44,29 +34,18 @@ class Images:
 
 @dataclass(frozen=True, eq=False)
 class Annotations(Columns):
-    """The annotated boxes of all images: T rows ordered by image.
+    """The annotated boxes of all images: T rows ordered by image."""
 
-    Attributes:
-        image: Row of the images, non-decreasing, shape (T,).
-        label: Index into the labels, shape (T,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (T, 4).
-        ignored: Whether detecting it counts neither for nor against a detector, shape (T,).
-        crowd: Whether the box is a region with many things in it, which is ignored as COCO does, shape (T,).
-        identity: Equal for the same thing in images of one sequence, −1 where unknown, shape (T,).
-        visible_fraction: NaN where unknown, shape (T,).
-        depth_m: NaN where unknown, shape (T,).
-        unsure_box: Whether something hides a part of it, which may really be another part, so that the box of what is
-            left tells nothing of box errors, shape (T,); None if that is so of none.
-    """
-
-    image: Indices
-    label: Indices
-    boxes_px: Array
-    ignored: Mask
-    crowd: Mask
-    identity: Indices
-    visible_fraction: Array
-    depth_m: Array
+    image: Indices  # row of the images, non-decreasing: (T,)
+    label: Indices  # index into the labels: (T,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max: (T, 4)
+    ignored: Mask  # whether detecting it counts neither for nor against a detector: (T,)
+    crowd: Mask  # whether the box is a region with many things in it, which is ignored as COCO does: (T,)
+    identity: Indices  # equal for the same thing in images of one sequence, −1 where unknown: (T,)
+    visible_fraction: Array  # NaN where unknown: (T,)
+    depth_m: Array  # NaN where unknown: (T,)
+    # Whether something hides a part of it, which may really be another part, so that the box of what is left tells
+    # nothing of box errors: (T,); None if that is so of none.
     unsure_box: Mask | None = None
 
     @property
@@ -82,28 +61,16 @@ class Annotations(Columns):
 
 @dataclass(frozen=True, eq=False)
 class Results(Columns):
-    """A detector's detections in all images: D rows ordered by image.
+    """A detector's detections in all images: D rows ordered by image."""
 
-    Attributes:
-        image: Row of the images, non-decreasing, shape (D,).
-        label: Index into the labels, shape (D,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (D, 4).
-        confidence: In [0, 1], NaN where not given, shape (D,).
-        probabilities: Of the k labels, NaN where not given, shape (D, k); None if given nowhere.
-        origin: Row of the annotation that each is the one detection of, −1 for a false detection, shape (D,); None
-            where unknown.
-        kind: Index into `detector.records.KINDS`, shape (D,); None where unknown.
-        partner: Row of the smaller of two annotations in a merged box, else −1, shape (D,); None where unknown.
-    """
-
-    image: Indices
-    label: Indices
-    boxes_px: Array
-    confidence: Array
-    probabilities: Array | None = None
-    origin: Indices | None = None
-    kind: Indices | None = None
-    partner: Indices | None = None
+    image: Indices  # row of the images, non-decreasing: (D,)
+    label: Indices  # index into the labels: (D,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max: (D, 4)
+    confidence: Array  # in [0, 1], NaN where not given: (D,)
+    probabilities: Array | None = None  # of the k labels, NaN where not given: (D, k); None if given nowhere
+    origin: Indices | None = None  # row of the one annotation it detects, −1 if it is false: (D,); None where unknown
+    kind: Indices | None = None  # index into `detector.records.KINDS`: (D,); None where unknown
+    partner: Indices | None = None  # row of the smaller annotation in a merged box, else −1: (D,); None where unknown
 
     def by_image(self) -> Results:
         """Results in the order of their images."""
@@ -112,27 +79,18 @@ class Results(Columns):
 
 @dataclass(frozen=True)
 class FileIds:
-    """IDs that a file uses for what a labelled set has by number.
+    """IDs that a file uses for what a labelled set has by number."""
 
-    Attributes:
-        images: ID of each image in COCO, number of each frame in MOT.
-        labels: ID of the category in COCO, number of the class in MOT, of each label; 0 for one without a number.
-        sequences: Name or number of each sequence; None for one without.
-        identities: The tracks.
-    """
-
-    images: tuple[int | str, ...]
-    labels: tuple[int, ...]
-    sequences: tuple[int | str | None, ...]
-    identities: tuple[int | str, ...]
+    images: tuple[int | str, ...]  # ID of each image in COCO, number of each frame in MOT
+    labels: tuple[int, ...]  # ID of each label's category in COCO, number of its class in MOT; 0 for one without
+    sequences: tuple[int | str | None, ...]  # name or number of each; None for one without
+    identities: tuple[int | str, ...]  # the tracks
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledSet:
     """Images with their annotations and a detector's results; notes say what a reader left out, for instance.
-
-    `ids` is known of a set that was read from one file of truth. Detections below `dropped_below` are missing.
-    """
+    `ids` is known of a set that was read from one file of truth. Detections below `dropped_below` are missing."""
 
     labels: tuple[str, ...]
     conditions: tuple[str, ...]
@@ -223,15 +181,11 @@ def _stacked(parts: Sequence[Images] | Sequence[Annotations] | Sequence[Results]
 def _column(name: str, values: list[Any], lengths: list[int]) -> Any:
     if name == "names":
         return tuple(each for part in values for each in part)
-    width = next((value.shape[1] for value in values if value is not None), None) if name == "probabilities" else None
-    if width is not None:
+    present = next((value for value in values if value is not None), None)
+    if present is not None and name in ("probabilities", "unsure_box"):
+        filler = np.nan if name == "probabilities" else False
         values = [
-            np.full((length, width), np.nan) if value is None else value
-            for value, length in zip(values, lengths, strict=True)
-        ]
-    if name == "unsure_box" and any(value is not None for value in values):
-        values = [
-            np.zeros(length, dtype=bool) if value is None else value
+            np.full((length, *present.shape[1:]), filler) if value is None else value
             for value, length in zip(values, lengths, strict=True)
         ]
     return None if any(value is None for value in values) else np.concatenate(values)
@@ -240,19 +194,13 @@ def _column(name: str, values: list[Any], lengths: list[int]) -> Any:
 # ---- The horizon in an image ----
 
 MAX_PX = 1e7
-UNKNOWN = (math.nan, math.nan, math.nan)
-"""The half-plane of an image whose horizon is not known."""
-EVERYWHERE = np.array([0.0, 0.0, 1.0])
-"""The half-plane of a sea that fills the image."""
+UNKNOWN = (math.nan, math.nan, math.nan)  # the half-plane of an image whose horizon is not known
+EVERYWHERE = np.array([0.0, 0.0, 1.0])  # the half-plane of a sea that fills the image
 _DECIMALS, _MIN_PX = 3, 1e-3
 
 
 def parse_horizon(text: str) -> tuple[float, ...]:
-    """The numbers of a text such as `400` or `0,400,1920,380`.
-
-    Raises:
-        InputError: There is something else in it.
-    """
+    """The numbers of a text such as `400` or `0,400,1920,380`. Raises InputError if there is something else in it."""
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
@@ -260,15 +208,9 @@ def parse_horizon(text: str) -> tuple[float, ...]:
 
 
 def half_plane(horizon: float | Sequence[float], sizes_px: Iterable[tuple[int, int]]) -> Array:
-    """The half-plane (a, b, c) of the sea below a horizon, a·x + b·y + c >= 0, shape (3,).
-
-    Args:
-        horizon: A row, or x and y of one point and of another.
-        sizes_px: Width and height of the images.
-
-    Raises:
-        InputError: It is no such line, or it lies below an image.
-    """
+    """The half-plane (a, b, c) of the sea below a horizon, a·x + b·y + c >= 0: (3,). `horizon` is a row, or x and y of
+    one point and of another. Raises InputError if it is no such line, or lies below an image of the given sizes (width,
+    height)."""
     numbers = np.atleast_1d(np.asarray(horizon, dtype=np.float64))
     if numbers.shape not in ((1,), (4,)) or not (np.abs(numbers) <= MAX_PX).all():
         text = ", ".join(f"{number:g}" for number in numbers.ravel().tolist())
@@ -286,11 +228,7 @@ def half_plane(horizon: float | Sequence[float], sizes_px: Iterable[tuple[int, i
 
 
 def with_horizon(labelled: LabelledSet, horizon: float | Sequence[float] | None) -> LabelledSet:
-    """A labelled set in which images without a horizon have this one, as in `half_plane`; None for none.
-
-    Raises:
-        InputError: It is no such line, or it lies below an image.
-    """
+    """A labelled set in which images without a horizon have this one; None for none. Raises as `half_plane`."""
     if horizon is None:
         return labelled
     images = labelled.images
@@ -310,10 +248,8 @@ def written_horizon(half_plane: Sequence[float], width_px: float) -> list[float]
 
 
 def read_horizon(value: Any, width_px: float) -> tuple[float, float, float] | None:
-    """The half-plane of an image whose horizon is a row, the rows at its edges, or two points; None if it is neither.
-
-    That of an image for which none is given is unknown.
-    """
+    """The half-plane of an image whose horizon is a row, the rows at its edges, or two points; `UNKNOWN` where none is
+    given, None if the value is neither."""
     if value is None:
         return UNKNOWN
     numbers = value if isinstance(value, list) else [value]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Indices, Mask
 from modsim3d.core.boxes import iou, unions
 from modsim3d.core.paths import StrPath
 from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED
@@ -19,12 +19,8 @@ from modsim3d.runs.stored_run import StoredRun, opened_run
 
 
 def labelled_run(run: StoredRun | StrPath, cameras: Sequence[int] | None = None) -> tuple[LabelledSet, StoredRun]:
-    """Read a run as a labelled set, with an image for each frame and a condition for each performance state.
-
-    Args:
-        run: The run.
-        cameras: Indices of the cameras whose images are read; all if None.
-    """
+    """Read a run as a labelled set, with an image for each frame and a condition for each performance state. Images are
+    of the cameras with these indices; of all if None."""
     run = opened_run(run)
     rows, detector = RunRows.of(run), run.scene.detector
     count = len(run.scene.cameras)
@@ -38,6 +34,10 @@ def labelled_run(run: StoredRun | StrPath, cameras: Sequence[int] | None = None)
 def _images(rows: RunRows, frames: Indices) -> Images:
     cameras = rows.scene.cameras
     step, camera = frames // len(cameras), frames % len(cameras)
+    half_planes = np.empty((len(frames), 3))
+    for index, each in enumerate(cameras):
+        ours = np.flatnonzero(camera == index)  # in order of step
+        half_planes[ours] = rows.scene.sea_half_planes(each, step[ours])
     sizes_px = np.array([camera.intrinsics.image_size_px for camera in cameras], dtype=np.float64)
     return Images(
         names=tuple(f"{cameras[c].name} {s}" for c, s in zip(camera.tolist(), step.tolist(), strict=True)),
@@ -46,21 +46,11 @@ def _images(rows: RunRows, frames: Indices) -> Images:
         source=np.zeros(len(frames), dtype=np.int64),
         sequence=camera,
         time_s=np.asarray(rows.scene.times_s(0, rows.scene.steps))[step],
-        half_planes=_half_planes(rows, step, camera),
+        half_planes=half_planes,
     )
 
 
-def _half_planes(rows: RunRows, step: Indices, camera: Indices) -> Array:
-    """The sea's side of the horizon in the frames of cameras at steps, shapes (n,); shape (n, 3)."""
-    result = np.empty((len(step), 3))
-    for index, each in enumerate(rows.scene.cameras):
-        ours = np.flatnonzero(camera == index)  # in order of step
-        result[ours] = rows.scene.sea_half_planes(each, step[ours])
-    return result
-
-
 def _truth(rows: RunRows, frames: Indices) -> Annotations:
-    """The annotated vessels of all images."""
     image, scene = positions(frames, rows.truth_frame), rows.scene
     annotated = np.flatnonzero(rows.annotated & (image >= 0))
     return Annotations(
@@ -97,11 +87,9 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
 
 
 def _partners(results: Results, truth: Annotations, detected: Mask) -> Indices:
-    """Row of the smaller vessel of each merged box, else −1, shape (D,).
-
-    Smaller ones are detected (T,) and have no box of their own. The tables do not say whose box each is in, so of those
-    in the image the pair whose common box fits best comes first.
-    """
+    """Row of the smaller vessel of each merged box, else −1: (D,). Smaller ones are `detected` (T,) and have no box of
+    their own. The tables do not say whose box each is in, so of those in the image the pair whose common box fits best
+    comes first."""
     partner, origin = np.full(len(results), NOBODY), results.origin
     merged = np.flatnonzero(results.kind == MERGED)
     if origin is None or not len(merged):

@@ -1,9 +1,7 @@
 """Matching of detections and annotations.
-
 All images are matched at once: pairs that could match are found by arithmetic over all pairs within images, and only
-those few are walked through. A detection matches at most one annotation, and an annotation at most one detection.
-What COCO ignores (crowds, `ignore`) is matched only by detections that match nothing else, and then neither counts.
-"""
+those few are walked through. A detection matches at most one annotation, and an annotation at most one detection. What
+COCO ignores (crowds, `ignore`) is matched only by detections that match nothing else, and then neither counts."""
 
 from __future__ import annotations
 
@@ -24,31 +22,21 @@ from modsim3d.io.input_files import MAX_PAIRS
 from modsim3d.io.validation import shown
 
 PAIRS_AT_ONCE = 2_000_000
-_IN_CROWD = 0.5
-"""A detection of which a larger share lies in a crowd is in it, however far from its centre."""
-NOT_SCORED = "the detections have none (-1)"
-"""What is said where something needs confidences that are not given."""
+_IN_CROWD = 0.5  # a detection of which a larger share lies in a crowd is in it, however far from its centre
+NOT_SCORED = "the detections have none (-1)"  # said where something needs confidences that are not given
 
 
 @dataclass(frozen=True)
 class Rule:
-    """How boxes are matched.
-
-    Attributes:
-        method: `confidence`: the most confident detection chooses first, the annotation with the largest IoU;
-            `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: of boxes with
-            centres near each other, the pair whose corners are nearest; `provenance`: what a simulated run says.
-        least_iou: A pair with less is no match.
-        most_distance_px: Largest distance between the centres of a match, for `centre`.
-        by_label: Whether only boxes of the same label match.
-        by_confidence: Whether for `centre`, too, the most confident detection chooses first.
-    """
+    """Matching of boxes, by `method`. `confidence`: the most confident detection chooses first, the annotation with the
+    largest IoU; `optimal`: as many matches as possible, and of those the largest sum of IoU; `centre`: of boxes with
+    centres near each other, the pair whose corners are nearest; `provenance`: what a simulated run says."""
 
     method: str = "confidence"
-    least_iou: float = 0.5
-    most_distance_px: float = 50.0
-    by_label: bool = False
-    by_confidence: bool = False
+    least_iou: float = 0.5  # a pair with less is no match
+    most_distance_px: float = 50.0  # between the centres of a match, for `centre`
+    by_label: bool = False  # only boxes of the same label match
+    by_confidence: bool = False  # for `centre`, too, the most confident detection chooses first
 
     def __str__(self) -> str:
         """The rule in words, for a report."""
@@ -62,21 +50,16 @@ class Rule:
 
     @property
     def for_average_precision(self) -> Rule:
-        """Rule for average precision: label by label, and in order of confidence.
-
-        Average precision is of the most confident detections at every threshold, and other orders may give an
-        annotation to a less confident one.
-        """
+        """Rule for average precision: label by label, and in order of confidence. It is of the most confident
+        detections at every threshold, and other orders may give an annotation to a less confident one."""
         method = "confidence" if self.method == "optimal" else self.method
         return replace(self, method=method, by_label=True, by_confidence=method == "centre")
 
 
 def usual_method(labelled: LabelledSet, position_m: float = 0.0) -> str:
-    """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU.
-
-    Without confidences, the optimal assignment. Where true positions are off by some metres, boxes may hardly overlap,
-    so it is centres.
-    """
+    """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU. Without
+    confidences, the optimal assignment; where true positions are off by some metres, boxes may hardly overlap, so it is
+    centres."""
     if labelled.results.origin is not None:
         return "provenance"
     if position_m:
@@ -86,18 +69,11 @@ def usual_method(labelled: LabelledSet, position_m: float = 0.0) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Matches of the detections that take part.
+    """Matches of the detections that take part."""
 
-    Attributes:
-        annotation: Row of the annotation that each detection matches, −1 for none, shape (D,).
-        counts: Whether a detection counts: it took part, and does not match something ignored, shape (D,).
-        sought: Whether an annotation is to be detected, shape (T,).
-        rule: How they were matched.
-    """
-
-    annotation: Indices
-    counts: Mask
-    sought: Mask
+    annotation: Indices  # row of the annotation that each detection matches, −1 for none: (D,)
+    counts: Mask  # whether a detection counts: it took part, and does not match something ignored: (D,)
+    sought: Mask  # whether an annotation is to be detected: (T,)
     rule: Rule = Rule()
 
     @cached_property
@@ -140,16 +116,8 @@ def overlap(boxes_px: Array, annotated_px: Array, crowd: Mask) -> Array:
 
 
 def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[Indices, Indices]]:
-    """All pairs of rows in the same image, about `PAIRS_AT_ONCE` at a time.
-
-    Args:
-        first: Image of each row of one table, non-decreasing, shape (n,).
-        second: Image of each row of the other table, non-decreasing, shape (m,).
-        images: Number of images.
-
-    Yields:
-        Rows of the first and of the second table, shapes (pairs,).
-    """
+    """Rows of all pairs in the same image, shapes (pairs,), about `PAIRS_AT_ONCE` at a time. `first` (n,) and `second`
+    (m,) are the images of the rows of two tables, non-decreasing, of so many images."""
     starts = np.searchsorted(second, np.arange(images + 1))
     others = np.diff(starts)[first]  # pairs that each of the first has
     ends = np.cumsum(others)
@@ -164,12 +132,9 @@ def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[
 
 
 def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matched:
-    """Match the detections that are confident enough, or whose confidence is not given.
-
-    Raises:
-        ModsimError: The rule is `provenance`, and the set does not say where detections come from; or it is
-            `confidence`, and no confidences are given.
-    """
+    """Match the detections that are confident enough, or whose confidence is not given. Raises ModsimError for the rule
+    `provenance` if the set does not say where detections come from, and for `confidence` if no confidences are
+    given."""
     takes_part = ~(labelled.results.confidence < least_confidence)
     if rule.method == "confidence" and not labelled.scored:
         raise ModsimError(f"matching in order of confidence needs confidences, and {NOT_SCORED}: give --match optimal")
@@ -199,11 +164,8 @@ def _origins(labelled: LabelledSet) -> Indices:
 
 
 def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
-    """Pairs of detections that take part and annotations that the rule lets match.
-
-    Raises:
-        ModsimError: There are too many for the memory.
-    """
+    """Pairs of detections that take part and annotations that the rule lets match. Raises ModsimError if there are too
+    many for the memory."""
     rows, images = np.flatnonzero(takes_part), len(labelled.images)
     kept, count = [(rows[:0], rows[:0], np.empty(0))], 0
     for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):
@@ -212,25 +174,14 @@ def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidat
         count += len(kept[-1][0])
         if count > MAX_PAIRS:
             image = labelled.images.names[int(labelled.annotations.image[second[-1]])]
-            problem = (
-                f"up to image {shown(image)} more than {MAX_PAIRS:,} pairs of boxes could match: are boxes repeated?"
-            )
-            raise ModsimError(problem)
+            problem = f"more than {MAX_PAIRS:,} pairs of boxes could match: are boxes repeated?"
+            raise ModsimError(f"up to image {shown(image)} {problem}")
     return Candidates(*(np.concatenate(column) for column in zip(*kept, strict=True)))
 
 
 def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: Rule) -> tuple[Mask, Array]:
-    """Whether pairs of rows in the same image may match by a rule, and how well they do, the more the better.
-
-    Args:
-        labelled: The set; with the origins of its detections if the rule is `provenance`.
-        detection: Rows of the detections, shape (n,).
-        annotation: Rows of the annotations, shape (n,).
-        rule: The rule.
-
-    Returns:
-        Shapes (n,).
-    """
+    """Whether pairs of rows (n,) in the same image may match by a rule, and how well they do, the more the better:
+    (n,). The set has the origins of its detections if the rule is `provenance`."""
     results, annotations = labelled.results, labelled.annotations
     a_px, b_px = results.boxes_px[detection], annotations.boxes_px[annotation]
     if rule.method == "provenance":
@@ -250,10 +201,8 @@ def fits(labelled: LabelledSet, detection: Indices, annotation: Indices, rule: R
 
 
 def _greedy(labelled: LabelledSet, pairs: Candidates, rule: Rule) -> Indices:
-    """Most confident detection first; or, by centres or without confidences, the pair that fits best first.
-
-    Ties are broken as COCO's own tools do: the later of equal annotations, the earlier of equal detections.
-    """
+    """Most confident detection first; or, by centres or without confidences, the pair that fits best first. Ties are
+    broken as COCO's own tools do: the later of equal annotations, the earlier of equal detections."""
     annotations, results = labelled.annotations, labelled.results
     target, detection, ignored = pairs.annotation, pairs.detection, annotations.ignored[pairs.annotation]
     matches = np.full(len(results), NOBODY)

@@ -1,7 +1,5 @@
 """Files of boxes that are wrong as a whole: read in another way they fit boxes that are known, or their images.
-
-Tracks are held against the detections of their run, detections against the annotations of their images.
-"""
+Tracks are held against the detections of their run, detections against the annotations of their images."""
 
 from __future__ import annotations
 
@@ -19,19 +17,12 @@ from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM
 
 @dataclass(frozen=True)
 class BoxForm:
-    """A form.
+    """A form."""
 
-    Attributes:
-        meaning: What the four numbers are, in words.
-        names: Their names.
-        first_px: Number of the first pixel.
-        to_corners: Makes x_min, y_min, x_max, y_max of the four, shapes (k, 4).
-    """
-
-    meaning: str
-    names: tuple[str, ...]
-    first_px: int
-    to_corners: Callable[[Array], Array]
+    meaning: str  # of the four numbers, in words
+    names: tuple[str, ...]  # of the four numbers
+    first_px: int  # number of the first pixel
+    to_corners: Callable[[Array], Array]  # makes x_min, y_min, x_max, y_max of the four, shapes (k, 4)
 
     def boxes_px(self, numbers: Array) -> Array:
         """Boxes as x_min, y_min, x_max, y_max with pixels from 0, of those of a file, shapes (k, 4)."""
@@ -53,8 +44,7 @@ TOP_LEFT = BoxForm("the corner x, y and width, height", ("x", "y", "width", "hei
 MOT = BoxForm("x, y, width, height with pixels from 1", TOP_LEFT.names, 1, from_top_left)
 
 
-_LOOKED_AT = 2000
-"""Rows, spread over the file."""
+_LOOKED_AT = 2000  # rows, spread over the file
 _MIN_ROWS, _MIN_CLOSE_ROWS = 8, 30
 """Fewer rows may be false tracks, which fit nothing, or anything by chance; more are needed where little changes."""
 _FITS, _NEARER = 0.1, 0.6
@@ -81,30 +71,21 @@ _FITS_BETTER, _FOLLOWS = 0.2, 0.1
 """Another reading is meant if it leaves at most this share of such boxes; and width and height are corners if at most
 this share of their variance is left when the upper left corner is subtracted."""
 _NEARLY_ALL, _MANY, _TO_THE_EDGE = 0.98, 0.5, 0.9
-_SNUG_PX = 2.0
-"""Boxes that an image has cut end so near to its edge."""
+_SNUG_PX = 2.0  # boxes that an image has cut end so near to its edge
 
 
 @dataclass(frozen=True, eq=False)
 class KnownBoxes:
-    """The m boxes that others should lie near, in order of frame.
+    """The m boxes that others should lie near, in order of frame."""
 
-    Attributes:
-        word: What one is called.
-        frame: Number of the frame, shape (m,).
-        boxes_px: Shape (m, 4).
-    """
-
-    word: str
-    frame: Indices
-    boxes_px: Array
+    word: str  # what one is called
+    frame: Indices  # number of the frame: (m,)
+    boxes_px: Array  # (m, 4)
 
     def distances(self, frame: Indices, boxes_px: Array) -> Array:
-        """How far boxes are from the nearest one of their frame, in pixels; infinite without one, shape (k,).
-
-        The distance of two boxes is the largest of their four edges. Unlike the IoU it tells boxes that are near from
-        others also where boats are smaller than the errors of their boxes.
-        """
+        """Distances of boxes from the nearest one of their frame in pixels; infinite without one: (k,). The distance of
+        two boxes is the largest of their four edges. Unlike the IoU it tells boxes that are near from others also where
+        boats are smaller than the errors of their boxes."""
         return self._nearest(frame, boxes_px, lambda edges: np.abs(edges).max(axis=1))
 
     def squares(self, frame: Indices, boxes_px: Array) -> Array:
@@ -132,23 +113,14 @@ class KnownBoxes:
 
 @dataclass(frozen=True, eq=False)
 class BoxRows:
-    """The k boxes of a file.
+    """The k boxes of a file."""
 
-    Attributes:
-        numbers: Four numbers of each as the file has them, shape (k, 4).
-        form: What these are read as.
-        image_px: Width and height of the image, shape (k, 2).
-        frame: Number of the frame, shape (k,).
-        frame_before: Number of the frame before it, one that does not exist for the first, shape (k,).
-        frame_after: The same for the frame after it, shape (k,).
-    """
-
-    numbers: Array
-    form: BoxForm
-    image_px: Array
-    frame: Indices
-    frame_before: Indices
-    frame_after: Indices
+    numbers: Array  # four of each as the file has them: (k, 4)
+    form: BoxForm  # what these are read as
+    image_px: Array  # width and height of the image: (k, 2)
+    frame: Indices  # number of the frame: (k,)
+    frame_before: Indices  # number of the frame before it, one that does not exist for the first: (k,)
+    frame_after: Indices  # number of the frame after it, one that does not exist for the last: (k,)
 
     def spread(self) -> BoxRows:
         """Some of the rows, spread over the file."""
@@ -159,19 +131,12 @@ class BoxRows:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """Another way to read a file.
+    """Another way to read a file."""
 
-    Attributes:
-        told: What is wrong then, and what would be right.
-        boxes_px: Shape (k, 4).
-        frame: Number of the frame, shape (k,).
-        factor: By which boxes must be nearer.
-    """
-
-    told: str
-    boxes_px: Array
-    frame: Indices
-    factor: float = _MUCH
+    told: str  # what is wrong then, and what would be right
+    boxes_px: Array  # (k, 4)
+    frame: Indices  # number of the frame: (k,)
+    factor: float = _MUCH  # by which boxes must be nearer
 
 
 @dataclass(frozen=True)
@@ -185,15 +150,10 @@ class Misreading:
 def misreading(
     rows: BoxRows, known: KnownBoxes, truth: KnownBoxes | None = None, *, only_forms: bool = False
 ) -> Misreading | None:
-    """Fault of boxes that are far from known ones as they are, and near if they are read in another way.
-
-    Args:
-        rows: The boxes of a file.
-        known: What they should lie near.
-        truth: Of tracks, the true boxes. A tracker may correct a bias of its detections or lag behind them by a frame,
-            so boxes that another reading moves by little are wrong only if one brings them nearer to these too.
-        only_forms: Whether nothing but the form of the boxes is in doubt.
-    """
+    """Fault of boxes that are far from known ones as they are, and near if they are read in another way. `truth` has,
+    for tracks, the true boxes: a tracker may correct a bias of its detections or lag behind them by a frame, so boxes
+    that another reading moves by little are wrong only if one brings them nearer to these too. With `only_forms`
+    nothing but the form of the boxes is in doubt."""
     if len(rows.frame) < _MIN_ROWS:
         return None
     rows = rows.spread()
@@ -296,10 +256,8 @@ def _median(away: Array) -> float:
 
 
 def _agrees(truth: KnownBoxes, rows: BoxRows, reading: _Reading) -> bool:
-    """Whether true boxes are clearly nearer in another reading: whether the sum of squares falls for most boxes.
-
-    Where all boxes move by as much, this compares their median errors, of which noise hides less than of distances.
-    """
+    """Whether true boxes are clearly nearer in another reading: whether the sum of squares falls for most boxes. Where
+    all boxes move by as much, this compares their median errors, of which noise hides less than of distances."""
     now = truth.squares(rows.frame, rows.form.boxes_px(rows.numbers))
     then = truth.squares(reading.frame, reading.boxes_px)
     both = np.isfinite(now) & np.isfinite(then)

@@ -6,6 +6,7 @@ import hashlib
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -43,21 +44,15 @@ FORMAT = 1
 
 
 class TrackedRun(Strict):
-    """Identity of the run that was tracked.
-
-    Attributes:
-        scene_sha256: Checksum of the scene's copy in the run, as in `run.json`.
-        traffic_seed: The seed that the traffic was drawn from; None where every seed has this traffic.
-        detections_sha256: Checksum of the run's `detections.parquet`; None of a run without a list of its files.
-    """
+    """Identity of the run that was tracked."""
 
     scene: Text
-    scene_sha256: Sha256
+    scene_sha256: Sha256  # of the scene's copy in the run, as in `run.json`
     seed: Count
     detector_seed: Count
-    traffic_seed: Count | None
+    traffic_seed: Count | None  # that the traffic was drawn from; None where every seed has this traffic
     steps: Count
-    detections_sha256: Sha256 | None
+    detections_sha256: Sha256 | None  # of the run's `detections.parquet`; None of a run without a list of its files
 
 
 class TrackFacts(Strict):
@@ -81,27 +76,17 @@ def track_paths(folder: Path) -> list[Path]:
 
 
 def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: bool) -> None:
-    """Write tracks into a folder; the same tracks give the same bytes.
-
-    Raises:
-        OutputError: The files are there and are not to be overwritten, or cannot be written.
-        ModsimError: It is not known how the tracks were made.
-    """
+    """Write tracks into a folder; the same tracks give the same bytes. Raises OutputError if the files are there and
+    are not to be overwritten, or cannot be written, and ModsimError if it is not known how the tracks were made."""
     with claimed(track_paths(folder), overwrite=overwrite, inputs=read_of_run(run.folder)):
         write_claimed_tracks(folder, run, track_set)
 
 
 def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> None:
-    """Write tracks where the caller has claimed the files, before the work.
-
-    Raises:
-        OutputError: The files cannot be written.
-        ModsimError: It is not known how the tracks were made.
-    """
+    """Write tracks where the caller has claimed the files, before the work; for errors see `write_tracks`."""
     if track_set.origin is None:
-        raise ModsimError(
-            f"the tracks '{track_set.name}' have no origin: only those that modsim3d has made are written"
-        )
+        problem = "have no origin: only those that modsim3d has made are written"
+        raise ModsimError(f"the tracks '{track_set.name}' {problem}")
     buffer = io.BytesIO()
     table = track_table(track_set.tracks, run.scene)
     pq.write_table(table, buffer, compression="zstd", row_group_size=ROW_GROUP_ROWS)
@@ -114,17 +99,16 @@ def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> N
         "counts": {"rows": len(track_set.tracks), "tracks": int(track_set.tracks.identity.max(initial=-1)) + 1},
         "files": {TABLE: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}},
     }
-    text = json_text(facts)
-    write_files({folder / TABLE: content, folder / FACTS: text})
+    write_files({folder / TABLE: content, folder / FACTS: json_text(facts)})
 
 
 def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
-    """Read the tracks that `write_tracks` has written for a run.
-
-    Raises:
-        InputError: A file is missing or damaged, or the tracks are of another run.
-    """
-    facts = _facts(folder / FACTS)
+    """Read the tracks that `write_tracks` has written for a run. Raises InputError if a file is missing or damaged, or
+    the tracks are of another run."""
+    try:
+        facts = TrackFacts.model_validate(load_json(folder / FACTS, "tracks"))
+    except ValidationError as error:
+        raise InputError(source_of(folder / FACTS), describe(error, TrackFacts)) from None
     _check_run(facts.run, _tracked_run(run), source_of(folder))
     with open_input(folder / TABLE, "tracks", input_files.MAX_TEXT_BYTES) as file:
         content = file.read()
@@ -152,28 +136,16 @@ def _tracked_run(run: StoredRun) -> TrackedRun:
     )
 
 
-def _facts(path: Path) -> TrackFacts:
-    content = load_json(path, "tracks")
-    try:
-        return TrackFacts.model_validate(content)
-    except ValidationError as error:
-        raise InputError(source_of(path), describe(error, TrackFacts)) from None
-
-
 def _check_run(of: TrackedRun, run: TrackedRun, source: str) -> None:
     """Refuse tracks of other detections; seeds are compared first, as a user knows them."""
     for name in ("scene", "seed", "detector_seed", "traffic_seed", "steps", "scene_sha256"):
         theirs, ours = getattr(of, name), getattr(run, name)
         if theirs != ours:
-            raise InputError(
-                source,
-                [f"these tracks are of another run: {name} was {shown(theirs)}, and is {shown(ours)} in this run"],
-            )
+            told = f"{name} was {shown(theirs)}, and is {shown(ours)} in this run"
+            raise InputError(source, [f"these tracks are of another run: {told}"])
     if None not in (of.detections_sha256, run.detections_sha256) and of.detections_sha256 != run.detections_sha256:
-        told = f"these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
-        raise InputError(
-            source, [f"these tracks are of other detections of the same scene and seeds: checksums {told}"]
-        )
+        told = f"checksums these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
+        raise InputError(source, [f"these tracks are of other detections of the same scene and seeds: {told}"])
 
 
 def _check_columns(table: pa.Table, source: str) -> None:
@@ -200,12 +172,11 @@ def _rows(table: pa.Table, rows: RunRows, source: str) -> FileRows:
     cameras = [camera.name for camera in scene.cameras]
     camera, label = indices(table, "camera", cameras), indices(table, "label", scene.detector.labels)
     problems.refuse(camera == NOBODY, lambda row: f"there is no camera {shown(table['camera'][row].as_py())}")
-    problems.refuse(
-        (label == NOBODY) & ~np.asarray(table["label"].is_null(), dtype=bool),
-        lambda row: (
-            f"there is no label '{table['label'][row]}' ({nearest(str(table['label'][row]), scene.detector.labels)})"
-        ),
-    )
+
+    def say(row: int) -> str:
+        return f"there is no label '{table['label'][row]}' ({nearest(str(table['label'][row]), scene.detector.labels)})"
+
+    problems.refuse((label == NOBODY) & ~np.asarray(table["label"].is_null(), dtype=bool), say)
     frame = frames_at(rows, camera, integer_column(table, "step"), problems)
     problems.settle()
     boxes = np.column_stack([number_column(table, name) for name in BOX_SIDES])
@@ -254,8 +225,10 @@ def read_tracks(path: StrPath, run: StoredRun, rows: RunRows, cameras: Sequence[
     known = _known("a detection", rows.detection_frame, rows.detection_boxes_px())
     true_px = np.concatenate([rows.boxes_px("visible"), rows.boxes_px("full")])
     truth = _known("a vessel", np.tile(rows.truth_frame, 2), true_px)
-    for file in files:
-        _check_reading(file, rows, known, truth)
+    for file, (index, camera) in product(files, enumerate(rows.scene.cameras)):
+        if problem := misreading(_box_rows(file, rows, index), known, truth):  # they are meant otherwise than read
+            where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
+            raise InputError(file.problems.source, [where + problem.told])
     for file in files:
         file.check(rows)
     tracks = tracks_of(files, len(rows.scene.cameras))
@@ -280,18 +253,6 @@ def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
     order = np.argsort(frame, kind="stable")
     order = order[np.isfinite(boxes_px[order]).all(axis=1)]
     return KnownBoxes(word, frame[order], boxes_px[order])
-
-
-def _check_reading(file: FileRows, rows: RunRows, known: KnownBoxes, truth: KnownBoxes) -> None:
-    """Hold the boxes of each camera of a file against known ones.
-
-    Raises:
-        InputError: They are meant otherwise than they are read.
-    """
-    for index, camera in enumerate(rows.scene.cameras):
-        if problem := misreading(_box_rows(file, rows, index), known, truth):
-            where = f"camera '{camera.name}': " if len(rows.scene.cameras) > 1 else ""
-            raise InputError(file.problems.source, [where + problem.told])
 
 
 def _box_rows(file: FileRows, rows: RunRows, camera: int) -> BoxRows:

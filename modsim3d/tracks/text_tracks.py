@@ -17,44 +17,25 @@ from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.files.tables import positions
 from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracks import tracks
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, BoxForm
-from modsim3d.tracks.tracks import (
-    COVARIANCES,
-    FAR,
-    Tracks,
-    camera_sequence_names,
-    covariances,
-    far_tracks,
-    plain_name,
-    source_of,
-)
+from modsim3d.tracks.tracks import COVARIANCES, Tracks, camera_sequence_names, covariances, source_of
 
 # ---- The rows of a file ----
 
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
-    """The k rows of a file.
-
-    Attributes:
-        problems: What is wrong with the rows.
-        frame: Number of the frame as in `RunRows`, shape (k,).
-        track: Number of the track, shape (k,).
-        numbers: The box as the file has it, shape (k, 4).
-        form: What these are.
-        label: Index of the label, `NOBODY` for none, shape (k,).
-        confidence: NaN for none, shape (k,).
-        covariance_px2: Of the centre, NaN for none, shape (k, 2, 2).
-    """
+    """The k rows of a file."""
 
     problems: RowProblems
-    frame: Indices
-    track: Indices
-    numbers: Array
-    form: BoxForm
-    label: Indices
-    confidence: Array
-    covariance_px2: Array
+    frame: Indices  # number of the frame as in `RunRows`: (k,)
+    track: Indices  # number of the track: (k,)
+    numbers: Array  # the box as the file has it: (k, 4)
+    form: BoxForm  # of these numbers
+    label: Indices  # index of the label, `NOBODY` for none: (k,)
+    confidence: Array  # NaN for none: (k,)
+    covariance_px2: Array  # of the centre, NaN for none: (k, 2, 2)
 
     @property
     def boxes_px(self) -> Array:
@@ -62,11 +43,7 @@ class FileRows:
         return self.form.boxes_px(self.numbers)
 
     def check(self, rows: RunRows) -> None:
-        """Check all that a row says beside its frame.
-
-        Raises:
-            InputError: A row cannot be right.
-        """
+        """Check all that a row says beside its frame. Raises InputError if a row cannot be right."""
         self._check_boxes(rows)
         self._check_attributes()
         self._check_once(rows)
@@ -86,8 +63,8 @@ class FileRows:
         images = np.array([camera.intrinsics.image_size_px for camera in cameras])
         size = images[self.frame % len(cameras)]
         self.problems.refuse(
-            far_tracks(boxes, np.column_stack([self.frame % len(cameras), self.track]), size),
-            lambda row: f"{FAR}; the image has {size[row, 0]} x {size[row, 1]} px ({self._numbers(row)})",
+            tracks.far_tracks(boxes, np.column_stack([self.frame % len(cameras), self.track]), size),
+            lambda row: f"{tracks.FAR}; the image has {size[row, 0]} x {size[row, 1]} px ({self._numbers(row)})",
         )
 
     def _check_attributes(self) -> None:
@@ -97,9 +74,8 @@ class FileRows:
         )
         (a, b), (_, d) = np.moveaxis(self.covariance_px2, 0, -1)
         known = ~np.isnan(self.covariance_px2)[:, [0, 0, 1], [0, 1, 1]]
-        self.problems.refuse(
-            known.any(axis=1) & ~known.all(axis=1), lambda row: "the covariance needs all three numbers, or none"
-        )
+        some = known.any(axis=1) & ~known.all(axis=1)
+        self.problems.refuse(some, lambda row: "the covariance needs all three numbers, or none")
         self.problems.refuse(
             known.all(axis=1) & ~covariances(a, b, d),
             lambda row: (
@@ -152,17 +128,13 @@ def tracks_of(files: Sequence[FileRows], cameras: int) -> Tracks:
     return Tracks.of(cameras, *(np.concatenate([getattr(file, name) for file in files]) for name in names))
 
 
-TIME_TOLERANCE_S = 0.0005
-"""A time may differ so much from that of its frame: half a millisecond, for files with three decimals."""
+TIME_TOLERANCE_S = 0.0005  # of a time from that of its frame: half a millisecond, for files with three decimals
 _COLUMNS = ("camera", "step", "time_s", "track", *CORNERS.names, *CENTRE.names, "label", "confidence", *COVARIANCES)
 
 
 def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
-    """Read a file whose first line names its columns; their order, and that of the lines, does not matter.
-
-    Raises:
-        InputError: The file cannot be read, a column is wrong, or a line has something that the run has not.
-    """
+    """Read a file whose first line names its columns; their order, and that of the lines, does not matter. Raises
+    InputError if the file cannot be read, a column is wrong, or a line has something that the run has not."""
     source = source_of(path)
     names, body = named_lines(path, "tracks")
     form = _form(names, rows, source)
@@ -182,11 +154,7 @@ def read_csv_tracks(path: Path, rows: RunRows) -> FileRows:
 
 
 def _form(names: Sequence[str], rows: RunRows, source: str) -> BoxForm:
-    """The form of the boxes of a file whose columns are right.
-
-    Raises:
-        InputError: They are not.
-    """
+    """The form of the boxes of a file whose columns are right. Raises InputError if they are not."""
     if not any(name in _COLUMNS for name in names):
         needed = f"camera,step,track,{','.join(CORNERS.names)}"
         got = ",".join(names)
@@ -259,16 +227,12 @@ def _nearest(times_s: Array, wanted_s: Array) -> Indices:
 _FIRST = ("frame", "identity", *MOT.names, "confidence")
 _LEAST = 6
 _NO_CONFIDENCE = -1
-_DATA = "data"
-"""The folder inside that of a tracker in which evaluators look for its files."""
+_DATA = "data"  # the folder inside that of a tracker in which evaluators look for its files
 
 
 def read_mot_tracks(path: Path, rows: RunRows, cameras: Sequence[int] = ()) -> list[FileRows]:
-    """Read the files of some cameras, all if there are none: a folder of them, or the only one.
-
-    Raises:
-        InputError: A file is missing, is of no camera, cannot be read, or has a line that cannot be right.
-    """
+    """Read the files of some cameras, all if there are none: a folder of them, or the only one. Raises InputError if a
+    file is missing, is of no camera, cannot be read, or has a line that cannot be right."""
     return [_read(file, camera, rows) for camera, file in sorted(_files(path, rows, cameras).items())]
 
 
@@ -295,7 +259,7 @@ def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> Mapping[int, Pa
 
 
 def _unknown(stem: str, names: tuple[str, ...], rows: RunRows) -> str:
-    of_class = {f"{name}-{plain_name(label)}" for name in names for label in rows.scene.detector.labels}
+    of_class = {f"{name}-{tracks.plain_name(label)}" for name in names for label in rows.scene.detector.labels}
     if stem in of_class:
         return f"{stem}.txt is of one class: give the tracks of all classes together, as for the set modsim3d-all"
     return f"{stem}.txt is of no camera of the run ({nearest(stem, names)})"
@@ -313,9 +277,8 @@ def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
     many = len(table)
     frame = _mot_frames(table, rows, camera)
     track = table.identities("identity", _NO_CONFIDENCE)
-    table.problems.refuse(
-        track == NOBODY, lambda row: "identity is -1, as in a file of detections: tracks need one of 0 or more"
-    )
+    unknown = "identity is -1, as in a file of detections: tracks need one of 0 or more"
+    table.problems.refuse(track == NOBODY, lambda row: unknown)
     numbers = np.column_stack([table.numbers(name) for name in MOT.names])
     confidence = table.numbers("confidence") if table.has("confidence") else np.full(many, np.nan)
     table.problems.settle()
@@ -330,10 +293,8 @@ def _mot_frames(table: TextTable, rows: RunRows, camera: int) -> Indices:
     number = table.whole_numbers("frame", 0)
     name = rows.scene.cameras[camera].name
     table.problems.refuse(number == 0, lambda row: "frame is 0: frames count from 1, and here perhaps from 0")
-    table.problems.refuse(
-        number > len(taken),
-        lambda row: f"there is no frame {number[row]}: camera '{name}' has frames 1 to {len(taken)}",
-    )
+    has = f"camera '{name}' has frames 1 to {len(taken)}"
+    table.problems.refuse(number > len(taken), lambda row: f"there is no frame {number[row]}: {has}")
     there = (number >= 1) & (number <= len(taken))
     found = np.full(len(table), NOBODY)
     found[there] = taken[number[there] - 1]

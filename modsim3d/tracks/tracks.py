@@ -89,24 +89,15 @@ class Tracks(Columns):
 
 @dataclass(frozen=True, eq=False)
 class WorldTracks:
-    """The estimates of all tracks: k rows in order of track and time.
+    """The estimates of all tracks: k rows in order of track and time."""
 
-    Attributes:
-        name: What tables call them.
-        track_names: The tracker's names of the tracks.
-        track: Index of each row's track, shape (k,).
-        time_s: Times since the scene's first step, shape (k,).
-        position_m: Centres of the vessels along w1 and w2, shape (k, 2).
-        velocity_m_s: Over ground along w1 and w2, NaN where unknown, shape (k, 2).
-        covariance: Of position (0, 1) and velocity (2, 3), in m², m²/s and m²/s²; NaN where unknown, shape (k, 4, 4).
-    """
-
-    name: str
-    track_names: tuple[str, ...]
-    track: Indices
-    time_s: Array
-    position_m: Array
-    velocity_m_s: Array
+    name: str  # what tables call them
+    track_names: tuple[str, ...]  # the tracker's names of the tracks
+    track: Indices  # index of each row's track: (k,)
+    time_s: Array  # since the scene's first step: (k,)
+    position_m: Array  # centres of the vessels along w1 and w2: (k, 2)
+    velocity_m_s: Array  # over ground along w1 and w2, NaN where unknown: (k, 2)
+    # Of position (0, 1) and velocity (2, 3), in m², m²/s and m²/s²; NaN where unknown: (k, 4, 4).
     covariance: Array
 
     @classmethod
@@ -148,29 +139,18 @@ SimilarityName = Literal["iou", "centre"]
 
 @dataclass(frozen=True)
 class Similarity:
-    """A similarity of boxes, and from where on a track follows a vessel.
-
-    Attributes:
-        name: `iou`: intersection over union; `centre`: 1 − distance of the centres / scale, and 0 beyond the scale.
-        scale_px: The scale of `centre`, in pixels.
-        least: The least similarity of a match.
-    """
+    """A similarity of boxes, and from where on a track follows a vessel. `iou`: intersection over union; `centre`: 1 −
+    distance of the centres / scale, and 0 beyond the scale."""
 
     name: SimilarityName = "iou"
-    scale_px: float | None = None
-    least: float = 0.5
+    scale_px: float | None = None  # of `centre`
+    least: float = 0.5  # similarity of a match
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ModsimError: `centre` has no scale, `iou` has one, or a value is out of range.
-        """
+        """Raise ModsimError if `centre` has no scale, `iou` has one, or a value is out of range."""
         if self.name == "centre" and self.scale_px is None:
-            raise ModsimError(
-                "similarity centre needs scale_px, the distance in pixels at which it is 0 (on the command line, "
-                "--similarity centre:PX)"
-            )
+            wanted = "the distance in pixels at which it is 0 (on the command line, --similarity centre:PX)"
+            raise ModsimError(f"similarity centre needs scale_px, {wanted}")
         if self.name == "iou" and self.scale_px is not None:
             raise ModsimError("a scale is for similarity centre, not for iou")
         if self.scale_px is not None and not 0 < self.scale_px < np.inf:
@@ -196,38 +176,23 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Origin:
-    """How tracks were made.
-
-    Attributes:
-        tracker: Name of the tracker.
-        settings: All its settings, as JSON can hold them.
-        chosen: Where the settings come from, a sentence.
-        package: The package that the tracker is a part of, with its version, such as `modsim3d 0.1.0`.
-        versions: Versions of the packages that decide the tracks, by name.
-    """
+    """Making of tracks."""
 
     tracker: str
-    settings: dict[str, Any]
-    chosen: str
-    package: str
-    versions: dict[str, str]
+    settings: dict[str, Any]  # all of them, as JSON can hold them
+    chosen: str  # where the settings come from, a sentence
+    package: str  # that the tracker is a part of, with its version, such as `modsim3d 0.1.0`
+    versions: dict[str, str]  # of the packages that decide the tracks, by name
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSet:
-    """The tracks of one tracker in a run.
+    """The tracks of one tracker in a run."""
 
-    Attributes:
-        name: What tables call it.
-        tracks: The tracks.
-        origin: How they were made; None for somebody's own file.
-        unnamed: Cameras of the run of which the file has no line, though it has lines of others and could say so.
-    """
-
-    name: str
+    name: str  # what tables call it
     tracks: Tracks
-    origin: Origin | None
-    unnamed: tuple[str, ...] = ()
+    origin: Origin | None  # None for somebody's own file
+    unnamed: tuple[str, ...] = ()  # cameras of which a file has no line, though it has lines of others and could say so
 
     def in_cameras(self, cameras: Sequence[int]) -> Self:
         """The tracks in some cameras, by their indices."""
@@ -246,20 +211,13 @@ def name_of(path: Path) -> str:
 
 # ---- Which boxes and covariances a track may have ----
 
-
 FAR = "the box lies more than an image away from the image, as does all of its track"
 
 
 def far_tracks(boxes_px: Array, track: Indices, image_px: Array) -> Mask:
-    """Mask of the boxes (k, 4) of tracks that never come within an image of their image, shape (k,).
-
-    A track that has been there may coast as far as it likes: its boxes are false positives.
-
-    Args:
-        boxes_px: The boxes.
-        track: What tells the track of each from others, shape (k,) or (k, columns).
-        image_px: Width and height of the image, or of each box's, shape (2,) or (k, 2).
-    """
+    """Mask of the boxes (k, 4) of tracks that never come within an image of their image: (k,). A track that has been
+    there may coast as far as it likes: its boxes are false positives. `track` tells the track of each from others: (k,)
+    or (k, columns); the size of the image, or of each box's, is (2,) or (k, 2)."""
     beyond: Mask = (boxes_px[:, 2:] < -image_px) | (boxes_px[:, :2] > 2 * image_px)
     far: Mask = np.any(beyond, axis=1)
     if far.any():
@@ -331,7 +289,7 @@ SCHEMA = pa.schema([column.field for column in COLUMNS])
 def track_table(tracks: Tracks, scene: Scene) -> pa.Table:
     """The rows of tracks, in order of step, camera and track."""
     steps = int(tracks.step.max(initial=-1)) + 1
-    covariance = tracks.covariance_px2
+    variances = tracks.covariance_px2[:, [0, 0, 1], [0, 1, 1]].T
     columns: dict[str, Any] = {
         "camera": named([camera.name for camera in scene.cameras], tracks.camera),
         "step": tracks.step,
@@ -340,12 +298,6 @@ def track_table(tracks: Tracks, scene: Scene) -> pa.Table:
         "label": named(scene.detector.labels, tracks.label),
         **{name: np.ascontiguousarray(side) for name, side in zip(BOX_SIDES, tracks.boxes_px.T, strict=True)},
         "confidence": numbers(tracks.confidence),
-        **dict(
-            zip(
-                COVARIANCES,
-                (numbers(part) for part in (covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1])),
-                strict=True,
-            )
-        ),
+        **{name: numbers(part) for name, part in zip(COVARIANCES, variances, strict=True)},
     }
     return pa.table([columns[name] for name in SCHEMA.names], schema=SCHEMA).combine_chunks()

@@ -14,51 +14,30 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
 
 TruthName = Literal["annotated", "full"]
-DEFAULT_GAP_S = 2.0
-"""After so long outside the image a vessel that comes back is a new identity."""
-_TIME_S = 1e-6
-"""Times are differences of rounded ones: an absence as long as the gap is no longer one."""
+DEFAULT_GAP_S = 2.0  # after so long outside the image a vessel that comes back is a new identity
+_TIME_S = 1e-6  # times are differences of rounded ones: an absence as long as the gap is no longer one
 
 
 @dataclass(frozen=True, eq=False)
 class TrueTracks(Columns):
-    """The vessels in the images of a run: n rows in order of frame and vessel.
+    """The vessels in the images of a run: n rows in order of frame and vessel. A vessel of which no pixel is visible is
+    there with the box of the whole vessel, and not scored: a track that stays on it is neither right nor wrong."""
 
-    A vessel of which no pixel is visible is there with the box of the whole vessel, and not scored: a track that
-    stays on it is neither right nor wrong.
-
-    Attributes:
-        cameras: Number of cameras of the run.
-        row: Row of the truth table, shape (n,).
-        frame: Number of the frame, as in `RunRows`, shape (n,).
-        vessel: Index of the vessel, shape (n,).
-        identity: Number of the appearance: of one vessel in one camera, without a gap outside the image, shape (n,).
-        label: Index of the vessel's true label, shape (n,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
-        scored: Whether a tracker is expected to follow it here, shape (n,).
-        hidden: Whether other things hide all of it, shape (n,).
-    """
-
-    cameras: int
-    row: Indices
-    frame: Indices
-    vessel: Indices
-    identity: Indices
-    label: Indices
-    boxes_px: Array
-    scored: Mask
-    hidden: Mask
+    cameras: int  # number of cameras of the run
+    row: Indices  # of the truth table: (n,)
+    frame: Indices  # number of the frame, as in `RunRows`: (n,)
+    vessel: Indices  # index of the vessel: (n,)
+    identity: Indices  # number of the appearance, of one vessel in one camera, without a gap outside the image: (n,)
+    label: Indices  # index of the vessel's true label: (n,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max: (n, 4)
+    scored: Mask  # whether a tracker is expected to follow it here: (n,)
+    hidden: Mask  # whether other things hide all of it: (n,)
 
     @classmethod
     def of(cls, rows: RunRows, truth: TruthName = "annotated", gap_s: float = DEFAULT_GAP_S) -> Self:
-        """The truth of a run.
-
-        Args:
-            rows: The run.
-            truth: `annotated`: the vessels that the detector was given, with the boxes of the annotation mode, and all
-                others in the image as not scored; `full`: all vessels, with the boxes around all of each.
-            gap_s: After so long outside the image a vessel that comes back is a new identity.
-        """
+        """The truth of a run. `annotated`: the vessels that the detector was given, with the boxes of the annotation
+        mode, and all others in the image as not scored; `full`: all vessels, with the boxes around all of each. After
+        `gap_s` outside the image a vessel that comes back is a new identity."""
         visible_px, silhouette_px = rows.numbers("visible_px"), rows.numbers("silhouette_px")
         unseen = visible_px == 0  # where it is unknown what is visible, nothing is taken as hidden
         scored, boxes_px = ~unseen, rows.boxes_px("full")
@@ -66,24 +45,15 @@ class TrueTracks(Columns):
             scored = scored & rows.annotated
             boxes_px = np.where(scored[:, None], rows.annotated_boxes_px, boxes_px)
         order = np.lexsort((rows.truth_vessel, rows.truth_frame))
-        return cls(
-            len(rows.scene.cameras),
-            order,
-            rows.truth_frame[order],
-            rows.truth_vessel[order],
-            appearances(rows, gap_s)[order],
-            indices(rows.truth, "label", rows.scene.detector.labels)[order],
-            boxes_px[order],
-            scored[order],
-            (unseen & (silhouette_px > 0))[order],
-        )
+        identity, label = appearances(rows, gap_s), indices(rows.truth, "label", rows.scene.detector.labels)
+        hidden = unseen & (silhouette_px > 0)
+        keys = np.arange(len(order)), rows.truth_frame, rows.truth_vessel, identity, label
+        return cls(len(rows.scene.cameras), *keys, boxes_px, scored, hidden).take(order)
 
 
 def appearances(rows: RunRows, gap_s: float) -> Indices:
-    """Number of the appearance of each row of the truth, shape (n,).
-
-    An appearance ends when the vessel leaves the image for longer than the gap, not when something hides it.
-    """
+    """Number of the appearance of each row of the truth: (n,). An appearance ends when the vessel leaves the image for
+    longer than the gap, not when something hides it."""
     cameras, times_s = len(rows.scene.cameras), rows.scene.times_s(0, rows.steps)
     camera, step = rows.truth_frame % cameras, rows.truth_frame // cameras
     frame_of_camera = np.empty(len(step), dtype=np.int64)
@@ -102,29 +72,20 @@ def appearances(rows: RunRows, gap_s: float) -> Indices:
 # ---- Which track follows which vessel, frame by frame ----
 
 _SAME_AS_BEFORE = 1000.0
-"""What a pair of the frame before gains over all others, as CLEAR MOT has it (Bernardin & Stiefelhagen (2008))."""
+"""A pair of the frame before gains so much over all others, as CLEAR MOT has it (Bernardin & Stiefelhagen (2008))."""
 
 
 @dataclass(frozen=True, eq=False)
 class Following:
-    """The one matching of tracks and truth that all scores by rows are taken from.
+    """The one matching of tracks and truth that all scores by rows are taken from. In each frame vessels and tracks are
+    assigned so that as many pairs of the frame before as possible stay, and then the sum of similarities is largest.
+    Vessels that are not scored take part: a track that follows one is not counted."""
 
-    In each frame vessels and tracks are assigned so that as many pairs of the frame before as possible stay, and then
-    the sum of similarities is largest. Vessels that are not scored take part: a track that follows one is not counted.
-
-    Attributes:
-        truth: The vessels, n rows.
-        tracks: The tracks, k rows.
-        similarity: How pairs were compared.
-        track_row: Row of the track that follows each vessel, `NOBODY` for none, shape (n,).
-        truth_row: Row of the vessel that each track follows, `NOBODY` for none, shape (k,).
-    """
-
-    truth: TrueTracks
-    tracks: Tracks
+    truth: TrueTracks  # n rows
+    tracks: Tracks  # k rows
     similarity: Similarity
-    track_row: Indices
-    truth_row: Indices
+    track_row: Indices  # row of the track that follows each vessel, `NOBODY` for none: (n,)
+    truth_row: Indices  # row of the vessel that each track follows, `NOBODY` for none: (k,)
 
     @property
     def counted(self) -> Mask:
@@ -158,20 +119,14 @@ def follow(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -> Followi
         alike = similarity(truth.boxes_px[a, None], tracks.boxes_px[b])
         i, j = best_pairs(alike, similarity.least, wanted[:, None] == tracks.identity[b])
         track_row[a[i]], truth_row[b[j]] = b[j], a[i]
-        before[frame % truth.cameras] = dict(
-            zip(truth.identity[a[i]].tolist(), tracks.identity[b[j]].tolist(), strict=True)
-        )
+        followed, by = truth.identity[a[i]].tolist(), tracks.identity[b[j]].tolist()
+        before[frame % truth.cameras] = dict(zip(followed, by, strict=True))
     return Following(truth, tracks, similarity, track_row, truth_row)
 
 
 def best_pairs(alike: Array, least: float, kept: Mask) -> tuple[Indices, Indices]:
-    """The assignment of rows to columns of a similarity matrix, and of those that are alike enough the places.
-
-    Args:
-        alike: Similarities, shape (a, b).
-        least: The least similarity of a pair.
-        kept: Pairs that are preferred to all others, shape (a, b).
-    """
+    """The assignment of rows to columns of a similarity matrix (a, b), and of those that are at least so alike the
+    places. `kept` are pairs that are preferred to all others: (a, b)."""
     enough = alike >= least - np.finfo(float).eps
     score = np.where(enough, alike + _SAME_AS_BEFORE * kept, 0)
     i, j = linear_sum_assignment(score, maximize=True)

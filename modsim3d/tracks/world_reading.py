@@ -26,11 +26,8 @@ from modsim3d.tracks.world_rows import MAX_DEG, WorldRows, checked
 
 STATE = ("w1", "w2", "v1", "v2")
 IN_SCENE, ON_EARTH = ("w1_m", "w2_m"), ("latitude_deg", "longitude_deg")
-ALONG_AXES, OVER_GROUND, BY_COURSE = (
-    ("v1_m_s", "v2_m_s"),
-    ("v_east_m_s", "v_north_m_s"),
-    ("speed_m_s", "course_deg"),
-)
+ALONG_AXES, OVER_GROUND = ("v1_m_s", "v2_m_s"), ("v_east_m_s", "v_north_m_s")
+BY_COURSE = ("speed_m_s", "course_deg")
 _UNITS = {0: "m2", 1: "m2_s", 2: "m2_s2"}
 
 
@@ -41,25 +38,20 @@ def _covariance_name(row: int, column: int) -> str:
     return f"{STATE[row]}_{STATE[column]}_covariance_{unit}"
 
 
+# Column of each place of the upper triangle of the covariance.
 COVARIANCES = {(i, j): _covariance_name(i, j) for i in range(4) for j in range(i, 4)}
-"""Column of each place of the upper triangle of the covariance."""
 _OF_POSITION = tuple(COVARIANCES[place] for place in ((0, 0), (0, 1), (1, 1)))
 _OF_VELOCITY = tuple(COVARIANCES[place] for place in ((2, 2), (2, 3), (3, 3)))
 _OF_BOTH = tuple(COVARIANCES[i, j] for i in (0, 1) for j in (2, 3))
+# Columns that are there together or not at all.
 GROUPS = (IN_SCENE, ON_EARTH, ALONG_AXES, OVER_GROUND, BY_COURSE, _OF_POSITION, _OF_VELOCITY, _OF_BOTH)
-"""Columns that are there together or not at all."""
 COLUMNS = ("track", "time_s", "step", *(name for group in GROUPS for name in group))
-_ALIKE = 0.85
-"""Of names that are taken for slips of the pen; other columns are ignored."""
+_ALIKE = 0.85  # of names that are taken for slips of the pen; other columns are ignored
 _MISSING = ("", "nan", "NaN", "null")
 
 
 def header(path: Path) -> tuple[str, ...]:
-    """The cells of the first line.
-
-    Raises:
-        InputError: The file cannot be read.
-    """
+    """The cells of the first line. Raises InputError if the file cannot be read."""
     with open_input(path, "tracks", input_files.MAX_TEXT_BYTES) as file:
         line = file.readline(input_files.MAX_LINE_CHARACTERS)
     text = line.decode("utf-8", "replace").replace("\r", "\n").partition("\n")[0]
@@ -67,11 +59,7 @@ def header(path: Path) -> tuple[str, ...]:
 
 
 def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
-    """The rows of a CSV file.
-
-    Raises:
-        InputError: It cannot be read, or its columns are not those of tracks.
-    """
+    """The rows of a CSV file. Raises InputError if it cannot be read, or its columns are not those of tracks."""
     source = source_of(path)
     columns, body = named_lines(path, "tracks")
     if marks := no_commas(line := ",".join(columns)):
@@ -143,13 +131,12 @@ def _times_s(known: Mapping[str, Array], problems: RowProblems, run: StoredRun) 
     time_s = known["time_s"]
     if steps is not None:  # blank ones say nothing
         of_time = np.interp(time_s, times_s, np.arange(len(times_s)), left=np.nan, right=np.nan)
-        problems.refuse(
-            np.abs(of_time - steps) > 0.5 + 1e-9,
-            lambda row: (
-                f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}: leave out "
-                "the column that is wrong"
-            ),
-        )
+
+        def say(row: int) -> str:
+            differ = f"time_s {time_s[row]:.9g} is that of step {of_time[row]:.0f}, but step is {steps[row]:.9g}"
+            return f"{differ}: leave out the column that is wrong"
+
+        problems.refuse(np.abs(of_time - steps) > 0.5 + 1e-9, say)
     return time_s
 
 
@@ -157,18 +144,12 @@ def _positions_m(known: Mapping[str, Array], degrees: Array | None, problems: Ro
     if degrees is None:
         return np.column_stack([known[name] for name in IN_SCENE])
     if run.scene.origin is None:
-        problem = (
-            "has latitude and longitude, but the run's scene has no origin: give the scene the key "
-            "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
-        )
-        raise InputError(problems.source, [problem])
+        keys = "origin: {latitude_deg: ..., longitude_deg: ...}, or give w1_m and w2_m"
+        problem = "has latitude and longitude, but the run's scene has no origin: give the scene the key"
+        raise InputError(problems.source, [f"{problem} {keys}"])
     swapped = "" if (np.abs(degrees[:, 1]) > MAX_DEG[0]).any() else ": are latitude and longitude swapped?"
-    problems.refuse(
-        (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1),
-        lambda row: (
-            f"is no latitude and longitude in degrees (got {degrees[row, 0]:g} and {degrees[row, 1]:g}){swapped}"
-        ),
-    )
+    wrong, must = (np.abs(degrees) > (MAX_DEG[0], 360.0)).any(axis=1), "is no latitude and longitude in degrees"
+    problems.refuse(wrong, lambda row: f"{must} (got {degrees[row, 0]:g} and {degrees[row, 1]:g}){swapped}")
     return local_metres(degrees[:, 0], degrees[:, 1], run.scene.origin)
 
 
@@ -194,8 +175,7 @@ def _velocities_m_s(
 
 # ---- Tracks in the world from a ROS 2 bag ----
 
-MAP = "map"
-"""The frame of the scene's axes in the bags that a run is exported to."""
+MAP = "map"  # the frame of the scene's axes in the bags that a run is exported to
 _KINDS = (DETECTIONS_3D, ODOMETRY)
 
 
@@ -212,26 +192,15 @@ class _Estimate(NamedTuple):
 
 
 def read_world_bag(path: Path, run: StoredRun, topic: str | None = None) -> WorldRows:
-    """The rows of a bag.
-
-    Args:
-        path: Its folder.
-        run: The run.
-        topic: The topic of the tracks; None for the only one that can be.
-
-    Raises:
-        InputError: It cannot be read, has no such topic or several, or another frame.
-        ModsimError: rosbags is not installed.
-    """
+    """The rows of a bag in a folder. The topic of the tracks is None for the only one that can be. Raises InputError if
+    it cannot be read, has no such topic or several, or another frame, and ModsimError if rosbags is not installed."""
     source = source_of(path)
     messages = list(read_bag(path, "tracks", lambda topics: [_chosen(topics, source, topic)], _estimates))
     word = f"{messages[0][0]} message" if messages else "message"
     number, frames = np.arange(len(messages)) + 1, [frame for _, frame, _ in messages]
     of_messages = RowProblems(source, number, word)
-    of_messages.refuse(
-        [frame != MAP for frame in frames],
-        lambda row: f"frame_id must be '{MAP}', the scene's axes (got {shown(frames[row])})",
-    )
+    wanted = f"frame_id must be '{MAP}', the scene's axes"
+    of_messages.refuse([frame != MAP for frame in frames], lambda row: f"{wanted} (got {shown(frames[row])})")
     of_messages.settle()
     found = [each for _, _, estimates in messages for each in estimates]
     start = float(run.scene.timestamps(0, 1)[0])
@@ -308,16 +277,10 @@ def _of_array(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
 
 def _of_odometry(stamp_ns: int, message: Any) -> Iterator[_Estimate]:
     pose, twist = message.pose, message.twist
-    turn, speed = pose.pose.orientation, twist.twist.linear
-    yield _Estimate(
-        message.child_frame_id,
-        stamp_ns,
-        (pose.pose.position.x, pose.pose.position.y),
-        np.asarray(pose.covariance),
-        (turn.x, turn.y, turn.z, turn.w),
-        (speed.x, speed.y, speed.z),
-        np.asarray(twist.covariance),
-    )
+    place, turn, speed = pose.pose.position, pose.pose.orientation, twist.twist.linear
+    known = message.child_frame_id, stamp_ns, (place.x, place.y), np.asarray(pose.covariance)
+    quaternion, velocity = (turn.x, turn.y, turn.z, turn.w), (speed.x, speed.y, speed.z)
+    yield _Estimate(*known, quaternion, velocity, np.asarray(twist.covariance))
 
 
 # ---- Tracks in the world from files ----

@@ -33,9 +33,7 @@ _RELATIVE = "the positions are relative to own ship, must be from the scene's ze
 
 def world_misreading(time_s: Array, position_m: Array, hulls: HullTracks, own: tuple[int, ...]) -> str:
     """Fault of positions (k, 2) that are near vessels only if they are read in another way; empty if there is none.
-
-    `hulls` are the vessels at all steps, and `own` the columns of those that carry cameras.
-    """
+    `hulls` are the vessels at all steps, and `own` the columns of those that carry cameras."""
     vessels_m = np.delete(hulls.centres_m, own, axis=1)
     if len(time_s) < _MIN_ROWS or np.isnan(vessels_m).all():
         return ""
@@ -81,42 +79,27 @@ def _nearest_m(position_m: Array, vessels_m: Array) -> Array:
     return nearest
 
 
-FAR_M = 100_000.0
-"""Tracks that are all farther than that from where vessels are have another unit or another order."""
+FAR_M = 100_000.0  # tracks all farther than that from where vessels are have another unit or another order
 MAX_DEG = (90.0, 180.0)
 
 
 @dataclass(frozen=True, eq=False)
 class WorldRows:
-    """Rows of a file, in its order.
-
-    Attributes:
-        problems: Problems of the rows.
-        name: What tables call the tracks.
-        track: The tracker's name of each row's track, shape (k,).
-        time_s: Times since the scene's first step, shape (k,).
-        position_m: Along w1 and w2, shape (k, 2).
-        velocity_m_s: NaN where unknown, shape (k, 2).
-        covariance: Of position and velocity, NaN where unknown, shape (k, 4, 4).
-        degrees: Latitudes and longitudes, shape (k, 2), if the file gives these.
-    """
+    """Rows of a file, in its order."""
 
     problems: RowProblems
-    name: str
-    track: list[str]
-    time_s: Array
-    position_m: Array
-    velocity_m_s: Array
-    covariance: Array
-    degrees: Array | None = field(default=None)
+    name: str  # what tables call the tracks
+    track: list[str]  # the tracker's name of each row's track: (k,)
+    time_s: Array  # since the scene's first step: (k,)
+    position_m: Array  # along w1 and w2: (k, 2)
+    velocity_m_s: Array  # NaN where unknown: (k, 2)
+    covariance: Array  # of position and velocity, NaN where unknown: (k, 4, 4)
+    degrees: Array | None = field(default=None)  # latitudes and longitudes, if the file gives these: (k, 2)
 
 
 def checked(rows: WorldRows, run: StoredRun) -> WorldTracks:
-    """The tracks, if they can be those of a run.
-
-    Raises:
-        InputError: A row has no place or time, is outside the run or there twice, or has what is no covariance.
-    """
+    """The tracks, if they can be those of a run. Raises InputError if a row has no place or time, is outside the run or
+    there twice, or has what is no covariance."""
     names, track = np.unique(np.array(rows.track, dtype=object).astype(str), return_inverse=True)
     track = np.asarray(track, dtype=np.int64).reshape(-1)
     refuse = rows.problems.refuse
@@ -154,22 +137,16 @@ def _check_times(rows: WorldRows, run: StoredRun) -> None:
     why = other_unit(rows.time_s, float(times_s[-1]))
     if start and ((shifted >= -slack) & (shifted <= times_s[-1] + slack)).all():
         why = f": the scene's own time begins at {start:.15g} s, take it off{why}"
-    rows.problems.refuse(
-        outside,
-        lambda row: (
-            f"time {rows.time_s[row]:.15g} s is outside of the run, which has 0 to {times_s[-1]:g} s since its first "
-            f"step{why}"
-        ),
-    )
+    span = f"0 to {times_s[-1]:g} s since its first step{why}"
+    rows.problems.refuse(outside, lambda row: f"time {rows.time_s[row]:.15g} s is outside of the run, which has {span}")
 
 
 def _check_twice(rows: WorldRows, track: Indices) -> None:
     order = np.lexsort((rows.time_s, track))
     twice = np.zeros(len(track), dtype=bool)
     twice[order[1:]] = (np.diff(track[order]) == 0) & (np.diff(rows.time_s[order]) == 0)
-    rows.problems.refuse(
-        twice, lambda row: f"a track may be there once at a time (got track {rows.track[row]!r} again)"
-    )
+    once = "a track may be there once at a time"
+    rows.problems.refuse(twice, lambda row: f"{once} (got track {rows.track[row]!r} again)")
 
 
 def _check_covariances(rows: WorldRows) -> None:

@@ -22,30 +22,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """B solids with the same faces in the world, at S steps.
+    """B solids with the same faces in the world, at S steps. They are the step between a `Solid`, which has neither
+    size nor place, and `Outlines`, which are what a camera sees of bodies. Bodies with the same faces form arrays,
+    which are placed and projected together."""
 
-    They are the step between a `Solid`, which has neither size nor place, and `Outlines`, which are what a camera sees
-    of bodies. Bodies with the same faces form arrays, which are placed and projected together.
-
-    Attributes:
-        solid: The faces that the bodies share; its vertices are not used.
-        occluder: Index into the scene's occluder names, shape (B,).
-        boxed: Whether the bodies get a box: vessels do, obstacles and own ship do not.
-        vertices_m: Vertices in the frame of each body, shape (B, K, 3).
-        centres_m: Centres of the bounding boxes in the same frames, shape (B, 3).
-        present: Which bodies are used at each step, shape (S, B).
-        positions_m: Origins of the frames in WCF, shape (S, B, 3).
-        world_R_body: Rotations to WCF, shape (S, B, 3, 3).
-    """
-
-    solid: Solid
-    occluder: Indices
-    boxed: bool
-    vertices_m: Array
-    centres_m: Array
-    present: Mask
-    positions_m: Array
-    world_R_body: Array
+    solid: Solid  # the faces that the bodies share; its vertices are not used
+    occluder: Indices  # index into the scene's occluder names: (B,)
+    boxed: bool  # whether the bodies get a box: vessels do, obstacles and own ship do not
+    vertices_m: Array  # in the frame of each body: (B, K, 3)
+    centres_m: Array  # of the bounding boxes in the same frames: (B, 3)
+    present: Mask  # which bodies are used at each step: (S, B)
+    positions_m: Array  # origins of the frames in WCF: (S, B, 3)
+    world_R_body: Array  # rotations to WCF: (S, B, 3, 3)
 
     def at(self, steps: slice) -> Bodies:
         """Bodies at some of the steps."""
@@ -77,16 +65,9 @@ def vessel_bodies(
     as_shoeboxes: bool = False,
     boxed: bool = True,
 ) -> list[Bodies]:
-    """The vessels that are present at any of S steps, grouped by mesh.
-
-    Args:
-        vessels: V vessels.
-        present: Which of them to take at each step, shape (S, V).
-        positions_m: Origins of the vessels in WCF, shape (S, V, 3).
-        world_R_vessel: Rotations VCF to WCF, shape (S, V, 3, 3).
-        as_shoeboxes: Whether shoeboxes stand for meshes.
-        boxed: As in `Bodies`.
-    """
+    """The vessels that are present at any of S steps, grouped by mesh. `present` says which of V vessels to take at
+    each step: (S, V); positions in WCF are (S, V, 3), rotations VCF to WCF (S, V, 3, 3). Shoeboxes may stand for
+    meshes; for `boxed` see `Bodies`."""
     members_of: dict[Solid, list[int]] = {}
     for index in np.nonzero(present.any(axis=0))[0].tolist():
         members_of.setdefault(shoebox() if as_shoeboxes else vessels[index].solid, []).append(index)
@@ -115,10 +96,8 @@ PREFIX = "obstacle:"
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """An obstacle as the scene describes it; the truth writes its name after `PREFIX`.
-
-    `solids` are the faces of its parts, each with its own vertices in WCF in metres, shape (K, 3).
-    """
+    """An obstacle as the scene describes it; the truth writes its name after `PREFIX`. `solids` are the faces of its
+    parts, each with its own vertices in WCF in metres: (K, 3)."""
 
     name: str
     solids: tuple[tuple[Solid, Array], ...]
@@ -148,11 +127,9 @@ def solid_footprint(solid: Solid, vertices_m: Array) -> shapely.Geometry:
 
 
 def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[Solid, Array], ...]:
-    """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex.
-
-    The polygon's corners are on the sea in WCF, in either direction, shape (k, 2). The lower face lies at `base_m`
-    above the sea. Each solid comes with its vertices in WCF in metres, shape (K, 3).
-    """
+    """An upright prism over a polygon, as convex prisms: over the polygon's triangles if it is not convex. The
+    polygon's corners are on the sea in WCF, in either direction: (k, 2). The lower face lies at `base_m` above the sea.
+    Each solid comes with its vertices in WCF in metres: (K, 3)."""
     outline = shapely.Polygon(polygon_m)
     hull = shapely.convex_hull(outline)
     is_convex = shapely.area(hull) - shapely.area(outline) <= 1e-9 * shapely.area(hull)
@@ -163,11 +140,8 @@ def extruded(polygon_m: Array, base_m: float, height_m: float) -> tuple[tuple[So
 
 
 def placed(solid: Solid, size_m: Array, position_m: Array, heading_rad: float) -> tuple[Solid, Array]:
-    """A mesh scaled to length, beam and height, shape (3,), with the centre of its bottom at a place, shape (3,).
-
-    The place is in WCF, the heading counter-clockwise from w1. The result is the mesh, and its vertices in WCF in
-    metres, shape (K, 3).
-    """
+    """A mesh scaled to length, beam and height (3,), with the centre of its bottom at a place (3,) in WCF and a heading
+    counter-clockwise from w1: the mesh, and its vertices in WCF in metres, (K, 3)."""
     return solid, (solid.vertices * size_m) @ world_R_vehicle(heading_rad).T + position_m
 
 
@@ -197,11 +171,9 @@ def _prism_faces(sides: int) -> Indices:
 def obstacle_bodies(
     obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
 ) -> list[Bodies]:
-    """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's occluder index.
-
-    On a curved sea `cameras_m` are the camera centres in WCF, shape (S, 3), and each obstacle is lowered by the drop at
-    its centre. On a flat sea it is None.
-    """
+    """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's occluder index. On a curved
+    sea `cameras_m` are the camera centres in WCF: (S, 3), and each obstacle is lowered by the drop at its centre; None
+    on a flat sea."""
     bodies = []
     for solid, index, vertices in _grouped(tuple(obstacles)):
         count = len(index)

@@ -12,8 +12,7 @@ from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.world.poses.base import PoseSource, times_s
 from modsim3d.world.vessels import Vessel
 
-ABAFT_THE_BEAM_RAD = np.pi / 2 + np.radians(22.5)
-"""Rule 13: who comes up from more than 22.5 degrees abaft the other's beam is overtaking."""
+ABAFT_THE_BEAM_RAD = np.pi / 2 + np.radians(22.5)  # rule 13: who comes up from further aft of the other overtakes
 NEARLY_RECIPROCAL_RAD = np.radians(11.25)
 """Rule 14: vessels that meet on nearly reciprocal courses. The rule has no number; we take one point of the compass."""
 
@@ -96,7 +95,7 @@ def density_per_km2(tracks: HullTracks, polygon_m: Array) -> float:
 
 
 def lane_offsets(waypoints_m: Array, places_m: Array) -> tuple[Array, Array]:
-    """Where places of shape (n, 2) lie along and beside a line through waypoints of shape (k, 2).
+    """Position of places of shape (n, 2) along and beside a line through waypoints of shape (k, 2).
 
     Returns:
         Distance along the line to the nearest point on it, and the distance from there, positive to starboard of one

@@ -20,45 +20,29 @@ GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True, eq=False)
 class Passage:
-    """One vessel on calm water at n moments, each complete in itself.
+    """One vessel on calm water at n moments, each complete in itself."""
 
-    Attributes:
-        times_s: Times since the scene's first step, shape (n,).
-        steps: Index of each step, shape (n,).
-        positions_m: Origins of the vessel in WCF, shape (n, 3).
-        headings_rad: Counter-clockwise from w1, shape (n,).
-        velocities_m_s: Velocities over ground in WCF, shape (n, 3).
-    """
-
-    times_s: Array
-    steps: Indices
-    positions_m: Array
-    headings_rad: Array
-    velocities_m_s: Array
+    times_s: Array  # since the scene's first step: (n,)
+    steps: Indices  # index of each step: (n,)
+    positions_m: Array  # origins of the vessel in WCF: (n, 3)
+    headings_rad: Array  # counter-clockwise from w1: (n,)
+    velocities_m_s: Array  # over ground in WCF: (n, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Motion of a vessel in waves at n moments.
+    """Motion of a vessel in waves at n moments."""
 
-    Attributes:
-        heave_m: Displacement of its origin along w3, shape (n,).
-        angles_rad: Roll, pitch and yaw as in `rotations.vehicle_R_nominal`, shape (n, 3): positive roll lowers the port
-            side, positive pitch the bow, positive yaw turns to port.
-    """
-
-    heave_m: Array
+    heave_m: Array  # displacement of its origin along w3: (n,)
+    # Roll, pitch and yaw as in `rotations.vehicle_R_nominal`: (n, 3); positive roll lowers the port side, positive
+    # pitch the bow, positive yaw turns to port.
     angles_rad: Array
 
 
 class WaveMotion(Protocol):
-    """A model of waves. The motion at a moment depends on that moment alone, not on earlier or other calls.
+    """A model of waves. The motion at a moment depends on that moment alone, not on earlier or other calls."""
 
-    Attributes:
-        needs_velocity: Whether it uses velocities, which need the next pose of the vessel.
-    """
-
-    needs_velocity: bool
+    needs_velocity: bool  # whether it uses velocities, which need the next pose of the vessel
 
     def motion(self, vessel: str, passage: Passage) -> Motion:
         """Heave and attitude of a vessel, by its ID, at its times and places; they are the same for all cameras."""
@@ -66,26 +50,18 @@ class WaveMotion(Protocol):
 
 # ---- An irregular long-crested sea ----
 
-PEAKEDNESS = 3.3
-"""The mean of the JONSWAP campaign."""
-OCTAVES_BELOW, OCTAVES_ABOVE = 1, 3
-"""Range of frequencies around the peak; 0.03 % of the energy lies above it, and none below."""
+PEAKEDNESS = 3.3  # the mean of the JONSWAP campaign
+OCTAVES_BELOW, OCTAVES_ABOVE = 1, 3  # around the peak; 0.03 % of the energy lies above this range, and none below
 COMPONENTS_PER_OCTAVE = 40
 NODES = np.array([0.18343464249564984, 0.525532409916329, 0.7966664774136267, 0.9602898564975363])
 WEIGHTS = np.array([0.36268378337836205, 0.3137066458778876, 0.22238103445337473, 0.10122853629037562])
 """Gauss-Legendre quadrature over a band, the upper four of eight nodes in [−1, 1] (Abramowitz & Stegun, Table 25.4)."""
-STEEPEST = 1 / 15
-"""Greatest known significant steepness of seas, 2π H / (g T²) (DNV-RP-C205, §3.5, for T <= 8 s)."""
+STEEPEST = 1 / 15  # greatest known significant steepness of seas, 2π H / (g T²) (DNV-RP-C205, §3.5, for T <= 8 s)
 
 
 def jonswap_shape(frequencies_rad_s: Array, peak_rad_s: float, peakedness: float = PEAKEDNESS) -> Array:
-    """The JONSWAP spectrum without its scale: ω⁻⁵ exp(−5/4 (ω_p / ω)⁴) γ^exp(−½ ((ω − ω_p) / (σ ω_p))²).
-
-    Args:
-        frequencies_rad_s: ω > 0, any shape, which the result has too.
-        peak_rad_s: ω_p.
-        peakedness: γ; σ is 0.07 up to the peak and 0.09 above it.
-    """
+    """The JONSWAP spectrum without its scale: ω⁻⁵ exp(−5/4 (ω_p / ω)⁴) γ^exp(−½ ((ω − ω_p) / (σ ω_p))²), for ω > 0 of
+    any shape, which the result has too. The peakedness is γ; σ is 0.07 up to the peak and 0.09 above it."""
     ratio = frequencies_rad_s / peak_rad_s
     width = np.where(ratio <= 1, 0.07, 0.09)
     raised: Array = peakedness ** np.exp(-0.5 * ((ratio - 1) / width) ** 2)
@@ -94,19 +70,12 @@ def jonswap_shape(frequencies_rad_s: Array, peak_rad_s: float, peakedness: float
 
 @dataclass(frozen=True, eq=False)
 class Sea:
-    """Harmonic waves ζ_j = a_j cos(k_j · x − ω_j t + ε_j) that all travel in one direction.
+    """Harmonic waves ζ_j = a_j cos(k_j · x − ω_j t + ε_j) that all travel in one direction."""
 
-    Attributes:
-        frequencies_rad_s: ω, shape (N,).
-        amplitudes_m: a, shape (N,).
-        phases_rad: ε, shape (N,).
-        direction_rad: Direction to which the waves travel, counter-clockwise from w1.
-    """
-
-    frequencies_rad_s: Array
-    amplitudes_m: Array
-    phases_rad: Array
-    direction_rad: float
+    frequencies_rad_s: Array  # ω: (N,)
+    amplitudes_m: Array  # a: (N,)
+    phases_rad: Array  # ε: (N,)
+    direction_rad: float  # to which the waves travel, counter-clockwise from w1
 
     @property
     def wave_numbers_rad_m(self) -> Array:
@@ -114,12 +83,8 @@ class Sea:
         return self.frequencies_rad_s**2 / GRAVITY_M_S2
 
     def phases_at(self, times_s: Array, positions_m: Array) -> Array:
-        """Phase of each wave, k · x − ω t + ε, in radians, shape (n, N).
-
-        Args:
-            times_s: Times since the scene's first step, shape (n,).
-            positions_m: Places in WCF, shape (n, 2 or 3).
-        """
+        """Phase of each wave, k · x − ω t + ε, in radians: (n, N), at times since the scene's first step (n,) and
+        places in WCF (n, 2 or 3)."""
         way = positions_m[:, 0] * math.cos(self.direction_rad) + positions_m[:, 1] * math.sin(self.direction_rad)
         return self.wave_numbers_rad_m * way[:, None] - self.frequencies_rad_s * times_s[:, None] + self.phases_rad
 
@@ -130,24 +95,12 @@ class Sea:
 
 
 def jonswap_sea(
-    significant_height_m: float,
-    peak_period_s: float,
-    direction_rad: float,
-    seed: int,
-    peakedness: float = PEAKEDNESS,
+    significant_height_m: float, peak_period_s: float, direction_rad: float, seed: int, peakedness: float = PEAKEDNESS
 ) -> Sea:
-    """A sea whose elevation has a variance of (H / 4)².
-
-    Each wave has the energy of a band of frequencies. Its frequency is random within the band, so that the sea never
-    repeats itself, and its phase is random.
-
-    Args:
-        significant_height_m: H, four standard deviations of the elevation.
-        peak_period_s: Period of the spectrum's peak.
-        direction_rad: Direction to which the waves travel, counter-clockwise from w1.
-        seed: Seed of frequencies and phases.
-        peakedness: γ.
-    """
+    """A sea whose elevation has a variance of (H / 4)². Each wave has the energy of a band of frequencies. Its
+    frequency is random within the band, so that the sea never repeats itself, and its phase is random. The significant
+    height is H, four standard deviations of the elevation, the peakedness γ; the waves travel to a direction
+    counter-clockwise from w1."""
     peak = 2 * math.pi / peak_period_s
     bands = (OCTAVES_BELOW + OCTAVES_ABOVE) * COMPONENTS_PER_OCTAVE
     edges = peak * 2.0 ** np.linspace(-OCTAVES_BELOW, OCTAVES_ABOVE, bands + 1)  # one is the peak, where σ jumps
@@ -169,16 +122,11 @@ def jonswap_sea(
 
 Complex = NDArray[np.complex128]
 
-BEAM_PER_DRAUGHT = 3.0
-"""Our choice; merchant ships have 2.3 to 3.8, small craft up to 5."""
-BEAM_PER_METACENTRIC_HEIGHT = 10.0
-"""Our choice; it gives roll periods of 4 to 6 s for boats and of 10 to 15 s for large ships."""
-ROLL_DAMPING = 0.1
-"""Share of critical damping; our choice between a bare hull (0.05) and one with bilge keels under way (0.2)."""
-LONG_WAVE = 0.02
-"""Phase over half a side, in radians, below which two terms of a series are exact to nine digits."""
-LONGEST_M = 400.0
-"""Greatest length in the roll period, whose fit has no longer ships."""
+BEAM_PER_DRAUGHT = 3.0  # our choice; merchant ships have 2.3 to 3.8, small craft up to 5
+BEAM_PER_METACENTRIC_HEIGHT = 10.0  # our choice; roll periods of 4 to 6 s for boats and 10 to 15 s for large ships
+ROLL_DAMPING = 0.1  # of critical damping; our choice between a bare hull (0.05) and bilge keels under way (0.2)
+LONG_WAVE = 0.02  # phase over half a side, in radians, below which two terms of a series are exact to nine digits
+LONGEST_M = 400.0  # greatest length in the roll period, whose fit has no longer ships
 
 
 @dataclass(frozen=True)
@@ -202,33 +150,20 @@ class Hull:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Complex responses to waves of unit amplitude; the motion is Re[response × e^(i (k · x − ω t + ε))].
+    """Complex responses to waves of unit amplitude, (n, N) each; motion is Re[response × e^(i (k · x − ω t + ε))]."""
 
-    Attributes:
-        heave: Metres, shape (n, N).
-        roll: Radians, port side down, shape (n, N).
-        pitch: Radians, bow down, shape (n, N).
-    """
-
-    heave: Complex
-    roll: Complex
-    pitch: Complex
+    heave: Complex  # metres
+    roll: Complex  # radians, port side down
+    pitch: Complex  # radians, bow down
 
 
 def response(hull: Hull, frequencies_rad_s: Array, encounter_rad_s: Array, relative_rad: Array) -> Response:
-    """Responses of a hull to waves.
-
-    In head and following seas heave and pitch are those of the paper. In beam seas, the paper's waves keep their
-    pressure at depth and are not averaged over the beam, so that ripples would heave the hull by half their height.
-    Here the pressure falls with the whole wave number, e^(−kT), and the wave is averaged over beam and length.
-
-    Args:
-        hull: Length and beam.
-        frequencies_rad_s: ω of N waves, shape (N,).
-        encounter_rad_s: Frequencies of encounter ω_e, shape (n, N); negative for waves that the hull overtakes.
-        relative_rad: Direction of the waves less the heading, shape (n,): 0 for following seas, π for head seas, π/2
-            for waves that travel to port.
-    """
+    """Responses of a hull to N waves of frequencies ω (N,), met at frequencies of encounter ω_e (n, N), negative for
+    waves that the hull overtakes. `relative_rad` is the direction of the waves less the heading (n,): 0 for following
+    seas, π for head seas, π/2 for waves that travel to port. In head and following seas heave and pitch are those of
+    the paper. In beam seas, the paper's waves keep their pressure at depth and are not averaged over the beam, so that
+    ripples would heave the hull by half their height. Here the pressure falls with the whole wave number, e^(−kT), and
+    the wave is averaged over beam and length."""
     number = frequencies_rad_s**2 / GRAVITY_M_S2
     courses, which = np.unique(relative_rad, return_inverse=True)  # a vessel keeps its heading for long
     along, across = number * np.cos(courses)[:, None], number * np.sin(courses)[:, None]
@@ -252,10 +187,8 @@ def response(hull: Hull, frequencies_rad_s: Array, encounter_rad_s: Array, relat
 
 def _over(side_m: float, numbers_rad_m: Array) -> tuple[Array, Array]:
     """Mean and slope of a wave of unit amplitude over a side of the hull; `numbers_rad_m` are wave numbers along it.
-
     The mean with the crest at the middle is sin(x) / x with x = k · side / 2. The slope in rad/m is that of the best
-    straight line with the zero at the middle, 6 (sin x − x cos x) / (x² side), which is k for long waves.
-    """
+    straight line with the zero at the middle, 6 (sin x − x cos x) / (x² side), which is k for long waves."""
     half = numbers_rad_m * side_m / 2
     long = np.abs(half) < LONG_WAVE  # the formulas would lose their digits
     x = np.where(long, 1.0, half)
@@ -278,12 +211,9 @@ class FloatingVessels:
         self._hulls = dict(hulls)
 
     def motion(self, vessel: str, passage: Passage) -> Motion:
-        """Heave and attitude of a vessel, by its ID.
-
-        Each wave has its phase at the vessel's place, which gives the frequency of encounter ω_e = ω − k · v. The hull
-        responds at the same ω_e, from the velocity at the moment. A vessel that turns or speeds up responds as if it
-        had kept this course and speed for long.
-        """
+        """Heave and attitude of a vessel, by its ID. Each wave has its phase at the vessel's place, which gives the
+        frequency of encounter ω_e = ω − k · v. The hull responds at the same ω_e, from the velocity at the moment. A
+        vessel that turns or speeds up responds as if it had kept this course and speed for long."""
         sea = self.sea
         advance = passage.velocities_m_s[:, 0] * math.cos(sea.direction_rad)
         advance = advance + passage.velocities_m_s[:, 1] * math.sin(sea.direction_rad)

@@ -1,8 +1,7 @@
 """Binary glTF 2.0: its description, checked against itself and its data.
 
 Section numbers are those of the glTF 2.0 specification (The Khronos Group, 2021). Materials, textures, cameras, skins
-and animations are not in the description that is read here, so that nothing can be read through them.
-"""
+and animations are not in the description that is read here, so that nothing can be read through them."""
 
 from __future__ import annotations
 
@@ -24,12 +23,11 @@ from modsim3d.world.mesh_limits import MAX_GLB_BYTES, Refused, check_faces, chec
 
 MAX_DESCRIPTION_BYTES = 2**23
 MAX_NODES = 2000
+# NumPy's name of each type of number (section 3.6.2.2).
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""NumPy's name of each type of number (section 3.6.2.2)."""
 POINTS_LINES = (0, 1, 2, 3)
 TRIANGLES, STRIP, FAN = 4, 5, 6
-DRAWN_ONLY = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")
-"""Extensions that change how a mesh looks, not its shape."""
+DRAWN_ONLY = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "EXT_texture_")  # change how a mesh looks, not its shape
 Item = TypeVar("Item")
 
 
@@ -42,7 +40,7 @@ class _Part(BaseModel):
 
 
 class Accessor(_Part):
-    """How to read numbers out of a view (section 3.6.2)."""
+    """Numbers in a view (section 3.6.2)."""
 
     buffer_view: Count | None = None
     byte_offset: Count = 0
@@ -125,10 +123,8 @@ class Glb:
 
 
 def read_glb(file: BinaryIO, size: int) -> Glb:
-    """The content of a GLB file.
-
-    Raises `Refused` if it is not GLB, contradicts itself, is too large, or refers to other files.
-    """
+    """The content of a GLB file. Raises `Refused` if it is not GLB, contradicts itself, is too large, or refers to
+    other files."""
     header = file.read(20)
     if len(header) < 20 or header[:4] != b"glTF" or header[16:20] != b"JSON":
         raise Refused("is not a GLB file: it does not begin as binary glTF does")
@@ -138,9 +134,8 @@ def read_glb(file: BinaryIO, size: int) -> Glb:
     if length != size:
         raise Refused(f"has {size} bytes where its header announces {length}: is it cut off?")
     if description_bytes > MAX_DESCRIPTION_BYTES:
-        raise Refused(
-            f"has a description of {description_bytes} bytes; at most {MAX_DESCRIPTION_BYTES} are read: simplify it"
-        )
+        most = f"at most {MAX_DESCRIPTION_BYTES} are read: simplify it"
+        raise Refused(f"has a description of {description_bytes} bytes; {most}")
     gltf = _parse(file.read(description_bytes))
     _check_references(gltf)
     _check_counts(gltf)
@@ -255,13 +250,6 @@ def _faces(gltf: Gltf, primitive: Primitive) -> int:
     return max(corners - 2, 0) if primitive.mode == STRIP else corners // 3
 
 
-def _used(gltf: Gltf) -> set[int]:
-    """Accessors that hold geometry."""
-    primitives = [primitive for mesh in gltf.meshes for primitive in mesh.primitives]
-    indices = [index for p in primitives for index in (p.attributes.position, p.indices)]
-    return {index for index in indices if index is not None}
-
-
 def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
     """Refuse accessors that reach beyond their view, and views beyond their buffer (section 3.6.2.4)."""
     for number, view in enumerate(gltf.buffer_views):
@@ -269,7 +257,9 @@ def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
         limit = 0 if buffer is None else buffer.byte_length if buffer.uri else min(buffer.byte_length, binary_bytes)
         if view.byte_offset + view.byte_length > limit:
             raise Refused(f"has buffer view {number} reaching beyond its data of {limit} bytes: is it damaged?")
-    for number in sorted(_used(gltf)):
+    primitives = [primitive for mesh in gltf.meshes for primitive in mesh.primitives]
+    used = (index for part in primitives for index in (part.attributes.position, part.indices))
+    for number in sorted({index for index in used if index is not None}):
         accessor = gltf.accessors[number]
         view = view_of(gltf, accessor)
         item = np.dtype(COMPONENTS[accessor.component_type]).itemsize * (3 if accessor.type == "VEC3" else 1)
@@ -281,8 +271,7 @@ def _check_ranges(gltf: Gltf, binary_bytes: int) -> None:
 
 # ---- Parts of a mesh file, and all of them joined in the file's own axes ----
 
-NO_CHANGE = 1e-8
-"""A transform that differs less than this from the identity is taken for it."""
+NO_CHANGE = 1e-8  # a transform that differs less than this from the identity is taken for it
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,18 +284,16 @@ class MeshPart:
 
 
 def joined(parts: Iterable[MeshPart]) -> tuple[Array, Indices]:
-    """Vertices and faces of all parts with their transforms applied, shapes (K, 3) and (F, 3).
-
-    Raises:
-        Refused: There are no faces or too many, or a part contradicts itself.
-    """
+    """Vertices and faces of all parts with their transforms applied, shapes (K, 3) and (F, 3). Raises `Refused` if
+    there are no faces or too many, or a part contradicts itself."""
     vertices: list[Array] = []
     faces: list[Indices] = []
     count = 0
     for part in parts:
         if len(part.faces):
             _check(part)
-            faces.append(_mirrored(part) + count)
+            mirrors = np.linalg.det(part.file_T_part[:3, :3]) < 0  # which turns a part inside out
+            faces.append((part.faces[:, ::-1] if mirrors else part.faces) + count)
             vertices.append(placed(part.vertices, part.file_T_part))
             count += len(part.vertices)
     check_faces(sum(map(len, faces)))
@@ -333,11 +320,6 @@ def _check(part: MeshPart) -> None:
         raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
-
-
-def _mirrored(part: MeshPart) -> Indices:
-    """Faces of a part, shape (F, 3), reversed if the transform mirrors: that turns a part inside out."""
-    return part.faces[:, ::-1] if np.linalg.det(part.file_T_part[:3, :3]) < 0 else part.faces
 
 
 # ---- The triangles of binary glTF 2.0, and where its scene puts them ----

@@ -8,16 +8,11 @@ from typing import BinaryIO
 from urllib.parse import unquote
 
 MAX_FACES = 50_000
-MAX_VERTICES = 3 * MAX_FACES
-"""As many as faces without common vertices have."""
-MAX_BYTES = 2**25
-"""Text takes at most about 500 bytes a face."""
-MAX_GLB_BYTES = 2**26
-"""A GLB file may contain textures, which are not read."""
-MAX_SCANNED_BYTES = 2**30
-"""Faces of a text file have to be counted; a larger file is refused without."""
-MAX_COORDINATE = 1e9
-"""Far beyond any vessel in any unit; products of three do not overflow."""
+MAX_VERTICES = 3 * MAX_FACES  # as many as faces without common vertices have
+MAX_BYTES = 2**25  # text takes at most about 500 bytes a face
+MAX_GLB_BYTES = 2**26  # a GLB file may contain textures, which are not read
+MAX_SCANNED_BYTES = 2**30  # faces of a text file have to be counted; a larger file is refused without
+MAX_COORDINATE = 1e9  # far beyond any vessel in any unit; products of three do not overflow
 
 
 class Refused(Exception):
@@ -62,10 +57,8 @@ def check_reference(reference: str, what: str) -> None:
 
 CHUNK_BYTES = 2**20
 MAX_PARTS = 1000
-MAX_DIGITS = 18
-"""Of a number in a header; Python reads no number of thousands of digits."""
-MAX_LINE_BYTES = 2**16
-"""Greatest length of a header, and of a line with many corners."""
+MAX_DIGITS = 18  # of a number in a header; Python reads no number of thousands of digits
+MAX_LINE_BYTES = 2**16  # greatest length of a header, and of a line with many corners
 
 
 def _scan(file: BinaryIO, size: int, word: bytes) -> int:
@@ -96,9 +89,8 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
     """The content of an STL file, binary or text. Raises `Refused` if it is none, or too large."""
     header = file.read(84)
     claimed = struct.unpack("<I", header[80:])[0] if len(header) == 84 else None
-    if claimed is not None and 0 <= size - (84 + 50 * claimed) < (
-        50 if claimed else 1
-    ):  # some programs add a few bytes
+    spare = 50 if claimed else 1  # some programs add a few bytes
+    if claimed is not None and 0 <= size - (84 + 50 * claimed) < spare:
         check_faces(claimed)
         return _whole(file, 84 + 50 * claimed)
     if not header.lstrip().lower().startswith(b"solid"):
@@ -113,10 +105,8 @@ def read_stl(file: BinaryIO, size: int) -> bytes:
 
 
 def read_ply(file: BinaryIO, size: int) -> bytes:
-    """The content of a PLY file, text or binary. Raises `Refused` if it is none, or too large.
-
-    Text is returned without blank lines and without rows beyond those that the header announces.
-    """
+    """The content of a PLY file, text or binary. Raises `Refused` if it is none, or too large. Text is returned without
+    blank lines and without rows beyond those that the header announces."""
     header = file.read(MAX_LINE_BYTES)
     end = header.find(b"end_header")
     if not header.startswith(b"ply") or end < 0:
@@ -143,10 +133,8 @@ def read_ply(file: BinaryIO, size: int) -> bytes:
 
 
 def read_obj(file: BinaryIO, size: int) -> bytes:
-    """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header.
-
-    Material libraries are passed over, wherever they lie. Raises `Refused` if it is too large.
-    """
+    """The vertices and faces of a Wavefront OBJ file; its lines are counted, since it has no header. Material libraries
+    are passed over, wherever they lie. Raises `Refused` if it is too large."""
     check_faces(max(1, _scan(file, size, b"\nf ")))  # refuses far too many early; indented ones are counted below
     content = _whole(file, size)
     triangles = vertices = 0

@@ -1,8 +1,7 @@
 """Solids from mesh files.
 
 A mesh file may come from anywhere, so it is not trusted: its size is checked from its header before it is parsed, it is
-parsed from memory without access to folders or the network, and the result is checked again.
-"""
+parsed from memory without access to folders or the network, and the result is checked again."""
 
 from __future__ import annotations
 
@@ -30,10 +29,8 @@ Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 Reader = Callable[[BinaryIO, int], bytes]
 GLB = ".glb"
 READERS: dict[str, Reader] = {".obj": read_obj, ".stl": read_stl, ".ply": read_ply}
-GLTF_AXES: tuple[Axis, Axis] = ("+z", "+y")
-"""Forward and up in every glTF file (glTF 2.0, section 3.4)."""
-PLAIN_AXES: tuple[Axis, Axis] = ("+x", "+z")
-"""Forward and up for formats without a rule; our choice."""
+GLTF_AXES: tuple[Axis, Axis] = ("+z", "+y")  # forward and up in every glTF file (glTF 2.0, section 3.4)
+PLAIN_AXES: tuple[Axis, Axis] = ("+x", "+z")  # forward and up for formats without a rule; our choice
 
 
 class MeshEntry(Strict):
@@ -50,17 +47,10 @@ def shipped_meshes() -> dict[str, Path]:
 
 
 def load_mesh(entry: object, folder: Path, source: str = "mesh", *prefix: object) -> Solid:
-    """The solid of a mesh entry of a scene; its faces have two sides if it is open (`closed` is False).
-
-    Args:
-        entry: A shipped mesh's name, a file relative to the folder, or a mapping of `file`, `forward` and `up`.
-        folder: Folder of the files; none outside it is read.
-        source: Name of the file with the entry in errors.
-        *prefix: Keys that lead to the entry.
-
-    Raises:
-        InputError: The entry or the file is wrong.
-    """
+    """The solid of a mesh entry of a scene; its faces have two sides if it is open (`closed` is False). The entry is a
+    shipped mesh's name, a file relative to the folder, outside which none is read, or a mapping of `file`, `forward`
+    and `up`. Raises InputError if the entry or the file is wrong; it names `source`, the file with the entry, and the
+    keys that lead to it."""
     where = prefix or ("mesh",)
     shipped = shipped_meshes()
     if isinstance(entry, str) and entry in shipped:
@@ -128,7 +118,6 @@ def _parts(file: BinaryIO, size: int, suffix: str) -> Iterator[MeshPart]:
     import trimesh  # takes 0.3 s, and most meshes are in GLB
 
     content, kind = READERS[suffix](file, size), suffix[1:]
-
     try:
         with _strictly():
             scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, skip_materials=True, process=False)

@@ -1,8 +1,6 @@
 """Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3); no heave.
-
 The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
-lowers the bow, positive yaw turns to port.
-"""
+lowers the bow, positive yaw turns to port."""
 
 from __future__ import annotations
 
@@ -19,8 +17,7 @@ from modsim3d.io.plugins import WAVE_LEVELS, Plugin, load_plugin
 from modsim3d.world.floating_vessels import Motion, Passage
 
 AXES = ("roll", "pitch", "yaw")
-SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)
-"""Noise of roll, pitch and yaw of the small wave impact (Table 9.8)."""
+SMALL_SIGMA_RAD = (5e-5, 3e-5, 1.5e-5)  # noise of roll, pitch and yaw of the small wave impact (Table 9.8)
 LEVELS = {"none": 0.0, "small": 1.0, "medium": 2.0, "large": 4.0, "huge": 8.0}
 """Factors of the small noise. The source has numbers for small and large only (Tables 9.8, 9.12)."""
 BLOCK_STEPS = 4096
@@ -50,16 +47,8 @@ def level_axes(level: str) -> tuple[Axis, Axis, Axis]:
 
 
 def second_order(noise: Array, axis: Axis, state: tuple[float, float]) -> tuple[Array, tuple[float, float]]:
-    """Continue the process from a state.
-
-    Args:
-        noise: e of the next n steps in radians, shape (n,).
-        axis: Coefficients of the process.
-        state: x and x' before the first step.
-
-    Returns:
-        x' after each step in radians, shape (n,), and the last x and x'.
-    """
+    """Continue the process from a state, x and x' before the first step, with e of the next n steps in radians (n,).
+    Returns x' after each step in radians (n,), and the last x and x'."""
     first = _continued(noise.tolist(), axis.a, state[0])
     second = _continued(first, axis.b, state[1])
     return np.array(second), (first[-1], second[-1])
@@ -79,10 +68,8 @@ class _Track:
 
 
 class SecondOrderWaves:
-    """Independent second-order processes for roll, pitch and yaw of every vessel (eq. 7.26–7.31).
-
-    The processes step every `interval_s` and are linear between; without an interval they use the scene's steps.
-    """
+    """Independent second-order processes for roll, pitch and yaw of every vessel (eq. 7.26–7.31). They step every
+    `interval_s` and are linear between; without an interval they use the scene's steps."""
 
     needs_velocity = False
 
@@ -98,13 +85,8 @@ class SecondOrderWaves:
         return Motion(np.zeros(len(passage.steps)), self.angles(vessel, passage.times_s, passage.steps))
 
     def angles(self, vessel: str, times_s: Array, steps: Indices) -> Array:
-        """Roll, pitch and yaw of a vessel, each with a process of its own, in radians, shape (n, 3).
-
-        Args:
-            vessel: ID.
-            times_s: Times since the scene's first step, shape (n,).
-            steps: Index of each step, shape (n,).
-        """
+        """Roll, pitch and yaw of a vessel, each with a process of its own, in radians: (n, 3), at times since the
+        scene's first step and indices of steps, (n,) both."""
         if self._interval_s is None:
             return self._until(vessel, int(steps.max(initial=0)))[steps]
         position = times_s / self._interval_s
@@ -140,24 +122,18 @@ class SecondOrderWaves:
 
 # ---- Wave levels by name, plug-ins included ----
 
-Axes = tuple[Axis, Axis, Axis]
-"""Roll, pitch and yaw."""
+Axes = tuple[Axis, Axis, Axis]  # roll, pitch and yaw
 
 
 def find_level(name: str) -> tuple[Axes, Plugin | None]:
-    """The axes of a wave level, and the plug-in that it comes from; None if it is built in.
-
-    A plug-in of the group `modsim3d.wave_levels` is a tuple of three `Axis`: roll, pitch and yaw.
-
-    Raises:
-        InputError: There is no such level, or the plug-in is no three axes.
-    """
+    """The axes of a wave level, and the plug-in that it comes from; None if it is built in. A plug-in of the group
+    `modsim3d.wave_levels` is a tuple of three `Axis`: roll, pitch and yaw. Raises InputError if there is no such level,
+    or the plug-in is no three axes."""
     if name in LEVELS:
         return level_axes(name), None
     found, plugin = load_plugin(WAVE_LEVELS, name, "waves.level", LEVELS)
     if isinstance(found, tuple | list) and len(found) == len(AXES) and all(isinstance(axis, Axis) for axis in found):
         roll, pitch, yaw = found
         return (roll, pitch, yaw), plugin
-    raise InputError(
-        "waves.level", [f"{plugin} must be three modsim3d.plugins.Axis, for {', '.join(AXES)}, not {found!r}"]
-    )
+    problem = f"{plugin} must be three modsim3d.plugins.Axis, for {', '.join(AXES)}, not {found!r}"
+    raise InputError("waves.level", [problem])

@@ -1,4 +1,4 @@
-"""How the vessels of a scene move: the pose source says where they are, and waves lift and turn them."""
+"""Motion of the vessels of a scene: the pose source says where they are, and waves lift and turn them."""
 
 from __future__ import annotations
 
@@ -17,32 +17,20 @@ from modsim3d.world.poses.replay import LivePoses
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """How waves move the vessels of a scene.
+    """Motion of the vessels of a scene in waves."""
 
-    Attributes:
-        motion: Gives heave and angles.
-        apply_to: `ownship`: only vessels that carry a camera are moved; `all`: every vessel.
-        composition: How a camera's own angles and its vessel's combine: `rigid` or `additive`.
-    """
-
-    motion: WaveMotion
-    apply_to: str = "ownship"
-    composition: str = "rigid"
+    motion: WaveMotion  # gives heave and angles
+    apply_to: str = "ownship"  # `ownship`: only vessels that carry a camera are moved; `all`: every vessel
+    composition: str = "rigid"  # of a camera's own angles and its vessel's: `rigid` or `additive`
 
 
 @dataclass(frozen=True, eq=False)
 class PosesInWaves:
-    """Poses of V vessels at S steps, waves included.
+    """Poses of V vessels at S steps, waves included."""
 
-    Attributes:
-        poses: Positions with heave, and headings without waves.
-        angles_rad: Roll, pitch and yaw in waves, shape (S, V, 3); zero for vessels that no wave moves.
-        world_R_vessel: Rotations VCF to WCF, waves included, shape (S, V, 3, 3).
-    """
-
-    poses: Poses
-    angles_rad: Array
-    world_R_vessel: Array
+    poses: Poses  # positions with heave, and headings without waves
+    angles_rad: Array  # roll, pitch and yaw in waves: (S, V, 3); zero for vessels that no wave moves
+    world_R_vessel: Array  # rotations VCF to WCF, waves included: (S, V, 3, 3)
     _of_cameras: dict[tuple[Mount, int, str], CameraPoses] = field(init=False, repr=False, default_factory=dict)
 
     def rows(self, rows: Indices) -> PosesInWaves:
@@ -50,10 +38,8 @@ class PosesInWaves:
         return PosesInWaves(self.poses.rows(rows), self.angles_rad[rows], self.world_R_vessel[rows])
 
     def of_camera(self, mount: Mount, carrier: int, composition: str) -> CameraPoses:
-        """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`.
-
-        Checks, truth and horizon ask for the same camera one after the other: they are kept.
-        """
+        """Poses of a camera on the vessel with the index `carrier`; for `composition` see `Waves`. Checks, truth and
+        horizon ask for the same camera one after the other: they are kept."""
         key = mount, carrier, composition
         if key not in self._of_cameras:
             positions_m, headings_rad = self.poses.positions_m[:, carrier], self.poses.headings_rad[:, carrier]
@@ -64,28 +50,18 @@ class PosesInWaves:
 
 @dataclass(frozen=True, eq=False)
 class VesselMotion:
-    """How V vessels move over the steps of a scene.
+    """Motion of V vessels over the steps of a scene."""
 
-    Attributes:
-        source: Poses on calm water.
-        names: IDs of the vessels.
-        waves: Waves; None for calm water.
-        moved: Indices of the vessels that waves move, ascending.
-        steps: Number of the scene's steps; of a live scene the most that are taken.
-    """
-
-    source: PoseSource
-    names: tuple[str, ...]
-    waves: Waves | None
-    moved: tuple[int, ...]
-    steps: int
+    source: PoseSource  # poses on calm water
+    names: tuple[str, ...]  # IDs of the vessels
+    waves: Waves | None  # None for calm water
+    moved: tuple[int, ...]  # indices of the vessels that waves move, ascending
+    steps: int  # number of the scene's steps; of a live scene the most that are taken
     _latest: dict[bytes, PosesInWaves] = field(init=False, repr=False, default_factory=dict)
 
     def at(self, steps: Indices) -> PosesInWaves:
-        """Poses at ascending steps, shape (S,); arrays that cannot be written to.
-
-        Truth, horizon, attitudes and checks ask for the same steps one after the other: the latest ones are kept.
-        """
+        """Poses at ascending steps (S,); arrays that cannot be written to. Truth, horizon, attitudes and checks ask for
+        the same steps one after the other: the latest ones are kept."""
         key = steps.tobytes()
         found = self._latest.get(key)
         if found is None:
@@ -107,10 +83,8 @@ class VesselMotion:
         return PosesInWaves(poses, angles, rotations)
 
     def with_neighbours(self, steps: Indices, margin: int = 1) -> tuple[int, int]:
-        """First step and stop of a range that holds ascending steps, shape (S,), and `margin` neighbours on each side.
-
-        A velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene.
-        """
+        """First step and stop of a range that holds ascending steps (S,) and `margin` neighbours on each side. A
+        velocity needs the neighbouring steps, wherever a block ends. The range stays within the scene."""
         first, stop = int(steps[0]), int(steps[-1]) + 1
         known = len(self.source.timestamps) if isinstance(self.source, LivePoses) else self.steps
         return max(first - margin, 0), max(min(stop + margin, known), stop)
@@ -140,21 +114,11 @@ class VesselMotion:
 
 @dataclass(frozen=True)
 class Imu:
-    """A strapdown unit with its axes along the vessel's, v1, v2, v3.
+    """A strapdown unit with its axes along the vessel's, v1, v2, v3. Noises and biases are standard deviations: noise
+    is independent at each sample, a bias is drawn once a run for each vessel. Rates are angular, accelerations are the
+    components of the specific force, and attitude and heading are the measured ones (attitude: roll and pitch)."""
 
-    Attributes:
-        position_m: Place in VCF.
-        rate_noise_rad_s: Standard deviation of the noise of each angular rate; samples are independent.
-        rate_bias_rad_s: Standard deviation of the offset of each angular rate, drawn once a run for each vessel.
-        acceleration_noise_m_s2: Standard deviation of the noise of each component of the specific force.
-        acceleration_bias_m_s2: Standard deviation of the offset of each component of the specific force.
-        attitude_noise_rad: Standard deviation of the noise of measured roll and pitch.
-        attitude_bias_rad: Standard deviation of the offset of measured roll and pitch.
-        heading_noise_rad: Standard deviation of the noise of the measured heading.
-        heading_bias_rad: Standard deviation of the offset of the measured heading.
-    """
-
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in VCF
     rate_noise_rad_s: float = 0.0
     rate_bias_rad_s: float = 0.0
     acceleration_noise_m_s2: float = 0.0
@@ -187,11 +151,8 @@ class Imu:
         return noises * sample + biases * offset
 
     def errors(self, streams: Streams, vessel: str, first: int, count: int) -> tuple[Array, Array]:
-        """Errors of the unit of a vessel at the n = `count` steps from `first` on.
-
-        Returns:
-            Errors of the angular rates in rad/s and of the specific force in m/s², each of shape (n, 3).
-        """
+        """Errors of the angular rates in rad/s and of the specific force in m/s², each (n, 3), of the unit of a vessel
+        at the n = `count` steps from `first` on."""
         sample = normals(streams.uniforms(Purpose.IMU_NOISE, vessel, first=first, count=count))
         offset = normals(streams.uniforms(Purpose.IMU_BIAS, vessel, first=0, count=1))
         rates = self.rate_noise_rad_s * sample[:, :3] + self.rate_bias_rad_s * offset[:, :3]
@@ -199,5 +160,4 @@ class Imu:
         return rates, forces
 
 
-PERFECT_IMU = Imu()
-"""At the vessel's origin, without any error."""
+PERFECT_IMU = Imu()  # at the vessel's origin, without any error

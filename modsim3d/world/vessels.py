@@ -23,30 +23,20 @@ from modsim3d.world.mesh_limits import MAX_COORDINATE, Refused, check_faces, che
 if TYPE_CHECKING:
     import trimesh
 
-
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """The shape of something, without place or size: a triangle mesh.
+    """The shape of something, without place or size: a triangle mesh. A vessel's solid fills the unit box of VCF, in
+    units of its length, beam and air draft, so that vessels of all sizes share one. `Bodies` give solids their size and
+    place in the world."""
 
-    A vessel's solid fills the unit box of VCF, in units of its length, beam and air draft, so that vessels of all sizes
-    share one. `Bodies` give solids their size and place in the world.
-
-    Attributes:
-        vertices: v1, v2 in [−1/2, 1/2] and v3 in [0, 1], shape (K, 3).
-        faces: Vertex indices, counter-clockwise seen from outside, shape (F, 3).
-        convex: Whether the mesh is its own convex hull.
-        closed: Whether the faces enclose a volume and all point outward, so that back faces are hidden.
-        file_box: Its bounding box in the mesh file, where it comes from one.
-    """
-
-    vertices: Array
-    faces: Indices
-    convex: bool = True
-    closed: bool = True
-    file_box: FileBox | None = None
+    vertices: Array  # v1, v2 in [−1/2, 1/2] and v3 in [0, 1]: (K, 3)
+    faces: Indices  # vertex indices, counter-clockwise seen from outside: (F, 3)
+    convex: bool = True  # whether the mesh is its own convex hull
+    closed: bool = True  # whether the faces enclose a volume and all point outward, so that back faces are hidden
+    file_box: FileBox | None = None  # its bounding box in the mesh file, where it comes from one
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Make copies in other processes of this; there too, the shoebox is one object, which `has_mesh` asks for."""
@@ -56,10 +46,8 @@ class Solid:
 
 
 def once_a_solid(work_out: Callable[[Solid], T]) -> Callable[[Solid], T]:
-    """A function whose result for a solid is kept for as long as the solid is there.
-
-    `functools.cache` would keep the solids of all scenes that a process has had: of a campaign, those of each run.
-    """
+    """A function whose result for a solid is kept for as long as the solid is there. `functools.cache` would keep the
+    solids of all scenes that a process has had: of a campaign, those of each run."""
     kept: WeakKeyDictionary[Solid, T] = WeakKeyDictionary()
 
     def result_for(solid: Solid) -> T:
@@ -72,12 +60,10 @@ def once_a_solid(work_out: Callable[[Solid], T]) -> Callable[[Solid], T]:
 
 @cache
 def shoebox() -> Solid:
-    """The unit shoebox: `trimesh.creation.box`, moved so that its origin is the centre of its bottom.
-
-    Its vertices and faces are constants here, since importing trimesh adds 0.3 s to the 1.2 s of processor time of a
-    cold start (medians of 7 runs of `simulation_1 --steps 10` each way, in turn). `trimesh.creation` alone takes no
-    less, because trimesh's own `__init__` imports all of it.
-    """
+    """The unit shoebox: `trimesh.creation.box`, moved so that its origin is the centre of its bottom. Its vertices and
+    faces are constants here, since importing trimesh adds 0.3 s to the 1.2 s of processor time of a cold start (medians
+    of 7 runs of `simulation_1 --steps 10` each way, in turn). `trimesh.creation` alone takes no less, because trimesh's
+    own `__init__` imports all of it."""
     vertices = read_only([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
     # Counter-clockwise seen from outside; corner 4 i + 2 j + k is at the i-th x, j-th y, k-th z.
     corners = [(1, 3, 0), (4, 1, 0), (0, 3, 2), (2, 4, 0), (1, 7, 3), (5, 1, 4)]
@@ -90,9 +76,7 @@ def shoebox() -> Solid:
 @dataclass(frozen=True)
 class Vessel:
     """A vessel as the scene describes it: its ID, its true class, its extents along v1, v2 and v3, and its shape.
-
-    `shape` is the name of its mesh, empty if it has none.
-    """
+    `shape` is the name of its mesh, empty if it has none."""
 
     name: str
     label: str
@@ -177,13 +161,8 @@ def name_problem(name: str) -> str | None:
 
 
 def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, ...]:
-    """Vessels from the mapping of Figure 7.2: ID → length, beam, air draft, label.
-
-    `source` is the name of the file in errors, and `prefix` the keys that lead to the mapping in it.
-
-    Raises:
-        InputError: With every problem found.
-    """
+    """Vessels from the mapping of Figure 7.2: ID → length, beam, air draft, label. `source` is the name of the file in
+    errors, and `prefix` the keys that lead to the mapping in it. Raises InputError with every problem found."""
     where = join_path(*prefix) or "top level"
     if not isinstance(data, dict):
         raise InputError(source, [f"{where}: {MAPPING_NEEDED} (got {kind_of(data)})"])
@@ -207,11 +186,8 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a vessels file; its vessels are not checked.
-
-    Raises:
-        InputError: The file cannot be read or holds no mapping.
-    """
+    """The mapping in a vessels file; its vessels are not checked. Raises InputError if it cannot be read or holds
+    none."""
     data = load_json(path, "vessels file")
     if not isinstance(data, dict):
         raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {kind_of(data)})"])
@@ -222,8 +198,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
 
 MAX_STRETCH, CLEARLY_BETTER = 3.0, 2.0
 """Axes do not fit if their scales differ by more, and others fit if they lessen that by such a factor."""
-MAX_SPECK = 1 / 3
-"""The vessel is a speck if it is less than this share of its file in some direction."""
+MAX_SPECK = 1 / 3  # the vessel is a speck if it is less than this share of its file in some direction
 UNIT_BOX = 1.01
 """Extents that differ less were made equal on purpose, as those of the shipped meshes; they say nothing about axes."""
 
@@ -248,7 +223,7 @@ class FileBox:
 
 
 def misfit(solid: Solid, size_m: Array) -> str | None:
-    """How a mesh does not fit its length, beam and air draft, shape (3,), as text after its name; None if it does."""
+    """Misfit of a mesh with its length, beam and air draft (3,), as text after its name; None if it fits."""
     box = solid.file_box
     if box is None:
         return None
@@ -319,14 +294,9 @@ def vehicle_R_file(forward: str, up: str) -> Array:
 
 
 def to_solid(vertices: Array, faces: Indices, forward: str, up: str) -> Solid:
-    """The solid of a mesh, its bounding box scaled to the unit box.
-
-    The vertices, shape (K, 3), are in any unit; faces are their indices, shape (F, 3). `forward` and `up` are the axes
-    of the file that point to the bow and up, such as `+x`.
-
-    Raises:
-        Refused: A vertex is not finite, there are no faces, or the mesh is flat along an axis.
-    """
+    """The solid of a mesh, its bounding box scaled to the unit box. The vertices (K, 3) are in any unit; faces are
+    their indices (F, 3). `forward` and `up` are the axes of the file that point to the bow and up, such as `+x`. Raises
+    `Refused` if a vertex is not finite, there are no faces, or the mesh is flat along an axis."""
     check_faces(len(faces))
     check_vertices(len(vertices))
     bad = ~(np.abs(vertices) <= MAX_COORDINATE).all(axis=1)
@@ -404,17 +374,11 @@ SLACK = 1e-6
 
 
 def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[Solid, Plugin]:
-    """A vessel shape of the group `modsim3d.shapes`.
-
-    The plug-in is a function without arguments that returns vertices, shape (K, 3), and faces, shape (F, 3), of a
-    closed triangle mesh: v1 forward and v2 to port from −1/2 to 1/2, v3 up from 0 to 1, in units of length, beam and
-    air draft; faces are counter-clockwise seen from outside.
-
-    Errors name the path of the key; `built_in` are names that need no plug-in, for the hint at an unknown name.
-
-    Raises:
-        InputError: There is no such plug-in, it fails, or it returns something else.
-    """
+    """A vessel shape of the group `modsim3d.shapes`. The plug-in is a function without arguments that returns vertices
+    (K, 3) and faces (F, 3) of a closed triangle mesh: v1 forward and v2 to port from −1/2 to 1/2, v3 up from 0 to 1, in
+    units of length, beam and air draft; faces are counter-clockwise seen from outside. Errors name the path of the key;
+    `built_in` are names that need no plug-in, for the hint at an unknown name. Raises InputError if there is no such
+    plug-in, it fails, or it returns something else."""
     found, plugin = load_plugin(SHAPES, name, path, built_in)
     if not callable(found):
         raise InputError(path, [f"{plugin} must be a function that returns vertices and faces, not {found!r}"])
@@ -432,10 +396,8 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
 
 
 def shape_problem(vertices: Array, faces: np.ndarray) -> str | None:
-    """Reason why vertices (K, 3) and faces (F, 3) cannot be a vessel's shape; None if they can.
-
-    The vertices are in units of length, beam and air draft.
-    """
+    """Reason why vertices (K, 3) in units of length, beam and air draft and faces (F, 3) cannot be a vessel's shape;
+    None if they can."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices) or not np.isfinite(vertices).all():
         return f"vertices must be finite, of shape (K, 3) (got {vertices.shape})"
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu":

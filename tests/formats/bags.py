@@ -1,7 +1,5 @@
 """A voyage to export, and readers of bags: with rosbags, with mcap_ros2, and byte by byte."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -31,9 +29,7 @@ LENS = camera_keys(1280, 720, focal_length_m=0.008, pixel_size_m=[1e-5, 0.8e-5],
 
 def voyage(**keys: Any) -> modsim3d.Scene:
     """Own ship in waves, with cameras that look ahead and abeam; a camera ashore; a ferry and a kayak that come and go.
-
-    Nobody is there at steps 5 to 8. `keys` replace keys of the scene.
-    """
+    Nobody is there at steps 5 to 8. `keys` replace keys of the scene."""
     time_s = np.arange(STEPS) * 0.1
     place = np.zeros((STEPS, 3, 2))
     place[:, 0] = np.stack([6 * time_s, 0.5 * time_s**2], axis=1)
@@ -42,36 +38,22 @@ def voyage(**keys: Any) -> modsim3d.Scene:
     heading = np.stack([0.1 * time_s, 2.0 + 0 * time_s, -1.6 + 0.3 * time_s], axis=1)
     heading[5:9, 1:] = np.nan
     place[np.isnan(heading)] = np.nan
+    ahead = {"vessel": OWN, "position_m": [6, 0.5, 6], "roll_rad": 0.05, "pitch_rad": 0.1, "yaw_rad": 0.1}
+    abeam = {"vessel": OWN, "position_m": [0, 1, 5], "pitch_rad": 0.02, "yaw_rad": 0.35}
+    bent = {"k1": -0.08, "k2": 0.02, "p1": 0.001, "p2": -0.002, "k3": 0.003}
+    imu = {"position_m": [1, 0.2, 2], "rate_noise_rad_s": 0.01, "rate_bias_rad_s": 0.02}
+    imu |= {"acceleration_noise_m_s2": 0.1, "acceleration_bias_m_s2": 0.2, "attitude_noise_rad": 0.03}
+    imu |= {"attitude_bias_rad": 0.04, "heading_noise_rad": 0.05, "heading_bias_rad": 0.12}
     scene = {
         "vessels": VESSELS,
         "poses": {"positions_m": place, "headings_rad": heading, "time_step_s": 0.1},
         "cameras": {
-            "bow.cam": {
-                **LENS,
-                "distortion": {"k1": -0.08, "k2": 0.02, "p1": 0.001, "p2": -0.002, "k3": 0.003},
-                "mount": {"vessel": OWN, "position_m": [6, 0.5, 6], "roll_rad": 0.05, "pitch_rad": 0.1, "yaw_rad": 0.1},
-            },
-            "2-beam": {
-                **LENS,
-                "skew": 3.0,
-                "frame_rate_hz": 4,
-                "start_offset_s": 0.1,
-                "mount": {"vessel": OWN, "position_m": [0, 1, 5], "pitch_rad": 0.02, "yaw_rad": 0.35},
-            },
+            "bow.cam": {**LENS, "distortion": bent, "mount": ahead},
+            "2-beam": {**LENS, "skew": 3.0, "frame_rate_hz": 4, "start_offset_s": 0.1, "mount": abeam},
             "quay": {**LENS, "pose": {"position_m": [0, -90, 12], "pitch_rad": 0.06, "yaw_rad": 0.85}},
         },
         "waves": {"level": "small"},
-        "imu": {
-            "position_m": [1, 0.2, 2],
-            "rate_noise_rad_s": 0.01,
-            "rate_bias_rad_s": 0.02,
-            "acceleration_noise_m_s2": 0.1,
-            "acceleration_bias_m_s2": 0.2,
-            "attitude_noise_rad": 0.03,
-            "attitude_bias_rad": 0.04,
-            "heading_noise_rad": 0.05,
-            "heading_bias_rad": 0.12,
-        },
+        "imu": imu,
         "annotation": {"mode": 0, "source": "analytic"},
         "detector": "coastal",
         "seed": 3,
@@ -90,7 +72,6 @@ Topics = dict[str, list[Message]]
 
 
 def read_with_rosbags(bag: Path) -> Topics:
-    """The messages of a bag by topic, in the order of the file."""
     topics: Topics = defaultdict(list)
     with AnyReader([bag]) as reader:
         for connection, stamp_ns, raw in reader.messages():
@@ -102,9 +83,8 @@ def read_with_mcap_ros2(bag: Path) -> Topics:
     """The same with the reader of MCAP's authors."""
     topics: Topics = defaultdict(list)
     with (bag / f"{bag.name}.mcap").open("rb") as stream:
-        for _, channel, raw, message in make_reader(
-            stream, decoder_factories=[DecoderFactory()]
-        ).iter_decoded_messages():
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        for _, channel, raw, message in reader.iter_decoded_messages():
             topics[channel.topic].append(Message(raw.log_time, message))
     return dict(topics)
 
@@ -136,12 +116,10 @@ def stamp_of(header: Any) -> int:
 
 def boxes_of(message: Any) -> np.ndarray:
     """x_min, y_min, x_max, y_max of the detections of a message, shape (n, 4)."""
-    rows = [
-        (box.center.position.x, box.center.position.y, box.size_x, box.size_y)
-        for box in (detection.bbox for detection in message.detections)
-    ]
-    x, y, width, height = np.array(rows).reshape(-1, 4).T
-    return np.stack([x - width / 2, y - height / 2, x + width / 2, y + height / 2], axis=1)
+    boxes = [detection.bbox for detection in message.detections]
+    centre = np.array([(box.center.position.x, box.center.position.y) for box in boxes]).reshape(-1, 2)
+    half = np.array([(box.size_x, box.size_y) for box in boxes]).reshape(-1, 2) / 2
+    return np.concatenate([centre - half, centre + half], axis=1)
 
 
 class Frames:
@@ -180,9 +158,6 @@ def projected(points_camera: np.ndarray, info: Any) -> np.ndarray:
     x, y = points_camera[:, 0] / points_camera[:, 2], points_camera[:, 1] / points_camera[:, 2]
     r2 = x**2 + y**2
     radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    bent = (
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2),
-        y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y,
-        np.ones(len(x)),
-    )
-    return (np.array(info.k).reshape(3, 3) @ np.array(bent))[:2].T
+    bent_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    bent_y = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    return (np.array(info.k).reshape(3, 3) @ np.array([bent_x, bent_y, np.ones(len(x))]))[:2].T

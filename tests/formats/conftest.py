@@ -1,7 +1,5 @@
 """A run that several files of this folder export; no test writes into it."""
 
-from __future__ import annotations
-
 import pytest
 
 from modsim3d.runs.stored_run import StoredRun

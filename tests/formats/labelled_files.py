@@ -1,14 +1,17 @@
 """A labelled video as COCO, MOT and YOLO files, with boxes in whatever form a test asks for."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+import pytest
+
+from modsim3d.core.errors import InputError
+from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
+from modsim3d.formats.reading.pair import read_pair
 
 WIDTH, HEIGHT = 1920, 1080
 NAMES = ("boat", "sailboat", "ship")
@@ -35,7 +38,7 @@ class Video:
     found: np.ndarray[Any, Any]
 
     @classmethod
-    def of(cls, seed: int = 0, frames: int = 40, noise_px: float = 2.0, bias: float = 1.0) -> Video:
+    def of(cls, seed: int = 0, frames: int = 40, noise_px: float = 2.0, bias: float = 1.0) -> Self:
         """Six boats that cross the image from edge to edge, and boxes `bias` times as large."""
         rng, step = np.random.default_rng(seed), np.arange(frames)[:, None]
         size = np.array([[40.0, 16], [90, 40], [300, 90], [30, 12], [200, 70], [60, 50]])
@@ -102,3 +105,9 @@ def yolo(
             lines = (f"{j % 3} {' '.join(f'{n:.8f}' for n in box)}{end}\n" for j, box in enumerate(shares))
             (folder / name / f"{k:03}.txt").write_text("".join(lines))
     return folder / "set", folder / "p"
+
+
+def refused(told: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> None:
+    """Check that a pair of files is refused with a message that matches."""
+    with pytest.raises(InputError, match=told):
+        read_pair("day", truth, detections, options)

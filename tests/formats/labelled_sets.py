@@ -1,7 +1,5 @@
 """Labelled sets made from random numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
@@ -20,29 +18,21 @@ def images(count, size_px=(600.0, 600.0), time_s=None, half_planes=None):
     return Images(names, np.tile(size_px, (count, 1)), zeros, zeros, zeros, times, seas)
 
 
+def rows_of(image, label, boxes_px):
+    columns = (np.asarray(each, dtype=np.int64) for each in (image, label))
+    return *columns, np.asarray(boxes_px, dtype=float).reshape(-1, 4)
+
+
 def truth(image, label, boxes_px, ignored=None, crowd=None, identity=None, visible=None):
-    count = len(image)
-    return Annotations(
-        np.asarray(image, dtype=np.int64),
-        np.asarray(label, dtype=np.int64),
-        np.asarray(boxes_px, dtype=float).reshape(-1, 4),
-        np.zeros(count, dtype=bool) if ignored is None else np.asarray(ignored, dtype=bool),
-        np.zeros(count, dtype=bool) if crowd is None else np.asarray(crowd, dtype=bool),
-        np.full(count, -1) if identity is None else np.asarray(identity, dtype=np.int64),
-        np.full(count, np.nan) if visible is None else visible,
-        np.full(count, np.nan),
-    )
+    nothing, unknown = np.zeros(len(image), dtype=bool), np.full(len(image), np.nan)
+    flags = [nothing if each is None else np.asarray(each, dtype=bool) for each in (ignored, crowd)]
+    tracks = np.full(len(image), -1) if identity is None else np.asarray(identity, dtype=np.int64)
+    fractions = unknown if visible is None else visible
+    return Annotations(*rows_of(image, label, boxes_px), *flags, tracks, fractions, unknown)
 
 
 def found(image, label, boxes_px, confidence, probabilities=None, origin=None):
-    return Results(
-        np.asarray(image, dtype=np.int64),
-        np.asarray(label, dtype=np.int64),
-        np.asarray(boxes_px, dtype=float).reshape(-1, 4),
-        np.asarray(confidence, dtype=float),
-        probabilities,
-        origin,
-    )
+    return Results(*rows_of(image, label, boxes_px), np.asarray(confidence, dtype=float), probabilities, origin)
 
 
 def random_set(seed, image_count=12, labels=3, crowds=True, ties=False):

@@ -1,7 +1,5 @@
 """`modsim3d export --format ais`: the log of a whole run, read by pyais and by `modsim3d ais`."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -35,16 +33,8 @@ from tests.scenes import camera_keys
 
 STEPS, STEP_S = 500, 1.0
 ORIGIN = (56.03, 12.65)
-SIZES = {
-    "own": (12, 4),
-    "big ship": (180, 28),
-    "turner": (60, 10),
-    "sloop": (10, 3),
-    "anchored": (80, 13),
-    "visitor": (45, 9),
-    "canoe": (4.5, 0.8),
-    "219000001": (30, 8),
-}
+SIZES = {"own": (12, 4), "big ship": (180, 28), "turner": (60, 10), "sloop": (10, 3), "anchored": (80, 13)}
+SIZES |= {"visitor": (45, 9), "canoe": (4.5, 0.8), "219000001": (30, 8)}
 BOW = camera_keys(400, 300, mount={"vessel": "own", "position_m": [4, 0, 4]})
 SHORE = camera_keys(400, 300, pose={"position_m": [-900, -900, 20]})
 
@@ -54,15 +44,9 @@ def tracks():
     t = np.arange(STEPS) * STEP_S
     zero = np.zeros(STEPS)
     circle = np.deg2rad(t)
-    straight = {
-        "own": (0.0, 0.0, 5.0, 0.0),
-        "big ship": (200.0, 400.0, 6.0, 6.0),
-        "sloop": (300.0, -200.0, -3.0, 1.0),
-        "anchored": (500.0, -600.0, 0.0, 0.0),
-        "visitor": (-200.0, 900.0, 0.0, -7.0),
-        "canoe": (150.0, 90.0, 1.0, 0.0),
-        "219000001": (-500.0, -300.0, 0.0, 13.0),
-    }
+    straight = {"own": (0.0, 0.0, 5.0, 0.0), "big ship": (200.0, 400.0, 6.0, 6.0), "sloop": (300.0, -200.0, -3.0, 1.0)}
+    straight |= {"anchored": (500.0, -600.0, 0.0, 0.0), "visitor": (-200.0, 900.0, 0.0, -7.0)}
+    straight |= {"canoe": (150.0, 90.0, 1.0, 0.0), "219000001": (-500.0, -300.0, 0.0, 13.0)}
     places, headings = {}, {}
     for name, (w1, w2, v1, v2) in straight.items():
         places[name] = np.stack([w1 + v1 * t, w2 + v2 * t], axis=-1)
@@ -75,14 +59,10 @@ def tracks():
 
 
 def scene_of(steps: int = STEPS, **keys: Any) -> Scene:
-    """The scene of this module."""
     positions, headings = (values[:steps] for values in tracks())
-    vessels = {
-        name: {"length_m": length, "beam_m": beam, "air_draft_m": 6, "label": "Vessel"}
-        for name, (length, beam) in SIZES.items()
-    }
+    size = {name: {"length_m": length, "beam_m": beam} for name, (length, beam) in SIZES.items()}
     content = {
-        "vessels": vessels,
+        "vessels": {name: {**sides, "air_draft_m": 6, "label": "Vessel"} for name, sides in size.items()},
         "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": STEP_S},
         "cameras": {"bow": BOW, "shore": SHORE},
         "origin": {"latitude_deg": ORIGIN[0], "longitude_deg": ORIGIN[1]},
@@ -120,13 +100,6 @@ def read(text: bytes) -> list[Line]:
     return found
 
 
-def log_of(scene: Scene, folder, cameras=(0, 1)) -> list[Line]:
-    """The log of a scene, which is run first."""
-    run_scene(scene, folder / "run")
-    write(ExportRequest(open_run(folder / "run"), cameras), folder / "out")
-    return read((folder / "out" / "ais.nmea").read_bytes())
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ais") / "run"
@@ -161,9 +134,6 @@ def fix_s(line) -> int:
     """The second at which a position was taken: the last before the tag block's that ends like the report's."""
     since = line.time_s - EPOCH_S
     return since - (since - line.message.second) % 60
-
-
-# ---- what is in it --------------------------------------------------------------------------------------------------
 
 
 def test_the_log_is_in_order_of_time_and_own_ship_is_in_it_once_a_second(log, vessels):
@@ -261,16 +231,11 @@ def test_no_truth_is_in_the_log(out, log):
     assert {each.message.shipname.split()[0] for each in log if each.message.msg_type == 5} == {"SIM"}
 
 
-# ---- the same again -------------------------------------------------------------------------------------------------
-
-
 def test_the_same_run_gives_the_same_bytes_and_another_seed_others(run, out, tmp_path):
     write(ExportRequest(open_run(run), (0, 1)), tmp_path)
     for name in ("ais.nmea", "ais_truth.csv"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
-    first, again, other = (
-        list(reports(scene, 60, stations(scene, ()))) for scene in (scene_of(60), scene_of(60), scene_of(60, seed=4))
-    )
+    first, again, other = (list(reports(scene_of(60, seed=s), 60, stations(scene_of(60), ()))) for s in (3, 3, 4))
     assert first == again != other
 
 
@@ -328,9 +293,6 @@ def test_what_is_lost_is_others():
     assert 26 <= (size - name) % 360 <= 34
 
 
-# ---- read by modsim3d ais -------------------------------------------------------------------------------------------
-
-
 def test_modsim3d_ais_reads_the_log_and_finds_the_tracks(out, vessels):
     traffic = read_traffic([out / "ais.nmea"], Options(origin=ORIGIN))
     assert sum(traffic.dropped.values()) == traffic.dropped["particulars_only"]
@@ -355,9 +317,8 @@ def test_modsim3d_ais_reads_the_log_and_finds_the_tracks(out, vessels):
 
 
 def test_a_scene_of_modsim3d_ais_knows_where_it_lies(monkeypatch, tmp_path, capsys):
-    assert (
-        command(monkeypatch, "ais", SAMPLES / "danish.csv", "--out", tmp_path / "scene", "--origin", "56.03,12.65") == 0
-    )
+    scene = ("ais", SAMPLES / "danish.csv", "--out", tmp_path / "scene", "--origin", "56.03,12.65")
+    assert command(monkeypatch, *scene) == 0
     made = load_scene(tmp_path / "scene", steps=10, source="analytic")
     assert made.origin == ORIGIN
     run_scene(made, tmp_path / "run")
@@ -370,18 +331,21 @@ def test_a_scene_of_modsim3d_ais_knows_where_it_lies(monkeypatch, tmp_path, caps
     assert all(abs(each.message.lat - 56.03) < 0.1 and abs(each.message.lon - 12.65) < 0.1 for each in positions(found))
 
 
-# ---- little and nothing ---------------------------------------------------------------------------------------------
+def exported(scene: Scene, folder) -> list[Line]:
+    run_scene(scene, folder / "run")
+    write(ExportRequest(open_run(folder / "run"), (0, 1)), folder / "out")
+    return read((folder / "out" / "ais.nmea").read_bytes())
 
 
 def test_a_scene_in_which_nobody_sends_gives_an_empty_log(tmp_path):
     nobody = {"vessels": dict.fromkeys(SIZES, "none")}
-    assert not log_of(scene_of(ais=nobody, steps=5), tmp_path)
+    assert not exported(scene_of(ais=nobody, steps=5), tmp_path)
     assert (tmp_path / "out" / "ais.nmea").read_bytes() == b""
     assert (tmp_path / "out" / "ais_truth.csv").read_text().count("none") == len(SIZES)
 
 
 def test_a_run_of_one_step_and_a_vessel_that_is_there_at_one_step(tmp_path):
-    (own, *_) = [each for each in log_of(scene_of(steps=1), tmp_path) if each.own]
+    (own, *_) = [each for each in exported(scene_of(steps=1), tmp_path) if each.own]
     assert (own.message.speed, own.message.course, own.time_s) == (102.3, 360.0, EPOCH_S)
 
 
@@ -406,15 +370,9 @@ def test_a_live_run_is_exported_as_any_other(tmp_path, monkeypatch):
     assert notes(request) == ("the scene has no origin, so w1 = w2 = 0 is at latitude 0, longitude 0",)
 
 
-# ---- what goes wrong ------------------------------------------------------------------------------------------------
-
-
 def test_a_log_has_one_own_ship(tmp_path, monkeypatch, capsys):
-    cameras = {
-        "bow": BOW,
-        "other": camera_keys(400, 300, mount={"vessel": "turner", "position_m": [9, 0, 8]}),
-        "shore": SHORE,
-    }
+    other = camera_keys(400, 300, mount={"vessel": "turner", "position_m": [9, 0, 8]})
+    cameras = {"bow": BOW, "other": other, "shore": SHORE}
     run_scene(scene_of(cameras=cameras, steps=3), tmp_path / "run")
     export = ("export", tmp_path / "run", "--format", "ais", "--out", tmp_path / "out")
     assert command(monkeypatch, *export) == 2

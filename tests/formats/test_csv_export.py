@@ -1,7 +1,5 @@
 """The tables of `export --format csv`: read back as text, and nothing of the truth in what a tracker reads."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path
@@ -27,8 +25,7 @@ Table = dict[str, list[str]]
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    scene = position_scene()
-    return open_run(run_scene(scene, tmp_path_factory.mktemp("csv") / "run").folder)
+    return open_run(run_scene(position_scene(), tmp_path_factory.mktemp("csv") / "run").folder)
 
 
 def export(run: StoredRun, folder: Path, *options: str) -> Any:
@@ -45,10 +42,9 @@ def exported(run: StoredRun) -> Path:
 
 def read(path: Path) -> Table:
     with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    with path.open(newline="", encoding="utf-8") as file:
-        names = next(csv.reader(file))
-    return {name: [row[name] for row in rows] for name in names}
+        reader = csv.DictReader(file)
+        rows = list(reader)
+    return {name: [row[name] for row in rows] for name in reader.fieldnames or ()}
 
 
 def numbers(table: Table, *names: str) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -57,21 +53,15 @@ def numbers(table: Table, *names: str) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def documented(file: str) -> list[str]:
-    """The columns that the page lists for a file."""
     section = PAGE.partition(f"\n### {file}\n")[2].partition("\n#")[0]
     return re.findall(r"`([a-z0-9_]+)`", "\n".join(re.findall(r"^\| (`[^|]+) \|", section, re.MULTILINE)))
 
 
-@pytest.mark.parametrize(
-    ("name", "section"),
-    [
-        ("detections_bow", "detections_CAMERA.csv"),
-        ("frames_shore", "frames_CAMERA.csv"),
-        ("truth_bow", "truth_CAMERA.csv"),
-        ("cameras", "cameras.csv"),
-        ("ownship", "ownship.csv"),
-    ],
-)
+SECTIONS = {"detections_bow": "detections_CAMERA.csv", "frames_shore": "frames_CAMERA.csv"}
+SECTIONS |= {"truth_bow": "truth_CAMERA.csv", "cameras": "cameras.csv", "ownship": "ownship.csv"}
+
+
+@pytest.mark.parametrize(("name", "section"), SECTIONS.items())
 def test_the_page_lists_the_columns_of_every_file(exported: Path, name: str, section: str) -> None:
     assert list(read(exported / f"{name}.csv")) == documented(section)
 
@@ -90,20 +80,13 @@ def test_every_detection_is_there_where_its_rounded_box_is_located(run: StoredRu
         np.testing.assert_allclose(boxes[mine], frame.detections.boxes_px[order], atol=5.01e-4)
         assert [table["label"][row] for row in mine] == [frame.detections.labels[row] for row in order]
     found = locate(run.scene, camera, steps, boxes)
-    pairs = {
-        "bearing_rad": found.bearing_rad,
-        "bearing_std_rad": found.bearing_std_rad,
-        "inverse_range_per_m": found.inverse_range_per_m,
-        "inverse_range_std_per_m": found.inverse_range_std_per_m,
-        "covariance_rad_per_m": found.covariance_rad_per_m,
-        "w1_m": found.positions_m[:, 0],
-        "w2_m": found.positions_m[:, 1],
-        "w1_variance_m2": found.position_covariances_m2[:, 0, 0],
-        "w1_w2_covariance_m2": found.position_covariances_m2[:, 0, 1],
-        "w2_variance_m2": found.position_covariances_m2[:, 1, 1],
-    }
-    for name, expected in pairs.items():
-        np.testing.assert_allclose(numbers(table, name), expected, rtol=1e-8, err_msg=name)
+    same = ("bearing_rad", "bearing_std_rad", "inverse_range_per_m", "inverse_range_std_per_m", "covariance_rad_per_m")
+    expected = {name: getattr(found, name) for name in same}
+    expected |= {"w1_m": found.positions_m[:, 0], "w2_m": found.positions_m[:, 1]}
+    variances = {"w1_variance_m2": (0, 0), "w1_w2_covariance_m2": (0, 1), "w2_variance_m2": (1, 1)}
+    expected |= {name: found.position_covariances_m2[:, i, j] for name, (i, j) in variances.items()}
+    for name, values in expected.items():
+        np.testing.assert_allclose(numbers(table, name), values, rtol=1e-8, err_msg=name)
 
 
 @pytest.mark.parametrize("camera", ["bow", "shore"])
@@ -136,17 +119,9 @@ def test_with_the_true_attitude_poses_and_own_ship_are_true(run: StoredRun, expo
     true = run.scene.at(7).sights[0].camera_poses.camera_R_world[0]
     np.testing.assert_allclose(camera_R_parent(*angles[7]), true, atol=1e-7)
     own = run.table("ownship")
-    kinds = {"true": ("roll_rad", "pitch_rad"), "exported": ("measured_roll_rad", "measured_pitch_rad")}
+    kinds = {tmp_path / "true": ("roll_rad", "pitch_rad"), exported: ("measured_roll_rad", "measured_pitch_rad")}
     for folder, names in kinds.items():
-        said = numbers(
-            read(
-                run.folder.parent / folder / "ownship.csv"
-                if folder == "exported"
-                else tmp_path / folder / "ownship.csv"
-            ),
-            "roll_rad",
-            "pitch_rad",
-        )
+        said = numbers(read(folder / "ownship.csv"), "roll_rad", "pitch_rad")
         np.testing.assert_allclose(said, np.column_stack([own[name] for name in names]), rtol=1e-7, atol=1e-12)
     assert (tmp_path / "true" / "truth_bow.csv").read_bytes() == (exported / "truth_bow.csv").read_bytes()
     same = read(tmp_path / "true" / "detections_bow.csv"), read(exported / "detections_bow.csv")
@@ -193,7 +168,8 @@ def test_one_camera_alone_and_a_run_without_own_ship(run: StoredRun, exported: P
     for name in names - {"cameras.csv"}:
         assert (tmp_path / "shore" / name).read_bytes() == (exported / name).read_bytes()
     assert read(tmp_path / "shore" / "cameras.csv")["camera"] == ["shore"]
-    cameras = {"shore": {"frame_rate_hz": 1, "start_offset_s": 1.5, **_place(run)}}
+    lens = run.scene.copy.document["cameras"]["shore"]
+    cameras = {"shore": {**lens, "frame_rate_hz": 1, "start_offset_s": 1.5}}
     empty = position_scene(cameras=cameras, waves=None, imu=None, annotation={"source": "analytic", "min_box_px": 500})
     ashore = open_run(run_scene(empty, tmp_path / "ashore").folder)
     assert export(ashore, tmp_path / "out").exit_code == 0
@@ -202,11 +178,6 @@ def test_one_camera_alone_and_a_run_without_own_ship(run: StoredRun, exported: P
     detections = read(tmp_path / "out" / "detections_shore.csv")
     assert list(detections) == documented("detections_CAMERA.csv") and detections["step"] == []
     assert set(read(tmp_path / "out" / "truth_shore.csv")["annotated"]) == {"false"}
-
-
-def _place(run: StoredRun) -> dict[str, Any]:
-    lens = run.scene.copy.document["cameras"]["shore"]
-    return {key: lens[key] for key in lens if key not in ("frame_rate_hz", "start_offset_s")}
 
 
 def test_the_attitude_goes_with_csv_alone(run: StoredRun, tmp_path: Path) -> None:

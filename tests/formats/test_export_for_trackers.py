@@ -1,7 +1,5 @@
 """What a tracker reads of an export says nothing of where a detection came from."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -26,11 +24,6 @@ READ_BY_TRACKERS = {
 }
 
 
-@pytest.fixture(scope="module")
-def run(analytic_run: StoredRun) -> StoredRun:
-    return analytic_run
-
-
 def told(path: Path) -> list[tuple[int, float]]:
     """The frame and the confidence of each detection in a file, in its order."""
     if path.suffix == ".json":
@@ -40,46 +33,44 @@ def told(path: Path) -> list[tuple[int, float]]:
 
 
 @pytest.mark.parametrize("name", READ_BY_TRACKERS)
-def test_no_vessel_is_named_and_the_order_is_that_of_confidence(run: StoredRun, tmp_path: Path, name: str) -> None:
-    FORMATS[name].write(ExportRequest(run, (0, 1)), tmp_path)
+def test_no_vessel_is_named_and_the_order_is_that_of_confidence(analytic_run, tmp_path: Path, name: str) -> None:
+    FORMATS[name].write(ExportRequest(analytic_run, (0, 1)), tmp_path)
     truth = b"".join(path.read_bytes() for path in tmp_path.rglob("*") if path.is_file())
     files = [path for pattern in READ_BY_TRACKERS[name] for path in tmp_path.glob(pattern)]
     assert files and (name != "mot" or b"Zephyrine" in truth)
     for path in files:
         assert not [vessel for vessel in VESSELS if vessel.encode() in path.read_bytes()]
     detections = [told(path) for path in files if path.name in ("dt.json", "det.txt") or path.match("predictions/*")]
-    assert sum(map(len, detections)) >= run.table("detections").num_rows
+    assert sum(map(len, detections)) >= analytic_run.table("detections").num_rows
     for rows in detections:
         assert rows == sorted(rows, key=lambda row: (row[0], -row[1]))
         assert all(confidence == round(confidence, 6) for _, confidence in rows)
 
 
-def test_boxes_have_three_decimals(run: StoredRun, tmp_path: Path) -> None:
-    FORMATS["coco"].write(ExportRequest(run, (0, 1)), tmp_path / "coco")
-    FORMATS["mot"].write(ExportRequest(run, (0, 1)), tmp_path / "mot")
+def test_boxes_have_three_decimals(analytic_run: StoredRun, tmp_path: Path) -> None:
+    request = ExportRequest(analytic_run, (0, 1))
+    for name in ("coco", "mot"):
+        FORMATS[name].write(request, tmp_path / name)
     boxes = [entry["bbox"] for entry in json.loads((tmp_path / "coco" / "dt.json").read_text())]
     for path in tmp_path.glob("mot/modsim3d-all/*/det/det.txt"):
         boxes += [[float(side) for side in line.split(",")[2:6]] for line in path.read_text().splitlines()]
-    assert len(boxes) == 2 * run.table("detections").num_rows
+    assert len(boxes) == 2 * analytic_run.table("detections").num_rows
     assert all(side == round(side, 3) for box in boxes for side in box)
-    for sequence in ExportRequest(run, (0, 1)).sequences:  # what the shares of YOLO are made of
+    for sequence in request.sequences:  # what the shares of YOLO are made of
         assert (sequence.detections.boxes_px == sequence.detections.boxes_px.round(3)).all()
 
 
-def test_nothing_depends_on_where_detections_came_from_or_on_their_order(run: StoredRun, monkeypatch) -> None:
-    first, coco = camera_sequences(run, (0, 1)), coco_results(labelled_run(run)[0])
-    rows = RunRows.of(run)
+def test_nothing_depends_on_where_detections_came_from_or_on_their_order(analytic_run, monkeypatch) -> None:
+    first, coco = camera_sequences(analytic_run, (0, 1)), coco_results(labelled_run(analytic_run)[0])
+    rows = RunRows.of(analytic_run)
     order = np.random.default_rng(0).permutation(rows.detections.num_rows)
     nobody = pa.nulls(len(order), pa.string())
     position = rows.detections.schema.get_field_index("vessel")
-    others = replace(
-        rows,
-        detections=rows.detections.take(order).set_column(position, "vessel", nobody),
-        detection_frame=rows.detection_frame[order],
-        detection_vessel=np.full(len(order), -1),
-    )
+    detections = rows.detections.take(order).set_column(position, "vessel", nobody)
+    frame, vessel = rows.detection_frame[order], np.full(len(order), -1)
+    others = replace(rows, detections=detections, detection_frame=frame, detection_vessel=vessel)
     monkeypatch.setattr(RunRows, "of", lambda run: others)
-    for one, other in zip(first, camera_sequences(run, (0, 1)), strict=True):
+    for one, other in zip(first, camera_sequences(analytic_run, (0, 1)), strict=True):
         for name, column in vars(one.detections).items():
             assert (column == getattr(other.detections, name)).all()
-    assert coco_results(labelled_run(run)[0]) == coco
+    assert coco_results(labelled_run(analytic_run)[0]) == coco

@@ -1,7 +1,5 @@
 """MOTChallenge's own programs read what is exported, and find the truth perfect."""
 
-from __future__ import annotations
-
 import configparser
 import csv
 from collections.abc import Callable
@@ -29,14 +27,9 @@ SEQUENCES = {
 
 
 @pytest.fixture(scope="module")
-def run(analytic_run: StoredRun) -> StoredRun:
-    return analytic_run
-
-
-@pytest.fixture(scope="module")
-def folder(run: StoredRun) -> Path:
-    mot.write(ExportRequest(run, (0, 1)), run.folder.parent / "mot")
-    return run.folder.parent / "mot"
+def folder(analytic_run: StoredRun) -> Path:
+    mot.write(ExportRequest(analytic_run, (0, 1)), analytic_run.folder.parent / "mot")
+    return analytic_run.folder.parent / "mot"
 
 
 def rows_of(path: Path) -> list[list[str]]:
@@ -70,13 +63,13 @@ def scores(folder: Path, tracks: Path, split: str) -> dict[str, dict[str, float]
 
 
 @pytest.mark.parametrize("set_", SEQUENCES)
-def test_trackeval_finds_the_truth_perfect_in_every_sequence(run, folder, tmp_path, set_) -> None:
+def test_trackeval_finds_the_truth_perfect_in_every_sequence(analytic_run, folder, tmp_path, set_) -> None:
     write_tracks(folder, tmp_path, lambda row: row[6] == "1")
     found = scores(folder, tmp_path, set_.removeprefix("modsim3d-"))
     assert [*found] == [*sorted(SEQUENCES[set_]), "COMBINED_SEQ"]
     for score in found.values():
         assert (score["HOTA"], score["MOTA"], score["IDF1"]) == pytest.approx((1, 1, 1), abs=1e-12)
-    assert found["COMBINED_SEQ"]["GT_Dets"] == run.table("truth")["annotated"].to_numpy().sum()
+    assert found["COMBINED_SEQ"]["GT_Dets"] == analytic_run.table("truth")["annotated"].to_numpy().sum()
     assert sorted({score["Frames"] for score in found.values() if "Frames" in score}) == [15, STEPS]
 
 
@@ -100,28 +93,24 @@ def test_trackers_scores_the_sequences_too(folder, tmp_path) -> None:
 
 def test_a_hidden_vessel_takes_no_track_from_an_annotated_one_that_looks_like_it() -> None:
     boxes = np.array([[10.0, 10, 50, 50], [12, 10, 52, 50], [48, 10, 90, 50], [10, 10, 50, 50]])
-    seen, nothing = np.array([True, False, False, False]), np.zeros(4)
-    truth = SequenceTruth(
-        np.array([0, 0, 0, 1]), np.arange(4), np.zeros(4, int), seen, boxes, nothing, nothing, nothing
-    )
+    seen, nothing = np.array([True, False, False, False]), [np.zeros(4)] * 3
+    truth = SequenceTruth(np.array([0, 0, 0, 1]), np.arange(4), np.zeros(4, int), seen, boxes, *nothing)
     assert mot._near_scored(truth).tolist() == [False, True, False, False]
 
 
 @pytest.mark.parametrize(("camera", "name"), [*enumerate(SEQUENCES[mot.ALL_SET])])
-def test_our_own_reader_reads_the_run_back(run, folder, camera: int, name: str) -> None:
+def test_our_own_reader_reads_the_run_back(analytic_run, folder, camera: int, name: str) -> None:
     sequence = folder / mot.ALL_SET / name
-    again, (first, _) = (
-        read_pair("all", sequence / "gt" / "gt.txt", sequence / "det" / "det.txt"),
-        labelled_run(run, [camera]),
-    )
+    again = read_pair("all", sequence / "gt" / "gt.txt", sequence / "det" / "det.txt")
+    first, _ = labelled_run(analytic_run, [camera])
     rows, kept = first.annotations, ~again.annotations.ignored
     assert again.images.sizes_px.tolist() == first.images.sizes_px.tolist()
     assert again.annotations.image[kept].tolist() == rows.image.tolist()
     np.testing.assert_allclose(again.annotations.boxes_px[kept], rows.boxes_px, atol=1e-8)
     np.testing.assert_allclose(again.annotations.visible_fraction[kept], rows.visible_fraction, atol=1e-6)
-    assert len(set(zip(again.annotations.identity[kept].tolist(), rows.identity.tolist(), strict=True))) == len(
-        set(rows.identity.tolist())
-    )
+    identities = rows.identity.tolist()
+    pairs = set(zip(again.annotations.identity[kept].tolist(), identities, strict=True))
+    assert len(pairs) == len(set(identities))
     found = first.results
     order = np.lexsort((-found.confidence, found.image))
     assert again.results.image.tolist() == found.image[order].tolist()
@@ -129,16 +118,13 @@ def test_our_own_reader_reads_the_run_back(run, folder, camera: int, name: str) 
     np.testing.assert_allclose(again.results.boxes_px, found.boxes_px[order], atol=1.1e-3)
 
 
-def test_the_frames_of_a_slow_camera_lead_back_to_steps(run, folder) -> None:
+def test_the_frames_of_a_slow_camera_lead_back_to_steps(analytic_run, folder) -> None:
     with (folder / "frames.csv").open() as table:
         steps = {(row["camera"], int(row["frame"])): int(row["step"]) for row in csv.DictReader(table)}
-    frames = run.table("frames").to_pylist()
+    frames = analytic_run.table("frames").to_pylist()
     assert sorted((row["camera"], row["step"]) for row in frames) == sorted((c, s) for (c, _), s in steps.items())
-    truth = {
-        (row["step"], row["vessel"])
-        for row in run.table("truth").to_pylist()
-        if row["camera"] == "quay.2" and row["annotated"]
-    }
+    annotated = [row for row in analytic_run.table("truth").to_pylist() if row["annotated"]]
+    truth = {(row["step"], row["vessel"]) for row in annotated if row["camera"] == "quay.2"}
     rows = rows_of(folder / mot.ALL_SET / "quay.2" / "gt" / "gt.txt")
     with (folder / "vessels.csv").open() as table:
         vessels = {row["identity"]: row["vessel"] for row in csv.DictReader(table)}
@@ -151,12 +137,12 @@ def test_the_frames_of_a_slow_camera_lead_back_to_steps(run, folder) -> None:
     assert (entries["imwidth"], entries["imheight"]) == ("320", "201")
 
 
-def test_the_classes_are_each_in_one_sequence(run, folder) -> None:
+def test_the_classes_are_each_in_one_sequence(analytic_run, folder) -> None:
     for kind, truth in (("gt/gt.txt", True), ("det/det.txt", False)):
         for camera, whole in zip(("name", "quay.2"), SEQUENCES[mot.ALL_SET], strict=True):
             parts = [rows_of(folder / mot.CLASS_SET / f"{camera}-{name}" / kind) for name in CLASS_NAMES]
             assert sorted(chain(*parts)) == sorted(rows_of(folder / mot.ALL_SET / whole / kind))
             assert all(parts) or not truth
-    labels = run.table("detections").to_pylist()
+    labels = analytic_run.table("detections").to_pylist()
     ribs = sum(row["label"] == LABELS[2] and row["camera"] == "name" for row in labels)
     assert len(rows_of(folder / mot.CLASS_SET / "name-RIB" / "det" / "det.txt")) == ribs

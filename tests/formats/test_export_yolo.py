@@ -1,7 +1,5 @@
 """YOLO folders are read back by our own reader and by supervision, which finds the truth perfect."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +17,13 @@ from tests.formats.exported import LABELS, STEPS
 
 
 @pytest.fixture(scope="module")
-def run(analytic_run: StoredRun) -> StoredRun:
-    return analytic_run
+def folder(analytic_run: StoredRun) -> Path:
+    yolo.write(ExportRequest(analytic_run, (0, 1)), analytic_run.folder.parent / "yolo")
+    return analytic_run.folder.parent / "yolo"
 
 
-@pytest.fixture(scope="module")
-def folder(run: StoredRun) -> Path:
-    yolo.write(ExportRequest(run, (0, 1)), run.folder.parent / "yolo")
-    return run.folder.parent / "yolo"
-
-
-def test_every_frame_has_its_files_even_where_nothing_is_in_it(run: StoredRun, folder: Path) -> None:
-    names = [f"{row['camera']}_{row['step']:06d}" for row in run.table("frames").to_pylist()]
+def test_every_frame_has_its_files_even_where_nothing_is_in_it(analytic_run: StoredRun, folder: Path) -> None:
+    names = [f"{row['camera']}_{row['step']:06d}" for row in analytic_run.table("frames").to_pylist()]
     assert len(names) == STEPS + 15
     for kind in yolo.FOLDERS:
         assert sorted(path.stem for path in (folder / kind).iterdir()) == sorted(names)
@@ -39,8 +32,8 @@ def test_every_frame_has_its_files_even_where_nothing_is_in_it(run: StoredRun, f
     assert yaml.safe_load((folder / "data.yaml").read_text())["names"] == dict(enumerate(LABELS))
 
 
-def test_our_own_reader_reads_the_run_back(run: StoredRun, folder: Path) -> None:
-    again, (first, _) = read_pair("all", folder / "labels", folder / "predictions"), labelled_run(run)
+def test_our_own_reader_reads_the_run_back(analytic_run: StoredRun, folder: Path) -> None:
+    again, (first, _) = read_pair("all", folder / "labels", folder / "predictions"), labelled_run(analytic_run)
     assert again.labels == LABELS
     names = tuple(f"{name.split()[0]}_{int(name.split()[1]):06d}" for name in first.images.names)
     assert again.images.names == names
@@ -60,14 +53,14 @@ def data_set(folder: Path, labels: str) -> supervision.DetectionDataset:
     return supervision.DetectionDataset.from_yolo(*map(str, paths))
 
 
-def test_supervision_reads_it_and_finds_the_truth_perfect(run: StoredRun, folder: Path) -> None:
+def test_supervision_reads_it_and_finds_the_truth_perfect(analytic_run: StoredRun, folder: Path) -> None:
     read = data_set(folder, "labels")
     truth = list(read.annotations.values())
     assert read.classes == list(LABELS)
-    assert sum(map(len, truth)) == run.table("truth")["annotated"].to_numpy().sum()
+    assert sum(map(len, truth)) == analytic_run.table("truth")["annotated"].to_numpy().sum()
     assert sum(not len(each) for each in truth) >= 5
     for each in truth:
         each.confidence = np.ones(len(each))
     assert MeanAveragePrecision().update(truth, truth).compute().map50_95 == pytest.approx(1)
     found = data_set(folder, "predictions").annotations.values()
-    assert sum(map(len, found)) == run.table("detections").num_rows
+    assert sum(map(len, found)) == analytic_run.table("detections").num_rows

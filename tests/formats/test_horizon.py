@@ -1,7 +1,5 @@
 """The horizon in an image, as files and options say it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -65,8 +63,9 @@ def test_the_optimal_assignment_is_the_best_of_all(seed):
     rng = np.random.default_rng(seed)
     boxes = random_boxes(rng, 4, 60)
     moved = boxes[rng.permutation(4)] + rng.normal(0, 6, (4, 4))
-    labelled = LabelledSet(("a",), ("all",), images(1), truth([0] * 4, [0] * 4, boxes),
-                        found([0] * 4, [0] * 4, moved, rng.random(4)))  # fmt: skip
+    nothing = [0] * 4
+    there, seen = truth(nothing, nothing, boxes), found(nothing, nothing, moved, rng.random(4))
+    labelled = LabelledSet(("a",), ("all",), images(1), there, seen)
     matched = match(labelled, Rule("optimal", least_iou=0.3))
     value = [[slow_iou(a, b, False) for b in boxes] for a in moved]
 
@@ -114,10 +113,9 @@ def test_matches_are_those_of_the_rule(case):
 
 
 def test_rules_by_centres_say_in_which_order_they_match():
-    assert (str(BY_CENTRE), str(BY_CENTRE.for_average_precision)) == (
-        "centres at most 25 px apart, the nearest corners first",
-        "centres at most 25 px apart, in order of confidence",
-    )
+    apart = "centres at most 25 px apart, "
+    assert str(BY_CENTRE) == f"{apart}the nearest corners first"
+    assert str(BY_CENTRE.for_average_precision) == f"{apart}in order of confidence"
 
 
 def test_what_is_ignored_neither_counts_as_missed_nor_as_false():

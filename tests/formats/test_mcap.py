@@ -1,7 +1,5 @@
 """ROS 2 bags, read back with rosbags and with mcap_ros2."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -82,16 +80,13 @@ def test_metadata_is_what_humble_reads(out) -> None:
         assert (about["compression_format"], about["compression_mode"]) == ("", "")
         assert about["starting_time"]["nanoseconds_since_epoch"] == 0
         assert about["duration"]["nanoseconds"] == 1_300_000_000
-        entries = {
-            each["topic_metadata"]["name"]: each["topic_metadata"] for each in about["topics_with_message_count"]
-        }
+        entries = [each["topic_metadata"] for each in about["topics_with_message_count"]]
         assert len(entries) == topics
-        profiles = {name: each["offered_qos_profiles"] for name, each in entries.items()}
+        profiles = {each["name"]: each["offered_qos_profiles"] for each in entries}
         assert all(isinstance(text, str) for text in profiles.values())
         latched = yaml.safe_load(profiles.pop("/tf_static", "")) or []
-        assert [(each["durability"], each["reliability"], each["history"]) for each in latched] == (
-            [(1, 1, 1)] if bag == "detections" else []
-        )
+        found = [(each["durability"], each["reliability"], each["history"]) for each in latched]
+        assert found == ([(1, 1, 1)] if bag == "detections" else [])
         assert set(profiles.values()) == {""}
 
 
@@ -105,9 +100,8 @@ def test_detections_are_those_a_tracker_reads(run, tracker) -> None:
         for frame, (stamp_ns, message) in zip(frames, messages, strict=True):
             assert stamp_ns == bags.stamp_of(message.header) == frame["step"] * 100_000_000
             assert message.header.frame_id == f"{name}_optical_frame"
-            found = [
-                (each.results[0].hypothesis.class_id, each.results[0].hypothesis.score) for each in message.detections
-            ]
+            hypotheses = [each.results[0].hypothesis for each in message.detections]
+            found = [(each.class_id, each.score) for each in hypotheses]
             assert found == [(each["label"], each["confidence"]) for each in frame["detections"]]
             boxes = np.array([each["box_px"] for each in frame["detections"]]).reshape(-1, 4)
             np.testing.assert_allclose(bags.boxes_of(message), boxes, rtol=0, atol=1e-9)
@@ -208,17 +202,13 @@ def test_own_ship_is_that_of_the_table(run, tracker) -> None:
     assert {m.header.frame_id for m in imu} == {"imu_link"}
     places = np.array([[m.pose.pose.position.x, m.pose.pose.position.y, m.pose.pose.position.z] for m in odom])
     assert np.array_equal(places, np.stack([column["w1_m"], column["w2_m"], column["w3_m"]], axis=1))
-    vectors = {
-        "": [m.twist.twist.angular for m in odom],
-        "measured_": [m.angular_velocity for m in imu],
-    }
+    vectors = {"": [m.twist.twist.angular for m in odom], "measured_": [m.angular_velocity for m in imu]}
     for prefix, found in vectors.items():
         wanted = np.stack([column[f"{prefix}{axis}_rad_s"] for axis in "pqr"], axis=1)
         assert np.array_equal(np.array([[v.x, v.y, v.z] for v in found]), wanted)
     forces = np.stack([column[f"measured_f{k}_m_s2"] for k in (1, 2, 3)], axis=1)
-    assert np.array_equal(
-        [[m.linear_acceleration.x, m.linear_acceleration.y, m.linear_acceleration.z] for m in imu], forces
-    )
+    accelerations = [m.linear_acceleration for m in imu]
+    assert np.array_equal([[a.x, a.y, a.z] for a in accelerations], forces)
     turns = [[m.orientation.x, m.orientation.y, m.orientation.z, m.orientation.w] for m in imu]
     wanted = np.stack([column[f"measured_{name}_rad"] for name in ("roll", "pitch", "heading")], axis=1)
     found = bags.Rotation.from_quat(turns).as_euler("xyz")  # about fixed axes, as ROS means roll, pitch and yaw
@@ -226,9 +216,8 @@ def test_own_ship_is_that_of_the_table(run, tracker) -> None:
     frames = bags.Frames(tracker)
     turned = np.array([frames.map_T("base_link", m.stamp_ns) for m in tracker["/odom"]])
     along = np.array([[m.twist.twist.linear.x, m.twist.twist.linear.y, m.twist.twist.linear.z] for m in odom])
-    np.testing.assert_allclose(
-        (turned[:, :3, :3] @ along[..., None])[1:-1, :, 0], (places[2:] - places[:-2]) / 0.2, atol=1e-9
-    )
+    moved = (turned[:, :3, :3] @ along[..., None])[1:-1, :, 0]
+    np.testing.assert_allclose(moved, (places[2:] - places[:-2]) / 0.2, atol=1e-9)
     for step, message in enumerate(odom):
         turn = message.pose.pose.orientation
         fixed = bags.Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
@@ -247,11 +236,8 @@ def test_axes_are_those_of_rep_103(run, tracker) -> None:
     map_T_camera = frames.map_T(f"{BOW}_optical_frame", 1_000_000_000)
     assert map_T_camera[:3, 2] @ ahead > 0.9 and map_T_camera[:3, 0] @ to_port < -0.9 and map_T_camera[2, 1] < -0.9
     np.testing.assert_allclose((np.linalg.inv(map_T_base) @ map_T_camera)[:3, 3], [6, 0.5, 6], atol=1e-9)
-    np.testing.assert_allclose(
-        np.linalg.inv(map_T_base) @ frames.map_T("imu_link", 1_000_000_000),
-        [[1, 0, 0, 1], [0, 1, 0, 0.2], [0, 0, 1, 2], [0, 0, 0, 1]],
-        atol=1e-12,
-    )
+    base_T_imu = np.linalg.inv(map_T_base) @ frames.map_T("imu_link", 1_000_000_000)
+    np.testing.assert_allclose(base_T_imu, [[1, 0, 0, 1], [0, 1, 0, 0.2], [0, 0, 1, 2], [0, 0, 0, 1]], atol=1e-12)
     assert np.mean([m.content.linear_acceleration.z for m in tracker["/imu"]]) > 9
 
 
@@ -276,18 +262,14 @@ def test_one_camera_ashore_needs_no_own_ship(run, tmp_path) -> None:
     tracker = bags.read_with_rosbags(out / "detections")
     assert tracker.keys() == {"/quay/camera_info", "/quay/detections", "/tf_static"}
     (static,) = tracker["/tf_static"]
-    assert [(each.header.frame_id, each.child_frame_id) for each in static.content.transforms] == [
-        ("map", "quay_optical_frame")
-    ]
+    (fixed,) = static.content.transforms
+    assert (fixed.header.frame_id, fixed.child_frame_id) == ("map", "quay_optical_frame")
     assert check_projection(tracker, bags.read_with_rosbags(out / "truth")) > 5
 
 
 def test_two_vessels_with_cameras_have_names_of_their_own(tmp_path) -> None:
-    lens = bags.LENS
-    cameras = {
-        "a": {**lens, "mount": {"vessel": bags.OWN, "position_m": [6, 0, 6]}},
-        "b": {**lens, "mount": {"vessel": "pilot", "position_m": [3, 0, 4]}},
-    }
+    mounts = {"a": {"vessel": bags.OWN, "position_m": [6, 0, 6]}, "b": {"vessel": "pilot", "position_m": [3, 0, 4]}}
+    cameras = {name: {**bags.LENS, "mount": mount} for name, mount in mounts.items()}
     size = {"length_m": 12, "beam_m": 4, "air_draft_m": 3, "label": "boat"}
     poses = {"tracks": {bags.OWN: [[0, 0, 0], [9, 9, 0]], "pilot": [[0, 0, 50], [9, 9, 60]]}}
     vessels = {bags.OWN: bags.VESSELS[bags.OWN], "pilot": size}

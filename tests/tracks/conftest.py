@@ -1,7 +1,5 @@
 """Runs of a few steps that the tests of this folder share; no test writes into them."""
 
-from __future__ import annotations
-
 import pytest
 
 import modsim3d

@@ -5,8 +5,6 @@ w2. `astern` follows own ship, and no camera sees it. `anchored` lies 200 m ahea
 the crosser hides it for a moment.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,26 +23,19 @@ NAMES = ("own", "crosser", "astern", "anchored")
 ORIGIN = (63.4, 10.4)
 VELOCITIES_M_S = np.array([(5.0, 0.0), (0.0, 4.0), (5.0, 0.0), (0.0, 0.0)])
 STARTS_M = np.array([(0.0, 0.0), (120.0, -60.0), (-80.0, 10.0), (200.0, 20.0)])
-PLACES_M = STARTS_M + TIMES_S[:, None, None] * VELOCITIES_M_S
-"""Shape (steps, vessels, 2)."""
+PLACES_M = STARTS_M + TIMES_S[:, None, None] * VELOCITIES_M_S  # (steps, vessels, 2)
 
 
 def sea_scene(**keys: Any) -> Scene:
     """The scene; keys of the scene file replace its own."""
     hull = {"length_m": 12, "beam_m": 4, "air_draft_m": 6, "label": "boat"}
+    headings = np.tile([0.0, np.pi / 2, 0.0, 0.0], (STEPS, 1))
+    ahead = {"vessel": "own", "position_m": [5, 0, 6], "pitch_rad": 0.02}
     data: dict[str, Any] = {
         "seed": 1,
         "vessels": dict.fromkeys(NAMES, hull),
-        "poses": {
-            "positions_m": PLACES_M,
-            "headings_rad": np.tile([0.0, np.pi / 2, 0.0, 0.0], (STEPS, 1)),
-            "time_step_s": STEP_S,
-        },
-        "cameras": {
-            "bow": camera_keys(
-                1280, 720, focal_length_m=0.008, mount={"vessel": "own", "position_m": [5, 0, 6], "pitch_rad": 0.02}
-            )
-        },
+        "poses": {"positions_m": PLACES_M, "headings_rad": headings, "time_step_s": STEP_S},
+        "cameras": {"bow": camera_keys(1280, 720, focal_length_m=0.008, mount=ahead)},
         "annotation": {"mode": 0, "source": "analytic"},
         "detector": "coastal",
         "origin": {"latitude_deg": ORIGIN[0], "longitude_deg": ORIGIN[1]},
@@ -53,12 +44,10 @@ def sea_scene(**keys: Any) -> Scene:
 
 
 def sea_run(folder: Path, **keys: Any) -> StoredRun:
-    """A run of the scene."""
     return open_run(run_scene(sea_scene(**keys), folder).folder)
 
 
 def write_csv(path: Path, columns: Mapping[str, Any]) -> Path:
-    """A table of text with a line of names."""
     lines = [",".join(columns), *(",".join(map(str, row)) for row in zip(*columns.values(), strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path

@@ -1,7 +1,5 @@
 """Which track follows which vessel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,8 +9,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import TrueTracks, best_pairs, follow
 
-Row = tuple[int, int, float]
-"""Frame, identity or track, and the left edge of a box of 10 × 10 px."""
+Row = tuple[int, int, float]  # frame, identity or track, and the left edge of a box of 10 × 10 px
 
 
 def box(x_px: float) -> list[float]:
@@ -29,31 +26,25 @@ def tracks(rows: list[Row]) -> Tracks:
     return Tracks.of(1, *(np.array(column) for column in zip(*((f, t, box(x)) for f, t, x in rows), strict=True)))
 
 
-def test_a_track_keeps_its_vessel_although_another_box_is_more_alike() -> None:
-    truth = true_tracks([(0, 1, 0), (1, 1, 0)])
-    found = follow(truth, tracks([(0, 7, 0), (1, 7, 3), (1, 8, 1)]), Similarity())
-    assert found.track_row.tolist() == [0, 1]  # IoU 7/13 with track 7, 9/11 with track 8
+START, LATER = [(0, 7, 0.0)], [(2, 7, 3.0), (2, 8, 1.0)]
+KEPT = {  # the vessels, the tracks, and the row of the track that follows each vessel
+    "keeps its vessel although another is more alike": (  # IoU 7/13 with track 7, 9/11 with track 8
+        [(0, 1, 0), (1, 1, 0)], [*START, (1, 7, 3), (1, 8, 1)], [0, 1],
+    ),
+    "across a frame without tracks": ([(0, 1, 0), (1, 1, 0), (2, 1, 0)], [*START, *LATER], [0, -1, 1]),
+    "across a frame without vessels": ([(0, 1, 0), (2, 1, 0)], [*START, (1, 7, 0.0), *LATER], [0, 2]),
+    "loses a vessel that is alike no longer": ([(0, 1, 0), (1, 1, 0)], [*START, (1, 7, 4), (1, 8, 1)], [0, 2]),  # 6/14
+    # Track 7 is nearest to 2, but then 1 would have nothing.
+    "the sum of similarities decides between new pairs": ([(0, 1, 0), (0, 2, 4)], [(0, 7, 3), (0, 8, 6)], [0, 1]),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("between", [([(1, 1, 0.0)], []), ([], [(1, 7, 0.0)])], ids=["no track", "no vessel"])
-def test_a_frame_without_tracks_or_without_vessels_makes_no_track_forget_its_vessel(between) -> None:
-    (vessels, others), last = between, [(2, 7, 3.0), (2, 8, 1.0)]
-    truth = true_tracks([(0, 1, 0), *vessels, (2, 1, 0)])
-    found = follow(truth, given := tracks([(0, 7, 0), *others, *last]), Similarity())
-    assert given.track[found.track_row[-1]] == 7
-
-
-def test_a_track_that_is_no_longer_alike_enough_loses_its_vessel() -> None:
-    truth = true_tracks([(0, 1, 0), (1, 1, 0)])
-    found = follow(truth, tracks([(0, 7, 0), (1, 7, 4), (1, 8, 1)]), Similarity())
-    assert found.track_row.tolist() == [0, 2]  # IoU 6/14
-
-
-def test_the_sum_of_similarities_decides_between_new_pairs() -> None:
-    truth = true_tracks([(0, 1, 0), (0, 2, 4)])
-    found = follow(truth, tracks([(0, 7, 3), (0, 8, 6)]), Similarity())
-    assert found.track_row.tolist() == [0, 1]  # 7 is nearest to 2, but then 1 would have nothing
-    assert found.truth_row.tolist() == [0, 1]
+@pytest.mark.parametrize("case", KEPT)
+def test_a_track_keeps_its_vessel_as_long_as_it_is_alike_enough(case: str) -> None:
+    vessels, others, expected = KEPT[case]
+    found = follow(true_tracks(vessels), tracks(others), Similarity())
+    assert found.track_row.tolist() == expected
+    assert found.truth_row[found.track_row[found.found]].tolist() == np.flatnonzero(found.found).tolist()
 
 
 def test_a_track_on_a_hidden_vessel_is_neither_right_nor_wrong() -> None:
@@ -71,10 +62,8 @@ def test_without_truth_every_track_counts_and_is_false() -> None:
 
 def test_cameras_remember_on_their_own() -> None:
     """Two cameras: frames 0 and 2 are of the first, 1 of the second."""
-    rows = np.arange(3)
-    truth = TrueTracks(
-        2, rows, rows, rows * 0, np.array([0, 1, 0]), rows * 0, np.array([box(0)] * 3), rows >= 0, rows < 0
-    )
+    rows, boxes = np.arange(3), np.array([box(0)] * 3)
+    truth = TrueTracks(2, rows, rows, rows * 0, np.array([0, 1, 0]), rows * 0, boxes, rows >= 0, rows < 0)
     given = Tracks.of(2, np.array([0, 1, 2, 2]), np.array([7, 9, 7, 8]), np.array([box(0), box(0), box(3), box(1)]))
     assert follow(truth, given, Similarity()).track_row.tolist() == [0, 1, 2]
 
@@ -113,11 +102,8 @@ def best_sum(alike: np.ndarray, row: int, taken: frozenset[int] = frozenset()) -
     if row == len(alike):
         return 0.0
     free = (column for column in range(alike.shape[1]) if column not in taken and alike[row, column] >= 0.5)
-    return max(
-        best_sum(alike, row + 1, taken),
-        *(alike[row, column] + best_sum(alike, row + 1, taken | {column}) for column in free),
-        0.0,
-    )
+    worth = (alike[row, column] + best_sum(alike, row + 1, taken | {column}) for column in free)
+    return max(best_sum(alike, row + 1, taken), *worth, 0.0)
 
 
 def test_the_numbers_of_tracks_are_their_cameras_own() -> None:

@@ -1,7 +1,5 @@
 """Tracks from somebody's own files, and what is said of wrong ones."""
 
-from __future__ import annotations
-
 import functools
 import re
 from dataclasses import replace
@@ -11,6 +9,7 @@ import pytest
 import yaml
 
 import modsim3d
+from modsim3d.core.boxes import centre_form as centred
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.mot import files as mot_files
 from modsim3d.formats.writing.request import ExportRequest
@@ -19,10 +18,11 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Tracks, camera_sequence_names
 from modsim3d.tracks.true_tracks import TrueTracks
-from tests.tracks.track_files import IMAGE_PX, centred, csv_text, detected_tracks, mot_texts, top_left, write_mot
+from tests.tracks.track_files import IMAGE_PX, csv_text, detected_tracks, mot_texts, top_left, write_mot
 
 CENTRES = "centre_x_px,centre_y_px,width_px,height_px"
 HEADER = "camera,step,track,x_min_px,y_min_px,x_max_px,y_max_px"
+ATTRIBUTES = "bow,0,1,10,20,30,40,"
 
 
 @pytest.fixture
@@ -39,7 +39,6 @@ def read(small_run, small_rows, tmp_path):
 
 @pytest.fixture
 def read_mot(small_run, small_rows, tmp_path):
-    """Reads the texts of the files of a folder."""
     return lambda texts: read_tracks(write_mot(tmp_path / "mine", texts), small_run, small_rows)
 
 
@@ -150,25 +149,18 @@ def test_sequences_have_the_names_of_the_export(small_run):
         ("bow,0,1,1,2,3", "has 6 cells, must have 7"),
         ("bow", "has 1 cell, must have 7"),
         ("bow,0,1,1,2,3,4,5", "has 8 cells, must have 7"),
+        (f"{ATTRIBUTES}submarine,0.5,4,1,9", "there is no label 'submarine'"),
+        (f"{ATTRIBUTES},1.5,4,1,9", "confidence must be from 0 to 1 (got 1.5)"),
+        (f"{ATTRIBUTES},,4,,9", "the covariance needs all three numbers, or none"),
+        (f"{ATTRIBUTES},,4,6,9", "are no covariance"),
+        (f"{ATTRIBUTES},,-4,1,-9", "are no covariance"),
     ],
 )
 def test_a_wrong_line_is_named(read, line, what):
-    message = said(read, f"{HEADER}\nbow,0,7,10,20,30,40\n\n{line}\n")
+    more = ",label,confidence,var_x_px2,cov_xy_px2,var_y_px2" if line.startswith(ATTRIBUTES) else ""
+    message = said(read, f"{HEADER}{more}\nbow,0,7,10,20,30,40{',' * more.count(',')}\n\n{line}\n")
     assert message.splitlines()[1].startswith("  line 4: ")
     assert what in message
-
-
-def test_a_wrong_attribute_is_named(read):
-    header = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2"
-    for cells, what in (
-        ("submarine,0.5,4,1,9", "there is no label 'submarine'"),
-        (",1.5,4,1,9", "confidence must be from 0 to 1 (got 1.5)"),
-        (",,4,,9", "the covariance needs all three numbers, or none"),
-        (",,4,6,9", "are no covariance"),
-        (",,-4,1,-9", "are no covariance"),
-    ):
-        message = said(read, f"{header}\nbow,0,1,10,20,30,40,{cells}\n")
-        assert "line 2: " in message and what in message, cells
 
 
 def test_a_track_has_one_box_in_a_frame(read):
@@ -196,12 +188,9 @@ def test_only_some_of_many_wrong_lines_are_shown(read):
         ("camera;step;track", "line 1 must name the columns, with commas between them: camera,step,track,x_min_px,"),
         ("", "line 1 must name the columns"),
         ("a" * 200_000, "line 1 must name the columns"),
-        (
-            "step,track,x_min_px,y_min_px,x_max_px,y_max_px",
-            "'camera' is missing: the run has several cameras",
-        ),
-        ("camera,track,x_min_px,y_min_px,x_max_px,y_max_px", "'step' or 'time_s' is needed"),
-        ("camera,step,x_min_px,y_min_px,x_max_px,y_max_px", "the column 'track' is missing"),
+        (HEADER.removeprefix("camera,"), "'camera' is missing: the run has several cameras"),
+        (HEADER.replace("step,", ""), "'step' or 'time_s' is needed"),
+        (HEADER.replace("track,", ""), "the column 'track' is missing"),
         ("camera,step,track,x_min_px,y_min_px,width_px,height_px", "columns of the box must be either"),
         ("camera,step,track", "columns of the box must be either"),
         (f"{HEADER},confidance", "unknown column 'confidance' (did you mean 'confidence'?)"),
@@ -229,24 +218,20 @@ def test_identities_that_lost_digits_are_refused(read, read_mot, small_rows, sma
 
 
 def test_what_stands_in_place_of_commas_is_named(read):
+    known = (": line 1 is for spreadsheets alone, leave it out", "must have commas")
     for text in (HEADER.replace(",", ";"), f"sep=,\n{HEADER}"):
-        assert said(read, f"{text}\n").endswith(
-            (": line 1 is for spreadsheets alone, leave it out", "must have commas")
-        )
+        assert said(read, f"{text}\n").endswith(known)
 
 
-def test_a_time_must_be_that_of_a_frame(read, small_rows):
+def test_a_time_must_be_that_of_a_frame_and_of_its_step(read, small_rows):
     header = HEADER.replace("step", "time_s")
     time_s = small_rows.scene.times_s(0, 8)[2]
     assert read(f"{header}\nbow,{time_s + 0.0004},1,1,2,3,4\n").tracks.step.tolist() == [2]
     message = said(read, f"{header}\nbow,{time_s + 0.0006},1,1,2,3,4\n")
     assert f"line 2: camera 'bow' takes no frame at time_s 0.4006; the nearest is {time_s:g}" in message
-
-
-def test_step_and_time_must_agree(read):
-    header = HEADER.replace("step", "step,time_s")
-    assert read(f"{header}\nbow,1,0.2,1,1,2,3,4\n").tracks.step.tolist() == [1]
-    assert "time_s 0.2 is that of step 1, but step is 2" in said(read, f"{header}\nbow,2,0.2,1,1,2,3,4\n")
+    both = HEADER.replace("step", "step,time_s")
+    assert read(f"{both}\nbow,1,0.2,1,1,2,3,4\n").tracks.step.tolist() == [1]
+    assert "time_s 0.2 is that of step 1, but step is 2" in said(read, f"{both}\nbow,2,0.2,1,1,2,3,4\n")
 
 
 @pytest.mark.parametrize(
@@ -316,11 +301,7 @@ def shares(boxes_px):
 @pytest.mark.parametrize(
     ("names", "numbers", "what"),
     [
-        (
-            None,
-            centred,
-            "are read as the corners x_min, y_min, x_max, y_max, but are centre x",
-        ),
+        (None, centred, "are read as the corners x_min, y_min, x_max, y_max, but are centre x"),
         (None, top_left, "but are the corner x, y and width, height"),
         (CENTRES, lambda boxes: boxes, "are read as centre x, centre y, width, height, but are the corners"),
         (CENTRES, top_left, "but are the corner x, y and width, height"),
@@ -335,28 +316,21 @@ def shares(boxes_px):
         (None, from_below, "y is counted from the lower edge of the image"),
         (CENTRES, lambda boxes: exchanged(centred(boxes)), "x and y of the boxes are exchanged"),
         (CENTRES, lambda boxes: centred(from_below(boxes)), "y is counted from the lower edge of the image"),
+        ("MOT", lambda boxes: boxes, "are read as x, y, width, height with pixels from 1, but are the corners"),
+        ("MOT", centred, "but are centre x"),
+        ("MOT", lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
+        ("MOT", lambda boxes: top_left(boxes) / 4, "are those of an image of 480 x 270 px"),
+        ("MOT", top_left, "pixels are counted from 0, must be counted from 1 (then half of them lie within 0.00%"),
+        ("MOT", lambda boxes: exchanged(top_left(boxes)), "x and y of the boxes are exchanged"),
+        ("MOT", lambda boxes: top_left(from_below(boxes)), "y is counted from the lower edge of the image"),
     ],
 )
-def test_boxes_in_another_form_are_recognised(read, small_rows, small_tracks, names, numbers, what):
-    names = {} if names is None else {"names": names}
-    message = said(read, csv_text(small_rows, small_tracks, numbers(small_tracks.boxes_px), **names))
-    assert what in message
-
-
-@pytest.mark.parametrize(
-    ("numbers", "what"),
-    [
-        (lambda boxes: boxes, "are read as x, y, width, height with pixels from 1, but are the corners"),
-        (centred, "but are centre x"),
-        (lambda boxes: shares(top_left(boxes)), "the boxes are shares of the image (the corner x, y"),
-        (lambda boxes: top_left(boxes) / 4, "are those of an image of 480 x 270 px"),
-        (top_left, "pixels are counted from 0, must be counted from 1 (then half of them lie within 0.00%"),
-        (lambda boxes: exchanged(top_left(boxes)), "x and y of the boxes are exchanged"),
-        (lambda boxes: top_left(from_below(boxes)), "y is counted from the lower edge of the image"),
-    ],
-)
-def test_mot_boxes_in_another_form_are_recognised(read_mot, small_rows, small_tracks, numbers, what):
-    assert what in said(read_mot, mot_texts(small_rows, small_tracks, numbers(small_tracks.boxes_px)))
+def test_boxes_in_another_form_are_recognised(read, read_mot, small_rows, small_tracks, names, numbers, what):
+    given, four = {} if names is None else {"names": names}, numbers(small_tracks.boxes_px)
+    if names == "MOT":
+        assert what in said(read_mot, mot_texts(small_rows, small_tracks, four))
+    else:
+        assert what in said(read, csv_text(small_rows, small_tracks, four, **given))
 
 
 def test_one_file_of_several_may_be_wrong(small_run, small_rows, small_tracks, tmp_path):
@@ -369,7 +343,6 @@ def test_one_file_of_several_may_be_wrong(small_run, small_rows, small_tracks, t
 
 
 def one_off(rows, steps):
-    """Detections in the frame that many steps later."""
     tracks = detected_tracks(rows)
     there = tracks.take(np.isin(tracks.step + steps, rows.frames))
     return replace(there, frame=there.frame + steps)
@@ -381,11 +354,11 @@ def test_frames_that_count_from_elsewhere_are_recognised(one_camera_run, tmp_pat
     tracks = detected_tracks(rows)
     late = tracks.take(tracks.step > 0)
     (frames,) = mot_texts(rows, late, first_frame=0).values()
-    (frames_and_pixels,) = mot_texts(rows, late, top_left(late.boxes_px), first_frame=0).values()
-    from_zero = "frames count from 0, must count from 1"
+    (shifted,) = mot_texts(rows, late, top_left(late.boxes_px), first_frame=0).values()
+    zero = "frames count from 0, must count from 1"
     for name, text, what in (
-        ("frames.txt", frames, from_zero),
-        ("both.txt", frames_and_pixels, f"{from_zero}, and pixels are counted from 0, must be counted from 1"),
+        ("frames.txt", frames, zero),
+        ("both.txt", shifted, f"{zero}, and pixels are counted from 0, must be counted from 1"),
         ("steps.csv", csv_text(rows, one_off(rows, -1)), "frames are one too low"),
     ):
         (tmp_path / name).write_text(text)

@@ -1,7 +1,5 @@
 """The folder of tracks that modsim3d writes."""
 
-from __future__ import annotations
-
 import json
 import tempfile
 from pathlib import Path
@@ -41,29 +39,22 @@ def change_facts(folder, change):
     (folder / "tracks.json").write_text(json.dumps(facts))
 
 
-def replace_table(folder, table):
-    pq.write_table(table, folder / "tracks.parquet")
-    listed = file_list(folder, ["tracks.parquet"])
-    change_facts(folder, lambda facts: facts.update(files=listed))
-
-
 @settings(max_examples=10, deadline=None)
 @given(st.data())
 def test_tracks_are_read_back_as_they_were_written(small_run, small_rows, data):
-    frames, labels = small_rows.frames, small_rows.scene.detector.labels
-    row = st.tuples(st.sampled_from(frames.tolist()), st.integers(0, 2**62))
+    row = st.tuples(st.sampled_from(small_rows.frames.tolist()), st.integers(0, 2**62))
     keys = data.draw(st.lists(row, unique=True, max_size=12))
-    count = len(keys)
-    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    frame, track = np.array(keys, dtype=np.int64).reshape(-1, 2).T
+    count, rng = len(keys), np.random.default_rng(data.draw(st.integers(0, 99)))
     corner = rng.uniform(-50, 900, (count, 2))
     unknown = rng.random(count) < 0.5
     spread = np.linalg.inv(np.eye(2) + 0.1 * np.ones((count, 2, 2)))
     tracks = Tracks.of(
         len(small_rows.scene.cameras),
-        np.array([frame for frame, _ in keys], dtype=np.int64),
-        np.array([track for _, track in keys], dtype=np.int64),
+        frame,
+        track,
         np.column_stack([corner, corner + rng.uniform(1, 80, (count, 2))]),
-        rng.integers(-1, len(labels), count),
+        rng.integers(-1, len(small_rows.scene.detector.labels), count),
         np.where(unknown, np.nan, rng.random(count)),
         np.where(unknown[:, None, None], np.nan, spread),
     )
@@ -105,18 +96,18 @@ def test_tracks_of_another_seed_are_refused(written, tmp_path):
 
 
 FILES = ("tracks.json", "tracks.parquet")
+
+
+def changing(change):
+    return lambda folder: change_facts(folder, change)
+
+
 DAMAGES = [
-    (lambda folder: change_facts(folder, lambda facts: facts.pop("chosen")), "chosen: missing"),
-    (lambda folder: change_facts(folder, lambda facts: facts.update(format=2)), "format"),
-    (lambda folder: change_facts(folder, lambda facts: facts.update(more=1)), "more: unknown key"),
-    (
-        lambda folder: change_facts(folder, lambda facts: facts["run"].update(detections_sha256="0" * 64)),
-        "are of other detections",
-    ),
-    (
-        lambda folder: (folder / FILES[1]).write_bytes((folder / FILES[1]).read_bytes()[:-9]),
-        "was changed or damaged",
-    ),
+    (changing(lambda facts: facts.pop("chosen")), "chosen: missing"),
+    (changing(lambda facts: facts.update(format=2)), "format"),
+    (changing(lambda facts: facts.update(more=1)), "more: unknown key"),
+    (changing(lambda facts: facts["run"].update(detections_sha256="0" * 64)), "are of other detections"),
+    (lambda folder, f=FILES[1]: (folder / f).write_bytes((folder / f).read_bytes()[:-9]), "was changed or damaged"),
     *((lambda folder, name=name: (folder / name).unlink(), rf"{name}:\s+no such file") for name in FILES),
 ]
 
@@ -141,6 +132,8 @@ def test_a_folder_that_is_no_longer_what_was_written_is_refused(written, small_r
 )
 def test_a_wrong_table_is_refused(written, small_run, small_rows, change, said):
     table = pq.read_table(written / "tracks.parquet")
-    replace_table(written, change(table))
+    pq.write_table(change(table), written / "tracks.parquet")
+    listed = file_list(written, ["tracks.parquet"])
+    change_facts(written, lambda facts: facts.update(files=listed))
     with pytest.raises(ModsimError, match=said):
         read_tracks(written, small_run, small_rows)

@@ -1,7 +1,5 @@
 """Identities and what is scored, from a run's truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +15,7 @@ from tests.tracking.hand_made import box
 from tests.tracking.hand_made import rows_of as rows_by_hand
 
 BOAT = {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": "Vessel"}
-CAMERA = camera_keys(400, 200, pose={"position_m": [0, 0, 3]})
-"""Looks along w1: at 100 m the image ends 20 m to either side."""
+CAMERA = camera_keys(400, 200, pose={"position_m": [0, 0, 3]})  # along w1: at 100 m it sees 20 m to either side
 FRONT, BEHIND, ASIDE, AWAY = (100.0, 0.0), (200.0, 0.0), (100.0, 10.0), None
 Place = tuple[float, float] | None
 

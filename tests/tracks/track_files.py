@@ -1,10 +1,7 @@
 """Files of tracks of a small run: its detections, numbered as if each vessel were a track."""
 
-from __future__ import annotations
-
 import numpy as np
 
-from modsim3d.core.boxes import centre_form
 from modsim3d.tracks.tracks import Tracks
 
 IMAGE_PX = (1920, 1080)
@@ -12,20 +9,15 @@ IMAGE_PX = (1920, 1080)
 
 def detected_tracks(rows) -> Tracks:
     """The detections that came from a vessel, with the vessel as the track."""
-    cameras = len(rows.scene.cameras)
     known = rows.detection_vessel >= 0
     frame, vessel = rows.detection_frame[known], rows.detection_vessel[known]
     first = np.unique(np.column_stack([frame, vessel]), axis=0, return_index=True)[1]
     boxes = np.round(rows.detection_boxes_px()[known], 3)
-    return Tracks.of(cameras, frame[first], vessel[first], boxes[first])
+    return Tracks.of(len(rows.scene.cameras), frame[first], vessel[first], boxes[first])
 
 
 def top_left(boxes_px):
     return np.concatenate([boxes_px[:, :2], boxes_px[:, 2:] - boxes_px[:, :2]], axis=1)
-
-
-def centred(boxes_px):
-    return centre_form(boxes_px)
 
 
 def csv_text(rows, tracks, numbers=None, names="x_min_px,y_min_px,x_max_px,y_max_px", when="step") -> str:
@@ -41,7 +33,6 @@ def csv_text(rows, tracks, numbers=None, names="x_min_px,y_min_px,x_max_px,y_max
 
 
 def mot_texts(rows, tracks, numbers=None, first_frame=1) -> dict[str, str]:
-    """The text of each camera's file."""
     numbers = top_left(tracks.boxes_px) + np.array([1, 1, 0, 0]) if numbers is None else numbers
     cameras, texts = [camera.name for camera in rows.scene.cameras], {}
     for index, name in enumerate(cameras):

@@ -72,36 +72,24 @@ class Drive:
 
 
 def traffic_keys(**changes) -> dict:
-    """`TRAFFIC` with other values: `lanes__ferry__per_hour=3`; None removes the key."""
+    """`TRAFFIC` with other values: `lanes__ferry__per_hour=3`."""
     keys = copy.deepcopy(TRAFFIC)
     for path, value in changes.items():
         *parents, last = path.split("__")
         section = keys
         for parent in parents:
             section = section.setdefault(parent, {})
-        if value is None:
-            del section[last]
-        else:
-            section[last] = value
+        section[last] = value
     return keys
-
-
-def obstacles(land: dict = LAND) -> tuple[Obstacle, ...]:
-    return tuple(
-        Obstacle(name, extruded(np.array(corners, dtype=float), base, height))
-        for name, (corners, base, height) in land.items()
-    )
 
 
 def draw(keys: dict, seed: int = 0, steps: int = 360, time_step_s: float = 0.5, land: dict = LAND) -> Drive:
     """Draw traffic as a scene does: the vessels first, then their poses."""
     source = read_source({"traffic": keys}, "scene").keys
-    request = PoseRequest(Path(), (OWN.name,), (OWN,), steps, time_step_s, seed, obstacles(land))
-    entries = source.vessels(request)
-    drawn = [
-        Vessel(name, entry["label"], entry["length_m"], entry["beam_m"], entry["air_draft_m"])
-        for name, entry in entries.items()
-    ]
-    vessels = (OWN, *drawn)
-    names = tuple(vessel.name for vessel in vessels)
+    solids = {name: extruded(np.array(corners, dtype=float), *sides) for name, (corners, *sides) in land.items()}
+    obstacles = tuple(Obstacle(name, parts) for name, parts in solids.items())
+    request = PoseRequest(Path(), (OWN.name,), (OWN,), steps, time_step_s, seed, obstacles)
+    entries, sides = source.vessels(request), ("label", "length_m", "beam_m", "air_draft_m")
+    drawn = [Vessel(name, *(entry[side] for side in sides)) for name, entry in entries.items()]
+    vessels, names = (OWN, *drawn), (OWN.name, *entries)
     return Drive(vessels, source.build(replace(request, vessels=vessels, names=names)), entries)

@@ -19,19 +19,15 @@ from tests.world.test_meshes import NAMES
 SIZE_M = (90.0, 15.0, 22.0)
 Z_UP_TO_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Bow at +x still, and up from +z to +y, as Blender exports a ship along x by default."""
-TO_GLTF = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""Bow from +x to +z, port from +y to +x, up from +z to +y."""
+TO_GLTF = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # bow +x to +z, port +y to +x, up +z to +y
 GOOD_VESSEL = {"length_m": 90, "beam_m": 15, "air_draft_m": 22, "label": "ship"}
+AHEAD = {"vessel": "own", "position_m": [3, 0, 2.2], "pitch_rad": 0.02}
 SCENE = {
     "steps": 2,
     "time_step_s": 0.5,
     "vessels": {"own": {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "boat"}},
     "poses": {"tracks": {"own": [[0, 0, 0], [30, 30, 0]], "v": [[0, 250, 60], [30, 250, -60]]}},
-    "cameras": {
-        "bow": camera_keys(
-            1920, 1080, focal_length_m=0.016, mount={"vessel": "own", "position_m": [3, 0, 2.2], "pitch_rad": 0.02}
-        )
-    },
+    "cameras": {"bow": camera_keys(1920, 1080, focal_length_m=0.016, mount=AHEAD)},
     "annotation": {"mode": 2, "source": "rendered"},
     "detector": "coastal",
 }
@@ -42,11 +38,6 @@ def ship(scale: float = 1.0) -> trimesh.Trimesh:
     parts = [((90, 15, 8), (0, 0, 4)), ((18, 12, 8), (-30, 0, 12)), ((1, 1, 6), (-30, 0, 19))]
     boxes = [trimesh.creation.box(size).apply_translation(at) for size, at in parts]
     return trimesh.util.concatenate(boxes).apply_scale(scale)
-
-
-def plane(side: float) -> trimesh.Trimesh:
-    corners = [(x * side / 2, y * side / 2, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-    return trimesh.Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
 
 
 def warned(mesh: trimesh.Trimesh, file: str, folder: Path, **axes: str) -> str | None:
@@ -85,15 +76,15 @@ def test_a_bow_along_x_in_a_glb_is_warned_of(tmp_path: Path) -> None:
     assert 'forward: "+x" or "-x", up: "+y" would fit' in said
 
 
-@pytest.mark.parametrize(
-    "extra",
-    [
-        plane(4000.0),
-        trimesh.creation.icosphere(1, 3000.0),
-        trimesh.creation.box((1, 1, 1)).apply_translation([900, 0, 3]),
-    ],
-    ids=["sea", "sky", "marker"],
-)
+CORNERS = [(x * 2000.0, y * 2000.0, 0.0) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+PARTS = {
+    "sea": trimesh.Trimesh(CORNERS, [(0, 1, 2), (0, 2, 3)], process=False),
+    "sky": trimesh.creation.icosphere(1, 3000.0),
+    "marker": trimesh.creation.box((1, 1, 1)).apply_translation([900, 0, 3]),
+}
+
+
+@pytest.mark.parametrize("extra", PARTS.values(), ids=PARTS)
 def test_a_part_that_makes_a_speck_of_the_ship_is_warned_of(extra: trimesh.Trimesh, tmp_path: Path) -> None:
     whole = trimesh.util.concatenate([ship(), extra]).apply_transform(TO_GLTF)
     said = warned(whole, "sea.glb", tmp_path)
@@ -110,9 +101,7 @@ def test_other_proportions_are_warned_of_from_a_stretch_of_three_on(tmp_path: Pa
 
 @pytest.mark.parametrize("size_m", [SIZE_M, (10.0, 4.0, 3.0), (28.0, 10.0, 14.0), (5.0, 0.7, 1.3), (11.0, 3.5, 16.0)])
 @pytest.mark.parametrize("name", NAMES)
-def test_shipped_meshes_and_others_that_fill_the_unit_box_are_not_warned_of(
-    name: str, size_m: tuple[float, float, float]
-) -> None:
+def test_shipped_meshes_and_others_that_fill_the_unit_box_are_not_warned_of(name: str, size_m) -> None:
     path = shipped_meshes()[name]
     for entry in (name, path.name):
         assert misfit(load_mesh(entry, path.parent), np.array(size_m)) is None

@@ -1,9 +1,8 @@
 """The shipped vessel shapes, and reading the user's own."""
 
-from __future__ import annotations
-
 import base64
 import io
+import itertools
 import json
 import os
 import runpy
@@ -81,9 +80,6 @@ def make_meshes() -> dict[str, object]:
     return runpy.run_path(str(ROOT / "script" / "make_meshes"))
 
 
-# ---- the shipped meshes ------------------------------------------------------------------------
-
-
 def test_the_shipped_meshes_are_those_of_the_table() -> None:
     table = yaml.safe_load((ROOT / "meshes" / "meshes.yaml").read_text())
     assert sorted(table) == sorted(shipped_meshes()) == sorted(NAMES)
@@ -140,12 +136,9 @@ def test_a_shipped_mesh_has_its_bow_forward_and_its_mast_up() -> None:
 
 
 def test_the_hand_written_glb_is_what_trimesh_reads_in_any_viewer() -> None:
-    seen = trimesh.load_scene(shipped_meshes()["ferry"]).to_mesh()
+    seen, ferry = trimesh.load_scene(shipped_meshes()["ferry"]).to_mesh(), load_mesh("ferry", ROOT)
     assert np.allclose(seen.bounds, [[-0.5, 0.0, -0.5], [0.5, 1.0, 0.5]])  # y up
-    assert np.allclose(seen.volume, signed_volume(*(lambda s: (s.vertices, s.faces))(load_mesh("ferry", ROOT))))
-
-
-# ---- formats and axes --------------------------------------------------------------------------
+    assert np.allclose(seen.volume, signed_volume(ferry.vertices, ferry.faces))
 
 
 def test_the_shape_is_the_same_through_every_format(tmp_path: Path) -> None:
@@ -163,13 +156,12 @@ def test_the_shape_is_the_same_through_every_format(tmp_path: Path) -> None:
 
 
 def test_axes_map_the_file_to_forward_port_up() -> None:
-    for forward in get_args(Axis):
-        for up in get_args(Axis):
-            if forward[1] != up[1]:
-                rotation = vehicle_R_file(forward, up)
-                assert np.allclose(rotation @ axis(forward), [1, 0, 0])
-                assert np.allclose(rotation @ axis(up), [0, 0, 1])
-                assert np.isclose(np.linalg.det(rotation), 1.0)
+    for forward, up in itertools.product(get_args(Axis), repeat=2):
+        if forward[1] != up[1]:
+            rotation = vehicle_R_file(forward, up)
+            assert np.allclose(rotation @ axis(forward), [1, 0, 0])
+            assert np.allclose(rotation @ axis(up), [0, 0, 1])
+            assert np.isclose(np.linalg.det(rotation), 1.0)
 
 
 @pytest.mark.parametrize(("forward", "up"), [("-x", "+z"), ("+y", "-z"), ("+z", "+y")])
@@ -219,9 +211,8 @@ def by_trimesh(content: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def assert_read_as_by_trimesh(content: bytes) -> None:
-    for got, want in zip(
-        joined(glb_parts(read_glb(io.BytesIO(content), len(content)))), by_trimesh(content), strict=True
-    ):
+    found = joined(glb_parts(read_glb(io.BytesIO(content), len(content))))
+    for got, want in zip(found, by_trimesh(content), strict=True):
         np.testing.assert_array_equal(got, want)
 
 
@@ -233,14 +224,10 @@ def test_a_shipped_mesh_is_read_as_by_trimesh(name: str) -> None:
 def test_parts_have_the_order_and_the_place_that_trimesh_gives_them() -> None:
     description, data = wedge_description()
     one = description["meshes"][0]["primitives"][0]
-    shapes = ({**one, "mode": mode} for mode in (4, 5, 1))
-    description["meshes"] = [
-        *({"primitives": [shape]} for shape in shapes),
-        {"primitives": [{"attributes": {"POSITION": 2}}]},
-    ]
-    description["accessors"].append(
-        {"bufferView": 2, "byteOffset": 4, "componentType": 5122, "count": 3, "type": "VEC3"}
-    )
+    description["meshes"] = [{"primitives": [{**one, "mode": mode}]} for mode in (4, 5, 1)]
+    description["meshes"].append({"primitives": [{"attributes": {"POSITION": 2}}]})
+    strided = {"bufferView": 2, "byteOffset": 4, "componentType": 5122, "count": 3, "type": "VEC3"}
+    description["accessors"].append(strided)
     description["bufferViews"].append({"buffer": 1, "byteLength": 40, "byteStride": 10})
     numbers = base64.b64encode(np.arange(20, dtype="<i2").tobytes()).decode()
     description["buffers"].append({"byteLength": 40, "uri": f"data:application/octet-stream;base64,{numbers}"})
@@ -336,11 +323,7 @@ def test_faces_of_many_corners_are_split(tmp_path: Path) -> None:
     assert len(solid.faces) == 12 and solid.closed and solid.convex
 
 
-# ---- what is refused ---------------------------------------------------------------------------
-
 FIVE_MILLION = 5_000_000
-
-
 PLY_HEADER = f"ply\nformat binary_little_endian 1.0\nelement vertex 9\nelement face {FIVE_MILLION}\nend_header\n"
 
 
@@ -416,8 +399,6 @@ def wedge_beginning(number: bytes) -> bytes:
 
 
 FAR = [{"children": [number + 1], "scale": [1e9] * 3} for number in range(40)]
-
-
 PNG = b"\x89PNG\r\n\x1a\n" + bytes(200)
 GARBAGE = b"Lorem ipsum dolor sit amet, consectetur adipiscing elit. " * 20
 REFUSED = {
@@ -560,22 +541,18 @@ def test_a_bad_entry_is_refused_in_one_clear_line(entry: object, words: str, tmp
 @pytest.mark.parametrize("inside", ["hull.bin", "a/b.png", "a..b.png", "..a/b"])
 def test_references_inside_the_folder_are_told_from_others(inside: str) -> None:
     assert not leads_outside(inside)
-    assert all(
-        leads_outside(f"{way}{inside}") for way in ("/", "../", "x/../", "..\\", "\\\\host\\", "file:", "~/", " /")
-    )
+    ways = ("/", "../", "x/../", "..\\", "\\\\host\\", "file:", "~/", " /")
+    assert all(leads_outside(f"{way}{inside}") for way in ways)
 
 
 def test_any_damaged_file_is_refused_or_a_solid(tmp_path: Path) -> None:
     """Bytes changed and cut at random: nothing but InputError may come of it."""
     rng = np.random.default_rng(5)
     mesh = trimesh.Trimesh(shoebox().vertices, shoebox().faces, process=False)
-    for ending in ("glb", "stl", "ply", "obj"):
-        whole = np.frombuffer(
-            mesh.export(file_type=ending, **({"encoding": "ascii"} if ending == "ply" else {}))
-            if ending != "obj"
-            else obj(),
-            dtype=np.uint8,
-        )
+    files = {ending: mesh.export(file_type=ending) for ending in ("glb", "stl")}
+    files |= {"ply": mesh.export(file_type="ply", encoding="ascii"), "obj": obj()}
+    for ending, content in files.items():
+        whole = np.frombuffer(content, dtype=np.uint8)
         for _ in range(40):
             damaged = whole.copy()
             where = rng.integers(0, len(damaged), size=rng.integers(1, 6))

@@ -49,10 +49,8 @@ def random_harbour(seed):
     """Vessels and obstacles that don't touch, before a camera of any kind."""
     rng = np.random.default_rng(seed)
     places, intrinsics, mount = random_scene(rng)
-    hulls = shapely.union_all(
-        [shapely.Point(place).buffer(np.hypot(ship.length_m, ship.beam_m) / 2) for ship, place, _ in places]
-    )
-    obstacles, taken = [], hulls
+    hulls = [shapely.Point(place).buffer(np.hypot(ship.length_m, ship.beam_m) / 2) for ship, place, _ in places]
+    obstacles, taken = [], shapely.union_all(hulls)
     for i in range(60):
         distance, bearing = np.exp(rng.uniform(np.log(5), np.log(300))), rng.uniform(-np.pi, np.pi)
         centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
@@ -70,9 +68,8 @@ def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
     places, obstacles, intrinsics, mount = random_harbour(seed)
     outlines = before(places, obstacles, intrinsics, mount)
     rendered = rendered_occlusion(outlines, intrinsics, renderer)
-    found = compare_with_analytic(
-        outlines, intrinsics, rendered, lambda row: pixel_masks(outlines, intrinsics, renderer, row)
-    )
+    masks = lambda row: pixel_masks(outlines, intrinsics, renderer, row)  # noqa: E731
+    found = compare_with_analytic(outlines, intrinsics, rendered, masks)
     assert len(found.full) == outlines.boxed.sum()
     assert (found.worst < Agreement.INTERSECTING).all()
     exact = analytic_occlusion(outlines, intrinsics)
@@ -127,10 +124,8 @@ def test_vessel_under_a_bridge_is_seen_below_it(renderer):
 
 def test_what_overlapping_obstacles_hide_is_counted_once():
     ship = vessel("ship", 10, 40, 12)
-    quays = [
-        Obstacle("quay", extruded(np.array([[80, -15], [90, -15], [90, 5], [80, 5.0]]), 0, 6)),
-        Obstacle("pier", extruded(np.array([[85, -5], [95, -5], [95, 15], [85, 15.0]]), 0, 6)),
-    ]
+    quay, pier = [[80, -15], [90, -15], [90, 5], [80, 5.0]], [[85, -5], [95, -5], [95, 15], [85, 15.0]]
+    quays = [Obstacle(name, extruded(np.array(at), 0, 6)) for name, at in (("quay", quay), ("pier", pier))]
     outlines = before([(ship, (120.0, 0.0), 0.0)], quays)
     seen = analytic_occlusion(outlines, INTRINSICS)
     row = int(np.flatnonzero(outlines.boxed)[0])
@@ -149,13 +144,8 @@ def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(
     order = order_of(outlines)
     assert outlines.boxed[np.stack([order.first, order.second])].any(axis=0).all()
     row = int(np.flatnonzero(outlines.boxed)[0])
-    exact, drawn = (
-        truth.take(np.array([row]))
-        for truth in (
-            analytic_occlusion(outlines, INTRINSICS),
-            rendered_occlusion(outlines, INTRINSICS, renderer),
-        )
-    )
+    both = analytic_occlusion(outlines, INTRINSICS), rendered_occlusion(outlines, INTRINSICS, renderer)
+    exact, drawn = (truth.take(np.array([row])) for truth in both)
     assert 0.1 < drawn.visible_px[0] / drawn.silhouette_px[0] < 0.9
     ((hider, px),) = exact.occluders[0]
     assert hider == 1
@@ -165,12 +155,12 @@ def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(
 
 def scene_with(folder, obstacles):
     boats = {"boat": ([10, 4, 3], [[0, 200, -20], [10, 200, 20]])}
-    return write_scene(folder, boats, 6, obstacles=obstacles)
+    return load_scene(write_scene(folder, boats, 6, obstacles=obstacles))
 
 
 def test_hidden_vessel_names_the_obstacle_and_obstacle_gets_no_row(tmp_path):
     wall = {"polygon_m": [[100, -50], [110, -50], [110, 50], [100, 50]], "height_m": 40}
-    scene = load_scene(scene_with(tmp_path, {"quay": wall}))
+    scene = scene_with(tmp_path, {"quay": wall})
     frame = next(simulate_frames(scene))
     assert frame.truth.vessels == ("boat",)
     assert frame.truth.visible_px.tolist() == [0]
@@ -184,8 +174,8 @@ def test_hidden_vessel_names_the_obstacle_and_obstacle_gets_no_row(tmp_path):
 def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
     around = {"polygon_m": SQUARE, "height_m": 12}
     with pytest.raises(InputError, match=r"cameras\.C0: is inside obstacle 'quay' at time 0\.0 s"):
-        load_scene(scene_with(tmp_path, {"quay": around}))
-    load_scene(scene_with(tmp_path, {"quay": {**around, "height_m": 9.9}}))
+        scene_with(tmp_path, {"quay": around})
+    scene_with(tmp_path, {"quay": {**around, "height_m": 9.9}})
 
 
 @pytest.mark.parametrize(
@@ -202,7 +192,7 @@ def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
 )
 def test_wrong_obstacle_is_one_clear_error(tmp_path, keys, said):
     with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):
-        load_scene(scene_with(tmp_path, {"quay": keys}))
+        scene_with(tmp_path, {"quay": keys})
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (3.9, 1.0, 0.5), (-3.9, -0.9, 1.9)])

@@ -26,12 +26,10 @@ def test_timestamps_are_exact_decimals():
     assert generated_timestamps(2, 1e22)[1] == "10000000000000000000000.0"
 
 
-@given(
-    steps=st.integers(1, 5000),
-    first=st.integers(-5000, 5000),
-    stop=st.integers(-5000, 5000),
-    stride=st.integers(-3, 3).filter(bool),
-)
+INDEX = st.integers(-5000, 5000)
+
+
+@given(steps=st.integers(1, 5000), first=INDEX, stop=INDEX, stride=st.integers(-3, 3).filter(bool))
 @settings(max_examples=25, deadline=None)
 def test_times_of_a_long_scene_are_the_generated_ones(steps, first, stop, stride):
     plain, long = generated_timestamps(steps, 0.1), LongTimes(steps, 0.1)
@@ -74,24 +72,17 @@ def test_ring_holds_every_point_of_a_hull_on_a_tight_circle():
     assert outer > 9.8
 
 
-def test_seed_decides_the_circles():
+def test_seed_decides_the_circles_and_vessels_that_do_not_fit_are_an_error():
     np.testing.assert_array_equal(motion(3).radii_m, motion(3).radii_m)
     assert (motion(3).radii_m != motion(4).radii_m).all()
-
-
-def test_vessels_that_do_not_fit_are_an_error_that_names_one():
     with pytest.raises(InputError, match=r"no free ring for vessel 'vessel\d'.*between radii 5.0 and 8.0"):
         motion(radius=(5.0, 8.0))
 
 
 def test_recorded_poses_keep_the_text_of_their_times_and_absent_vessels():
-    data = {
-        "0": {"a": {"center_position_m": [1, 2, 0], "heading_rad": 0.5}},
-        "0.50": {
-            "a": {"center_position_m": [2, 2, 0], "heading_rad": 0.5},
-            "b": {"center_position_m": [0, 0, 0.5], "heading_rad": -1},
-        },
-    }
+    pose = lambda *place, heading: {"center_position_m": list(place), "heading_rad": heading}  # noqa: E731
+    later = {"a": pose(2, 2, 0, heading=0.5), "b": pose(0, 0, 0.5, heading=-1)}
+    data = {"0": {"a": pose(1, 2, 0, heading=0.5)}, "0.50": later}
     recorded = parse_poses(data, "poses", ["a", "b"])
     assert recorded.timestamps == ("0", "0.50")
     poses = recorded.poses(0, 2)

@@ -11,19 +11,8 @@ from scipy.integrate import quad
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera_poses import vehicle_R_nominal, world_R_vehicle
 from modsim3d.scene.reading import load_scene
-from modsim3d.world.floating_vessels import (
-    GRAVITY_M_S2,
-    NODES,
-    ROLL_DAMPING,
-    WEIGHTS,
-    FloatingVessels,
-    Hull,
-    Passage,
-    Sea,
-    jonswap_sea,
-    jonswap_shape,
-    response,
-)
+from modsim3d.world import floating_vessels as floating
+from modsim3d.world.floating_vessels import GRAVITY_M_S2, Hull, Passage, Sea, jonswap_sea, jonswap_shape, response
 from tests.scenes import camera_keys, write_scene
 
 BOAT = Hull(12.0, 4.0)
@@ -31,12 +20,10 @@ HEADINGS = st.floats(-np.pi, np.pi)
 
 
 def passage(times, heading=0.0, speed=0.0, start=(0.0, 0.0, 0.0)):
-    """A vessel that keeps its heading and speed."""
     ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
     velocity = np.broadcast_to(speed * ahead, (len(times), 3))
-    return Passage(
-        times, np.arange(len(times)), start + times[:, None] * velocity, np.full(len(times), heading), velocity
-    )
+    places = start + times[:, None] * velocity
+    return Passage(times, np.arange(len(times)), places, np.full(len(times), heading), velocity)
 
 
 def one_wave(period_s, direction=0.0, amplitude=1.0):
@@ -44,22 +31,21 @@ def one_wave(period_s, direction=0.0, amplitude=1.0):
 
 
 def moved(sea, hull, way):
-    return FloatingVessels(sea, {"own": hull}).motion("own", way)
+    return floating.FloatingVessels(sea, {"own": hull}).motion("own", way)
 
 
 @pytest.mark.parametrize("peakedness", [1.0, 2.0, 3.3, 5.0])
 def test_shape_has_the_scale_factor_of_the_recommended_practice(peakedness):
     """DNV-RP-C205, §3.5.5: A = 1 − 0.287 ln γ keeps the energy of γ = 1, ω_p / 5; good to 1 %."""
-    energy = quad(
-        lambda w: float(jonswap_shape(np.array(w), 0.7, peakedness)), 0.05, 30, points=(0.6, 0.7, 0.8), limit=200
-    )
-    assert energy[0] * (1 - 0.287 * np.log(peakedness)) == pytest.approx(0.7 / 5, rel=0.01)
+    shape = lambda w: float(jonswap_shape(np.array(w), 0.7, peakedness))  # noqa: E731
+    energy, _ = quad(shape, 0.05, 30, points=(0.6, 0.7, 0.8), limit=200)
+    assert energy * (1 - 0.287 * np.log(peakedness)) == pytest.approx(0.7 / 5, rel=0.01)
 
 
 def test_bands_are_integrated_by_eight_point_gauss_legendre_quadrature():
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    np.testing.assert_allclose(NODES, nodes[4:], rtol=0, atol=1e-15)
-    np.testing.assert_allclose(WEIGHTS, weights[4:], rtol=0, atol=3e-15)
+    np.testing.assert_allclose(floating.NODES, nodes[4:], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(floating.WEIGHTS, weights[4:], rtol=0, atol=3e-15)
 
 
 def test_peak_is_raised_by_the_peakedness():
@@ -70,11 +56,8 @@ def test_peak_is_raised_by_the_peakedness():
 def test_significant_height_is_four_standard_deviations_of_the_elevation():
     """Over 120 seas of ten minutes; the error is that of the mean over seas."""
     times = np.arange(0, 600, 0.5)
-    place = np.array([[120.0, -40.0, 0.0]])
-    variances = [
-        np.mean(jonswap_sea(2.5, 8.0, 0.3, seed).elevation_m(times, place.repeat(len(times), axis=0)) ** 2)
-        for seed in range(120)
-    ]
+    places = np.array([[120.0, -40.0, 0.0]]).repeat(len(times), axis=0)
+    variances = [np.mean(jonswap_sea(2.5, 8.0, 0.3, seed).elevation_m(times, places) ** 2) for seed in range(120)]
     error = np.std(variances, ddof=1) / np.sqrt(len(variances))
     assert abs(np.mean(variances) - (2.5 / 4) ** 2) < 4 * error
     assert error < 0.02 * (2.5 / 4) ** 2
@@ -90,14 +73,12 @@ def test_spectrum_of_the_elevation_is_the_one_asked_for():
     for seed in range(150):
         elevation = jonswap_sea(height, period, 1.0, seed).elevation_m(times, np.zeros((length, 3)))
         power.append(2 * np.abs(np.fft.rfft(window * elevation)) ** 2 / (length * np.sum(window**2)))
-    power = np.array(power)
-    scale = (height / 4) ** 2 / quad(
-        lambda w: float(jonswap_shape(np.array(w), peak)), 0.1, 10, points=(peak,), limit=200
-    )[0]
+    power, shape = np.array(power), lambda w: float(jonswap_shape(np.array(w), peak))
+    scale = (height / 4) ** 2 / quad(shape, 0.1, 10, points=(peak,), limit=200)[0]
     for low, high in ((0.7, 0.85), (0.85, 0.95), (0.95, 1.05), (1.05, 1.2), (1.2, 1.6), (1.6, 2.5), (2.5, 4.5)):
         inside = (frequencies >= low * peak) & (frequencies < high * peak)
         edges = frequencies[inside][[0, -1]] + np.array([-0.5, 0.5]) * frequencies[1]
-        asked = scale * quad(lambda w: float(jonswap_shape(np.array(w), peak)), *edges, limit=200)[0]
+        asked = scale * quad(shape, *edges, limit=200)[0]
         found = power[:, inside].sum(axis=1)
         error = found.std(ddof=1) / np.sqrt(len(found))
         assert abs(found.mean() - asked) < 4 * error + 0.02 * asked, (low, high)  # 2 %: leakage of the window
@@ -112,10 +93,9 @@ def test_vessel_follows_waves_much_longer_than_itself(heading, direction, speed)
     motion = moved(sea, BOAT, way)
     height = sea.elevation_m(times, way.positions_m)
     np.testing.assert_allclose(motion.heave_m, height, atol=0.02)
-    reach = 1.0
     for body, points in (([1.0, 0, 0], "bow"), ([0, 1.0, 0], "port")):
         side = world_R_vehicle(heading) @ np.array(body)
-        rise = (sea.elevation_m(times, way.positions_m + reach * side) - height) / reach
+        rise = sea.elevation_m(times, way.positions_m + side) - height
         deck = (np.swapaxes(vehicle_R_nominal(motion.angles_rad), 1, 2) @ np.array(body))[:, 2]
         np.testing.assert_allclose(deck, rise, atol=0.04 * sea.wave_numbers_rad_m[0], err_msg=points)
 
@@ -156,7 +136,7 @@ def test_roll_answers_most_at_its_period_and_is_damped():
     slope = w**2 / GRAVITY_M_S2 * np.exp(-(w**2) / GRAVITY_M_S2 * BOAT.draught_m)
     magnified = abs(response(BOAT, w, w[None], np.array([np.pi / 2])).roll[0]) / slope
     assert w[magnified.argmax()] == pytest.approx(2 * np.pi / period, rel=0.05)
-    assert magnified.max() == pytest.approx(1 / (2 * ROLL_DAMPING), rel=0.1)
+    assert magnified.max() == pytest.approx(1 / (2 * floating.ROLL_DAMPING), rel=0.1)
 
 
 @settings(max_examples=40)
@@ -221,8 +201,8 @@ def test_seed_decides_the_sea_and_vessels_in_one_place_move_alike():
     one, same, other = (jonswap_sea(1.0, 6.0, 0.0, seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.phases_rad, same.phases_rad)
     assert (one.elevation_m(times, way.positions_m) != other.elevation_m(times, way.positions_m)).all()
-    floating = FloatingVessels(one, {"a": BOAT, "b": BOAT})
-    np.testing.assert_array_equal(floating.motion("a", way).heave_m, floating.motion("b", way).heave_m)
+    both = floating.FloatingVessels(one, {"a": BOAT, "b": BOAT})
+    np.testing.assert_array_equal(both.motion("a", way).heave_m, both.motion("b", way).heave_m)
 
 
 SWELL = {"spectrum": "jonswap", "significant_height_m": 1.5, "peak_period_s": 6, "direction_rad": 0.5}
@@ -230,10 +210,8 @@ SWELL = {"spectrum": "jonswap", "significant_height_m": 1.5, "peak_period_s": 6,
 
 def own_ship_scene(folder, waves):
     """Own ship with a camera, another vessel before it, and a camera ashore."""
-    boats = {
-        "own": ([14, 4, 3], [[0, 60, -30], [7.5, 60, -10], [30, 50, 60]]),
-        "other": ([14, 4, 3], [[0, 90, -30], [30, 90, 90]]),
-    }
+    own, other = [[0, 60, -30], [7.5, 60, -10], [30, 50, 60]], [[0, 90, -30], [30, 90, 90]]
+    boats = {"own": ([14, 4, 3], own), "other": ([14, 4, 3], other)}
     ashore = camera_keys(pose={"position_m": [0, 0, 10]})
     bow = camera_keys(mount={"vessel": "own", "position_m": [7, 0, 3], "yaw_rad": -1.5})
     return write_scene(folder, boats, 30, cameras={"C0": ashore, "bow": bow}, waves=waves)

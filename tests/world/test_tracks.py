@@ -15,10 +15,9 @@ CORNER = {"a": [(2.0, 0.0, 0.0), (6.0, 8.0, 0.0), (8.0, 8.0, -6.0)]}
 
 
 def test_vessel_is_at_each_waypoint_at_its_time():
-    poses = waypoint_tracks(CORNER, ["a"], 11, 1.0).poses(0, 11)
-    np.testing.assert_array_equal(poses.positions_m[2, 0], [0, 0, 0])
-    np.testing.assert_array_equal(poses.positions_m[6, 0], [8, 0, 0])
-    np.testing.assert_array_equal(poses.positions_m[8, 0], [8, -6, 0])
+    assert list(waypoint_tracks(CORNER, ["a"], 4, 0.1).timestamps) == ["0.0", "0.1", "0.2", "0.3"]  # exact decimals
+    places_m = waypoint_tracks(CORNER, ["a"], 11, 1.0).poses(0, 11).positions_m[:, 0]
+    np.testing.assert_array_equal(places_m[[2, 6, 8]], [[0, 0, 0], [8, 0, 0], [8, -6, 0]])
 
 
 def test_speed_is_constant_between_two_waypoints():
@@ -56,16 +55,12 @@ def test_tracks_stand_in_the_order_of_the_scenes_vessels():
     np.testing.assert_array_equal(poses.positions_m[0], [[-1, 0, 0], [1, 1, 0]])
 
 
-def test_times_are_exact_decimals():
-    assert list(waypoint_tracks(CORNER, ["a"], 4, 0.1).timestamps) == ["0.0", "0.1", "0.2", "0.3"]
-
-
-def scene_with(folder, tracks):
+def load_with(folder, tracks):
     path = write_scene(folder, {"a": ([5, 2, 2], [[0, 100, 0], [9, 100, 9]])}, 5)
     data = json.loads(path.read_text())
     data["poses"]["tracks"] = tracks
     path.write_text(json.dumps(data))
-    return path
+    load_scene(path)
 
 
 @pytest.mark.parametrize(
@@ -83,14 +78,11 @@ def scene_with(folder, tracks):
 )
 def test_what_is_wrong_with_a_track_is_told_with_its_path(tmp_path, tracks, problem):
     with pytest.raises(InputError) as caught:
-        load_scene(scene_with(tmp_path, tracks))
+        load_with(tmp_path, tracks)
     assert any(told.startswith(problem) for told in caught.value.problems), caught.value.problems
-
-
-def test_all_that_is_wrong_with_tracks_is_told_at_once(tmp_path):
     with pytest.raises(InputError) as caught:
-        load_scene(scene_with(tmp_path, {"a": [[3, 100, 0], [2, 100, 0]], "c": [[0, 0, 0]]}))
-    assert len(caught.value.problems) == 4
+        load_with(tmp_path, {"a": [[3, 100, 0], [2, 100, 0]], "c": [[0, 0, 0]]})
+    assert len(caught.value.problems) == 4  # all at once
 
 
 def test_scene_of_tracks_loads_and_says_when_a_vessel_appears_and_leaves(tmp_path):

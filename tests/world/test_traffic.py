@@ -14,8 +14,8 @@ from tests.world.drawn_traffic import LAND, OWN, TRAFFIC, Drive, draw, traffic_k
 SEEDS = range(6)
 STEP_S = 0.5
 ABAFT_RAD = math.radians(112.5)
-NEARER_M = float(np.nextafter(10.0, 0.0))
-"""Nearer than the clearance, which is the least distance that is kept."""
+LAND_M = shapely.union_all([shapely.Polygon(corners) for corners, _, _ in LAND.values()])
+NEARER_M = float(np.nextafter(10.0, 0.0))  # nearer than the clearance, which is the least distance that is kept
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +23,23 @@ def drives() -> list[Drive]:
     return [draw(TRAFFIC, seed) for seed in SEEDS]
 
 
+def wrapped(angle_rad):
+    return (angle_rad + np.pi) % (2 * np.pi) - np.pi
+
+
+def ways(drives: list[Drive], section: str = ""):
+    """All drawn vessels, or those of a section, each with its drive, its places and its headings."""
+    for drive in drives:
+        for craft in drive.of(section) if section else drive.traffic.craft:
+            yield drive, craft, *drive.way(craft.name)
+
+
 def hulls_between(drive: Drive, step: int, share: float) -> tuple[np.ndarray, np.ndarray]:
     """Polygons and columns of the vessels that are there at a step and the next one, a share of a step later."""
     poses = drive.poses
     columns = np.flatnonzero(poses.present[step] & poses.present[step + 1])
     before, after = poses.positions_m[step, columns, :2], poses.positions_m[step + 1, columns, :2]
-    turn = (poses.headings_rad[step + 1, columns] - poses.headings_rad[step, columns] + np.pi) % (2 * np.pi) - np.pi
+    turn = wrapped(poses.headings_rad[step + 1, columns] - poses.headings_rad[step, columns])
     heading = poses.headings_rad[step, columns] + share * turn
     along = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
@@ -48,11 +59,10 @@ def test_no_two_hulls_come_closer_than_the_clearance_between_steps_too(drives):
 
 
 def test_no_hull_comes_closer_to_land_than_the_clearance(drives):
-    land = shapely.union_all([shapely.Polygon(corners) for corners, _, _ in LAND.values()])
-    shapely.prepare(land)
+    shapely.prepare(LAND_M)
     for drive in drives:
         for step in range(0, len(drive.poses.present) - 1, 4):
-            assert not shapely.dwithin(hulls_between(drive, step, 0.5)[0], land, NEARER_M).any()
+            assert not shapely.dwithin(hulls_between(drive, step, 0.5)[0], LAND_M, NEARER_M).any()
 
 
 def test_vessels_pass_below_a_bridge_that_is_above_their_masts_and_no_other():
@@ -60,8 +70,7 @@ def test_vessels_pass_below_a_bridge_that_is_above_their_masts_and_no_other():
     lane = {"waypoints_m": [[-2000, 0], [0, 0]], "width_m": 200, "per_hour": 60, "kinds": ["tug", "coaster"]}
     drive = draw({"lanes": {"low": lane}}, land={"deck": (deck, 18.5, 3)})
     crossed = 0
-    for craft in drive.of("lanes.low"):
-        places, _ = drive.way(craft.name)
+    for _, craft, places, _ in ways([drive], "lanes.low"):
         crosses = len(places) and places[:, 0].min() < -1000 < places[:, 0].max()
         crossed += crosses
         assert not crosses or craft.track.hull.air_draft_m <= 18.5
@@ -70,9 +79,9 @@ def test_vessels_pass_below_a_bridge_that_is_above_their_masts_and_no_other():
 
 def test_encounters_have_the_closest_approach_and_time_that_were_drawn(drives):
     for drive in drives:
-        assert len([craft for craft in drive.traffic.craft if craft.asked]) == 4
-        own = drive.column("own")
-        for craft in (craft for craft in drive.traffic.craft if craft.asked):
+        asking, own = [craft for craft in drive.traffic.craft if craft.asked], drive.column("own")
+        assert len(asking) == 4
+        for craft in asking:
             column = drive.column(craft.name)
             both = np.flatnonzero(drive.poses.present[:, column] & drive.poses.present[:, own])
             offset = drive.poses.positions_m[both, column] - drive.poses.positions_m[both, own]
@@ -89,7 +98,7 @@ def test_encounters_have_the_closest_approach_and_time_that_were_drawn(drives):
 
 def bearing(places, headings, others):
     offset = others - places
-    return (np.arctan2(offset[1], offset[0]) - headings + np.pi) % (2 * np.pi) - np.pi
+    return wrapped(np.arctan2(offset[1], offset[0]) - headings)
 
 
 def test_encounters_are_of_the_kind_that_was_asked_for(drives):
@@ -114,35 +123,23 @@ def test_encounters_are_of_the_kind_that_was_asked_for(drives):
 
 
 def test_vessels_of_a_lane_both_ways_keep_to_its_starboard_half(drives):
-    for drive in drives:
-        for craft in drive.of("lanes.fairway"):
-            places, headings = drive.way(craft.name)
-            straight = places[:, 0] < 600  # the first leg lies on w2 = 0
-            side = places[straight, 1] * (-1 if craft.outbound else 1)
-            assert (side >= craft.track.hull.beam_m / 2).all()
-            assert (np.cos(headings[straight]) > 0).all() == craft.outbound or not straight.any()
+    for _, craft, places, headings in ways(drives, "lanes.fairway"):
+        straight = places[:, 0] < 600  # the first leg lies on w2 = 0
+        side = places[straight, 1] * (-1 if craft.outbound else 1)
+        assert (side >= craft.track.hull.beam_m / 2).all()
+        assert (np.cos(headings[straight]) > 0).all() == craft.outbound or not straight.any()
 
 
-def test_speeds_are_constant_and_in_the_range_of_the_kind(drives):
-    for drive in drives:
-        for craft in drive.traffic.craft:
-            low, high = shipped_kinds()[craft.track.hull.kind]["speed_m_s"]
-            assert low <= craft.track.speed_m_s <= high
-            places, _ = drive.way(craft.name)
-            moved = np.linalg.norm(np.diff(places, axis=0), axis=1) / STEP_S
-            np.testing.assert_allclose(moved, craft.track.speed_m_s, rtol=0.02)
-
-
-def test_vessels_head_along_their_way_and_turn_no_tighter_than_their_circle(drives):
-    for drive in drives:
-        for craft in drive.traffic.craft:
-            places, headings = drive.way(craft.name)
-            moved, turned = np.diff(places, axis=0), np.diff(np.unwrap(headings))
-            middle = headings[:-1] + turned / 2
-            off = np.arctan2(moved[:, 1], moved[:, 0]) - middle
-            assert np.abs((off + np.pi) % (2 * np.pi) - np.pi).max(initial=0) < 0.02
-            least = craft.track.hull.turning_radius_m * 0.97
-            assert np.abs(turned).max(initial=0) <= craft.track.speed_m_s * STEP_S / least
+def test_vessels_keep_a_speed_of_their_kind_head_along_their_way_and_turn_no_tighter_than_their_circle(drives):
+    for _, craft, places, headings in ways(drives):
+        low, high = shipped_kinds()[craft.track.hull.kind]["speed_m_s"]
+        assert low <= craft.track.speed_m_s <= high
+        moved, turned = np.diff(places, axis=0), np.diff(np.unwrap(headings))
+        np.testing.assert_allclose(np.linalg.norm(moved, axis=1) / STEP_S, craft.track.speed_m_s, rtol=0.02)
+        off = np.arctan2(moved[:, 1], moved[:, 0]) - (headings[:-1] + turned / 2)
+        assert np.abs(wrapped(off)).max(initial=0) < 0.02
+        least = craft.track.hull.turning_radius_m * 0.97
+        assert np.abs(turned).max(initial=0) <= craft.track.speed_m_s * STEP_S / least
 
 
 def test_vessels_of_a_lane_are_there_from_its_one_end_to_the_other():
@@ -156,12 +153,11 @@ def test_vessels_of_a_lane_are_there_from_its_one_end_to_the_other():
 
 
 def test_arrivals_come_out_as_asked_and_traffic_is_stationary():
-    lane = {"waypoints_m": [[0, 0], [3000, 0]], "width_m": 400, "per_hour": 40, "kinds": "coaster", "speed_m_s": {}}
+    lane = {"waypoints_m": [[0, 0], [3000, 0]], "width_m": 400, "per_hour": 40, "kinds": "coaster"}
+    lanes = {"lane": lane | {"speed_m_s": {"coaster": 6.0}}}
     seen, early, late, expected, left_out = 0, 0, 0, 0.0, 0
     for seed in range(40):
-        drive = draw(
-            {"lanes": {"lane": lane | {"speed_m_s": {"coaster": 6.0}}}}, seed, steps=41, time_step_s=5.0, land={}
-        )
+        drive = draw({"lanes": lanes}, seed, steps=41, time_step_s=5.0, land={})
         seen += len(drive.of("lanes.lane"))
         left_out += sum(drive.traffic.left_out.values())
         early, late = early + drive.poses.present[0].sum(), late + drive.poses.present[-1].sum()
@@ -183,44 +179,36 @@ def test_no_vessel_makes_way_by_staying_away(drives):
 
 def test_density_of_leisure_craft_comes_out_as_asked():
     area = TRAFFIC["leisure"]["bay"] | {"per_km2": 1.0, "kinds": "kayak"}
-    water = shapely.Polygon(area["polygon_m"]) - shapely.union_all([shapely.Polygon(c) for c, _, _ in LAND.values()])
+    water = shapely.Polygon(area["polygon_m"]) - LAND_M
     seen = sum(len(draw({"leisure": {"bay": area}}, seed, steps=2).of("leisure.bay")) for seed in range(8))
     low, high = stats.poisson.interval(0.999, 8 * water.area / 1e6)
     assert low <= seen <= high
 
 
 def test_leisure_craft_stay_in_their_area_and_kayaks_near_the_shore(drives):
-    land = shapely.union_all([shapely.Polygon(corners) for corners, _, _ in LAND.values()])
     area = shapely.Polygon(TRAFFIC["leisure"]["bay"]["polygon_m"])
-    for drive in drives:
-        for craft in drive.of("leisure.bay"):
-            places, _ = drive.way(craft.name)
-            assert len(places) == len(drive.poses.present)  # they are there for the whole drive
-            points = shapely.points(places)
-            assert shapely.contains(area, points).all()
-            if craft.track.hull.kind == "kayak":
-                assert shapely.distance(points, land).max() < 100
+    for drive, craft, places, _ in ways(drives, "leisure.bay"):
+        assert len(places) == len(drive.poses.present)  # they are there for the whole drive
+        points = shapely.points(places)
+        assert shapely.contains(area, points).all()
+        assert craft.track.hull.kind != "kayak" or shapely.distance(points, LAND_M).max() < 100
 
 
 def test_sailing_craft_keep_away_from_the_wind():
     area = TRAFFIC["leisure"]["bay"] | {"kinds": "sailing_yacht"}
     drive = draw({"leisure": {"bay": area}, "wind_from_rad": 0.5}, steps=600)
     straight, upwind = 0, 0
-    for craft in drive.of("leisure.bay"):
-        _, headings = drive.way(craft.name)
+    for *_, headings in ways([drive], "leisure.bay"):
         turning = np.abs(np.diff(np.unwrap(headings))) > 1e-4
-        off = np.abs((headings[1:] - 0.5 + np.pi) % (2 * np.pi) - np.pi)[~turning]
+        off = np.abs(wrapped(headings[1:] - 0.5))[~turning]
         straight, upwind = straight + len(off), upwind + (off < math.radians(42)).sum()
     assert straight > 1000
     assert upwind == 0
 
 
 def same(first: Drive, second: Drive) -> bool:
-    ours, theirs = first.poses, second.poses
-    return first.vessels == second.vessels and all(
-        getattr(ours, name).tobytes() == getattr(theirs, name).tobytes()
-        for name in ("present", "positions_m", "headings_rad")
-    )
+    ours, theirs = ([column.tobytes() for column in vars(drive.poses).values()] for drive in (first, second))
+    return first.vessels == second.vessels and ours == theirs
 
 
 def test_same_seed_gives_the_same_bytes_and_another_other_traffic(drives):
@@ -231,10 +219,8 @@ def test_same_seed_gives_the_same_bytes_and_another_other_traffic(drives):
 
 def test_a_changed_lane_leaves_the_draws_of_another_unchanged():
     lane = {"width_m": 200, "per_hour": 30, "kinds": ["coaster", "tug"]}
-    lanes = {
-        "a": lane | {"waypoints_m": [[0, 0], [3000, 0]]},
-        "b": lane | {"waypoints_m": [[0, 5000], [3000, 5000]]},
-    }
+    ways = {"a": [[0, 0], [3000, 0]], "b": [[0, 5000], [3000, 5000]]}
+    lanes = {name: lane | {"waypoints_m": way} for name, way in ways.items()}
     before = draw({"lanes": lanes}, steps=60, land={})
     lanes["a"] = lanes["a"] | {"per_hour": 60, "kinds": "tug"}
     after = draw({"lanes": lanes}, steps=60, land={})
@@ -266,9 +252,8 @@ def test_own_ship_follows_her_route_at_a_speed_of_the_range(drives):
 def test_entries_have_the_form_of_a_vessels_file_and_labels_may_be_renamed():
     drive = draw(TRAFFIC, 0)
     assert {entry["label"] for entry in drive.entries.values()} == {"boat", "sailboat", "ship"}
-    assert all(
-        entry.keys() <= {"length_m", "beam_m", "air_draft_m", "label", "mesh"} for entry in drive.entries.values()
-    )
+    keys = {"length_m", "beam_m", "air_draft_m", "label", "mesh"}
+    assert all(entry.keys() <= keys for entry in drive.entries.values())
     renamed = draw(traffic_keys(labels={"sailboat": "boat"}), 0)
     assert {vessel.label for vessel in renamed.vessels} == {"boat", "ship"}
     one = draw(traffic_keys(labels="Vessel"), 0)

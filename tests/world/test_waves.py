@@ -15,10 +15,8 @@ FIGURE_7_13 = Axis(a=0.99, b=0.99, sigma_rad=1e-4)
 
 
 def second_order_variance(axis, steps):
-    """Variance of x'(t) from a zero start, for a = b: σ² Σ_{k=0}^{t−1} ((k + 1) aᵏ)².
-
-    Each e reaches x' through the convolution of the two processes' impulse responses, Σ aʲ bᵏ⁻ʲ = (k + 1) aᵏ.
-    """
+    """Variance of x'(t) from a zero start, for a = b: σ² Σ_{k=0}^{t−1} ((k + 1) aᵏ)². Each e reaches x' through the
+    convolution of the two processes' impulse responses, Σ aʲ bᵏ⁻ʲ = (k + 1) aᵏ."""
     k = np.arange(steps)
     return float(axis.sigma_rad**2 * np.sum(((k + 1) * axis.a**k) ** 2))
 
@@ -68,10 +66,8 @@ def test_variance_from_zero_start_is_that_of_figure_7_13():
     motion = waves()
     both = [motion.angles(f"v{i}", np.zeros(2), np.array([100, 2000])) for i in range(500)]
     at_100, long_run = np.concatenate(both, axis=1)
-    for sample, variance in (
-        (at_100, second_order_variance(FIGURE_7_13, 100)),
-        (long_run, long_run_deviation(FIGURE_7_13) ** 2),
-    ):
+    asked = second_order_variance(FIGURE_7_13, 100), long_run_deviation(FIGURE_7_13) ** 2
+    for sample, variance in zip((at_100, long_run), asked, strict=True):
         standard_error = variance * np.sqrt(2 / len(sample))
         assert abs(np.mean(sample**2) - variance) < 4 * standard_error
         assert abs(sample.mean()) < 4 * np.sqrt(variance / len(sample))
@@ -124,9 +120,8 @@ def test_positive_roll_lowers_port_positive_pitch_the_bow_and_positive_yaw_turns
 
 
 def board(mount, waves_rad, composition="rigid", heading=0.7):
-    return poses_on_board(
-        mount, np.array([[100.0, 50.0, 0.0]]), np.array([heading]), np.array([waves_rad]), composition
-    )
+    places, headings, angles = np.array([[100.0, 50.0, 0.0]]), np.array([heading]), np.array([waves_rad])
+    return poses_on_board(mount, places, headings, angles, composition)
 
 
 def test_roll_is_pitch_for_a_camera_that_looks_to_port():

@@ -22,7 +22,7 @@ from modsim3d.core.text import key_table
 from modsim3d.detector.file.reading import content_of
 from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
-from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
+from modsim3d.formats.labelled import FileIds, half_plane
 from modsim3d.formats.labelled_video.detecting import VideoChunk, count_part, detected_parts, tables_of
 from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
@@ -39,15 +39,12 @@ from modsim3d.scene.settings import choose_detector
 
 # ---- What a tracker and an evaluator read ----
 
-ONE_FRAME_HZ = 1.0
-"""The frame rate that is written of a video of one frame."""
+ONE_FRAME_HZ = 1.0  # the frame rate that is written of a video of one frame
 
 
 def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequence[str]) -> dict[str, int]:
-    """The number of each of the detector's labels in the file: that of the first class that it stands for.
-
-    A label that stands for no class has a number that the file does not use.
-    """
+    """The number of each of the detector's labels in the file: that of the first class that it stands for, or one that
+    the file does not use where it stands for none."""
     numbers, free = {}, max((0, *classes.numbers)) + 1
     for index, label in enumerate(labels):
         own = [number for number, to in zip(classes.numbers, to_label, strict=True) if to == index and number]
@@ -67,21 +64,17 @@ def tracker_files(parts: Sequence[VideoChunk], model: DetectorModel) -> dict[str
 
 
 def mot_files(truth: bytes, video: Video, parts: Sequence[VideoChunk], numbers: Sequence[int]) -> dict[str, bytes]:
-    """A MOT sequence: the truth as it was read, detections, and `seqinfo.ini`.
-
-    Detections name their class where the detector has several labels, whose numbers are given.
-    """
+    """A MOT sequence: the truth as it was read, detections, and `seqinfo.ini`. Detections name their class where the
+    detector has several labels, whose numbers are given."""
     count, duration_s = len(video.images), float(video.times_s[-1] - video.times_s[0])
     rate_hz = (count - 1) / duration_s if count > 1 else ONE_FRAME_HZ
-    text = "".join(_mot_text(part, numbers) for part in parts)
+    text = ""
+    for part in parts:
+        found = TrackerDetections.of(part.detections)
+        found = replace(found, frame=part.steps[found.frame])
+        text += detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
     info = sequence_text(video.name, video.size_px, rate_hz, count)
     return {"gt/gt.txt": truth, "det/det.txt": text.encode(), "seqinfo.ini": info.encode()}
-
-
-def _mot_text(part: VideoChunk, numbers: Sequence[int]) -> str:
-    found = TrackerDetections.of(part.detections)
-    found = replace(found, frame=part.steps[found.frame])
-    return detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
 
 
 def coco_results(parts: Iterable[VideoChunk], images: Sequence[int | str], numbers: Sequence[int]) -> bytes:
@@ -103,21 +96,19 @@ def coco_results(parts: Iterable[VideoChunk], images: Sequence[int | str], numbe
 
 
 def check_needs(model: DetectorModel, source: str, depth_m: Array, horizon: Array | None) -> list[str]:
-    """Remarks on what is left out.
-
-    Args:
-        model: The detector.
-        source: What messages call its file.
-        depth_m: Distance of each target, NaN where unknown, shape (n,).
-        horizon: The half-plane of the sea, shape (3,); None if it is not known.
-
-    Raises:
-        InputError: The detector asks for what is not known.
-    """
-    problems = [*_distance_problems(model, depth_m), *([] if horizon is not None else _horizon_problems(model))]
+    """Remarks on what is left out. `source` is what messages call the detector's file, `depth_m` the distance of each
+    target, NaN where unknown: (n,), `horizon` the half-plane of the sea: (3,), None if it is not known. Raises
+    InputError if the detector asks for what is not known."""
+    problems = list(_distance_problems(model, depth_m))
+    if horizon is None:
+        problems += _horizon_problems(model)
     if problems:
         raise InputError(source, problems)
-    return [] if horizon is not None else _left_out(model)
+    placement = model.false_positives.placement
+    rates = (getattr(state, model.false_positives.numbers.rate_key) for state in model.states)
+    if horizon is not None or placement.density is not None or not any(rate > 0 for rate in rates):
+        return []
+    return ["false positives lie anywhere in the image, also in the sky: --horizon would keep them on the sea"]
 
 
 def _distance_problems(model: DetectorModel, depth_m: Array) -> Iterator[str]:
@@ -153,21 +144,7 @@ def _horizon_problems(model: DetectorModel) -> Iterator[str]:
         yield f"false_positives.far_half_px: {needed}--set detector.false_positives.far_half_px=null"
 
 
-def _left_out(model: DetectorModel) -> list[str]:
-    """Remark on what a horizon would have changed."""
-    if model.false_positives.placement.density is not None:
-        return []
-    where = "false positives lie anywhere in the image, also in the sky: --horizon would keep them on the sea"
-    return [where] if _has_false_positives(model) else []
-
-
-def _has_false_positives(model: DetectorModel) -> bool:
-    return any(getattr(state, model.false_positives.numbers.rate_key) > 0 for state in model.states)
-
-
-FORMAT = 1
-SUMMARY = "detect.json"
-"""The file with settings, hashes and counts."""
+FORMAT, SUMMARY = 1, "detect.json"  # the file with settings, hashes and counts
 
 
 @dataclass(frozen=True, repr=False)
@@ -193,7 +170,7 @@ class TruthResult:
     seconds: float
 
     def __repr__(self) -> str:
-        """Where it is, and its counts, in a line."""
+        """Its folder and its counts, in a line."""
         return f"<TruthResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
@@ -273,39 +250,30 @@ def detect_truth(
         with claimed([folder / name for name in names], overwrite=overwrite, inputs=read):
             parts = list(detected_parts(work.videos, work.sought, work.ids.identities, model, seed, work.horizon))
             contents = work.contents(truth, parts)
-            counts = _counts(work, parts)
+            counts = {video.name: Counts() for video in work.videos}
+            for part in parts:
+                counts[part.video.name] += count_part(part, work.sought)
             hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
             files = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
             contents[SUMMARY] = json_text({**work.summary(seed, counts), "inputs": hashes, "files": files})
             _put(folder, contents, read)
-    return TruthResult(
-        folder,
-        work.kind,
-        counts,
-        work.occlusion(),
-        work.notes,
-        tuple(folder / name for name in names),
-        time.perf_counter() - started,
-    )
+    paths = tuple(folder / name for name in names)
+    seconds = time.perf_counter() - started
+    return TruthResult(folder, work.kind, counts, work.occlusion(), work.notes, paths, seconds)
 
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """Targets to be detected, and the detector.
-
-    Attributes:
-        to_label: The detector's label of each class, −1 for none, shape (k,).
-        horizon: The half-plane of the sea, shape (3,); None if it is not known.
-    """
+    """Targets to be detected, and the detector."""
 
     kind: str
     model: DetectorModel
     ids: FileIds
     classes: FileClasses
-    to_label: Indices
+    to_label: Indices  # the detector's label of each class, −1 for none: (k,)
     videos: list[Video]
     sought: TargetBoxes
-    horizon: Array | None
+    horizon: Array | None  # the half-plane of the sea: (3,); None if it is not known
     notes: tuple[str, ...]
 
     @classmethod
@@ -318,14 +286,12 @@ class _Work:
         labels: Sequence[str] | None,
         horizon: float | Sequence[float] | None,
     ) -> _Work:
-        """Read the truth, and check that the detector can work on it.
-
-        Raises:
-            ModsimError: It cannot, or the truth is wrong.
-        """
+        """Read the truth. Raises ModsimError if it is wrong, or if the detector cannot work on it."""
         labelled, kind = read_truth(truth, options)
         source = f"ground truth {truth}"
-        ids = _ids(labelled, source)
+        if (ids := labelled.ids) is None:
+            raise ModsimError(f"{source}: its images and tracks have no names")
+        check_whole((str(name) for name in (*ids.images, *ids.sequences, *ids.identities)), source)
         videos = videos_of(labelled, ids, source)
         classes = FileClasses(kind, labelled.labels, ids.labels)
         considered = np.bincount(labelled.annotations.label[~labelled.annotations.ignored], minlength=len(ids.labels))
@@ -360,7 +326,7 @@ class _Work:
         return {**own, **tracker_files(parts, self.model), **stored}
 
     def occlusion(self) -> dict[str, int]:
-        """Where visible fractions come from."""
+        """Sources of visible fractions."""
         from_overlap = int(self.sought.from_overlap.sum())
         return {"from_file": len(self.sought) - from_overlap, "from_overlap": from_overlap}
 
@@ -384,21 +350,6 @@ class _Work:
             "notes": list(self.notes),
             "versions": {name: version(name) for name in VERSIONED},
         }
-
-
-def _ids(labelled: LabelledSet, source: str) -> FileIds:
-    ids = labelled.ids
-    if ids is None:
-        raise ModsimError(f"{source}: its images and tracks have no names")
-    check_whole((str(name) for name in (*ids.images, *ids.sequences, *ids.identities)), source)
-    return ids
-
-
-def _counts(work: _Work, parts: Sequence[VideoChunk]) -> dict[str, Counts]:
-    counts = {video.name: Counts() for video in work.videos}
-    for part in parts:
-        counts[part.video.name] += count_part(part, work.sought)
-    return counts
 
 
 def _put(folder: Path, contents: Mapping[str, bytes], read: Sequence[Path]) -> None:

@@ -29,20 +29,13 @@ BLOCK_BOXES, BLOCK_FRAMES = 8000, 2000
 
 @dataclass(frozen=True, eq=False)
 class VideoChunk:
-    """Consecutive frames of a video, and what the detector was given and made of them.
-
-    Attributes:
-        steps: Place of each frame in the video, shape (S,).
-        rows: Rows of the sought boxes in these frames, shape (n,).
-        frame: Frame of each, counted from the first, shape (n,).
-        target_rows: Which of these rows are visible, and were given to the detector, shape (k,).
-    """
+    """Consecutive frames of a video, and what the detector was given and made of them."""
 
     video: Video
-    steps: Indices
-    rows: Indices
-    frame: Indices
-    target_rows: Indices
+    steps: Indices  # place of each frame in the video: (S,)
+    rows: Indices  # of the sought boxes in these frames: (n,)
+    frame: Indices  # of each of these rows, counted from the first: (n,)
+    target_rows: Indices  # places of those that are visible, and were given to the detector: (k,)
     detections: Detections
 
     @property
@@ -71,7 +64,6 @@ class VideoChunk:
 class _Block:
     """Frames that the detector is given at once."""
 
-    video: Video
     rows: Indices
     frame: Indices
     target_rows: Indices
@@ -87,16 +79,8 @@ def detected_parts(
     seed: int,
     horizon: Array | None,
 ) -> Iterator[VideoChunk]:
-    """Run a detector over all videos, each of which is a camera of its own.
-
-    Args:
-        videos: The videos.
-        sought: Their boxes.
-        tracks: Names of the tracks.
-        model: The detector.
-        seed: Its seed.
-        horizon: The half-plane of the sea, shape (3,); None if it is not known.
-    """
+    """Run a detector over the boxes of all videos, each of which is a camera of its own. `horizon` is the half-plane of
+    the sea: (3,); None if it is not known."""
     sea = EVERYWHERE if horizon is None else horizon
     start_s = min(float(video.times_s[0]) for video in videos)
     rows = _rows_of(videos, sought)
@@ -161,7 +145,7 @@ def _blocks(
             depth_m=sought.depth_m[targets],
             vessel_ids=ids,
         )
-        yield _Block(video, of_block, frame[ours] - first, visible, frames, seen)
+        yield _Block(of_block, frame[ours] - first, visible, frames, seen)
 
 
 def _ranges(starts: Indices) -> Iterator[tuple[int, int]]:
@@ -224,12 +208,11 @@ def tables_of(
 ) -> dict[str, bytes]:
     """The files of all tables, by the name of the table."""
     names = [str(track) for track in tracks]
-    made = {
-        "frames": [_frames(part, images, model) for part in parts],
-        "truth": [_truth(part, sought, names, model) for part in parts],
-        "detections": [_detections(part, sought, names, model) for part in parts],
+    return {
+        "frames": _file(TABLES["frames"], [_frames(part, images, model) for part in parts]),
+        "truth": _file(TABLES["truth"], [_truth(part, sought, names, model) for part in parts]),
+        "detections": _file(TABLES["detections"], [_detections(part, sought, names, model) for part in parts]),
     }
-    return {table: _file(TABLES[table], columns) for table, columns in made.items()}
 
 
 def _file(columns: Sequence[TableColumn], parts: Sequence[dict[str, Any]]) -> bytes:

@@ -17,19 +17,12 @@ from modsim3d.io.validation import nearest, shown
 from modsim3d.truth.analytic import NOTHING_PX2, Hiding
 from modsim3d.truth.occlusion_order import overlapping_pairs
 
-# ---- The boxes of a labelled set that a detector is to find, and how much of each is visible ----
-
 # ---- How much of each box is visible, from the boxes alone ----
 
 
 def visible_fractions(image: Indices, boxes_px: Array, feet_px: Array) -> Array:
-    """Share of each box that no nearer box of its image covers, shape (n,).
-
-    Args:
-        image: Image of each box, non-decreasing, shape (n,).
-        boxes_px: The boxes cut at the edge of the image, shape (n, 4).
-        feet_px: Lower edge of each box before it was cut, shape (n,).
-    """
+    """Share of each box that no nearer box of its image covers: (n,). `image` of each box is non-decreasing: (n,),
+    `boxes_px` are cut at the edge of the image: (n, 4), `feet_px` are the lower edges before that: (n,)."""
     first, second = overlapping_pairs(image, boxes_px)
     below, above = feet_px[first] > feet_px[second], feet_px[first] < feet_px[second]
     hiding = Hiding.of(np.concatenate([second[below], first[above]]), np.concatenate([first[below], second[above]]))
@@ -47,34 +40,22 @@ def visible_fractions(image: Indices, boxes_px: Array, feet_px: Array) -> Array:
     return fractions
 
 
-MAX_BOXES = 2000
-"""Of an image: pairs of them are compared."""
+MAX_BOXES = 2000  # of an image: pairs of them are compared
 _HALF = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class TargetBoxes:
-    """The boxes that are to be found, n rows in order of image and track.
+    """The boxes that are to be found, n rows in order of image and track."""
 
-    Attributes:
-        image: Row of the images, non-decreasing, shape (n,).
-        track: Index into the identities of the file, shape (n,).
-        label: Index into the detector's labels, shape (n,).
-        boxes_px: Cut at the edge of the image, shape (n, 4).
-        visible_fraction: Shape (n,).
-        depth_m: NaN where unknown, shape (n,).
-        from_overlap: Whether the visible fraction comes from the overlap of boxes, not from the file, shape (n,).
-        notes: What was left out, and where visible fractions come from.
-    """
-
-    image: Indices
-    track: Indices
-    label: Indices
-    boxes_px: Array
+    image: Indices  # row of the images, non-decreasing: (n,)
+    track: Indices  # index into the identities of the file: (n,)
+    label: Indices  # index into the detector's labels: (n,)
+    boxes_px: Array  # cut at the edge of the image: (n, 4)
     visible_fraction: Array
-    depth_m: Array
-    from_overlap: Mask
-    notes: tuple[str, ...]
+    depth_m: Array  # NaN where unknown: (n,)
+    from_overlap: Mask  # whether the visible fraction comes from the overlap of boxes, not from the file: (n,)
+    notes: tuple[str, ...]  # what was left out, and where visible fractions come from
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -88,65 +69,37 @@ class TargetBoxes:
 
 
 def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str, ...], source: str) -> TargetBoxes:
-    """Targets of a detector in a labelled set.
-
-    Args:
-        labelled: The set.
-        to_label: The detector's label of each of its labels, −1 for what is no target, shape (k,).
-        tracks: Its identities; the rows of an image are ordered by their names.
-        source: What messages call the file.
-
-    Raises:
-        InputError: A box that is to be found has no track, or an image has too many boxes.
-    """
+    """Targets of a detector in a labelled set. `to_label` has the detector's label of each of its labels, −1 for what
+    is no target: (k,), `tracks` its identities, by whose names the rows of an image are ordered, `source` what messages
+    call the file. Raises InputError if a box that is to be found has no track, or an image has too many boxes."""
     rows = labelled.annotations
-    _check_count(labelled, source)
+    counts = np.bincount(rows.image, minlength=1)
+    if (most := int(counts.max())) > MAX_BOXES:
+        image = shown(labelled.images.names[int(counts.argmax())])
+        raise InputError(source, [f"image {image} has {most:,} boxes, and at most {MAX_BOXES:,} can be compared"])
     boxes_px = clip(rows.boxes_px, labelled.images.sizes_px[rows.image])
     inside = (sizes(boxes_px) > 0).all(axis=1)
     of_label = to_label[rows.label] >= 0
     wanted = ~rows.ignored & of_label
     solid = np.flatnonzero(inside & ~rows.crowd)
     found = np.flatnonzero(wanted & inside)
-    _check_tracks(labelled, found, source)
-    fractions, from_overlap, notes = _visible(
-        rows.visible_fraction, rows.image, boxes_px, rows.boxes_px[:, 3], solid, found
-    )
+    if len(without := found[rows.identity[found] < 0]):
+        image = shown(labelled.images.names[rows.image[without[0]]])
+        what = f"{len(without)} of {len(found)} boxes have no track, the first is in image {image}"
+        raise InputError(source, [f"{what}: each needs a track_id in COCO, or an identity of 0 or more in MOT"])
+    feet_px = rows.boxes_px[:, 3]
+    fractions, from_overlap, notes = _visible(rows.visible_fraction, rows.image, boxes_px, feet_px, solid, found)
     left_out = {
         "not to be considered": rows.ignored,
         "of classes that are not to be detected": ~rows.ignored & ~of_label,
         "outside their image": wanted & ~inside,
     }
-    said = [
-        f"{int(mask.sum())} of {len(rows)} boxes are left out: {why}" for why, mask in left_out.items() if mask.any()
-    ]
+    counted = ((why, int(mask.sum())) for why, mask in left_out.items())
+    said = [f"{count} of {len(rows)} boxes are left out: {why}" for why, count in counted if count]
     names = np.argsort(np.argsort(np.array([str(track) for track in tracks], dtype=object), kind="stable"))
     order = found[np.lexsort((names[rows.identity[found]] if len(names) else found, rows.image[found]))]
-    return TargetBoxes(
-        rows.image[order],
-        rows.identity[order],
-        to_label[rows.label[order]],
-        boxes_px[order],
-        fractions[order],
-        rows.depth_m[order],
-        from_overlap[order],
-        (*said, *notes),
-    )
-
-
-def _check_count(labelled: LabelledSet, source: str) -> None:
-    counts = np.bincount(labelled.annotations.image, minlength=1)
-    if (most := int(counts.max())) > MAX_BOXES:
-        image = shown(labelled.images.names[int(counts.argmax())])
-        raise InputError(source, [f"image {image} has {most:,} boxes, and at most {MAX_BOXES:,} can be compared"])
-
-
-def _check_tracks(labelled: LabelledSet, found: Indices, source: str) -> None:
-    rows = labelled.annotations
-    without = found[rows.identity[found] < 0]
-    if len(without):
-        image = shown(labelled.images.names[rows.image[without[0]]])
-        what = f"{len(without)} of {len(found)} boxes have no track, the first is in image {image}"
-        raise InputError(source, [f"{what}: each needs a track_id in COCO, or an identity of 0 or more in MOT"])
+    places = rows.image[order], rows.identity[order], to_label[rows.label[order]], boxes_px[order]
+    return TargetBoxes(*places, fractions[order], rows.depth_m[order], from_overlap[order], (*said, *notes))
 
 
 def _visible(
@@ -172,8 +125,7 @@ def _visible(
 
 # ---- The videos of a labelled set ----
 
-NO_NAME = "sequence"
-"""The name of a sequence to which the file gives none."""
+NO_NAME = "sequence"  # the name of a sequence to which the file gives none
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.-]")
 _MAX_NAME = 100
 _MAX_SIDE_PX = 100_000
@@ -181,19 +133,12 @@ _MAX_SIDE_PX = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """One sequence, which is one camera of the detector.
+    """One sequence, which is one camera of the detector."""
 
-    Attributes:
-        name: What the file calls it; random numbers are keyed by it.
-        images: Row of each of S frames in the labelled set's images, in order of time, shape (S,).
-        times_s: Time of each frame as the file has it, ascending, shape (S,).
-        size_px: Width and height of its images.
-    """
-
-    name: str
-    images: Indices
-    times_s: Array
-    size_px: tuple[int, int]
+    name: str  # as the file has it; random numbers are keyed by it
+    images: Indices  # row of each of S frames in the labelled set's images, in order of time: (S,)
+    times_s: Array  # of each frame as the file has it, ascending: (S,)
+    size_px: tuple[int, int]  # width and height of its images
 
     @property
     def file_name(self) -> str:
@@ -202,18 +147,15 @@ class Video:
 
 
 def videos_of(labelled: LabelledSet, ids: FileIds, source: str) -> list[Video]:
-    """The sequences in order of their names.
-
-    Raises:
-        InputError: There are no images, or images of a sequence have no times, equal times or different sizes.
-    """
+    """The sequences in order of their names. Raises InputError if there are no images, or images of a sequence have no
+    times, equal times or different sizes."""
     images = labelled.images
     if not len(images):
         raise InputError(source, ["there are no images, nor does a seqLength in seqinfo.ini say how many"])
-    problems: list[str] = []
-    videos = []
+    problems, videos = list[str](), list[Video]()
     order = np.lexsort((images.time_s, images.sequence))
-    for number, rows in zip(*_split(images.sequence[order], order), strict=True):
+    numbers, starts = np.unique(images.sequence[order], return_index=True)
+    for number, rows in zip(numbers.tolist(), np.split(order, starts[1:]), strict=True):
         given = ids.sequences[number]
         name = NO_NAME if given is None else str(given)
         found = list(_problems(name, images, rows))
@@ -225,12 +167,6 @@ def videos_of(labelled: LabelledSet, ids: FileIds, source: str) -> list[Video]:
     if problems:
         raise InputError(source, problems)
     return sorted(videos, key=lambda video: video.name)
-
-
-def _split(sequence: Indices, rows: Indices) -> tuple[list[int], list[Indices]]:
-    """The number of each sequence, and its rows."""
-    numbers, starts = np.unique(sequence, return_index=True)
-    return numbers.tolist(), np.split(rows, starts[1:])
 
 
 def _problems(name: str, images: Images, rows: Indices) -> Iterator[str]:
@@ -271,23 +207,16 @@ def _alike(videos: list[Video]) -> Iterator[str]:
 
 # ---- Which of the detector's labels each class of a file is ----
 
-NO_TARGET = "-"
-"""In place of a label: things of this class are not to be detected."""
+NO_TARGET = "-"  # in place of a label: things of this class are not to be detected
 
 
 @dataclass(frozen=True)
 class FileClasses:
-    """The classes of a file.
+    """The classes of a file."""
 
-    Attributes:
-        kind: `MOT` or `COCO`.
-        names: Their names; MOT's have none of their own and are called `class_1`, `class_2` and so on.
-        numbers: Their numbers; 0 in a MOT file without classes.
-    """
-
-    kind: str
-    names: tuple[str, ...]
-    numbers: tuple[int, ...]
+    kind: str  # `MOT` or `COCO`
+    names: tuple[str, ...]  # MOT's have none of their own and are called `class_1`, `class_2` and so on
+    numbers: tuple[int, ...]  # 0 in a MOT file without classes
 
     def in_words(self, index: int) -> str:
         """Name of a class in messages."""
@@ -299,18 +228,10 @@ class FileClasses:
 def to_labels(
     classes: FileClasses, used: Mask, given: Sequence[str] | None, labels: Sequence[str]
 ) -> tuple[Indices, list[str]]:
-    """Index into the detector's labels of each of k classes, −1 for one that is no target, shape (k,); and remarks.
-
-    Args:
-        classes: The classes.
-        used: Which of them have boxes that are to be detected, shape (k,).
-        given: A label of the detector, or `-`, for each class in the order of the file or of the numbers, as `--labels`
-            has them; None if there are none.
-        labels: The detector's labels.
-
-    Raises:
-        InputError: A class that is used has no label.
-    """
+    """Index into the detector's labels of each of k classes, −1 for one that is no target: (k,); and remarks. `used`
+    are the classes with boxes that are to be detected: (k,), `given` a label of the detector, or `-`, for each class in
+    the order of the file or of the numbers, as `--labels` has them, None if there are none. Raises InputError if a
+    class that is used has no label."""
     whole = np.flatnonzero(used)
     if given is not None:
         problems = list(_given_problems(classes, used, given, labels))

@@ -21,34 +21,22 @@ from modsim3d.io.misreadings import ROUNDED, are_rounded
 from modsim3d.io.validation import shown
 
 MOST_PROBLEMS = 20
-MAX_PX = 1e7
-"""A larger coordinate is no place in an image, and its square would leave no digits."""
-MAX_NUMBER = 1e15
-"""A larger number is no identity, distance or time, and neighbours of it cannot be told apart."""
+MAX_PX = 1e7  # a larger coordinate is no place in an image, and its square would leave no digits
+MAX_NUMBER = 1e15  # a larger number is no identity, distance or time, and neighbours of it cannot be told apart
 _HALF_CHARACTER = re.compile("[\ud800-\udfff]")
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Facts that files do not state themselves.
+    """Facts that files do not state themselves."""
 
-    Attributes:
-        labels: Names of the classes from number 1 in MOT and 0 in YOLO.
-        image_size_px: Width and height, for MOT without `seqinfo.ini` and for YOLO without its images.
-        skip_bad: Leave out wrong entries and count them.
-        frame_rate_hz: For MOT, and for COCO whose images have a `frame_id` alone.
-        category_offset: Number to add to the category IDs of COCO results.
-        confidence_scale: Confidences in the files that stand for 0 and for 1; None if they are from 0 to 1.
-        horizon: Of images without one of their own: its row, or x and y of two of its points.
-    """
-
-    labels: tuple[str, ...] = ()
-    image_size_px: tuple[float, float] | None = None
-    skip_bad: bool = False
-    frame_rate_hz: float | None = None
-    category_offset: int = 0
-    confidence_scale: tuple[float, float] | None = None
-    horizon: tuple[float, ...] | None = None
+    labels: tuple[str, ...] = ()  # names of the classes from number 1 in MOT and 0 in YOLO
+    image_size_px: tuple[float, float] | None = None  # for MOT without `seqinfo.ini` and for YOLO without its images
+    skip_bad: bool = False  # leave out wrong entries and count them
+    frame_rate_hz: float | None = None  # for MOT, and for COCO whose images have a `frame_id` alone
+    category_offset: int = 0  # to be added to the category IDs of COCO results
+    confidence_scale: tuple[float, float] | None = None  # confidences that stand for 0 and for 1; None for these two
+    horizon: tuple[float, ...] | None = None  # of images without one: its row, or x and y of two of its points
 
 
 NO_OPTIONS = ReadOptions()
@@ -56,10 +44,8 @@ NO_OPTIONS = ReadOptions()
 
 @dataclass
 class Problems:
-    """Problems of the entries of a file: a line for each, and a hint that may help with many of them at once.
-
-    With `skip`, wrong entries are left out and counted; without it, they are an error. Only the first lines are kept.
-    """
+    """Problems of the entries of a file: a line for each, and a hint that may help with many of them at once. With
+    `skip`, wrong entries are left out and counted; without it, they are an error. Only the first lines are kept."""
 
     source: str
     skip: bool = False
@@ -68,11 +54,7 @@ class Problems:
     hint: str = ""
 
     def add(self, line: str) -> None:
-        """Record an entry that cannot be used.
-
-        Raises:
-            InputError: There are too many of them, and they are not to be skipped.
-        """
+        """Record an entry that cannot be used. Raises InputError for too many of them that are not to be skipped."""
         self.count += 1
         if self.count <= MOST_PROBLEMS:
             self.lines.append(line)
@@ -80,11 +62,7 @@ class Problems:
             self.settle()
 
     def settle(self) -> list[str]:
-        """A remark on how many entries were left out, if any.
-
-        Raises:
-            InputError: There are wrong entries, and they are not to be skipped.
-        """
+        """A remark on how many entries were left out, if any. Raises InputError if they are not to be skipped."""
         if not self.lines:
             return []
         if self.skip:
@@ -247,20 +225,12 @@ class ImageRows:
         sea: Sequence[float] = UNKNOWN,
     ) -> None:
         """Append an image, which may name a condition of its own."""
-        self.names.append(name)
-        self.sizes_px.append(size_px)
-        self.sequence.append(sequence)
-        self.time_s.append(time_s)
-        self.condition.append(own)
-        self.half_planes.append(sea)
+        for column, value in zip(vars(self).values(), (name, size_px, sequence, time_s, own, sea), strict=True):
+            column.append(value)
 
 
 def check_whole(names: Iterable[str], source: str) -> None:
-    """Refuse names that cannot be written.
-
-    Raises:
-        InputError: A name holds half a character.
-    """
+    """Raise InputError if a name holds half a character, and so cannot be written."""
     broken = [name for name in names if _HALF_CHARACTER.search(name)][:MOST_PROBLEMS]
     if broken:
         raise InputError(source, [f"{shown(name)} holds half a character, which no file can hold" for name in broken])
@@ -275,11 +245,8 @@ def labelled_set(
     notes: Sequence[str],
     ids: FileIds | None = None,
 ) -> LabelledSet:
-    """A labelled set of one source; images that name no condition of their own have the given one.
-
-    Raises:
-        InputError: Two labels have the same name, a name cannot be written, or identities have lost digits.
-    """
+    """A labelled set of one source; images that name no condition of their own have the given one. Raises InputError if
+    two labels have the same name, a name cannot be written, or identities have lost digits."""
     repeated = sorted(name for name, count in Counter(labels).items() if count > 1)[:MOST_PROBLEMS]
     if repeated:
         raise InputError(f"labels of {condition}", [f"{shown(name)} names more than one class" for name in repeated])
@@ -306,35 +273,22 @@ def labelled_set(
 # ---- Which images COCO results name ----
 
 ID = int | str
-_MAX_DIGITS = 18
-"""Of a file's name that is a number."""
+_MAX_DIGITS = 18  # of a file's name that is a number
 
 
 @dataclass(frozen=True)
 class ImageNames:
-    """Rows of images by what results may call them.
-
-    Attributes:
-        by_image_id: By `image_id`.
-        by_file_name: By the `file_name` that a result may have beside it.
-        image_ids_are_files: Whether each `image_id` is taken for the name of a file.
-        doubt: A remark if every `image_id` can be read as an ID and as a file, and some differ; else empty.
-    """
+    """Rows of images by what results may call them."""
 
     by_image_id: Mapping[Any, int]
-    by_file_name: Mapping[ID, int]
-    image_ids_are_files: bool
-    doubt: str
+    by_file_name: Mapping[ID, int]  # by the `file_name` that a result may have beside its `image_id`
+    image_ids_are_files: bool  # whether each `image_id` is taken for the name of a file
+    doubt: str  # a remark if every `image_id` can be read as an ID and as a file, and some differ; else empty
 
 
 def image_names(entries: Sequence[Any], rows_of_ids: Mapping[Any, int], names: Sequence[str]) -> ImageNames:
-    """How results name images: the reading of their `image_id` by which more of them are images.
-
-    Args:
-        entries: The results as they are in the file.
-        rows_of_ids: Row of each image by its ID.
-        names: File name of each row.
-    """
+    """Reading of the `image_id` of results by which more of them are images. `entries` are the results as they are in
+    the file; rows of images are given by ID and, as `names`, by file name."""
     results = [entry for entry in entries if isinstance(entry, dict)]
     given: set[Any] = {
         image for entry in results if isinstance(image := entry.get("image_id"), str) or is_number(image)
@@ -367,41 +321,28 @@ def _by_file(names: Sequence[str]) -> tuple[dict[ID, int], dict[ID, int]]:
 
 # ---- Confidences as files have them ----
 
-NOT_GIVEN = -1
-"""What stands for a confidence that is not given, as MOT has it."""
+NOT_GIVEN = -1  # stands for a confidence that is not given, as MOT has it
 Scale = tuple[float, float]
 _PERCENT, _MANY = 100, 8
 
 
 @dataclass(frozen=True)
 class Confidences:
-    """How the confidences of one file are read.
+    """Reading of the confidences of one file."""
 
-    Attributes:
-        name: What the file calls a confidence.
-        low: What becomes 0.
-        high: What becomes 1.
-        given: Whether the file gives confidences.
-        example: Place and value of one that is given; of use where others are not.
-        odd: What they may be instead; empty if nothing speaks for it.
-    """
-
-    name: str
-    low: float
-    high: float
-    given: bool
-    example: str
-    odd: str = ""
+    name: str  # what the file calls a confidence
+    low: float  # becomes 0
+    high: float  # becomes 1
+    given: bool  # whether the file gives confidences
+    example: str  # place and value of one that is given; of use where others are not
+    odd: str = ""  # what they may be instead; empty if nothing speaks for it
 
     @classmethod
     def of(
         cls, values: Iterable[tuple[str, Any]], scale: Scale | None, problems: Problems, name: str = "confidence"
     ) -> Confidences:
-        """How to read these values, each with its place in the file; a hint if they are on another scale.
-
-        Raises:
-            InputError: None is given, and they are to be scaled.
-        """
+        """Reading of these values, each with its place in the file; with a hint if they are on another scale. Raises
+        InputError if none is given, and they are to be scaled."""
         low, high = scale or (0.0, 1.0)
         rows = [(where, float(value)) for where, value in values if is_number(value)]
         known = [(where, value) for where, value in rows if value != NOT_GIVEN]

@@ -22,48 +22,26 @@ import orjson
 
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import FileIds, LabelledSet, read_horizon
-from modsim3d.formats.reading.builder import (
-    ID,
-    MAX_NUMBER,
-    MAX_PX,
-    MOST_PROBLEMS,
-    NO_OPTIONS,
-    AnnotationRows,
-    Confidences,
-    ImageNames,
-    ImageRows,
-    LabelledRow,
-    Problems,
-    ReadOptions,
-    ResultRows,
-    image_names,
-    is_number,
-    labelled_set,
-    read_flag,
-    valid_box,
-)
+from modsim3d.formats.reading import builder
+from modsim3d.formats.reading.builder import ID, NO_OPTIONS, Confidences, LabelledRow, Problems, ReadOptions, is_number
 from modsim3d.io.input_files import COCO_BYTES_PER_VALUE, read_text
 from modsim3d.io.misreadings import LOST
 from modsim3d.io.strict_text import check_values, composed_values, parse_json
 from modsim3d.io.validation import nearest, shown
 
-_MAX_NAMES = 1000
-"""The search for a similar name among more of them takes seconds."""
+_MAX_NAMES = 1000  # the search for a similar name among more of them takes seconds
 
 
 def read_coco(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read COCO's ground truth and results of one condition, or its ground truth alone.
-
-    Raises:
-        InputError: The files are wrong; each problem names the index of its entry.
-    """
+    """Read COCO's ground truth and results of one condition, or its ground truth alone. Raises InputError if the files
+    are wrong; each problem names the index of its entry."""
     problems, frame_rate_hz = Problems(f"ground truth {truth}", options.skip_bad), options.frame_rate_hz
     content = _object(truth, "ground truth", problems.source)
     categories = categories_of(content, problems)
     if not categories:
         raise InputError(problems.source, ["categories: is empty, must name at least one"])
     rows_of, images, sequences = _images(content, frame_rate_hz, problems)
-    annotations, results = AnnotationRows(), ResultRows()
+    annotations, results = builder.AnnotationRows(), builder.ResultRows()
     known = KnownNames(rows_of, {}, categories)
     for index, entry in enumerate(_list(content, "annotations", problems)):
         _annotation(entry, f"annotations[{index}]", known, annotations, problems)
@@ -75,7 +53,7 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
         notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
     labels = [name for name, _ in categories.values()]
     ids = FileIds(tuple(rows_of), tuple(categories), sequences, annotations.identities)
-    return labelled_set(condition, labels, images, annotations, results, notes, ids)
+    return builder.labelled_set(condition, labels, images, annotations, results, notes, ids)
 
 
 @dataclass(frozen=True)
@@ -90,7 +68,7 @@ class KnownNames:
     def of_results(
         cls,
         entries: Sequence[Any],
-        images: ImageNames,
+        images: builder.ImageNames,
         categories: Mapping[Any, tuple[str, int]],
         offset: int,
         problems: Problems,
@@ -115,17 +93,17 @@ class KnownNames:
         row = self.files.get(file) if isinstance(file, str) else None
         row = _named(entry, "image_id", self.images, where, problems) if row is None else row
         category = None if row is None else _named(entry, "category_id", self.categories, where, problems)
-        if row is None or category is None or not valid_box(entry.get("bbox"), where, problems):
+        if row is None or category is None or not builder.valid_box(entry.get("bbox"), where, problems):
             return None
         return LabelledRow(row, category[1], entry["bbox"])
 
 
 def _read_results(
-    detections: Path, known: KnownNames, names: Sequence[str], options: ReadOptions, rows: ResultRows
+    detections: Path, known: KnownNames, names: Sequence[str], options: ReadOptions, rows: builder.ResultRows
 ) -> list[str]:
     """Append the results of a file; remarks on them."""
     problems, entries = Problems(f"detections {detections}", options.skip_bad), _results(detections)
-    images = image_names(entries, known.images, names)
+    images = builder.image_names(entries, known.images, names)
     known = KnownNames.of_results(entries, images, known.categories, options.category_offset, problems)
     scores = ((f"[{index}]", entry.get("score")) for index, entry in enumerate(entries) if isinstance(entry, dict))
     confidences = Confidences.of(scores, options.confidence_scale, problems, "score")
@@ -162,9 +140,8 @@ def _results(path: Path) -> list[Any]:
     if isinstance(content, list):
         return content
     got = f"a mapping with {', '.join(map(shown, list(content)[:5]))}" if isinstance(content, dict) else shown(content)
-    raise InputError(
-        f"detections {path}", [f"must be a list of results with image_id, category_id, bbox and score (got {got})"]
-    )
+    wanted = "a list of results with image_id, category_id, bbox and score"
+    raise InputError(f"detections {path}", [f"must be {wanted} (got {got})"])
 
 
 def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]:
@@ -174,11 +151,7 @@ def _list(content: Mapping[str, Any], key: str, problems: Problems) -> list[Any]
 
 
 def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, tuple[str, int]]:
-    """Name and label of each category's ID, in the order of the file.
-
-    Raises:
-        InputError: They are none.
-    """
+    """Name and label of each category's ID, in the order of the file. Raises InputError if they are none."""
     known: dict[Any, tuple[str, int]] = {}
     names = set[str]()
     for index, entry in enumerate(_list(content, "categories", problems)):
@@ -187,8 +160,7 @@ def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, t
         if not _is_id(identity) or isinstance(identity, str) or not isinstance(name, str) or not name:
             raise InputError(problems.source, [f"{where}: must have an id, a whole number, and a name"])
         if identity in known or name in names:
-            said = f"id {identity} or name {shown(name)} appears twice"
-            raise InputError(problems.source, [f"{where}: {said}"])
+            raise InputError(problems.source, [f"{where}: id {identity} or name {shown(name)} appears twice"])
         names.add(name)
         known[identity] = (name, len(known))
     return known
@@ -196,11 +168,9 @@ def categories_of(content: Mapping[str, Any], problems: Problems) -> dict[Any, t
 
 def _images(
     content: Mapping[str, Any], frame_rate_hz: float | None, problems: Problems
-) -> tuple[dict[Any, int], ImageRows, tuple[ID | None, ...]]:
-    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text.
-
-    The last of what it returns are the names of the sequences.
-    """
+) -> tuple[dict[Any, int], builder.ImageRows, tuple[ID | None, ...]]:
+    """Rows of the images by ID, in ascending order of the IDs as COCO's own tools have them, numbers before text; the
+    images; and the names of the sequences."""
     entries: dict[Any, tuple[str, dict[str, Any]]] = {}
     for index, entry in enumerate(_list(content, "images", problems)):
         where = f"images[{index}]"
@@ -211,7 +181,7 @@ def _images(
         else:
             entries[entry["id"]] = where, entry
     rows_of: dict[Any, int] = {}
-    images, sequences = ImageRows(), dict[Any, int]()
+    images, sequences = builder.ImageRows(), dict[Any, int]()
     for identity in sorted(entries, key=lambda identity: (isinstance(identity, str), identity)):
         if _image(*entries[identity], frame_rate_hz, images, sequences, problems):
             rows_of[identity] = len(rows_of)
@@ -222,13 +192,13 @@ def _image(
     where: str,
     entry: Mapping[str, Any],
     frame_rate_hz: float | None,
-    images: ImageRows,
+    images: builder.ImageRows,
     sequences: dict[Any, int],
     problems: Problems,
 ) -> bool:
     """Append an image, whose sequence is numbered; False with a problem if it cannot be used."""
     known, given = problems.count, [entry.get("width"), entry.get("height")]
-    size_px = [float(side) for side in given if is_number(side, _MIN_PX, MAX_PX)]
+    size_px = [float(side) for side in given if is_number(side, _MIN_PX, builder.MAX_PX)]
     if len(size_px) < 2:
         got = f"{shown(given[0])} and {shown(given[1])}"
         problems.add(f"{where}: width and height must be pixels, above 0 (got {got})")
@@ -279,16 +249,15 @@ def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: 
     if (isinstance(value, str) or is_number(value)) and value in known:
         return known[value]
     # The search for similar names takes long: not for problems that will not be shown, and not among very many.
-    hint = (
-        f" ({nearest(shown(value), map(shown, islice(known, _MAX_NAMES)))})" if problems.count < MOST_PROBLEMS else ""
-    )
+    searched = map(shown, islice(known, _MAX_NAMES))
+    hint = f" ({nearest(shown(value), searched)})" if problems.count < builder.MOST_PROBLEMS else ""
     problems.add(f"{where}: unknown {key} {shown(value)}{hint}" if key in entry else f"{where}: {key} is missing")
     return None
 
 
 _MIN_LOST, _MANY_LOST = 1e7, 1e4
 """A number with a point or an exponent, so large and with so many zeros, stands for other identities too."""
-_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": MAX_NUMBER}
+_MOST = {"visible_fraction": 1 + 1e-6, "distance_m": builder.MAX_NUMBER}
 
 
 def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) -> float:
@@ -307,10 +276,8 @@ def _number(entry: Mapping[str, Any], key: str, where: str, problems: Problems) 
 
 
 def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | None:
-    """Identity of an annotation; None where it is not given or -1, as in MOT.
-
-    Other programs write whole numbers as 4.0 too. Adds a problem if it is neither a whole number nor a text.
-    """
+    """Identity of an annotation; None where it is not given or -1, as in MOT. Other programs write whole numbers as 4.0
+    too. Adds a problem if it is neither a whole number nor a text."""
     key = "track_id" if "track_id" in entry else "instance_id"
     identity = entry.get(key)
     if isinstance(identity, float) and identity.is_integer():
@@ -327,7 +294,7 @@ def _identity(entry: Mapping[str, Any], where: str, problems: Problems) -> ID | 
     return identity if identity >= 0 else None
 
 
-def _annotation(entry: Any, where: str, known: KnownNames, rows: AnnotationRows, problems: Problems) -> None:
+def _annotation(entry: Any, where: str, known: KnownNames, rows: builder.AnnotationRows, problems: Problems) -> None:
     place = known.place(entry, where, problems)
     if place is None:
         return
@@ -336,13 +303,13 @@ def _annotation(entry: Any, where: str, known: KnownNames, rows: AnnotationRows,
     identity = _identity(entry, where, problems)
     if rows.has(place.image, identity):
         problems.add(f"{where}: identity {shown(identity)} is in the image {shown(entry.get('image_id'))} already")
-    crowd, ignored = (read_flag(entry.get(key), key, where, problems) for key in ("iscrowd", "ignore"))
+    crowd, ignored = (builder.read_flag(entry.get(key), key, where, problems) for key in ("iscrowd", "ignore"))
     if problems.count == before:
         rows.add(place, crowd or ignored, crowd, identity, visible_fraction, depth_m)
 
 
 def _result(
-    entry: Any, where: str, known: KnownNames, rows: ResultRows, confidences: Confidences, problems: Problems
+    entry: Any, where: str, known: KnownNames, rows: builder.ResultRows, confidences: Confidences, problems: Problems
 ) -> None:
     place = known.place(entry, where, problems)
     if place is None:
@@ -350,11 +317,10 @@ def _result(
     score, given = confidences.read(entry.get("score"), where, problems), entry.get("probabilities")
     if score is None:
         return
-    if given is not None and not _distribution(given, len(known.categories)):
-        problems.add(f"{where}: probabilities must be {len(known.categories)} numbers from 0 to 1 (got {shown(given)})")
+    count = len(known.categories)
+    if given is not None and not (
+        isinstance(given, list) and len(given) == count and all(is_number(value, 0, 1) for value in given)
+    ):
+        problems.add(f"{where}: probabilities must be {count} numbers from 0 to 1 (got {shown(given)})")
     else:
         rows.add(place, score, given)
-
-
-def _distribution(values: Any, count: int) -> bool:
-    return isinstance(values, list) and len(values) == count and all(is_number(value, 0, 1) for value in values)

@@ -5,10 +5,8 @@ frame, −1, x, y, width, height, confidence, and a class if the eighth number i
 is only one label. A confidence of −1 in every line means that none is given. Frames and pixels count from 1: a box that
 begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). A `seqinfo.ini` beside or
 above the truth gives the size of the images, their number and the frame rate.
-
 Lines of ten numbers may have others in the last three: places in the world (MOT15), or class, truncation and occlusion
-(VisDrone). These are recognised and not read as class or visibility.
-"""
+(VisDrone). These are recognised and not read as class or visibility."""
 
 from __future__ import annotations
 
@@ -24,23 +22,8 @@ from modsim3d.core.boxes import from_top_left
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import FileIds, LabelledSet
-from modsim3d.formats.reading.builder import (
-    MAX_NUMBER,
-    MAX_PX,
-    NO_OPTIONS,
-    NOT_GIVEN,
-    AnnotationRows,
-    Confidences,
-    ImageRows,
-    LabelledRow,
-    Problems,
-    ReadOptions,
-    ResultRows,
-    is_number,
-    labelled_set,
-    read_flag,
-    valid_box,
-)
+from modsim3d.formats.reading import builder
+from modsim3d.formats.reading.builder import NO_OPTIONS, Confidences, LabelledRow, Problems, ReadOptions, is_number
 from modsim3d.io.input_files import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, MAX_LINE_CHARACTERS, read_text
 from modsim3d.io.misreadings import LOST, has_lost_digits, no_commas
 from modsim3d.io.validation import shown
@@ -53,18 +36,9 @@ _LOOKED_AT_LINES = 20
 def number_lines(
     path: Path, what: str, separator: str | None, least: int, problems: Problems
 ) -> Iterator[tuple[str, list[float]]]:
-    """Lines of numbers, each with its place in the file; skips empty lines.
-
-    Args:
-        path: The file.
-        what: Name of the file in messages.
-        separator: Between numbers, and perhaps at the end of a line; white space if None.
-        least: Numbers that a line must have.
-        problems: Collects the lines that are wrong.
-
-    Raises:
-        InputError: The file cannot be read, or its first lines hold no number at all.
-    """
+    """Lines of numbers, each with its place in the file; empty ones are skipped, wrong ones added to the problems. The
+    `separator` stands between numbers, and perhaps at the end of a line; white space if None. A line must have at least
+    so many numbers. Raises InputError if the file cannot be read, or its first lines hold no number at all."""
     text = read_text(path, what)
     lines = text.splitlines()
     whole = {line.count(separator) for line in lines[-_LOOKED_AT_LINES:-1] if line.strip()} if separator else set()
@@ -100,22 +74,16 @@ def number_lines(
 
 
 def _why(line: str, separator: str | None) -> str:
-    """Why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
+    """Reason why the numbers of a line cannot be read, to be added to a message; empty if that is not known."""
     return no_commas(line) if separator else ": commas stand neither between nor in them" * ("," in line)
 
 
-_MAX_CLASSES = 10_000
-"""A larger number is no class but something else."""
+_MAX_CLASSES = 10_000  # a larger number is no class but something else
 _TINY = 1e-6
 _UNKNOWN = -1
-_MANY_EMPTY = 2
-"""A sequence that is so many times longer than what has boxes may not be annotated to its end."""
-_RANGES = {
-    "imWidth": (_TINY, MAX_PX),
-    "imHeight": (_TINY, MAX_PX),
-    "frameRate": (_TINY, 1e6),
-    "seqLength": (0.0, MAX_FRAMES),
-}
+_MANY_EMPTY = 2  # a sequence so many times longer than what has boxes may not be annotated to its end
+_SIDE_PX = (_TINY, builder.MAX_PX)
+_RANGES = {"imWidth": _SIDE_PX, "imHeight": _SIDE_PX, "frameRate": (_TINY, 1e6), "seqLength": (0.0, MAX_FRAMES)}
 """Least and largest value of each key of a `seqinfo.ini`."""
 
 
@@ -140,19 +108,14 @@ class _Known:
 
 
 Line = tuple[str, list[float]]
-Lines = list[Line]
-"""Where each line is, and its numbers."""
+Lines = list[Line]  # where each line is, and its numbers
 
 
 def read_mot(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`, or from `gt.txt` alone.
-
-    Without detections, all classes up to the largest number are labels, if the truth names any. A frame rate that is
-    given overrides that of `seqinfo.ini`; if neither gives one, frames have no times.
-
-    Raises:
-        InputError: The files are wrong; each problem names its line.
-    """
+    """Read one condition, a sequence of frames, from `gt.txt` and `det.txt`, or from `gt.txt` alone. Without
+    detections, all classes up to the largest number are labels, if the truth names any. A frame rate that is given
+    overrides that of `seqinfo.ini`; if neither gives one, frames have no times. Raises InputError if the files are
+    wrong; each problem names its line."""
     labels, problems = options.labels, Problems(f"ground truth {truth}", options.skip_bad)
     annotated, said = plain_lines(number_lines(truth, "ground truth", ",", 6, problems), truth.name, problems)
     wrong, detected = Problems(f"detections {detections}", options.skip_bad), list[Line]()
@@ -161,7 +124,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
         detected, found = plain_lines(lines, detections.name, wrong)
         said += found
     info = sequence_info(truth, options.image_size_px, problems.source)
-    names = _all_class_names(annotated, labels) if detections is None else _class_names(annotated, detected, labels)
+    names = _class_names(annotated, None if detections is None else detected, labels)
     spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
@@ -174,7 +137,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     rate_hz = options.frame_rate_hz or info.rate_hz
     if rate_hz is None:
         notes.append(f"{condition}: the frame rate is not known, so frames have no times: give --frame-rate")
-    images = ImageRows()
+    images = builder.ImageRows()
     last = max((place.image + 1 for place in annotations.places + results.places), default=0)
     if 0 < info.frames < last or info.frames > _MANY_EMPTY * last > 0:
         notes.append(f"seqinfo.ini says {info.frames:,} frames (seqLength), and the last with a box is {last:,}")
@@ -187,14 +150,12 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     only = (labels[0] if labels else "object",)
     frames = tuple(range(1, len(images.names) + 1))
     ids = FileIds(frames, tuple(own[name] for name in order) or (0,), (info.name,), annotations.identities)
-    return labelled_set(condition, tuple(order) or only, images, annotations, results, notes, ids)
+    return builder.labelled_set(condition, tuple(order) or only, images, annotations, results, notes, ids)
 
 
 def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[Lines, list[str]]:
     """Lines whose eighth number, if any, is a class and whose ninth is a visibility; and remarks on those that are not.
-
-    Classes that are no whole numbers are problems, unless most are none in lines of ten: these are not read.
-    """
+    Classes that are no whole numbers are problems, unless most are none in lines of ten: these are not read."""
     lines = list(lines)
     classed = [(where, numbers) for where, numbers in lines if len(numbers) > 7]
     broken = [(where, numbers) for where, numbers in classed if numbers[7] != int(numbers[7])]
@@ -228,30 +189,24 @@ def _class_of(numbers: list[float]) -> int:
     return int(numbers[7]) if len(numbers) > 7 else -1
 
 
-def _class_names(annotated: Lines, detected: Lines, labels: tuple[str, ...]) -> dict[int, str]:
-    """Names of the classes by number; none if detections name no classes."""
-    if not any(_class_of(numbers) >= 1 for _, numbers in detected):
-        return {}
-    found = {_class_of(numbers) for _, numbers in annotated + detected}
-    return _named(sorted(number for number in found if 1 <= number <= _MAX_CLASSES), labels)
-
-
-def _all_class_names(annotated: Lines, labels: tuple[str, ...]) -> dict[int, str]:
-    """Names of the classes from 1 to the largest number; none if no line names a class."""
-    classes = (_class_of(numbers) for _, numbers in annotated)
-    return _named(range(1, max((number for number in classes if number <= _MAX_CLASSES), default=0) + 1), labels)
-
-
-def _named(classes: Iterable[int], labels: tuple[str, ...]) -> dict[int, str]:
+def _class_names(annotated: Lines, detected: Lines | None, labels: tuple[str, ...]) -> dict[int, str]:
+    """Names of the classes by number; none if detections name no classes. Without detections those of all from 1 to the
+    largest number; none if no line names a class."""
+    found = {_class_of(numbers) for _, numbers in (*annotated, *(detected or ()))}
+    classes: Iterable[int] = sorted(number for number in found if 1 <= number <= _MAX_CLASSES)
+    if detected is None:
+        classes = range(1, max(classes, default=0) + 1)
+    elif not any(_class_of(numbers) >= 1 for _, numbers in detected):
+        classes = ()
     return {number: labels[number - 1] if number <= len(labels) else f"class_{number}" for number in classes}
 
 
-def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationRows:
-    rows = AnnotationRows(_corners)
+def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.AnnotationRows:
+    rows = builder.AnnotationRows(_corners)
     for where, numbers in lines:
-        if not is_number(numbers[1], NOT_GIVEN) or numbers[1] != int(numbers[1]):
-            low = "-1 or more" if numbers[1] < NOT_GIVEN else f"at most {MAX_NUMBER:g}"
-            wanted = "a whole number" if is_number(numbers[1], NOT_GIVEN) else low
+        if not is_number(numbers[1], builder.NOT_GIVEN) or numbers[1] != int(numbers[1]):
+            low = "-1 or more" if numbers[1] < builder.NOT_GIVEN else f"at most {builder.MAX_NUMBER:g}"
+            wanted = "a whole number" if is_number(numbers[1], builder.NOT_GIVEN) else low
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None
@@ -265,7 +220,7 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
             if visible is not None and not 0 <= visible <= 1 + _TINY:
                 problems.add(f"{where}: visibility must be from 0 to 1, or -1 if it is not known (got {visible:g})")
                 problems.hint = "a visibility in per cent must be divided by 100; another ninth column must be left out"
-            considered = flag is None or read_flag(flag, "the seventh number, the flag,", where, problems)
+            considered = flag is None or builder.read_flag(flag, "the seventh number, the flag,", where, problems)
             if problems.count > before and identity is None:
                 problems.hint = "this may be a file of detections, whose boxes have no track"
             elif flag is not None and 0 < flag < 1:
@@ -275,8 +230,8 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> AnnotationR
     return rows
 
 
-def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> ResultRows:
-    rows = ResultRows(_corners)
+def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> builder.ResultRows:
+    rows = builder.ResultRows(_corners)
     for where, numbers in lines:
         confidence = confidences.read(numbers[6], where, problems)
         place = None if confidence is None else _place(where, numbers, problems, known)
@@ -306,17 +261,14 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
         got = f"{numbers[7]:g}" if len(numbers) > 7 else "none"
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
         problems.hint = next((told for told in known.said if told.startswith(where.partition(" line ")[0])), "")
-    elif valid_box(numbers[2:6], where, problems):
+    elif builder.valid_box(numbers[2:6], where, problems):
         return LabelledRow(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
     return None
 
 
 def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str) -> SequenceInfo:
-    """Content of `seqinfo.ini` beside or above a file, or the given size of the images and nothing else.
-
-    Raises:
-        InputError: It is wrong, or the size is not known.
-    """
+    """Content of `seqinfo.ini` beside or above a file, or the given size of the images and nothing else. Raises
+    InputError if it is wrong, or the size is not known."""
     for folder in (truth.parent, truth.parent.parent):
         path = folder / "seqinfo.ini"
         if not path.is_file():
@@ -332,9 +284,8 @@ def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str)
         width, height, rate, frames = (number_in(section.get(key, "0")) for key in _RANGES)
         return SequenceInfo((width, height), int(frames), rate or None, section.get("name") or None)
     if size_px is None:
-        raise InputError(
-            source, ["the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"]
-        )
+        problem = "the size of the images is not known: give --image-size, or put seqinfo.ini beside or above it"
+        raise InputError(source, [problem])
     return SequenceInfo(size_px, 0, None)
 
 

@@ -17,19 +17,10 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
 from modsim3d.formats.reading.yolo import read_yolo
 from modsim3d.io.validation import shown
-from modsim3d.tracks.diagnosis import (
-    CENTRE,
-    MOT,
-    TOP_LEFT,
-    BoxForm,
-    BoxRows,
-    KnownBoxes,
-    agree,
-    implausible,
-    misreading,
-)
+from modsim3d.tracks import diagnosis
+from modsim3d.tracks.diagnosis import BoxForm, BoxRows, KnownBoxes, agree, implausible, misreading
 
-_FORMS = {"COCO": TOP_LEFT, "MOT": MOT, "YOLO": CENTRE}
+_FORMS = {"COCO": diagnosis.TOP_LEFT, "MOT": diagnosis.MOT, "YOLO": diagnosis.CENTRE}
 _UNUSED = {
     "COCO": {"--labels": "labels", "--image-size": "image_size_px"},
     "MOT": {"--category-offset": "category_offset"},
@@ -38,20 +29,16 @@ _UNUSED = {
 
 
 def read_pair(condition: str, truth: StrPath, detections: StrPath, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition: folders are YOLO's, `.txt` and `.csv` are MOT's, anything else is COCO's.
-
-    Raises:
-        InputError: The files are wrong, or of two kinds.
-    """
+    """Read one condition: folders are YOLO's, `.txt` and `.csv` are MOT's, anything else is COCO's. Raises InputError
+    if the files are wrong, or of two kinds."""
     truth, detections = as_path(truth, "truth"), as_path(detections, "detections")
     missing = [(what, path) for what, path in (("truth", truth), ("detections", detections)) if not path.exists()]
     if missing:
         raise InputError(f"condition {condition}", [f"{what} {path}: no such file or folder" for what, path in missing])
     kinds = [_kind(path) for path in (truth, detections)]
     if kinds[0] != kinds[1]:
-        raise InputError(
-            f"condition {condition}", [f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"]
-        )
+        mixed = f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"
+        raise InputError(f"condition {condition}", [mixed])
     read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
     labelled = _plausible(read(condition, truth, detections, options), _FORMS[kinds[0]], truth, detections)
     found, annotated = compared(labelled, _FORMS[kinds[0]])
@@ -70,11 +57,8 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
 
 
 def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Path | None = None) -> LabelledSet:
-    """The set with remarks on boxes that are odd in their images, and on those that are hidden.
-
-    Raises:
-        InputError: Boxes are in another form, or of other images; not if they are the truth, and detections confirm it.
-    """
+    """The set with remarks on boxes that are odd in their images, and on those that are hidden. Raises InputError if
+    boxes are in another form, or of other images; not if they are the truth, and detections confirm it."""
     rows, notes = labelled.annotations, list(labelled.notes)
     parts = [_box_rows(labelled.images, part.image, part.boxes_px, form) for part in (rows, labelled.results)]
     problems = [implausible(part) for part in parts]
@@ -109,11 +93,9 @@ def _left_out(labelled: LabelledSet, condition: str) -> Iterator[str]:
 
 
 def compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, KnownBoxes]]:
-    """The most confident detections, as many as there are annotations, in the form of their file, with annotations.
-
-    Then the annotations that are nearest to these, with them. The size of images that do not say it is taken to be as
-    far as annotations reach.
-    """
+    """The most confident detections, as many as there are annotations, in the form of their file, with annotations;
+    then the annotations that are nearest to these, with them. The size of images that do not say it is taken to be as
+    far as annotations reach."""
     images, results, sought = labelled.images, labelled.results, ~labelled.annotations.ignored
     image, annotated_px = labelled.annotations.image[sought], labelled.annotations.boxes_px[sought]
     rows = np.sort(np.argsort(-results.confidence, kind="stable")[: len(annotated_px)])
@@ -135,11 +117,8 @@ def _box_rows(images: Images, image: Indices, boxes_px: Array, form: BoxForm) ->
 
 
 def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[LabelledSet, str]:
-    """Read the truth of a labelled video without any detections, and say of which kind it is: `MOT` or `COCO`.
-
-    Raises:
-        InputError: The file is wrong, or it is a folder, as YOLO's are.
-    """
+    """Read the truth of a labelled video without any detections, and say of which kind it is: `MOT` or `COCO`. Raises
+    InputError if the file is wrong, or is a folder, as YOLO's are."""
     path = as_path(truth, "truth")
     if not path.exists():
         raise InputError(f"truth {path}", ["no such file"])

@@ -3,8 +3,7 @@
 Lines of detections end with the confidence, and perhaps the number of a track. The images lie in the folder `images`
 beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes.
 Without such files, every file in either folder stands for an image, and `images.txt` beside the labels, a name on each
-line, adds others. An image without a file of labels, or with an empty one, has nothing in it.
-"""
+line, adds others. An image without a file of labels, or with an empty one, has nothing in it."""
 
 from __future__ import annotations
 
@@ -19,20 +18,8 @@ from typing import Any
 from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.reading.builder import (
-    MAX_PX,
-    NO_OPTIONS,
-    AnnotationRows,
-    Confidences,
-    ImageRows,
-    LabelledRow,
-    Problems,
-    ReadOptions,
-    ResultRows,
-    Scale,
-    labelled_set,
-    valid_box,
-)
+from modsim3d.formats.reading import builder
+from modsim3d.formats.reading.builder import NO_OPTIONS, Confidences, ImageRows, LabelledRow, Problems, ReadOptions
 from modsim3d.formats.reading.mot import number_lines
 from modsim3d.io.input_files import MAX_IMAGE_BYTES, composed, note_input, read_text
 from modsim3d.io.strict_text import load_yaml
@@ -42,16 +29,11 @@ from modsim3d.io.validation import shown
 
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "TIFF", "WEBP")
-_ORIENTATION, _LYING = 274, (5, 6, 7, 8)
-"""The tag of a photograph that says how to rotate it, and the values of it that swap width and height."""
+_ORIENTATION, _LYING = 274, (5, 6, 7, 8)  # tag of a photograph on how to rotate it; values that swap width and height
 
 
 def images_in(folder: Path) -> dict[str, Path]:
-    """Image files of a folder, by name without ending.
-
-    Raises:
-        InputError: Two images have the same name.
-    """
+    """Image files of a folder, by name without ending. Raises InputError if two images have the same name."""
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in ENDINGS:
@@ -63,11 +45,7 @@ def images_in(folder: Path) -> dict[str, Path]:
 
 
 def image_size_px(path: Path) -> tuple[float, float]:
-    """Width and height of the image as it is shown.
-
-    Raises:
-        InputError: The file is no image, or the image is too large.
-    """
+    """Width and height of the image as it is shown. Raises InputError if it is no image, or too large."""
     from PIL import Image, UnidentifiedImageError
 
     source = f"image {path}"
@@ -88,26 +66,21 @@ def image_size_px(path: Path) -> tuple[float, float]:
         raise InputError(source, [f"cannot be read: {error}"]) from None
     except Exception as error:  # PIL lets errors of many kinds through for damaged files
         raise InputError(source, [f"cannot be read: {shown(str(error))}"]) from None
-    if not (0 < width <= MAX_PX and 0 < height <= MAX_PX):
-        raise InputError(source, [f"width and height must be from 1 to {MAX_PX:g} pixels (got {width} and {height})"])
+    if not (0 < width <= builder.MAX_PX and 0 < height <= builder.MAX_PX):
+        wanted = f"width and height must be from 1 to {builder.MAX_PX:g} pixels"
+        raise InputError(source, [f"{wanted} (got {width} and {height})"])
     return (height, width) if lying else (width, height)
 
 
 def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition from the folders of labels and predictions, or those that have them as `labels`.
-
-    Names of the classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images.
-
-    Raises:
-        InputError: The files are wrong; each problem names its file and line.
-    """
+    """Read one condition from the folders of labels and predictions, or those that have them as `labels`. Names of the
+    classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images. Raises InputError if
+    the files are wrong; each problem names its file and line."""
     folder, predicted = _folder(truth, needed=True), _folder(detections)
     files = _images(folder, truth)
     if options.image_size_px is None and not files:
-        raise InputError(
-            f"ground truth {truth}",
-            ["YOLO's files do not say how large the images are, which are not beside them: give --image-size"],
-        )
+        problem = "YOLO's files do not say how large the images are, which are not beside them: give --image-size"
+        raise InputError(f"ground truth {truth}", [problem])
     names = options.labels or _names(truth, folder)
     own = {composed(path.stem) for path in (*_files(folder), *_files(predicted))}
     stems = files or own | _listed(folder) | _listed(truth)
@@ -127,11 +100,11 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
         rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
-    return labelled_set(condition, whole, images, annotations, results, notes)
+    return builder.labelled_set(condition, whole, images, annotations, results, notes)
 
 
-def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> AnnotationRows:
-    rows = AnnotationRows(corner_form)
+def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> builder.AnnotationRows:
+    rows = builder.AnnotationRows(corner_form)
     for image, where, numbers in _lines(paths, images, "labels", problems):
         if len(numbers) > 5:
             problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
@@ -141,10 +114,10 @@ def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> An
 
 
 def _results(
-    paths: list[Path], images: ImageRows, scale: Scale | None, problems: Problems
-) -> tuple[ResultRows, list[str]]:
+    paths: list[Path], images: ImageRows, scale: builder.Scale | None, problems: Problems
+) -> tuple[builder.ResultRows, list[str]]:
     """The results, and remarks on their confidences."""
-    rows, lines = ResultRows(corner_form), list(_lines(paths, images, "predictions", problems))
+    rows, lines = builder.ResultRows(corner_form), list(_lines(paths, images, "predictions", problems))
     given = ((where, numbers[5]) for _, where, numbers in lines if len(numbers) in (6, 7))
     confidences = Confidences.of(given, scale, problems)
     for image, where, numbers in lines:
@@ -180,30 +153,23 @@ def _place(
     if not 0 <= number < _MAX_CLASSES or number != int(number):
         problems.add(f"{where}: class must be a whole number from 0 to {_MAX_CLASSES - 1} (got {number:g})")
     elif max(abs(x), abs(y), width, height) > 2:
-        problems.add(
-            f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {shown(numbers[1:5])})"
-        )
-    elif valid_box(box_px, where, problems):
+        got = shown(numbers[1:5])
+        problems.add(f"{where}: x, y, width, height must be shares of the image, from 0 to 1 (got {got})")
+    elif builder.valid_box(box_px, where, problems):
         return LabelledRow(image, int(number), box_px)
     return None
 
 
-_MAX_CLASSES = 10_000
-"""A larger number is no class but something else."""
+_MAX_CLASSES = 10_000  # a larger number is no class but something else
 _LISTS, _TABLES = ("classes.txt", "obj.names"), ("data.yaml", "dataset.yaml")
 """Files that name the classes, beside the labels or above: a name on each line, or all in one; `names` of YAML."""
-_LABELS = ("labels", "obj_train_data")
-_NOT_LABELS = ("classes.txt", "images.txt")
-_LOOKED_AT_FILES = 10_000
-"""Below a folder without labels, for a hint: it may be the root of a disk."""
+_LABELS, _NOT_LABELS = ("labels", "obj_train_data"), ("classes.txt", "images.txt")
+_LOOKED_AT_FILES = 10_000  # below a folder without labels, for a hint: it may be the root of a disk
 
 
 def _folder(path: Path, needed: bool = False) -> Path:
-    """The folder that has the text files.
-
-    Raises:
-        InputError: Only folders below it have text files; or there are none at all, and they are needed.
-    """
+    """The folder that has the text files. Raises InputError if only folders below it have text files; or if there are
+    none at all, and they are needed."""
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
     folder = next((path / name for name in _LABELS if (path / name).is_dir()), path)
@@ -244,7 +210,10 @@ def _names(truth: Path, folder: Path) -> tuple[str, ...]:
     """Names of the classes from the first such file that is there, of YAML also from up to three folders above."""
     for path in (parent / name for parent in (truth, folder, folder.resolve().parent) for name in _LISTS):
         if path.is_file():
-            return _listed_names(path)
+            lines = [line.strip() for line in read_text(path, "classes").strip().splitlines()]
+            if len(lines) == 1 and "," in lines[0]:  # all in the only line
+                lines = [name.strip(" '\"") for name in lines[0].strip("[]").rstrip(",").split(",")]
+            return _checked(f"classes {path}", lines)
     above = folder.resolve().parents[:3]
     for path in (parent / name for parent in (truth, folder, *above) for name in _TABLES):
         if path.is_file():
@@ -252,14 +221,6 @@ def _names(truth: Path, folder: Path) -> tuple[str, ...]:
             if isinstance(content, dict) and (names := content.get("names")) is not None:
                 return _tabled_names(path, names)
     return ()
-
-
-def _listed_names(path: Path) -> tuple[str, ...]:
-    """Names of a text: one a line, or all in its only line with commas between them."""
-    lines = [line.strip() for line in read_text(path, "classes").strip().splitlines()]
-    if len(lines) == 1 and "," in lines[0]:
-        lines = [name.strip(" '\"") for name in lines[0].strip("[]").rstrip(",").split(",")]
-    return _checked(f"classes {path}", lines)
 
 
 def _tabled_names(path: Path, names: Any) -> tuple[str, ...]:

@@ -33,37 +33,25 @@ from modsim3d.truth.full_frame import vessel_masks
 
 # ---- The pixels of annotated vessels ----
 
-_BLOCK_FRAMES = 50
-"""Frames whose solids are in memory at a time."""
-_MAX_CHARACTERS = 7
-"""Of a number in the encoding, 5 bits each: images have fewer than 2^34 pixels."""
+_BLOCK_FRAMES = 50  # whose solids are in memory at a time
+_MAX_CHARACTERS = 7  # of a number in the encoding, 5 bits each: images have fewer than 2^34 pixels
 
 
 def check_masks(request: ExportRequest) -> None:
-    """Refuse a run whose truth was not counted from the image's own pixels.
-
-    Raises:
-        ModsimError: See above.
-    """
+    """Raise ModsimError for a run whose truth was not counted from the image's own pixels."""
     annotation, folder = request.run.scene.annotation, request.run.folder
     if annotation.source != "rendered":
-        raise ModsimError(
-            f"{folder}: --masks needs a truth that was counted from pixels, and this one's source is "
-            f"{annotation.source}: run the scene with --source rendered"
-        )
+        remedy = f"this one's source is {annotation.source}: run the scene with --source rendered"
+        raise ModsimError(f"{folder}: --masks needs a truth that was counted from pixels, and {remedy}")
     if annotation.supersample != 1:
-        raise ModsimError(
-            f"{folder}: --masks needs one pixel of the truth for each of the image, and this one was drawn with "
-            f"supersample {annotation.supersample}: run the scene with --set annotation.supersample=1"
-        )
+        drawn = f"this one was drawn with supersample {annotation.supersample}"
+        needed = f"one pixel of the truth for each of the image, and {drawn}"
+        raise ModsimError(f"{folder}: --masks needs {needed}: run the scene with --set annotation.supersample=1")
 
 
 def mask_entries(request: ExportRequest) -> Iterator[dict[str, Any]]:
-    """The keys of each annotated vessel, in order of camera, frame and vessel.
-
-    Raises:
-        ModsimError: What is drawn now has not the pixels that the run counted.
-    """
+    """The keys of each annotated vessel, in order of camera, frame and vessel. Raises ModsimError if what is drawn now
+    has not the pixels that the run counted."""
     scene = request.run.scene
     with open_renderer(scene) as renderer:
         assert renderer is not None  # see `check_masks`
@@ -112,17 +100,11 @@ def _entry(whole: Pixels, seen: Pixels, mode: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Pixels:
-    """Pixels of an image as runs down its columns, each of which continues the one before it.
+    """Pixels of an image as runs down its columns, each of which continues the one before it."""
 
-    Attributes:
-        size_px: Width and height of the image.
-        starts: The number of the first pixel of each run, ascending, shape (n,).
-        stops: The number after its last pixel, shape (n,).
-    """
-
-    size_px: tuple[int, int]
-    starts: Indices
-    stops: Indices
+    size_px: tuple[int, int]  # width and height of the image
+    starts: Indices  # number of the first pixel of each run, ascending: (n,)
+    stops: Indices  # number after its last pixel: (n,)
 
     @classmethod
     def of(cls, parts: Sequence[tuple[Mask, Region]], size_px: tuple[int, int]) -> Pixels:
@@ -188,11 +170,7 @@ FILES = ("gt.json", "dt.json")
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files.
-
-    Raises:
-        ModsimError: Masks are asked for, and the run's truth has none.
-    """
+    """The paths of the files. Raises ModsimError if masks are asked for, and the run's truth has none."""
     if request.masks:
         check_masks(request)
     return FILES
@@ -205,13 +183,8 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def write_coco(labelled: LabelledSet, folder: Path, masks: Iterable[dict[str, Any]] | None = None) -> tuple[Path, Path]:
-    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths.
-
-    Args:
-        labelled: The content.
-        folder: The folder.
-        masks: Keys to be added to each annotation, in their order.
-    """
+    """Write `gt.json` and `dt.json` into a folder, which is made where it is not there, and return their paths. `masks`
+    are keys to be added to each annotation, in their order."""
     truth, results = (folder / name for name in FILES)
     content = ground_truth(labelled)
     if masks is not None:
@@ -224,7 +197,9 @@ def write_coco(labelled: LabelledSet, folder: Path, masks: Iterable[dict[str, An
 def ground_truth(labelled: LabelledSet) -> dict[str, Any]:
     """The content of a ground truth; IDs begin at 1."""
     images, rows = labelled.images, labelled.annotations
-    sizes, times = [list(map(_whole, size)) for size in images.sizes_px.tolist()], images.time_s.tolist()
+    # A whole number is written as one, as COCO has it.
+    sizes = [[int(side) if side.is_integer() else side for side in size] for size in images.sizes_px.tolist()]
+    times = images.time_s.tolist()
     entries = []
     for k, name in enumerate(images.names):
         entry: dict[str, Any] = {"id": k + 1, "file_name": name, "width": sizes[k][0], "height": sizes[k][1]}
@@ -259,23 +234,14 @@ def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
     results = labelled.results
     found = anonymised(results.image, results.label, results.boxes_px, results.confidence)
     columns = (column.tolist() for column in (found.frame, found.label, found.boxes_px, found.confidence))
-    return [
-        {
-            "image_id": image + 1,
-            "category_id": label + 1,
-            "bbox": [round(side, BOX_DECIMALS) for side in _sides(box)],
-            "score": score,
-        }
-        for image, label, box, score in zip(*columns, strict=True)
-    ]
+    entries = []
+    for image, label, box, score in zip(*columns, strict=True):
+        sides = [round(side, BOX_DECIMALS) for side in _sides(box)]
+        entries.append({"image_id": image + 1, "category_id": label + 1, "bbox": sides, "score": score})
+    return entries
 
 
 def _sides(corners: list[float]) -> list[float]:
     """Corner, width and height of a box."""
     x_min, y_min, x_max, y_max = corners
     return [x_min, y_min, x_max - x_min, y_max - y_min]
-
-
-def _whole(value: float) -> float:
-    """A whole number as one, as COCO has it."""
-    return int(value) if value.is_integer() else value

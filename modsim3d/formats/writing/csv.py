@@ -1,7 +1,5 @@
 """A run as tables of text: what a tracker may read, with bearings and positions, and beside it the truth.
-
-docs/positions.md has every column.
-"""
+docs/positions.md has every column."""
 
 from __future__ import annotations
 
@@ -28,8 +26,7 @@ from modsim3d.scene.cameras import own_ships_at, true_attitudes
 from modsim3d.scene.scene import Scene
 
 Columns = Mapping[str, Any]
-_DIGITS = 9
-"""Of numbers that are worked out: the last of sixteen depend on the processor."""
+_DIGITS = 9  # of numbers that are worked out: the last of sixteen depend on the processor
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:

@@ -1,7 +1,5 @@
 """A ROS 2 bag in MCAP of what a tracker may read, and beside it one of the truth.
-
-The bag that a tracker plays names no vessel but own ship. docs/ros.md has topics, types and frames.
-"""
+The bag that a tracker plays names no vessel but own ship. docs/ros.md has topics, types and frames."""
 
 from __future__ import annotations
 
@@ -18,20 +16,8 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
-from modsim3d.formats.writing.mcap_messages import (
-    CAMERA_INFO,
-    IMU,
-    TRANSFORMS,
-    FrameBoxes,
-    FramePlace,
-    MeasuredMotion,
-    Messages,
-    Variances,
-    detected_boxes,
-    quaternions,
-    stamps_ns,
-    true_boxes,
-)
+from modsim3d.formats.writing import mcap_messages
+from modsim3d.formats.writing.mcap_messages import FrameBoxes, FramePlace, MeasuredMotion, Messages, quaternions
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.geometry.camera_poses import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import first_derivative, slopes
@@ -40,16 +26,13 @@ from modsim3d.io.ros_bag import DETECTIONS_2D, ODOMETRY, message_types
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.scene.cameras import OwnShips, own_ships_at
 from modsim3d.scene.scene import Scene
-from modsim3d.world.vessel_motion import Imu
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
     from rosbags.rosbag2 import Writer
     from rosbags.typesys.store import Typestore
 
-
-VERSION: Final = 8
-"""Of `metadata.yaml`: ROS 2 Humble cannot read the profiles of version 9, and every newer ROS reads 8."""
+VERSION: Final = 8  # of `metadata.yaml`: ROS 2 Humble cannot read the profiles of 9, and every newer ROS reads 8
 
 
 class Bag:
@@ -75,10 +58,8 @@ class Bag:
 
 @contextmanager
 def open_bag(folder: Path, store: Typestore) -> Iterator[Bag]:
-    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`.
-
-    It is not compressed: the bytes of zstd depend on which copy of its library the process has loaded.
-    """
+    """A bag in a folder that is not there yet: `metadata.yaml`, and a file with the folder's name and `.mcap`. It is
+    not compressed: the bytes of zstd depend on which copy of its library the process has loaded."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -105,21 +86,16 @@ def _latched() -> Qos:
 
 # ---- Names of topics and frames in a bag, after REP 103 and REP 105 ----
 
-MAP = "map"
-"""The world's frame: x = w1, y = w2, z = w3."""
+MAP = "map"  # the world's frame: x = w1, y = w2, z = w3
 
 
 @dataclass(frozen=True)
 class BagNames:
-    """Names in the bags of an export.
+    """Names in the bags of an export."""
 
-    Attributes:
-        cameras: For each camera, by its index, its name in topics and frames.
-        vessels: For each vessel that carries one of these, by its index, the prefix of its topics and frames: its name
-            and a slash, or nothing if it is the only vessel of the scene that carries cameras.
-    """
-
-    cameras: Mapping[int, str]
+    cameras: Mapping[int, str]  # name in topics and frames, of each camera by its index
+    # Prefix of topics and frames of each vessel that carries one of these, by its index: its name and a slash, or
+    # nothing if it is the only vessel of the scene that carries cameras.
     vessels: Mapping[int, str]
 
     def base(self, vessel: int) -> str:
@@ -136,11 +112,7 @@ class BagNames:
 
 
 def bag_names(request: ExportRequest) -> BagNames:
-    """The names for an export.
-
-    Raises:
-        InputError: Two cameras or two vessels have names that are the same in ROS.
-    """
+    """The names for an export. Raises InputError if two cameras or two vessels have names that are the same in ROS."""
     scene = request.run.scene
     carriers = {scene.cameras[index].mount.vessel for index in request.cameras}
     own = [index for index in scene.own_ships if scene.vessel_names[index] in carriers]
@@ -153,7 +125,9 @@ def bag_names(request: ExportRequest) -> BagNames:
 def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
     tokens: dict[int, str] = {}
     for index, name in names.items():
-        token = _token(kind, name)
+        token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+        if not token[:1].isalpha():  # ROS takes letters, digits and underscores, beginning with a letter
+            token = f"{kind}_{token}".rstrip("_")
         same = [names[other] for other, known in tokens.items() if known == token]
         if same:
             problem = f"{kind}s '{same[0]}' and '{name}' are both called '{token}' in ROS"
@@ -162,31 +136,17 @@ def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
     return tokens
 
 
-def _token(kind: str, name: str) -> str:
-    """A name of the letters, digits and underscores that ROS takes, beginning with a letter."""
-    token = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
-    return token if token[:1].isalpha() else f"{kind}_{token}".rstrip("_")
-
-
 # ---- Where the frames of a bag are ----
 
 
 @dataclass(frozen=True, eq=False)
 class OwnMotion:
-    """A vessel that carries a camera, at S steps.
+    """A vessel that carries a camera, at S steps."""
 
-    Attributes:
-        vessel: Index into the scene's vessels.
-        place: Its frame in the map.
-        velocities_m_s: Of its origin, along its own axes, shape (S, 3).
-        rates_rad_s: Angular velocity along its own axes, shape (S, 3).
-        measured: What its inertial unit measures.
-    """
-
-    vessel: int
-    place: FramePlace
-    velocities_m_s: Array
-    rates_rad_s: Array
+    vessel: int  # index into the scene's vessels
+    place: FramePlace  # of its frame in the map
+    velocities_m_s: Array  # of its origin, along its own axes: (S, 3)
+    rates_rad_s: Array  # angular velocity along its own axes: (S, 3)
     measured: MeasuredMotion
 
 
@@ -235,25 +195,16 @@ def own_motions(scene: Scene, names: BagNames, first: int, stop: int) -> list[Ow
 def _own_motion(
     own: OwnShips, column: int, names: BagNames, turns: Array, velocities_m_s: Array, wanted: slice
 ) -> OwnMotion:
-    vessel = int(own.vessels[column])
-    return OwnMotion(
-        vessel,
-        FramePlace(MAP, names.base(vessel), own.positions_m[wanted, column], quaternions(turns)),
-        velocities_m_s,
-        own.rates_rad_s[wanted, column],
-        MeasuredMotion(
-            quaternions(_world_R_vessel(own.measured_attitudes_rad[wanted, column])),
-            own.measured_rates_rad_s[wanted, column],
-            own.measured_forces_m_s2[wanted, column],
-        ),
-    )
+    vessel, here = int(own.vessels[column]), (wanted, column)
+    place = FramePlace(MAP, names.base(vessel), own.positions_m[here], quaternions(turns))
+    attitude = quaternions(_world_R_vessel(own.measured_attitudes_rad[here]))
+    measured = MeasuredMotion(attitude, own.measured_rates_rad_s[here], own.measured_forces_m_s2[here])
+    return OwnMotion(vessel, place, velocities_m_s, own.rates_rad_s[here], measured)
 
 
 def _world_R_vessel(attitudes_rad: Array) -> Array:
-    """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3).
-
-    The yaw in waves is about the world's axis, so it is part of the heading.
-    """
+    """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3). The yaw in waves is about the
+    world's axis, so it is part of the heading."""
     tilts = attitudes_rad * np.array([1.0, 1.0, 0.0])
     turns: Array = world_R_vehicle(attitudes_rad[..., 2]) @ np.swapaxes(vehicle_R_nominal(tilts), -1, -2)
     return turns
@@ -305,17 +256,17 @@ class BagRecording:
         """Add the topics, and the frames that never move."""
         names, static = self._names, static_places(self._scene, self._names)
         for name in names.cameras.values():
-            tracker.add_topic(f"/{name}/camera_info", CAMERA_INFO)
+            tracker.add_topic(f"/{name}/camera_info", mcap_messages.CAMERA_INFO)
             tracker.add_topic(f"/{name}/detections", DETECTIONS_2D)
             truth.add_topic(f"/truth/{name}/boxes", DETECTIONS_2D)
         for prefix in names.vessels.values():
             tracker.add_topic(f"/{prefix}odom", ODOMETRY)
-            tracker.add_topic(f"/{prefix}imu", IMU)
+            tracker.add_topic(f"/{prefix}imu", mcap_messages.IMU)
         if names.vessels:
-            tracker.add_topic("/tf", TRANSFORMS)
-        truth.add_topic("/tf", TRANSFORMS)
+            tracker.add_topic("/tf", mcap_messages.TRANSFORMS)
+        truth.add_topic("/tf", mcap_messages.TRANSFORMS)
         if static:
-            tracker.add_topic("/tf_static", TRANSFORMS, latched=True)
+            tracker.add_topic("/tf_static", mcap_messages.TRANSFORMS, latched=True)
             first = self._stamps_ns[0]
             tracker.write("/tf_static", first, self._make.transforms(first, [(place, 0) for place in static]))
 
@@ -341,7 +292,11 @@ class BagRecording:
 
     def _own_ship(self, block: Block, motion: OwnMotion) -> Iterator[Stamped]:
         prefix, unit = self._names.vessels[motion.vessel], self._names.imu(motion.vessel)
-        variances = _variances(self._scene.imu)
+        imu = self._scene.imu  # variances of all errors are those of noise and offset
+        rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
+        force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
+        # Those of roll, pitch and heading are ROS's, about x, y and z.
+        variances = mcap_messages.Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
         for row, stamp in enumerate(self._stamps_ns[block.first : block.stop]):
             speeds = motion.velocities_m_s[row], motion.rates_rad_s[row]
             yield Stamped(stamp, f"/{prefix}odom", self._make.odometry(stamp, motion.place, row, *speeds))
@@ -350,13 +305,13 @@ class BagRecording:
     def _camera(self, part: CameraBlock) -> Iterator[Stamped]:
         name, frame = self._names.cameras[part.camera], self._names.optical(part.camera)
         intrinsics = self._scene.cameras[part.camera].intrinsics
-        for stamp, boxes in self._stamped(part, detected_boxes(part, self._scene)):
+        for stamp, boxes in self._stamped(part, mcap_messages.detected_boxes(part, self._scene)):
             yield Stamped(stamp, f"/{name}/camera_info", self._make.camera_info(stamp, frame, intrinsics))
             yield Stamped(stamp, f"/{name}/detections", self._make.detections(stamp, frame, boxes))
 
     def _truth(self, part: CameraBlock) -> Iterator[Stamped]:
         topic, frame = f"/truth/{self._names.cameras[part.camera]}/boxes", self._names.optical(part.camera)
-        for stamp, boxes in self._stamped(part, true_boxes(part, self._scene)):
+        for stamp, boxes in self._stamped(part, mcap_messages.true_boxes(part, self._scene)):
             yield Stamped(stamp, topic, self._make.detections(stamp, frame, boxes))
 
     def _vessels(self, block: Block) -> Iterator[Stamped]:
@@ -375,24 +330,13 @@ def _write(bag: Bag, sources: Iterable[Iterator[Stamped]]) -> None:
         bag.write(topic, stamp_ns, message)
 
 
-def _variances(imu: Imu) -> Variances:
-    """Variances of all errors: noise and offset. Those of roll, pitch and heading are ROS's, about x, y and z."""
-    rate = imu.rate_noise_rad_s**2 + imu.rate_bias_rad_s**2
-    force = imu.acceleration_noise_m_s2**2 + imu.acceleration_bias_m_s2**2
-    return Variances(imu.attitude_std_rad**2, np.full(3, rate), np.full(3, force))
-
-
-BAGS = ("detections", "truth")
-"""Folders of the bags; the first is a tracker's."""
+BAGS = ("detections", "truth")  # folders of the bags; the first is a tracker's
 FILES = tuple(f"{bag}/{name}" for bag in BAGS for name in (f"{bag}.mcap", "metadata.yaml"))
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files.
-
-    Raises:
-        ModsimError: rosbags is not installed, the run has no step, or its names or times cannot be those of a bag.
-    """
+    """The paths of the files. Raises ModsimError if rosbags is not installed, the run has no step, or its names or
+    times cannot be those of a bag."""
     _recording(request)
     return FILES
 
@@ -414,7 +358,8 @@ def _recording(request: ExportRequest) -> BagRecording:
     run = request.run
     run.check_has_steps()
     messages, scene = Messages(message_types("--format mcap")), run.scene
-    return BagRecording(scene, bag_names(request), stamps_ns(scene.timestamps(0, run.steps), scene.title), messages)
+    stamps_ns = mcap_messages.stamps_ns(scene.timestamps(0, run.steps), scene.title)
+    return BagRecording(scene, bag_names(request), stamps_ns, messages)
 
 
 @contextmanager

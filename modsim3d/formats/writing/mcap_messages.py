@@ -28,19 +28,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FrameBoxes:
-    """The n boxes of a frame.
+    """The n boxes of a frame."""
 
-    Attributes:
-        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
-        labels: Classes.
-        scores: Confidences.
-        ids: Names of the vessels; empty texts where a tracker must not know them.
-    """
-
-    boxes_px: Array
+    boxes_px: Array  # x_min, y_min, x_max, y_max: (n, 4)
     labels: list[str]
     scores: list[float]
-    ids: list[str]
+    ids: list[str]  # names of the vessels; empty texts where a tracker must not know them
 
 
 def detected_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
@@ -76,21 +69,14 @@ IMU = "sensor_msgs/msg/Imu"
 
 # ---- Times of steps in ROS's nanoseconds ----
 
-MAX_S = 2**31 - 1
-"""ROS keeps seconds in 32 bits with a sign, and a bag holds no negative times."""
+MAX_S = 2**31 - 1  # ROS keeps seconds in 32 bits with a sign, and a bag holds no negative times
 _UNIT, _EXACT = Decimal("1e-9"), Context(prec=40)
 
 
 def stamps_ns(timestamps: Sequence[str], source: str) -> Indices:
-    """Nanoseconds of steps with ascending times, shape (n,); digits beyond the ninth decimal are rounded.
-
-    Args:
-        timestamps: Texts of the times in seconds.
-        source: What errors call the scene.
-
-    Raises:
-        InputError: A time is before 0 or too late for ROS, or two times differ by less than ROS can tell.
-    """
+    """Nanoseconds of steps with ascending times in seconds, (n,); digits beyond the ninth decimal are rounded. Raises
+    InputError, in which `source` names the scene, if a time is before 0 or too late for ROS, or two differ by less than
+    ROS can tell."""
     stamps = [_nanoseconds(text) for text in timestamps]
     for text, stamp in zip(timestamps, stamps, strict=True):
         if stamp is None:
@@ -99,10 +85,8 @@ def stamps_ns(timestamps: Sequence[str], source: str) -> Indices:
     ns = np.array(stamps, dtype=np.int64)
     same = np.flatnonzero(np.diff(ns) <= 0)
     if len(same):
-        first, second = timestamps[int(same[0])], timestamps[int(same[0]) + 1]
-        raise InputError(
-            source, [f"times {first} s and {second} s: ROS counts in nanoseconds and cannot tell them apart"]
-        )
+        pair = f"times {timestamps[int(same[0])]} s and {timestamps[int(same[0]) + 1]} s"
+        raise InputError(source, [f"{pair}: ROS counts in nanoseconds and cannot tell them apart"])
     return ns
 
 
@@ -117,34 +101,21 @@ def _nanoseconds(text: str) -> int | None:
 
 @dataclass(frozen=True, eq=False)
 class FramePlace:
-    """Where a frame is in its parent at S steps.
-
-    Attributes:
-        parent: Name of the parent.
-        child: Name of the frame.
-        positions_m: Its origin in the parent, shape (S, 3).
-        quaternions: The rotation from it to its parent as x, y, z, w, shape (S, 4).
-    """
+    """Place of a frame in its parent at S steps."""
 
     parent: str
     child: str
-    positions_m: Array
-    quaternions: Array
+    positions_m: Array  # its origin in the parent: (S, 3)
+    quaternions: Array  # rotation from it to its parent as x, y, z, w: (S, 4)
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMotion:
-    """Measurements of an inertial unit at S steps.
+    """Measurements of an inertial unit at S steps."""
 
-    Attributes:
-        quaternions: The rotation from its axes to the map as x, y, z, w, shape (S, 4).
-        rates_rad_s: Angular velocity along its axes, shape (S, 3).
-        forces_m_s2: Specific force along its axes, shape (S, 3).
-    """
-
-    quaternions: Array
-    rates_rad_s: Array
-    forces_m_s2: Array
+    quaternions: Array  # rotation from its axes to the map as x, y, z, w: (S, 4)
+    rates_rad_s: Array  # angular velocity along its axes: (S, 3)
+    forces_m_s2: Array  # specific force along its axes: (S, 3)
 
 
 class Variances(NamedTuple):
@@ -179,34 +150,19 @@ class Messages:
         """A `CameraInfo`; the image is not rectified, so R is the identity and P has K's numbers."""
         width, height = intrinsics.image_size_px
         lens, matrix = intrinsics.distortion or Distortion(), intrinsics.matrix
-        return self._make(
-            CAMERA_INFO,
-            self._header(stamp_ns, frame),
-            height,
-            width,
-            "plumb_bob",
-            np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3]),
-            matrix.ravel(),
-            np.eye(3).ravel(),
-            np.column_stack([matrix, np.zeros(3)]).ravel(),
-            0,
-            0,
-            self._types["sensor_msgs/RegionOfInterest"](0, 0, 0, 0, False),  # zeros: the whole image
-        )
+        distortion = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
+        matrices = matrix.ravel(), np.eye(3).ravel(), np.column_stack([matrix, np.zeros(3)]).ravel()
+        whole = self._types["sensor_msgs/RegionOfInterest"](0, 0, 0, 0, False)  # zeros: the whole image
+        header = self._header(stamp_ns, frame)
+        return self._make(CAMERA_INFO, header, height, width, "plumb_bob", distortion, *matrices, 0, 0, whole)
 
     def transforms(self, stamp_ns: int, places: Iterable[tuple[FramePlace, int]]) -> Any:
         """A `TFMessage` of frames, each with the index of the step in its `FramePlace`."""
-        kind = self._types["geometry_msgs/TransformStamped"]
-        entries = [
-            kind(
-                self._header(stamp_ns, place.parent),
-                place.child,
-                self._types["geometry_msgs/Transform"](
-                    self._vector(place.positions_m[step]), self._quaternion(place.quaternions[step])
-                ),
-            )
-            for place, step in places
-        ]
+        kind, transform = self._types["geometry_msgs/TransformStamped"], self._types["geometry_msgs/Transform"]
+        entries = []
+        for place, step in places:
+            moved = transform(self._vector(place.positions_m[step]), self._quaternion(place.quaternions[step]))
+            entries.append(kind(self._header(stamp_ns, place.parent), place.child, moved))
         return self._make(TRANSFORMS, entries)
 
     def odometry(self, stamp_ns: int, place: FramePlace, step: int, velocity_m_s: Array, rates_rad_s: Array) -> Any:
@@ -214,27 +170,16 @@ class Messages:
         pose = self._pose(place.positions_m[step], place.quaternions[step])
         twist = self._types["geometry_msgs/Twist"](self._vector(velocity_m_s), self._vector(rates_rad_s))
         exact = np.zeros(36)
-        return self._make(
-            ODOMETRY,
-            self._header(stamp_ns, place.parent),
-            place.child,
-            self._pose_with_covariance(pose, exact),
-            self._types["geometry_msgs/TwistWithCovariance"](twist, exact),
-        )
+        covered = self._types["geometry_msgs/TwistWithCovariance"](twist, exact)
+        header = self._header(stamp_ns, place.parent)
+        return self._make(ODOMETRY, header, place.child, self._pose_with_covariance(pose, exact), covered)
 
     def imu(self, stamp_ns: int, frame: str, measured: MeasuredMotion, step: int, variances: Variances) -> Any:
         """An `Imu` of an inertial unit at a step."""
         turn, rate, force = (np.diag(each).ravel() for each in variances)
-        return self._make(
-            IMU,
-            self._header(stamp_ns, frame),
-            self._quaternion(measured.quaternions[step]),
-            turn,
-            self._vector(measured.rates_rad_s[step]),
-            rate,
-            self._vector(measured.forces_m_s2[step]),
-            force,
-        )
+        attitude, header = self._quaternion(measured.quaternions[step]), self._header(stamp_ns, frame)
+        rates, forces = self._vector(measured.rates_rad_s[step]), self._vector(measured.forces_m_s2[step])
+        return self._make(IMU, header, attitude, turn, rates, rate, forces, force)
 
     def _make(self, kind: str, *fields: Any) -> Any:
         return self._types[kind.replace("/msg/", "/")](*fields)

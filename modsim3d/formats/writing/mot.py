@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,14 +27,11 @@ from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.camera_sequences import CameraSequence, SequenceTruth
 from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.tracks.tracks import SEQUENCE_HEADING, free_name
-from modsim3d.world.vessels import Vessel
 
 ALL_SET, CLASS_SET = "modsim3d-all", "modsim3d-class"
-SCORED, DISTRACTOR = 1, 8
-"""Classes of the format: the only one that evaluators score, and one whose matches they leave out."""
+SCORED, DISTRACTOR = 1, 8  # the only class that evaluators score, and one whose matches they leave out
 UNKNOWN = -1
-_MIN_IOU = 0.5
-"""From here on evaluators match a track to a distractor."""
+_MIN_IOU = 0.5  # from here on evaluators match a track to a distractor
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
@@ -44,11 +41,7 @@ def files(request: ExportRequest) -> tuple[str, ...]:
 
 
 def write(request: ExportRequest, folder: Path) -> None:
-    """Write a run.
-
-    Raises:
-        OutputError: The folder holds sequences of an earlier export that this one would not replace.
-    """
+    """Write a run. Raises OutputError if the folder holds sequences of an earlier export that it would not replace."""
     sequences = _sequences(request)
     _check_no_others(sequences, folder)
     contents = {f"{each.folder}/{file}": text(each) for each in sequences for file, text in _SEQUENCE_FILES.items()}
@@ -56,7 +49,8 @@ def write(request: ExportRequest, folder: Path) -> None:
         names = [each.name for each in sequences if each.set == set_]
         contents[f"seqmaps/{set_}.txt"] = "".join(f"{name}\n" for name in (SEQUENCE_HEADING, *names))
     contents["frames.csv"] = _frame_table(request.sequences)
-    contents["vessels.csv"] = _vessel_table(request.run.scene.vessels)
+    vessels = ((k, each.name, each.label) for k, each in enumerate(request.run.scene.vessels, start=1))
+    contents["vessels.csv"] = _table(("identity", "vessel", "label"), vessels)
     write_files({folder / path: text for path, text in contents.items()})
 
 
@@ -86,27 +80,20 @@ class _Sequence:
 
 def _sequences(request: ExportRequest) -> list[_Sequence]:
     labels, found = request.run.scene.detector.labels, list[_Sequence]()
+
+    def free(wanted: str, set_: str) -> str:
+        return free_name(wanted, [each.name for each in found if each.set == set_])
+
     for each in request.sequences:
-        name = _free_name(each.camera.name, ALL_SET, found)
-        found.append(_Sequence(ALL_SET, name, each, each.truth, each.detections))
+        found.append(_Sequence(ALL_SET, free(each.camera.name, ALL_SET), each, each.truth, each.detections))
     for each in request.sequences:
         for number, label in enumerate(labels):
             truth = each.truth.take(each.truth.label == number)
             detections = each.detections.take(each.detections.label == number)
             if truth.annotated.any() or len(detections):
-                name = _free_name(f"{each.camera.name}-{label}", CLASS_SET, found)
+                name = free(f"{each.camera.name}-{label}", CLASS_SET)
                 found.append(_Sequence(CLASS_SET, name, each, truth, detections))
     return found
-
-
-def _free_name(wanted: str, set_: str, given: Iterable[_Sequence]) -> str:
-    """A name for a folder like the one that is wanted, which no sequence of the set has."""
-    return free_name(wanted, [each.name for each in given if each.set == set_])
-
-
-def _info(sequence: _Sequence) -> str:
-    frames = sequence.frames
-    return sequence_text(sequence.name, frames.size_px, frames.rate_hz, len(frames.steps))
 
 
 def sequence_text(name: str, size_px: tuple[int, int], rate_hz: float, frames: int) -> str:
@@ -132,21 +119,24 @@ def _truth(sequence: _Sequence) -> str:
     return _lines([*columns, np.where(np.isnan(truth.visible_fraction), UNKNOWN, truth.visible_fraction.round(6))])
 
 
-def _detections(sequence: _Sequence) -> str:
-    return detection_text(sequence.detections)
-
-
 def detection_text(found: TrackerDetections, classes: Indices | None = None) -> str:
-    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known.
-
-    With classes, shape (m,), they stand in place of the first number of that place, as in truth.
-    """
+    """Lines of frame, −1, x, y, width, height, confidence, and −1 for the place in the world, which is not known. With
+    classes, shape (m,), they stand in place of the first number of that place, as in truth."""
     unknown = np.full(len(found), UNKNOWN)
     last = [unknown if classes is None else classes, unknown, unknown]
     return _lines([found.frame + 1, unknown, *_places(found.boxes_px), found.confidence, *last])
 
 
-_SEQUENCE_FILES = {"seqinfo.ini": _info, "gt/gt.txt": _truth, "det/det.txt": _detections}
+def _info(sequence: _Sequence) -> str:
+    frames = sequence.frames
+    return sequence_text(sequence.name, frames.size_px, frames.rate_hz, len(frames.steps))
+
+
+_SEQUENCE_FILES: dict[str, Callable[[_Sequence], str]] = {
+    "seqinfo.ini": _info,
+    "gt/gt.txt": _truth,
+    "det/det.txt": lambda sequence: detection_text(sequence.detections),
+}
 
 
 def _near_scored(truth: SequenceTruth) -> Mask:
@@ -183,11 +173,6 @@ def _frame_table(sequences: Sequence[CameraSequence]) -> str:
         for frame, (step, time_s) in enumerate(zip(each.steps.tolist(), each.times_s.tolist(), strict=True), start=1)
     )
     return _table(("camera", "frame", "step", "time_s"), rows)
-
-
-def _vessel_table(vessels: Sequence[Vessel]) -> str:
-    """The vessel behind each identity of the ground truth."""
-    return _table(("identity", "vessel", "label"), ((k, each.name, each.label) for k, each in enumerate(vessels, 1)))
 
 
 def _table(heading: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -15,18 +15,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Format:
-    """A format.
+    """A format."""
 
-    Attributes:
-        module: Module below this package that writes it. It has `files`, which gives the paths inside the folder before
-            anything is done, and `write`, which writes them all. It may have `notes`.
-        content: What it writes, for the command's help.
-        options: Options of the command that it takes beside those that every format takes.
-    """
-
+    # Module below this package that writes it. It has `files`, which gives the paths inside the folder before anything
+    # is done, and `write`, which writes them all. It may have `notes`.
     module: str
-    content: str
-    options: tuple[str, ...] = ()
+    content: str  # for the command's help
+    options: tuple[str, ...] = ()  # of the command, that it takes beside those that every format takes
 
     def files(self, request: ExportRequest) -> tuple[str, ...]:
         """Paths, relative to the folder, of the files that `write` will write."""
@@ -40,10 +35,8 @@ class Format:
         return told
 
     def folders(self) -> Mapping[str, str]:
-        """The pattern of the names in each folder of which `write` makes everything; relative to the folder.
-
-        A format with a file for each frame has them as `FOLDERS`.
-        """
+        """The pattern of the names in each folder of which `write` makes everything; relative to the folder. A format
+        with a file for each frame has them as `FOLDERS`."""
         folders: Mapping[str, str] = getattr(self._imported(), "FOLDERS", {})
         return folders
 

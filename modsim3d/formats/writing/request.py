@@ -12,19 +12,12 @@ from modsim3d.runs.stored_run import StoredRun
 
 @dataclass(frozen=True, eq=False)
 class ExportRequest:
-    """A finished run, and which of its cameras are exported.
-
-    Attributes:
-        run: The run.
-        cameras: Indices into the scene's cameras, ascending.
-        masks: Whether the pixels of the vessels are written too.
-        attitude: Of cameras on board: as the inertial unit measures it, or the true one.
-    """
+    """A finished run, and which of its cameras are exported."""
 
     run: StoredRun
-    cameras: tuple[int, ...]
-    masks: bool = False
-    attitude: Attitude = "measured"
+    cameras: tuple[int, ...]  # indices into the scene's cameras, ascending
+    masks: bool = False  # whether the pixels of the vessels are written too
+    attitude: Attitude = "measured"  # of cameras on board: as the inertial unit measures it, or the true one
 
     @cached_property
     def sequences(self) -> tuple[CameraSequence, ...]:

@@ -1,9 +1,7 @@
 """YOLO text folders: a file of labels and one of predictions for each frame, and `data.yaml` with the classes.
-
 A line is class, x, y, width, height, in shares of the image, and for a prediction the confidence. The programs that
 read such folders take the list of images and their sizes from the pictures, and a run has none; so each frame has an
-empty picture of its size.
-"""
+empty picture of its size."""
 
 from __future__ import annotations
 
@@ -23,8 +21,7 @@ from modsim3d.io.atomic_write import encoded, make_folder, put_folder_in_place, 
 from modsim3d.runs.camera_sequences import CameraSequence
 
 DATA_FILE = "data.yaml"
-FOLDERS = {"images": "*.png", "labels": "*.txt", "predictions": "*.txt"}
-"""Folders of which everything is written, with the pattern of their files."""
+FOLDERS = {"images": "*.png", "labels": "*.txt", "predictions": "*.txt"}  # all of it is written: pattern of the files
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:

@@ -3,8 +3,7 @@
 The method is the dynamic window approach (Fox, Burgard & Thrun (1997), "The dynamic window approach to collision
 avoidance"). Each vessel compares arcs that it could drive in the next seconds, within the speeds and turn rates that
 it can reach. An arc is admissible if it hits nothing, and is scored by progress towards a goal, clearance and speed.
-Vessels move one after another and only to free places; a vessel that finds none stays. So no two vessels ever overlap.
-"""
+Vessels move one after another and only to free places; a vessel that finds none stays. No two ever overlap."""
 
 from __future__ import annotations
 
@@ -28,29 +27,18 @@ LOOK_AHEAD_S = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
 SPEED_CHOICES, TURN_CHOICES = 5, 9
 GOAL_REACHED_M = 6.0
 PLACING_DRAWS = 2000
-
-
 Above0 = Annotated[float, Field(strict=True, gt=0, le=MAX_COORDINATE_M)]
 
 
 class AgentsKeys(SourceKeys, Strict):
-    """A closed rectangle of water and how vessels drive in it.
+    """A closed rectangle of water and how vessels drive in it."""
 
-    Attributes:
-        size_m: Extent along w1 and w2; one corner is the origin.
-        speed_m_s: Least and greatest speed that vessels try to keep.
-        acceleration_m_s2: Greatest change of speed.
-        turn_rate_rad_s: Greatest rate of turn.
-        turn_acceleration_rad_s2: Greatest change of the rate of turn.
-        clearance_m: Distance that is kept between hulls, and between a hull and the wall.
-    """
-
-    size_m: tuple[Above0, Above0]
-    speed_m_s: tuple[Above0, Above0] = (2.0, 4.0)
-    acceleration_m_s2: Above0 = 1.0
-    turn_rate_rad_s: Above0 = 0.5
-    turn_acceleration_rad_s2: Above0 = 0.6
-    clearance_m: Above0 = 1.0
+    size_m: tuple[Above0, Above0]  # extent along w1 and w2; one corner is the origin
+    speed_m_s: tuple[Above0, Above0] = (2.0, 4.0)  # least and greatest that vessels try to keep
+    acceleration_m_s2: Above0 = 1.0  # greatest change of speed
+    turn_rate_rad_s: Above0 = 0.5  # greatest
+    turn_acceleration_rad_s2: Above0 = 0.6  # greatest change of the rate of turn
+    clearance_m: Above0 = 1.0  # distance that is kept between hulls, and between a hull and the wall
 
     @field_validator("speed_m_s")
     @classmethod
@@ -80,11 +68,8 @@ class _Fleet:
 def drive_agents(
     vessels: Sequence[Vessel], steps: int, time_step_s: float, basin: AgentsKeys, seed: int
 ) -> RecordedPoses:
-    """Let vessels drive about in a basin; the seed gives their starts, goals and speeds.
-
-    Raises:
-        InputError: The vessels do not fit into the basin.
-    """
+    """Let vessels drive about in a basin; the seed gives their starts, goals and speeds. Raises InputError if the
+    vessels do not fit into the basin."""
     check_pose_count("poses.agents", steps, len(vessels))
     rng = Streams(seed).generator(Purpose.AGENTS, step=0)
     fleet = _placed(vessels, basin, rng)
@@ -114,11 +99,9 @@ def _placed(vessels: Sequence[Vessel], basin: AgentsKeys, rng: np.random.Generat
             if _clearance(fleet, i, basin, place, heading, 0.0)[0] >= 2 * basin.clearance_m:
                 break
         else:
-            problem = (
-                f"no free place for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) in a basin of "
-                f"{basin.size_m[0]} m × {basin.size_m[1]} m in {PLACING_DRAWS} draws: use fewer vessels"
-            )
-            raise InputError("poses.agents", [problem])
+            hull = f"vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m)"
+            water = f"a basin of {basin.size_m[0]} m × {basin.size_m[1]} m in {PLACING_DRAWS} draws: use fewer vessels"
+            raise InputError("poses.agents", [f"no free place for {hull} in {water}"])
         fleet.place[i], fleet.heading[i] = place[0], heading[0]
         fleet.speed[i] = fleet.wanted[i] / 2
         fleet.goal[i] = _new_goal(basin, rng)
@@ -169,11 +152,8 @@ def _scores(fleet: _Fleet, i: int, basin: AgentsKeys, speed: Array, turn: Array)
 
 
 def _along(fleet: _Fleet, i: int, speed: Array, turn: Array, time_s: float | Array) -> tuple[Array, Array]:
-    """Places and headings after driving n arcs of constant speed and rate of turn.
-
-    Returns:
-        Shapes (n, 2) and (n,), or (t, n, 2) and (t, n) for times of shape (t, 1).
-    """
+    """Places and headings after driving n arcs of constant speed and rate of turn: (n, 2) and (n,), or (t, n, 2) and
+    (t, n) for times of shape (t, 1)."""
     heading = fleet.heading[i] + turn * time_s
     half = turn * time_s / 2
     chord = speed * time_s * np.sinc(half / math.pi)
@@ -183,19 +163,10 @@ def _along(fleet: _Fleet, i: int, speed: Array, turn: Array, time_s: float | Arr
 
 
 def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: Array, time_s: float | Array) -> Array:
-    """Least distance of a hull to the wall and the others in metres; negative if they overlap.
-
-    The others keep their course and speed. The distance of two rectangles is taken as the widest gap along the normals
-    of their sides, which is never more.
-
-    Args:
-        fleet: The vessels.
-        i: Which of them the hull is.
-        basin: The water.
-        place: Where it may be, shape (n, 2), or (t, n, 2) for times of shape (t, 1).
-        heading: Its headings there, of that shape without the last axis, as is the result.
-        time_s: When.
-    """
+    """Least distance of a hull, by its index, to the wall and the others in metres; negative if they overlap. The
+    others keep their course and speed. The distance of two rectangles is taken as the widest gap along the normals of
+    their sides, which is never more. `place` is where the hull may be: (n, 2), or (t, n, 2) for times of shape (t, 1);
+    its headings there have that shape without the last axis, as has the result."""
     axes = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     reach = np.abs(axes) * fleet.half_m[i, 0] + np.abs(axes[..., ::-1]) * fleet.half_m[i, 1]
     wall: Array = np.minimum(place - reach, np.array(basin.size_m) - place - reach).min(axis=-1)
@@ -210,21 +181,9 @@ def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: 
 
 
 def _gaps(place: Array, axis: Array, half: Array, others: Array, other_axis: Array, other_half: Array) -> Array:
-    """Widest gap between n places of a rectangle and m others along the normals of their sides, in metres.
-
-    Rectangles are given by their centres, unit vectors along their lengths, and half lengths and half beams.
-
-    Args:
-        place: Shape (n, 2), or (t, n, 2) if the others move.
-        axis: As place.
-        half: Shape (2,).
-        others: Shape (m, 2), or (t, m, 2).
-        other_axis: Shape (m, 2).
-        other_half: Shape (m, 2).
-
-    Returns:
-        Shape (n, m), or (t, n, m).
-    """
+    """Widest gap between n places of a rectangle and m others along the normals of their sides in metres: (n, m), or
+    (t, n, m) if the others move. Rectangles are given by their centres (n, 2) or (t, n, 2), and (m, 2) or (t, m, 2);
+    unit vectors along their lengths, as the places and (m, 2); and half lengths and half beams, (2,) and (m, 2)."""
     x, y = np.moveaxis(others[..., None, :, :] - place[..., :, None, :], -1, 0)
     (a, b), (c, d) = np.moveaxis(axis, -1, 0)[..., None], other_axis.T
     cosine = np.abs(axis @ other_axis.T)

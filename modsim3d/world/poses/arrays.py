@@ -17,8 +17,7 @@ from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_
 from modsim3d.world.poses.replay import MAX_PROBLEMS, RecordedPoses, check_pose_count
 
 KEYS = ("positions_m", "headings_rad", "time_step_s", "times_s", "names")
-FILE = "poses.json"
-"""The file in a copy of the scene that holds the arrays."""
+FILE = "poses.json"  # the file in a copy of the scene that holds the arrays
 _MIN_STEP_S, _MAX_S = 1e-9, 1e9
 
 
@@ -42,17 +41,10 @@ class ArrayKeys(SourceKeys):
 
 
 def poses_of_arrays(section: Mapping[str, Any], vessels: Sequence[str] | None, source: str) -> RecordedPoses:
-    """Poses from arrays, which are copied.
-
-    Args:
-        section: `positions_m` of shape (T, N, 2) or (T, N, 3) and `headings_rad` (T, N), NaN where a vessel is absent;
-            `time_step_s` or `times_s` (T,); `names` of the N columns, if they are not the vessels in their order.
-        vessels: IDs of the scene's vessels; None if they are not known.
-        source: Name of the scene in errors.
-
-    Raises:
-        InputError: With every problem found.
-    """
+    """Poses from arrays, which are copied: `positions_m` (T, N, 2) or (T, N, 3) and `headings_rad` (T, N), NaN where a
+    vessel is absent; `time_step_s` or `times_s` (T,); `names` of the N columns, if they are not the scene's vessels in
+    their order, whose IDs are None if not known. Raises InputError with every problem found; `source` names the scene
+    in it."""
     problems = [f"poses.{key}: unknown key ({nearest(str(key), KEYS)})" for key in section if key not in KEYS]
     names = _names(section.get("names"), vessels, problems)
     positions = _numbers(section, "positions_m", "(T, N, 2) or (T, N, 3)", problems)
@@ -81,17 +73,12 @@ def poses_of_arrays(section: Mapping[str, Any], vessels: Sequence[str] | None, s
 
 
 def pose_file(poses: RecordedPoses, names: Sequence[str], source: str) -> bytes:
-    """The pose file with the same poses, to the last bit.
-
-    Raises:
-        InputError: It would be too large to be read again.
-    """
+    """The pose file with the same poses, to the last bit. Raises InputError if it would be too large to be read
+    again."""
     text = b"{" + b",\n".join(line[1:-1] for line in pose_texts(poses.recorded, poses.timestamps, names)) + b"}\n"
     if len(text) > input_files.MAX_TEXT_BYTES:
-        problem = (
-            f"poses: the arrays make a pose file of {len(text):,} bytes, and at most {input_files.MAX_TEXT_BYTES:,}"
-        )
-        raise InputError(source, [f"{problem} can be read again: use fewer steps or vessels"])
+        most = f"at most {input_files.MAX_TEXT_BYTES:,} can be read again: use fewer steps or vessels"
+        raise InputError(source, [f"poses: the arrays make a pose file of {len(text):,} bytes, and {most}"])
     return text
 
 
@@ -145,9 +132,8 @@ def _shape_problems(positions: Array, headings: Array, names: list[str] | None) 
     of = "" if names is None else f", a column for each of the {len(names)} vessels named"
     fits = positions.ndim == 3 and positions.shape[2] in (2, 3) and (names is None or positions.shape[1] == len(names))
     if not fits:
-        problems.append(
-            f"poses.positions_m: shape (T, {count}, 2) or (T, {count}, 3) is needed{of} (got {positions.shape})"
-        )
+        shapes = f"shape (T, {count}, 2) or (T, {count}, 3) is needed{of}"
+        problems.append(f"poses.positions_m: {shapes} (got {positions.shape})")
     elif headings.shape != positions.shape[:2]:
         needed = positions.shape[:2]
         problems.append(f"poses.headings_rad: shape {needed} is needed, that of positions_m (got {headings.shape})")
@@ -163,10 +149,12 @@ def _timestamps(section: Mapping[str, Any], steps: int, problems: list[str]) -> 
         problems.append("poses: give exactly one of time_step_s and times_s")
         return ()
     if step_s is not None:
-        if problem := _step_problem(step_s):
-            problems.append(problem)
-            return ()
-        return generated_timestamps(steps, float(step_s))
+        number = isinstance(step_s, int | float | np.integer | np.floating) and not isinstance(step_s, bool)
+        if number and _MIN_STEP_S <= step_s <= _MAX_S:
+            return generated_timestamps(steps, float(step_s))
+        needed = f"a number of seconds from {_MIN_STEP_S:g} to {_MAX_S:g} is needed"
+        problems.append(f"poses.time_step_s: {needed} (got {shown(step_s)})")
+        return ()
     array = _numbers(section, "times_s", f"({steps},)", problems)
     if array is None:
         return ()
@@ -176,18 +164,9 @@ def _timestamps(section: Mapping[str, Any], steps: int, problems: list[str]) -> 
         problems.append("poses.times_s: finite numbers of seconds are needed (got NaN or infinity)")
     elif len(back := np.flatnonzero(np.diff(array) <= 0)):
         step = int(back[0])
-        problems.append(
-            f"poses.times_s[{step + 1}]: times must increase, but {array[step + 1]:g} s comes after {array[step]:g} s"
-        )
+        order = f"times must increase, but {array[step + 1]:g} s comes after {array[step]:g} s"
+        problems.append(f"poses.times_s[{step + 1}]: {order}")
     return tuple(map(repr, array.tolist()))
-
-
-def _step_problem(step_s: Any) -> str | None:
-    number = isinstance(step_s, int | float | np.integer | np.floating) and not isinstance(step_s, bool)
-    if number and _MIN_STEP_S <= step_s <= _MAX_S:
-        return None
-    needed = f"a number of seconds from {_MIN_STEP_S:g} to {_MAX_S:g} is needed"
-    return f"poses.time_step_s: {needed} (got {shown(step_s)})"
 
 
 def _value_problems(positions: Array, headings: Array, names: Sequence[str]) -> list[str]:
@@ -204,8 +183,6 @@ def _value_problems(positions: Array, headings: Array, names: Sequence[str]) -> 
         if len(places := np.argwhere(bad)):
             step, column = places[0].tolist()
             more = f", and so in {len(places) - 1:,} more places" if len(places) > 1 else ""
-            problems.append(
-                f"poses.{array}[{step}]: '{names[column]}' is {what}{more}; both are finite, or both NaN where a "
-                "vessel is absent"
-            )
+            both = "both are finite, or both NaN where a vessel is absent"
+            problems.append(f"poses.{array}[{step}]: '{names[column]}' is {what}{more}; {both}")
     return problems

@@ -128,10 +128,8 @@ def times_s(timestamps: Sequence[str], first: int, stop: int) -> Array:
 
 
 def generated_timestamps(steps: int, time_step_s: float, first: int = 0) -> tuple[str, ...]:
-    """Exact decimals of step × interval in its shortest form, with at least one decimal: 0.0, 0.2, 0.4, 0.6.
-
-    They are of steps `first` to steps − 1.
-    """
+    """Exact decimals of step × interval in its shortest form, with at least one decimal: 0.0, 0.2, 0.4, 0.6; of steps
+    `first` to steps − 1."""
     interval = Decimal(repr(float(time_step_s)))
     parts = (f"{interval * step:f}".partition(".") for step in range(first, steps))
     return tuple(f"{whole}.{decimals.rstrip('0') or '0'}" for whole, _, decimals in parts)
@@ -139,8 +137,7 @@ def generated_timestamps(steps: int, time_step_s: float, first: int = 0) -> tupl
 
 # ---- The simplest way to write a pose source ----
 
-Place = tuple[Sequence[float], float]
-"""Centre of the bottom plane in WCF, three metres, and the heading in radians."""
+Place = tuple[Sequence[float], float]  # centre of the bottom plane in WCF, three metres, and the heading in radians
 
 
 class PosesByTime(SourceKeys, Strict):
@@ -171,11 +168,7 @@ class TimedPoses:
     request: PoseRequest
 
     def poses(self, first: int, stop: int) -> Poses:
-        """Poses at steps first to stop − 1.
-
-        Raises:
-            ModsimError: `at` names a vessel that the scene does not have.
-        """
+        """Poses at steps first to stop − 1. Raises ModsimError if `at` names a vessel that the scene does not have."""
         names = self.request.names or ()
         columns = {name: column for column, name in enumerate(names)}
         poses = Poses.absent(stop - first, len(names))
@@ -191,8 +184,7 @@ class TimedPoses:
 
 # ---- Texts of the times of a long scene ----
 
-TOGETHER = 1024
-"""Steps whose texts are worked out together."""
+TOGETHER = 1024  # steps whose texts are worked out together
 
 
 @dataclass(frozen=True)
@@ -231,8 +223,7 @@ def _texts(time_step_s: float, number: int) -> tuple[str, ...]:
 
 # ---- Vessels along waypoints, at constant speed between two of them ----
 
-Waypoint = tuple[Number, Metres, Metres]
-"""Time in seconds, w1 and w2 in metres."""
+Waypoint = tuple[Number, Metres, Metres]  # time in seconds, w1 and w2 in metres
 
 
 class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
@@ -247,10 +238,8 @@ class TracksKeys(SourceKeys, RootModel[dict[str, list[Waypoint]]]):
 
 @dataclass(frozen=True, eq=False)
 class WaypointTracks:
-    """Vessels that follow waypoints and head along their legs.
-
-    `waypoints` are times in seconds and places w1, w2 in metres of each vessel, shape (k, 3); None without a track.
-    """
+    """Vessels that follow waypoints and head along their legs. `waypoints` are times in seconds and places w1, w2 in
+    metres of each vessel: (k, 3); None without a track."""
 
     timestamps: Sequence[str]
     waypoints: tuple[Array | None, ...]
@@ -269,11 +258,9 @@ class WaypointTracks:
 
 
 def _along(tracks: Sequence[Array], times_s: Array) -> tuple[Mask, Array, Array]:
-    """Whether V vessels are there at S times, shape (S, V), their places, (S, V, 2), and headings in radians, (S, V).
-
-    Times ascend. Each track has times in seconds and places w1, w2 in metres of at least two waypoints, shape (k, 3).
-    Where a vessel is not there, its place and heading mean nothing.
-    """
+    """Whether V vessels are there at S ascending times (S, V), their places (S, V, 2), and headings in radians (S, V).
+    Each track has times in seconds and places w1, w2 in metres of at least two waypoints: (k, 3). Where a vessel is not
+    there, its place and heading mean nothing."""
     waypoints, counts = np.concatenate(tracks), np.array([len(track) for track in tracks])
     first = np.cumsum(counts) - counts
     step, vessel = np.searchsorted(times_s, waypoints[:, 0]), np.repeat(np.arange(len(tracks)), counts)
@@ -290,11 +277,8 @@ def _along(tracks: Sequence[Array], times_s: Array) -> tuple[Mask, Array, Array]
 def waypoint_tracks(
     tracks: Mapping[str, Sequence[Waypoint]], vessels: Sequence[str], steps: int, time_step_s: float
 ) -> WaypointTracks:
-    """Tracks from the waypoints of each vessel in a scene file; a vessel without a track is always absent.
-
-    Raises:
-        InputError: With every problem found.
-    """
+    """Tracks from the waypoints of each vessel in a scene file; a vessel without a track is always absent. Raises
+    InputError with every problem found."""
     problems: list[str] = []
     known = set(vessels)
     for name, waypoints in tracks.items():

@@ -44,21 +44,13 @@ class CircularKeys(SourceKeys, Strict):
 
 @dataclass(frozen=True, eq=False)
 class CircularMotion:
-    """Each vessel on a circle of its own, heading along it, counter-clockwise at positive rates.
-
-    Attributes:
-        timestamps: Texts of the steps' times.
-        centre_m: Common centre, w1 and w2.
-        radii_m: Radius of each vessel's circle, shape (V,).
-        rates_rad_s: Angular velocity on the circle, shape (V,).
-        phases_rad: Angle on the circle at step 0, shape (V,).
-    """
+    """Each vessel on a circle of its own, heading along it, counter-clockwise at positive rates."""
 
     timestamps: Sequence[str]
-    centre_m: tuple[float, float]
-    radii_m: Array
-    rates_rad_s: Array
-    phases_rad: Array
+    centre_m: tuple[float, float]  # common to all circles, w1 and w2
+    radii_m: Array  # (V,)
+    rates_rad_s: Array  # angular velocity on the circle: (V,)
+    phases_rad: Array  # angle on the circle at step 0: (V,)
 
     def poses(self, first: int, stop: int) -> Poses:
         """Poses at steps first to stop − 1 (eq. 7.5, 7.7)."""
@@ -72,11 +64,9 @@ class CircularMotion:
 
 
 def swept_ring(radius_m: float, length_m: float, beam_m: float) -> tuple[float, float]:
-    """Inner and outer radius of the ring that a hull sweeps while its centre runs on a circle.
-
-    The sides lie half a beam inside and outside the circle of the hull's centre, and the corners half a length further
-    along the tangent. A hull whose inner side passes the centre sweeps a full disc.
-    """
+    """Inner and outer radius of the ring that a hull sweeps while its centre runs on a circle. The sides lie half a
+    beam inside and outside the circle of the hull's centre, and the corners half a length further along the tangent. A
+    hull whose inner side passes the centre sweeps a full disc."""
     return max(0.0, radius_m - beam_m / 2), math.hypot(radius_m + beam_m / 2, length_m / 2)
 
 
@@ -89,13 +79,9 @@ def circular_motion(
     rotation_rate_rad_s: tuple[float, float],
     seed: int,
 ) -> CircularMotion:
-    """Circles with random radii, rates and start phases on which no two hulls can ever touch.
-
-    `radius_m` and `rotation_rate_rad_s` are least and greatest values. The vessels' names key the random numbers.
-
-    Raises:
-        InputError: The vessels do not fit between the two radii.
-    """
+    """Circles with random radii, rates and start phases on which no two hulls can ever touch. `radius_m` and
+    `rotation_rate_rad_s` are least and greatest values. The vessels' names key the random numbers. Raises InputError if
+    the vessels do not fit between the two radii."""
     streams = Streams(seed)
     starts = [streams.uniforms(Purpose.CIRCLE_START, vessel.name, first=0, count=1) for vessel in vessels]
     rate, phase = np.concatenate(starts).T
@@ -110,11 +96,8 @@ def circular_motion(
 
 
 def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: Streams) -> Array:
-    """A radius for each vessel, shape (V,).
-
-    Distinct radii alone do not keep hulls apart. A radius is therefore drawn again until the ring that its hull sweeps
-    is free of the rings before it.
-    """
+    """A radius for each vessel: (V,). Distinct radii alone do not keep hulls apart: a radius is drawn again until the
+    ring that its hull sweeps is free of the rings before it."""
     least, greatest = radius_m
     rings: list[tuple[float, float]] = []
     radii = []
@@ -125,11 +108,9 @@ def _radii(vessels: Sequence[Vessel], radius_m: tuple[float, float], streams: St
             if all(outer < other_inner or other_outer < inner for other_inner, other_outer in rings):
                 break
         else:
-            problem = (
-                f"no free ring for vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m) between radii "
-                f"{least} and {greatest} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
-            )
-            raise InputError("poses.circular", [problem])
+            hull = f"vessel '{vessel.name}' ({vessel.length_m} m × {vessel.beam_m} m)"
+            ring = f"radii {least} and {greatest} m in {MAX_DRAWS} draws: widen radius_m or use fewer vessels"
+            raise InputError("poses.circular", [f"no free ring for {hull} between {ring}"])
         rings.append((inner, outer))
         radii.append(radius)
     return np.array(radii)

@@ -26,11 +26,8 @@ class CheckedPoses:
     """The poses of a plug-in; errors name the plug-in."""
 
     def __init__(self, source: PoseSource, plugin: Plugin, vessels: int) -> None:
-        """Check the times. Poses are checked when they are used.
-
-        Raises:
-            ModsimError: The times are not texts of increasing numbers.
-        """
+        """Check the times; poses are checked when they are used. Raises ModsimError if the times are not texts of
+        increasing numbers."""
         self._source, self._plugin, self._vessels = source, plugin, vessels
         times = list(source.timestamps)
         if not times or not all(isinstance(text, str) for text in times):
@@ -40,11 +37,7 @@ class CheckedPoses:
         self.timestamps: Sequence[str] = times
 
     def poses(self, first: int, stop: int) -> Poses:
-        """Poses at steps first to stop − 1.
-
-        Raises:
-            ModsimError: The plug-in fails or returns something else.
-        """
+        """Poses at steps first to stop − 1. Raises ModsimError if the plug-in fails or returns something else."""
         try:
             poses = self._source.poses(first, stop)
         except Exception as error:
@@ -107,35 +100,27 @@ class NamedSource:
 
     def vessels(self, request: PoseRequest) -> Mapping[str, Mapping[str, object]]:
         """Entries of the vessels that it draws, see `SourceKeys.vessels`; each entry of a plug-in is checked elsewhere.
-
-        Raises:
-            InputError: With every problem found, or a plug-in fails or returns no mapping of names to mappings.
-        """
+        Raises InputError with every problem found, or if a plug-in fails or returns no mapping of names to mappings."""
         if self.plugin is None:
             return self.keys.vessels(request)
         with _failures_of(self.plugin):
             entries = self.keys.vessels(request)
             if not isinstance(entries, Mapping) or not all(isinstance(entry, Mapping) for entry in entries.values()):
-                raise ModsimError(
-                    "vessels() must return a mapping of vessel ID to the mapping of a vessels file's entry"
-                )
+                wanted = "a mapping of vessel ID to the mapping of a vessels file's entry"
+                raise ModsimError(f"vessels() must return {wanted}")
             return {name: dict(entry) for name, entry in entries.items()}
 
     def build(self, request: PoseRequest) -> PoseSource:
-        """The poses of a scene's vessels; see `SourceKeys.build`.
-
-        Raises:
-            InputError: With every problem found, or a plug-in fails or returns no pose source.
-        """
+        """The poses of a scene's vessels; see `SourceKeys.build`. Raises InputError with every problem found, or if a
+        plug-in fails or returns no pose source."""
         if self.plugin is None:
             return self.keys.build(request)
         with _failures_of(self.plugin):
             source = self.keys.build(request)
             _check_files(self.keys.files, request)
             if not (hasattr(source, "timestamps") and callable(getattr(source, "poses", None))):
-                raise ModsimError(
-                    f"build() must return a pose source, with timestamps and poses(first, stop), not {source!r}"
-                )
+                wanted = "a pose source, with timestamps and poses(first, stop)"
+                raise ModsimError(f"build() must return {wanted}, not {source!r}")
             vessels = len(request.names or ())
             if isinstance(source, LivePoses):
                 return LivePoses(_checked_steps(source.steps, self.plugin, vessels), vessels, source.source)
@@ -154,11 +139,8 @@ def _failures_of(plugin: Plugin) -> Iterator[None]:
 
 
 def read_source(poses: Mapping[str, object], scene: str) -> NamedSource:
-    """The one source that a scene file names in its section `poses`; `scene` is its name in errors.
-
-    Raises:
-        InputError: There is not exactly one, no such source, or its keys are wrong.
-    """
+    """The one source that a scene file names in its section `poses`; `scene` is its name in errors. Raises InputError
+    if there is not exactly one, no such source, or its keys are wrong."""
     given = {name: keys for name, keys in poses.items() if keys is not None}
     if len(given) != 1:
         got = f" (got {', '.join(given)})" if given else ""
@@ -185,8 +167,5 @@ def _model(name: str) -> tuple[type[BaseModel], Plugin | None]:
         found, plugin = load_plugin(POSE_SOURCES, name, f"poses.{name}", SOURCES)
     if isinstance(found, type) and issubclass(found, BaseModel) and issubclass(found, SourceKeys):
         return found, plugin
-    problem = (
-        f"{plugin} must be a class made from modsim3d.plugins.PosesByTime, or from SourceKeys and a pydantic "
-        f"model, not {found!r}"
-    )
-    raise InputError(f"poses.{name}", [problem])
+    wanted = "a class made from modsim3d.plugins.PosesByTime, or from SourceKeys and a pydantic model"
+    raise InputError(f"poses.{name}", [f"{plugin} must be {wanted}, not {found!r}"])

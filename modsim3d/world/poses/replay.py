@@ -23,12 +23,11 @@ from modsim3d.io.strict_text import check_values, load_json, parse_json
 from modsim3d.io.validation import MAX_COORDINATE_M, Strict, join_path, nearest, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
 
-MAX_PROBLEMS = 20
-"""Most problems that are reported of one file."""
+MAX_PROBLEMS = 20  # that are reported of one file
 OF_AN_INTERRUPTED_RUN = ("unfinished", "poses.jsonl")
 """End of the path of the poses that a live run took in; a kill or a power cut may leave half a line at its end."""
+# Form of a timestamp; `float` accepts more, such as `1_0`.
 SECONDS = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
-"""Form of a timestamp; `float` accepts more, such as `1_0`."""
 
 
 class FileKeys(SourceKeys, RootModel[str]):
@@ -81,11 +80,8 @@ def load_poses(path: Path, vessels: Sequence[str] | None) -> RecordedPoses:
 
 
 def parse_lines(text: str, source: str) -> dict[str, Any]:
-    """The mapping of Figure 7.3 from JSON Lines, one time step a line; the last line may be empty.
-
-    Raises:
-        InputError: A line is wrong; the message names its number.
-    """
+    """The mapping of Figure 7.3 from JSON Lines, one time step a line; the last line may be empty. Raises InputError if
+    a line is wrong, with its number."""
     data: dict[str, Any] = {}
     for number, line in enumerate(text.rstrip().split("\n"), start=1):
         timestamp, entries = read_line(line.strip(), source, number)
@@ -96,11 +92,7 @@ def parse_lines(text: str, source: str) -> dict[str, Any]:
 
 
 def read_line(text: str, source: str, number: int) -> tuple[str, Any]:
-    """The timestamp and the vessels' entries from one line.
-
-    Raises:
-        InputError: The line is no JSON object with one key.
-    """
+    """The timestamp and the vessels' entries from one line. Raises InputError if it is no JSON object with one key."""
     where = f"line {number}"
     if not text:
         raise InputError(source, [f"{where}: is empty; an empty line is the end of a stream"])
@@ -138,24 +130,17 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
 
 
 def check_pose_count(source: str, steps: int, vessels: int) -> None:
-    """Refuse poses that would fill the memory, though most vessels may be absent at most steps.
-
-    Raises:
-        InputError: Vessels times steps exceed the budget.
-    """
+    """Refuse poses that would fill the memory, though most vessels may be absent at most steps. Raises InputError if
+    vessels times steps exceed the budget."""
     if steps * vessels > input_files.MAX_POSES:
-        problem = (
-            f"{steps:,} steps of {vessels:,} vessels are more than {input_files.MAX_POSES:,} poses: use fewer of either"
-        )
-        raise InputError(source, [problem])
+        most = f"more than {input_files.MAX_POSES:,} poses: use fewer of either"
+        raise InputError(source, [f"{steps:,} steps of {vessels:,} vessels are {most}"])
 
 
 def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
-    """Write the entries of one time step into a row of poses, and return the problems of the entries.
-
-    Entries are centre position and heading by vessel ID; `columns` has the column of each ID. All vessels must be
-    absent at the step before.
-    """
+    """Write the entries of one time step into a row of poses, and return the problems of the entries, which are centre
+    position and heading by vessel ID. `columns` has the column of each ID. All vessels must be absent at the step
+    before."""
     if not isinstance(entries, dict):
         return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]
     problems: list[str] = []
@@ -228,15 +213,12 @@ def _finite(value: Any) -> bool:
 
 # ---- Poses that arrive while a scene runs, one step at a time ----
 
-Step = tuple[str, Poses]
-"""Text of a step's time, and the poses of that one step."""
+Step = tuple[str, Poses]  # text of a step's time, and the poses of that one step
 
 
 class LivePoses:
-    """Keeps the steps that have arrived, and waits for the others.
-
-    The next step is read only when it is needed. Steps that have arrived stay in memory: 40 bytes for each vessel and
-    step.
+    """Keeps the steps that have arrived, and waits for the others. The next step is read only when
+    it is needed. Steps that have arrived stay in memory: 40 bytes for each vessel and step.
 
     Attributes:
         timestamps: Texts of the times of the steps that have arrived.
@@ -328,11 +310,8 @@ class StreamKeys(SourceKeys, Strict):
 
 
 def read_steps(lines: Iterable[bytes], source: str, names: Sequence[str]) -> Iterator[Step]:
-    """Each step when its line arrives; an empty line is the end. `source` is named in errors.
-
-    Raises:
-        InputError: A line is wrong; the message names its number.
-    """
+    """Each step when its line arrives; an empty line is the end. `source` is named in errors. Raises InputError if a
+    line is wrong, with its number."""
     columns = {name: column for column, name in enumerate(names)}
     before: list[str] = []
     for number, line in enumerate(lines, start=1):
@@ -374,10 +353,8 @@ def _lines(path: Path | None, timeout_s: float, source: str) -> Iterator[bytes]:
 
 
 def follow(file: IO[bytes], timeout_s: float | None) -> Iterator[bytes]:
-    """The lines of a file as they are written; at the end what is left without a line break, if anything is.
-
-    At the end of a file the next line is waited for, for `timeout_s`; None is for a pipe, which really ends.
-    """
+    """The lines of a file as they are written; at the end what is left without a line break, if anything is. At the end
+    of a file the next line is waited for, for `timeout_s`; None is for a pipe, which really ends."""
     line, since = b"", time.monotonic()
     while True:
         piece = file.readline(MAX_LINE_BYTES + 1 - len(line))

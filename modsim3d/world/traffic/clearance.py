@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 import shapely
@@ -19,26 +18,17 @@ from modsim3d.world.traffic.tracks import Sweep, Track
 
 BETWEEN = np.array([-0.375, -0.125, 0.125, 0.375])
 """Times within an interval, around the step, at which hulls that are close are compared."""
-STRIDE = 8
-"""One step in so many is looked at to find those at which two hulls are near each other."""
-SWING = 1.4
-"""A bow in a turn moves faster than the hull's centre, by no more than this factor: no radius is below 3/4 length."""
+STRIDE = 8  # one step in so many is looked at to find those at which two hulls are near each other
+SWING = 1.4  # a bow in a turn moves at most so much faster than the hull's centre: no radius is below 3/4 length
 
 
 def rectangle_gaps(
     offset: Array, axes: Array, half: tuple[float, float], other_axes: Array, other_half: tuple[float, float]
 ) -> Array:
-    """Widest gap between n pairs of rectangles along the normals of their sides in metres, shape (..., n).
-
-    It is never more than their distance, and negative if they overlap.
-
-    Args:
-        offset: From the centres of the first rectangles to those of the others, shape (..., n, 2).
-        axes: Unit vectors along the lengths of the first, shape (n, 2).
-        half: Half length and half beam of the first.
-        other_axes: Unit vectors along the lengths of the others, shape (n, 2).
-        other_half: Half length and half beam of the others.
-    """
+    """Widest gap between n pairs of rectangles along the normals of their sides in metres, shape (..., n). It is never
+    more than their distance, and negative if they overlap. `offset` leads from the centres of the first rectangles to
+    those of the others: (..., n, 2); the axes are unit vectors along their lengths: (n, 2); the halves are half length
+    and half beam."""
     cosine = np.abs(axes[:, 0] * other_axes[:, 0] + axes[:, 1] * other_axes[:, 1])
     sine = np.abs(axes[:, 0] * other_axes[:, 1] - axes[:, 1] * other_axes[:, 0])
     gaps = []
@@ -54,17 +44,9 @@ def rectangle_gaps(
 
 
 def least_gaps(sweep: Sweep, other: Sweep, interval_s: float, within_m: float) -> tuple[Array, Indices]:
-    """Least gap between each of C tracks and one other over all times, and the step of it, both of shape (C,).
-
-    A gap is a lower bound of the distance of the hulls at any time, between the steps too. Gaps of more than `within_m`
-    are infinite, with step 0.
-
-    Args:
-        sweep: C tracks.
-        other: One track.
-        interval_s: Interval between the steps.
-        within_m: Gaps of more than this are of no interest.
-    """
+    """Least gap between each of C tracks and one other over all times, and the step of it, both (C,). A gap is a lower
+    bound of the distance of the hulls at any time, between the steps too. Gaps of more than `within_m` are infinite,
+    with step 0."""
     speed = (sweep.speeds_m_s + other.speeds_m_s[0]) * SWING * interval_s
     reach = sweep.hull.reach_m + other.hull.reach_m + within_m
     least, step = np.full(len(sweep.tracks), np.inf), np.zeros(len(sweep.tracks), dtype=np.int64)
@@ -84,19 +66,16 @@ def least_gaps(sweep: Sweep, other: Sweep, interval_s: float, within_m: float) -
 
 
 def _near_steps(sweep: Sweep, other: Sweep, reach_m: float, speed_m: Array) -> tuple[Indices, Indices]:
-    """Tracks and steps at which two hulls could come within reach during the interval around the step.
-
-    `speed_m` is how far they can move against each other in an interval, shape (C,). Few steps are looked at first.
-    """
-    middles = np.minimum(
-        np.arange(STRIDE // 2, sweep.present.shape[1] + STRIDE // 2, STRIDE), sweep.present.shape[1] - 1
-    )
+    """Tracks and steps at which two hulls could come within reach during the interval around the step. `speed_m` is how
+    far they can move against each other in an interval: (C,). Few steps are looked at first."""
+    times = sweep.present.shape[1]
+    middles = np.minimum(np.arange(STRIDE // 2, times + STRIDE // 2, STRIDE), times - 1)
     offset = sweep.places_m[:, middles] - other.places_m[:, middles]
     around = (reach_m + speed_m * (STRIDE + 1) / 2)[:, None] ** 2
     coarse = offset[..., 0] ** 2 + offset[..., 1] ** 2 < around
     if not coarse.any():
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    near = np.repeat(coarse, STRIDE, axis=1)[:, : sweep.present.shape[1]]
+    near = np.repeat(coarse, STRIDE, axis=1)[:, :times]
     rows, steps = np.nonzero(near & sweep.present & other.present)
     offset = sweep.places_m[rows, steps] - other.places_m[0, steps]
     close = offset[:, 0] ** 2 + offset[:, 1] ** 2 < (reach_m + speed_m[rows] / 2) ** 2
@@ -127,11 +106,7 @@ class Land:
 
     def below(self, air_draft_m: float) -> shapely.Geometry:
         """Footprint of all that stands in the way of a vessel of an air draft; bridges above her mast do not."""
-        return next((area for base, area in reversed(self.levels) if base < air_draft_m), self._open)
-
-    @cached_property
-    def _open(self) -> shapely.Geometry:
-        return shapely.Polygon()
+        return next((area for base, area in reversed(self.levels) if base < air_draft_m), shapely.Polygon())
 
     def gaps(self, sweep: Sweep, interval_s: float, within_m: float) -> Array:
         """Least distance of each of C tracks to land in metres, shape (C,); more than `within_m` is infinite."""
@@ -159,14 +134,11 @@ def corners(places: Array, axes: Array, half: tuple[float, float]) -> Array:
     return places[:, None] + np.stack([along + across, along - across, -along - across, across - along], axis=1)
 
 
-COMFORT = 0.4
-"""Vessels want this share of their lengths, taken together, of water between them."""
-LAND_COMFORT = 0.5
-"""And this share of a length to land."""
+COMFORT, LAND_COMFORT = 0.4, 0.5
+"""Shares of their lengths, taken together, that vessels want of water between them; and of a length to land."""
 CROWDING = 3.0
 """Cost of touching, beside the costs of the changes that avoid it; it falls to nothing at a comfortable distance."""
-SMALL_CHANGE = 1.5
-"""Cost up to which a changed track is taken without a look at larger changes."""
+SMALL_CHANGE = 1.5  # cost up to which a changed track is taken without a look at larger changes
 LONGEST_INTERVAL_S = 1.0
 LAND_WORK, PAIR_WORK, MAX_WORK = 20, 2_000, 3_000_000_000
 """Comparing a place with land, as other vessels; comparing two vessels at all, as places; and the work that may be done
@@ -179,46 +151,29 @@ class TooCrowded(Exception):
 
 @dataclass(frozen=True)
 class TrackClearance:
-    """How good the best of some tracks is.
+    """Rating of the best of some tracks."""
 
-    Attributes:
-        track: The best track; None if none keeps clear.
-        crowding: What near misses add to its cost; 0 at comfortable distances.
-        conflict_s: Time of the least gap of the first track, if there is one.
-    """
-
-    track: Track | None
-    crowding: float
-    conflict_s: float | None
+    track: Track | None  # the best one; None if none keeps clear
+    crowding: float  # what near misses add to its cost; 0 at comfortable distances
+    conflict_s: float | None  # time of the least gap of the first track, if there is one
 
 
 @dataclass(eq=False)
 class Waters:
-    """The map, the times and the vessels planned so far.
-
-    Attributes:
-        land: What stands in the way.
-        times_s: Times at which hulls are compared, shape (T,).
-        interval_s: Interval between them.
-        clearance_m: Least water between hulls and to land.
-        fleet: The vessels planned so far.
-        work: Places that were compared with other vessels.
-    """
+    """The map, the times and the vessels planned so far."""
 
     land: Land
-    times_s: Array
+    times_s: Array  # at which hulls are compared: (T,)
     interval_s: float
-    clearance_m: float
-    fleet: list[Sweep] = field(default_factory=list)
-    work: int = 0
+    clearance_m: float  # least water between hulls and to land
+    fleet: list[Sweep] = field(default_factory=list)  # the vessels planned so far
+    work: int = 0  # places that were compared with other vessels
     _places_m: Array = field(default_factory=lambda: np.zeros((0, 0, 2)))
 
     @classmethod
     def during(cls, land: Land, duration_s: float, time_step_s: float, clearance_m: float) -> Waters:
         """Waters for a drive from time 0, compared at the scene's steps or at a few times a step, about a second apart.
-
-        With steps of less than a second only some are compared: least distances hold at all times.
-        """
+        With steps of less than a second only some are compared: least distances hold at all times."""
         if time_step_s > LONGEST_INTERVAL_S:
             interval = time_step_s / math.ceil(time_step_s / LONGEST_INTERVAL_S)
         else:
@@ -247,11 +202,12 @@ class Waters:
             if gaps[0] < closest:
                 closest, conflict_s = gaps[0], float(self.times_s[steps[0]])
         costs = np.array([track.cost for track in tracks])
-        best, least = None, np.inf
+        best, least, off_land = None, np.inf, self.clearance_m + LAND_COMFORT * sweep.hull.length_m
         for index in np.argsort(costs + crowding, kind="stable").tolist():
             if costs[index] + crowding[index] >= least:
                 break  # land can only add to the cost
-            crowding[index] += self._near_land(sweep.row(index))
+            gaps = self.land.gaps(sweep.row(index), self.interval_s, off_land)
+            crowding[index] += _crowding(gaps, self.clearance_m, off_land)[0]
             if costs[index] + crowding[index] < least:
                 best, least = index, costs[index] + crowding[index]
         if best is None:
@@ -294,18 +250,10 @@ class Waters:
         near: list[int] = np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2).tolist()
         return near
 
-    def _near_land(self, sweep: Sweep) -> float:
-        comfort = self.clearance_m + LAND_COMFORT * sweep.hull.length_m
-        gaps = self.land.gaps(sweep, self.interval_s, comfort)
-        return float(_crowding(gaps, self.clearance_m, comfort)[0])
-
     def best(self, first: Track, changes: Callable[[float | None], Iterable[Sequence[Track]]]) -> Track | None:
-        """The first track if it keeps well clear, else the best of it and of the changed ones; None if none does.
-
-        Args:
-            first: The track as drawn.
-            changes: Gives the changed tracks, small changes first, for the time of the first one's closest approach.
-        """
+        """The first track, as drawn, if it keeps well clear, else the best of it and of the changed ones; None if none
+        does. `changes` gives the changed tracks, small changes first, for the time of the first one's closest
+        approach."""
         verdict = self.judge([first])
         if verdict.track is not None and verdict.crowding == 0:
             return first

@@ -18,26 +18,19 @@ from modsim3d.world.traffic.paths import rounded, turns_rad
 from modsim3d.world.traffic.tracks import DrawnHull, Track, draw_hull, draw_one
 
 TRIES = 100
-KEPT_TRIES = 30
-"""Tries with the same kind of vessel, closest approach, time and side; only then those are drawn anew too."""
-STRAIGHT_TRIES = 10
-"""Tries of ways without a bend, which cost less."""
-ABAFT_RAD = math.radians(112.5)
-"""22.5° abaft the beam: a vessel that comes from further aft overtakes (COLREG, rule 13)."""
+KEPT_TRIES = 30  # with the same kind of vessel, closest approach, time and side; only then those are drawn anew too
+STRAIGHT_TRIES = 10  # of ways without a bend, which cost less
+ABAFT_RAD = math.radians(112.5)  # 22.5° abaft the beam: a vessel from further aft overtakes (COLREG, rule 13)
 HEAD_ON_RAD = math.radians(6)
 CROSSING_RAD = math.radians(55), math.radians(125)
 OVERTAKING_RAD = math.radians(12)
-FASTER = 1.15
-"""Least ratio of the speeds when one overtakes the other."""
-EASY = 1.5
-"""Radii of bends in least radii."""
-STEADY_S = 60.0, 40.0
-"""Time before and after the closest approach for which she goes straight in any case."""
+FASTER = 1.15  # least ratio of the speeds when one overtakes the other
+EASY = 1.5  # radii of bends in least radii
+STEADY_S = 60.0, 40.0  # before and after the closest approach: she goes straight for so long in any case
 _BENDS = (0.0, 0.35, -0.35, 0.8, -0.8)
 BENDS_RAD = tuple((before, after) for before, after in product(_BENDS, _BENDS) if 0 < abs(before) + abs(after) < 1.2)
 """Alterations before and after that, where land or another vessel is in the way."""
-EARLY_S = 3.0
-"""She is there a little before the drive and after it."""
+EARLY_S = 3.0  # she is there a little before the drive and after it
 
 
 @dataclass(frozen=True)
@@ -52,7 +45,7 @@ class _Meeting:
 
 
 def encounter_problems(chart: Chart, name: str, keys: EncounterKeys) -> list[str]:
-    """Why an encounter cannot be with some speed that own ship may draw."""
+    """Reasons why an encounter cannot be with some speed that own ship may draw."""
     met, where = keys.own or next(iter(chart.keys.own)), f"encounters.{name}"
     slowest, fastest = chart.keys.own[met].speed_m_s
     speeds = [chart.keys.speed_range(keys, kind) for kind, weight in keys.kinds.items() if weight > 0]
@@ -66,9 +59,8 @@ def encounter_problems(chart: Chart, name: str, keys: EncounterKeys) -> list[str
         problems[0] += f": one must be {FASTER:g} times as fast as the other"
     way = chart.own[met].path.length_m
     if way < fastest * keys.time_s[1]:
-        problems.append(
-            f"{where}.time_s: '{met}' is at the end of her route after {way / fastest:.0f} s at {fastest:g} m/s"
-        )
+        gone = f"is at the end of her route after {way / fastest:.0f} s at {fastest:g} m/s"
+        problems.append(f"{where}.time_s: '{met}' {gone}")
     beams = chart.own[met].hull.beam_m + min(min(chart.keys.kinds[kind].beam_m) for kind in keys.kinds)
     if keys.closest_m[1] < (near := beams / 2 + chart.keys.clearance_m):
         problems.append(f"{where}.closest_m: the centres of hulls with clearance_m between them are {near:.0f} m apart")
@@ -186,10 +178,8 @@ def _turned(kind: str, share: float) -> float:
 
 
 def _comes_as_asked(kind: str, from_her: Array, heading: float, course: float) -> bool:
-    """Whether the bearings, while they are far apart, make it such an encounter.
-
-    `from_her` is the direction in which she comes closer, from own ship to her.
-    """
+    """Whether the bearings, while they are far apart, make it such an encounter. `from_her` is the direction in which
+    she comes closer, from own ship to her."""
     bearing = _wrapped(math.atan2(from_her[1], from_her[0]) - heading)
     aspect = _wrapped(math.atan2(-from_her[1], -from_her[0]) - course)
     if kind == "overtaking":

@@ -17,19 +17,11 @@ from modsim3d.core.random_streams import Purpose, Streams, on_grid
 from modsim3d.io.validation import join_path, nearest
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys, generated_timestamps
 from modsim3d.world.poses.replay import RecordedPoses, check_pose_count
+from modsim3d.world.traffic import lanes
 from modsim3d.world.traffic.clearance import LONGEST_INTERVAL_S, Land, TooCrowded, Waters, least_gaps
 from modsim3d.world.traffic.encounters import draw_encounter, encounter_problems
 from modsim3d.world.traffic.keys import LeisureKeys, OwnKeys, TrafficSections
-from modsim3d.world.traffic.lanes import (
-    Chart,
-    Craft,
-    arrivals,
-    between,
-    draw_lane,
-    expected_arrivals,
-    kind_of,
-    lane_problems,
-)
+from modsim3d.world.traffic.lanes import Chart, Craft, between
 from modsim3d.world.traffic.paths import VesselPath, Wanderer, corner_radii_m, rounded
 from modsim3d.world.traffic.tracks import DrawnHull, Sweep, Track, turning_radius_m
 from modsim3d.world.vessels import Vessel, shoebox
@@ -37,15 +29,12 @@ from modsim3d.world.vessels import Vessel, shoebox
 # ---- Leisure craft, which wander about in an area for the whole drive ----
 
 TRIES = 40
-GOOD_ENOUGH = 0.3
-"""Crowding with which a craft is taken at once, and not the best of all tries."""
+GOOD_ENOUGH = 0.3  # crowding with which a craft is taken at once, and not the best of all tries
 HEAD_STARTS_S = (0.0, 20.0, 40.0, 60.0)
 """Ways are longer than the drive, so that a craft may be further along hers at its beginning."""
 PACES = (1.0, 0.85, 0.7)
-SHORE_M = (12.0, 60.0)
-"""Distance from the shore of those that keep near it, beside the clearance."""
-SHALLOW_M = 1.0
-"""What begins lower than this above the sea takes water away from the area."""
+SHORE_M = (12.0, 60.0)  # distance from the shore of those that keep near it, beside the clearance
+SHALLOW_M = 1.0  # what begins lower than this above the sea takes water away from the area
 
 
 def craft_on_average(chart: Chart, area: LeisureKeys) -> float:
@@ -57,7 +46,7 @@ def craft_on_average(chart: Chart, area: LeisureKeys) -> float:
 def draw_area(chart: Chart, name: str, area: LeisureKeys) -> Iterator[Craft]:
     """The craft of an area."""
     section = f"leisure.{name}"
-    found = arrivals(chart.streams, name, craft_on_average(chart, area))
+    found = lanes.arrivals(chart.streams, name, craft_on_average(chart, area))
     for ordinal in range(1, len(found) + 1):
         track = _draw_craft(chart, name, area, ordinal)
         craft = None if track is None else Craft(f"{name}_{ordinal}", section, track)
@@ -70,7 +59,7 @@ def _draw_craft(chart: Chart, name: str, area: LeisureKeys, ordinal: int) -> Tra
     for attempt in range(TRIES):
         rng = chart.streams.generator(Purpose.TRAFFIC_LEISURE, name, str(ordinal), step=attempt)
         if not attempt:
-            kind = kind_of(area, rng)
+            kind = lanes.kind_of(area, rng)
         hull, speed = chart.hull(area, kind, rng)
         # Most need not look at the others leg by leg, which takes longer.
         is_clear = None if not attempt else partial(_is_clear, chart, hull, speed)
@@ -105,7 +94,7 @@ def _course(chart: Chart, hull: DrawnHull, wanderer: Wanderer) -> VesselPath | N
 
 
 def _water(chart: Chart, area: LeisureKeys, hull: DrawnHull) -> shapely.Geometry:
-    """Where the centre of a hull may be."""
+    """Water in which the centre of a hull may be."""
     land = chart.waters.land.below(hull.air_draft_m).buffer(hull.reach_m + chart.keys.clearance_m, quad_segs=4)
     water = shapely.Polygon(area.polygon_m).buffer(-hull.reach_m).difference(land)
     shapely.prepare(water)
@@ -120,8 +109,7 @@ def _is_clear(chart: Chart, hull: DrawnHull, speed_m_s: float, leg: Array, gone_
 
 # ---- The vessels of the scene file on their routes ----
 
-EASY = 1.5
-"""Radii of turns in least radii, where the legs leave room."""
+EASY = 1.5  # radii of turns in least radii, where the legs leave room
 
 
 def enter_own(chart: Chart, vessels: Sequence[Vessel]) -> list[str]:
@@ -146,10 +134,9 @@ def _tight(name: str, keys: OwnKeys, vessel: Vessel) -> list[str]:
     room = corner_radii_m(np.array(keys.waypoints_m), np.inf)
     if not len(room) or room.min() >= radius:
         return []
-    return [
-        f"own.{name}.waypoints_m[{int(np.argmin(room)) + 1}]: she turns on a radius of {radius:.0f} m, and the legs "
-        f"leave room for {room.min():.0f} m: use longer legs or a smaller change of course"
-    ]
+    turns = f"she turns on a radius of {radius:.0f} m, and the legs leave room for {room.min():.0f} m"
+    corner = f"own.{name}.waypoints_m[{int(np.argmin(room)) + 1}]"
+    return [f"{corner}: {turns}: use longer legs or a smaller change of course"]
 
 
 def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
@@ -169,8 +156,7 @@ def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
 
 WHERE = "poses.traffic"
 MAX_VESSELS = 1000
-MAX_SECONDS = 2_000_000
-"""Vessels times the seconds of the drive."""
+MAX_SECONDS = 2_000_000  # vessels times the seconds of the drive
 AFTER_LAST_ENCOUNTER_S = 30.0
 
 
@@ -185,13 +171,8 @@ class DrivePlan:
 
 @lru_cache(maxsize=4)
 def plan(keys_json: str, setting: PoseRequest) -> DrivePlan:
-    """The plan for some keys, as JSON. A scene asks twice: for the vessels, then for their poses.
-
-    `setting` has no vessels of the scene file but those with a route, and no names.
-
-    Raises:
-        InputError: With every problem found.
-    """
+    """The plan for some keys, as JSON. A scene asks twice: for the vessels, then for their poses. `setting` has no
+    vessels of the scene file but those with a route, and no names. Raises InputError with every problem found."""
     keys = TrafficSections.model_validate_json(keys_json)
     # Of a short scene as of a longer one, so that a short run sees the beginning of the same traffic.
     last = max((meeting.time_s[1] + AFTER_LAST_ENCOUNTER_S for meeting in keys.encounters.values()), default=0.0)
@@ -223,7 +204,7 @@ def _problems(chart: Chart) -> list[str]:
     """Problems of requests that no seed can draw, or that would take too long."""
     problems = []
     for name, lane in chart.keys.lanes.items():
-        problems += lane_problems(chart.keys, name, lane)
+        problems += lanes.lane_problems(chart.keys, name, lane)
         if at := _on_land(chart.waters.land, np.array(lane.waypoints_m), lane.width_m):
             problems.append(f"{join_path('lanes', name)}.waypoints_m: leads over an obstacle at {at}")
     return problems or _too_many(chart)
@@ -232,16 +213,15 @@ def _problems(chart: Chart) -> list[str]:
 def _too_many(chart: Chart) -> list[str]:
     keys, duration = chart.keys, max(chart.waters.end_s, LONGEST_INTERVAL_S)
     means = {f"encounters.{name}.count": float(meeting.count) for name, meeting in keys.encounters.items()}
-    means |= {f"lanes.{name}.per_hour": expected_arrivals(keys, lane, duration)[0] for name, lane in keys.lanes.items()}
+    for name, lane in keys.lanes.items():
+        means[f"lanes.{name}.per_hour"] = lanes.expected_arrivals(keys, lane, duration)[0]
     means |= {f"leisure.{name}.per_km2": craft_on_average(chart, area) for name, area in keys.leisure.items()}
     most = min(MAX_VESSELS, MAX_SECONDS / duration)
     if sum(means.values()) <= most:
         return []
     key = max(means, key=lambda name: means[name])
-    return [
-        f"{key}: means {means[key]:,.0f} vessels, of {sum(means.values()):,.0f} in all; at most {most:,.0f} can be "
-        f"planned for {duration:,.0f} s"
-    ]
+    possible = f"at most {most:,.0f} can be planned for {duration:,.0f} s"
+    return [f"{key}: means {means[key]:,.0f} vessels, of {sum(means.values()):,.0f} in all; {possible}"]
 
 
 def _on_land(land: Land, waypoints_m: np.ndarray, width_m: float) -> str:
@@ -259,22 +239,17 @@ def _draw(chart: Chart) -> Iterator[Craft]:
     for name, meeting in chart.keys.encounters.items():
         yield from draw_encounter(chart, name, meeting)
     for name, lane in chart.keys.lanes.items():
-        yield from draw_lane(chart, name, lane)
+        yield from lanes.draw_lane(chart, name, lane)
     for name, area in chart.keys.leisure.items():
         yield from draw_area(chart, name, area)
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnTraffic(RecordedPoses):
-    """The poses of a drive, with what was drawn.
+    """The poses of a drive, with what was drawn."""
 
-    Attributes:
-        craft: The drawn vessels, in their order in the scene.
-        left_out: Vessels for which there was no room, by section, such as `lanes.north`.
-    """
-
-    craft: tuple[Craft, ...]
-    left_out: Mapping[str, int]
+    craft: tuple[Craft, ...]  # in their order in the scene
+    left_out: Mapping[str, int]  # vessels for which there was no room, by section, such as `lanes.north`
 
 
 class TrafficKeys(SourceKeys, TrafficSections):

@@ -68,6 +68,7 @@ Route = Annotated[list[Place], Field(min_length=2, max_length=MAX_WAYPOINTS), Af
 Polygon = Annotated[list[Place], Field(min_length=3, max_length=MAX_WAYPOINTS), AfterValidator(_area)]
 Mix = Annotated[dict[str, Share], BeforeValidator(_weights), AfterValidator(_some_weight)]
 """Kind → weight; a list of kinds, or one, where all weigh the same."""
+KindSpeeds = dict[str, SpeedRange]  # kind → speed or [least, greatest], where not as in the table of kinds
 MetresRange = Annotated[
     tuple[Annotated[Number, Field(ge=0)], Annotated[Number, Field(ge=0)]],
     BeforeValidator(one_as_range),
@@ -77,106 +78,68 @@ SecondsRange = Annotated[tuple[Seconds, Seconds], BeforeValidator(one_as_range),
 
 
 class OwnKeys(Strict):
-    """The route of a vessel of the scene file, such as own ship; she starts it at time 0.
+    """The route of a vessel of the scene file, such as own ship; she starts it at time 0."""
 
-    Attributes:
-        waypoints_m: Places [w1, w2] in order. Corners are rounded with her turning circle.
-        speed_m_s: Her speed, or [least, greatest] to draw one from.
-        turning_lengths: Diameter of her turning circle in lengths.
-    """
-
-    waypoints_m: Route
-    speed_m_s: SpeedRange
+    waypoints_m: Route  # places [w1, w2] in order; corners are rounded with her turning circle
+    speed_m_s: SpeedRange  # hers, or [least, greatest] to draw one from
+    # Diameter of her turning circle in lengths.
     turning_lengths: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.5, le=20)] = 3.0
 
 
 class LaneKeys(Strict):
-    """A lane that vessels pass through from end to end: a fairway, a traffic lane or a ferry's crossing.
+    """A lane that vessels pass through from end to end: a fairway, a traffic lane or a ferry's crossing."""
 
-    Attributes:
-        waypoints_m: Middle of the lane, places [w1, w2] in order.
-        width_m: Width; vessels keep within it unless they make way for others.
-        both_ways: Whether vessels go in both directions; they keep to the starboard half.
-        per_hour: Vessels that enter the lane in an hour, both directions together, on average. They come at random.
-        kinds: Kind → weight.
-        speed_m_s: Kind → speed or [least, greatest], where not as in the table of kinds.
-    """
-
-    waypoints_m: Route
-    width_m: Width
-    both_ways: bool = False
+    waypoints_m: Route  # middle of the lane, places [w1, w2] in order
+    width_m: Width  # vessels keep within it unless they make way for others
+    both_ways: bool = False  # whether vessels go in both directions; they keep to the starboard half
+    # Vessels that enter the lane in an hour, both directions together, on average; they come at random.
     per_hour: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=1000)]
     kinds: Mix
-    speed_m_s: dict[str, SpeedRange] = Field(default_factory=dict)
+    speed_m_s: KindSpeeds = Field(default_factory=dict)
 
 
 class LeisureKeys(Strict):
-    """An area in which craft wander on smooth courses for the whole drive.
+    """An area in which craft wander on smooth courses for the whole drive."""
 
-    Attributes:
-        polygon_m: Corners [w1, w2] of the area. Craft keep within it.
-        per_km2: Craft for each square kilometre of water in it, on average.
-        kinds: Kind → weight.
-        speed_m_s: Kind → speed or [least, greatest], where not as in the table of kinds.
-    """
-
-    polygon_m: Polygon
+    polygon_m: Polygon  # corners [w1, w2] of the area; craft keep within it
+    # Craft for each square kilometre of water in it, on average.
     per_km2: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=10_000)]
     kinds: Mix
-    speed_m_s: dict[str, SpeedRange] = Field(default_factory=dict)
+    speed_m_s: KindSpeeds = Field(default_factory=dict)
 
 
 class EncounterKeys(Strict):
-    """A vessel that meets own ship. She keeps course and speed through the closest approach.
-
-    Attributes:
-        kind: head_on, crossing, crossing_from_starboard, crossing_from_port, overtaking (she overtakes own ship) or
-            overtaken (own ship overtakes her), as by the rules 13 to 15 of COLREG.
-        closest_m: Distance of the centres at the closest approach, or [least, greatest] to draw it from.
-        time_s: Time of the closest approach, or [least, greatest].
-        kinds: Kind → weight.
-        speed_m_s: Kind → speed or [least, greatest], where not as in the table of kinds.
-        own: The vessel of `own` that is met; the first one by default.
-        count: Number of such vessels.
-    """
+    """A vessel that meets own ship. She keeps course and speed through the closest approach. With the kind `overtaking`
+    she overtakes own ship, with `overtaken` own ship overtakes her, as by the rules 13 to 15 of COLREG."""
 
     kind: Literal["head_on", "crossing", "crossing_from_starboard", "crossing_from_port", "overtaking", "overtaken"]
-    closest_m: MetresRange
-    time_s: SecondsRange
+    closest_m: MetresRange  # distance of the centres at the closest approach, or [least, greatest] to draw it from
+    time_s: SecondsRange  # of the closest approach, or [least, greatest]
     kinds: Mix
-    speed_m_s: dict[str, SpeedRange] = Field(default_factory=dict)
-    own: str | None = None
-    count: Annotated[int, Field(strict=True, ge=0, le=100)] = 1
+    speed_m_s: KindSpeeds = Field(default_factory=dict)
+    own: str | None = None  # the vessel of `own` that is met; the first one by default
+    count: Annotated[int, Field(strict=True, ge=0, le=100)] = 1  # of such vessels
 
 
-Drawn = LaneKeys | LeisureKeys | EncounterKeys
-"""A section that draws vessels by kind."""
+Drawn = LaneKeys | LeisureKeys | EncounterKeys  # a section that draws vessels by kind
 
 
 class TrafficSections(Strict):
-    """The keys of `poses.traffic`.
+    """The keys of `poses.traffic`."""
 
-    Attributes:
-        own: Vessel of the scene file → its route.
-        lanes: Name → lane. A lane has the right of way over those below it.
-        leisure: Name → area with leisure craft.
-        encounters: Name → encounter with own ship.
-        clearance_m: Least water between any two hulls, and between a hull and an obstacle.
-        duration_s: Time for which traffic is planned, if the scene is shorter: any part of it shows the same traffic.
-        wind_from_rad: Direction from which the wind blows, counter-clockwise from w1. With it, leisure craft that sail
-            keep 43° away from it; without it they go anywhere.
-        kinds: Kinds of vessels of your own, or other values of a shipped kind.
-        labels: Label of the shipped kinds → the label that takes its place, or one label for all vessels.
-    """
-
-    own: dict[str, OwnKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
+    own: dict[str, OwnKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)  # vessel of the scene → its route
+    # By name; a lane has the right of way over those below it.
     lanes: dict[str, LaneKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
     leisure: dict[str, LeisureKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
     encounters: dict[str, EncounterKeys] = Field(default_factory=dict, max_length=MAX_SECTIONS)
-    clearance_m: Clearance = 10.0
+    clearance_m: Clearance = 10.0  # least water between any two hulls, and between a hull and an obstacle
+    # Time for which traffic is planned, if the scene is shorter: any part of it shows the same traffic.
     duration_s: Seconds = 0.0
+    # Direction from which the wind blows, counter-clockwise from w1. With it, leisure craft that sail keep 43° away
+    # from it; without it they go anywhere.
     wind_from_rad: Annotated[Number, Field(ge=-TURN_RAD, le=TURN_RAD)] | None = None
-    kinds: dict[str, KindKeys] = Field(default_factory=dict)
+    kinds: dict[str, KindKeys] = Field(default_factory=dict)  # of your own, or other values of a shipped kind
+    # Label of the shipped kinds → the label that takes its place, or one label for all vessels.
     labels: Annotated[str | dict[str, str], BeforeValidator(_labels)] = Field(default_factory=dict)
 
     @field_validator("kinds", mode="before")
@@ -200,12 +163,9 @@ class TrafficSections(Strict):
     @property
     def drawing(self) -> dict[str, Drawn]:
         """All sections that draw vessels, by their path below `poses.traffic`."""
-        groups: dict[str, Mapping[str, Drawn]] = {
-            "encounters": self.encounters,
-            "lanes": self.lanes,
-            "leisure": self.leisure,
-        }
-        return {f"{group}.{name}": keys for group, sections in groups.items() for name, keys in sections.items()}
+        sections: dict[str, Drawn] = {f"encounters.{name}": keys for name, keys in self.encounters.items()}
+        sections |= {f"lanes.{name}": keys for name, keys in self.lanes.items()}
+        return sections | {f"leisure.{name}": keys for name, keys in self.leisure.items()}
 
     def speed_range(self, section: Drawn, kind: str) -> tuple[float, float]:
         """Least and greatest speed of a kind in a section."""
@@ -235,9 +195,8 @@ class TrafficSections(Strict):
             if not self.own:
                 found.append(f"encounters.{name}: with whom? `own` has no vessel")
             elif meeting.own is not None and meeting.own not in self.own:
-                found.append(
-                    f"encounters.{name}.own: no vessel '{meeting.own}' in `own` ({nearest(meeting.own, self.own)})"
-                )
+                hint = nearest(meeting.own, self.own)
+                found.append(f"encounters.{name}.own: no vessel '{meeting.own}' in `own` ({hint})")
         if isinstance(self.labels, Mapping):
             known = {kind.label for kind in self.kinds.values()}
             found += [

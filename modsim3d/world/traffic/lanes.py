@@ -31,30 +31,20 @@ class Approach:
 
 @dataclass(frozen=True)
 class Craft:
-    """A drawn vessel.
+    """A drawn vessel."""
 
-    Attributes:
-        name: Her ID in the scene.
-        section: What drew her, such as `lanes.north`.
-        track: Her hull and way.
-        outbound: Whether she follows a lane from its first waypoint to its last.
-        asked: The closest approach, of an encounter.
-    """
-
-    name: str
-    section: str
+    name: str  # her ID in the scene
+    section: str  # that drew her, such as `lanes.north`
     track: Track
-    outbound: bool = True
-    asked: Approach | None = None
+    outbound: bool = True  # whether she follows a lane from its first waypoint to its last
+    asked: Approach | None = None  # of an encounter
 
 
 @dataclass(eq=False)
 class Chart:
     """Surroundings that vessels are drawn in: the keys, the seed's streams, and the waters with those there already.
-
     `own` has the tracks of the vessels of the scene file; `left_out` counts vessels by section for which there was no
-    room.
-    """
+    room."""
 
     keys: TrafficSections
     streams: Streams
@@ -99,24 +89,18 @@ def arrivals(streams: Streams, name: str, mean: float) -> Sequence[float]:
 
 
 TRIES = 6
-EASY = 2.0
-"""Radii of turns in least radii, where the legs leave room: ships do not turn as tightly as they can."""
+EASY = 2.0  # radii of turns in least radii, where the legs leave room: ships do not turn as tightly as they can
 DELAYS_S = tuple(sign * delay for delay in (10.0, 20.0, 40.0, 60.0, 90.0, 120.0, 180.0, 240.0) for sign in (-1, 1))
-LENGTHS = 3.0
-"""Least length of a lane in lengths of a vessel, who is wholly in it from her first moment to her last."""
-LONGER = 1.2
-"""Ways on the outer side of turns are longer than the middle of the lane, by no more than this factor."""
-SOON_S = 60.0
-"""Delays up to this are tried first."""
+LENGTHS = 3.0  # least length of a lane in those of a vessel, who is wholly in it from her first moment to her last
+LONGER = 1.2  # ways on the outer side of turns are longer than the middle of the lane, by no more than this factor
+SOON_S = 60.0  # delays up to this are tried first
 SEEN, STRICT_TRIES = 0.7, 4
 """A changed track must be in the drive for this share of the time of the drawn one, or a vessel would make way by not
 being there; the last tries may be in it for less, but must be in it."""
 PACES = (0.8, 0.9, 1.1)
-SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Places across the lane, as shares of the width that the hull may use."""
+SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # places across the lane, as shares of the width that the hull may use
 SIDESTEPS_M = (50.0, 100.0, 200.0, 350.0)
-STEEPEST = 0.6
-"""Greatest slope of a sidestep against the lane: an alteration of 31°."""
+STEEPEST = 0.6  # greatest slope of a sidestep against the lane: an alteration of 31°
 SECONDS_A_COST, LANE_A_COST, PACE_A_COST, SIDESTEP_COST, METRES_A_COST = 60.0, 1.0, 5.0, 1.0, 200.0
 
 
@@ -153,7 +137,7 @@ class _Drawn:
 
 
 def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]:
-    """Why vessels of a kind cannot pass through a lane: no room to turn, or too narrow."""
+    """Reasons why vessels of a kind cannot pass through a lane: no room to turn, or too narrow."""
     waypoints, long_m, problems = np.array(lane.waypoints_m), length_m(lane.waypoints_m), []
     room = corner_radii_m(waypoints, np.inf) - lane.width_m / 2
     for kind in (kind for kind, weight in lane.kinds.items() if weight > 0):
@@ -164,17 +148,13 @@ def lane_problems(keys: TrafficSections, name: str, lane: LaneKeys) -> list[str]
         if lane.width_m < least:
             problems.append(f"lanes.{name}.width_m: {kind} with a beam of {beam:.0f} m needs {least:.0f} m here")
         if long_m < LENGTHS * entry.length_m[2]:
-            problems.append(
-                f"lanes.{name}.waypoints_m: the lane is {long_m:.0f} m long: at least {LENGTHS:g} lengths of "
-                f"a {kind}, {LENGTHS * entry.length_m[2]:.0f} m, are needed"
-            )
+            needed_m = f"at least {LENGTHS:g} lengths of a {kind}, {LENGTHS * entry.length_m[2]:.0f} m, are needed"
+            problems.append(f"lanes.{name}.waypoints_m: the lane is {long_m:.0f} m long: {needed_m}")
         tight = np.flatnonzero(room < needed)
         if len(tight):
-            problems.append(
-                f"lanes.{name}.waypoints_m[{tight[0] + 1}]: {kind} turns on a radius of {needed:.0f} m, and the legs "
-                f"leave room for {max(room[tight[0]], 0):.0f} m: use longer legs, a smaller change of course, or "
-                "another kind"
-            )
+            turns, free = f"{kind} turns on a radius of {needed:.0f} m", f"{max(room[tight[0]], 0):.0f} m"
+            remedy = f"the legs leave room for {free}: use longer legs, a smaller change of course, or another kind"
+            problems.append(f"lanes.{name}.waypoints_m[{tight[0] + 1}]: {turns}, and {remedy}")
     return problems
 
 

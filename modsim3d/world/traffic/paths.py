@@ -15,25 +15,17 @@ from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera_poses import heading_of
 
 MAX_POINTS = 20_000
-POINTS_A_RADIUS = 30
-"""Points on a stretch as long as the turning radius."""
-SHARPEST_RAD = 2.6
-"""Sharpest corner of a route (149°): the circle in a sharper one would lie far from it."""
+POINTS_A_RADIUS = 30  # on a stretch as long as the turning radius
+SHARPEST_RAD = 2.6  # sharpest corner of a route (149°): the circle in a sharper one would lie far from it
 
 
 @dataclass(frozen=True, eq=False)
 class VesselPath:
-    """A smooth line as a dense polyline.
+    """A smooth line as a dense polyline."""
 
-    Attributes:
-        along_m: Distance from the start of each point, shape (K,).
-        places_m: The points, shape (K, 2).
-        headings_rad: Tangents at the points, without jumps of a turn, shape (K,).
-    """
-
-    along_m: Array
-    places_m: Array
-    headings_rad: Array
+    along_m: Array  # distance from the start of each point: (K,)
+    places_m: Array  # the points: (K, 2)
+    headings_rad: Array  # tangents at the points, without jumps of a turn: (K,)
 
     @classmethod
     def through(cls, places_m: Array) -> VesselPath:
@@ -75,14 +67,9 @@ class VesselPath:
 
 
 def rounded(waypoints_m: Array, radius_m: float) -> VesselPath:
-    """The path through waypoints whose corners are circles of a radius, or of what their legs leave room for.
-
-    The circle begins and ends gradually: its curvature rises over half a radius, as a ship's rate of turn does.
-
-    Args:
-        waypoints_m: At least two places that differ, shape (k, 2).
-        radius_m: Radius of the turns.
-    """
+    """The path through at least two waypoints that differ (k, 2), whose corners are circles of a radius, or of what
+    their legs leave room for. The circle begins and ends gradually: its curvature rises over half a radius, as a ship's
+    rate of turn does."""
     legs = np.diff(waypoints_m, axis=0)
     length = np.hypot(legs[:, 0], legs[:, 1])
     along = legs / length[:, None]
@@ -152,33 +139,22 @@ def _running_mean(places: Array, half: int) -> Array:
 # ---- Courses of leisure craft through open water ----
 
 PLACES, COURSES, STEPS_BACK = 60, 14, 30
-LEG_RADII, LEG_S = (6.0, 14.0), (45.0, 180.0)
-"""Length of a leg: in turning radii, and in seconds; the longer of the two counts."""
+LEG_RADII, LEG_S = (6.0, 14.0), (45.0, 180.0)  # length of a leg in turning radii and in seconds; the longer one counts
 TURN_RAD, SHARPEST_TURN_RAD = (0.25, 1.2), 2.3
-CLOSE_HAULED_RAD = math.radians(43)
-"""Least angle between a sailing yacht's course and the wind."""
-SPARE = 1.2
-"""Length of shore for a way along it, in lengths of the way, since that leaves out its smallest bends."""
+CLOSE_HAULED_RAD = math.radians(43)  # least angle between a sailing yacht's course and the wind
+SPARE = 1.2  # shore for a way along it, in lengths of the way, since that leaves out its smallest bends
 
 
 @dataclass(frozen=True, eq=False)
 class Wanderer:
-    """A craft that wanders.
+    """A craft that wanders."""
 
-    Attributes:
-        water: Where her centre may be, prepared.
-        radius_m: Radius of her turns.
-        speed_m_s: Her speed.
-        wind_from_rad: Direction from which the wind blows, if she sails.
-        rng: What her courses are drawn with.
-        is_clear: Whether a leg, shape (2, 2), that begins after a distance on her way is clear of others
-    """
-
-    water: shapely.Geometry
-    radius_m: float
+    water: shapely.Geometry  # where her centre may be, prepared
+    radius_m: float  # of her turns
     speed_m_s: float
-    wind_from_rad: float | None
+    wind_from_rad: float | None  # direction from which the wind blows, if she sails
     rng: np.random.Generator
+    # Whether a leg (2, 2) that begins after a distance on her way is clear of others.
     is_clear: Callable[[Array, float], bool] | None = None
 
     def course(self, needed_m: float) -> VesselPath | None:
@@ -223,9 +199,7 @@ class Wanderer:
 
     def _next(self, place: Array, heading: float, gone_m: float) -> tuple[Array, float] | None:
         """The next waypoint and the course to it, wholly in the water; any course if there is no heading yet."""
-        short, long = (
-            max(radii * self.radius_m, time_s * self.speed_m_s) for radii, time_s in zip(LEG_RADII, LEG_S, strict=True)
-        )
+        short, long = np.maximum(np.multiply(LEG_RADII, self.radius_m), np.multiply(LEG_S, self.speed_m_s)).tolist()
         for trial in range(COURSES):
             urge = trial / (COURSES - 1)  # she turns sharper, and sooner, if the water ahead is short
             share, turn, side = self.rng.random(3)

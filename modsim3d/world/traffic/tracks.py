@@ -1,4 +1,4 @@
-"""A vessel under way on her path, and where hulls are at many times."""
+"""A vessel under way on her path, and places of hulls at many times."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from modsim3d.world.vessels import Extent, MeshName
 # ---- Kinds of vessels for drawn traffic ----
 
 TABLE = Path(__file__).with_name("kinds.yaml")
-SPREAD = 0.08
-"""Beam and air draft vary by this share about what the length says."""
+SPREAD = 0.08  # beam and air draft vary by this share about what the length says
 LATERAL_M_S2 = 1.0
 """Greatest acceleration across the course: nobody turns a fast boat as tightly as her rudder would."""
 
@@ -42,34 +41,23 @@ def rising(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+# One speed, or least and greatest.
 SpeedRange = Annotated[tuple[Speed, Speed], BeforeValidator(one_as_range), AfterValidator(rising)]
-"""One speed, or least and greatest."""
 
 
 class KindKeys(Strict):
-    """A kind of vessel.
+    """A kind of vessel."""
 
-    Attributes:
-        length_m: Least, most frequent and greatest length.
-        beam_m: Beam at the least and at the greatest length.
-        air_draft_m: Air draft at the least and at the greatest length.
-        speed_m_s: Least and greatest speed, or one speed.
-        turning_lengths: Diameter of the turning circle in lengths.
-        label: Class of the vessel.
-        mesh: Shape; a box without it.
-        sails: Whether she does not sail into the wind.
-        near_shore: Whether she keeps close to the shore.
-    """
-
-    length_m: Annotated[tuple[Extent, Extent, Extent], AfterValidator(rising)]
-    beam_m: tuple[Extent, Extent]
-    air_draft_m: tuple[Extent, Extent]
+    length_m: Annotated[tuple[Extent, Extent, Extent], AfterValidator(rising)]  # least, most frequent and greatest
+    beam_m: tuple[Extent, Extent]  # at the least and at the greatest length
+    air_draft_m: tuple[Extent, Extent]  # at the least and at the greatest length
     speed_m_s: SpeedRange
+    # Diameter of the turning circle in lengths.
     turning_lengths: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.5, le=20)] = 3.0
     label: str
-    mesh: MeshName | None = None
-    sails: bool = False
-    near_shore: bool = False
+    mesh: MeshName | None = None  # a box without it
+    sails: bool = False  # whether she does not sail into the wind
+    near_shore: bool = False  # whether she keeps close to the shore
 
 
 @dataclass(frozen=True)
@@ -112,9 +100,9 @@ def draw_hull(name: str, kind: KindKeys, speed_m_s: float, rng: np.random.Genera
     air_m = (low + (high - low) * size) * (1 + SPREAD * (2 * float(height) - 1))
     return DrawnHull(
         kind=name,
-        length_m=_centimetres(length),
-        beam_m=_centimetres(beam_m),
-        air_draft_m=_centimetres(air_m),
+        length_m=max(round(length, 2), 0.01),
+        beam_m=max(round(beam_m, 2), 0.01),
+        air_draft_m=max(round(air_m, 2), 0.01),
         turning_radius_m=turning_radius_m(kind.turning_lengths, length, speed_m_s),
     )
 
@@ -143,16 +131,10 @@ def _triangular(corners: tuple[float, float, float], uniform: float) -> float:
     return high - math.sqrt((1 - uniform) * (high - low) * (high - mode))
 
 
-def _centimetres(value: float) -> float:
-    return max(round(value, 2), 0.01)
-
-
 @dataclass(frozen=True, eq=False)
 class Track:
     """A hull that follows a path at constant speed; she starts along it at `start_s`, and is absent before and after.
-
-    `cost` says how far the track is from what was drawn at first.
-    """
+    `cost` says how far the track is from what was drawn at first."""
 
     hull: DrawnHull
     path: VesselPath
@@ -162,7 +144,7 @@ class Track:
 
     @property
     def end_s(self) -> float:
-        """When she reaches the end of the path."""
+        """Time when she reaches the end of the path."""
         return self.start_s + self.path.length_m / self.speed_m_s
 
     def at(self, times_s: Array) -> tuple[Array, Array]:
@@ -177,21 +159,13 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """C tracks of one hull at T times: what is compared with other hulls and with land.
-
-    Attributes:
-        tracks: The tracks.
-        present: Whether she is there, or enters or has left within an interval, shape (C, T).
-        places_m: Shape (C, T, 2).
-        axes: Unit vectors along the hull, shape (C, T, 2).
-        speeds_m_s: Shape (C,).
-    """
+    """C tracks of one hull at T times: what is compared with other hulls and with land."""
 
     tracks: Sequence[Track]
-    present: Mask
-    places_m: Array
-    axes: Array
-    speeds_m_s: Array
+    present: Mask  # whether she is there, or enters or has left within an interval: (C, T)
+    places_m: Array  # (C, T, 2)
+    axes: Array  # unit vectors along the hull: (C, T, 2)
+    speeds_m_s: Array  # (C,)
 
     @classmethod
     def of(cls, tracks: Sequence[Track], times_s: Array, interval_s: float) -> Sweep:

@@ -1,7 +1,5 @@
 """Over a run's own truth, the detector gives what the run has; over any truth, what its file says."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -84,20 +82,14 @@ def test_over_a_runs_truth_under_its_names_each_detection_is_that_of_the_run(run
     detect_run(run, tmp_path / "run", seed=8, settings=settings)
     scene = open_run(run).scene
     ((a, b, c),) = np.unique(scene.sea_half_planes(scene.cameras[0], np.arange(3)), axis=0)
-    detect_truth(
-        as_coco(run, tmp_path),
-        tmp_path / "new",
-        detector=run / "scene" / "detector.yaml",
-        seed=8,
-        settings=settings,
-        horizon=(0, -c / b, 1920, -(a * 1920 + c) / b),
-    )
+    options = {"detector": run / "scene" / "detector.yaml", "seed": 8, "settings": settings}
+    horizon = (0, -c / b, 1920, -(a * 1920 + c) / b)
+    detect_truth(as_coco(run, tmp_path), tmp_path / "new", horizon=horizon, **options)
     asked, found = (rows(tmp_path / folder / "detections.parquet") for folder in ("run", "new"))
     assert len(asked) > 70
     for one, other in zip(asked, found, strict=True):
-        assert {key: one[key] for key in ("step", "label", "state", "kind", "vessel", "detection")} == {
-            key: other[key] for key in ("step", "label", "state", "kind", "vessel", "detection")
-        }
+        for key in ("step", "label", "state", "kind", "vessel", "detection"):
+            assert one[key] == other[key]
         for key in NUMBERS:
             assert one[key] == other[key] or abs(one[key] - other[key]) < 2e-3, key
     assert {row["kind"] for row in found} == set(KINDS)

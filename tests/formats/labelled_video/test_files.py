@@ -1,7 +1,5 @@
 """What `detect --truth` writes, and who can read it."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -36,11 +34,8 @@ def test_a_mot_sequence_comes_out_as_one_that_evaluators_find(tmp_path: Path) ->
     assert [row["image"] for row in rows(tmp_path / "out" / "frames.parquet")] == [str(k) for k in range(1, 46)]
     found = sorted(zip(pair.results.image.tolist(), pair.results.boxes_px.round(2).tolist(), strict=True))
     sides = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
-    assert np.allclose(
-        [box for _, box in found],
-        [box for _, box in sorted((row["step"], [round(row[side], 2) for side in sides]) for row in table)],
-        atol=0.02,
-    )
+    asked = sorted((row["step"], [round(row[side], 2) for side in sides]) for row in table)
+    assert np.allclose([box for _, box in found], [box for _, box in asked], atol=0.02)
 
 
 def test_coco_results_have_the_ids_of_the_file_and_its_owner_reads_them(tmp_path: Path) -> None:
@@ -126,10 +121,8 @@ def test_flags_and_classes_of_mot_say_what_is_no_target(tmp_path: Path) -> None:
     labels = ("ferry", "ferry", "-", "-", "-", "-", "-", "sailboat")
     result = modsim3d.detect_truth(truth, tmp_path / "out", detector="three_labels", labels=labels)
     assert result.counts.annotated == 20
-    assert {row["vessel"]: row["label"] for row in rows(tmp_path / "out" / "truth.parquet")} == {
-        str(TRACKS[0]): "ferry",
-        str(TRACKS[2]): "sailboat",
-    }
+    found = {row["vessel"]: row["label"] for row in rows(tmp_path / "out" / "truth.parquet")}
+    assert found == {str(TRACKS[0]): "ferry", str(TRACKS[2]): "sailboat"}
     assert "10 of 30 boxes are left out: not to be considered" in result.notes
     summary = json.loads((tmp_path / "out" / "detect.json").read_text())
     assert summary["class_numbers"] == {"sailboat": 8, "motorboat": 9, "ferry": 1}
@@ -167,14 +160,11 @@ def test_a_visibility_of_one_everywhere_among_boxes_that_cover_each_other_is_dou
 def test_boxes_are_cut_at_the_image_and_those_outside_are_left_out(tmp_path: Path) -> None:
     truth = tmp_path / "gt.txt"
     truth.write_text("1,1,-19,101,60,40,1,1,1\n1,2,701,100,50,50,1,1,1\n2,1,621,461,60,40,1,1,1\n")
-    result = modsim3d.detect_truth(
-        truth, tmp_path / "out", detector="thesis", image_size_px=(640, 480), frame_rate_hz=10
-    )
+    options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
+    result = modsim3d.detect_truth(truth, tmp_path / "out", detector="thesis", **options)
+    sides = [f"full_{side}_px" for side in ("x_min", "y_min", "x_max", "y_max")]
     table = rows(tmp_path / "out" / "truth.parquet")
-    assert [[row[f"full_{side}_px"] for side in ("x_min", "y_min", "x_max", "y_max")] for row in table] == [
-        [0, 100, 40, 140],
-        [620, 460, 640, 480],
-    ]
+    assert [[row[side] for side in sides] for row in table] == [[0, 100, 40, 140], [620, 460, 640, 480]]
     assert "1 of 3 boxes are left out: outside their image" in result.notes
 
 

@@ -1,7 +1,5 @@
 """What is visible of boxes, from the boxes alone."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -29,13 +27,12 @@ def painted(boxes: np.ndarray) -> list[float]:
 @given(st.lists(BOX, min_size=1, max_size=7))
 def test_a_box_is_hidden_by_all_boxes_with_a_lower_foot_as_painting_shows(given_boxes: list[tuple[int, ...]]) -> None:
     boxes = np.array([[x, y, x + width, y + height] for x, y, width, height in given_boxes])
-    found = visible_fractions(np.zeros(len(boxes), dtype=np.int64), boxes.astype(float), boxes[:, 3].astype(float))
+    images = np.zeros(len(boxes), dtype=np.int64)
+    found = visible_fractions(images, boxes.astype(float), boxes[:, 3].astype(float))
     assert np.allclose(found, painted(boxes), atol=1e-12)
-    order = np.random.default_rng(len(boxes)).permutation(len(boxes))
-    again = visible_fractions(
-        np.zeros(len(boxes), dtype=np.int64), boxes[order].astype(float), boxes[order, 3].astype(float)
-    )
-    assert np.allclose(again, found[order], atol=1e-12)
+    shuffled = np.random.default_rng(len(boxes)).permutation(len(boxes))
+    again = visible_fractions(images, boxes[shuffled].astype(float), boxes[shuffled, 3].astype(float))
+    assert np.allclose(again, found[shuffled], atol=1e-12)
 
 
 def test_boxes_of_other_images_and_of_the_same_foot_hide_nothing() -> None:

@@ -1,7 +1,5 @@
 """Small labelled videos."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -9,9 +7,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-TRACKS = (7_654_321, 8_765_432, 9_876_543)
-"""Numbers that nothing else in a file can be."""
-SIZE_PX = (640, 480)
+TRACKS = (7_654_321, 8_765_432, 9_876_543)  # numbers that nothing else in a file can be
 
 
 def mot(folder: Path, frames: int = 40, classes: tuple[int, ...] = (1, 1, 1), visible: str = ",1") -> Path:
@@ -23,9 +19,8 @@ def mot(folder: Path, frames: int = 40, classes: tuple[int, ...] = (1, 1, 1), vi
     ]
     (folder / "gt").mkdir(parents=True)
     (folder / "gt" / "gt.txt").write_text("\n".join(lines))
-    (folder / "seqinfo.ini").write_text(
-        f"[Sequence]\nname=bay\nframeRate=10\nseqLength={frames + 5}\nimWidth=640\nimHeight=480\n"
-    )
+    info = f"[Sequence]\nname=bay\nframeRate=10\nseqLength={frames + 5}\nimWidth=640\nimHeight=480\n"
+    (folder / "seqinfo.ini").write_text(info)
     return folder / "gt" / "gt.txt"
 
 
@@ -36,18 +31,12 @@ def coco(sequences: dict[str, int], order: int = 0, categories: tuple[str, ...] 
     images, boxes = [], []
     for name in names:
         for frame in range(sequences[name]):
-            images.append({"id": len(images) + 100, "width": 640, "height": 480, "sequence": name, "frame_id": frame})
+            image = {"id": len(images) + 100, "width": 640, "height": 480, "sequence": name, "frame_id": frame}
+            images.append(image)
             for k, track in enumerate(TRACKS):
                 box = [30 + 90 * k + frame * (1 - k), 200 + 40 * k, 120, 60]
-                boxes.append(
-                    {
-                        "id": len(boxes) + 1,
-                        "image_id": images[-1]["id"],
-                        "category_id": 4,
-                        "bbox": box,
-                        "track_id": track,
-                    }
-                )
+                entry = {"id": len(boxes) + 1, "image_id": image["id"], "category_id": 4}
+                boxes.append(entry | {"bbox": box, "track_id": track})
     if order:
         rng.shuffle(images)
         rng.shuffle(boxes)
@@ -66,5 +55,4 @@ def rows(path: Path) -> list[dict[str, Any]]:
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    """Everything in a folder."""
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -3,5 +3,4 @@
 - `sensors` says which vessels carry class A or B, under which number and name (its table is `carriage.yaml`), and
   measures the track of a vessel's antenna once a second;
 - `reporting` says when a station sends, and which of its reports are lost;
-- `log` encodes reports, through pyais, and writes them all in order of time.
-"""
+- `log` encodes reports, through pyais, and writes them all in order of time."""

@@ -16,54 +16,31 @@ from pyais.encode import ais_to_nmea_0183, data_to_payload
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
-from modsim3d.formats.writing.ais.reporting import (
-    AGE_S,
-    STATIC_B_AFTER_S,
-    Schedule,
-    heard,
-    own_static_schedule,
-    position_schedule,
-    rate,
-    static_schedule,
-)
-from modsim3d.formats.writing.ais.sensors import (
-    NO_CLASS,
-    Noise,
-    SensorReadings,
-    Station,
-    Stay,
-    measured,
-    stations,
-    stays,
-)
+from modsim3d.formats.writing.ais import reporting, sensors
+from modsim3d.formats.writing.ais.sensors import Noise, SensorReadings, Station, Stay, stations
 from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.scene.scene import Scene
 
 # ---- AIS reports as NMEA sentences, through pyais ----
 
-EPOCH_S = 1_577_836_800
-"""Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute."""
+EPOCH_S = 1_577_836_800  # Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute
 NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
 FASTEST_KN = 102.2
 TURN_STEP, MAX_TURN = 4.733, 126
 """The rate of turn in degrees a minute is sent as its root times this, and from 708° a minute on as 126."""
-HEADING_FROM_M = 45.0
-"""From about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn."""
+HEADING_FROM_M = 45.0  # from about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn
 AT_ANCHOR, UNDER_WAY = 1, 0
 BY_GPS = 1
 NO_HOUR, NO_MINUTE = 24, 60
 CARRIER_SENSE_STATE = 0b1_1100000000000000110
-"""What class B "CS" sends where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
+"""Sent by class B "CS" where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
 
 Fields = dict[str, Any]
 
 
 def position_fields(station: Station, seen: SensorReadings, row: int, at_rest: bool, between: bool) -> Fields:
-    """Message 1 or 3 of class A, or 18 of class B, with what was measured at a second.
-
-    Class B has no compass.
-    """
+    """Message 1 or 3 of class A, or 18 of class B, which has no compass, with what was measured at a second."""
     speed, course = float(seen.speed_kn[row]), float(seen.course_deg[row])
     fields: Fields = {
         "msg_type": 18 if station.ais_class == "B" else 3 if between else 1,
@@ -78,20 +55,17 @@ def position_fields(station: Station, seen: SensorReadings, row: int, at_rest: b
         flags = {"cs": True, "dsc": True, "band": True, "msg22": True}
         return fields | flags | {"heading": NO_HEADING, "radio": CARRIER_SENSE_STATE}
     turn = turn_field(float(seen.turn_deg_min[row])) if station.length_m >= HEADING_FROM_M else NO_TURN
-    status = AT_ANCHOR if at_rest else UNDER_WAY
     return fields | {
         "heading": round(float(seen.heading_deg[row])) % 360,
         "turn": turn,
-        "status": status,
+        "status": AT_ANCHOR if at_rest else UNDER_WAY,
         "maneuver": 0,
     }
 
 
 def turn_field(turn_deg_min: float) -> float:
-    """The rate of turn that is sent for one, in degrees a minute.
-
-    It is rounded to what the field can hold, since pyais takes 127 and 128 for codes with another meaning.
-    """
+    """The rate of turn that is sent for one, in degrees a minute. It is rounded to what the field can hold, since pyais
+    takes 127 and 128 for codes with another meaning."""
     coded = min(round(TURN_STEP * math.sqrt(abs(turn_deg_min))), MAX_TURN)
     return math.copysign((coded / TURN_STEP) ** 2, turn_deg_min)
 
@@ -114,15 +88,9 @@ def payload(fields: Fields) -> tuple[str, int]:
 
 
 def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time_s: float) -> str:
-    """The lines of a message in the log: a tag block with the Unix time, and the sentence.
-
-    Args:
-        message: The encoded message and its fill bits.
-        own: Whether own ship sent it.
-        channel: `A` or `B`.
-        sequence: Number from 0 to 9, which the parts of a long message share.
-        time_s: When it was sent, in seconds since the first step.
-    """
+    """The lines of a message and its fill bits in the log: a tag block with the Unix time, and the sentence. `channel`
+    is `A` or `B`, `sequence` a number from 0 to 9, which the parts of a long message share, and `time_s` counts from
+    the first step."""
     text, fill_bits = message
     block = f"c:{EPOCH_S + math.floor(time_s)}"
     tag = f"\\{block}*{reduce(xor, block.encode('ascii'), 0):02X}\\"
@@ -131,8 +99,7 @@ def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time
 
 
 LOG, TRUTH = "ais.nmea", "ais_truth.csv"
-NOWHERE = (0.0, 0.0)
-"""Latitude and longitude of a scene without an origin."""
+NOWHERE = (0.0, 0.0)  # latitude and longitude of a scene without an origin
 
 
 @dataclass(frozen=True, order=True)
@@ -148,11 +115,7 @@ class ReceivedReport:
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files.
-
-    Raises:
-        ModsimError: The chosen cameras are on board several vessels.
-    """
+    """The paths of the files. Raises ModsimError if the chosen cameras are on board several vessels."""
     own_ship(request)
     return LOG, TRUTH
 
@@ -178,20 +141,15 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def own_ship(request: ExportRequest) -> tuple[int, ...]:
-    """The index of the vessel that carries the chosen cameras; empty if all of them are ashore.
-
-    Raises:
-        ModsimError: Several vessels carry them.
-    """
+    """The index of the vessel that carries the chosen cameras; empty if all are ashore. Raises ModsimError if several
+    vessels carry them."""
     names = request.run.scene.vessel_names
     carriers = {request.run.scene.cameras[index].mount.vessel for index in request.cameras} - {None}
     found = tuple(index for index, name in enumerate(names) if name in carriers)
     if len(found) > 1:
         vessels = " and ".join(f"'{names[index]}'" for index in found)
-        raise ModsimError(
-            f"{request.run.folder}: the cameras are on board {vessels}, and a log of AIS has one own ship: choose the "
-            "cameras of one of them with --camera"
-        )
+        remedy = "a log of AIS has one own ship: choose the cameras of one of them with --camera"
+        raise ModsimError(f"{request.run.folder}: the cameras are on board {vessels}, and {remedy}")
     return found
 
 
@@ -203,7 +161,7 @@ def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
     writer.writerow(("vessel", "ais_class", "mmsi", "own_ship"))
     for index, name in enumerate(scene.vessel_names):
         station = by_vessel.get(index)
-        row = (station.ais_class, station.mmsi, int(station.own)) if station else (NO_CLASS, "", 0)
+        row = (station.ais_class, station.mmsi, int(station.own)) if station else (sensors.NO_CLASS, "", 0)
         writer.writerow((name, *row))
     return table.getvalue()
 
@@ -211,7 +169,7 @@ def truth_table(scene: Scene, carried: tuple[Station, ...]) -> str:
 def reports(scene: Scene, steps: int, carried: tuple[Station, ...]) -> Iterator[ReceivedReport]:
     """All reports that are received in the first steps of a scene, those of one station after another."""
     streams = Streams(scene.seed)
-    for station, found in zip(carried, stays(scene, steps, carried), strict=True):
+    for station, found in zip(carried, sensors.stays(scene, steps, carried), strict=True):
         seconds = int(found[-1].times_s[-1]) + 1 if found else 0
         sender = _Sender(scene, station, streams, Noise.of(station.name, streams, seconds))
         for number, stay in enumerate(found):
@@ -228,16 +186,16 @@ class _Sender:
     def reports(self, stay: Stay, number: int) -> Iterator[ReceivedReport]:
         """Reports received during a stay; `number` is its own, from 0."""
         station, scene = self._station, self._scene
-        seen = measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
+        seen = sensors.measured(stay, self._noise, scene.origin or NOWHERE, scene.ais.position_noise_m)
         phases = self._streams.uniforms(Purpose.AIS_PHASE, station.name, first=number, count=1)[0].tolist()
         if station.own:
             yield from self._own_positions(seen, stay)
         else:
             yield from self._positions(seen, stay, phases[0])
         for part in range(1 if station.ais_class == "A" else 2):
-            schedule = static_schedule(stay.times_s, stay.end_s, phases[1], part * STATIC_B_AFTER_S)
+            schedule = reporting.static_schedule(stay.times_s, stay.end_s, phases[1], part * reporting.STATIC_B_AFTER_S)
             if station.own:  # whose station is asked for them when the log begins
-                schedule = own_static_schedule(stay.times_s, stay.end_s)
+                schedule = reporting.own_static_schedule(stay.times_s, stay.end_s)
             message = payload(static_fields(station, part))
             for time_s, _, ordinal in self._received(schedule, stay, part + 1):
                 yield ReceivedReport(time_s, station.mmsi, part + 1, ordinal, message, station.own)
@@ -245,22 +203,22 @@ class _Sender:
     def _own_positions(self, seen: SensorReadings, stay: Stay) -> Iterator[ReceivedReport]:
         """Own ship's position, which its own station gives once a second."""
         for row in range(len(seen.times_s)):
-            time_s = float(seen.times_s[row]) + AGE_S
+            time_s = float(seen.times_s[row]) + reporting.AGE_S
             message = payload(position_fields(self._station, seen, row, stay.at_rest, False))
             yield ReceivedReport(time_s, self._station.mmsi, 0, 0, message, True)
 
     def _positions(self, seen: SensorReadings, stay: Stay, phase: float) -> Iterator[ReceivedReport]:
-        often = rate(seen, self._station.ais_class, stay.at_rest)
-        schedule = position_schedule(stay.times_s, stay.end_s, often, self._station.ais_class, phase)
+        often = reporting.rate(seen, self._station.ais_class, stay.at_rest)
+        schedule = reporting.position_schedule(stay.times_s, stay.end_s, often, self._station.ais_class, phase)
         for time_s, row, ordinal in self._received(schedule, stay, 0):
             fields = position_fields(self._station, seen, row, stay.at_rest, bool(often.between[row]))
             yield ReceivedReport(time_s, self._station.mmsi, 0, ordinal, payload(fields), False)
 
-    def _received(self, schedule: Schedule, stay: Stay, kind: int) -> Iterator[tuple[float, int, int]]:
+    def _received(self, schedule: reporting.Schedule, stay: Stay, kind: int) -> Iterator[tuple[float, int, int]]:
         """Time, row of the measurements and number of each report; own ship's are never lost."""
         station, first, count = self._station, self._sent[kind], len(schedule.due_s)
         self._sent[kind] += count
         draws = self._streams.uniforms(Purpose.AIS_SLOT, station.name, str(kind), first=first, count=count)
         lost = 0.0 if station.own else self._scene.ais.drop_out
-        found = heard(schedule, stay.times_s, stay.end_s, lost, draws)
+        found = reporting.heard(schedule, stay.times_s, stay.end_s, lost, draws)
         yield from zip(found.times_s.tolist(), found.rows.tolist(), (found.numbers + first).tolist(), strict=True)

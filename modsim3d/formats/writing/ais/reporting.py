@@ -1,4 +1,4 @@
-"""When an AIS station sends its reports, and which of them are lost.
+"""Times at which an AIS station sends its reports, and the reports that are lost.
 
 Intervals are those of ITU-R M.1371-5, annex 1, tables 1 and 2. Class A sends every 10 s below 14 knots, every 6 s up to
 23 knots, and every 2 s above; while it changes course every 3⅓ s below 14 knots and every 2 s above; at anchor below 3
@@ -23,31 +23,24 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.formats.writing.ais.sensors import SensorReadings
 
 STATIC_S = 360.0
-STATIC_B_AFTER_S = 30.0
-"""Part B of message 24 follows part A within a minute."""
-STATIC_SPREAD_S = 2.0
-"""Half the 150 slots in which a station chooses one for a single message."""
+STATIC_B_AFTER_S = 30.0  # part B of message 24 follows part A within a minute
+STATIC_SPREAD_S = 2.0  # half the 150 slots in which a station chooses one for a single message
 REST_S = 180.0
 CLASS_A_S = ((14.0, 10.0, 10 / 3), (23.0, 6.0, 2.0), (np.inf, 2.0, 2.0))
 """Speed in knots up to which these intervals hold: on a straight course, and while it changes."""
 ANCHOR_KN, CLASS_B_KN, CLASS_B_S = 3.0, 2.0, 30.0
 TURN_DEG, TURN_MEAN_S, TURN_HOLD_S, SLOWER_AFTER_S = 5.0, 30, 20, 180
 SLOT_S = 60 / 2250
-AGE_S = 0.2
-"""Least time from a fix to the report that has it. Fixes come once a second, so a report's is 0.2 to 1.2 s old."""
+AGE_S = 0.2  # least time from a fix to the report with it; fixes come once a second, so it is 0.2 to 1.2 s old
 
 
 @dataclass(frozen=True, eq=False)
 class ReportingRate:
-    """How often a station sends its position, at n seconds.
+    """Reporting of a station's position, at n seconds."""
 
-    Attributes:
-        intervals_s: The reporting interval, shape (n,).
-        between: Whether class A sends reports beside its regular ones, as message 3 in place of 1: while it changes
-            course, and less than twice a minute; shape (n,).
-    """
-
-    intervals_s: Array
+    intervals_s: Array  # (n,)
+    # Whether class A sends reports beside its regular ones, as message 3 in place of 1: while it changes course, and
+    # less than twice a minute; (n,).
     between: Mask
 
 
@@ -61,17 +54,11 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """The reports of a schedule that are received, shape (m,) each.
+    """The reports of a schedule that are received, shape (m,) each."""
 
-    Attributes:
-        times_s: When they are sent, in seconds since the first step.
-        rows: Row of `SensorReadings` that each has.
-        numbers: Which of the schedule's reports each is.
-    """
-
-    times_s: Array
-    rows: Indices
-    numbers: Indices
+    times_s: Array  # of sending, since the first step
+    rows: Indices  # of the `SensorReadings` that each has
+    numbers: Indices  # place of each among the schedule's reports
 
 
 def changes_course(seen: SensorReadings) -> Mask:
@@ -86,32 +73,24 @@ def changes_course(seen: SensorReadings) -> Mask:
 
 
 def rate(seen: SensorReadings, ais_class: str, at_rest: bool) -> ReportingRate:
-    """How often a station of a class sends its position, at anchor or under way."""
+    """Reporting rate of a station of a class, at anchor or under way."""
     speed = np.nan_to_num(seen.speed_kn)
     if ais_class == "B":
         return ReportingRate(np.where(speed > CLASS_B_KN, CLASS_B_S, REST_S), np.zeros(len(speed), dtype=bool))
     if at_rest:
         return ReportingRate(np.where(speed > ANCHOR_KN, CLASS_A_S[0][1], REST_S), speed <= ANCHOR_KN)
     bounds, straight, turning = (np.array(column) for column in zip(*CLASS_A_S, strict=True))
-    row, changing = np.searchsorted(bounds, _highest_of_late(speed)), changes_course(seen)
+    # The highest speed of the last three minutes.
+    size = SLOWER_AFTER_S + 1
+    highest = ndimage.maximum_filter1d(speed, size, mode="constant", cval=0.0, origin=size // 2)
+    row, changing = np.searchsorted(bounds, highest), changes_course(seen)
     return ReportingRate(np.where(changing, turning[row], straight[row]), changing & (turning[row] < straight[row]))
 
 
-def _highest_of_late(speed: Array) -> Array:
-    """The highest speed of the last three minutes, shape (n,)."""
-    size = SLOWER_AFTER_S + 1
-    return np.asarray(ndimage.maximum_filter1d(speed, size, mode="constant", cval=0.0, origin=size // 2))
-
-
 def due_times(times_s: Indices, intervals: Array, end_s: float, phase: float) -> Array:
-    """Nominal times of reports from the first second to the end, shape (m,).
-
-    Args:
-        times_s: Whole seconds, one after another, shape (n,).
-        intervals: The interval from each of them on, shape (n,). A shorter one shortens the one that is running.
-        end_s: Time at which the vessel leaves.
-        phase: How much of the first interval is over at the beginning, from 0 to 1.
-    """
+    """Nominal times of reports from the first second to the end, at which the vessel leaves: (m,). `intervals` hold
+    from each whole second on: (n,); a shorter one shortens the one that is running. `phase` is how much of the first
+    interval is over at the beginning, from 0 to 1."""
     begins = np.flatnonzero(np.diff(intervals, prepend=np.nan) != 0)
     begin, interval = times_s[begins].astype(float).tolist(), intervals[begins].tolist()
     found: list[float] = []
@@ -128,7 +107,7 @@ def due_times(times_s: Indices, intervals: Array, end_s: float, phase: float) ->
 
 
 def position_schedule(times_s: Indices, end_s: float, rate: ReportingRate, ais_class: str, phase: float) -> Schedule:
-    """When a station is to send its position; for the arguments see `due_times`."""
+    """Times when a station is to send its position; for the arguments see `due_times`."""
     due = due_times(times_s, rate.intervals_s, end_s, phase)
     running = rate.intervals_s[np.clip(np.floor(due).astype(np.int64) - times_s[0], 0, len(times_s) - 1)]
     spread = np.minimum(running / 6, 5.0) if ais_class == "B" else np.minimum(running / 10, STATIC_SPREAD_S)
@@ -136,27 +115,21 @@ def position_schedule(times_s: Indices, end_s: float, rate: ReportingRate, ais_c
 
 
 def static_schedule(times_s: Indices, end_s: float, phase: float, after_s: float = 0.0) -> Schedule:
-    """When a station is to send its name and size, some seconds after the nominal time."""
+    """Times when a station is to send its name and size, some seconds after the nominal time."""
     due = due_times(times_s, np.full(len(times_s), STATIC_S), end_s, phase) + after_s
     return Schedule(due, np.full(len(due), STATIC_SPREAD_S))
 
 
 def own_static_schedule(times_s: Indices, end_s: float) -> Schedule:
-    """When own ship's station gives its name and size: at once, and then every six minutes."""
+    """Times when own ship's station gives its name and size: at once, and then every six minutes."""
     due = np.arange(times_s[0] + AGE_S + SLOT_S, end_s, STATIC_S)
     return Schedule(due, np.zeros(len(due)))
 
 
 def heard(schedule: Schedule, times_s: Indices, end_s: float, lost: float, draws: Array) -> Heard:
-    """The reports that are sent while the vessel is there, and received.
-
-    Args:
-        schedule: When they are due.
-        times_s: Seconds at which there is a fix, one after another, shape (n,).
-        end_s: Time at which the vessel leaves.
-        lost: Share of the reports that are lost.
-        draws: Uniform numbers for time and loss, shape (m, 2).
-    """
+    """The reports that are sent while the vessel is there, and received. There is a fix at each of `times_s` (n,); the
+    vessel leaves at `end_s`; `lost` is the share of the reports that are lost, `draws` are uniform numbers for time and
+    loss: (m, 2)."""
     sent = np.floor((schedule.due_s + (2 * draws[:, 0] - 1) * schedule.spread_s) / SLOT_S) * SLOT_S
     fix = np.floor(sent - AGE_S).astype(np.int64) - int(times_s[0])
     there = (fix >= 0) & (fix < len(times_s)) & (sent <= end_s) & (draws[:, 1] >= lost)

@@ -24,10 +24,8 @@ from modsim3d.world.vessels import Vessel
 # ---- Which vessels carry AIS, of which class, and under which number and name ----
 
 TABLE = Path(__file__).with_name("carriage.yaml")
-MIN_LENGTH_M = 5.0
-"""Shorter craft carry no AIS unless the scene says so."""
-MADE_UP_MMSI = 799_000_000
-"""The country codes of ships go from 201 to 775 (ITU, table of maritime identification digits), so 799 is nobody's."""
+MIN_LENGTH_M = 5.0  # shorter craft carry no AIS unless the scene says so
+MADE_UP_MMSI = 799_000_000  # 799 is nobody's: country codes go from 201 to 775 (ITU, maritime identification digits)
 MADE_UP_NUMBERS = 1_000_000
 _MMSI = re.compile(r"[2-7]\d{8}|98\d{7}", re.ASCII)
 MAX_ENDS_M, MAX_SIDES_M = 511, 63
@@ -37,23 +35,16 @@ NO_CLASS = "none"
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """The AIS equipment of a vessel.
+    """The AIS equipment of a vessel."""
 
-    Attributes:
-        vessel: Index of the vessel in the scene; `name` is its ID, which is truth and is never sent.
-        ais_class: `A` or `B`.
-        own: Whether it is own ship's, whose receiver gives its reports as `VDO`.
-        sides_m: Whole metres from the antenna to bow, stern, port and starboard: A, B, C and D of the standard.
-    """
-
-    vessel: int
-    name: str
+    vessel: int  # index in the scene
+    name: str  # the vessel's ID, which is truth and is never sent
     mmsi: int
-    ais_class: str
+    ais_class: str  # `A` or `B`
     ship_type: int
-    own: bool
+    own: bool  # whether it is own ship's, whose receiver gives its reports as `VDO`
     length_m: float
-    sides_m: tuple[int, int, int, int]
+    sides_m: tuple[int, int, int, int]  # from the antenna to bow, stern, port, starboard: A, B, C, D of the standard
     height_m: float
 
     @property
@@ -81,11 +72,9 @@ def stations(scene: Scene, own: Collection[int]) -> tuple[Station, ...]:
         chosen, ship_type = usual(vessel, index in own)
         chosen = scene.ais.vessels.get(vessel.name, chosen)
         if chosen != NO_CLASS:
-            sides = antenna_sides(vessel, chosen)
-            height_m = vessel.air_draft_m / 2
-            found.append(
-                Station(index, vessel.name, mmsi, chosen, ship_type, index in own, vessel.length_m, sides, height_m)
-            )
+            sides, height_m = antenna_sides(vessel, chosen), vessel.air_draft_m / 2
+            identity = (index, vessel.name, mmsi, chosen, ship_type, index in own)
+            found.append(Station(*identity, vessel.length_m, sides, height_m))
     return tuple(found)
 
 
@@ -108,14 +97,9 @@ def _table() -> dict[str, Any]:
 
 
 def mmsi_of(names: list[str]) -> list[int]:
-    """The number of each vessel: its ID if that is a ship's MMSI, else a made-up one that depends on the ID.
-
-    If two IDs lead to the same number, the later one gets the next that is free.
-    """
-    taken: set[int] = set()
-    for name in names:
-        if _MMSI.fullmatch(name):
-            taken.add(int(name))
+    """The number of each vessel: its ID if that is a ship's MMSI, else a made-up one that depends on the ID. If two IDs
+    lead to the same number, the later one gets the next that is free."""
+    taken = {int(name) for name in names if _MMSI.fullmatch(name)}
     numbers = []
     for name in names:
         if _MMSI.fullmatch(name):
@@ -131,11 +115,9 @@ def mmsi_of(names: list[str]) -> list[int]:
 
 
 def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
-    """Metres from the antenna to bow, stern, port and starboard.
-
-    The antenna is on the centre line: a quarter of the length from the stern on class A ships, whose bridge is mostly
-    aft, else amidships. Length and beam are rounded to whole metres.
-    """
+    """Metres from the antenna to bow, stern, port and starboard. The antenna is on the centre line: a quarter of the
+    length from the stern on class A ships, whose bridge is mostly aft, else amidships. Length and beam are rounded to
+    whole metres."""
     length, beam = max(round(vessel.length_m), 1), max(round(vessel.beam_m), 1)
     stern = round(length / 4) if ais_class == "A" else length // 2
     ends = min(length - stern, MAX_ENDS_M), min(stern, MAX_ENDS_M)
@@ -144,44 +126,30 @@ def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
 
 # ---- The tracks of vessels' antennas at whole seconds ----
 
-BLOCK_STEPS = 1000
-"""Steps whose poses are in memory together."""
+BLOCK_STEPS = 1000  # whose poses are in memory together
 NEAR_S = 1e-6
 SPEED_WINDOW_S, TURN_WINDOW_S, REST_WINDOW_S = 5.0, 10.0, 30.0
 """Speed and course are means over the first, so that the roll of a mast does not look like speed; rate of turn over the
 second; over the third it shows whether a vessel lies still."""
-REST_M_S = 0.25
-"""Half a knot: a slower vessel lies still."""
+REST_M_S = 0.25  # half a knot: a slower vessel lies still
 
 
 @dataclass(frozen=True, eq=False)
 class Stay:
-    """A vessel from when it comes into the scene until it leaves, at n whole seconds.
+    """A vessel from when it comes into the scene until it leaves, at n whole seconds."""
 
-    Attributes:
-        times_s: Seconds since the first step, whole numbers, shape (n,).
-        end_s: Time of the last step at which it is there.
-        antenna_m: w1 and w2 of its antenna, waves included, shape (n, 2).
-        velocity_m_s: Of the antenna over ground, shape (n, 2); NaN if the vessel is there at one step only.
-        heading_rad: Of the bow, waves included, counter-clockwise from w1 and not wrapped, shape (n,).
-        turn_rad_s: Rate of turn, counter-clockwise, shape (n,).
-        at_rest: Whether the vessel lies still all the time.
-    """
-
-    times_s: Indices
-    end_s: float
-    antenna_m: Array
-    velocity_m_s: Array
-    heading_rad: Array
-    turn_rad_s: Array
-    at_rest: bool
+    times_s: Indices  # since the first step, whole numbers: (n,)
+    end_s: float  # of the last step at which it is there
+    antenna_m: Array  # w1 and w2 of its antenna, waves included: (n, 2)
+    velocity_m_s: Array  # of the antenna over ground: (n, 2); NaN if the vessel is there at one step only
+    heading_rad: Array  # of the bow, waves included, counter-clockwise from w1 and not wrapped: (n,)
+    turn_rad_s: Array  # rate of turn, counter-clockwise: (n,)
+    at_rest: bool  # whether the vessel lies still all the time
 
 
 def stays(scene: Scene, steps: int, carried: Sequence[Station]) -> list[list[Stay]]:
-    """The stays of each station's vessel in the first steps of a scene, in order of time.
-
-    A stay without a whole second is left out.
-    """
+    """The stays of each station's vessel in the first steps of a scene, in order of time, without those that hold no
+    whole second."""
     times_s = scene.times_s(0, steps)
     return [_stays_of(times_s, *rows) for rows in _antennas(scene, steps, carried)]
 
@@ -238,67 +206,47 @@ def _stay(times_s: Array, track: Array) -> Stay:
 POSITION_KEPT = 0.99
 """Share of a position's error that is left after a second: errors of satellite receivers last for minutes, so the mean
 of many reports is not much better than one."""
-VELOCITY_NOISE_M_S = 0.05
-"""Along each axis; 0.1 knots."""
+VELOCITY_NOISE_M_S = 0.05  # along each axis; 0.1 knots
 COMPASS_OFFSET_DEG, COMPASS_NOISE_DEG = 0.5, 0.5
 """Standard deviations. Heading devices may be off by 1° at rest and 1.5° on the move (IMO resolution MSC.116(73))."""
 
 
 @dataclass(frozen=True, eq=False)
 class SensorReadings:
-    """Measurements at n whole seconds, shape (n,) each.
+    """Measurements at n whole seconds, shape (n,) each."""
 
-    Attributes:
-        times_s: Seconds since the first step.
-        latitude_deg: Latitude of the antenna, and with `longitude_deg` its place.
-        speed_kn: Speed over ground; NaN if it is not known.
-        course_deg: Course over ground, clockwise from true north; NaN if it is not known.
-        heading_deg: Of the bow, clockwise from true north and not wrapped.
-        turn_deg_min: Rate of turn, positive to starboard.
-    """
-
-    times_s: Indices
-    latitude_deg: Array
+    times_s: Indices  # since the first step
+    latitude_deg: Array  # of the antenna
     longitude_deg: Array
-    speed_kn: Array
-    course_deg: Array
-    heading_deg: Array
-    turn_deg_min: Array
+    speed_kn: Array  # over ground; NaN if it is not known
+    course_deg: Array  # over ground, clockwise from true north; NaN if it is not known
+    heading_deg: Array  # of the bow, clockwise from true north and not wrapped
+    turn_deg_min: Array  # positive to starboard
 
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Standard normal errors of a vessel's sensors at each second of a run, from the first step on.
+    """Standard normal errors of a vessel's sensors at each second of a run, from the first step on."""
 
-    Attributes:
-        position: Along w1 and w2; what is left of them lasts. Shape (n, 2).
-        velocity: The same of the velocity, shape (n, 2).
-        heading: Of the compass from second to second, shape (n,).
-        heading_offset: Of the compass all the time.
-    """
-
-    position: Array
-    velocity: Array
-    heading: Array
-    heading_offset: float
+    position: Array  # along w1 and w2; what is left of them lasts: (n, 2)
+    velocity: Array  # along w1 and w2: (n, 2)
+    heading: Array  # of the compass from second to second: (n,)
+    heading_offset: float  # of the compass all the time
 
     @classmethod
     def of(cls, vessel: str, streams: Streams, seconds: int) -> Noise:
         """The errors of a vessel by its ID, for a number of seconds."""
         drawn = grid_normals(streams.uniforms(Purpose.AIS_SENSORS, vessel, first=0, count=seconds))
         offset = grid_normals(streams.uniforms(Purpose.AIS_COMPASS, vessel, first=0, count=1))
-        return cls(_lasting(drawn[:, :2]), drawn[:, 2:4], drawn[:, 4], float(offset[0, 0]))
+        lasting = np.sqrt(1 - POSITION_KEPT**2) * drawn[:, :2]  # a first-order process with the variance of white noise
+        lasting[:1] = drawn[:1, :2]
+        lasting = np.asarray(signal.lfilter([1.0], [1.0, -POSITION_KEPT], lasting, axis=0))
+        return cls(lasting, drawn[:, 2:4], drawn[:, 4], float(offset[0, 0]))
 
 
 def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noise_m: float) -> SensorReadings:
-    """Measurements of a vessel's sensors during a stay.
-
-    Args:
-        stay: Where the vessel is.
-        noise: Errors of its sensors, to the end of the stay at least.
-        origin: Latitude and longitude of w1 = w2 = 0.
-        position_noise_m: Standard deviation of a position along each axis.
-    """
+    """Measurements of a vessel's sensors during a stay, which must not outlast their errors. `origin` has latitude and
+    longitude of w1 = w2 = 0, and `position_noise_m` is the standard deviation of a position along each axis."""
     now = stay.times_s
     latitude, longitude = places(stay.antenna_m + position_noise_m * noise.position[now], origin)
     velocity = stay.velocity_m_s + VELOCITY_NOISE_M_S * noise.velocity[now]
@@ -314,10 +262,3 @@ def measured(stay: Stay, noise: Noise, origin: tuple[float, float], position_noi
         heading_deg=heading + COMPASS_OFFSET_DEG * noise.heading_offset + COMPASS_NOISE_DEG * noise.heading[now],
         turn_deg_min=-60 * np.rad2deg(stay.turn_rad_s),
     )
-
-
-def _lasting(noise: Array) -> Array:
-    """A first-order process with the variance of white noise, shape (n, k), that it is made of."""
-    driven = np.sqrt(1 - POSITION_KEPT**2) * noise
-    driven[:1] = noise[:1]
-    return np.asarray(signal.lfilter([1.0], [1.0, -POSITION_KEPT], driven, axis=0))
