@@ -1,7 +1,5 @@
 """Runs whose single numbers are right and whose draws are not independent, made from a true run's detections."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -55,10 +53,8 @@ def in_frames(found: Detections, frame: Indices, **columns: Array) -> Detections
 def copied(
     seen: CameraEvidence, rows: Indices, of: CameraEvidence, those: Indices, apart: int, share: float
 ) -> Detections:
-    """The errors of other detections, so many steps earlier, of the same vessels where there are some.
-
-    Of the variance a share is theirs, the rest that of the own errors.
-    """
+    """The errors of other detections, so many steps earlier, of the same vessels where there are some. Of the variance
+    a share is theirs, the rest that of the own errors."""
     wanted, known = places(seen, rows) - 1000 * apart, places(of, those)
     order = np.argsort(known)
     place = np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)
@@ -118,37 +114,34 @@ def confidence_in_order(evidence: Evidence) -> list[Detections]:
 
 
 def confidence_in_order_within_minutes(evidence: Evidence) -> list[Detections]:
-    def ordered(seen: CameraEvidence) -> Detections:
+    result = []
+    for seen in evidence.cameras:
         found = seen.detections
         minute = (seen.frames.times_s[found.frame] // 60).astype(np.int64)
-        return replace(found, confidence=found.confidence[np.lexsort((found.confidence, minute))])
+        result.append(replace(found, confidence=found.confidence[np.lexsort((found.confidence, minute))]))
+    return result
 
-    return [ordered(seen) for seen in evidence.cameras]
 
-
-def _with_false_positives_at(seen: CameraEvidence, place: Callable[[Array, int], Array]) -> Detections:
-    """The same false positives at other places, given how many are expected up to each frame, as parts of these."""
-    found = seen.detections
-    rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
-    expected = np.cumsum(np.bincount(found.frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
-    wanted = place(expected, len(rows)) * expected[-1]
-    frame = found.frame.copy()
-    frame[rows] = np.searchsorted(expected, wanted)
-    return in_frames(found, frame)
+def _with_false_positives_at(evidence: Evidence, places: Callable[[int], Array]) -> list[Detections]:
+    """The same false positives at other places, as parts of how many are expected up to each frame."""
+    result = []
+    for seen in evidence.cameras:
+        found, frame = seen.detections, seen.detections.frame.copy()
+        rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
+        expected = np.cumsum(np.bincount(frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
+        frame[rows] = np.searchsorted(expected, places(len(rows)) * expected[-1])
+        result.append(in_frames(found, frame))
+    return result
 
 
 def even_false_positives(evidence: Evidence) -> list[Detections]:
-    def place(expected: Array, count: int) -> Array:
-        return (np.arange(count) + 0.5) / count
-
-    return [_with_false_positives_at(seen, place) for seen in evidence.cameras]
+    return _with_false_positives_at(evidence, lambda count: (np.arange(count) + 0.5) / count)
 
 
 def false_positives_in_threes(evidence: Evidence) -> list[Detections]:
-    def place(expected: Array, count: int) -> Array:
-        return np.random.default_rng(0).random(count // 3 + 1)[np.arange(count) // 3]
-
-    return [_with_false_positives_at(seen, place) for seen in evidence.cameras]
+    return _with_false_positives_at(
+        evidence, lambda count: np.random.default_rng(0).random(count // 3 + 1)[np.arange(count) // 3]
+    )
 
 
 def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
@@ -169,10 +162,8 @@ def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
     return [first.detections, in_frames(found, frame, **columns)]
 
 
-TWICE, CAMERAS, EARLIER = (
-    f"box errors: {check}"
-    for check in ("none comes twice", "correlation between cameras", "correlation with earlier times")
-)
+TWICE, CAMERAS = "box errors: none comes twice", "box errors: correlation between cameras"
+EARLIER = "box errors: correlation with earlier times"
 
 LIES: Mapping[Lie, set[str]] = {
     same_errors_in_both_cameras: {TWICE, CAMERAS},

@@ -1,7 +1,5 @@
-"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing.
-
-There are four: of order, of near and far, of one vessel's corners, and of the near plane.
-"""
+"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing:
+of order, of near and far, of one vessel's corners, or of the near plane."""
 
 import json
 from dataclasses import replace
@@ -27,8 +25,7 @@ BOATS = {
     # The near plane cuts a third vessel beside the camera, so narrow that behind a cut nothing of it is left.
     "punt": ([60, 0.5, 9], [[0, 10, -2.6], [100, 11, -2.6]]),
 }
-NEAR_M = 8.0
-"""In place of a tenth of a metre."""
+NEAR_M = 8.0  # in place of a tenth of a metre
 
 
 def swap_order(order):
@@ -164,5 +161,4 @@ def test_scene_of_the_mutants_has_nothing_unexplained(monkeypatch, capsys, scene
 def test_planted_error_is_found(monkeypatch, capsys, scene, plant):
     plant(monkeypatch)
     status, count = unexplained(monkeypatch, capsys, scene)
-    assert status == 1
-    assert count > 0
+    assert status == 1 and count > 0
