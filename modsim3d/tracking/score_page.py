@@ -126,7 +126,9 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
         yield _occlusions(each)
     yield Heading("All scores")
     header = ("score", *(name for name, _ in named_scores(scores)))
-    yield Fold("By their keys", [Table("", header, _key_rows(scores), where=Where.PAGE)])
+    every = [keys_of(found) for _, found in named_scores(scores)]  # counts are whole, all else has three decimals
+    rows = [(key, *(number(keys[key], 0 if isinstance(keys[key], int) else 3) for keys in every)) for key in every[0]]
+    yield Fold("By their keys", [Table("", header, rows, where=Where.PAGE)])
 
 
 def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
@@ -294,12 +296,6 @@ def survived_of(each: Bin) -> str:
     if each.occlusions is None:
         return ""
     return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
-
-
-def _key_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
-    """All scores by their keys, a column for each tracker and reference: counts whole, all else with three decimals."""
-    every = [keys_of(found) for _, found in named_scores(scores)]
-    return [(key, *(number(keys[key], 0 if isinstance(keys[key], int) else 3) for keys in every)) for key in every[0]]
 
 
 def _part_tables(scores: ScoredTracks) -> list[Table]:

@@ -94,8 +94,7 @@ class TrackerOutcome:
 
 
 def conclusion(trackers: Sequence[TrackerOutcome], reference: Keys) -> str:
-    """The outcome of at least one tracker, the best first, beside the scores of the smoothed oracle-association
-    reference."""
+    """The outcome of at least one tracker, the best first, beside the scores of the smoothed reference."""
     best = trackers[0]
     if not _expected(best.keys):
         return _nothing_expected(trackers)

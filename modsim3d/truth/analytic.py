@@ -228,8 +228,7 @@ def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, sup
 def mask_fits(mask: Mask, region: Region, silhouette: shapely.Geometry, covers: Polygons, supersample: int) -> bool:
     """Whether each pixel of a mask (h, w) at a region of the buffer is set if its centre is inside the exact region,
     and only then. Pixels in a band along the boundary, as wide as the rounding of corners, may be set or not. The exact
-    silhouette, and those (k,) of what may hide it, are in image pixels, with `supersample` buffer pixels each, per
-    axis."""
+    silhouette and those (k,) of what may hide it are in image pixels, each of `supersample` buffer pixels per axis."""
     columns = np.arange(region.x, region.x + region.width) + 0.5
     rows = np.arange(region.y, region.y + region.height) + 0.5
     x, y = np.meshgrid(columns / supersample, rows / supersample)

@@ -118,7 +118,7 @@ def frame_slices(frame: Indices) -> list[slice]:
 def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = None) -> tuple[Indices, Indices]:
     """Pairs of rows of the same frame whose boxes (n, 4) overlap: first and second rows in ascending order, each of
     shape (P,), first < second. Frames (n,) do not decrease. At least one row of each pair must be set in `some_of`
-    (n,), unless that is None. All frames are swept at once from left to right: a box meets those that begin before it
+    (n,), unless it is None. All frames are swept at once from left to right: a box meets those that begin before it
     ends."""
     n, chosen = len(frame), np.ones(len(frame), dtype=bool) if some_of is None else some_of
     if n < 2:

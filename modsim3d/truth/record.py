@@ -65,8 +65,7 @@ class Truth:
         return replace(self, annotated=annotated)
 
     def occluders_of(self, row: int) -> list[tuple[int, float]]:
-        """Occluders of a row and the pixels that each hides, as pairs (index into the scene's occluder names,
-        pixels)."""
+        """Pairs (index into the scene's occluder names, number of pixels of a row that it hides)."""
         entries = slice(self.occluder_offsets[row], self.occluder_offsets[row + 1])
         return list(zip(self.occluder[entries].tolist(), self.occluder_px[entries].tolist(), strict=True))
 

@@ -92,7 +92,7 @@ _NODES = 32
 
 
 def at_each(share: float, *bounds: Array) -> Iterator[tuple[float, tuple[Array, ...]]]:
-    """Weights of values of what a vessel keeps, with the bounds of uniform numbers at it, shapes (n,): Gauss-Hermite
+    """Weights of values of what a vessel keeps, and bounds of uniform numbers at it, shapes (n,): Gauss-Hermite
     quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
     latent = [special.ndtri(np.clip(bound, 0, 1)) for bound in bounds]
@@ -212,7 +212,7 @@ def _entry(
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, bounds: tuple[Array, Array], missed: Array
 ) -> Measure | None:
-    """Frequency with which a uniform number was between the bounds (low, high) of each row, given its chance of a miss,
+    """Share of rows whose uniform number was between the bounds (low, high), given their chances of a miss, shapes
     (n,)."""
     low, high = bounds
     if len(rows) < MIN_CHANCES:

@@ -112,8 +112,8 @@ class FitStep:
 
 
 def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> FitStep | None:
-    """One step of the fit from a law to a sample, whose truth the table is of; None where the errors say nothing about
-    some parameter."""
+    """One step of the fit from a law to a sample of the table's truth; None where errors say nothing about some
+    parameter."""
     boxes = sample.boxes_px[sample.rows]
     weights, gains = law.score_weights(boxes)
     expected, products, acceptance = table.of(law, sample.boxes_px, sample.images_px, sample.rows)

@@ -21,7 +21,7 @@ from modsim3d.view.pages import charts
 
 
 def run_lengths(evidence: Evidence) -> Indices:
-    """Number of runs of misses by length from 0 on, shape (most + 1,). A run ends where the vessel is detected or not
+    """Number of runs of misses by length from 0 on, shape (most + 1,); one ends where the vessel is found or not
     annotated."""
     instances = evidence.instances
     missed = instances.outcome == -1  # −2 is detected in another's box
@@ -67,9 +67,9 @@ def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Arr
 
 
 def expected_run_lengths(miss_probability: Array, again: Array, before: Indices, most: int) -> Array:
-    """Expected number of runs of 1, 2, ... `most` misses, shape (most,). Instances have a probability of a miss, one
-    given that the frame before was a miss, and the row of the same vessel in the frame before, −1 if there is none;
-    shapes (n,)."""
+    """Expected number of runs of 1, 2, ... `most` misses, shape (most,). Instances (n,) have a probability of a miss,
+    one given that the frame before was a miss, and the row of the same vessel in the frame before, −1 if there is
+    none."""
     after = np.full(len(before), -1)
     follows = np.flatnonzero(before >= 0)
     after[before[follows]] = follows

@@ -341,7 +341,7 @@ def _worth(residuals: Residuals, memory: Memory, power: int) -> float:
 
 
 def _order_in_time(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
-    """Distance by which the sum of the residuals so far strays from zero; also that of their squares where these say
+    """Farthest that the sum of the residuals so far strays from zero; also that of their squares where these say
     more."""
     worth = _worth(residuals, memory, 1)
     if not worth:

@@ -105,7 +105,7 @@ class Measure(Protocol):
         """Probability of a number at least as far off as this one, if the run obeys its file."""
 
     def strength(self) -> float:
-        """How far off in standard errors, comparable between measures."""
+        """Distance from the asked value in standard errors, comparable between measures."""
 
     def interval(self, alpha: float) -> Interval:
         """Values that a test at level alpha would not have rejected."""
@@ -169,7 +169,7 @@ class Exact:
 
     @property
     def measured(self) -> float:
-        """How often it failed."""
+        """Number of failures."""
         return float(self.wrong)
 
     def p_value(self) -> float:

@@ -137,24 +137,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class TestResult:
-    """A parameter with the verdict on it.
-
-    Attributes:
-        asked: The value asked for, by the model's rule where that differs from the file's.
-        measured: None where there is no measure.
-        interval: Interval of the measured value, at the level of all tests together, cut to what is possible.
-        p_value: The p-value before correction for the number of tests.
-        noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
-        verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
-    """
+    """A parameter with the verdict on it."""
 
     parameter: Parameter
-    asked: float
-    measured: float | None
-    interval: Interval | None
-    p_value: float | None
-    noticed: Noticed
-    verdict: str
+    asked: float  # the value asked for, by the model's rule where that differs from the file's
+    measured: float | None  # None where there is no measure
+    interval: Interval | None  # of the measured value, at the level of all tests together, cut to what is possible
+    p_value: float | None  # before correction for the number of tests
+    noticed: Noticed  # smallest change below and above the asked value that this run would have shown, with 90 % power
+    verdict: str  # `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`
 
     @property
     def fails(self) -> bool:

@@ -71,8 +71,7 @@ def off_diagonal(tracks: Indices, times_s: Array, score: LatentScore, chance: Ar
 
 def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: Array, missed: Array) -> list[Parameter]:
     """Correlation of misses some frames apart; how far it strays comes from simulated scores of the same vessels. Rows
-    (n, c) of `tracks` are equal for a vessel in a camera; times, chances of a miss, and misses (1, else 0) have shape
-    (n,)."""
+    (n, c) of `tracks` are equal for a vessel in a camera; times, chances of a miss, and misses (1 or 0) are (n,)."""
     if not len(chance):
         return []
     order = np.lexsort((times_s, *tracks.T[::-1]))

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from types import SimpleNamespace
 from typing import Any, ClassVar
 
@@ -137,7 +138,10 @@ WRONG: dict[str, tuple[Follow, str]] = {
     "one frame ahead": (lagging, "at 0 s: it read the next frame before it answered this one"),
     "before it has read": (lambda frames, camera: iter([TrackedFrame.empty()] * 3), "at 0 s: it answered before it"),
     "too few": (lambda frames, camera: (TrackedFrame.empty() for _ in [next(frames)]), "at 1 s: it ended after 1 of 3"),  # type: ignore[call-overload]
-    "too many": (lambda frames, camera: _one_more(frames), "it gave more answers than the camera has frames (3)"),
+    "too many": (
+        lambda frames, camera: (TrackedFrame.empty() for _ in chain(frames, [None])),
+        "it gave more answers than the camera has frames (3)",
+    ),
     "nothing": (lambda frames, camera: None, "follow must yield"),
     "no answer": (yields(None), "at 0 s: the answer to a frame is a modsim3d.TrackedFrame, not NoneType"),
     "an exception": (fails, "failed: ZeroDivisionError: division by zero (test_running.py"),
@@ -163,11 +167,6 @@ WRONG: dict[str, tuple[Follow, str]] = {
     "a track that is never near": (answer(boxes_px=[[9000.0, 20, 9010, 40]]), "more than an image away from the image"),
     "half a covariance": (answer(covariance_px2=NAN_COVARIANCE), "this is no covariance of x and y"),
 }
-
-
-def _one_more(frames: Iterable[SensedFrame]) -> Iterator[TrackedFrame]:
-    yield from (TrackedFrame.empty() for _ in frames)
-    yield TrackedFrame.empty()
 
 
 @pytest.mark.parametrize(("script", "part"), WRONG.values(), ids=WRONG)

@@ -30,12 +30,6 @@ def mesh(name):
     return load_mesh(name, Path())
 
 
-@cache
-def box_as_mesh():
-    """A shoebox that nothing knows to be convex."""
-    return replace(shoebox(), convex=False)
-
-
 def with_solids(places, solids):
     return [(replace(ship, solid=solids[i % len(solids)]), *rest) for i, (ship, *rest) in enumerate(places)]
 
@@ -44,7 +38,8 @@ def with_solids(places, solids):
 def test_shoebox_as_a_mesh_gives_the_truth_of_the_shoebox(renderer, seed):
     places, intrinsics, mount = random_scene(np.random.default_rng(70_000 + seed))
     boxes = outlines_of(places, intrinsics, mount)
-    meshes = outlines_of(with_solids(places, [box_as_mesh(), shoebox()]), intrinsics, mount)
+    not_known_to_be_convex = replace(shoebox(), convex=False)
+    meshes = outlines_of(with_solids(places, [not_known_to_be_convex, shoebox()]), intrinsics, mount)
     np.testing.assert_array_equal(meshes.occluder, boxes.occluder)
     np.testing.assert_allclose(meshes.boxes_px, boxes.boxes_px, rtol=0, atol=1e-6)
     np.testing.assert_allclose(meshes.depth_m, boxes.depth_m)

@@ -10,6 +10,6 @@ def many() -> ManyDetections:
     return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # its last digits depend on the boxes that were asked for together
 def table() -> MomentTable:
     return MomentTable()

@@ -52,12 +52,15 @@ def in_analytic(change):
     return lambda monkeypatch: wrap(monkeypatch, agreement, "visible_regions", lambda f, o, lens: f(*change(o, lens)))
 
 
-def in_drawing(change):
-    """Change each drawing once it is projected."""
+def in_drawing(inverse_depth):
+    """Give each drawing, once it is projected, other depths: a function of its depths and occluders."""
 
     def plant(monkeypatch):
+        def changed(drawing):
+            return replace(drawing, inverse_depth=inverse_depth(drawing.inverse_depth, drawing.occluder[:, None]))
+
         project = Drawing.of
-        monkeypatch.setattr(Drawing, "of", lambda *arguments: change(project(*arguments)))
+        monkeypatch.setattr(Drawing, "of", lambda *arguments: changed(project(*arguments)))
 
     return plant
 
@@ -88,15 +91,6 @@ def hidden_hides(monkeypatch):
     monkeypatch.setattr(analytic.Hiding, "of", lambda hidden, hiders: of(hiders, hidden))
 
 
-def first_in_front(drawing):
-    return replace(drawing, inverse_depth=np.where(drawing.occluder[:, None] == 0, 1.0, drawing.inverse_depth))
-
-
-def far_is_near(drawing):
-    depth = drawing.inverse_depth
-    return replace(drawing, inverse_depth=depth.max() + depth.min() - depth)
-
-
 def farthest_wins(monkeypatch):
     gl_of = IdRenderer._gl.func
 
@@ -124,10 +118,10 @@ MUTANTS = {
     "order, fast path and analytic alike": lambda m: wrap(
         m, occlusion_order, "_who_can_hide", lambda f, *rest: (f(*rest)[0][:, ::-1], f(*rest)[1])
     ),
-    "order, drawing": in_drawing(first_in_front),
+    "order, drawing": in_drawing(lambda depth, occluder: np.where(occluder == 0, 1.0, depth)),
     "near and far, fast path": in_fast_path(lambda outlines, lens: (behind_is_before(outlines), lens)),
     "near and far, analytic": hidden_hides,
-    "near and far, drawing": in_drawing(far_is_near),
+    "near and far, drawing": in_drawing(lambda depth, occluder: depth.max() + depth.min() - depth),
     "near and far, every ID buffer": farthest_wins,
     "corners, fast path": in_fast_path(shifted),
     "corners, analytic": in_analytic(shifted),

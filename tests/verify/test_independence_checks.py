@@ -15,7 +15,7 @@ from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.independence_checks import GROUP, independence_checks
 from modsim3d.verify.parameters import Parameter
 from tests.detector_variants import Data, thesis_data
-from tests.verify.lies import LIES, Lie, same_errors_in_both_cameras, told
+from tests.verify.lies import LIES, same_errors_in_both_cameras, told
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +47,16 @@ def test_an_honest_run_obeys_and_each_pattern_is_tested(honest: Evidence, table:
     found = verify_evidence(one_state(), honest, table)
     assert found.obeys, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed]
     tested = {verdict.parameter.name for verdict in found.verdicts if verdict.p_value is not None}
-    assert tested >= set().union(*LIES.values())
+    assert tested >= set().union(*(checks for _, checks in LIES.values()))
 
 
-@pytest.mark.parametrize("lie", LIES, ids=lambda lie: lie.__name__)
-def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, table: MomentTable, lie: Lie) -> None:
+@pytest.mark.parametrize("name", LIES)
+def test_a_lie_that_leaves_single_numbers_intact_is_found(honest: Evidence, table: MomentTable, name: str) -> None:
+    lie, checks = LIES[name]
     failed = verify_evidence(one_state(), told(lie, honest), table).failed
-    assert LIES[lie] <= {verdict.parameter.name for verdict in failed}
+    assert checks <= {verdict.parameter.name for verdict in failed}
     others = {verdict.parameter.name for verdict in failed if verdict.parameter.group != GROUP}
-    in_order = {"persistence.confidence_s"} if "confidence_in_order" in lie.__name__ else set()
+    in_order = {"persistence.confidence_s"} if "confidence in order" in name else set()
     assert others == in_order  # what is in order is also correlated from one sighting to the next
 
 

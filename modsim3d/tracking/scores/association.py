@@ -1,5 +1,5 @@
-"""HOTA and CLEAR scores by TrackEval, in memory, and identity scores. A score whose denominator is 0 is None. TrackEval
-writes 0 or 1 there."""
+"""HOTA and CLEAR scores by TrackEval, in memory, and identity scores. One whose denominator is 0 is None: not 0 or
+1."""
 
 from __future__ import annotations
 

@@ -108,8 +108,8 @@ def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaPart
 
 
 def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
-    """OSPA of one frame (Schuhmacher et al. (2008)), at most the cutoff; 0 for two empty sets. The arguments are those
-    of `gospa_frame`."""
+    """OSPA of one frame (Schuhmacher et al. (2008)), at most the cutoff; 0 for two empty sets; arguments as in
+    `gospa_frame`."""
     more, fewer = max(distance.shape), min(distance.shape)
     if not more:
         return 0.0

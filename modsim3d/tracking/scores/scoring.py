@@ -74,8 +74,12 @@ def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
     """Score tracks over a run. By class, the vessels and tracks of each label are matched and scored alone; the other
     scores stay as they are, of all classes as one. Raises ModsimError if it should be by class and a track has no
     label, or TrackEval is not installed."""
-    if rules.by_class:
-        check_labels(tracks)
+    unknown = int(np.count_nonzero(tracks.label == NOBODY))
+    if rules.by_class and unknown:
+        raise ModsimError(
+            f"--by-class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
+            "score without --by-class"
+        )
     return scores_of(Scored.of(rows, tracks, rules))
 
 
@@ -86,15 +90,6 @@ def scores_of(scored: Scored) -> Scores:
     alone = zip(names, _by_class(scored), strict=False)
     by_class = {name: _scores(each) for name, each in alone if len(each.truth) + len(each.tracks)}
     return _scores(scored, by_class)
-
-
-def check_labels(tracks: Tracks) -> None:
-    """Raise ModsimError if a row of the tracks has no label."""
-    if unknown := int(np.count_nonzero(tracks.label == NOBODY)):
-        raise ModsimError(
-            f"--by-class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
-            "score without --by-class"
-        )
 
 
 def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores:

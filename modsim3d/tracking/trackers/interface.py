@@ -89,8 +89,8 @@ class Tracker(Strict):
 def answers_of(
     library: str, step: Callable[[SensedFrame], TrackedFrame], frames: Iterable[SensedFrame], camera: CameraFacts
 ) -> Iterator[TrackedFrame]:
-    """Answers of a tracker of some library to each frame, without the warnings of the library. Raises ModsimError if it
-    failed in a frame."""
+    """Answers of a library's tracker to each frame, without its warnings. Raises ModsimError if it failed in a
+    frame."""
     for frame in frames:
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):

@@ -29,8 +29,7 @@ class Answers:
     for none, shape (k, 2, 2)."""
 
     def __init__(self, answers: Sequence[TrackedFrame], facts: CameraFacts, problem: Named) -> None:
-        """Join answers, one for each frame; `problem` makes the error. Raises ModsimError if one cannot be an
-        answer."""
+        """Join answers, one for each frame. Raises what `problem` makes if one cannot be an answer."""
         columns = [_columns(answer, partial(problem, at)) for at, answer in enumerate(answers)]
         counts = [len(each[0]) for each in columns]
         self.frame: Indices = np.repeat(np.arange(len(columns)), counts)

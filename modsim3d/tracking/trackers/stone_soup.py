@@ -34,8 +34,7 @@ class StoneSoup(Tracker):
     coast_s: NotNegative = 1.0  # a track without a detection is reported for so long, at most until it is dropped
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
-        """Track the detections of one camera. Raises ModsimError if Stone Soup is not installed, or failed in a
-        frame."""
+        """Track the detections of one camera. Raises ModsimError without Stone Soup, or if it failed in a frame."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices
+from modsim3d.core.arrays import NOBODY, Array
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import t_bounds
 from modsim3d.geometry.kinematics import closest_approach
@@ -165,7 +165,11 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
     covariance = tracks.covariance[row]
 
     def by_vessel(values: Array) -> Array:
-        return mean_by(vessel, values, len(truth.names))
+        """Mean of each vessel's values that are not NaN, NaN for none, shape (V,)."""
+        known = ~np.isnan(values)
+        count = np.bincount(vessel[known], minlength=len(truth.names))
+        total = np.bincount(vessel[known], values[known], minlength=len(truth.names))
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     whole = nees_or_infinity(np.concatenate([position, velocity], axis=1), covariance)
     return WorldErrors(
@@ -176,14 +180,6 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
         nees_state=OverVessels.of(by_vessel(whole)),
         pairs=len(row),
     )
-
-
-def mean_by(group: Indices, values: Array, groups: int) -> Array:
-    """Mean of the values of each group that are not NaN, NaN for none, shape (groups,)."""
-    known = ~np.isnan(values)
-    count = np.bincount(group[known], minlength=groups)
-    total = np.bincount(group[known], values[known], minlength=groups)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,7 @@ class _VesselPixels:
         return seen[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
 
     def compare(self, renderer: IdRenderer, seen: Ids, tile: Region) -> None:
-        """Compare its pixels in a tile, of which `seen` are the IDs. Raises Difference if they differ by more than
+        """Compare its pixels in a tile that shows the IDs `seen`. Raises Difference if they differ by more than
         ties."""
         region = self.region.common(tile)
         if not region.width or not region.height:

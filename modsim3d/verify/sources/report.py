@@ -30,7 +30,9 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
     figures, rule = comparison.figures, comparison.figures.rectangles_against_rendered
     said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
     agreed, largest = ("Agreement", "Full box", "Visible part"), "largest difference of a side"
-    tables = [Table("", (), _figure_rows(figures)), Table("", agreed, _verdict_rows(figures))]
+    full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
+    verdicts = [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
+    tables = [Table("", (), _figure_rows(figures)), Table("", agreed, verdicts)]
     times = [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
     return Document(
         f"{scene.name}: sources of truth compared",
@@ -57,12 +59,6 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
             *(_pictures(comparison, scene, renderer) if renderer else ()),
         ],
     )
-
-
-def _verdict_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
-    """Numbers of full and visible boxes that agree, or why they do not."""
-    full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
-    return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
 
 
 def _figure_rows(figures: ComparisonFigures) -> Rows:
