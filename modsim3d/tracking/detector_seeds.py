@@ -15,7 +15,7 @@ from modsim3d.core.statistics import t_bounds
 from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.files.stored_tables import truth_of
-from modsim3d.runs.pipeline import Range, Simulation, block_ranges, block_steps, scene_statistics
+from modsim3d.runs.pipeline import Simulation, block_ranges, block_steps, scene_statistics
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
@@ -26,10 +26,8 @@ from modsim3d.tracking.scores.scoring import score_tracks
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.tracks import TrackSet
-from modsim3d.truth.record import Truth
 
-LEVEL = 0.95
-"""Confidence of the interval of a mean."""
+LEVEL = 0.95  # confidence of the interval of a mean
 SPREAD_KEYS = ("hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "anees")
 """The scores whose spread is told."""
 MIN_SEEDS, MAX_SEEDS = 2, 1000
@@ -37,11 +35,7 @@ MIN_SEEDS, MAX_SEEDS = 2, 1000
 
 @dataclass(frozen=True)
 class Spread:
-    """A score over detector seeds.
-
-    Attributes:
-        values: The score of each seed; None where it is undefined.
-    """
+    """A score over detector seeds: that of each, None where it is undefined."""
 
     values: tuple[float | None, ...]
 
@@ -68,23 +62,15 @@ class Spread:
 
 @dataclass(frozen=True)
 class SeedSpread:
-    """Scores over detector seeds.
+    """Scores over detector seeds."""
 
-    Attributes:
-        seeds: The detector seeds, that of the run first.
-        spreads: Name of the tracker or reference → score → its spread.
-    """
-
-    seeds: tuple[int, ...]
-    spreads: dict[str, dict[str, Spread]]
+    seeds: tuple[int, ...]  # that of the run first
+    spreads: dict[str, dict[str, Spread]]  # name of the tracker or reference → score → its spread
 
 
 def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[Path]) -> None:
-    """Refuse a number of seeds, or tracks whose tracker is not known.
-
-    Raises:
-        ModsimError: There are too few or too many seeds, or tracks that `modsim3d track` did not write.
-    """
+    """Raise ModsimError if there are too few or too many seeds, or tracks that `modsim3d track` did not write, whose
+    tracker is not known."""
     if not MIN_SEEDS <= seeds <= MAX_SEEDS:
         raise ModsimError(f"--seeds must be from {MIN_SEEDS} to {MAX_SEEDS} (got {seeds})")
     unknown = [f"{path}" for path in in_world] + [each.name for each in track_sets if each.origin is None]
@@ -96,13 +82,10 @@ def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[P
 
 
 def detector_runs(run: StoredRun, count: int) -> Iterator[tuple[int, RunRows]]:
-    """The run as other seeds of the detector would have given it, in memory: the same truth, other detections.
-
-    Args:
-        run: A finished run.
-        count: Number of seeds; the first is that of the run.
-    """
-    blocks = list(_truth_blocks(run))
+    """The run as other seeds of the detector would have given it, in memory: the same truth, other detections. The
+    first of `count` seeds is that of the run."""
+    stored, ranges = run.finished_tables, block_ranges(run.steps, block_steps(run.scene))
+    blocks = [(truth_of(stored.truth(first, stop), run.scene), first, stop) for first, stop in ranges]
     for seed in range(run.scene.detector_seed, run.scene.detector_seed + count):
         scene: Scene = replace(run.scene, detector_seed=seed)
         simulation = Simulation(scene, scene_statistics(scene, blocks))
@@ -113,28 +96,11 @@ def detector_runs(run: StoredRun, count: int) -> Iterator[tuple[int, RunRows]]:
         yield seed, RunRows.of_tables(scene, run.steps, tables)
 
 
-def _truth_blocks(run: StoredRun) -> Iterator[tuple[Truth, int, int]]:
-    ranges: list[Range] = block_ranges(run.steps, block_steps(run.scene))
-    stored = run.finished_tables
-    return ((truth_of(stored.truth(first, stop), run.scene), first, stop) for first, stop in ranges)
-
-
 def spread_over_seeds(
-    run: StoredRun,
-    track_sets: Sequence[TrackSet],
-    count: int,
-    rules: Rules,
-    progress: Callable[[int], None],
+    run: StoredRun, track_sets: Sequence[TrackSet], count: int, rules: Rules, progress: Callable[[int], None]
 ) -> SeedSpread:
-    """Run detector, tracker and scores again with other seeds of the detector.
-
-    Args:
-        run: A finished run.
-        track_sets: Tracks whose tracker is known; see `check_seeds`.
-        count: Number of seeds.
-        rules: By which tracks are scored.
-        progress: Called with the number of seeds done since its last call.
-    """
+    """Run detector, tracker and scores again with other seeds of the detector, for tracks whose tracker is known; see
+    `check_seeds`. `progress` is called with the number of seeds done since its last call."""
     names = [camera.name for camera in run.scene.cameras]
     cameras = tuple(index for index, name in enumerate(names) if not rules.cameras or name in rules.cameras)
     found: dict[str, list[Keys]] = {}

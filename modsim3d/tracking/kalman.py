@@ -14,23 +14,14 @@ _Level = float | Array
 
 @dataclass(frozen=True, eq=False)
 class MotionEstimates:
-    """Gaussian estimates of coordinates and of their rates: arrays of one shape (...).
-
+    """Gaussian estimates of coordinates and of their rates, in units of the coordinate per second: arrays of one shape.
     A coordinate's rate is a random walk (white-noise acceleration, Bar-Shalom, Li & Kirubarajan (2001), section 6.2.2),
-    so that the estimate at a time does not depend on the times in between.
+    so that the estimate at a time does not depend on the times in between."""
 
-    Attributes:
-        place: Mean of the coordinate.
-        rate: Mean of its rate, in units of the coordinate per second.
-        place_variance: Variance of the coordinate.
-        mixed_variance: Covariance of the coordinate and its rate.
-        rate_variance: Variance of the rate.
-    """
-
-    place: Array
-    rate: Array
+    place: Array  # mean of the coordinate
+    rate: Array  # mean of its rate
     place_variance: Array
-    mixed_variance: Array
+    mixed_variance: Array  # covariance of the coordinate and its rate
     rate_variance: Array
 
     @classmethod
@@ -40,13 +31,8 @@ class MotionEstimates:
         return cls(place, zero, place_variance, zero, zero + rate_variance)
 
     def predicted(self, time_s: _Level, rate_walk: _Level, place_walk: _Level = 0.0) -> Self:
-        """After some time.
-
-        Args:
-            time_s: The time.
-            rate_walk: Standard deviation of the change of the rate in one second.
-            place_walk: Standard deviation of what the place changes by in one second beside its rate.
-        """
+        """After some time. `rate_walk` is the standard deviation of the change of the rate in one second, `place_walk`
+        that of what the place changes by in one second beside its rate."""
         walk = rate_walk**2 * time_s
         return type(self)(
             self.place + self.rate * time_s,
@@ -70,13 +56,8 @@ class MotionEstimates:
         )
 
     def smoothed(self, predicted: Self, later: Self, time_s: _Level) -> Self:
-        """With what was measured later (Rauch, Tung & Striebel (1965)).
-
-        Args:
-            predicted: This after the time.
-            later: The smoothed estimate at that time.
-            time_s: The time.
-        """
+        """With what was measured later (Rauch, Tung & Striebel (1965)). `predicted` is this after the time, `later` the
+        smoothed estimate at that time."""
         cross = self._with_rates(self.place_variance + time_s * self.mixed_variance, self.mixed_variance)
         cross[..., 1, 0] = self.mixed_variance + time_s * self.rate_variance
         cross[..., 1, 1] = self.rate_variance
@@ -85,11 +66,7 @@ class MotionEstimates:
         place, rate = np.moveaxis((gain @ change[..., None])[..., 0], -1, 0)
         covariance = self.covariance + gain @ (later.covariance - predicted.covariance) @ np.swapaxes(gain, -1, -2)
         return type(self)(
-            self.place + place,
-            self.rate + rate,
-            covariance[..., 0, 0],
-            covariance[..., 0, 1],
-            covariance[..., 1, 1],
+            self.place + place, self.rate + rate, covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
         )
 
     @property

@@ -23,27 +23,16 @@ from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracks.tracks import Tracks
 from modsim3d.tracks.true_tracks import TrueTracks
 
-# ---- What the smoother of the oracle-association reference takes for the noise ----
-
 
 class SmootherNoise(Strict):
-    """Noise of detected boxes, and how the boxes of vessels move.
+    """Noise of detected boxes, and how the boxes of vessels move."""
 
-    Attributes:
-        noise_share: Standard deviation of a detected centre, as a share of the box's width and height.
-        noise_x_px: What is added to that across, in pixels.
-        noise_y_px: What is added to it down the image, in pixels.
-        size_noise: Standard deviation of width and height, over that of the centre.
-        velocity_change_px_s: Standard deviation of the change of the centre's velocity in one second.
-        growth_change_px_s: Standard deviation of the change, in one second, of the rate at which a box grows.
-    """
-
-    noise_share: NotNegative = 0.02
-    noise_x_px: NotNegative = 5.0
-    noise_y_px: NotNegative = 3.0
-    size_noise: NotNegative = 1.5
-    velocity_change_px_s: Positive = 5.0
-    growth_change_px_s: Positive = 2.0
+    noise_share: NotNegative = 0.02  # standard deviation of a detected centre, as a share of the box's width and height
+    noise_x_px: NotNegative = 5.0  # added to that across
+    noise_y_px: NotNegative = 3.0  # added to it down the image
+    size_noise: NotNegative = 1.5  # standard deviation of width and height, over that of the centre
+    velocity_change_px_s: Positive = 5.0  # standard deviation of the change of the centre's velocity in one second
+    growth_change_px_s: Positive = 2.0  # that of the rate at which a box grows
 
     def variance_px2(self, size_px: Array) -> Array:
         """Variance of centre x, centre y, width and height of detections of some size (..., 2), shape (..., 4)."""
@@ -64,11 +53,7 @@ class _NoiseFile(Strict):
 
 
 def smoother_noise(scene_name: str) -> SmootherNoise:
-    """The noise for a scene, from the file that comes with the package.
-
-    Raises:
-        InputError: The file is damaged.
-    """
+    """The noise for a scene, from the file that comes with the package. Raises InputError if that is damaged."""
     path = data_folder("scenes") / "trackers" / "oracle.yaml"
     content = load_yaml(path, "smoother noise")
     try:
@@ -78,25 +63,16 @@ def smoother_noise(scene_name: str) -> SmootherNoise:
     return found.scenes.get(scene_name, found.default)
 
 
-# ---- A Rauch-Tung-Striebel smoother over many sequences of boxes at once ----
-
-_FIRST_RATE_PX_S = 1000.0
-"""Standard deviation of a rate before anything is known of it: beyond any vessel's."""
+_FIRST_RATE_PX_S = 1000.0  # standard deviation of a rate before anything is known of it: beyond any vessel's
 
 
 @dataclass(frozen=True, eq=False)
 class BoxSequences:
-    """I sequences of boxes, each in rows 0 to at most L − 1 from its first detection on.
+    """I sequences of boxes, each in rows 0 to at most L − 1 from its first detection on."""
 
-    Attributes:
-        boxes_px: x_min, y_min, x_max, y_max; anything where there is no detection, shape (L, I, 4).
-        there: Where there is a detection; everywhere in row 0, shape (L, I).
-        time_s: Time since the row before, above 0, shape (L, I).
-    """
-
-    boxes_px: Array
-    there: Mask
-    time_s: Array
+    boxes_px: Array  # x_min, y_min, x_max, y_max; anything where there is no detection, shape (L, I, 4)
+    there: Mask  # where there is a detection; everywhere in row 0, shape (L, I)
+    time_s: Array  # since the row before, above 0, shape (L, I)
 
 
 class _Filtered(NamedTuple):
@@ -108,12 +84,10 @@ class _Filtered(NamedTuple):
 
 
 def smoothed_motion(sequences: BoxSequences, noise: SmootherNoise) -> list[MotionEstimates]:
-    """Centre x, centre y, width and height given all detections: for each row a motion of shape (I, 4).
-
-    Forward a Kalman filter with constant velocity, back the recursion of Rauch, Tung & Striebel (1965), "Maximum
-    likelihood estimates of linear dynamic systems", AIAA Journal 3(8). The noise of a detection goes by the size that
-    the filter predicts, since the detected one has noise itself.
-    """
+    """Centre x, centre y, width and height given all detections: for each row a motion of shape (I, 4). Forward a
+    Kalman filter with constant velocity, back the recursion of Rauch, Tung & Striebel (1965), "Maximum likelihood
+    estimates of linear dynamic systems", AIAA Journal 3(8). The noise of a detection goes by the size that the filter
+    predicts, since the detected one has noise itself."""
     filtered = _filtered(sequences, noise)
     later = filtered[-1].corrected
     found = [later]
@@ -147,15 +121,10 @@ def _filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[_Filtered]:
 
 @dataclass(frozen=True, eq=False)
 class DetectionSources:
-    """The detections of vessels, at most one of each identity in a frame: m rows in order of identity and frame.
+    """The detections of vessels, at most one of each identity in a frame: m rows in order of identity and frame."""
 
-    Attributes:
-        identity: Of the vessel that each came from, as in `TrueTracks`, shape (m,).
-        detections: What a tracker reads of them.
-    """
-
-    identity: Indices
-    detections: TrackerDetections
+    identity: Indices  # of the vessel that each came from, as in `TrueTracks`, shape (m,)
+    detections: TrackerDetections  # what a tracker reads of them
 
     @classmethod
     def of(cls, rows: RunRows, truth: TrueTracks) -> DetectionSources:
@@ -176,18 +145,11 @@ class DetectionSources:
 
 
 def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: SmootherNoise | None = None) -> Tracks:
-    """The oracle-association reference: what perfect association makes of the detections that a tracker gets.
-
-    It is not a ceiling: a tracker that smooths better may exceed it. The number of a track is the identity that it
-    follows.
-
-    Args:
-        rows: The run.
-        truth: The vessels, with their identities.
-        smoothed: False: the detected boxes. True: a box in each frame of the camera from the first detection of the
-            identity to the last, smoothed with what comes before and after, with the covariance of its centre.
-        noise: Of the smoother; None for that of the scene's name in `scenes/trackers/oracle.yaml`.
-    """
+    """The oracle-association reference: what perfect association makes of the detections that a tracker gets. It is not
+    a ceiling: a tracker that smooths better may exceed it. The number of a track is the identity that it follows. Boxes
+    are the detected ones; or, smoothed with what comes before and after, one in each frame of the camera from the first
+    detection of the identity to the last, with the covariance of its centre. The noise of the smoother is that of the
+    scene's name in `scenes/trackers/oracle.yaml` if None."""
     provenance = DetectionSources.of(rows, truth)
     found, cameras = provenance.detections, len(rows.scene.cameras)
     if not smoothed or not len(found):
@@ -213,19 +175,12 @@ def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: Sm
 
 @dataclass(frozen=True, eq=False)
 class IdentitySpans:
-    """The frames of I identities from the first detection of each to its last, in rows 0 to at most L − 1.
+    """The frames of I identities from the first detection of each to its last, in rows 0 to at most L − 1."""
 
-    Attributes:
-        identity: Shape (I,).
-        frame: Number of the frame; `NOBODY` after the last detection, shape (L, I).
-        detection: Row of the detection in the frame; `NOBODY` where there is none, shape (L, I).
-        sequences: The detected boxes.
-    """
-
-    identity: Indices
-    frame: Indices
-    detection: Indices
-    sequences: BoxSequences
+    identity: Indices  # shape (I,)
+    frame: Indices  # number of the frame; `NOBODY` after the last detection, shape (L, I)
+    detection: Indices  # row of the detection in the frame; `NOBODY` where there is none, shape (L, I)
+    sequences: BoxSequences  # the detected boxes
 
     @classmethod
     def of(cls, rows: RunRows, provenance: DetectionSources) -> IdentitySpans:
@@ -251,8 +206,6 @@ class IdentitySpans:
         return cls(identity, frame, detection, BoxSequences(boxes_px, detection != NOBODY, time_s))
 
 
-# ---- The smoother's noise out of a run ----
-
 LIMITS = {
     "noise_share": (1e-3, 1.0),
     "noise_x_px": (0.05, 500.0),
@@ -265,11 +218,8 @@ _DIGITS = 3
 
 
 def fitted_noise(rows: RunRows, truth: TrueTracks) -> SmootherNoise:
-    """The most likely noise, from the innovations of detections that are associated by where they came from.
-
-    Raises:
-        ModsimError: No vessel is detected twice.
-    """
+    """The most likely noise, from the innovations of detections that are associated by where they came from. Raises
+    ModsimError if no vessel is detected twice."""
     provenance = DetectionSources.of(rows, truth)
     if np.bincount(provenance.identity, minlength=1).max() < 2:
         raise ModsimError(f"{rows.scene.name}: no vessel is detected twice, so there is no motion to fit noise to")
@@ -294,11 +244,8 @@ def most_likely_noise(sequences: BoxSequences) -> SmootherNoise:
     return noise_of(found.x)
 
 
-# ---- The references that stand beside every score ----
-
 SMOOTHED, RAW = "smoothed", "raw"
-REFERENCES = {SMOOTHED: "oracle association, smoothed", RAW: "oracle association, raw boxes"}
-"""What tables call them."""
+REFERENCES = {SMOOTHED: "oracle association, smoothed", RAW: "oracle association, raw boxes"}  # what tables call them
 
 
 def reference_tracks(rows: RunRows, rules: Rules) -> dict[str, Tracks]:

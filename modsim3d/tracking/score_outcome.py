@@ -23,18 +23,15 @@ ONE_RUN = (
     "trackers over many traffic seeds."
 )
 
-NOISY_BOXES = 0.3
-"""Below this HOTA of the raw boxes with perfect association, IoU is the wrong similarity."""
+NOISY_BOXES = 0.3  # below this HOTA of the raw boxes with perfect association, IoU is the wrong similarity
 
 
 def conclusion_of(scores: ScoredTracks) -> str:
     """The outcome: of the best tracker in the images, and of each in the world."""
     said = []
     if scores.trackers:
-        outcomes = [
-            TrackerOutcome(each.name, keys_of(each.scores), length_bins(each.scores.occlusions))
-            for each in scores.trackers
-        ]
+        bins = [(each, length_bins(each.scores.occlusions)) for each in scores.trackers]
+        outcomes = [TrackerOutcome(each.name, keys_of(each.scores), lengths) for each, lengths in bins]
         said.append(conclusion(outcomes, keys_of(scores.references[SMOOTHED])))
     if scores.world:
         said.append(world_conclusion(scores))
@@ -85,8 +82,6 @@ def length_bins(occlusions: Sequence[OcclusionEpisode]) -> tuple[LengthBin, ...]
         bins.append(LengthBin(name, judged, survived))
     return tuple(bins)
 
-
-# ---- Scores as JSON ----
 
 FORMAT = 1
 
@@ -165,61 +160,38 @@ def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
     ]
 
 
-# ---- Scores of the tracks of a run as values: what tables, JSON and pages show ----
-
 if TYPE_CHECKING:
     from modsim3d.tracking.detector_seeds import SeedSpread
 
 
 @dataclass(frozen=True, eq=False)
 class TrackScores:
-    """The scores of one tracker in the images.
+    """The scores of one tracker in the images."""
 
-    Attributes:
-        name: What tables call it.
-        path: Where its tracks are; None if they were given in memory.
-        track_set: Its tracks.
-        scores: Their scores.
-    """
-
-    name: str
-    path: Path | None
+    name: str  # what tables call it
+    path: Path | None  # where its tracks are; None if they were given in memory
     track_set: TrackSet
     scores: Scores
 
 
 @dataclass(frozen=True, eq=False)
 class WorldTrackScores:
-    """The scores of one tracker in the world.
+    """The scores of one tracker in the world."""
 
-    Attributes:
-        name: What tables call it.
-        path: Where its tracks are.
-        scores: Their scores.
-    """
-
-    name: str
-    path: Path
+    name: str  # what tables call it
+    path: Path  # where its tracks are
     scores: WorldScores
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScoredTracks:
-    """Scores of tracks of a run, before anything is said of them.
-
-    Attributes:
-        run: The run.
-        rules: How tracks were scored.
-        trackers: The trackers in the images, the highest HOTA first.
-        references: The scores of the run's own detections with perfect association: `smoothed`, and with `raw` boxes.
-            They are references and no ceilings: a tracker that smooths better may exceed them.
-        seeds: Scores over detector seeds; None unless asked for.
-        world: The trackers in the world.
-    """
+    """Scores of tracks of a run, before anything is said of them."""
 
     run: StoredRun
     rules: Rules
-    trackers: tuple[TrackScores, ...]
+    trackers: tuple[TrackScores, ...]  # in the images, the highest HOTA first
+    # The run's own detections with perfect association: `smoothed`, and with `raw` boxes. They are references and no
+    # ceilings: a tracker that smooths better may exceed them.
     references: dict[str, Scores]
-    seeds: SeedSpread | None
-    world: tuple[WorldTrackScores, ...]
+    seeds: SeedSpread | None  # scores over detector seeds; None unless asked for
+    world: tuple[WorldTrackScores, ...]  # the trackers in the world

@@ -45,8 +45,6 @@ GROUP_NAMES = {
     "label": "class",
 }
 """What tables call the groups of a breakdown."""
-
-
 OF_SEEDS = "over detector seeds of this traffic; it says nothing about other traffic"
 PART_COLUMNS = COLUMNS[:5]
 PART_HEADER = ("", "tracker", *(name for name, _, _ in PART_COLUMNS))
@@ -128,7 +126,9 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
         yield _occlusions(each)
     yield Heading("All scores")
     header = ("score", *(name for name, _ in named_scores(scores)))
-    yield Fold("By their keys", [Table("", header, _key_rows(scores), where=Where.PAGE)])
+    every = [keys_of(found) for _, found in named_scores(scores)]  # counts are whole, all else has three decimals
+    rows = [(key, *(number(keys[key], 0 if isinstance(keys[key], int) else 3) for keys in every)) for key in every[0]]
+    yield Fold("By their keys", [Table("", header, rows, where=Where.PAGE)])
 
 
 def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
@@ -179,22 +179,17 @@ def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iter
         bins = list(zip(*(found.breakdown[index].rows for _, found in named), strict=True))
         if group.name == OCCLUSION:
             header = ["length, s", "occlusions", "vessel-frames"]
-            lengths = [
-                (
-                    each[0].bin,
-                    f"{each[0].occlusions}",
-                    f"{each[0].vessel_frames:,}",
-                    *_cells(each, "survived", "recall"),
-                )
-                for each in bins
-            ]
+            lengths = []
+            for each in bins:
+                first = each[0].bin, f"{each[0].occlusions}", f"{each[0].vessel_frames:,}"
+                lengths.append((*first, *_cells(each, "survived", "recall")))
             columns = [name + key for name in names for key in ("survived", "recall")]
             of_occlusions = Table("By length of the occlusion", [*header, *columns], lengths, where=where)
         else:
             for place, each in enumerate(bins):
                 name = "" if place else GROUP_NAMES[group.name]
-                first = [name, each[0].bin, f"{each[0].vessel_frames:,}"]
-                rows.append(first + _cells(each, "recall", "association"))
+                row: list[str | Cell] = [name, each[0].bin, f"{each[0].vessel_frames:,}"]
+                rows.append(row + _cells(each, "recall", "association"))
     columns = [name + key for name in names for key in ("recall", "association")]
     yield Table("", ("by", "", "vessel-frames", *columns), rows, where=where)
     yield of_occlusions
@@ -202,14 +197,10 @@ def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iter
 
 def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
     """Shares of a bin of each tracker, as bars."""
+    shares = [(each, key, getattr(each, key)) for each in bins for key in keys]
     return [
-        Cell(
-            survived_of(each) if key == "survived" else number(getattr(each, key), 2),
-            getattr(each, key) or 0.0,
-            bar=True,
-        )
-        for each in bins
-        for key in keys
+        Cell(survived_of(each) if key == "survived" else number(share, 2), share or 0.0, bar=True)
+        for each, key, share in shares
     ]
 
 
@@ -301,16 +292,10 @@ def _occlusion_rows(occlusions: Sequence[OcclusionEpisode]) -> list[tuple[str, .
 
 
 def survived_of(each: Bin) -> str:
-    """How many occlusions of a bin are survived, of those that could be; empty outside the group of occlusions."""
+    """Number of survived occlusions of a bin, of those that could be; empty outside the group of occlusions."""
     if each.occlusions is None:
         return ""
     return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
-
-
-def _key_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
-    """All scores by their keys, a column for each tracker and reference."""
-    every = [keys_of(found) for _, found in named_scores(scores)]
-    return [(key, *(_any_number(keys[key]) for keys in every)) for key in every[0]]
 
 
 def _part_tables(scores: ScoredTracks) -> list[Table]:
@@ -338,38 +323,24 @@ def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> 
     ]
 
 
-def _any_number(value: float | int | None) -> str:
-    """A count as it is, anything else with three decimals."""
-    return number(value, 0 if isinstance(value, int) else 3)
-
-
 def _in_world(scores: ScoredTracks) -> Iterator[Block]:
     yield Heading("Tracks in the world")
-    yield Table("", ("tracks in the world", *(name for name, _, _ in WORLD_COLUMNS)), _world_rows(scores))
-    for each in scores.world[:1]:
-        yield Text(_world_rules(each), "soft")
+    header = ("tracks in the world", *(name for name, _, _ in WORLD_COLUMNS))
+    flat = [(each.name, each.scores.flat()) for each in scores.world]
+    rows = [(name, *(number(keys[key], decimals) for _, key, decimals in WORLD_COLUMNS)) for name, keys in flat]
+    yield Table("", header, rows)
+    for each in scores.world[:1]:  # the rules are those of all
+        distance = each.scores.set_distance
+        yield Text(
+            f"A track follows a vessel within {each.scores.gate_m:g} m. GOSPA: c = {distance.cutoff:g} m, "
+            f"p = {distance.power:g}. Errors are averaged within each vessel, then over vessels.",
+            "soft",
+        )
     for each in scores.world:
         met = each.scores.encounters
         yield Text(_encounters_in_words(each))
         missed = {place for place, vessel in enumerate(met) if _is_missed(vessel)}
         yield Table("", ENCOUNTER_HEADER, _encounter_rows(met), bad=missed)
-
-
-def _world_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
-    """A line for each tracker."""
-    return [
-        (each.name, *(number(each.scores.flat()[key], decimals) for _, key, decimals in WORLD_COLUMNS))
-        for each in scores.world
-    ]
-
-
-def _world_rules(each: WorldTrackScores) -> str:
-    """How tracks in the world were scored."""
-    distance = each.scores.set_distance
-    return (
-        f"A track follows a vessel within {each.scores.gate_m:g} m. GOSPA: c = {distance.cutoff:g} m, "
-        f"p = {distance.power:g}. Errors are averaged within each vessel, then over vessels."
-    )
 
 
 def _encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
@@ -391,7 +362,7 @@ def _is_missed(met: MetVessel) -> bool:
 
 
 def _encounters_in_words(each: WorldTrackScores) -> str:
-    """How many vessels met own ship, and which of them the table of encounters marks."""
+    """Number of vessels that met own ship, and what red means in the table of encounters."""
     met = each.scores.encounters
     if not met:
         return f"{each.name}: no vessel came nearer to own ship."

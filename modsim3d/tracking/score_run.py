@@ -28,7 +28,7 @@ from modsim3d.tracks.world_reading import is_world, read_world_tracks
 
 
 class RunScores(ScoredTracks):
-    """How well tracks follow the vessels of a run, from `score_run`.
+    """Scores of tracks that follow the vessels of a run, from `score_run`.
 
     scores = modsim3d.score_run("runs/first", ["runs/sort", "runs/reference"])
     scores.trackers[0].scores.flat()["hota"], scores.conclusion, scores.write("runs/scores")
@@ -164,11 +164,8 @@ def _refuse_image_rules(rules: Rules) -> None:
 
 
 def _chosen(run: StoredRun, cameras: str | Sequence[str] | None) -> tuple[int, ...]:
-    """Indices of the cameras that are asked for; none if none are.
-
-    Raises:
-        ModsimError: The run has no such camera, or these are no names.
-    """
+    """Indices of the cameras that are asked for; none if none are. Raises ModsimError if the run has no such camera, or
+    these are no names."""
     names = [camera.name for camera in run.scene.cameras]
     asked = [cameras] if isinstance(cameras, str) else () if cameras is None else cameras
     if not isinstance(asked, Sequence) or not all(isinstance(name, str) for name in asked):
@@ -191,16 +188,10 @@ def _one_sided(each: TrackSet, run: StoredRun) -> ModsimError:
 
 
 def _read(
-    run: StoredRun,
-    rows: RunRows,
-    tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet],
-    cameras: Sequence[int],
+    run: StoredRun, rows: RunRows, tracks: StrPath | TrackSet | Sequence[StrPath | TrackSet], cameras: Sequence[int]
 ) -> tuple[list[tuple[Path | None, TrackSet]], list[tuple[Path, WorldTracks]]]:
-    """The tracks in the images and those in the world, each with its path.
-
-    Raises:
-        ModsimError: There are none, some are given twice, or they are not what tracks may be.
-    """
+    """The tracks in the images and those in the world, each with its path. Raises ModsimError if there are none, some
+    are given twice, or they are not what tracks may be."""
     given = [tracks] if isinstance(tracks, TrackSet | str | os.PathLike) else list(tracks)
     if not given:
         raise ModsimError("there are no tracks to score: give folders that `modsim3d track` wrote, or your own files")

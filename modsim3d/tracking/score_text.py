@@ -53,10 +53,7 @@ def rules_in_words(rules: Rules) -> list[tuple[str, str]]:
         *cameras,
         ("similarity", f"{similarity}; a track follows a vessel from {similarity.least:g} on"),
         ("truth", f"{rules.truth}: {truth[rules.truth]}"),
-        (
-            "gap",
-            f"after more than {rules.gap_s:g} s outside the image a vessel is a new one; a hidden one is not",
-        ),
+        ("gap", f"after more than {rules.gap_s:g} s outside the image a vessel is a new one; a hidden one is not"),
         ("GOSPA", f"c = {distance.cutoff:g} px, p = {distance.power:g}, α = 2, distance of the centres"),
         ("class", f"{classes}; each class by itself too" if rules.by_class else classes),
     ]
@@ -75,49 +72,29 @@ MEANINGS = {
 """What the scores of the table mean, each in a line."""
 
 
-# ---- What scores say, in one or two sentences that are made of the numbers and nothing else ----
-
-MIN_OCCLUSIONS = 3
-"""Fewer occlusions of a length say nothing about it."""
+MIN_OCCLUSIONS = 3  # fewer occlusions of a length say nothing about it
 
 
 @dataclass(frozen=True)
 class LengthBin:
-    """Occlusions of a range of lengths.
+    """Occlusions of a range of lengths, of vessels that were followed before."""
 
-    Attributes:
-        name: The range in words, such as `3 to 10 s`.
-        occlusions: How many there are of a vessel that was followed before.
-        survived: How many of them ended with the vessel followed by the same track.
-    """
-
-    name: str
+    name: str  # the range in words, such as `3 to 10 s`
     occlusions: int
-    survived: int
+    survived: int  # those that ended with the vessel followed by the same track
 
 
 @dataclass(frozen=True)
 class TrackerOutcome:
-    """Parts of the sentence about one tracker.
-
-    Attributes:
-        name: The tracker.
-        keys: Its scores.
-        lengths: Occlusions by length.
-    """
+    """Parts of the sentence about one tracker."""
 
     name: str
-    keys: Keys
-    lengths: tuple[LengthBin, ...]
+    keys: Keys  # its scores
+    lengths: tuple[LengthBin, ...]  # occlusions by length
 
 
 def conclusion(trackers: Sequence[TrackerOutcome], reference: Keys) -> str:
-    """The outcome.
-
-    Args:
-        trackers: At least one, the best first.
-        reference: The scores of the smoothed oracle-association reference.
-    """
+    """The outcome of at least one tracker, the best first, beside the scores of the smoothed reference."""
     best = trackers[0]
     if not _expected(best.keys):
         return _nothing_expected(trackers)

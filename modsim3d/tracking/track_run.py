@@ -15,7 +15,7 @@ from modsim3d.io.overwrite_guard import claimed
 from modsim3d.runs.camera_sequences import CameraSequence, camera_sequences
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
-from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
+from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.trackers.running import tracked
 from modsim3d.tracks.reading import track_paths, write_claimed_tracks
 from modsim3d.tracks.tracks import Origin, Tracks, TrackSet
@@ -23,21 +23,13 @@ from modsim3d.tracks.tracks import Origin, Tracks, TrackSet
 
 @dataclass(frozen=True)
 class TrackCounts:
-    """Counts of a tracker's output for a camera, or for all.
-
-    Attributes:
-        frames: Frames of the camera.
-        detections: Detections that the tracker was given.
-        tracks: Tracks that it reported.
-        boxes: Boxes that it reported, one for each track and frame.
-        median_track_s: Median time from a track's first box to its last; None without tracks.
-    """
+    """Counts of a tracker's output for a camera, or for all."""
 
     frames: int
-    detections: int
-    tracks: int
-    boxes: int
-    median_track_s: float | None
+    detections: int  # that the tracker was given
+    tracks: int  # that it reported
+    boxes: int  # that it reported, one for each track and frame
+    median_track_s: float | None  # median time from a track's first box to its last; None without tracks
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,27 +113,13 @@ def track_run(
         started = perf_counter()
         tracks = tracked(named, sequences, cameras, run.scene, progress)
         seconds = perf_counter() - started
-        track_set = TrackSet(_name(named, given), tracks, origin)
+        changed = ", ".join(f"{key}={value}" for key, value in given.items())  # tells it from the same with others
+        track_set = TrackSet(f"{named.name} ({changed})" if changed else named.name, tracks, origin)
         write_claimed_tracks(folder, run, track_set)
-    parts = {
-        sequence.camera.name: (sequence, tracks.take(tracks.camera == camera))
-        for sequence, camera in zip(sequences, cameras, strict=True)
-    }
-    return TrackResult(
-        folder,
-        track_set.name,
-        tracks,
-        origin,
-        {name: _counts([sequence], part, run) for name, (sequence, part) in parts.items()},
-        _counts(sequences, tracks, run),
-        seconds,
-    )
-
-
-def _name(named: NamedTracker, given: Mapping[str, object]) -> str:
-    """The tracker's name, and the settings that tell it from the same one with others."""
-    settings = ", ".join(f"{key}={value}" for key, value in given.items())
-    return f"{named.name} ({settings})" if settings else named.name
+    parts = zip(sequences, cameras, strict=True)
+    by_camera = {each.camera.name: _counts([each], tracks.take(tracks.camera == camera), run) for each, camera in parts}
+    counts = _counts(sequences, tracks, run)
+    return TrackResult(folder, track_set.name, tracks, origin, by_camera, counts, seconds)
 
 
 def _counts(sequences: Sequence[CameraSequence], tracks: Tracks, run: StoredRun) -> TrackCounts:

@@ -1,8 +1,7 @@
-"""Truth from geometry alone, without a renderer: exact occlusion of solids whose hulls do not intersect.
-
-The visible region of a vessel is its silhouette minus the silhouettes of the solids that can hide it. Areas and boxes
-are exact, not rounded to pixels. Where no plane is between the convex hulls of two solids, they have no order, and what
-is visible of them is unknown (NaN)."""
+"""Truth from geometry alone, without a renderer: exact occlusion of solids whose hulls do not intersect. The visible
+region of a vessel is its silhouette minus the silhouettes of the solids that can hide it. Areas and boxes are exact,
+not rounded to pixels. Where no plane is between the convex hulls of two solids, they have no order, and what is visible
+of them is unknown (NaN)."""
 
 from __future__ import annotations
 
@@ -21,27 +20,17 @@ from modsim3d.truth.occlusion_order import Order, order_of, overlapping_pairs
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.silhouettes import in_image, silhouette_polygons
 
-# ---- Truth from geometry alone, without a renderer ----
-
-# ---- Occlusion of polygons by polygons ----
-
-NOTHING_PX2 = 1e-6
-"""Smaller regions are rounding errors of cutting one polygon by another."""
+NOTHING_PX2 = 1e-6  # smaller regions are rounding errors of cutting one polygon by another
 
 Polygons = NDArray[np.object_]
 
 
 @dataclass(frozen=True, eq=False)
 class Hiding:
-    """Pairs of rows of which one may hide the other, ordered by the hidden row.
+    """Pairs of rows of which one may hide the other, ordered by the hidden row; shapes (m,)."""
 
-    Attributes:
-        hidden: Row that may be hidden, non-decreasing, shape (m,).
-        hiders: Row that may hide it, shape (m,).
-    """
-
-    hidden: Indices
-    hiders: Indices
+    hidden: Indices  # row that may be hidden, non-decreasing
+    hiders: Indices  # row that may hide it
 
     @classmethod
     def of(cls, hidden: Indices, hiders: Indices) -> Hiding:
@@ -55,11 +44,9 @@ class Hiding:
 
 
 def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
-    """Polygons, shape (n,), minus all that covers them, shape (n,).
-
-    Cover k of the m `covers` is subtracted from polygon rows[k]; `rows`, shape (m,), do not decrease. Each round
-    subtracts one cover from every polygon that still has one.
-    """
+    """Polygons, shape (n,), minus all that covers them, shape (n,). Cover k of the m `covers` is subtracted from
+    polygon rows[k]; `rows`, shape (m,), do not decrease. Each round subtracts one cover from every polygon that still
+    has one."""
     left = polygons.copy()
     turn = np.arange(len(rows)) - np.searchsorted(rows, rows)
     for k in range(int(turn.max(initial=-1)) + 1):
@@ -74,10 +61,8 @@ def visible_of(silhouettes: Polygons, hiding: Hiding) -> Polygons:
 
 
 def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Array) -> tuple[Array, Array]:
-    """Bounding boxes (NaN where nothing is) and areas of visible regions (n,), shapes (n, 4) and (n,).
-
-    Where nothing is hidden, they are the boxes and areas given for the whole silhouettes.
-    """
+    """Bounding boxes (NaN where nothing is) and areas of visible regions (n,), shapes (n, 4) and (n,). Where nothing is
+    hidden, they are the boxes and areas given for the whole silhouettes."""
     areas: Array = shapely.area(visible)
     seen, whole = areas > NOTHING_PX2, areas >= full_areas_px - NOTHING_PX2
     boxes = np.where(whole[:, None], full_boxes_px, np.where(seen[:, None], shapely.bounds(visible), np.nan))
@@ -85,27 +70,19 @@ def boxes_and_areas(visible: Polygons, full_boxes_px: Array, full_areas_px: Arra
 
 
 def hidden_areas(silhouettes: Polygons, hiding: Hiding, occluder: Indices, ties: Hiding | None = None) -> Array:
-    """How much each hider hides of each hidden row, in square pixels, shape (m,).
-
-    Every hidden point is counted for the front-most solid there. A hider's part is therefore what the two silhouettes
-    share, minus the silhouettes of everything that may hide the hider. What several pieces of an obstacle hide together
-    is entered for the first of them; the others get zero.
-
-    Args:
-        silhouettes: Silhouettes of all rows, shape (n,).
-        hiding: The m pairs of hidden row and hider.
-        occluder: Vessel or obstacle of each row, as an index into the scene's occluder names, shape (n,).
-        ties: Pairs that overlap but have no order. The hider of a pair counts as the one in front, so that what both
-            hide of a third row is counted once.
-    """
+    """Area that each hider hides of each hidden row, in square pixels, for the m pairs of `hiding`, shape (m,). Every
+    hidden point is counted for the front-most solid there. A hider's part is therefore what the two silhouettes share,
+    minus the silhouettes of everything that may hide the hider. What several pieces of an obstacle, of one index in
+    `occluder` (n,), hide together is entered for the first of them; the others get zero. `ties` are pairs that overlap
+    but have no order: the hider of a pair counts as the one in front, so that what both hide of a third row is counted
+    once."""
     shared = shapely.intersection(silhouettes[hiding.hidden], silhouettes[hiding.hiders])
     rows: list[int] = []
     covers: list[int] = []
     for k, (hidden, hider) in enumerate(zip(hiding.hidden.tolist(), hiding.hiders.tolist(), strict=True)):
         in_front = [row for row in hiding.hiders_of(hider).tolist() if row != hidden]
         if ties is not None:
-            also = set(ties.hiders_of(hider).tolist()) & set(hiding.hiders_of(hidden).tolist())
-            in_front += sorted(also)
+            in_front += sorted(set(ties.hiders_of(hider).tolist()) & set(hiding.hiders_of(hidden).tolist()))
         rows += [k] * len(in_front)
         covers += in_front
     parts = subtract(shared, np.array(rows, dtype=np.int64), silhouettes[covers])
@@ -125,11 +102,9 @@ def hidden_by(hiding: Hiding, areas_px: Array, occluder: Indices) -> HiddenPixel
 
 
 def boundary_pixels(regions: Polygons, supersample: int) -> Array:
-    """How many buffer pixels the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
-
+    """Number of buffer pixels that the boundary of each region can cross: |dx| + |dy| + 2 for each edge, shape (n,).
     Only these pixels can be counted otherwise than by their share of the area, each by less than one. Regions are
-    polygons in image pixels, shape (n,).
-    """
+    polygons in image pixels, shape (n,)."""
     rings, row = shapely.get_parts(shapely.boundary(regions), return_index=True)
     points, ring = shapely.get_coordinates(rings, return_index=True)
     steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
@@ -140,29 +115,21 @@ def boundary_pixels(regions: Polygons, supersample: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class VisibleRegions:
-    """Silhouettes in the image and what is visible of them, as polygons.
+    """Silhouettes in the image and what is visible of them, as polygons."""
 
-    Attributes:
-        silhouettes: Whole silhouettes, cut at the image edge, shape (n,).
-        visible: Their visible parts, shape (n,).
-        hiding: Which rows can hide which.
-        order: The order of solids that `hiding` follows from.
-    """
-
-    silhouettes: Polygons
-    visible: Polygons
-    hiding: Hiding
-    order: Order
+    silhouettes: Polygons  # whole ones, cut at the image edge, shape (n,)
+    visible: Polygons  # their visible parts, shape (n,)
+    hiding: Hiding  # which rows can hide which
+    order: Order  # of solids, which `hiding` follows from
 
 
 def visible_regions(outlines: Outlines, intrinsics: Intrinsics) -> VisibleRegions:
     """Visible part of each solid: its silhouette minus those of the solids that can hide it."""
     silhouettes = image_silhouettes(outlines, intrinsics)
     order = order_of(outlines)
-    hiding = Hiding.of(
-        np.concatenate([order.second[order.first_can_hide], order.first[order.second_can_hide]]),
-        np.concatenate([order.first[order.first_can_hide], order.second[order.second_can_hide]]),
-    )
+    one, other = order.first_can_hide, order.second_can_hide
+    hidden = np.concatenate([order.second[one], order.first[other]])
+    hiding = Hiding.of(hidden, np.concatenate([order.first[one], order.second[other]]))
     return VisibleRegions(silhouettes, visible_of(silhouettes, hiding), hiding, order)
 
 
@@ -196,16 +163,11 @@ def image_silhouettes(outlines: Outlines, intrinsics: Intrinsics) -> Polygons:
     """The silhouette of each row as a polygon, cut at the image edge, shape (n,)."""
     silhouettes = np.empty(len(outlines), dtype=object)
     for part in outlines.parts:
-        crosses = outlines.crosses_near[part.rows]
-        silhouettes[part.rows] = silhouette_polygons(
-            intrinsics.pinhole, part.vertices_camera, part.vertices_px, crosses, part.solid
-        )
+        corners, crosses = (part.vertices_camera, part.vertices_px), outlines.crosses_near[part.rows]
+        silhouettes[part.rows] = silhouette_polygons(intrinsics.pinhole, *corners, crosses, part.solid)
     cut = ~(outlines.in_frame_fraction == 1.0) | (intrinsics.distortion is not None)
     silhouettes[cut] = in_image(silhouettes[cut], intrinsics)
     return silhouettes
-
-
-# ---- Occlusion by rectangles, as the text of the thesis has it ----
 
 
 def rectangle_occlusion(outlines: Outlines) -> Occlusion:
@@ -216,9 +178,8 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     first, second = first[known], second[known]
     nearer = outlines.depth_m[first] < outlines.depth_m[second]
     farther = outlines.depth_m[first] > outlines.depth_m[second]  # of equal depth, neither hides the other
-    hiding = Hiding.of(
-        np.concatenate([second[nearer], first[farther]]), np.concatenate([first[nearer], second[farther]])
-    )
+    hidden, hiders = (np.concatenate([a[nearer], b[farther]]) for a, b in ((second, first), (first, second)))
+    hiding = Hiding.of(hidden, hiders)
     equal = ~(nearer | farther)
     ties = Hiding.of(second[equal], first[equal]) if equal.any() else None
     areas = shapely.area(rectangles)
@@ -232,32 +193,22 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     )
 
 
-# ---- The pixels of one vessel as masks ----
-
 ROUNDING_PX = 1 / 128
 """Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""
 
 
 @dataclass(frozen=True, eq=False)
 class PixelMasks:
-    """The buffer pixels of one vessel.
+    """The buffer pixels of one vessel."""
 
-    Attributes:
-        region: Where the masks lie in the buffer; h and w are its height and width.
-        silhouette: Pixels of the vessel drawn alone, shape (h, w).
-        visible: Pixels of the vessel drawn with everything else, shape (h, w).
-    """
-
-    region: Region
-    silhouette: Mask
-    visible: Mask
+    region: Region  # where the masks lie in the buffer; h and w are its height and width
+    silhouette: Mask  # pixels of the vessel drawn alone, shape (h, w)
+    visible: Mask  # pixels of the vessel drawn with everything else, shape (h, w)
 
 
 def mask_box(mask: Mask, region: Region) -> Array:
-    """Box x_min, y_min, x_max, y_max, shape (4,), around the true pixels of a mask that lies at a region.
-
-    It is half-open: x_max is the column after the last. At least one pixel of the mask must be true.
-    """
+    """Box x_min, y_min, x_max, y_max, shape (4,), around the true pixels of a mask that lies at a region. It is
+    half-open: x_max is the column after the last. At least one pixel of the mask must be true."""
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     left, top = columns[0] + region.x, rows[0] + region.y
     right, bottom = columns[-1] + 1 + region.x, rows[-1] + 1 + region.y
@@ -265,11 +216,9 @@ def mask_box(mask: Mask, region: Region) -> Array:
 
 
 def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, supersample: int) -> bool:
-    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), at a region of the buffer.
-
-    A difference is not explained by pixels that are right if the truth was counted from other pixels. The box is x_min,
-    y_min, x_max, y_max, shape (4,), and any if the mask is empty.
-    """
+    """Whether a box and a count, in image pixels, are those of a mask, shape (h, w), at a region of the buffer. A
+    difference is not explained by pixels that are right if the truth was counted from other pixels. The box is x_min,
+    y_min, x_max, y_max, shape (4,), and any if the mask is empty."""
     count = np.count_nonzero(mask)
     if count != round(count_px * supersample**2):
         return False
@@ -277,17 +226,9 @@ def counted_from(mask: Mask, region: Region, box_px: Array, count_px: float, sup
 
 
 def mask_fits(mask: Mask, region: Region, silhouette: shapely.Geometry, covers: Polygons, supersample: int) -> bool:
-    """Whether each pixel is set if its centre is inside the exact region, and only then.
-
-    Pixels in a band along the boundary may be set or not. The band is as wide as the rounding of corners.
-
-    Args:
-        mask: Pixels of the buffer, shape (h, w).
-        region: Where the mask lies.
-        silhouette: The exact silhouette, in image pixels.
-        covers: The exact silhouettes of what may hide it, in image pixels, shape (k,).
-        supersample: Buffer pixels per image pixel and axis.
-    """
+    """Whether each pixel of a mask (h, w) at a region of the buffer is set if its centre is inside the exact region,
+    and only then. Pixels in a band along the boundary, as wide as the rounding of corners, may be set or not. The exact
+    silhouette and those (k,) of what may hide it are in image pixels, each of `supersample` buffer pixels per axis."""
     columns = np.arange(region.x, region.x + region.width) + 0.5
     rows = np.arange(region.y, region.y + region.height) + 0.5
     x, y = np.meshgrid(columns / supersample, rows / supersample)
@@ -307,15 +248,10 @@ def _within(polygon: shapely.Geometry, band_px: float, x: Array, y: Array) -> Ma
     return inside
 
 
-# ---- Visible parts by exact geometry, where it tells ----
-
-
 def visible_areas(outlines: Outlines, intrinsics: Intrinsics, supersample: int) -> tuple[Array, Array]:
-    """The area of the visible part of each row, and by how much its pixels may differ, both (n,) in image pixels.
-
-    NaN where geometry does not tell: meshes, what overlaps one in the image, and solids that intersect. Only pixels on
-    a boundary, of the silhouette or of its visible part, may count otherwise than by their share of the area.
-    """
+    """The area of the visible part of each row, and by how much its pixels may differ, both (n,) in image pixels. NaN
+    where geometry does not tell: meshes, what overlaps one in the image, and solids that intersect. Only pixels on a
+    boundary, of the silhouette or of its visible part, may count otherwise than by their share of the area."""
     areas, bounds = np.full((2, len(outlines)), np.nan)
     convex = np.flatnonzero(outlines.convex)
     some = outlines.take(convex)

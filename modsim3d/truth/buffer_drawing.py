@@ -13,8 +13,6 @@ from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet
 from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.truth.silhouettes import cut_faces, faces_towards
 
-# ---- The triangles that are drawn for outlines ----
-
 GUARD_PX = 2048.0
 """Triangles that reach further beyond the image are clipped there in double precision before they are drawn. It is in
 buffer pixels, because it keeps corners inside the viewport, beyond which OpenGL would cut edges itself."""
@@ -25,19 +23,12 @@ them back into the image."""
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """Drawn triangles of the rows of `Outlines`: T triangles, ordered by row.
+    """Drawn triangles of the rows of `Outlines`: T triangles, ordered by row."""
 
-    Attributes:
-        row: Row of the outlines, shape (T,).
-        corners_px: Corners in image pixels, shape (T, 3, 2).
-        inverse_depth: near / c3 of the corners, in (0, 1], shape (T, 3).
-        of_whole: Whether the triangle is a face of a closed solid that is not clipped, shape (T,).
-    """
-
-    row: Indices
-    corners_px: Array
-    inverse_depth: Array
-    of_whole: Mask
+    row: Indices  # of the outlines, shape (T,)
+    corners_px: Array  # in image pixels, shape (T, 3, 2)
+    inverse_depth: Array  # near / c3 of the corners, in (0, 1], shape (T, 3)
+    of_whole: Mask  # whether the triangle is a face of a closed solid that is not clipped, shape (T,)
 
     @classmethod
     def none(cls) -> Triangles:
@@ -51,11 +42,8 @@ class Triangles:
 
 
 def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX) -> Mask:
-    """Whether each row can be drawn without clipping, shape (n,).
-
-    It can if its vertices are in front of the near plane and at most `guard_px` buffer pixels outside the image, and
-    the lens keeps straight edges straight.
-    """
+    """Whether each row can be drawn without clipping, shape (n,): its vertices are in front of the near plane and at
+    most `guard_px` buffer pixels outside the image, and the lens keeps straight edges straight."""
     guard, size = guard_px / supersample, np.array(intrinsics.image_size_px)
     inside = np.zeros(len(outlines), dtype=bool)
     if intrinsics.distortion is not None:
@@ -76,12 +64,9 @@ def triangles_of(
     *,
     facing_only: bool = False,
 ) -> Triangles:
-    """The triangles of all rows in image pixels, clipped at the near plane and well outside the image.
-
-    They reach at most `guard_px` buffer pixels outside it, and `LENS_GUARD_PX` if the lens distorts. With
-    `facing_only`, the faces of whole closed solids that are turned away from the camera are left out: the others hide
-    them.
-    """
+    """The triangles of all rows in image pixels, clipped at the near plane and well outside the image. They reach at
+    most `guard_px` buffer pixels outside it, and `LENS_GUARD_PX` if the lens distorts. With `facing_only`, the faces of
+    whole closed solids that are turned away from the camera are left out: the others hide them."""
     inside = within_guard(outlines, intrinsics, supersample, guard_px)
     found = [Triangles.none()]
     for part in outlines.parts:
@@ -90,11 +75,10 @@ def triangles_of(
         if not uncut.all():
             rest = part.take(~uncut)
             found += _clipped(rest, outlines.crosses_near[rest.rows], intrinsics, supersample, guard_px)
-    row, corners, depths, whole = (
-        np.concatenate([getattr(some, name) for some in found])
-        for name in ("row", "corners_px", "inverse_depth", "of_whole")
-    )
-    return Triangles(row, corners, depths, whole).take(np.argsort(row, kind="stable"))
+    names = ("row", "corners_px", "inverse_depth", "of_whole")
+    columns = (np.concatenate([getattr(some, name) for some in found]) for name in names)
+    triangles = Triangles(*columns)
+    return triangles.take(np.argsort(triangles.row, kind="stable"))
 
 
 def _uncut(part: OutlinePart, intrinsics: Intrinsics, supersample: int | None) -> Triangles:
@@ -106,12 +90,9 @@ def _uncut(part: OutlinePart, intrinsics: Intrinsics, supersample: int | None) -
         chosen = faces_towards(part.vertices_px * supersample, part.solid)
     member, face = np.nonzero(chosen)
     corner = (member[:, None], faces[face])
-    return Triangles(
-        part.rows[member],
-        part.vertices_px[corner],
-        (intrinsics.near_clip_m / part.vertices_camera[..., 2])[corner],
-        np.full(len(member), part.solid.closed),
-    )
+    depths = (intrinsics.near_clip_m / part.vertices_camera[..., 2])[corner]
+    whole = np.full(len(member), part.solid.closed)
+    return Triangles(part.rows[member], part.vertices_px[corner], depths, whole)
 
 
 def _clipped(
@@ -133,20 +114,10 @@ def _clipped(
 
 
 def subdivided(triangles_camera: Array, intrinsics: Intrinsics, longest_px: float) -> tuple[Array, Indices]:
-    """Surface in triangles whose edges are short in the image.
-
-    Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore cut alike, and no
-    gap opens between them.
-
-    Args:
-        triangles_camera: Triangles in front of the near plane, in CCF, shape (T, 3, 3).
-        intrinsics: Those of a pinhole camera.
-        longest_px: Greatest length of an edge in its image.
-
-    Returns:
-        Triangles in CCF with the orientation of the given ones, shape (T', 3, 3), and the given triangle that each is a
-        piece of, shape (T',).
-    """
+    """Surface of T triangles in front of the near plane, in CCF, shape (T, 3, 3), in T' pieces whose edges are at most
+    `longest_px` long in the image of a pinhole camera, with the same orientation; and the triangle that each is a piece
+    of, shape (T',). Whether an edge is halved depends on its own length only. Both triangles at an edge are therefore
+    cut alike, and no gap opens between them."""
     waiting, source = triangles_camera, np.arange(len(triangles_camera))
     done, sources = [waiting[:0]], [source[:0]]
     while len(waiting):
@@ -180,8 +151,7 @@ def _cut(triangles: Array, long: Array, count: int) -> Array:
     return np.concatenate([np.stack(corners, axis=1) for corners in parts])
 
 
-TILE_PX = (8192, 4096)
-"""Width and height of the largest buffer that is drawn at once; larger regions are drawn in tiles."""
+TILE_PX = (8192, 4096)  # width and height of the largest buffer that is drawn at once; larger regions are tiled
 
 
 def fits_a_buffer(size_px: tuple[int, int]) -> bool:
@@ -220,13 +190,9 @@ class BufferDrawing:
         return np.concatenate([np.floor(boxes[:, :2]), np.ceil(boxes[:, 2:])], axis=1)
 
     def draw(self, rows: Indices, counts: Indices, sheet: Sheet) -> Ids:
-        """Row + 1 at each pixel of a buffer with several regions, zero where nothing is, shape (height, width).
-
-        Args:
-            rows: What to draw in the first region, in the second and so on, shape (m,).
-            counts: How many of `rows` are drawn in each region, shape (k,).
-            sheet: The k regions, in buffer pixels.
-        """
+        """Row + 1 at each pixel of a buffer with several regions, zero where nothing is, shape (height, width). `rows`
+        (m,) are to be drawn in the first region, in the second and so on, as many in each of the k regions of the
+        sheet, in buffer pixels, as `counts` (k,) say."""
         drawn, number = np.unique(rows, return_inverse=True)
         triangles = triangles_of(self.outlines.take(drawn), self.intrinsics, self.supersample, facing_only=True)
         first, count = extents(triangles.row, number)

@@ -13,23 +13,16 @@ from modsim3d.truth.occlusion_order import overlapping_pairs
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.silhouettes import Spans, joined_spans, runs_of_ids
 
-# ---- Groups of vessels that overlap in the image ----
-
 SHEET_PX = 1024, 1024
 """Clusters are drawn together in buffers of this size: a buffer costs as much as ten thousand pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Vessels of a frame that overlap each other, directly or through others, and what else may hide them.
+    """Vessels of a frame that overlap each other, directly or through others, and what else may hide them."""
 
-    Attributes:
-        rows: Rows of the outlines, ascending, shape (k,).
-        shared: The smallest region that contains every pixel which a vessel may share with something else.
-    """
-
-    rows: Indices
-    shared: Region
+    rows: Indices  # of the outlines, ascending, shape (k,)
+    shared: Region  # the smallest that contains every pixel which a vessel may share with something else
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,30 +39,22 @@ class Batch:
 
     @property
     def counts(self) -> Indices:
-        """How many rows each of the k clusters has, shape (k,)."""
+        """Number of rows of each of the k clusters, shape (k,)."""
         return np.array([len(cluster.rows) for cluster in self.clusters])
 
 
 @dataclass(frozen=True, eq=False)
 class ClusteredPairs:
-    """Pairs of rows whose pixel boxes overlap, of which one at least is a vessel.
+    """Pairs of rows whose pixel boxes overlap, of which one at least is a vessel; shapes (P,)."""
 
-    Attributes:
-        first: Row of the outlines, shape (P,).
-        second: Row of the same frame, greater than `first`, shape (P,).
-        cluster: Number of the cluster that the pair belongs to: its smallest row that is a vessel, shape (P,).
-    """
-
-    first: Indices
-    second: Indices
-    cluster: Indices
+    first: Indices  # row of the outlines
+    second: Indices  # row of the same frame, greater than `first`
+    cluster: Indices  # number of the cluster that the pair belongs to: its smallest row that is a vessel
 
     @classmethod
     def of(cls, outlines: Outlines, boxes: Array) -> ClusteredPairs:
-        """The pairs of vessels whose boxes (n, 4) overlap, and of vessels with obstacles.
-
-        `boxes` are of whole pixels; their shape is that of `outlines.boxes_px`.
-        """
+        """The pairs of vessels whose boxes (n, 4) overlap, and of vessels with obstacles. `boxes` are of whole pixels;
+        their shape is that of `outlines.boxes_px`."""
         boxed = outlines.boxed
         first, second = overlapping_pairs(outlines.frame, boxes, boxed)
         both = boxed[first] & boxed[second]
@@ -95,21 +80,20 @@ def clusters_of(outlines: Outlines, boxes: Array, pairs: ClusteredPairs) -> list
         return []
     order = np.argsort(pairs.cluster, kind="stable")
     first, second, pair_cluster = pairs.first[order], pairs.second[order], pairs.cluster[order]
-    shared = np.concatenate(
-        [np.maximum(boxes[first, :2], boxes[second, :2]), np.minimum(boxes[first, 2:], boxes[second, 2:])], axis=1
-    )
+    low, high = np.maximum(boxes[first, :2], boxes[second, :2]), np.minimum(boxes[first, 2:], boxes[second, 2:])
+    starts = run_starts(pair_cluster)
+    low = np.minimum.reduceat(low, starts, axis=0).astype(int)
+    size = np.maximum.reduceat(high, starts, axis=0).astype(int) - low
     members, member_cluster = pairs.members()
     rows = np.split(members, np.flatnonzero(np.diff(member_cluster)) + 1)
-    regions = _unions(shared, run_starts(pair_cluster))
-    return [Cluster(*each) for each in zip(rows, regions, strict=True)]
+    corners = zip(rows, low.tolist(), size.tolist(), strict=True)
+    return [Cluster(own, Region(x, y, width, height)) for own, (x, y), (width, height) in corners]
 
 
 def _components(first: Indices, second: Indices, count: int) -> Indices:
-    """A label for each of `count` rows: the smallest row that it is joined to by pairs, shape (count,).
-
-    Labels flow along the pairs until none changes. `scipy.sparse.csgraph` would do it too, but its import takes a
-    tenth of a second.
-    """
+    """A label for each of `count` rows: the smallest row that it is joined to by pairs, shape (count,). Labels flow
+    along the pairs until none changes. `scipy.sparse.csgraph` would do it too, but its import takes a tenth of a
+    second."""
     label = np.arange(count)
     while True:
         one, other = label[first], label[second]
@@ -120,18 +104,9 @@ def _components(first: Indices, second: Indices, count: int) -> Indices:
         np.minimum.at(label, second, least)
 
 
-def _unions(boxes: Array, starts: Indices) -> list[Region]:
-    """The region that contains each group of boxes; groups begin at `starts`."""
-    low = np.minimum.reduceat(boxes[:, :2], starts, axis=0).astype(int)
-    size = np.maximum.reduceat(boxes[:, 2:], starts, axis=0).astype(int) - low
-    return [Region(x, y, w, h) for (x, y), (w, h) in zip(low.tolist(), size.tolist(), strict=True)]
-
-
 def batches_of(clusters: list[Cluster]) -> list[Batch]:
-    """Clusters on shelves: in rows from left to right, the lowest ones first, so that little of a shelf is empty.
-
-    A cluster that is larger than a sheet gets one of its own.
-    """
+    """Clusters on shelves: in rows from left to right, the lowest ones first, so that little of a shelf is empty. A
+    cluster that is larger than a sheet gets one of its own."""
     batches: list[Batch] = []
     waiting = sorted(clusters, key=lambda cluster: cluster.shared.height)
     while waiting:
@@ -154,21 +129,13 @@ def batches_of(clusters: list[Cluster]) -> list[Batch]:
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """Visible parts of the vessels of one or more clusters, drawn or in order.
+    """Visible parts of the vessels of one or more clusters, drawn or in order."""
 
-    Attributes:
-        rows: Rows of vessels that may be hidden in part; of all others the whole silhouette is visible, shape (k,).
-        visible: The spans of their visible pixels.
-        hidden_row: Row of each hidden piece of a span, shape (m,).
-        hider: Row of what is in front of it, shape (m,).
-        px: Number of pixels of the piece, shape (m,).
-    """
-
-    rows: Indices
-    visible: Spans
-    hidden_row: Indices
-    hider: Indices
-    px: Indices
+    rows: Indices  # of vessels that may be hidden in part; of all others the whole silhouette is visible, shape (k,)
+    visible: Spans  # of their visible pixels
+    hidden_row: Indices  # row of each hidden piece of a span, shape (m,)
+    hider: Indices  # row of what is in front of it, shape (m,)
+    px: Indices  # number of pixels of the piece, shape (m,)
 
     @classmethod
     def none(cls) -> Visibility:
@@ -179,10 +146,9 @@ class Visibility:
     @classmethod
     def joined(cls, parts: list[Visibility]) -> Visibility:
         """Several buffers, one at least, as one."""
-        rows, hidden_row, hider, px = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("rows", "hidden_row", "hider", "px")
-        )
-        return cls(rows, joined_spans([part.visible for part in parts]), hidden_row, hider, px)
+        names = ("rows", "hidden_row", "hider", "px")
+        rows, *hidden = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
+        return cls(rows, joined_spans([part.visible for part in parts]), *hidden)
 
 
 def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> Visibility:
@@ -202,26 +168,14 @@ def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> V
     visible = (seen_row == inside.row[span]) | (seen_row < 0)
     pieces = Spans(inside.row[span], inside.y[span], begin - base[span], end - base[span])
     hidden = pieces.take(~visible)
-    return Visibility(
-        rows,
-        joined_spans([*outside, pieces.take(visible)]),
-        hidden_row=hidden.row,
-        hider=seen_row[~visible],
-        px=hidden.stop - hidden.start,
-    )
+    spans = joined_spans([*outside, pieces.take(visible)])
+    return Visibility(rows, spans, hidden.row, seen_row[~visible], hidden.stop - hidden.start)
 
 
 def _split_at_regions(spans: Spans, cluster: Indices, sheet: Sheet) -> tuple[tuple[Spans, Spans], Spans, Mask]:
-    """Cut spans at the borders of the drawn regions, outside of which no pixel is shared with anything else.
-
-    Args:
-        spans: m spans, in image coordinates.
-        cluster: Index of the cluster of each, shape (m,).
-        sheet: Has the regions of the clusters.
-
-    Returns:
-        The parts left and right of the regions; the parts inside; and which spans have a part inside, shape (m,).
-    """
+    """Cut m spans, in image coordinates, at the borders of the drawn regions, outside of which no pixel is shared with
+    anything else; `cluster` is the index of the cluster of each, shape (m,). Returns the parts left and right of the
+    regions; the parts inside; and which spans have a part inside, shape (m,)."""
     regions = np.array([(r.x, r.y, r.x + r.width, r.y + r.height) for r in sheet.regions])
     left, top, right, bottom = regions[cluster].T
     start, stop = np.clip(spans.start, left, right), np.clip(spans.stop, left, right)
@@ -234,13 +188,9 @@ def _split_at_regions(spans: Spans, cluster: Indices, sheet: Sheet) -> tuple[tup
 
 
 def _cut_at_runs(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices, Indices], Indices, Indices]:
-    """Cut stretches of a flattened ID image into pieces at the borders of its runs.
-
-    A stretch of the m runs from a place `start` to the place before `stop`.
-
-    Returns:
-        Begin and end of the k pieces; the row that is seen in each, −1 if nothing is; the stretch of each. All (k,).
-    """
+    """Cut stretches of a flattened ID image, each from a place `start` (m,) to the place before `stop`, into pieces at
+    the borders of its runs: begin and end of the k pieces; the row that is seen in each, −1 if nothing is; the stretch
+    of each; all (k,)."""
     run_start, run_id = runs_of_ids(ids)
     run_stop = np.append(run_start[1:], ids.size)
     first = np.searchsorted(run_start, start, side="right") - 1
@@ -252,27 +202,16 @@ def _cut_at_runs(ids: Ids, start: Indices, stop: Indices) -> tuple[tuple[Indices
 
 @dataclass(frozen=True, eq=False)
 class OrderedClusters:
-    """Clusters whose solids are in order from near to far.
+    """Clusters whose solids are in order from near to far."""
 
-    Attributes:
-        pairs: All pairs of these clusters.
-        ranks: Of all n rows; of two in a cluster with a pixel in common, the one in front has the lower, shape (n,).
-        silhouettes: The spans of their rows, and maybe of others, ordered by row.
-    """
-
-    pairs: ClusteredPairs
-    ranks: Indices
-    silhouettes: Spans
+    pairs: ClusteredPairs  # all of these clusters
+    ranks: Indices  # of all n rows; of two in a cluster with a pixel in common, the one in front has the lower, (n,)
+    silhouettes: Spans  # of their rows, and maybe of others, ordered by row
 
 
 def visibility_in_order(ordered: OrderedClusters, boxed: Mask, image_size_px: tuple[int, int]) -> Visibility:
-    """Cut the silhouettes of vessels where something else of their cluster is in front, without drawing.
-
-    Args:
-        ordered: The clusters.
-        boxed: Which rows are vessels, shape (n,).
-        image_size_px: Width and height of the buffer.
-    """
+    """Cut the silhouettes of vessels, those rows that are `boxed` (n,), where something else of their cluster is in
+    front, without drawing. The size of the image is in buffer pixels."""
     width, height = image_size_px
     rows, cluster = ordered.pairs.members()
     farthest_first = np.argsort(-ordered.ranks[rows], kind="stable")

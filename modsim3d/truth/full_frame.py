@@ -1,7 +1,5 @@
-"""Truth from pixels the plain way: draw the whole image with everything in it, and then each vessel alone.
-
-This is the reference that `rendered` is tested against, and what `annotation.render: full` runs.
-"""
+"""Truth from pixels the plain way: draw the whole image with everything in it, and then each vessel alone. This is the
+reference that `rendered` is tested against, and what `annotation.render: full` runs."""
 
 from __future__ import annotations
 
@@ -24,24 +22,27 @@ from modsim3d.truth.outlines import Outlines
 def full_frame_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """Draw every frame and count the pixels of vessels; see `rendered_occlusion`.
-
-    A silhouette that contains no pixel centre has no pixels; its full box is then the projected one.
-    """
+    """Draw every frame and count the pixels of vessels; see `rendered_occlusion`. A silhouette that contains no pixel
+    centre has no pixels; its full box is then the projected one."""
     drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
     silhouettes, visible = _Counts.none(len(outlines)), _Counts.none(len(outlines))
     hiders: Counter[tuple[int, int]] = Counter()
     for rows in frame_slices(outlines.frame):
         for tile in tiles_of(drawing.image):
-            _count(drawing, rows, tile, silhouettes, visible, hiders)
-    row, hider = np.array(list(hiders), dtype=np.int64).reshape(-1, 2).T
+            for row, masks, seen in _drawn_masks(drawing, rows, tile):
+                silhouettes.add(row, masks.silhouette, masks.region)
+                visible.add(row, masks.visible, masks.region)
+                hidden = masks.silhouette & ~masks.visible
+                for hider_id, pixels in zip(*np.unique(seen[hidden], return_counts=True), strict=True):
+                    hiders[row, int(hider_id) - 1] += int(pixels)
+    hidden_row, hider = np.array(list(hiders), dtype=np.int64).reshape(-1, 2).T
     area = supersample**2
     return Occlusion(
         full_boxes_px=np.where(silhouettes.px[:, None] > 0, silhouettes.boxes / supersample, outlines.boxes_px),
         visible_boxes_px=np.where(visible.px[:, None] > 0, visible.boxes / supersample, np.nan),
         silhouette_px=silhouettes.px / area,
         visible_px=visible.px / area,
-        hidden=HiddenPixels.of(row, hider, np.array(list(hiders.values()), dtype=np.float64) / area),
+        hidden=HiddenPixels.of(hidden_row, hider, np.array(list(hiders.values()), dtype=np.float64) / area),
         drawn=np.ones(len(outlines), dtype=bool),
     )
 
@@ -49,10 +50,8 @@ def full_frame_occlusion(
 def vessel_masks(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Iterator[tuple[int, PixelMasks]]:
-    """Draw every frame: the pixels that `full_frame_occlusion` counts, for each row of the outlines that gets a box.
-
-    A row comes more than once where the image is drawn in tiles, each time with other pixels.
-    """
+    """Draw every frame: the pixels that `full_frame_occlusion` counts, for each row of the outlines that gets a box. A
+    row comes more than once where the image is drawn in tiles, each time with other pixels."""
     drawing = _Drawing.of(outlines, intrinsics, renderer, supersample)
     for rows in frame_slices(outlines.frame):
         for tile in tiles_of(drawing.image):
@@ -108,23 +107,6 @@ class _Drawing:
         return self.renderer.draw(corners, self.triangles.inverse_depth[chosen], ids, region)
 
 
-def _count(
-    drawing: _Drawing,
-    rows: slice,
-    tile: Region,
-    silhouettes: _Counts,
-    visible: _Counts,
-    hiders: Counter[tuple[int, int]],
-) -> None:
-    """Count the pixels of a frame's vessels in a tile."""
-    for row, masks, seen in _drawn_masks(drawing, rows, tile):
-        silhouettes.add(row, masks.silhouette, masks.region)
-        visible.add(row, masks.visible, masks.region)
-        hidden = masks.silhouette & ~masks.visible
-        for hider, pixels in zip(*np.unique(seen[hidden], return_counts=True), strict=True):
-            hiders[row, int(hider) - 1] += int(pixels)
-
-
 def _drawn_masks(drawing: _Drawing, rows: slice, tile: Region) -> Iterator[tuple[int, PixelMasks, Ids]]:
     """Each vessel of a frame that may have pixels in a tile: its row, those pixels, and the IDs seen around them."""
     scene = drawing.draw(rows, tile)
@@ -134,14 +116,9 @@ def _drawn_masks(drawing: _Drawing, rows: slice, tile: Region) -> Iterator[tuple
             continue
         seen = scene[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
         mask = seen == drawing.outlines.occluder[row] + 1
-        overlaps = _overlaps_another(drawing.outlines.boxes_px, row, rows)
-        silhouette = drawing.draw(slice(row, row + 1), region) > 0 if overlaps else mask
+        # Nothing can hide it unless another box in its frame comes within two pixels of its own.
+        others, own = drawing.outlines.boxes_px[rows], drawing.outlines.boxes_px[row]
+        near = (others[:, :2] < own[2:] + 2).all(axis=1) & (others[:, 2:] > own[:2] - 2).all(axis=1)
+        silhouette = drawing.draw(slice(row, row + 1), region) > 0 if np.count_nonzero(near) > 1 else mask
         mask |= silhouette & (seen == 0)  # far outside the buffer OpenGL cuts edges itself, here and there differently
         yield row, PixelMasks(region, silhouette, mask), seen
-
-
-def _overlaps_another(boxes_px: Array, row: int, rows: slice) -> bool:
-    """Whether the box of a row comes within two pixels of another's in its frame: otherwise nothing can hide it."""
-    others = boxes_px[rows]
-    near = (others[:, :2] < boxes_px[row, 2:] + 2).all(axis=1) & (others[:, 2:] > boxes_px[row, :2] - 2).all(axis=1)
-    return bool(np.count_nonzero(near) > 1)

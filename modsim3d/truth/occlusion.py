@@ -14,24 +14,16 @@ from modsim3d.truth.record import Truth
 
 @dataclass(frozen=True, eq=False)
 class HiddenPixels:
-    """Who hides how much: m entries, ordered by hidden row and then by occluder, each pair of them once.
+    """Numbers of hidden pixels: m entries, ordered by hidden row and then by occluder, each pair of them once."""
 
-    Attributes:
-        row: The hidden row, shape (m,).
-        occluder: What is in front, as an index into the scene's occluder names, shape (m,).
-        px: Number of pixels of the row that it hides, shape (m,).
-    """
-
-    row: Indices
-    occluder: Indices
-    px: Array
+    row: Indices  # the hidden row, shape (m,)
+    occluder: Indices  # what is in front, as an index into the scene's occluder names, shape (m,)
+    px: Array  # number of pixels of the row that it hides, shape (m,)
 
     @classmethod
     def of(cls, row: Indices, occluder: Indices, px: Array) -> HiddenPixels:
-        """Sort entries, all of shape (m,), and add up those of the same row and occluder.
-
-        There are such entries because an obstacle may consist of several solids.
-        """
+        """Sort entries, all of shape (m,), and add up those of the same row and occluder, of which there are several
+        because an obstacle may consist of several solids."""
         if not len(row):
             return cls(row, occluder, px)
         order = np.lexsort((occluder, row))
@@ -48,25 +40,16 @@ class HiddenPixels:
 
 @dataclass(frozen=True, eq=False)
 class Occlusion:
-    """Occlusion of the n rows of `Outlines` by a source. Columns mean the same as those of `Truth` with their names.
+    """Occlusion of the n rows of `Outlines` by a source. Columns mean the same as those of `Truth` with their names."""
 
-    Attributes:
-        full_boxes_px: Tight box of the whole silhouette, shape (n, 4).
-        visible_boxes_px: Tight box of what is visible, NaN if nothing is, shape (n, 4).
-        silhouette_px: Pixels of the silhouette, shape (n,).
-        visible_px: Pixels of it that are visible, shape (n,).
-        hidden: Who hides how much of which row.
-        intersecting: Pairs of rows whose solids intersect, shape (k, 2).
-        drawn: Which rows OpenGL has drawn, shape (n,); None for a source that draws nothing.
-    """
-
-    full_boxes_px: Array
-    visible_boxes_px: Array
-    silhouette_px: Array
-    visible_px: Array
+    full_boxes_px: Array  # shape (n, 4)
+    visible_boxes_px: Array  # shape (n, 4)
+    silhouette_px: Array  # shape (n,)
+    visible_px: Array  # shape (n,)
     hidden: HiddenPixels
+    # Pairs of rows whose solids intersect, shape (k, 2).
     intersecting: Indices = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
-    drawn: Mask | None = None
+    drawn: Mask | None = None  # which rows OpenGL has drawn, shape (n,); None for a source that draws nothing
 
     @classmethod
     def joined(cls, parts: list[Occlusion]) -> Occlusion:
@@ -74,20 +57,19 @@ class Occlusion:
         counts = [len(part.silhouette_px) for part in parts]
         before = np.cumsum(counts) - counts
         columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}
-        return cls(
-            **columns,
-            hidden=HiddenPixels(
-                np.concatenate([part.hidden.row + first for part, first in zip(parts, before, strict=True)]),
-                np.concatenate([part.hidden.occluder for part in parts]),
-                np.concatenate([part.hidden.px for part in parts]),
-            ),
-            intersecting=np.concatenate([part.intersecting + first for part, first in zip(parts, before, strict=True)]),
-            drawn=np.concatenate([part.was_drawn() for part in parts]),
+        offset = list(zip(parts, before, strict=True))
+        hidden = HiddenPixels(
+            np.concatenate([part.hidden.row + first for part, first in offset]),
+            np.concatenate([part.hidden.occluder for part in parts]),
+            np.concatenate([part.hidden.px for part in parts]),
         )
+        intersecting = np.concatenate([part.intersecting + first for part, first in offset])
+        drawn = np.concatenate([part.was_drawn() for part in parts])
+        return cls(**columns, hidden=hidden, intersecting=intersecting, drawn=drawn)
 
     @property
     def occluders(self) -> tuple[tuple[tuple[int, float], ...], ...]:
-        """For each row, who hides how much of it: (index into the scene's occluder names, pixels)."""
+        """Occluders of each row and how much each hides: (index into the scene's occluder names, pixels)."""
         offsets = self.hidden.offsets(len(self.silhouette_px)).tolist()
         entries = list(zip(self.hidden.occluder.tolist(), self.hidden.px.tolist(), strict=True))
         return tuple(tuple(entries[first:stop]) for first, stop in pairwise(offsets))
@@ -114,13 +96,9 @@ class Occlusion:
         return self.visible_px / whole
 
     def truth(self, outlines: Outlines, steps: Indices, camera: int) -> Truth:
-        """The truth record of one camera's vessels, with nothing annotated yet.
-
-        Args:
-            outlines: The n rows that this occlusion describes. Those without a box are left out.
-            steps: Step of the scene of each frame of the outlines, shape (frames,).
-            camera: Index into the scene's cameras.
-        """
+        """The truth record of one camera's vessels, with nothing annotated yet. Of the n rows of the outlines that this
+        occlusion describes, those without a box are left out; `steps` is the step of the scene of each frame of the
+        outlines, shape (frames,), and `camera` an index into the scene's cameras."""
         step = steps[outlines.frame]
         pair_step, pair_camera = step[self.intersecting[:, 0]], np.full(len(self.intersecting), camera)
         truth = Truth(

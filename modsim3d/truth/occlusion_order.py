@@ -1,12 +1,9 @@
-"""Order of two disjoint solids of which one can hide the other, from a plane between their convex hulls.
-
-Suppose that a plane has one solid on the camera's side and the other solid beyond. A ray from the camera that has
-passed through the plane never comes back, so it can only meet the near solid before the far one. The far solid then
-hides nothing of the near one. If the camera itself may be counted to either side of the plane, neither hides the other.
-
-The distance of the centres cannot decide this: the centre of a long ship may be nearer than that of a boat which lies
-in front of its stern.
-"""
+"""Order of two disjoint solids of which one can hide the other, from a plane between their convex hulls. Suppose that a
+plane has one solid on the camera's side and the other solid beyond. A ray from the camera that has passed through the
+plane never comes back, so it can only meet the near solid before the far one. The far solid then hides nothing of the
+near one. If the camera itself may be counted to either side of the plane, neither hides the other. The distance of the
+centres cannot decide this: the centre of a long ship may be nearer than that of a boat which lies in front of its
+stern."""
 
 from __future__ import annotations
 
@@ -20,24 +17,13 @@ from modsim3d.core.arrays import Array, Indices, Mask, distinct, ranges, read_on
 from modsim3d.truth.outlines import OutlinePart, Outlines
 from modsim3d.world.vessels import Solid, once_a_solid, shoebox
 
-# ---- Separating axes of convex solids ----
-
-PARALLEL = 1 - 1e-9
-"""Unit vectors with a greater dot product count as parallel."""
+PARALLEL = 1 - 1e-9  # unit vectors with a greater dot product count as parallel
 
 
 def candidate_axes(vertices_a: Array, a: Solid, vertices_b: Array, b: Solid) -> Array:
-    """Directions across which convex solids may be apart: face normals of each, cross products of their edges.
-
-    Args:
-        vertices_a: Vertices of P solids with the faces of `a`, shape (P, K, 3).
-        a: Has these faces.
-        vertices_b: Vertices of the P solids with the faces of `b` that they are compared with, shape (P, L, 3).
-        b: Has these faces.
-
-    Returns:
-        Unit vectors, shape (P, A, 3); zero where two edges are parallel.
-    """
+    """Directions across which convex solids may be apart: face normals of each, cross products of their edges. Vertices
+    of P solids with the faces of `a`, shape (P, K, 3), are compared with those of P solids with the faces of `b`, shape
+    (P, L, 3). Returns unit vectors, shape (P, A, 3); zero where two edges are parallel."""
     (normals_a, edges_a), (normals_b, edges_b) = _directions(vertices_a, a), _directions(vertices_b, b)
     crosses = np.cross(edges_a[:, :, None, :], edges_b[:, None, :, :]).reshape(len(edges_a), -1, 3)
     length = np.linalg.norm(crosses, axis=-1, keepdims=True)
@@ -66,18 +52,14 @@ def _unit(vectors: Array) -> Array:
 @once_a_solid
 def _distinct_directions(solid: Solid) -> tuple[Indices, Indices]:
     """Faces (N, 3) and edges (E, 2) of which no two are parallel, without edges between triangles of one flat side.
-
-    Stretching and turning a solid keeps parallel lines parallel, so the solid's own vertices decide for all copies.
-    """
+    Stretching and turning a solid keeps parallel lines parallel, so the solid's own vertices decide for all copies."""
     corners = solid.vertices[solid.faces]
     normals = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     faces_at: dict[tuple[int, int], list[int]] = {}
     for face, (a, b, c) in enumerate(solid.faces.tolist()):
         for start, end in ((a, b), (b, c), (c, a)):
             faces_at.setdefault((min(start, end), max(start, end)), []).append(face)
-    sharp = [
-        edge for edge, (one, *other) in faces_at.items() if not other or normals[one] @ normals[other[0]] < PARALLEL
-    ]
+    sharp = [edge for edge, (one, *two) in faces_at.items() if not two or normals[one] @ normals[two[0]] < PARALLEL]
     ends = np.array(sharp, dtype=np.int64)
     along = _unit(solid.vertices[ends[:, 1]] - solid.vertices[ends[:, 0]])
     return solid.faces[_not_parallel(normals)], ends[_not_parallel(along)]
@@ -93,20 +75,16 @@ def _not_parallel(unit: Array) -> list[int]:
 
 
 def extents_along(vertices: Array, axes: Array) -> tuple[Array, Array]:
-    """Least and greatest coordinates of vertices (P, K, 3) along axes (P, A, 3), two arrays of shape (P, A).
-
-    An axis of zero length gives −1 and 1 for every solid, so it separates none.
-    """
+    """Least and greatest coordinates of vertices (P, K, 3) along axes (P, A, 3), two arrays of shape (P, A). An axis of
+    zero length gives −1 and 1 for every solid, so it separates none."""
     along = axes @ np.swapaxes(vertices, 1, 2)
     none = ~axes.any(axis=-1)
     return np.where(none, -1.0, along.min(axis=-1)), np.where(none, 1.0, along.max(axis=-1))
 
 
 def widest_gap_axis(vertices_a: Array, vertices_b: Array) -> Array:
-    """The unit vector across the widest gap between the hulls of vertices (K, 3) and (L, 3); zero if there is none.
-
-    It solves a linear program: the candidate axes of two hulls of many faces are too many to try.
-    """
+    """The unit vector across the widest gap between the hulls of vertices (K, 3) and (L, 3); zero if there is none. It
+    solves a linear program: the candidate axes of two hulls of many faces are too many to try."""
     from scipy.optimize import linprog  # slow to import, and few scenes need it
 
     centre = (vertices_a.mean(axis=0) + vertices_b.mean(axis=0)) / 2
@@ -131,9 +109,6 @@ def hull_vertices(solid: Solid) -> Indices:
         return np.arange(len(solid.vertices))
 
 
-# ---- Which boxes of the same frame overlap ----
-
-
 def frame_slices(frame: Indices) -> list[slice]:
     """The rows of each frame that has any; `frame` is that of each row, non-decreasing, shape (n,)."""
     edges = [*run_starts(frame).tolist(), len(frame)]
@@ -141,18 +116,10 @@ def frame_slices(frame: Indices) -> list[slice]:
 
 
 def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = None) -> tuple[Indices, Indices]:
-    """Pairs of rows of the same frame whose boxes overlap.
-
-    All frames are swept at once from left to right: a box meets those that begin before it ends.
-
-    Args:
-        frame: Frame of each row, non-decreasing, shape (n,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
-        some_of: At least one row of each pair must be set here, shape (n,); by default all rows are.
-
-    Returns:
-        First and second rows in ascending order, each of shape (P,), first < second.
-    """
+    """Pairs of rows of the same frame whose boxes (n, 4) overlap: first and second rows in ascending order, each of
+    shape (P,), first < second. Frames (n,) do not decrease. At least one row of each pair must be set in `some_of`
+    (n,), unless it is None. All frames are swept at once from left to right: a box meets those that begin before it
+    ends."""
     n, chosen = len(frame), np.ones(len(frame), dtype=bool) if some_of is None else some_of
     if n < 2:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
@@ -163,14 +130,11 @@ def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = No
     place = np.empty(2 * n, dtype=np.int64)
     place[side] = np.arange(2 * n)
     begun = side[side < n]
-    one, other = (
-        np.concatenate(pair)
-        for pair in zip(
-            _begins_within(place, side, np.flatnonzero(chosen), begun),
-            _begins_within(place, side, np.flatnonzero(~chosen), begun[chosen[begun]]),
-            strict=True,
-        )
+    begun_within = (
+        _begins_within(place, side, np.flatnonzero(chosen), begun),
+        _begins_within(place, side, np.flatnonzero(~chosen), begun[chosen[begun]]),
     )
+    one, other = (np.concatenate(rows) for rows in zip(*begun_within, strict=True))
     overlap = (top[one] < bottom[other]) & (top[other] < bottom[one]) & (left[one] < right[other])
     first, second = np.minimum(one, other)[overlap], np.maximum(one, other)[overlap]
     order = np.argsort(first * n + second)
@@ -178,18 +142,13 @@ def overlapping_pairs(frame: Indices, boxes_px: Array, some_of: Mask | None = No
 
 
 def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices) -> tuple[Indices, Indices]:
-    """Pairs of one of `rows` and one of `others` whose left side comes between the row's left and right sides.
-
-    Args:
-        place: Place in the sweep of the n left sides and then of the n right sides, shape (2n,).
-        side: The inverse of `place`.
-        rows: Shape (k,).
-        others: In the order of the sweep, shape (m,).
-    """
+    """Pairs of one of `rows` (k,) and one of `others` whose left side comes between the row's left and right sides.
+    `place` is the place in the sweep of the n left sides and then of the n right sides, shape (2n,), `side` its
+    inverse; `others` (m,) are in the order of the sweep."""
     if not len(rows):
         return rows, rows
     n = len(place) // 2
-    # How many of `others` begin before each place.
+    # Numbers of `others` that begin before each place.
     is_other = np.zeros(2 * n + 1, dtype=np.int64)
     is_other[place[others] + 1] = 1
     begun = np.cumsum(is_other)
@@ -200,38 +159,25 @@ def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices
 
 TOUCHING_M = 1e-7
 """Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
-
-MAX_COORDINATES = 4_000_000
-"""Most coordinates of vertices along axes that are computed at once; it bounds the memory."""
+MAX_COORDINATES = 4_000_000  # most coordinates of vertices along axes that are computed at once; it bounds the memory
 
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """Relation of pairs of rows of `Outlines`: who can hide whom.
+    """Relation of pairs of rows of `Outlines`: who can hide whom; shapes (P,)."""
 
-    Attributes:
-        first: Row, shape (P,).
-        second: Row of the same frame, greater than `first`, shape (P,).
-        first_can_hide: Whether the first can hide a part of the second, shape (P,).
-        second_can_hide: Whether the second can hide a part of the first, shape (P,).
-        intersecting: Whether no plane separates them, shape (P,). Then both of the above are false and nothing is
-            known.
-    """
-
-    first: Indices
-    second: Indices
-    first_can_hide: Mask
-    second_can_hide: Mask
-    intersecting: Mask
+    first: Indices  # row
+    second: Indices  # row of the same frame, greater than `first`
+    first_can_hide: Mask  # whether the first can hide a part of the second
+    second_can_hide: Mask  # whether the second can hide a part of the first
+    intersecting: Mask  # whether no plane separates them: then both of the above are false and nothing is known
 
 
 def order_of(outlines: Outlines) -> Order:
-    """The order of every two solids whose boxes overlap in the image and that matter to a vessel.
-
-    Of a mesh its convex hull is put in order. A plane between boxes around two hulls is one between the hulls; only if
-    there is none, a plane is looked for between the hulls themselves. Solids that overlap no vessel in the image are
-    left out: of a long coast, all but a few pieces.
-    """
+    """The order of every two solids whose boxes overlap in the image and that matter to a vessel. Of a mesh its convex
+    hull is put in order. A plane between boxes around two hulls is one between the hulls; only if there is none, a
+    plane is looked for between the hulls themselves. Solids that overlap no vessel in the image are left out: of a long
+    coast, all but a few pieces."""
     first, second = _pairs_that_matter(outlines)
     order, mesh = order_of_pairs(in_boxes(outlines), first, second), ~outlines.convex
     asked = np.flatnonzero(order.intersecting & (mesh[first] | mesh[second]))
@@ -251,10 +197,8 @@ def order_of(outlines: Outlines) -> Order:
 
 
 def order_of_pairs(outlines: Outlines, first: Indices, second: Indices, gap_m: Array | float = -TOUCHING_M) -> Order:
-    """The order of P pairs of convex solids: rows `first` and rows `second` of the same frames, both of shape (P,).
-
-    A plane separates two of them if they are at least `gap_m` apart across it, a number or an array of shape (P,).
-    """
+    """The order of P pairs of convex solids: rows `first` and rows `second` of the same frames, both of shape (P,). A
+    plane separates two of them if they are at least `gap_m` apart across it, a number or an array of shape (P,)."""
     gap_m = np.broadcast_to(gap_m, first.shape)
     can_hide = np.zeros((len(first), 2), dtype=bool)
     separated = np.zeros(len(first), dtype=bool)
@@ -269,17 +213,12 @@ def order_of_pairs(outlines: Outlines, first: Indices, second: Indices, gap_m: A
 
 def in_boxes(outlines: Outlines) -> Outlines:
     """The solids, with the boxes around them in place of those that are not convex, whose pixels are unknown."""
-    parts = [
-        part if part.solid.convex else OutlinePart(shoebox(), part.rows, _boxes_around(part), part.vertices_px)
-        for part in outlines.parts
-    ]
+    parts = list(outlines.parts)
+    for index, part in enumerate(parts):
+        if not part.solid.convex:
+            corners = corners_from_vertices(part.solid) @ part.vertices_camera  # in CCF, shape (m, 8, 3)
+            parts[index] = OutlinePart(shoebox(), part.rows, corners, part.vertices_px)
     return replace(outlines, parts=tuple(parts))
-
-
-def _boxes_around(part: OutlinePart) -> Array:
-    """Corners of the boxes that the solids fill, in CCF, shape (m, 8, 3)."""
-    boxes: Array = corners_from_vertices(part.solid) @ part.vertices_camera
-    return boxes
 
 
 @once_a_solid
@@ -292,10 +231,8 @@ def corners_from_vertices(solid: Solid) -> Array:
 
 
 def _pairs_that_matter(outlines: Outlines) -> tuple[Indices, Indices]:
-    """Pairs that overlap in the image, among vessels and whatever overlaps a vessel there.
-
-    Two pieces of one obstacle are no pair: it does not matter which of them hides a vessel.
-    """
+    """Pairs that overlap in the image, among vessels and whatever overlaps a vessel there. Two pieces of one obstacle
+    are no pair: it does not matter which of them hides a vessel."""
     matters = outlines.boxed.copy()
     matters[np.concatenate(overlapping_pairs(outlines.frame, outlines.boxes_px, outlines.boxed))] = True
     kept = np.flatnonzero(matters)
@@ -324,14 +261,9 @@ def pairs_by_parts(
 
 
 def _who_can_hide(vertices_a: Array, vertices_b: Array, axes: Array, gap_m: Array) -> tuple[Mask, Mask]:
-    """Try the planes across all axes (P, A, 3) between solids in camera coordinates, shapes (P, K, 3) and (P, L, 3).
-
-    The solids must be at least `gap_m` (P,) apart.
-
-    Returns:
-        Whether the first can hide the second and the second the first, shape (P, 2); whether any plane separates them,
-        shape (P,).
-    """
+    """Whether the first can hide the second and the second the first, shape (P, 2), and whether any plane separates
+    them, shape (P,), of planes across all axes (P, A, 3) between solids in camera coordinates, shapes (P, K, 3) and
+    (P, L, 3), that must be at least `gap_m` (P,) apart."""
     low_a, high_a = extents_along(vertices_a, axes)
     low_b, high_b = extents_along(vertices_b, axes)
     gap_m = gap_m[:, None]

@@ -1,9 +1,7 @@
-"""Outlines: what a camera sees of each body by itself, as if nothing else were there.
-
-A vessel or obstacle has a `Solid`, its shape. `Bodies` are solids with their size and place in the world at each step.
-`outline` moves their vertices into camera coordinates, projects them, and keeps those that are in the image, with their
-boxes. That is exact and needs no renderer. Every source of truth starts from it, and then says what hides what.
-"""
+"""Outlines: what a camera sees of each body by itself, as if nothing else were there. A vessel or obstacle has a
+`Solid`, its shape. `Bodies` are solids with their size and place in the world at each step. `outline` moves their
+vertices into camera coordinates, projects them, and keeps those that are in the image, with their boxes. That is exact
+and needs no renderer. Every source of truth starts from it, and then says what hides what."""
 
 from __future__ import annotations
 
@@ -23,26 +21,17 @@ from modsim3d.world.vessels import Solid
 
 BESIDE = 1e-6
 """Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
-
-MAX_VERTICES = 12_000
-"""Most vertices of bodies that are projected together: few calls, but arrays that fit a cache."""
+MAX_VERTICES = 12_000  # most vertices of bodies that are projected together: few calls, but arrays that fit a cache
 
 
 @dataclass(frozen=True, eq=False)
 class OutlinePart:
-    """The m rows of `Outlines` whose solids have the same faces, and therefore vertices that form one array.
+    """The m rows of `Outlines` whose solids have the same faces, and therefore vertices that form one array."""
 
-    Attributes:
-        solid: The faces that the vertices span.
-        rows: Row of each solid, ascending, so that those between two rows are found by bisection, shape (m,).
-        vertices_camera: Vertices in CCF, in metres, shape (m, K, 3).
-        vertices_px: Vertices in the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2).
-    """
-
-    solid: Solid
-    rows: Indices
-    vertices_camera: Array
-    vertices_px: Array
+    solid: Solid  # the faces that the vertices span
+    rows: Indices  # row of each solid, ascending, so that those between two rows are found by bisection, shape (m,)
+    vertices_camera: Array  # in CCF, in metres, shape (m, K, 3)
+    vertices_px: Array  # in the image of the camera's pinhole; NaN nearer than the near plane, shape (m, K, 2)
 
     def take(self, chosen: Indices | Mask | slice) -> OutlinePart:
         """The solids that are chosen by ascending indices (k,), by a mask (m,), or by a slice, which copies nothing."""
@@ -51,29 +40,17 @@ class OutlinePart:
 
 @dataclass(frozen=True, eq=False)
 class Outlines:
-    """Outlines in a camera's image: n rows, one for each frame and body there, in order of frame and occluder.
+    """Outlines in a camera's image: n rows, one for each frame and body there, in order of frame and occluder."""
 
-    Attributes:
-        frame: Index into the run of frames, shape (n,).
-        occluder: Index into the scene's occluder names, of which vessels come first, shape (n,).
-        boxed: Whether it is a vessel that gets a box; an obstacle only hides, shape (n,).
-        boxes_px: Tight box of the silhouette, cut at the image edge, shape (n, 4).
-        areas_px: Area of the silhouette in the image; NaN for a solid that is not convex, shape (n,).
-        in_frame_fraction: Area in the image over whole area; NaN where the near plane cuts, shape (n,).
-        depth_m: Mean c3 of the corner points of the body's bounding box, shape (n,).
-        crosses_near: Whether the near plane cuts the solid, shape (n,).
-        parts: The solids of the rows, those with the same faces together.
-    """
-
-    frame: Indices
-    occluder: Indices
-    boxed: Mask
-    boxes_px: Array
-    areas_px: Array
-    in_frame_fraction: Array
-    depth_m: Array
-    crosses_near: Mask
-    parts: tuple[OutlinePart, ...]
+    frame: Indices  # index into the run of frames, shape (n,)
+    occluder: Indices  # index into the scene's occluder names, of which vessels come first, shape (n,)
+    boxed: Mask  # whether it is a vessel that gets a box; an obstacle only hides, shape (n,)
+    boxes_px: Array  # tight box of the silhouette, cut at the image edge, shape (n, 4)
+    areas_px: Array  # area of the silhouette in the image; NaN for a solid that is not convex, shape (n,)
+    in_frame_fraction: Array  # area in the image over whole area; NaN where the near plane cuts, shape (n,)
+    depth_m: Array  # mean c3 of the corner points of the body's bounding box, shape (n,)
+    crosses_near: Mask  # whether the near plane cuts the solid, shape (n,)
+    parts: tuple[OutlinePart, ...]  # the solids of the rows, those with the same faces together
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -126,11 +103,9 @@ def new_numbers(rows: Indices, count: int) -> Indices:
 def outline(
     intrinsics: Intrinsics, camera_poses: CameraPoses, bodies: Sequence[Bodies], *, measured: bool = True
 ) -> Outlines:
-    """Project all bodies at the steps of the camera's poses and keep those whose silhouettes overlap the image.
-
-    Unless they are to be measured, areas and shares are NaN, and boxes are whole ones in the pinhole's image; of what
-    the near plane cuts they are the whole image, and it may be outside.
-    """
+    """Project all bodies at the steps of the camera's poses and keep those whose silhouettes overlap the image. Unless
+    they are to be measured, areas and shares are NaN, and boxes are whole ones in the pinhole's image; of what the near
+    plane cuts they are the whole image, and it may be outside."""
     found = [_outline(intrinsics, camera_poses, some, measured) for some in bodies]
     if len(found) == 1:  # they are in order
         ((columns, part),) = found
@@ -143,9 +118,8 @@ def outline(
         rows = place[first : first + len(part.rows)]
         first += len(part.rows)
         ascending = np.argsort(rows)
-        parts.append(
-            OutlinePart(part.solid, rows[ascending], part.vertices_camera[ascending], part.vertices_px[ascending])
-        )
+        vertices, pixels = part.vertices_camera[ascending], part.vertices_px[ascending]
+        parts.append(OutlinePart(part.solid, rows[ascending], vertices, pixels))
     parts = [part for part in parts if len(part.rows)]
     return Outlines(**{name: column[order] for name, column in columns.items()}, parts=tuple(parts))
 
@@ -223,11 +197,9 @@ def _chosen(rows: Mask, *columns: Any) -> tuple[Any, ...]:
 def _measured(
     intrinsics: Intrinsics, bodies: Bodies, vertices: Array, pixels: Array, crosses: Mask, boxes: Array
 ) -> tuple[Array, Array, Array]:
-    """Boxes in the image (n, 4), areas (n,) and shares (n,) of n solids, as `Outlines` has them.
-
-    The area is 0 where the box of an obstacle shows that it is not in the image. `boxes` (n, 4) are around the pixels;
-    for `vertices`, `pixels` and `crosses` see `silhouette_polygons`.
-    """
+    """Boxes in the image (n, 4), areas (n,) and shares (n,) of n solids, as `Outlines` has them. The area is 0 where
+    the box of an obstacle shows that it is not in the image. `boxes` (n, 4) are around the pixels; for `vertices`,
+    `pixels` and `crosses` see `silhouette_polygons`."""
     if not len(boxes):  # as in most steps of a live scene
         return boxes, np.empty(0), np.empty(0)
     solid, pinhole, boxes = bodies.solid, intrinsics.pinhole, boxes.copy()
@@ -260,10 +232,8 @@ def _beside_image(vertices_camera: Array, intrinsics: Intrinsics) -> Mask:
 
 
 def _boxes_in_image(vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid, tight: bool) -> Array:
-    """Boxes (n, 4) around what n solids show in the image; (inf, inf, −inf, −inf) for nothing.
-
-    Those that need not be `tight` may differ by rounding errors. For the other arguments see `cut_faces`.
-    """
+    """Boxes (n, 4) around what n solids show in the image; (inf, inf, −inf, −inf) for nothing. Those that need not be
+    `tight` may differ by rounding errors. For the other arguments see `cut_faces`."""
     pinhole = intrinsics.pinhole
     boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (len(crosses), 1))
     for faces, member in cut_faces(vertices_camera, crosses, pinhole, solid, in_image=not tight):
@@ -287,34 +257,21 @@ def _boxes_of(pixels: Array) -> Array:
 
 
 def _projected_areas(pixels: Array, solid: Solid) -> Array:
-    """Areas of silhouettes from projected vertices, shape (n, K, 2) to (n,), in square pixels.
-
-    It is half the area of the projected faces, as a ray through a convex solid meets two of them.
-    """
+    """Areas of silhouettes from projected vertices, shape (n, K, 2) to (n,), in square pixels: half the area of the
+    projected faces, as a ray through a convex solid meets two of them."""
     doubled = doubled_face_areas(pixels, solid.faces)
     # The sum is rounded in order of memory, which must be the same for one silhouette as for many.
     areas: Array = np.ascontiguousarray(np.abs(doubled)).sum(axis=-1) / 4
     return areas
 
 
-# ---- Whether a camera is inside a body, where no picture makes sense ----
-
-INSIDE = 2 * np.pi
-"""A closed mesh subtends the whole sphere of 4π at a point inside, and 0 at a point outside."""
-MAX_TRIANGLES = 100_000
-"""Most triangles times points that are looked at together; it bounds the memory."""
+INSIDE = 2 * np.pi  # a closed mesh subtends the whole sphere of 4π at a point inside, and 0 at a point outside
+MAX_TRIANGLES = 100_000  # most triangles times points that are looked at together; it bounds the memory
 
 
 def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, int] | None:
-    """The first frame in which a camera is inside a body, and that body.
-
-    Args:
-        cameras_m: Positions of the camera in WCF at S steps, shape (S, 3).
-        bodies: At the same steps.
-
-    Returns:
-        Frame and index into the scene's occluder names; None if the camera is always outside.
-    """
+    """The first frame in which a camera, at positions in WCF at S steps, shape (S, 3), is inside one of the bodies, and
+    that body, as an index into the scene's occluder names; None if the camera is always outside."""
     found = []
     for some in bodies:
         offsets = cameras_m[:, None, None, :] - some.positions_m[:, :, None, :]
@@ -330,11 +287,9 @@ def first_body_around(cameras_m: Array, bodies: Sequence[Bodies]) -> tuple[int, 
 
 
 def solid_angle(points: Array, triangles: Array) -> Array:
-    """Steradians that oriented triangles, shape (T, 3, 3), subtend at points, shape (..., 3) to (...).
-
-    They are ±4π inside a closed mesh and 0 outside. A. van Oosterom and J. Strackee, "The solid angle of a plane
-    triangle", IEEE Transactions on Biomedical Engineering 30 (1983).
-    """
+    """Steradians that oriented triangles, shape (T, 3, 3), subtend at points, shape (..., 3) to (...). They are ±4π
+    inside a closed mesh and 0 outside. A. van Oosterom and J. Strackee, "The solid angle of a plane triangle", IEEE
+    Transactions on Biomedical Engineering 30 (1983)."""
     a, b, c = np.moveaxis(triangles - points[..., None, None, :], -2, 0)
     la, lb, lc = (np.linalg.norm(corner, axis=-1) for corner in (a, b, c))
     volume = np.einsum("...i,...i->...", a, np.cross(b, c))

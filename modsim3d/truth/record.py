@@ -14,47 +14,27 @@ from modsim3d.core.boxes import sizes
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Truth of cameras about vessels: n rows, one for each camera, step and vessel whose silhouette is in the image.
+    """Truth of cameras about vessels: n rows, one for each camera, step and vessel whose silhouette is in the image, in
+    order of step, camera, vessel. Boxes are x_min, y_min, x_max, y_max."""
 
-    Boxes are x_min, y_min, x_max, y_max. Rows are in order of step, camera, vessel.
-
-    Attributes:
-        step: Step of the scene, shape (n,).
-        camera: Index into the scene's cameras, shape (n,).
-        vessel: Index into the scene's vessels, shape (n,).
-        full_boxes_px: Tight box of the whole silhouette, hidden parts too, cut at the image edge, shape (n, 4).
-        visible_boxes_px: Tight box of what is visible; NaN if nothing is, or if the source cannot tell, shape (n, 4).
-        silhouette_px: Number of pixels of the whole silhouette in the image, shape (n,).
-        visible_px: Number of these that are visible; NaN if the source cannot tell, shape (n,).
-        visible_fraction: visible_px / silhouette_px; NaN if there is no silhouette pixel, shape (n,).
-        in_frame_fraction: Share of the silhouette's area that is in the image; NaN if the near plane cuts the solid,
-            shape (n,).
-        depth_m: Mean c3 of the corner points, shape (n,).
-        occluder_offsets: Entries offsets[i] to offsets[i + 1] − 1 of the next two columns are what hides row i, shape
-            (n + 1,).
-        occluder: Index into the scene's occluder names, shape (m,).
-        occluder_px: Number of pixels of the row that this occluder hides, shape (m,).
-        annotated: Whether the annotation mode and filters keep the row, shape (n,).
-        drawn: Whether OpenGL has drawn the row, rather than exact spans; false in a truth from a table, shape (n,).
-        intersections: Step, camera and two occluders, a vessel among them, that overlap in the image and whose hulls
-            intersect, so that the analytic source cannot tell what is visible of them, shape (k, 4).
-    """
-
-    step: Indices
-    camera: Indices
-    vessel: Indices
-    full_boxes_px: Array
-    visible_boxes_px: Array
-    silhouette_px: Array
-    visible_px: Array
-    visible_fraction: Array
-    in_frame_fraction: Array
-    depth_m: Array
+    step: Indices  # of the scene, shape (n,)
+    camera: Indices  # index into the scene's cameras, shape (n,)
+    vessel: Indices  # index into the scene's vessels, shape (n,)
+    full_boxes_px: Array  # tight box of the whole silhouette, hidden parts too, cut at the image edge, shape (n, 4)
+    visible_boxes_px: Array  # of what is visible; NaN if nothing is, or if the source cannot tell, shape (n, 4)
+    silhouette_px: Array  # number of pixels of the whole silhouette in the image, shape (n,)
+    visible_px: Array  # number of these that are visible; NaN if the source cannot tell, shape (n,)
+    visible_fraction: Array  # visible_px / silhouette_px; NaN if there is no silhouette pixel, shape (n,)
+    in_frame_fraction: Array  # share of the silhouette's area in the image; NaN if the near plane cuts it, shape (n,)
+    depth_m: Array  # mean c3 of the corner points, shape (n,)
+    # Entries offsets[i] to offsets[i + 1] − 1 of the next two columns are what hides row i, shape (n + 1,).
     occluder_offsets: Indices
-    occluder: Indices
-    occluder_px: Array
-    annotated: Mask
-    drawn: Mask
+    occluder: Indices  # index into the scene's occluder names, shape (m,)
+    occluder_px: Array  # number of pixels of the row that this occluder hides, shape (m,)
+    annotated: Mask  # whether the annotation mode and filters keep the row, shape (n,)
+    drawn: Mask  # whether OpenGL has drawn it, rather than exact spans; false in a truth from a table, shape (n,)
+    # Step, camera and two occluders, a vessel among them, that overlap in the image and whose hulls intersect, so that
+    # the analytic source cannot tell what is visible of them, shape (k, 4).
     intersections: Indices
 
     def __len__(self) -> int:
@@ -85,15 +65,14 @@ class Truth:
         return replace(self, annotated=annotated)
 
     def occluders_of(self, row: int) -> list[tuple[int, float]]:
-        """Who hides how many pixels of a row, as pairs (index into the scene's occluder names, pixels)."""
+        """Pairs (index into the scene's occluder names, number of pixels of a row that it hides)."""
         entries = slice(self.occluder_offsets[row], self.occluder_offsets[row + 1])
         return list(zip(self.occluder[entries].tolist(), self.occluder_px[entries].tolist(), strict=True))
 
 
 COLUMNS = tuple(field.name for field in fields(Truth))
-ROW_COLUMNS = tuple(
-    name for name in COLUMNS if name not in ("occluder_offsets", "occluder", "occluder_px", "intersections")
-)
+_OTHERS = ("occluder_offsets", "occluder", "occluder_px", "intersections")
+ROW_COLUMNS = tuple(name for name in COLUMNS if name not in _OTHERS)
 
 
 def no_truth() -> Truth:
@@ -125,37 +104,24 @@ def concatenate(parts: Sequence[Truth]) -> Truth:
     return truth.take(np.lexsort((truth.vessel, truth.camera, truth.step)))
 
 
-# ---- Which vessels are annotated ----
-
 SOURCES = ("rendered", "analytic", "rectangles")
 
 
 @dataclass(frozen=True)
 class Annotation:
-    """How vessels are annotated.
+    """Rules by which vessels are annotated."""
 
-    Attributes:
-        mode: 0: the full box of every vessel in the image, hidden or not; 1: the full box of every vessel with a
-            visible pixel; 2: the visible box of every vessel with a visible pixel.
-        source: Where the truth comes from: one of `SOURCES`.
-        supersample: Buffer pixels per image pixel and axis (rendered source).
-        render: `regions` draws only where vessels overlap, `full` draws whole images; the truth is the same.
-        min_visible_px: A vessel with fewer visible pixels is not annotated.
-        min_visible_fraction: A vessel with a smaller visible fraction is not annotated.
-        min_box_px: A vessel whose box is narrower or lower is not annotated.
-        check: How many frames the cross-check draws: a `sample`, `all`, or none (`off`).
-        allow_camera_inside: Whether a camera may be inside another vessel's volume.
-    """
-
+    # 0: the full box of every vessel in the image, hidden or not; 1: the full box of every vessel with a visible pixel;
+    # 2: the visible box of every vessel with a visible pixel.
     mode: int = 0
-    source: str = "rendered"
-    supersample: int = 1
-    render: str = "regions"
-    min_visible_px: float = 0.0
-    min_visible_fraction: float = 0.0
-    min_box_px: float = 0.0
-    allow_camera_inside: bool = False
-    check: str = "sample"
+    source: str = "rendered"  # where the truth comes from: one of `SOURCES`
+    supersample: int = 1  # buffer pixels per image pixel and axis (rendered source)
+    render: str = "regions"  # `regions` draws only where vessels overlap, `full` whole images; the truth is the same
+    min_visible_px: float = 0.0  # a vessel with fewer visible pixels is not annotated
+    min_visible_fraction: float = 0.0  # a vessel with a smaller visible fraction is not annotated
+    min_box_px: float = 0.0  # a vessel whose box is narrower or lower is not annotated
+    allow_camera_inside: bool = False  # whether a camera may be inside another vessel's volume
+    check: str = "sample"  # frames that the cross-check draws: a `sample`, `all`, or none (`off`)
 
 
 def annotation_boxes(truth: Truth, mode: int) -> Array:

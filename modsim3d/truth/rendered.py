@@ -1,14 +1,10 @@
-"""Truth from pixels, drawn only where geometry alone does not tell them.
-
-The pixels of a closed solid follow from its outline by exact scan conversion, as spans. Vessels whose boxes overlap
-form clusters. If planes between its solids put a cluster in order from near to far, its spans are cut in that order,
-and nothing is drawn. Of each other cluster only the part of the image in which boxes overlap is drawn, once, with all
-of its solids and a depth buffer. The ID image is runs of equal IDs; cutting the spans at the borders of the runs gives
-the visible pixels of each vessel and who hides the rest.
-
-Corners are rounded to a grid of 1/256 pixel, so a part of the image holds the same pixels as the whole. The result is
-therefore exactly that of `full_frame`, which draws everything and is the reference for the tests.
-"""
+"""Truth from pixels, drawn only where geometry alone does not tell them. The pixels of a closed solid follow from its
+outline by exact scan conversion, as spans. Vessels whose boxes overlap form clusters. If planes between its solids put
+a cluster in order from near to far, its spans are cut in that order, and nothing is drawn. Of each other cluster only
+the part of the image in which boxes overlap is drawn, once, with all of its solids and a depth buffer. The ID image is
+runs of equal IDs; cutting the spans at the borders of the runs gives the visible pixels of each vessel and who hides
+the rest. Corners are rounded to a grid of 1/256 pixel, so a part of the image holds the same pixels as the whole. The
+result is therefore exactly that of `full_frame`, which draws everything and is the reference for the tests."""
 
 from __future__ import annotations
 
@@ -39,30 +35,19 @@ from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.scan_conversion import scan_convert
 from modsim3d.truth.silhouettes import Spans, counts_and_boxes, joined_spans, spans_of_ids, winding_spans
 
-# ---- Solids in order from near to far ----
-
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
 a thousand times more precisely, but it interpolates them across triangles that may be seen almost edge-on."""
-MAX_ROUNDS = 64
-"""Solids one behind the other in the longest chain whose order is looked for."""
+MAX_ROUNDS = 64  # solids one behind the other in the longest chain whose order is looked for
 
 
 def ranks_of(
     outlines: Outlines, first: Indices, second: Indices, intrinsics: Intrinsics, supersample: int
 ) -> tuple[Indices, Mask]:
-    """Ranks of solids, in which whatever is in front of another has the lower one.
-
-    Args:
-        outlines: The n solids.
-        first: Rows of solids that are in front of the near plane, shape (P,).
-        second: Those that they may have pixels in common with, shape (P,).
-        intrinsics: Those of a pinhole camera.
-        supersample: Buffer pixels per image pixel and axis.
-
-    Returns:
-        Ranks, shape (n,); and whether the order of the pair is known and its ranks agree with it, shape (P,).
-    """
+    """Ranks of n solids, in which whatever is in front of another has the lower one, shape (n,); and whether the order
+    of each pair is known and its ranks agree with it, shape (P,). Rows `first` (P,) are of solids in front of the near
+    plane, `second` of those that they may have pixels in common with. The intrinsics are those of a pinhole camera;
+    there are `supersample` buffer pixels per image pixel and axis."""
     nearest, farthest = outlines.depths_m()
     # A corner is moved by at most 1/512 of a buffer pixel along each axis.
     per_metre = DEPTH_ERROR + 1 / (SUBPIXELS * supersample * min(intrinsics.focal_px))
@@ -86,11 +71,9 @@ def ranks_of(
 
 
 def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> Mask:
-    """Whether solids `far` (P,) are `gap_m` (P,) beyond all faces of solids `near` (P,) that the camera may see.
-
-    A ray meets one of these faces first, even if the solids touch: a hill that stands on an island seen from below is
-    behind its shores. If the near solid is not convex, that is not known.
-    """
+    """Whether solids `far` (P,) are `gap_m` (P,) beyond all faces of solids `near` (P,) that the camera may see. A ray
+    meets one of these faces first, even if the solids touch: a hill that stands on an island seen from below is behind
+    its shores. If the near solid is not convex, that is not known."""
     found = np.zeros(len(near), dtype=bool)
     for pairs, a_part, b_part in pairs_by_parts(outlines, near, far):
         if not a_part.solid.convex:
@@ -108,10 +91,8 @@ def _in_front(outlines: Outlines, near: Indices, far: Indices, gap_m: Array) -> 
 
 
 def _ranks(near: Indices, far: Indices, count: int) -> Indices:
-    """How many solids are in front of each of `count` in the longest chain of pairs from near to far, shape (count,).
-
-    Where pairs run in a circle, there is no such number; then some pair has ranks that do not rise.
-    """
+    """Number of solids in front of each of `count` in the longest chain of pairs from near to far, shape (count,).
+    Where pairs run in a circle, there is no such number; then some pair has ranks that do not rise."""
     ranks = np.zeros(count, dtype=np.int64)
     for _ in range(MAX_ROUNDS):
         behind = ranks[near] + 1
@@ -121,25 +102,21 @@ def _ranks(near: Indices, far: Indices, count: int) -> Indices:
     return ranks
 
 
-MAX_LINES = 32_768
-"""Most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache."""
+MAX_LINES = 32_768  # most scan lines of silhouettes that are treated at once: few calls, but arrays that fit a cache
 
 
 def rendered_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """Visible part of each outline, counted from pixels.
-
-    There are `supersample` buffer pixels per image pixel and axis; results are in image pixels.
-    """
+    """Visible part of each outline, counted from pixels. There are `supersample` buffer pixels per image pixel and
+    axis; results are in image pixels."""
     if intrinsics.distortion is not None:  # silhouettes are bent: draw everything
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)
     portions = _portions(outlines, supersample)
     if len(portions) == 1:
         return _occlusion(outlines, intrinsics, renderer, supersample)[0]
-    return Occlusion.joined(
-        [_occlusion(outlines.between(*rows), intrinsics, renderer, supersample)[0] for rows in portions]
-    )
+    parts = [_occlusion(outlines.between(*rows), intrinsics, renderer, supersample)[0] for rows in portions]
+    return Occlusion.joined(parts)
 
 
 def spans_of_frame(spans: Spans, outlines: Outlines, frame: int) -> Spans:
@@ -162,9 +139,7 @@ def rendered_spans(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1, *, full: bool = False
 ) -> tuple[Spans, Spans]:
     """The pixels that `rendered_occlusion` counts of each row with a box: whole silhouettes, and their visible parts.
-
-    With `full`, those that `full_frame_occlusion` counts.
-    """
+    With `full`, those that `full_frame_occlusion` counts."""
     if intrinsics.distortion is None and not full:
         _, silhouettes, seen = _occlusion(outlines, intrinsics, renderer, supersample)
         if seen is not None:
@@ -172,14 +147,11 @@ def rendered_spans(
             cut[seen.rows] = True
             uncut, parts = silhouettes.take(~cut[silhouettes.row]), seen.visible
             return silhouettes, joined_spans([uncut, parts.take(cut[parts.row])])
-    masks = list(vessel_masks(outlines, intrinsics, renderer, supersample))
-    whole = [_spans_of(row, each.silhouette, each.region) for row, each in masks]
-    shown = [_spans_of(row, each.visible, each.region) for row, each in masks]
-    return joined_spans([Spans.none(), *whole]), joined_spans([Spans.none(), *shown])
-
-
-def _spans_of(row: int, mask: Mask, region: Region) -> Spans:
-    return spans_of_ids(mask * np.uint32(row + 1)).moved(region.x, region.y)
+    whole, shown = [Spans.none()], [Spans.none()]
+    for row, masks in vessel_masks(outlines, intrinsics, renderer, supersample):
+        for found, mask in ((whole, masks.silhouette), (shown, masks.visible)):
+            found.append(spans_of_ids(mask * np.uint32(row + 1)).moved(masks.region.x, masks.region.y))
+    return joined_spans(whole), joined_spans(shown)
 
 
 def _occlusion(
@@ -212,10 +184,8 @@ def _occlusion(
 
 
 def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask, drawn: Mask) -> Visibility | None:
-    """Visible parts of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them.
-
-    The rows that are drawn for it are marked in `drawn` (n,). For `silhouettes` and `whole` see `_silhouettes`.
-    """
+    """Visible parts of the vessels whose boxes (n, 4) of whole pixels overlap others; None if no buffer holds them. The
+    rows that are drawn for it are marked in `drawn` (n,). For `silhouettes` and `whole` see `_silhouettes`."""
     outlines = drawing.outlines
     pairs = ClusteredPairs.of(outlines, boxes)
     if not len(pairs.first):
@@ -236,10 +206,8 @@ def _seen(drawing: BufferDrawing, silhouettes: Spans, boxes: Array, whole: Mask,
 
 def _silhouettes(drawing: BufferDrawing, whole: Mask) -> tuple[Spans, Mask]:
     """The spans of all vessels' whole silhouettes: by scan conversion where that is exact, otherwise drawn alone (n,).
-
     Scan conversion needs a closed solid that is `whole` (n,), of which nothing is cut off. Meshes with holes, and
-    solids that the near plane cuts or that reach far outside the image, are drawn alone.
-    """
+    solids that the near plane cuts or that reach far outside the image, are drawn alone."""
     boxed = drawing.outlines.boxed
     found, refused = _scan_converted(drawing, boxed & whole)
     to_draw = boxed & ~whole
@@ -271,10 +239,8 @@ def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]
 def _in_order(
     drawing: BufferDrawing, silhouettes: Spans, boxes: Array, pairs: ClusteredPairs, whole: Mask
 ) -> OrderedClusters:
-    """The clusters in which geometry tells who is in front, with the silhouettes of the obstacles among them.
-
-    Obstacles must be convex and `whole` (n,), so that scan conversion gives their pixels.
-    """
+    """The clusters in which geometry tells who is in front, with the silhouettes of the obstacles among them. Obstacles
+    must be convex and `whole` (n,), so that scan conversion gives their pixels."""
     outlines = drawing.outlines
     hiding = np.zeros(len(outlines), dtype=bool)
     hiding[pairs.first] = hiding[pairs.second] = True
@@ -287,13 +253,8 @@ def _in_order(
     one, other = (obstacles[rows] for rows in overlapping_pairs(outlines.frame[obstacles], boxes[obstacles]))
     differ = outlines.occluder[one] != outlines.occluder[other]
     one, other = one[differ], other[differ]
-    ranks, known = ranks_of(
-        outlines,
-        np.concatenate([pairs.first[asked], one]),
-        np.concatenate([pairs.second[asked], other]),
-        drawing.intrinsics,
-        drawing.supersample,
-    )
+    first, second = np.concatenate([pairs.first[asked], one]), np.concatenate([pairs.second[asked], other])
+    ranks, known = ranks_of(outlines, first, second, drawing.intrinsics, drawing.supersample)
     doubtful = np.ones(len(pairs.first), dtype=bool)
     doubtful[asked] = ~known[: len(asked)]
     unknown = ~known[len(asked) :]
@@ -305,13 +266,10 @@ def _in_order(
 
 
 def _behind_both(pairs: ClusteredPairs, ranks: Indices, boxes: Array, one: Indices, other: Indices) -> Mask:
-    """Mask of the pairs of an obstacle and a vessel behind it that may share pixels with a second obstacle too.
-
-    The obstacles are rows `one` and `other`, both of shape (k,). Boxes (n, 4) are of whole pixels.
-    """
-    vessel, obstacle = np.where(
-        ranks[pairs.first] > ranks[pairs.second], (pairs.first, pairs.second), (pairs.second, pairs.first)
-    )
+    """Mask of the pairs of an obstacle and a vessel behind it that may share pixels with a second obstacle too. The
+    obstacles are rows `one` and `other`, both of shape (k,). Boxes (n, 4) are of whole pixels."""
+    behind, in_front = (pairs.first, pairs.second), (pairs.second, pairs.first)
+    vessel, obstacle = np.where(ranks[pairs.first] > ranks[pairs.second], behind, in_front)
     order = np.argsort(obstacle, kind="stable")
     first, count = extents(obstacle[order], one)
     pair, second = order[ranges(first, count)], np.repeat(other, count)

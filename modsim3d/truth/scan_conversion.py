@@ -33,10 +33,8 @@ HALF = SUBPIXELS // 2
 
 @once_a_solid
 def _edges_of(solid: Solid) -> Indices:
-    """Start, end, left and right of each edge of a closed solid, shape (4, E).
-
-    The face on the left is the one that runs from start to end; the face on the right runs from end to start.
-    """
+    """Start, end, left and right of each edge of a closed solid, shape (4, E). The face on the left is the one that
+    runs from start to end; the face on the right runs from end to start."""
     faces = {
         (a, b): face
         for face, corners in enumerate(solid.faces.tolist())
@@ -47,32 +45,21 @@ def _edges_of(solid: Solid) -> Indices:
 
 
 def facing(corners_px: Array) -> Array:
-    """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area.
-
-    They are in buffer pixels, counter-clockwise seen from outside. Shape (..., 3, 2) to (...).
-    """
+    """Whether triangles with rounded corners are turned to the camera (> 0), away from it (< 0), or have no area. They
+    are in buffer pixels, counter-clockwise seen from outside. Shape (..., 3, 2) to (...)."""
     return doubled_areas(_on_grid(corners_px))
 
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Edges of the outlines of n silhouettes that cross scan lines of the image.
+    """Edges of the outlines of n silhouettes that cross scan lines of the image. The left edges of all silhouettes come
+    first, ordered by silhouette and from top to bottom, and then the right ones."""
 
-    The left edges of all silhouettes come first, ordered by silhouette and from top to bottom, and then the right ones.
-
-    Attributes:
-        side: Silhouette of each edge; for right edges n is added, shape (e,).
-        upper: Column and row of the upper end on the grid, shape (2, e).
-        lower: Those of the lower end, shape (2, e).
-        first: First scan line of the image that the edge crosses, shape (e,).
-        stop: The scan line after the last, shape (e,).
-    """
-
-    side: Indices
-    upper: Array
-    lower: Array
-    first: Indices
-    stop: Indices
+    side: Indices  # silhouette of each edge; for right edges n is added, shape (e,)
+    upper: Array  # column and row of the upper end on the grid, shape (2, e)
+    lower: Array  # those of the lower end, shape (2, e)
+    first: Indices  # first scan line of the image that the edge crosses, shape (e,)
+    stop: Indices  # the scan line after the last, shape (e,)
 
     @classmethod
     def of(cls, vertices_px: Array, solid: Solid, height: int) -> _Edges:
@@ -99,10 +86,8 @@ class _Edges:
         return cls(side[some], upper, lower, first[some], stop[some])
 
     def broken(self, count: int) -> Mask:
-        """Mask of n = `count` silhouettes without one left and one right edge in each of their lines, shape (n,).
-
-        The edges of a side must follow each other without a gap, and both sides must have the same lines.
-        """
+        """Mask of n = `count` silhouettes without one left and one right edge in each of their lines, shape (n,). The
+        edges of a side must follow each other without a gap, and both sides must have the same lines."""
         same = self.side[1:] == self.side[:-1]
         ends = np.full((2, 2 * count), -1)  # the first line of each side, and the one after its last
         ends[0, self.side[::-1]], ends[1, self.side] = self.first[::-1], self.stop
@@ -112,9 +97,8 @@ class _Edges:
 
     def take(self, chosen: Mask) -> _Edges:
         """The chosen edges, by a mask of shape (e,)."""
-        return _Edges(
-            self.side[chosen], self.upper[:, chosen], self.lower[:, chosen], self.first[chosen], self.stop[chosen]
-        )
+        side, first, stop = self.side[chosen], self.first[chosen], self.stop[chosen]
+        return _Edges(side, self.upper[:, chosen], self.lower[:, chosen], first, stop)
 
     def lines(self, count: int) -> tuple[Indices, Indices]:
         """Silhouette and scan line of each line of n = `count` silhouettes, none of which is broken, shapes (m,)."""
@@ -123,10 +107,8 @@ class _Edges:
         return self.side[left].repeat(lines), ranges(first, lines)
 
     def columns(self, y: Indices, width: int) -> Indices:
-        """First column at or to the right of the left and of the right edge in each line, shape (2, m).
-
-        `y` are the scan lines of silhouettes of which none is broken, shape (m,).
-        """
+        """First column at or to the right of the left and of the right edge in each line, shape (2, m). `y` are the
+        scan lines of silhouettes of which none is broken, shape (m,)."""
         (x0, y0), (dx, dy) = self.upper, self.lower - self.upper
         # 256 dy times the crossing, counted from the centre of column 0, at line 0 and from one line to the next.
         at_zero, step, scale = (HALF - y0) * dx + (x0 - HALF) * dy, SUBPIXELS * dx, SUBPIXELS * dy
@@ -141,17 +123,9 @@ class _Edges:
 
 
 def scan_convert(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> tuple[Spans, Indices]:
-    """The spans of n convex solids inside an image.
-
-    Args:
-        vertices_px: Projected vertices, all in front of the near plane, in buffer pixels, shape (n, K, 2).
-        solid: Has the faces that the vertices span.
-        image_size_px: Width and height of the buffer.
-
-    Returns:
-        The spans; and the silhouettes, shape (k,), that have to be drawn instead, because their rounded corners make no
-        convex outline.
-    """
+    """The spans of n convex solids inside an image, and the silhouettes, shape (k,), that have to be drawn instead,
+    because their rounded corners make no convex outline. Projected vertices are all in front of the near plane, in
+    buffer pixels like the size of the image, shape (n, K, 2)."""
     (width, height), count = image_size_px, len(vertices_px)
     edges = _Edges.of(vertices_px, solid, height)
     broken = edges.broken(count)

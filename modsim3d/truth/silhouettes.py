@@ -17,28 +17,17 @@ from modsim3d.geometry.kinematics import union_of
 from modsim3d.render.id_pass import SUBPIXELS
 from modsim3d.world.vessels import Solid, once_a_solid
 
-# ---- Solids that the near plane cuts ----
-
-PORTION_FACES = 20_000
-"""Faces that are cut at once: few calls, but arrays that fit a cache."""
+PORTION_FACES = 20_000  # faces that are cut at once: few calls, but arrays that fit a cache
 
 
 def cut_faces(
     vertices_camera: Array, crosses: Mask, intrinsics: Intrinsics, solid: Solid, *, in_image: bool = False
 ) -> Iterator[tuple[Array, Indices]]:
     """The faces of m solids, cut where the near plane crosses the solid, in portions of some of the solids.
-
-    Args:
-        vertices_camera: In CCF, shape (m, K, 3).
-        crosses: Whether the near plane cuts each solid, shape (m,).
-        intrinsics: Have the near plane.
-        solid: Has the faces that the vertices span.
-        in_image: Close only the solids whose section may have a corner of the image in it. Of the others, nothing is
-            in the image that is beyond the edges of the section.
-
-    Yields:
-        Triangles, shape (T, 3, 3), and the solid of each, shape (T,); those of one solid are in the order of its faces.
-    """
+    `vertices_camera` are in CCF, shape (m, K, 3), and span the faces of `solid`; `crosses` says which solids the near
+    plane cuts, shape (m,). With `in_image`, only the solids are closed whose section may have a corner of the image in
+    it: of the others, nothing is in the image that is beyond the edges of the section. Yields triangles, shape
+    (T, 3, 3), and the solid of each, shape (T,); those of one solid are in the order of its faces."""
     size = max(1, PORTION_FACES // len(solid.faces))
     for first in range(0, len(crosses), size):
         here = crosses[first : first + size]
@@ -54,19 +43,10 @@ def cut_faces(
 def cut_near(
     faces_camera: Array, intrinsics: Intrinsics, solid: Solid, *, in_image: bool = False
 ) -> tuple[Array, Indices]:
-    """The faces of m solids beyond the near plane, and the section that closes each there if it was closed.
-
-    Without the section the camera would look into the solid, and see the faces of what touches it from behind.
-
-    Args:
-        faces_camera: The F faces of each in CCF, shape (m, F, 3, 3).
-        intrinsics: Have the near plane.
-        solid: Says whether the solids are closed, and convex.
-        in_image: See `cut_faces`.
-
-    Returns:
-        Triangles in CCF, shape (T, 3, 3), and the solid of each, ascending, shape (T,). A section comes last.
-    """
+    """The faces of m solids beyond the near plane, and the section that closes each there if it was closed. Without the
+    section the camera would look into the solid, and see the faces of what touches it from behind. `faces_camera` are
+    the F faces of each in CCF, shape (m, F, 3, 3); for `in_image` see `cut_faces`. Returns triangles in CCF, shape
+    (T, 3, 3), and the solid of each, ascending, shape (T,). A section comes last."""
     if not len(faces_camera):
         return np.empty((0, 3, 3)), np.empty(0, dtype=np.int64)
     near = intrinsics.near_clip_m
@@ -85,10 +65,8 @@ def cut_near(
 
 
 def _corner_inside(clipped: Array, member: Indices, intrinsics: Intrinsics) -> Mask:
-    """Whether the section of each solid up to the last member may have a corner of the image in it.
-
-    Then edges of the section are on all four sides of the corner.
-    """
+    """Whether the section of each solid up to the last member may have a corner of the image in it: then edges of the
+    section are on all four sides of the corner."""
     (ends, of), count = _edges(clipped, member, intrinsics.near_clip_m), int(member.max(initial=-1)) + 1
     low, high = ends.min(axis=1), ends.max(axis=1)
     width, height = intrinsics.image_size_px
@@ -146,15 +124,9 @@ Number = TypeVar("Number", np.float64, np.int64)
 def silhouette_polygons(
     intrinsics: Intrinsics, vertices: Array, pixels: Array, crosses: Mask, solid: Solid
 ) -> NDArray[np.object_]:
-    """Whole silhouettes of n solids as polygons, cut at the near plane, shape (n,).
-
-    Args:
-        intrinsics: Intrinsics of the camera.
-        vertices: In CCF, shape (n, K, 3).
-        pixels: The same vertices projected, shape (n, K, 2).
-        crosses: Whether the near plane cuts each solid, shape (n,).
-        solid: Has the faces that the vertices span.
-    """
+    """Whole silhouettes of n solids as polygons, cut at the near plane, shape (n,). Vertices are in CCF, shape
+    (n, K, 3), `pixels` are the same projected, shape (n, K, 2), and `crosses` says which solids the near plane cuts,
+    shape (n,)."""
     polygons = np.empty(len(pixels), dtype=object)
     if solid.convex:
         polygons[~crosses] = shapely.convex_hull(shapely.linestrings(pixels[~crosses]))
@@ -174,10 +146,8 @@ def silhouette_polygons(
 
 
 def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArray[np.object_]:
-    """The parts of silhouettes, polygons in the pinhole's image, that are in the image, both of shape (n,).
-
-    They are seen through the lens if it distorts.
-    """
+    """The parts of silhouettes, polygons in the pinhole's image, that are in the image, both of shape (n,). They are
+    seen through the lens if it distorts."""
     seen: NDArray[np.object_] = shapely.intersection(silhouettes, _image(intrinsics.pinhole.image_size_px))
     if intrinsics.distortion is None:
         return seen
@@ -192,10 +162,8 @@ def in_image(silhouettes: NDArray[np.object_], intrinsics: Intrinsics) -> NDArra
 
 
 def share_in_image(silhouettes: NDArray[np.object_], inside: NDArray[np.object_], intrinsics: Intrinsics) -> Array:
-    """Share of each silhouette's area that is in the image, measured before the lens distorts it, shape (n,).
-
-    `inside` are the parts of the silhouettes (n,) that `in_image` gives.
-    """
+    """Share of each silhouette's area that is in the image, measured before the lens distorts it, shape (n,). `inside`
+    are the parts of the silhouettes (n,) that `in_image` gives."""
     if intrinsics.distortion is not None:
         border = intrinsics.image_border()
         seen = intrinsics.unproject(border, np.full(len(border), intrinsics.near_clip_m))
@@ -210,10 +178,8 @@ def _image(size_px: tuple[int, int]) -> shapely.Polygon:
 
 
 def doubled_areas(triangles_px: NDArray[Number]) -> NDArray[Number]:
-    """Twice the signed areas of projected triangles, shape (..., 3, 2) to (...), in square units of the corners.
-
-    They are positive if a triangle is turned to the camera, so that its corners run counter-clockwise seen from there.
-    """
+    """Twice the signed areas of projected triangles, shape (..., 3, 2) to (...), in square units of the corners. They
+    are positive if a triangle is turned to the camera, so that its corners run counter-clockwise seen from there."""
     (ax, ay), (bx, by) = (np.moveaxis(triangles_px[..., i, :] - triangles_px[..., 0, :], -1, 0) for i in (1, 2))
     areas: NDArray[Number] = ay * bx - ax * by  # pixel rows run downwards, which turns the sign
     return areas
@@ -227,32 +193,20 @@ def doubled_face_areas(vertices_px: Array, faces: Indices) -> Array:
 
 
 def faces_union(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geometry:
-    """The region that projected triangles, shape (T, 3, 2), cover together.
-
-    Without `both_sides`, triangles turned away from the camera are left out; those of a closed solid add nothing.
-    """
+    """The region that projected triangles, shape (T, 3, 2), cover together. Without `both_sides`, triangles turned away
+    from the camera are left out; those of a closed solid add nothing."""
     doubled = doubled_areas(triangles_px)
     return union_of(shapely.polygons(triangles_px[(np.abs(doubled) if both_sides else doubled) > NO_AREA_PX2]))
 
 
-# ---- Silhouettes as spans ----
-
-
 @dataclass(frozen=True, eq=False)
 class Spans:
-    """Runs of pixels of n silhouettes.
+    """Runs of pixels of n silhouettes; shapes (m,)."""
 
-    Attributes:
-        row: Index of the silhouette, shape (m,).
-        y: Pixel row, shape (m,).
-        start: First column, shape (m,).
-        stop: The column after the last, greater than `start`, shape (m,).
-    """
-
-    row: Indices
-    y: Indices
-    start: Indices
-    stop: Indices
+    row: Indices  # index of the silhouette
+    y: Indices  # pixel row
+    start: Indices  # first column
+    stop: Indices  # the column after the last, greater than `start`
 
     @classmethod
     def none(cls) -> Spans:
@@ -279,17 +233,13 @@ _NO_BOX = np.array([np.inf, np.inf, -np.inf, -np.inf])
 
 def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     """Numbers of pixels, shape (n,), and bounding boxes, shape (n, 4), of n = `count` silhouettes; spans in any order.
-
-    Boxes are half-open, [x_min, x_max) × [y_min, y_max); the box of a silhouette without a pixel is
-    (inf, inf, −inf, −inf).
-    """
+    Boxes are half-open, [x_min, x_max) × [y_min, y_max), and (inf, inf, −inf, −inf) without a pixel."""
     # The first of the spans of one silhouette that follow each other: summed up first if they are several as a rule.
     first = run_starts(spans.row)
     several = 4 * len(first) < len(spans.row)
     row = spans.row[first] if several else spans.row
 
-    def of_rows(reduce: np.ufunc, values: Indices) -> Indices:
-        """One value for each of `row`, shape of `row`."""
+    def of_rows(reduce: np.ufunc, values: Indices) -> Indices:  # one value for each of `row`
         reduced: Indices = reduce.reduceat(values, first) if several else values
         return reduced
 
@@ -310,10 +260,8 @@ def joined_spans(parts: Sequence[Spans]) -> Spans:
 
 
 def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
-    """Where each run of equal IDs begins in an ID image (h, w) read row by row, and its ID; both of shape (k,).
-
-    Each pixel row begins a new run.
-    """
+    """First place of each run of equal IDs in an ID image (h, w) read row by row, and its ID; both of shape (k,). Each
+    pixel row begins a new run."""
     flat = ids.reshape(-1)
     begins = np.empty(flat.shape, dtype=bool)
     np.not_equal(flat[1:], flat[:-1], out=begins[1:])
@@ -323,10 +271,8 @@ def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
 
 
 def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
-    """The spans of the silhouettes in an ID image in which none hides another; ordered by scan line.
-
-    An ID is the index of the silhouette + 1, zero where there is none, shape (h, w).
-    """
+    """The spans of the silhouettes in an ID image in which none hides another; ordered by scan line. An ID is the index
+    of the silhouette + 1, zero where there is none, shape (h, w)."""
     starts, values = runs_of_ids(ids)
     stops = np.append(starts[1:], ids.size)
     filled = values > 0
@@ -334,20 +280,14 @@ def spans_of_ids(ids: NDArray[np.uint32]) -> Spans:
     return Spans(values[filled] - 1, lines, first, first + (stops - starts)[filled])
 
 
-# ---- The pixels of closed solids that need not be convex ----
-
 HALF = SUBPIXELS // 2
-MAX_CROSSINGS = 200_000
-"""Edges times scan lines that are computed at once; it bounds the memory."""
+MAX_CROSSINGS = 200_000  # edges times scan lines that are computed at once; it bounds the memory
 
 
 @once_a_solid
 def edges_of(solid: Solid) -> Indices:
-    """Start, end, left and right face of each edge of a closed solid, shape (4, E).
-
-    The face on the left runs from start to end, that on the right from end to start. Where more than two faces meet, an
-    edge comes more than once.
-    """
+    """Start, end, left and right face of each edge of a closed solid, shape (4, E). The face on the left runs from
+    start to end, that on the right from end to start. Where more than two faces meet, an edge comes more than once."""
     ways: dict[tuple[int, int], list[int]] = {}
     for face, (a, b, c) in enumerate(solid.faces.tolist()):
         for way in ((a, b), (b, c), (c, a)):
@@ -362,33 +302,22 @@ def edges_of(solid: Solid) -> Indices:
 
 
 def faces_towards(vertices_px: Array, solid: Solid) -> Mask:
-    """Mask of the faces of n solids with rounded corners that are turned to the camera, shape (n, F).
-
-    The vertices are in buffer pixels, shape (n, K, 2).
-    """
+    """Mask of the faces of n solids with rounded corners that are turned to the camera, shape (n, F). The vertices are
+    in buffer pixels, shape (n, K, 2)."""
     towards: Mask = doubled_face_areas(np.rint(vertices_px * SUBPIXELS), solid.faces) > 0
     return towards
 
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Edges between faces turned to the camera and faces turned away, ordered by silhouette.
+    """Edges between faces turned to the camera and faces turned away, ordered by silhouette."""
 
-    Attributes:
-        row: Silhouette of each edge, shape (e,).
-        upper: Upper end on the grid, shape (e, 2).
-        lower: Lower end on the grid, shape (e, 2).
-        step: 1 if a face begins on its right, −1 if one ends there, shape (e,).
-        first: First scan line that it crosses, shape (e,).
-        lines: Number of scan lines that it crosses, shape (e,).
-    """
-
-    row: Indices
-    upper: Array
-    lower: Array
-    step: Indices
-    first: Indices
-    lines: Indices
+    row: Indices  # silhouette of each edge, shape (e,)
+    upper: Array  # upper end on the grid, shape (e, 2)
+    lower: Array  # lower end on the grid, shape (e, 2)
+    step: Indices  # 1 if a face begins on its right, −1 if one ends there, shape (e,)
+    first: Indices  # first scan line that it crosses, shape (e,)
+    lines: Indices  # number of scan lines that it crosses, shape (e,)
 
     @classmethod
     def of(cls, vertices_px: Array, solid: Solid, height: int) -> _Edges:
@@ -436,12 +365,7 @@ class _Edges:
 
 
 def winding_spans(vertices_px: Array, solid: Solid, image_size_px: tuple[int, int]) -> Spans:
-    """The spans of n closed solids inside an image.
-
-    Args:
-        vertices_px: Projected vertices, all in front of the near plane, in buffer pixels, shape (n, K, 2).
-        solid: Has the faces that the vertices span.
-        image_size_px: Width and height of the buffer.
-    """
+    """The spans of n closed solids inside an image. Projected vertices are all in front of the near plane, in buffer
+    pixels like the width and height of the buffer, shape (n, K, 2)."""
     width, height = image_size_px
     return joined_spans([some.spans(width, height) for some in _Edges.of(vertices_px, solid, height).portions()])

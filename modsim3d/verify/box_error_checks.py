@@ -25,8 +25,6 @@ from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.score_checks import LAGS
 
-# ---- How long box errors persist ----
-
 MIN_PAIRS = 100
 _REPLAYS, _REPLAYS_AT_ONCE = 300, 50
 _MAX_DRAWS = 2000
@@ -35,17 +33,11 @@ _KNOWN, _MIN_SHARE, _MAX_SCALE = 10.0, 1e-3, 10.0
 
 @dataclass(frozen=True, eq=False)
 class Replayed:
-    """Statistics of many replays of the same detections' errors.
+    """Statistics of many replays of the same detections' errors."""
 
-    Attributes:
-        errors: Standard errors of each state's step, shapes (p,).
-        products: Mean product of whitened errors with those one frame before, in each replay, shape (replays,).
-        lagged: That of each component with those `LAGS` frames before, shape (replays, lags, 4).
-    """
-
-    errors: list[Array]
-    products: Array
-    lagged: Array
+    errors: list[Array]  # standard errors of each state's step, shapes (p,)
+    products: Array  # mean product of whitened errors with those one frame before, in each replay, shape (replays,)
+    lagged: Array  # that of each component with those `LAGS` frames before, shape (replays, lags, 4)
 
 
 def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Replayed | None:
@@ -176,12 +168,10 @@ def _products(whitened: Array, now: Indices, before: Indices) -> Array:
 
 
 def _shares_left(fits: list[StateFit], now: Indices, before: Indices) -> Array:
-    """How much of a small correlation of latent numbers is left between whitened errors of pairs, shape (m,).
-
-    A first draw that counts has w = R (s − E s) and s = S z with the latent numbers z; a resampled one does not depend
-    on them. So E[w zᵀ] = α R C S⁻ᵀ, where R C Rᵀ = 1, times the distribution's `latent_share`; and
-    E[w · w′] = ρ tr(E[w zᵀ] E[w′ zᵀ]ᵀ) where z and z′ are correlated by a small ρ.
-    """
+    """Share of a small correlation of latent numbers that is left between whitened errors of pairs, shape (m,). A first
+    draw that counts has w = R (s − E s) and s = S z with the latent numbers z; a resampled one does not depend on them.
+    So E[w zᵀ] = α R C S⁻ᵀ, where R C Rᵀ = 1, times the distribution's `latent_share`; and E[w · w′] = ρ tr(E[w zᵀ]
+    E[w′ zᵀ]ᵀ) where z and z′ are correlated by a small ρ."""
     gains = []
     for fit in fits:
         inverse = np.linalg.inv(_root(fit.law))
@@ -202,11 +192,9 @@ def _own_scale(whitened: Array) -> Array:
 def latent_paths(
     tracks: Indices, times_s: Array, persistence: Persistence, rng: np.random.Generator, count: int, width: int
 ) -> Array:
-    """Standard normal numbers that persist along tracks, for `count` replays of n rows, shape (count, n, width).
-
-    Rows of `tracks`, shape (n, k), are equal in one track; times have shape (n,). Each track keeps its share of the
-    numbers behind errors.
-    """
+    """Standard normal numbers that persist along tracks, for `count` replays of n rows, shape (count, n, width). Rows
+    (n, k) of `tracks` are equal in one track; times have shape (n,). Each track keeps its share of what is behind
+    errors."""
     order = np.lexsort((times_s, *tracks.T[::-1]))
     starts = np.append(True, (tracks[order][1:] != tracks[order][:-1]).any(axis=1))
     apart = np.diff(times_s[order], prepend=0.0)
@@ -265,15 +253,11 @@ def _root(law: ErrorParameters) -> Array:
     return error_root(covariance, law.distribution) / law.std[:, None]
 
 
-MIN_DETECTIONS = 150
-"""Box errors of a state with fewer true detections are not tested."""
+MIN_DETECTIONS = 150  # box errors of a state with fewer true detections are not tested
 MIN_WORTH = 300
-"""Persistent errors are tested where they are worth so many independent ones.
-
-They come in clumps: a few vessels that keep theirs stray farther than a law with their variance and skewness.
-"""
-MAX_SHAPE_ERROR = 1.0
-"""A number of the distribution itself is tested up to this standard error, in its own units."""
+"""Persistent errors are tested where they are worth so many independent ones. They come in clumps: a few vessels that
+keep theirs stray farther than a law with their variance and skewness."""
+MAX_SHAPE_ERROR = 1.0  # a number of the distribution itself is tested up to this standard error, in its own units
 _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
 
@@ -339,11 +323,9 @@ def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
 
 
 def with_known_errors(model: DetectorModel, evidence: Evidence) -> Mask:
-    """True detections that are one box of one vessel, chosen independently of their errors, shape (m,).
-
-    Only boxes that come out wide enough are split, and the errors of split boxes are not known. The others alone would
-    be too narrow on average, so as large a share of the narrow boxes of long vessels is left out.
-    """
+    """True detections that are one box of one vessel, chosen independently of their errors, shape (m,). Only boxes that
+    come out wide enough are split, and the errors of split boxes are not known. The others alone would be too narrow on
+    average, so as large a share of the narrow boxes of long vessels is left out."""
     found, rule = evidence.true_detections, model.merges_and_splits
     usable: Mask = found.kind == TRUE
     if not rule.splits:
@@ -383,9 +365,8 @@ def _state_checks(
         few = measure is not None and replayed is not None and measure.count < MIN_WORTH
         few |= fit is not None and name in law.likelihood.shape_names and fit.step.errors[k] > MAX_SHAPE_ERROR
         path, unit = f"states.{state.name}.box_error.{name}", "" if k >= 8 else "sides" if law.relative else "px"
-        parameters.append(
-            Parameter(path, DetectorPart.BOX_ERROR, None if few else measure, float(asked), unit, state.name)
-        )
+        measure = None if few else measure
+        parameters.append(Parameter(path, DetectorPart.BOX_ERROR, measure, float(asked), unit, state.name))
     return [replace(parameters[0], note=note), *parameters[1:]]
 
 
@@ -429,7 +410,5 @@ def _box_check(evidence: Evidence) -> Parameter:
     rows = found.instance[single]
     moved = move(instances.boxes_px[rows], found.errors_px[single])
     off = np.abs(found.boxes_px[single] - clip(moved, instances.image_px[rows]))
-    wrong = int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum())
-    return Parameter(
-        "boxes are truth and error, clipped", DetectorPart.BOX_ERROR, Exact(wrong, len(single)), in_file=False
-    )
+    wrong = Exact(int((off.max(axis=1, initial=0) > _ROUNDING_PX).sum()), len(single))
+    return Parameter("boxes are truth and error, clipped", DetectorPart.BOX_ERROR, wrong, in_file=False)

@@ -21,18 +21,13 @@ from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measur
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.score_checks import memory_checks, off_diagonal
 
-# ---- Pairs of rows of one track ----
-
-_FORGOTTEN = 10.0
-"""Correlation times after which a correlation is neglected: 5e-5 of it is left."""
+_FORGOTTEN = 10.0  # correlation times after which a correlation is neglected: 5e-5 of it is left
 
 
 def lag_pairs(tracks: Indices, times_s: Array, correlation_s: float) -> Iterator[tuple[Indices, Indices, Array]]:
-    """Pairs of rows of one track that are near enough in time to be correlated, neighbours first.
-
-    Rows (n, k) of `tracks` are equal in one track; times have shape (n,). The correlation falls to 1/e in
-    `correlation_s`. Yields later rows, earlier rows, and seconds between, shapes (m,).
-    """
+    """Pairs of rows of one track that are near enough in time to be correlated, neighbours first. Rows (n, k) of
+    `tracks` are equal in one track; times have shape (n,). The correlation falls to 1/e in `correlation_s`. Yields
+    later rows, earlier rows, and seconds between, shapes (m,)."""
     order = np.lexsort((times_s, *tracks.T[::-1]))
     ordered, times = tracks[order], times_s[order]
     for lag in range(1, len(order)):
@@ -66,9 +61,7 @@ def turn_before(model: DetectorModel, evidence: Evidence) -> Indices:
 
 def turn_pairs(model: DetectorModel, evidence: Evidence, instance: Indices) -> tuple[Indices, Indices]:
     """Pairs of detections of one vessel, one turn of the detector apart: places among m detections, shapes (k,).
-
-    `instance` is the row of `Instances` of each detection, shape (m,).
-    """
+    `instance` is the row of `Instances` of each detection, shape (m,)."""
     place = np.full(len(evidence.instances.state) + 1, -1)  # the last for −1: no turn before
     place[instance] = np.arange(len(instance))
     before = place[turn_before(model, evidence)[instance]]
@@ -83,11 +76,9 @@ def inflation(
     variances: Array,
     covariance: Callable[[Indices, Indices], Array],
 ) -> float:
-    """Variance of the sum of rows whose noise persists, over that of independent rows with variances of shape (n,).
-
-    Two rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / correlation_s).
-    `covariance` is that of later and earlier rows that have kept it.
-    """
+    """Variance of the sum of rows whose noise persists, over that of independent rows with variances of shape (n,). Two
+    rows of a track, see `lag_pairs`, have kept the same noise with probability e^(−Δt / correlation_s). `covariance` is
+    that of later and earlier rows that have kept it."""
     alone = float(variances.sum())
     if correlation_s <= 0 or alone <= 0:
         return 1.0
@@ -97,16 +88,12 @@ def inflation(
     return total / alone
 
 
-# ---- Misses and classes of which each vessel keeps a share of the noise ----
-
 _NODES = 32
 
 
 def at_each(share: float, *bounds: Array) -> Iterator[tuple[float, tuple[Array, ...]]]:
-    """Weights of values of what a vessel keeps, with the bounds of uniform numbers at it, shapes (n,).
-
-    Gauss and Hermite's quadrature.
-    """
+    """Weights of values of what a vessel keeps, and bounds of uniform numbers at it, shapes (n,): Gauss-Hermite
+    quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
     latent = [special.ndtri(np.clip(bound, 0, 1)) for bound in bounds]
     for node, weight in zip(nodes.tolist(), (weights / weights.sum()).tolist(), strict=True):
@@ -118,9 +105,7 @@ def variance_of_sum(
     tracks: Indices, times_s: Array, persistence: Persistence, bounds: tuple[Array, Array], amount: Array
 ) -> float:
     """Variance of a sum of amounts, shape (n,), where uniform numbers of vessels are between bounds (low, high), (n,).
-
-    Rows (n, k) of `tracks` are equal in one track; times have shape (n,).
-    """
+    Rows (n, k) of `tracks` are equal in one track; times have shape (n,)."""
     low, high = bounds
     _, track = np.unique(tracks, axis=0, return_inverse=True)
     track = track.ravel()
@@ -141,23 +126,17 @@ def variance_of_sum(
 
 
 BACKGROUND = "background"
-MIN_CHANCES = 30
-"""Independent instances of a label in a state, below which its column is not tested."""
+MIN_CHANCES = 30  # independent instances of a label in a state, below which its column is not tested
 MIN_PAIRS = 100
 _SHARED_NOTE = "not tested where vessels keep a share of their noise"
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedOutcomes:
-    """Expectation of the detector file for every annotated box.
+    """Expectation of the detector file for every annotated box."""
 
-    Attributes:
-        passed: Whether the gates let it pass, shape (n,).
-        edges: Ends of the ranges of uniform numbers that mean each label, then a miss, shape (n, labels + 2).
-    """
-
-    passed: Mask
-    edges: Array
+    passed: Mask  # by the gates, shape (n,)
+    edges: Array  # ends of the ranges of uniform numbers that mean each label, then a miss, shape (n, labels + 2)
 
     @property
     def missed(self) -> Array:
@@ -186,7 +165,11 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     """Every free entry of every state's confusion matrix; of a column with two entries only the dropout."""
     expected = expected_outcomes(model, evidence)
     note = unknown_rest_note(model, evidence)
-    parameters = _gate_checks(evidence, expected)
+    parameters = []
+    if not expected.passed.all():
+        seen = int(((evidence.instances.outcome != -1) & ~expected.passed).sum())
+        measure = Exact(seen, int((~expected.passed).sum()))
+        parameters.append(Parameter("gates: nothing seen beyond them", DetectorPart.CLASS, measure, in_file=False))
     for s, state in enumerate(model.states):
         for column, label in enumerate(model.labels):
             ours = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.passed
@@ -194,10 +177,10 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
             # Misses first: where only one label can be given, both entries say the same.
             for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
                 value = float(state.confusion[row, column])
-                measure = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
+                entry = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
-                said = note or _asked_note(model, row, measure)
-                parameters.append(Parameter(name, DetectorPart.CLASS, measure, value, state=state.name, note=said))
+                said = note or _asked_note(model, row, entry)
+                parameters.append(Parameter(name, DetectorPart.CLASS, entry, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, expected, note)]
 
 
@@ -209,14 +192,6 @@ def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
         return "asked: as a share of those detected in a box of their own, as which others were is not known"
     looks = "asked: the mean over the chances that there were, by what they look like"
     return looks if model.dropout.every_effect else ""
-
-
-def _gate_checks(evidence: Evidence, expected: ExpectedOutcomes) -> list[Parameter]:
-    if expected.passed.all():
-        return []
-    seen = (evidence.instances.outcome != -1) & ~expected.passed
-    measure = Exact(int(seen.sum()), int((~expected.passed).sum()))
-    return [Parameter("gates: nothing seen beyond them", DetectorPart.CLASS, measure, in_file=False)]
 
 
 def _entry(
@@ -237,7 +212,8 @@ def _entry(
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, bounds: tuple[Array, Array], missed: Array
 ) -> Measure | None:
-    """How often a uniform number was between the bounds (low, high) of each row, given its chance of a miss, (n,)."""
+    """Share of rows whose uniform number was between the bounds (low, high), given their chances of a miss, shapes
+    (n,)."""
     low, high = bounds
     if len(rows) < MIN_CHANCES:
         return None
@@ -286,25 +262,18 @@ def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
 def _overall_checks(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes, note: str) -> list[Parameter]:
     rows = np.flatnonzero(expected.passed)
     missed = evidence.instances.outcome[rows] == -1
-    low, high = expected.edges[rows, -2], expected.edges[rows, -1]
-    overall = None if note else _share(model, evidence, rows, missed, (low, high), expected.missed[rows])
-    score, chance = model.persistence.score, expected.missed[rows]
+    low, high, chance = expected.edges[rows, -2], expected.edges[rows, -1], expected.missed[rows]
+    overall = None if note else _share(model, evidence, rows, missed, (low, high), chance)
+    parameters = [Parameter("dropout, all states", DetectorPart.CLASS, overall, in_file=False, note=note)]
+    parameters += [] if note else dropout_checks(model, evidence, expected.passed, expected.missed)
+    score = model.persistence.score
     if score is not None:
         tracks = evidence.instances.tracks(rows)
-        memory = [] if note else memory_checks(*tracks, score, chance, missed.astype(np.float64))
-        return [
-            Parameter("dropout, all states", DetectorPart.CLASS, overall, in_file=False, note=note),
-            *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
-            *memory,
-        ]
+        return [*parameters, *([] if note else memory_checks(*tracks, score, chance, missed.astype(np.float64)))]
     shared = bool(model.persistence.class_vessel_share)
     persistence = None if note or shared else _persistence(model, evidence, expected)
     said = _SHARED_NOTE if shared else correlation_note(persistence)
-    return [
-        Parameter("dropout, all states", DetectorPart.CLASS, overall, in_file=False, note=note),
-        *([] if note else dropout_checks(model, evidence, expected.passed, expected.missed)),
-        Parameter("persistence.class_s", DetectorPart.CLASS, persistence, note=said),
-    ]
+    return [*parameters, Parameter("persistence.class_s", DetectorPart.CLASS, persistence, note=said)]
 
 
 def correlation_note(measure: Estimate | None) -> str:
@@ -315,11 +284,9 @@ def correlation_note(measure: Estimate | None) -> str:
 
 
 def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes) -> Estimate | None:
-    """Probability κ that a vessel keeps its uniform number from one frame to the next.
-
-    Given whether it was missed one frame before, a vessel is missed with a probability that is linear in κ: κ times
-    that of the kept number, and 1 − κ times that of a new one. One step along the score estimates κ.
-    """
+    """Probability κ that a vessel keeps its uniform number from one frame to the next. Given whether it was missed one
+    frame before, a vessel is missed with a probability that is linear in κ: κ times that of the kept number, and 1 − κ
+    times that of a new one. One step along the score estimates κ."""
     instances = evidence.instances
     rows_before = turn_before(model, evidence)
     now = np.flatnonzero((rows_before >= 0) & expected.passed)
@@ -345,19 +312,16 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     asked_kappa = float(kappa.mean())
     step = float((residual * slope / spread).sum()) / information
     skewness = float((slope**3 * (1 - 2 * q) / spread**2).sum()) / information**1.5
-    return Estimate(
-        asked_kappa + step, asked_kappa, 1 / math.sqrt(information), len(now), skewness, possible=CORRELATION
-    )
+    error = 1 / math.sqrt(information)
+    return Estimate(asked_kappa + step, asked_kappa, error, len(now), skewness, possible=CORRELATION)
 
 
 MIN_MISSES = 30
 
 
 def dropout_checks(model: DetectorModel, evidence: Evidence, passed: Mask, missed: Array) -> list[Parameter]:
-    """Each slope, and each range of each table, in the states where it holds, with the rates of all of them free.
-
-    Given which instances the gates let pass and the asked probability of a miss, shapes (n,).
-    """
+    """Each slope, and each range of each table, in the states where it holds, with the rates of all of them free. Given
+    which instances the gates let pass and the asked probability of a miss, shapes (n,)."""
     parameters = []
     for whose, states, effect in _held_effects(model):
         check = EFFECT_CHECKS.get(model_name(EFFECTS, effect))

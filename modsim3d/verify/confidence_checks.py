@@ -11,18 +11,9 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
+from modsim3d.detector import confidence
 from modsim3d.detector.chain import DetectorPart, model_name
-from modsim3d.detector.confidence import (
-    LEVELS,
-    SCORES,
-    ConfidenceLaw,
-    NormalScores,
-    QuantileScores,
-    StateConfidence,
-    clipped_laws,
-    clipped_score,
-    pair_score,
-)
+from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores, StateConfidence
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import LatentScore, Persistence
 from modsim3d.verify.class_checks import correlation_note, lag_pairs, turn_pairs
@@ -30,8 +21,6 @@ from modsim3d.verify.evidence import Evidence, FalseDetections, TrueDetections, 
 from modsim3d.verify.measures import AMOUNT, ANY, CORRELATION, Estimate, Exact, Measure
 from modsim3d.verify.parameters import Law, Parameter
 from modsim3d.verify.score_checks import sum_over_pairs
-
-# ---- What confidence that persists does to its checks ----
 
 MIN_PAIRS = 100
 _STEP, _MIN_LEVEL = 1e-4, 1e-12
@@ -42,9 +31,7 @@ _MAX_CORRELATION = 1 - 1e-9
 @dataclass(frozen=True, eq=False)
 class KeptScores:
     """Confidences that persist along tracks: rows of tracks (n, k), times (n,), and the correlation time or the score.
-
-    Of a score, confidences of detections correlate at most as the score does.
-    """
+    Of a score, confidences of detections correlate at most as the score does."""
 
     tracks: Indices
     times_s: Array
@@ -52,12 +39,9 @@ class KeptScores:
     score: LatentScore | None = None
 
     def inflation(self, of_mean: Array, of_square: Array) -> Array:
-        """Variances of sums over rows, over those of independent rows, shape (k,).
-
-        Args:
-            of_mean: Standard deviations of what each row adds in proportion to its normal number, with sign (n, k).
-            of_square: The same of what it adds in proportion to the square, whose correlation is the square (n, k).
-        """
+        """Variances of sums over rows, over those of independent rows, shape (k,). `of_mean` are the standard
+        deviations of what each row adds in proportion to its normal number, with sign; `of_square` those of what it
+        adds in proportion to the square, whose correlation is the square; shapes (n, k)."""
         alone = (of_mean**2 + of_square**2).sum(axis=0)
         total = alone.copy()
         if self.score is not None and len(of_mean) > 1:
@@ -92,11 +76,8 @@ class KeptScores:
 
 
 def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
-    """Bounds of the normal number behind the confidence of each true detection, NaN without a law, shapes (m,).
-
-    They are equal where the number is known. A clipped confidence leaves it open beyond a bound.
-    """
-
+    """Bounds of the normal number behind the confidence of each true detection, NaN without a law, shapes (m,). They
+    are equal where the number is known. A clipped confidence leaves it open beyond a bound."""
     true = evidence.true_detections
     low, high = (np.full(len(true.confidence), np.nan) for _ in range(2))
     for s, state in enumerate(model.states):
@@ -120,11 +101,9 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
 
 
 def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | None:
-    """Correlation of the normal numbers behind a vessel's confidence with those one frame before.
-
-    Given a number that is known, the next has its own distribution whatever came before: the derivatives of its
-    likelihood are independent of each other.
-    """
+    """Correlation of the normal numbers behind a vessel's confidence with those one frame before. Given a known number,
+    the next has its own distribution whatever came before: derivatives of its likelihood are independent of each
+    other."""
     low, high = latent_bounds(model, evidence)
     now, before = turn_pairs(model, evidence, evidence.true_detections.instance)
     usable = ~np.isnan(low[now]) & (low[before] == high[before])
@@ -134,7 +113,7 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
     times_s = evidence.instances.time_s[evidence.true_detections.instance]
     tau = model.persistence.confidence_s
     kept = np.exp(-(times_s[now] - times_s[before]) / tau) if tau > 0 else np.zeros(len(now))
-    score = pair_score(low[before], low[now], high[now], np.minimum(kept, _MAX_CORRELATION))
+    score = confidence.pair_score(low[before], low[now], high[now], np.minimum(kept, _MAX_CORRELATION))
     information, asked = float((score**2).sum()), float(kept.mean())
     if information <= 0:
         return None
@@ -142,22 +121,16 @@ def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | No
     return Estimate(asked + step, asked, 1 / math.sqrt(information), len(now), skewness, possible=CORRELATION)
 
 
-# ---- Tests of clipped normal numbers against the mean and standard deviation asked for ----
-
 _FAR, _STEPS = 4.5, 8  # an estimate farther off than this is refined by so many Newton steps
 _SINGULAR = 1e10
-MIN_DETECTIONS = 50
-"""Independent detections that a number needs."""
-_LEVELS = 100
-"""Means at which the integrals are computed; those between are interpolated."""
+MIN_DETECTIONS = 50  # independent detections that a number needs
+_LEVELS = 100  # means at which the integrals are computed; those between are interpolated
 
 
 @dataclass(frozen=True, eq=False)
 class Clipped:
     """Numbers (n,) clipped to [threshold, 1], whose means before clipping are the design (n, k) times coefficients.
-
-    `kept` says which of them have kept a part of their deviation from one another; none have if None.
-    """
+    `kept` says which of them have kept a part of their deviation from one another; none have if None."""
 
     scores: Array
     design: Array
@@ -165,11 +138,9 @@ class Clipped:
     kept: KeptScores | None = None
 
     def measures(self, coefficients: Array, std: float) -> Sequence[Estimate | None]:
-        """Estimates of the first coefficient, the standard deviation, and the other coefficients, shape (k,) in all.
-
-        One step from the asked values towards the maximum likelihood, which is also the score test of each with the
-        others free; several steps for an estimate that is far off.
-        """
+        """Estimates of the first coefficient, the standard deviation, and the other coefficients, shape (k,) in all:
+        one step from the asked values towards the maximum likelihood, which is also the score test of each with the
+        others free; several steps for an estimate that is far off."""
         information = self._information(self.design @ coefficients, std)
         step, covariance, third = self._step(coefficients, std, information)
         if step is None:
@@ -182,15 +153,13 @@ class Clipped:
         found = asked + step
         if np.abs(z).max() > _FAR:
             found = self._fitted(asked)
-        counts = [len(self.scores) if self.kept is None else len(self.scores) / part for part in inflation.tolist()]
-        return [
-            Estimate(
-                found[k], asked[k], errors[k], count, third[k] / errors[k] ** 3, z[k], k == 1, AMOUNT if k == 1 else ANY
-            )
-            if self.kept is None or count >= MIN_DETECTIONS
-            else None
-            for k, count in enumerate(counts)
-        ]
+        estimates: list[Estimate | None] = []
+        for k, wider in enumerate(inflation.tolist()):
+            count = len(self.scores) if self.kept is None else len(self.scores) / wider
+            skewness, possible = third[k] / errors[k] ** 3, AMOUNT if k == 1 else ANY
+            estimate = Estimate(found[k], asked[k], errors[k], count, skewness, z[k], k == 1, possible)
+            estimates.append(estimate if self.kept is None or count >= MIN_DETECTIONS else None)
+        return estimates
 
     def _inflation(self, information: Array, covariance: Array) -> Array:
         """Variance of each estimate over that from independent numbers, in the order of `measures`."""
@@ -216,7 +185,7 @@ class Clipped:
         # In this order: first coefficient, standard deviation, the others.
         design = np.insert(self.design, 1, 1.0, axis=1)
         of_std = np.arange(design.shape[1]) == 1
-        score = clipped_score(self.scores, means, std, self.threshold)
+        score = confidence.clipped_score(self.scores, means, std, self.threshold)
         total = (design * np.where(of_std, score[:, 1:], score[:, :1])).sum(axis=0)
         part = np.where(
             of_std[:, None] & of_std,
@@ -246,18 +215,16 @@ class Clipped:
 
     def _laws(self, means: Array, std: float) -> tuple[Array, Array]:
         """Probabilities and scores at the nodes of the law of each mean, shapes (n, nodes) and (n, nodes, 2)."""
-        places, chances = clipped_laws(means, std, self.threshold)
-        return chances, clipped_score(places, means[:, None], std, self.threshold)
+        places, chances = confidence.clipped_laws(means, std, self.threshold)
+        return chances, confidence.clipped_score(places, means[:, None], std, self.threshold)
 
 
 @dataclass(frozen=True, eq=False)
 class ScoredDetections:
-    """Detections of a state with their confidence and what it may depend on; shapes (n,).
-
-    `hidden` is the share of the vessel that is hidden, 0 where there is none; `halvings` says how often the reference
-    size must be halved to give that of the box. Confidence persists among equal rows of `tracks`, shape (n, 2), which
-    are those of a vessel in a camera or of a single false detection, at `times_s`.
-    """
+    """Detections of a state with their confidence and what it may depend on; shapes (n,). `hidden` is the share of the
+    vessel that is hidden, 0 where there is none; `halvings` says how often the reference size must be halved to give
+    that of the box. Confidence persists among equal rows of `tracks`, shape (n, 2), which are those of a vessel in a
+    camera or of a single false detection, at `times_s`."""
 
     scores: Array
     hidden: Array
@@ -321,28 +288,24 @@ def scored(evidence: Evidence, s: int, law: StateConfidence) -> tuple[ScoredDete
 
 def levels_of(law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections) -> tuple[Array, Array] | None:
     """Least and greatest level of each score in one of a state's laws, shapes (n,); None if its levels are unknown."""
-    check = LEVELS.get(model_name(SCORES, scores))
+    check = confidence.LEVELS.get(model_name(confidence.SCORES, scores))
     shift = -law.visibility_slope * found.hidden - law.size_slope * found.halvings
     return None if check is None else check(scores, found.scores, shift)
 
 
 Slope = tuple[str, float, Array]
 """Name of a slope, its value, and by how much it raises the mean of each detection for each unit."""
-Number = tuple[str, float, Measure | None]
-"""Name, asked value and measure of one of a law's numbers."""
+Number = tuple[str, float, Measure | None]  # name, asked value and measure of one of a law's numbers
 
 
 def _measures(
     law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetections, threshold: float, persistence: Persistence
 ) -> list[Number]:
-    slopes = [
-        ("visibility_slope", law.visibility_slope, -found.hidden),
-        ("size_slope", law.size_slope, -found.halvings),
-    ]
-    check = SCORE_CHECKS.get(model_name(SCORES, scores))
+    own = ("visibility_slope", law.visibility_slope, -found.hidden), ("size_slope", law.size_slope, -found.halvings)
+    check = SCORE_CHECKS.get(model_name(confidence.SCORES, scores))
     persists = persistence.confidence_s > 0 or persistence.score is not None
     kept = KeptScores(found.tracks, found.times_s, persistence.confidence_s, persistence.score) if persists else None
-    return [] if check is None else check(scores, [slope for slope in slopes if slope[1]], found, threshold, kept)
+    return [] if check is None else check(scores, [slope for slope in own if slope[1]], found, threshold, kept)
 
 
 def _quantiles(

@@ -1,10 +1,7 @@
-"""The parameters of box errors, estimated from errors that were truncated box by box.
-
-The derivatives of the log-likelihood by the parameters are sums of statistics of the errors. Under the law in the file,
-truncated to what the box allows, each statistic less its expectation has mean zero and a known covariance, whatever the
-boxes. One step from the parameters in the file along the inverse information is the score test of each parameter with
-all others free.
-"""
+"""The parameters of box errors, estimated from errors that were truncated box by box. The derivatives of the
+log-likelihood by the parameters are sums of statistics of the errors. Under the law in the file, truncated to what the
+box allows, each statistic less its expectation has mean zero and a known covariance, whatever the boxes. One step from
+the parameters in the file along the inverse information is the score test of each parameter with all others free."""
 
 from __future__ import annotations
 
@@ -43,10 +40,8 @@ def _points(law: ErrorParameters, boxes_px: Array, images_px: Array) -> Iterator
 
 
 class MomentTable:
-    """Expectations of the statistics and of their products, box by box.
-
-    They are kept for each law and box, so many seeds over one truth cost hardly more than one.
-    """
+    """Expectations of the statistics and of their products, box by box. They are kept for each law and box, so many
+    seeds over one truth cost hardly more than one."""
 
     def __init__(self) -> None:
         """Start empty."""
@@ -59,11 +54,9 @@ class MomentTable:
         return branch
 
     def of(self, law: ErrorParameters, boxes_px: Array, images_px: Array, rows: Indices) -> tuple[Array, Array, Array]:
-        """Moments of n rows of a truth under a law truncated to what each box allows.
-
-        Boxes (N, 4) and sizes of their images (N, 2) are the whole truth, the same in each call. Returns expectations
-        of the m statistics, shape (n, m), of their products (n, m, m), and acceptance (n,).
-        """
+        """Moments of n rows of a truth under a law truncated to what each box allows. Boxes (N, 4) and sizes of their
+        images (N, 2) are the whole truth, the same in each call. Returns expectations of the m statistics, shape
+        (n, m), of their products (n, m, m), and acceptance (n,)."""
         key = repr((law.distribution, law.relative)).encode() + law.numbers().tobytes()
         if key not in self._known:
             size, m = len(boxes_px), law.statistics(np.zeros(4)).size
@@ -98,30 +91,18 @@ class StateErrors:
 
 @dataclass(frozen=True, eq=False)
 class FitStep:
-    """Result of one pass over n boxes for the p parameters, in the units of `ErrorParameters.moved`.
+    """Result of one pass over n boxes for the p parameters, in the units of `ErrorParameters.moved`."""
 
-    Attributes:
-        step: From the law towards the largest likelihood, shape (p,).
-        errors: Standard errors of the step under the law if errors do not persist, shape (p,).
-        weights: Weights of the m statistics in the score of each parameter, before `gains`, shape (p, m).
-        covariance: Inverse of the information, shape (p, p).
-        gains: Factors on the scores, box by box, shape (n, p).
-        expected: Expectation of the statistics, shape (n, m).
-        whitened: The first four statistics, centred and made independent with variance one, shape (n, 4).
-        roots: Inverse roots that whiten, shape (n, 4, 4).
-        acceptance: Probability that a first draw of each box counts, shape (n,).
-    """
-
-    step: Array
-    errors: Array
+    step: Array  # from the law towards the largest likelihood, shape (p,)
+    errors: Array  # standard errors of the step under the law if errors do not persist, shape (p,)
     skewness: Array
-    weights: Array
-    covariance: Array
-    gains: Array
-    expected: Array
-    whitened: Array
-    roots: Array
-    acceptance: Array
+    weights: Array  # of the m statistics in the score of each parameter, before `gains`, shape (p, m)
+    covariance: Array  # inverse of the information, shape (p, p)
+    gains: Array  # factors on the scores, box by box, shape (n, p)
+    expected: Array  # expectation of the statistics, shape (n, m)
+    whitened: Array  # the first four statistics, centred and made independent with variance one, shape (n, 4)
+    roots: Array  # inverse roots that whiten, shape (n, 4, 4)
+    acceptance: Array  # probability that a first draw of each box counts, shape (n,)
 
     def step_of(self, statistics: Array) -> Array:
         """The step that other statistics of shape (..., n, m) would have given, shape (..., p)."""
@@ -131,10 +112,8 @@ class FitStep:
 
 
 def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> FitStep | None:
-    """One step of the fit from a law to a sample; None where the errors say nothing about some parameter.
-
-    The table is that of the sample's truth.
-    """
+    """One step of the fit from a law to a sample of the table's truth; None where errors say nothing about some
+    parameter."""
     boxes = sample.boxes_px[sample.rows]
     weights, gains = law.score_weights(boxes)
     expected, products, acceptance = table.of(law, sample.boxes_px, sample.images_px, sample.rows)
@@ -200,10 +179,8 @@ def fitted_law(law: ErrorParameters, step: FitStep, sample: StateErrors) -> Erro
 
 @dataclass(frozen=True, eq=False)
 class StateFit:
-    """The box errors of a performance state: the law asked for, the law found, and the step between them.
-
-    `rows` are the rows (n,) of `TrueDetections` that the sample is of.
-    """
+    """The box errors of a performance state: the law asked for, the law found, and the step between them. `rows` are
+    the rows (n,) of `TrueDetections` that the sample is of."""
 
     law: ErrorParameters
     found: ErrorParameters
@@ -215,12 +192,10 @@ class StateFit:
 # ---- What is left of each random draw of a run once its law is taken away ----
 
 NO_VESSEL = -1
-_MIN_OF_STATE = 30
-"""Rows of a state with fewer are left out: they cannot show the state's own mean and spread."""
+_MIN_OF_STATE = 30  # rows of a state with fewer are left out: they cannot show the state's own mean and spread
 _MIN_LEVEL = 1e-12
 _MANY, _NO_CAP = 10.0, 1 << 30
-_CAP = 0.9
-"""Level at which small Poisson numbers are capped: products of rare large ones have no nearly normal sum."""
+_CAP = 0.9  # level at which small Poisson numbers are capped: products of rare large ones have no nearly normal sum
 
 
 class Draw(StrEnum):
@@ -234,28 +209,17 @@ class Draw(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of one kind of draw; n rows, of c numbers each.
-
-    Attributes:
-        image: Row of `FrameTable`, shape (n,).
-        vessel: `NO_VESSEL` for a false positive, 0 for a number of false positives, shape (n,).
-        values: Less their expectation, shape (n, c).
-        variance: Of each number of a row, shape (n,).
-        third: Third central moments, shape (n, c).
-        correlation_s: Time in which a vessel's correlation falls to 1/e; 0 for independent draws.
-        continuous: Whether squares of the values say anything that the values do not.
-        note: Why there are none; empty if there are.
-    """
+    """Residuals of one kind of draw; n rows, of c numbers each."""
 
     draw: Draw
-    image: Indices
-    vessel: Indices
-    values: Array
-    variance: Array
-    third: Array
-    correlation_s: float = 0.0
-    continuous: bool = False
-    note: str = ""
+    image: Indices  # row of `FrameTable`, shape (n,)
+    vessel: Indices  # `NO_VESSEL` for a false positive, 0 for a number of false positives, shape (n,)
+    values: Array  # less their expectation, shape (n, c)
+    variance: Array  # of each number of a row, shape (n,)
+    third: Array  # third central moments, shape (n, c)
+    correlation_s: float = 0.0  # time in which a vessel's correlation falls to 1/e; 0 for independent draws
+    continuous: bool = False  # whether squares of the values say anything that the values do not
+    note: str = ""  # why there are none; empty if there are
 
     def of_vessels(self) -> Residuals:
         """The rows that belong to a vessel."""
@@ -286,18 +250,12 @@ def box_error_residuals(model: DetectorModel, evidence: Evidence, fits: Sequence
         return none_of(Draw.BOX_ERROR, "")
     instance = evidence.true_detections.instance[np.concatenate([fit.rows for fit in fits])]
     values = np.concatenate([fit.step.whitened for fit in fits])
-    return _standardised(
-        Draw.BOX_ERROR,
-        evidence,
-        evidence.images_of(instance),
-        evidence.instances.vessel[instance],
-        values,
-        model.persistence.box_memory_s,
-    )
+    images, vessels = evidence.images_of(instance), evidence.instances.vessel[instance]
+    return _standardised(Draw.BOX_ERROR, evidence, images, vessels, values, model.persistence.box_memory_s)
 
 
 def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
-    """Whether a vessel was missed less its probability, of each chance that could have gone either way."""
+    """Misses (1 or 0) less their probability, of each chance that could have gone either way."""
     note = unknown_rest_note(model, evidence)
     if note:
         return none_of(Draw.MISS, note)
@@ -306,15 +264,9 @@ def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     p = expected.missed[rows]
     variance = p * (1 - p)
     values = _centred((instances.outcome[rows] == -1) - p, variance, instances.state[rows])
-    return Residuals(
-        Draw.MISS,
-        evidence.images_of(rows),
-        instances.vessel[rows],
-        values[:, None],
-        variance,
-        (variance * (1 - 2 * p))[:, None],
-        model.persistence.class_memory_s,
-    )
+    images, third = evidence.images_of(rows), (variance * (1 - 2 * p))[:, None]
+    memory_s = model.persistence.class_memory_s
+    return Residuals(Draw.MISS, images, instances.vessel[rows], values[:, None], variance, third, memory_s)
 
 
 def false_positive_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
@@ -332,9 +284,8 @@ def false_positive_residuals(model: DetectorModel, evidence: Evidence) -> Residu
     third = variance * (2 * dispersion - 1)
     mean[poisson], variance[poisson], third[poisson] = capped_poisson(mean[poisson], cap[poisson])
     values = _centred(np.minimum(found, cap) - mean, variance, images.state[rows])
-    return Residuals(
-        Draw.FALSE_POSITIVES, rows, np.zeros(len(rows), dtype=np.int64), values[:, None], variance, third[:, None]
-    )
+    vessel = np.zeros(len(rows), dtype=np.int64)
+    return Residuals(Draw.FALSE_POSITIVES, rows, vessel, values[:, None], variance, third[:, None])
 
 
 def capped_poisson(means: Array, caps: Indices) -> tuple[Array, Array, Array]:
@@ -365,10 +316,8 @@ def confidence_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
         law = state.confidence
         instance = true.instance[evidence.instances.state[true.instance] == s]
         row = false.frame_row[false.state == s]
-        places = (
-            (evidence.images_of(instance), evidence.instances.vessel[instance]),
-            (row, np.full(len(row), NO_VESSEL)),
-        )
+        vessels = evidence.images_of(instance), evidence.instances.vessel[instance]
+        places = vessels, (row, np.full(len(row), NO_VESSEL))
         for scores, found, place in zip((law.true, law.false), scored(evidence, s, law), places, strict=True):
             levels = levels_of(law, scores, found)
             if levels is not None:

@@ -25,19 +25,14 @@ from modsim3d.detector.draws import (
 )
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 
-# ---- Likelihoods of standardised box errors ----
-
 FIRST, SECOND = np.triu_indices(4)
-PLAIN = 14
-"""Statistics of mean and covariance: four values and ten products."""
+PLAIN = 14  # statistics of mean and covariance: four values and ten products
 _MAX_FREEDOM, _LEVELS, _DRAWS, _SMALL = 1e4, 400, 100_000, 1e-5
 
 
 class ErrorLikelihood:
-    """The log-likelihood of standardised errors of one kind of distribution; this one of normal errors.
-
-    `shape_names` are the keys of the s numbers that the distribution has of its own; a normal one has none.
-    """
+    """The log-likelihood of standardised errors of one kind of distribution; this one of normal errors. `shape_names`
+    are the keys of the s numbers that the distribution has of its own; a normal one has none."""
 
     shape_names: tuple[str, ...] = ()
 
@@ -74,12 +69,10 @@ class ErrorLikelihood:
 
 
 class StudentTLikelihood(ErrorLikelihood):
-    """Student's t: values and products weigh less the farther out the error is, and ν has a statistic of its own.
-
-    With q = yᵀ R⁻¹ y for the correlation R, the log-density is, but for constants, −(ν + 4)/2 · log(1 + q/(ν − 2)) −
+    """Student's t: values and products weigh less the farther out the error is, and ν has a statistic of its own. With
+    q = yᵀ R⁻¹ y for the correlation R, the log-density is, but for constants, −(ν + 4)/2 · log(1 + q/(ν − 2)) −
     2·log(ν − 2) + log Γ((ν + 4)/2) − log Γ(ν/2). Its derivatives by mean and covariance are those of a normal one with
-    values and products times (ν + 4)/(ν − 2 + q). Steps of ν are parts of ν − 2.
-    """
+    values and products times (ν + 4)/(ν − 2 + q). Steps of ν are parts of ν − 2."""
 
     shape_names = ("degrees_of_freedom",)
 
@@ -194,10 +187,8 @@ def products_of(values: Array) -> Array:
 
 
 def directions(correlation: Array) -> Array:
-    """Derivatives of the log-likelihood as weights of the statistics of mean and covariance, shape (14, 14).
-
-    By each mean in standard deviations, by the logarithm of each standard deviation, and by each correlation.
-    """
+    """Derivatives of the log-likelihood as weights of the statistics of mean and covariance, shape (14, 14): by each
+    mean in standard deviations, by the logarithm of each standard deviation, and by each correlation."""
     precision = np.linalg.inv(correlation)
     weights = np.zeros((PLAIN, PLAIN))
     weights[:4, :4] = precision
@@ -219,10 +210,8 @@ _MIN_EIGENVALUE, _MIN_GROWTH = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class ErrorParameters:
-    """A law of box errors before truncation, in a form that a fit can move; see `BoxErrorLaw` for its numbers.
-
-    Mean, standard deviations, all positive, and growth have shape (4,), the correlation, not singular, (4, 4).
-    """
+    """A law of box errors before truncation, in a form that a fit can move; see `BoxErrorLaw` for its numbers. Mean,
+    standard deviations, all positive, and growth have shape (4,), the correlation, not singular, (4, 4)."""
 
     mean: Array
     std: Array
@@ -257,10 +246,8 @@ class ErrorParameters:
         return self.likelihood.statistics(self.distribution, self.correlation, standardised)
 
     def score_weights(self, boxes_px: Array) -> tuple[Array, Array]:
-        """How statistics add up to the derivatives of the log-likelihood by the p parameters, for boxes (n, 4).
-
-        Returns weights of the statistics, shape (p, m), and factors on their sums box by box, shape (n, p).
-        """
+        """Weights with which statistics add up to the derivatives of the log-likelihood by the p parameters, shape
+        (p, m), and factors on their sums box by box, shape (n, p), for boxes (n, 4)."""
         every = self.likelihood.weights(self.correlation)
         of = np.concatenate([np.arange(PLAIN), 4 + self.growing, np.arange(PLAIN, len(every))])
         gains = np.ones((len(boxes_px), len(of)))
@@ -273,11 +260,8 @@ class ErrorParameters:
 
     def names(self) -> list[str]:
         """The keys of the parameters in the order of `numbers`."""
-        return [
-            *parameter_names(),
-            *(f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing),
-            *self.likelihood.shape_names,
-        ]
+        growths = [f"growth[{ERROR_COMPONENTS[k]}]" for k in self.growing]
+        return [*parameter_names(), *growths, *self.likelihood.shape_names]
 
     def numbers(self) -> Array:
         """Four means, four standard deviations, six correlations, growths that are not 0, own numbers; shape (p,)."""

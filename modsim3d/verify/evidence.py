@@ -33,28 +33,19 @@ class CameraEvidence:
 
 @dataclass(frozen=True, eq=False)
 class Instances:
-    """The annotated boxes of all cameras: each is a chance to detect a vessel; shapes (n,) unless given.
-
-    Attributes:
-        frame: Index of the camera's frame.
-        outcome: Detected label; −1 if missed, −2 if merged into another's box, so that its label is not known.
-        before: Row of the same vessel in the camera's frame before, −1 if it was not annotated there.
-        boxes_px: The boxes that errors are added to, shape (n, 4).
-        image_px: Width and height of the camera's image, shape (n, 2).
-        visible_fraction: NaN where unknown.
-    """
+    """The annotated boxes of all cameras: each is a chance to detect a vessel; shapes (n,) unless given."""
 
     camera: Indices
     time_s: Array
-    frame: Indices
+    frame: Indices  # index of the camera's frame
     vessel: Indices
     state: Indices
     label: Indices
-    outcome: Indices
-    before: Indices
-    boxes_px: Array
-    image_px: Array
-    visible_fraction: Array
+    outcome: Indices  # detected label; −1 if missed, −2 if merged into another's box, so that its label is not known
+    before: Indices  # row of the same vessel in the camera's frame before, −1 if it was not annotated there
+    boxes_px: Array  # the boxes that errors are added to, shape (n, 4)
+    image_px: Array  # width and height of the camera's image, shape (n, 2)
+    visible_fraction: Array  # NaN where unknown
 
     def tracks(self, rows: Indices) -> tuple[Indices, Array]:
         """Numbers that are equal in rows of one vessel in one camera, shape (k, 2), and times of rows, shape (k,)."""
@@ -63,40 +54,26 @@ class Instances:
 
 @dataclass(frozen=True, eq=False)
 class TrueDetections:
-    """Detections that count as that of a vessel; two vessels that are merged are one. Shapes (m,) unless given.
+    """Detections that count as that of a vessel; two vessels that are merged are one. Shapes (m,) unless given."""
 
-    Attributes:
-        instance: Row of `Instances`.
-        kind: Index into `KINDS`.
-        errors_px: e_x, e_y, e_w, e_h before clipping, NaN where it is not one box of one vessel, shape (m, 4).
-        boxes_px: Boxes as output, shape (m, 4).
-    """
-
-    instance: Indices
-    kind: Indices
-    errors_px: Array
+    instance: Indices  # row of `Instances`
+    kind: Indices  # index into `KINDS`
+    errors_px: Array  # e_x, e_y, e_w, e_h before clipping, NaN where it is not one box of one vessel, shape (m, 4)
     confidence: Array
-    boxes_px: Array
+    boxes_px: Array  # as output, shape (m, 4)
 
 
 @dataclass(frozen=True, eq=False)
 class FalseDetections:
-    """False positives, second boxes of vessels among them; shapes (m,) unless given.
+    """False positives, second boxes of vessels among them; shapes (m,) unless given."""
 
-    Attributes:
-        frame_row: Row of `FrameTable`.
-        instance: Row of `Instances` of a second box, −1 for all others.
-        kind: Index into `KINDS`.
-        boxes_px: Boxes as output, shape (m, 4).
-    """
-
-    frame_row: Indices
-    instance: Indices
+    frame_row: Indices  # row of `FrameTable`
+    instance: Indices  # row of `Instances` of a second box, −1 for all others
     state: Indices
     label: Indices
     confidence: Array
-    kind: Indices
-    boxes_px: Array
+    kind: Indices  # index into `KINDS`
+    boxes_px: Array  # as output, shape (m, 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +149,7 @@ def _frames(index: int, seen: CameraEvidence) -> Columns:
 def _instances(index: int, seen: CameraEvidence) -> Columns:
     """Columns of `Instances` of a camera."""
     frames, targets, found = seen.frames, seen.targets, seen.detections
-    true = ~found.false()
+    true, before = ~found.false(), row_before(targets.vessel)  # rows are in order of frame
     outcome = np.full(len(targets), -1)
     outcome[found.partner[found.partner >= 0]] = -2
     outcome[found.target[true]] = found.label[true]
@@ -184,7 +161,7 @@ def _instances(index: int, seen: CameraEvidence) -> Columns:
         "state": found.states[targets.frame],
         "label": targets.label,
         "outcome": outcome,
-        "before": _rows_before(targets),
+        "before": np.where(targets.frame == targets.frame[before] + 1, before, -1),
         "boxes_px": at_least_a_pixel(targets.boxes_px, frames.image_size_px),
         "image_px": np.tile(np.array(frames.image_size_px, dtype=np.float64), (len(targets), 1)),
         "visible_fraction": targets.visible_fraction,
@@ -206,12 +183,6 @@ def _false(found: Detections) -> Columns:
     return {"frame_row": frame, "instance": found.target[false], "state": found.states[frame], **columns}
 
 
-def _rows_before(targets: Targets) -> Indices:
-    """Row of the same vessel in the frame before, −1 if there is none, shape (n,)."""
-    before = row_before(targets.vessel)  # rows are in order of frame
-    return np.where(targets.frame == targets.frame[before] + 1, before, -1)
-
-
 def unknown_rest_note(model: DetectorModel, evidence: Evidence) -> str:
     """Why rates and confidence cannot be tested; empty if they can."""
     limit, threshold = model.gates.max_detections, model.operating_threshold
@@ -227,9 +198,6 @@ def frames_above_max(model: DetectorModel, evidence: Evidence) -> int:
     """Images with more detections than the limit."""
     limit = model.gates.max_detections
     return 0 if limit is None else int(np.sum(evidence.frames.n_kept + evidence.frames.n_false > limit))
-
-
-# ---- Runs many detectors and seeds over one truth in memory ----
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,9 +223,5 @@ class ManyDetections:
         """Evidence of a run with this detector and seed."""
         statistics = target_statistics(model, ((part.frames, part.targets) for part in self.inputs))
         detector = Detector(model, seed, statistics, self.scene.times_s)
-        return Evidence.of(
-            [
-                CameraEvidence(part.frames, part.targets, detector.detect(part.frames, part.targets))
-                for part in self.inputs
-            ]
-        )
+        parts = [(part.frames, part.targets) for part in self.inputs]
+        return Evidence.of([CameraEvidence(*part, detector.detect(*part)) for part in parts])

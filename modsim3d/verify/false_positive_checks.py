@@ -23,8 +23,6 @@ from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max,
 from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
 from modsim3d.verify.parameters import Law, Parameter
 
-# ---- Checks of where false positives are ----
-
 MIN_FALSE = 50
 MIN_LIFETIMES = 20
 """Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
@@ -34,10 +32,8 @@ _DIGITS = 6  # decimals of a pixel: equal sides that were read back from centre 
 
 
 def placement_checks(model: DetectorModel, evidence: Evidence, persistent: Array) -> list[Parameter]:
-    """Places and sizes of transient false positives, and the lifetime of persistent ones.
-
-    `persistent` is the expected number of persistent ones in each frame, shape (s,).
-    """
+    """Places and sizes of transient false positives, and the lifetime of persistent ones. `persistent` is the expected
+    number of persistent ones in each frame, shape (s,)."""
     note = unknown_rest_note(model, evidence)
     names = ("placement[below the horizon]", "placement[along the horizon]", "size[width]", "size[height]")
     laws = [None] * len(names) if note else _laws(model, evidence)
@@ -102,11 +98,9 @@ def _distance(found: Array, expected: Array) -> float:
 
 
 def _lifetime(model: DetectorModel, evidence: Evidence, persistent: Array) -> Estimate | None:
-    """Estimate ρ = e^(−Δt/lifetime) from how much the number of persistent ones changes from frame to frame.
-
-    With m expected in one frame and m' in the next, the mean square change of the number less its expectation is
-    m + m' − 2ρ·min(m, m'). Replays of the process give the standard error.
-    """
+    """Estimate ρ = e^(−Δt/lifetime) from how much the number of persistent ones changes from frame to frame. With m
+    expected in one frame and m' in the next, the mean square change of the number less its expectation is m + m' −
+    2ρ·min(m, m'). Replays of the process give the standard error."""
     images, lifetime = evidence.frames, model.false_positives.lifetime_s
     rows = np.flatnonzero(persistent > 0)
     same = images.camera[rows][1:] == images.camera[rows][:-1]
@@ -149,23 +143,14 @@ def _replayed(evidence: Evidence, persistent: Array, lifetime_s: float, seed: in
 
 @dataclass(frozen=True, eq=False)
 class ExpectedFalsePositives:
-    """Expected numbers of false positives in each image, given what was detected; shapes (s,).
+    """Expected numbers of false positives in each image, given what was detected; shapes (s,)."""
 
-    Attributes:
-        due: Whether the detector runs.
-        transient: Mean number of transient false positives.
-        persistent: Mean number of persistent ones.
-        extras: Mean number of second boxes of vessels.
-        extra_variance: Variance of the number of second boxes.
-        dispersion: Variance of the number of transient ones over its mean: 1 for a Poisson number.
-    """
-
-    due: Mask
-    transient: Array
-    persistent: Array
-    extras: Array
-    extra_variance: Array
-    dispersion: Array
+    due: Mask  # whether the detector runs
+    transient: Array  # mean number of transient false positives
+    persistent: Array  # mean number of persistent ones
+    extras: Array  # mean number of second boxes of vessels
+    extra_variance: Array  # variance of the number of second boxes
+    dispersion: Array  # variance of the number of transient ones over its mean: 1 for a Poisson number
 
     @property
     def all(self) -> Array:
@@ -180,9 +165,8 @@ def expected_false_positives(model: DetectorModel, evidence: Evidence) -> Expect
     extras, variance = _extras(model, evidence)
     frames = FrameCounts(images.state, due, images.n_kept, extras)
     means, share = numbers.means(rates, frames), model.false_positives.persistent_share
-    return ExpectedFalsePositives(
-        due, (1 - share) * means, share * means, extras, variance, numbers.dispersion(rates, frames)
-    )
+    dispersion = numbers.dispersion(rates, frames)
+    return ExpectedFalsePositives(due, (1 - share) * means, share * means, extras, variance, dispersion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,10 +178,8 @@ class FalsePositiveEvidence:
     expected: ExpectedFalsePositives
 
     def persistent_variance(self, ours: Mask) -> float:
-        """Variance of the number of persistent ones in the images chosen by a mask of shape (s,).
-
-        Two images Δt apart with means m and m′ share min(m, m′)·e^(−Δt/lifetime) of them on average.
-        """
+        """Variance of the number of persistent ones in the images chosen by a mask of shape (s,). Two images Δt apart
+        with means m and m′ share min(m, m′)·e^(−Δt/lifetime) of them on average."""
         rows = np.flatnonzero(ours & (self.expected.persistent > 0))
         if not len(rows):
             return 0.0
@@ -302,9 +284,8 @@ def second_box_candidates(model: DetectorModel, evidence: Evidence) -> tuple[Ind
     placed = sizes(true_detections.boxes_px[single])[:, 0]
     pieces = np.flatnonzero(false.kind == records.FRAGMENT)
     of = {int(chance): int(row) for row, chance in zip(pieces, false.instance[pieces], strict=True)}
-    split = np.flatnonzero(
-        (true_detections.kind[single] == records.SPLIT) & np.isin(instances, [*of])
-    )  # both were put out
+    is_split = true_detections.kind[single] == records.SPLIT
+    split = np.flatnonzero(is_split & np.isin(instances, [*of]))  # both were put out
     other = np.array([of[int(chance)] for chance in instances[split]], dtype=np.int64)
     placed[split] += sizes(false.boxes_px[other])[:, 0]  # both parts together
     truth = np.concatenate([seen.targets.boxes_px for seen in evidence.cameras])
@@ -319,10 +300,9 @@ def _extras(model: DetectorModel, evidence: Evidence) -> tuple[Array, Array]:
     single, long = second_box_candidates(model, evidence)
     chance = rule.duplicates + rule.splits * long
     image = evidence.images_of(evidence.true_detections.instance[single])
-    return (
-        np.bincount(image, chance, minlength=size).astype(np.float64),
-        np.bincount(image, chance * (1 - chance), minlength=size).astype(np.float64),
-    )
+    amounts = chance, chance * (1 - chance)
+    mean, variance = (np.bincount(image, amount, minlength=size).astype(np.float64) for amount in amounts)
+    return mean, variance
 
 
 def false_positive_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
@@ -369,12 +349,9 @@ def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
         return []
     single, long = second_box_candidates(seen.model, seen.evidence)
     parameters = []
-    for name, kind, count in (
-        ("duplicates", records.DUPLICATE, len(single)),
-        ("splits", records.FRAGMENT, int(long.sum())),
-    ):
+    for name, kind, count in (("duplicates", records.DUPLICATE, len(single)), ("splits", records.FRAGMENT, long.sum())):
         asked = float(getattr(rule, name))
-        measure = Rate(int((kinds == kind).sum()), count, asked) if count else None
+        measure = Rate(int((kinds == kind).sum()), int(count), asked) if count else None
         parameters.append(Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, measure, asked))
     return parameters
 

@@ -19,14 +19,10 @@ from modsim3d.verify.parameters import TestResult, Verification
 from modsim3d.verify.score_checks import miss_covariance
 from modsim3d.view.pages import charts
 
-# ---- Runs of frames in which a vessel is missed ----
-
 
 def run_lengths(evidence: Evidence) -> Indices:
-    """Number of runs of misses by length from 0 on, shape (most + 1,).
-
-    A run ends where the vessel is detected or not annotated.
-    """
+    """Number of runs of misses by length from 0 on, shape (most + 1,); one ends where the vessel is found or not
+    annotated."""
     instances = evidence.instances
     missed = instances.outcome == -1  # −2 is detected in another's box
     length = missed.astype(np.int64)
@@ -41,10 +37,8 @@ def run_lengths(evidence: Evidence) -> Indices:
 
 def asked_run_lengths(model: DetectorModel, evidence: Evidence, miss_probability: Array, most: int) -> Array:
     """Expected number of runs of 1, 2, ... `most` misses, shape (most,), given the probability of each miss, (n,)."""
-    before, share = evidence.instances.before, model.persistence.class_vessel_share
-    score = model.persistence.score
-    if score is not None:
-        share = score.vessel_share
+    before, score = evidence.instances.before, model.persistence.score
+    share = model.persistence.class_vessel_share if score is None else score.vessel_share
     if not share:
         again = missed_again(model, evidence, miss_probability)
         return expected_run_lengths(miss_probability, again, before, most)
@@ -73,11 +67,9 @@ def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Arr
 
 
 def expected_run_lengths(miss_probability: Array, again: Array, before: Indices, most: int) -> Array:
-    """Expected number of runs of 1, 2, ... `most` misses, shape (most,).
-
-    Instances have a probability of a miss, one given that the frame before was a miss, and the row of the same vessel
-    in the frame before, −1 if there is none; shapes (n,).
-    """
+    """Expected number of runs of 1, 2, ... `most` misses, shape (most,). Instances (n,) have a probability of a miss,
+    one given that the frame before was a miss, and the row of the same vessel in the frame before, −1 if there is
+    none."""
     after = np.full(len(before), -1)
     follows = np.flatnonzero(before >= 0)
     after[before[follows]] = follows
@@ -101,12 +93,10 @@ _BINS = 10
 def timelines(model: DetectorModel, evidence: Evidence) -> list[Figure]:
     """One timeline for all cameras, or one for each where they have states of their own."""
     cameras = evidence.cameras if model.performance.per_camera else evidence.cameras[:1]
+    titles = [f": {seen.frames.camera}" if len(cameras) > 1 else "" for seen in cameras]
     return [
-        Figure(
-            partial(_timeline, model, evidence, camera),
-            "Which state the detector was in" + (f": {seen.frames.camera}" if len(cameras) > 1 else ""),
-        )
-        for camera, seen in enumerate(cameras)
+        Figure(partial(_timeline, model, evidence, camera), f"Which state the detector was in{title}")
+        for camera, title in enumerate(titles)
     ]
 
 
@@ -133,12 +123,11 @@ def error_scatters(verification: Verification, model: DetectorModel, evidence: E
         path = f"states.{state.name}.box_error"
         laws = [_law(found, path, measured) for measured in (False, True)]
         unit = "sides" if state.box_error.relative else "px"
-        draw = partial(_scatters, errors, laws, state.name, unit)
         caption = (
             f"{state.name}: errors as put out, two standard deviations of the law asked for (dashed) and of the law "
             "fitted (solid), both before truncation: boxes cut the errors down, which the fit takes out."
         )
-        figures.append(Figure(draw, caption))
+        figures.append(Figure(partial(_scatters, errors, laws, state.name, unit), caption))
     return figures
 
 
@@ -184,7 +173,7 @@ def _range(values: Array) -> tuple[float, float]:
 
 
 def miss_lengths(model: DetectorModel, evidence: Evidence) -> str:
-    """How many frames in a row vessels are missed, and what is expected."""
+    """Numbers of frames in a row in which vessels are missed, and what is expected."""
     found = run_lengths(evidence)
     most = max(len(found) - 1, 4)
     expected = asked_run_lengths(model, evidence, miss_probabilities(model, evidence), most)

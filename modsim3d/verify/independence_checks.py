@@ -1,9 +1,7 @@
-"""Whether what the detector file draws independently is independent in the run.
-
-Each number of a run may be right while the draws together are not: the same errors in both cameras, a run that repeats
-itself, false positives at even distances, confidences in order. These checks look at the residuals of each kind of draw
-with earlier times, between cameras, within images and in order of time.
-"""
+"""Whether what the detector file draws independently is independent in the run. Each number of a run may be right while
+the draws together are not: the same errors in both cameras, a run that repeats itself, false positives at even
+distances, confidences in order. These checks look at the residuals of each kind of draw with earlier times, between
+cameras, within images and in order of time."""
 
 from __future__ import annotations
 
@@ -23,24 +21,15 @@ from modsim3d.verify.false_positive_checks import RATE_CHECKS, ExpectedFalsePosi
 from modsim3d.verify.measures import AMOUNT, CORRELATION, POWER, Estimate, Exact, Interval, Measure, Noticed
 from modsim3d.verify.parameters import Parameter
 
-# ---- Sums of products of residuals ----
-
 
 @dataclass(frozen=True, eq=False)
 class PairSums:
-    """Sums over pairs of independent rows, one for each of L lags, or one alone; shapes (L,).
+    """Sums over pairs of independent rows, one for each of L lags, or one alone; shapes (L,)."""
 
-    Attributes:
-        product: Of the products of both rows' values.
-        spread: Of the products of both rows' standard deviations.
-        variance: Variance of `product`.
-        third: Third cumulant of `product`.
-    """
-
-    product: Array
-    spread: Array
-    variance: Array
-    third: Array
+    product: Array  # of both rows' values
+    spread: Array  # of the products of both rows' standard deviations
+    variance: Array  # of `product`
+    third: Array  # third cumulant of `product`
 
     @property
     def pairs(self) -> Array:
@@ -50,10 +39,8 @@ class PairSums:
 
 
 def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> PairSums:
-    """Sums over all pairs of rows of one group, for values and third moments (n, c) and variances and groups (n,).
-
-    With a variance v of each row, the third cumulant has a part from triples: the sum of six times v₁·v₂·v₃.
-    """
+    """Sums over all pairs of rows of one group, for values and third moments (n, c) and variances and groups (n,). With
+    a variance v of each row, the third cumulant has a part from triples: the sum of six times v₁·v₂·v₃."""
     _, group = np.unique(group, return_inverse=True)
     components = values.shape[1]
 
@@ -62,8 +49,7 @@ def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> 
         return totals
 
     def over_pairs(columns: Array) -> float:
-        sums = [float((of_groups(column) ** 2 - of_groups(column**2)).sum()) / 2 for column in columns.T]
-        return sum(sums)
+        return sum(float((of_groups(column) ** 2 - of_groups(column**2)).sum()) / 2 for column in columns.T)
 
     deviation = np.sqrt(variance)
     first, second, cube = (of_groups(variance**power) for power in (1, 2, 3))
@@ -77,10 +63,8 @@ def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> 
 
 
 def lag_sums(values: Array, variance: Array, third: Array, series: Indices, step: Indices) -> PairSums:
-    """Sums over pairs of rows of one series, for each number of steps between them from 0 on.
-
-    Values and third moments have shape (n, c), the others (n,).
-    """
+    """Sums over pairs of rows of one series, for each number of steps between them from 0 on. Values and third moments
+    have shape (n, c), the others (n,)."""
     order = np.lexsort((step, series))
     ends = np.flatnonzero(np.diff(series[order], append=-2))
     spans = [rows for rows in np.split(order, ends[:-1] + 1) if len(rows) > 1]
@@ -107,10 +91,7 @@ def _lagged(place: Indices, columns: Array, length: int) -> Array:
     return products
 
 
-# ---- Whether the numbers of false positives spread as they should ----
-
-MIN_STRETCHES = 20
-"""Independent stretches with one false positive each, below which their spread is not tested."""
+MIN_STRETCHES = 20  # independent stretches with one false positive each, below which their spread is not tested
 
 
 def spread_checks(model: DetectorModel, evidence: Evidence, group: str) -> list[Parameter]:
@@ -143,13 +124,10 @@ def stretches(camera: Indices, mean: Array) -> Indices:
 
 
 def _spread(expected: ExpectedFalsePositives, state: Indices, found: Indices, window: Indices) -> Estimate | None:
-    """The variance of the number of a window over its mean.
-
-    With the number n of an image, its mean m and its variance v, (n − m)² − (2v/m − 1)·(n − m) − v has mean zero, does
-    not depend on the rate to first order, and has the variance 2v² of a Poisson number and 2v²·(1 − (1 − v/m)/m) of a
-    binomial one. Pairs of images of one window add twice the product of theirs, with variance 4v₁v₂. The third
-    cumulant is 8V³ + 4V² for a Poisson number with mean V.
-    """
+    """The variance of the number of a window over its mean. With the number n of an image, its mean m and its variance
+    v, (n − m)² − (2v/m − 1)·(n − m) − v has mean zero, does not depend on the rate to first order, and has the variance
+    2v² of a Poisson number and 2v²·(1 − (1 − v/m)/m) of a binomial one. Pairs of images of one window add twice the
+    product of theirs, with variance 4v₁v₂. The third cumulant is 8V³ + 4V² for a Poisson number with mean V."""
     some = np.flatnonzero(expected.transient > 0)
     state, window, dispersion = state[some], window[some], expected.dispersion[some]
     # With each state's own rate: a wrong one must not look like clumps.
@@ -170,9 +148,6 @@ def _spread(expected: ExpectedFalsePositives, state: Indices, found: Indices, wi
     scale = asked / total
     strays = float(alone.sum()) + together
     return Estimate(asked + strays * scale, asked, error * scale, worth, skewness, possible=AMOUNT)
-
-
-# ---- Measured patterns ----
 
 
 @dataclass(frozen=True)
@@ -200,11 +175,9 @@ class Strongest(Estimate):
 
 @dataclass(frozen=True)
 class SumDrift:
-    """How far the sum of `count` numbers with mean zero and variance one strays from zero, for each of them.
-
+    """Distance by which the sum of `count` numbers with mean zero and variance one strays from zero, for each of them.
     The numbers sum to zero in the end, so the sum is a Brownian bridge, and the greatest distance times √count follows
-    Kolmogorov's distribution (Kolmogorov (1933)). Of `trials` such sums it is the one that strays most.
-    """
+    Kolmogorov's distribution (Kolmogorov (1933)). Of `trials` such sums it is the one that strays most."""
 
     measured: float
     count: float
@@ -233,31 +206,22 @@ class SumDrift:
 
 
 GROUP = "independence"
-MIN_PAIRS = 200
-"""Independent pairs of residuals below which their correlation is not tested."""
+MIN_PAIRS = 200  # independent pairs of residuals below which their correlation is not tested
 MIN_WORTH, MIN_PERSISTENT_WORTH = 100, 300
 """Independent residuals below which they are not tested; persistent ones come in clumps, so more are needed."""
 _MIN_EVENTS = 10.0
-_FORGOTTEN = 10.0
-"""Correlation times after which residuals count as independent: 5e-5 of a correlation is left."""
+_FORGOTTEN = 10.0  # correlation times after which residuals count as independent: 5e-5 of a correlation is left
 _CANDIDATES = 40
 
 
 @dataclass(frozen=True)
 class Memory:
-    """How long residuals stay correlated, on the grid of a run.
+    """Time for which residuals stay correlated, on the grid of a run."""
 
-    Attributes:
-        correlation_s: Time in which a correlation falls to 1/e; 0 for independent residuals.
-        turn_s: Least time from one turn of the detector to the next.
-        turns: Most turns of a camera.
-        step_s: Least time from one step of the scene to the next.
-    """
-
-    correlation_s: float
-    turn_s: float
-    turns: int
-    step_s: float
+    correlation_s: float  # time in which a correlation falls to 1/e; 0 for independent residuals
+    turn_s: float  # least time from one turn of the detector to the next
+    turns: int  # most turns of a camera
+    step_s: float  # least time from one step of the scene to the next
 
     @classmethod
     def of(cls, model: DetectorModel, evidence: Evidence, correlation_s: float) -> Memory:
@@ -282,8 +246,7 @@ class Memory:
         return max(1, math.ceil(_FORGOTTEN * self.correlation_s / self.step_s))
 
 
-Found = tuple[Measure | None, str]
-"""A measure, None if too little was seen; and a note."""
+Found = tuple[Measure | None, str]  # A measure, None if too little was seen; and a note
 
 
 def independence_checks(model: DetectorModel, evidence: Evidence, fits: Sequence[StateFit]) -> list[Parameter]:
@@ -310,7 +273,6 @@ Check = Callable[[Residuals, Evidence, Memory], Found]
 
 
 def _checks_of(residuals: Residuals, evidence: Evidence) -> Mapping[str, Check]:
-    """The checks of a kind of draw, by name."""
     checks: dict[str, Check] = {"correlation with earlier times": _earlier_times}
     if len(evidence.cameras) > 1:
         checks["correlation between cameras"] = _between_cameras
@@ -379,7 +341,8 @@ def _worth(residuals: Residuals, memory: Memory, power: int) -> float:
 
 
 def _order_in_time(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
-    """How far the sum of the residuals so far strays from zero; also that of their squares where these say more."""
+    """Farthest that the sum of the residuals so far strays from zero; also that of their squares where these say
+    more."""
     worth = _worth(residuals, memory, 1)
     if not worth:
         return None, ""

@@ -1,7 +1,5 @@
-"""Measured numbers: each knows its law under the asked value, its interval and the changes that it could notice.
-
-This module has the protocol, the plain kinds, and counts and shares; `parameters` has whole distributions.
-"""
+"""Measured numbers: each knows its law under the asked value, its interval and the changes that it could notice. This
+module has the protocol, the plain kinds, and counts and shares; `parameters` has whole distributions."""
 
 from __future__ import annotations
 
@@ -15,12 +13,8 @@ from scipy import optimize, special
 
 from modsim3d.core.statistics import exact_bounds
 
-# ---- Tail probabilities and their inverses ----
-
-MIN_SKEW = 1e-3
-"""Below this a distribution is taken for normal."""
-RARE_SKEW = 1.0
-"""Above this a statistic counts events of which less than one is expected."""
+MIN_SKEW = 1e-3  # below this a distribution is taken for normal
+RARE_SKEW = 1.0  # above this a statistic counts events of which less than one is expected
 
 
 def binomial_tails(count: float, trials: float, rate: float) -> tuple[float, float]:
@@ -45,10 +39,8 @@ def poisson_interval(count: float, alpha: float) -> tuple[float, float]:
 
 def skewed_tails(z: float, skewness: float) -> tuple[float, float]:
     """Pr(Z ≤ z) and Pr(Z ≥ z) of a standardised sum with some skewness, by a shifted gamma or a Poisson distribution.
-
     Pearson's type III has the first three moments right; of a sample variance of normal numbers it is the law. So has a
-    Poisson number with mean 1 / skewness²; of rare events it is the law, and that none happens is nothing unusual.
-    """
+    Poisson number with mean 1 / skewness²; of rare events it is the law, and that none happens is nothing unusual."""
     if abs(skewness) < MIN_SKEW:
         return float(special.ndtr(z)), float(special.ndtr(-z))
     if skewness < 0:
@@ -113,7 +105,7 @@ class Measure(Protocol):
         """Probability of a number at least as far off as this one, if the run obeys its file."""
 
     def strength(self) -> float:
-        """How far off in standard errors, comparable between measures."""
+        """Distance from the asked value in standard errors, comparable between measures."""
 
     def interval(self, alpha: float) -> Interval:
         """Values that a test at level alpha would not have rejected."""
@@ -124,24 +116,16 @@ class Measure(Protocol):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A nearly normal number with a standard error.
-
-    Attributes:
-        error: Standard error of the test statistic if the asked value holds.
-        count: Number of independent observations.
-        statistic: Test statistic in standard errors; (measured − asked) / error if None.
-        grows: Whether the standard error is in proportion to the value, as that of a standard deviation.
-        possible: The least and the greatest value that there can be.
-    """
+    """A nearly normal number with a standard error."""
 
     measured: float
     asked: float
-    error: float
-    count: float
+    error: float  # standard error of the test statistic if the asked value holds
+    count: float  # number of independent observations
     skewness: float = 0.0
-    statistic: float | None = None
-    grows: bool = False
-    possible: Interval = ANY
+    statistic: float | None = None  # in standard errors; (measured − asked) / error if None
+    grows: bool = False  # whether the standard error is in proportion to the value, as that of a standard deviation
+    possible: Interval = ANY  # the least and the greatest value that there can be
 
     @property
     def z(self) -> float:
@@ -185,7 +169,7 @@ class Exact:
 
     @property
     def measured(self) -> float:
-        """How often it failed."""
+        """Number of failures."""
         return float(self.wrong)
 
     def p_value(self) -> float:
@@ -205,19 +189,14 @@ class Exact:
         return None, 1.0 if self.count else None
 
 
-# ---- Measured shares and rates ----
-
-
 def _deviance(observed: float, expected: float) -> float:
     return 0.0 if observed <= 0 else observed * math.log(observed / max(expected, 1e-300))
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of trials; correlated trials count for fewer.
-
-    `inflation` is the variance of the number of successes over that of independent trials.
-    """
+    """A share of trials; correlated trials count for fewer. `inflation` is the variance of the number of successes over
+    that of independent trials."""
 
     successes: float
     trials: float
@@ -271,11 +250,9 @@ def _first(last: int, holds: Callable[[int], bool]) -> int | None:
 
 @dataclass(frozen=True)
 class DiscoveryRate:
-    """False positives over all detections, where their number is Poisson given the true ones.
-
-    Expected are n·r / (1 − r) false positives at a rate r with n true detections. `inflation` is the variance of their
-    number over that of a Poisson number.
-    """
+    """False positives over all detections, where their number is Poisson given the true ones. Expected are n·r /
+    (1 − r) false positives at a rate r with n true detections. `inflation` is the variance of their number over that of
+    a Poisson number."""
 
     false: float
     true: float
@@ -321,12 +298,11 @@ class DiscoveryRate:
         mean = self.expected / self.inflation
         most = math.ceil(mean + 60 * math.sqrt(mean) + 200)
         many = _first(most, lambda k: poisson_tails(k, mean)[1] <= alpha / 2)
-        above = None
+        above = below = None
         if many is not None:
             above = self._share(float(special.gammaincinv(many, POWER)) * self.inflation) - self.asked
         whole = math.ceil(mean)
         few = _first(whole, lambda k: poisson_tails(whole - k, mean)[0] <= alpha / 2)
-        below = None
         if few is not None:
             mean_below = float(special.gammainccinv(whole - few + 1, POWER))
             below = self.asked - self._share(mean_below * self.inflation)
@@ -373,9 +349,10 @@ class ImageRate:
         """From the share's."""
         share = self._as_share()
         below, above = share.noticed(alpha)
-        less = None if below is None else share.asked - below
-        more = None if above is None else share.asked + above
-        return (
-            None if less is None else self.asked - less / (1 - less),
-            None if more is None else more / (1 - more) - self.asked,
-        )
+        if below is not None:
+            less = share.asked - below
+            below = self.asked - less / (1 - less)
+        if above is not None:
+            more = share.asked + above
+            above = more / (1 - more) - self.asked
+        return below, above

@@ -13,15 +13,11 @@ from scipy.stats import kstwo
 from modsim3d.core.arrays import Array
 from modsim3d.verify.measures import ANY, POWER, Estimate, Interval, Measure, Noticed, two_sided
 
-# ---- Measured numbers compared with a whole distribution ----
-
 
 @dataclass(frozen=True, eq=False)
 class Occupancy:
-    """Share of the frames that a state takes, against the law of a Markov chain.
-
-    `found` is the number of its frames, `law` the probability of each number from 0 on, shape (frames + 1,).
-    """
+    """Share of the frames that a state takes, against the law of a Markov chain. `found` is the number of its frames,
+    `law` the probability of each number from 0 on, shape (frames + 1,)."""
 
     found: int
     law: Array
@@ -82,9 +78,7 @@ class Law:
     @classmethod
     def of(cls, values: Array, quantiles: Array) -> Law:
         """The distance of values from a law that is straight between evenly spaced quantiles, shapes (n,) and (k,).
-
-        Where the law has steps, the test is cautious.
-        """
+        Where the law has steps, the test is cautious."""
         share, steps = np.linspace(0, 1, len(quantiles)), np.flatnonzero(np.diff(quantiles) > 0)
         ordered = np.sort(values)
         # At equal quantiles the distribution function is the last share from above, and the first from below.
@@ -123,28 +117,18 @@ UNCHECKED = "no check"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a detector and what a run shows of it.
+    """One parameter of a detector and what a run shows of it."""
 
-    Attributes:
-        name: Its key in the detector file, or a description if it follows from other numbers.
-        measure: The run's number and its law; None if the run shows too little.
-        asked: The number in the file; the measure's if None.
-        state: Name of the performance state, None if it belongs to none.
-        in_file: Whether the file has this number; only such a parameter can be the cause of a failure.
-        promised: The file's number where the model's own rule aims at another one, which is `measure.asked`.
-        checked: Whether there is a check; a model without one is listed as such.
-    """
-
-    name: str
+    name: str  # its key in the detector file, or a description if it follows from other numbers
     group: str
-    measure: Measure | None
-    asked: float | None = None
+    measure: Measure | None  # the run's number and its law; None if the run shows too little
+    asked: float | None = None  # the number in the file; the measure's if None
     unit: str = ""
-    state: str | None = None
-    in_file: bool = True
-    promised: float | None = None
+    state: str | None = None  # name of the performance state, None if it belongs to none
+    in_file: bool = True  # whether the file has this number; only such a parameter can be the cause of a failure
+    promised: float | None = None  # the file's number where the model's own rule aims at another, `measure.asked`
     note: str = ""
-    checked: bool = True
+    checked: bool = True  # whether there is a check; a model without one is listed as such
 
     def unless(self, note: str) -> Parameter:
         """Parameter without a measure if a note says why it cannot be tested."""
@@ -153,24 +137,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class TestResult:
-    """A parameter with the verdict on it.
-
-    Attributes:
-        asked: The value asked for, by the model's rule where that differs from the file's.
-        measured: None where there is no measure.
-        interval: Interval of the measured value, at the level of all tests together, cut to what is possible.
-        p_value: The p-value before correction for the number of tests.
-        noticed: Smallest change below and above the asked value that this run would have shown, with 90 % power.
-        verdict: `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`.
-    """
+    """A parameter with the verdict on it."""
 
     parameter: Parameter
-    asked: float
-    measured: float | None
-    interval: Interval | None
-    p_value: float | None
-    noticed: Noticed
-    verdict: str
+    asked: float  # the value asked for, by the model's rule where that differs from the file's
+    measured: float | None  # None where there is no measure
+    interval: Interval | None  # of the measured value, at the level of all tests together, cut to what is possible
+    p_value: float | None  # before correction for the number of tests
+    noticed: Noticed  # smallest change below and above the asked value that this run would have shown, with 90 % power
+    verdict: str  # `OBEYS`, `DIFFERS`, `FALLS_SHORT`, `UNTESTED` or `UNCHECKED`
 
     @property
     def fails(self) -> bool:
@@ -218,9 +193,8 @@ def _verdict(parameter: Parameter, alpha: float) -> TestResult:
     measure = parameter.measure
     if measure is None:
         asked = float("nan") if parameter.asked is None else parameter.asked
-        return TestResult(
-            parameter, asked, None, None, None, (None, None), UNTESTED if parameter.checked else UNCHECKED
-        )
+        verdict = UNTESTED if parameter.checked else UNCHECKED
+        return TestResult(parameter, asked, None, None, None, (None, None), verdict)
     p_value = measure.p_value()
     verdict = OBEYS if p_value >= alpha else DIFFERS
     low, high = measure.possible if isinstance(measure, Estimate) else ANY

@@ -15,19 +15,15 @@ from modsim3d.verify.measures import CORRELATION, Estimate
 from modsim3d.verify.parameters import Parameter
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(10)
-LAGS = (1, 4, 16)
-"""Numbers of frames between the misses whose correlation is tested."""
-MIN_MISSES = 30
-"""Misses, and finds, below which their correlation is not tested."""
+LAGS = (1, 4, 16)  # numbers of frames between the misses whose correlation is tested
+MIN_MISSES = 30  # misses, and finds, below which their correlation is not tested
 _REPLAYS, _AT_A_TIME = 200, 50
 
 
 def miss_covariance(first: Array, second: Array, correlation: Array) -> Array:
-    """Covariance of misses of chances (m,) whose scores have a correlation from 0 to 1, shape (m,).
-
-    The derivative of the bivariate normal distribution function by the correlation is its density (Plackett (1954), "A
-    reduction formula for normal multivariate integrals"), integrated over the arc sine of the correlation.
-    """
+    """Covariance of misses of chances (m,) whose scores have a correlation from 0 to 1, shape (m,). The derivative of
+    the bivariate normal distribution function by the correlation is its density (Plackett (1954), "A reduction formula
+    for normal multivariate integrals"), integrated over the arc sine of the correlation."""
     a, b = (special.ndtri(np.clip(chance, 1e-12, 1 - 1e-12)) for chance in (first, second))
     reach = np.arcsin(np.clip(correlation, 0, 1 - 1e-9)) / 2
     total = np.zeros(len(a))
@@ -39,15 +35,10 @@ def miss_covariance(first: Array, second: Array, correlation: Array) -> Array:
 
 
 def sum_over_pairs(tracks: Indices, times_s: Array, value: Callable[[Indices, Indices, Array], Array]) -> Array:
-    """Sums of values of all pairs of rows of one track, a vessel in a camera, shape (k,).
-
-    Their mean is taken at some lags and changes little between them, since memory that only fades is smooth.
-
-    Args:
-        tracks: Rows that are equal in one track, shape (n, c).
-        times_s: Shape (n,).
-        value: From later and earlier rows and the seconds between, shapes (m,), to values, shape (m, k).
-    """
+    """Sums of values of all pairs of rows of one track, a vessel in a camera, shape (k,). Rows (n, c) of `tracks` are
+    equal in one track; times have shape (n,). `value` takes later and earlier rows and the seconds between, shapes
+    (m,), to values (m, k). Their mean is taken at some lags and changes little between them, since memory that only
+    fades is smooth."""
     order = np.lexsort((times_s, *tracks.T[::-1]))
     _, series = np.unique(tracks[order], axis=0, return_inverse=True)
     series, count = series.ravel(), np.bincount(series.ravel())
@@ -79,15 +70,8 @@ def off_diagonal(tracks: Indices, times_s: Array, score: LatentScore, chance: Ar
 
 
 def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: Array, missed: Array) -> list[Parameter]:
-    """Correlation of misses some frames apart; how far it strays comes from simulated scores of the same vessels.
-
-    Args:
-        tracks: Rows that are equal for a vessel in a camera, shape (n, c).
-        times_s: Shape (n,).
-        score: What was asked for.
-        chance: Of a miss, shape (n,).
-        missed: One for a miss, else 0, shape (n,).
-    """
+    """Correlation of misses some frames apart; how far it strays comes from simulated scores of the same vessels. Rows
+    (n, c) of `tracks` are equal for a vessel in a camera; times, chances of a miss, and misses (1 or 0) are (n,)."""
     if not len(chance):
         return []
     order = np.lexsort((times_s, *tracks.T[::-1]))
@@ -96,12 +80,8 @@ def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: A
     spread = chance * (1 - chance)
     pairs = [np.flatnonzero((series[lag:] == series[:-lag]) & (spread[lag:] * spread[:-lag] > 0)) for lag in LAGS]
     rng = np.random.default_rng(len(series))
-    replayed = np.concatenate(
-        [
-            _products(scores < chance, chance, pairs)
-            for scores in (_scores(series, times_s, score, rng, _AT_A_TIME) for _ in range(_REPLAYS // _AT_A_TIME))
-        ]
-    )
+    draws = (_scores(series, times_s, score, rng, _AT_A_TIME) for _ in range(_REPLAYS // _AT_A_TIME))
+    replayed = np.concatenate([_products(scores < chance, chance, pairs) for scores in draws])
     found = _products((missed[order] > 0)[None], chance, pairs)[0]
     parameters = []
     for k, (lag, near) in enumerate(zip(LAGS, pairs, strict=True)):
@@ -122,10 +102,10 @@ def memory_checks(tracks: Indices, times_s: Array, score: LatentScore, chance: A
 def _products(missed: Mask, chance: Array, pairs: Sequence[Indices]) -> Array:
     """Sums of products of residuals of misses (r, n) at each lag, shape (r, lags)."""
     residual = missed - chance
-    return np.stack(
-        [(residual[:, near + lag] * residual[:, near]).sum(axis=1) for lag, near in zip(LAGS, pairs, strict=True)],
-        axis=1,
-    )
+    products = [
+        (residual[:, near + lag] * residual[:, near]).sum(axis=1) for lag, near in zip(LAGS, pairs, strict=True)
+    ]
+    return np.stack(products, axis=1)
 
 
 def _scores(series: Indices, times_s: Array, score: LatentScore, rng: np.random.Generator, count: int) -> Array:

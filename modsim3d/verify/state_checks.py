@@ -19,20 +19,14 @@ _ANGLES_AT_ONCE = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """The states of a chain in a run, frame by frame; shapes (s,).
+    """The states of a chain in a run, frame by frame; shapes (s,)."""
 
-    Attributes:
-        name: Appended to the names of its parameters, empty if it is the only chain.
-        forced: Whether the schedule, and not the chain, decided.
-        transitions: Number of transitions from each frame to the next, shape (s − 1,).
-    """
-
-    name: str
+    name: str  # appended to the names of its parameters, empty if it is the only chain
     steps: Indices
     times_s: Array
     states: Indices
-    forced: Mask
-    transitions: Indices
+    forced: Mask  # whether the schedule, and not the chain, decided
+    transitions: Indices  # number of transitions from each frame to the next, shape (s − 1,)
 
     @property
     def pairs(self) -> tuple[Indices, Indices, Indices]:
@@ -54,9 +48,11 @@ def state_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
             wrong = Exact(int(chain.states[0] != model.initial_state), 1)
             parameters.append(Parameter(f"initial_state{chain.name}", DetectorPart.STATE, wrong))
     parameters += _transition_checks(model, chains)
-    for chain in chains:
-        if not model.performance.schedule:
-            parameters += _occupancy_checks(model, chain)
+    for chain in () if model.performance.schedule else chains:
+        for s, state in enumerate(model.states):
+            law = occupancy_law(model, s, chain.transitions, int(chain.states[0]))
+            share, name = Occupancy(int((chain.states == s).sum()), law), f"share of frames in {state.name}{chain.name}"
+            parameters.append(Parameter(name, DetectorPart.STATE, share, state=state.name, in_file=False))
     return parameters
 
 
@@ -66,9 +62,8 @@ def _shared_check(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
     images = evidence.frames
     steps, first = np.unique(images.step, return_index=True)
     apart = int((images.state != images.state[first][np.searchsorted(steps, images.step)]).sum())
-    return [
-        Parameter("states shared by all cameras", DetectorPart.STATE, Exact(apart, len(images.step)), in_file=False)
-    ]
+    shared = Exact(apart, len(images.step))
+    return [Parameter("states shared by all cameras", DetectorPart.STATE, shared, in_file=False)]
 
 
 def _chains(model: DetectorModel, evidence: Evidence) -> list[Chain]:
@@ -114,25 +109,14 @@ def _transition_checks(model: DetectorModel, chains: list[Chain]) -> list[Parame
     return parameters
 
 
-def _occupancy_checks(model: DetectorModel, chain: Chain) -> list[Parameter]:
-    parameters = []
-    for s, state in enumerate(model.states):
-        law = occupancy_law(model, s, chain.transitions, int(chain.states[0]))
-        share = Occupancy(int((chain.states == s).sum()), law)
-        name = f"share of frames in {state.name}{chain.name}"
-        parameters.append(Parameter(name, DetectorPart.STATE, share, state=state.name, in_file=False))
-    return parameters
-
-
 def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start: int) -> Array:
     """Exact probability of each number of frames in a state, shape (frames + 1,), from the state of the first frame.
-
     The characteristic function of the number is a product of matrices, one for each frame; the inverse Fourier
     transform of its values at as many angles as there are numbers gives their probabilities. `transitions` are the
-    numbers of transitions from each frame to the next, shape (frames − 1,).
-    """
+    numbers of transitions from each frame to the next, shape (frames − 1,)."""
     frames = len(transitions) + 1
-    lengths, repeats = _runs(transitions)
+    starts = run_starts(transitions)
+    lengths, repeats = transitions[starts], np.diff(np.append(starts, len(transitions)))
     spectrum = np.empty(frames + 1, dtype=np.complex128)
     for first in range(0, frames + 1, _ANGLES_AT_ONCE):
         angles = 2 * np.pi * np.arange(first, min(first + _ANGLES_AT_ONCE, frames + 1)) / (frames + 1)
@@ -148,9 +132,3 @@ def occupancy_law(model: DetectorModel, state: int, transitions: Indices, start:
     law: Array = np.clip(np.fft.fft(spectrum).real / (frames + 1), 0, 1)
     law /= law.sum()
     return law
-
-
-def _runs(values: Indices) -> tuple[Indices, Indices]:
-    """Runs of equal values: the values and the lengths of the runs, shapes (runs,)."""
-    starts = run_starts(values)
-    return values[starts], np.diff(np.append(starts, len(values)))

@@ -40,8 +40,6 @@ from modsim3d.verify.verification import verify_evidence
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
 
-# ---- The verdicts on a run as terminal rows, `verify.json` and a page ----
-
 FORMAT = 1
 FILES = ("verify.json", "verify.html")
 HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
@@ -215,8 +213,7 @@ def _notes(verification: Verification) -> Iterator[Block]:
     yield Items([f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1])
     for note, found in names.items():
         if len(found) > 1:
-            title = f"{note[0].upper()}{note[1:]}: {len(found)} entries"
-            yield Fold(title, [Text(", ".join(found))])
+            yield Fold(f"{note[0].upper()}{note[1:]}: {len(found)} entries", [Text(", ".join(found))])
 
 
 def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
@@ -267,9 +264,6 @@ def _groups(verification: Verification) -> Iterator[Block]:
 def _table(verdicts: Sequence[TestResult], where: Where = Where.TEXT) -> Table:
     bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
     return Table("", HEADER, [row_of(verdict) for verdict in verdicts], bad, where=where)
-
-
-# ---- A run held against its detector file ----
 
 
 @dataclass(frozen=True, eq=False, repr=False)

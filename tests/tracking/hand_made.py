@@ -1,7 +1,5 @@
 """Hand-made truth and tracks, held against each other without a run."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile
@@ -13,13 +11,10 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from modsim3d import RunRows, Scene, Tracks, load_scene
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.files.table_columns import schema_of
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.scene.reading import load_scene
-from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.scored import Rules, Scored
-from modsim3d.tracks.tracks import Tracks
 
 VESSELS = 6
 LABELS = ("sailboat", "motorboat", "ferry")
@@ -34,15 +29,12 @@ def box(x: float = 0, y: float = 0, width: float = 20, height: float = 20) -> Bo
 
 
 class Seen(NamedTuple):
-    """A vessel in an image; a plain (frame, vessel, box) will do for one that is all visible.
-
-    Where `visible` is None the vessel is too small for any pixel.
-    """
+    """A vessel in an image; a plain (frame, vessel, box) will do for one that is all visible."""
 
     frame: int
     vessel: int
     box: Box
-    visible: float | None = 1.0
+    visible: float | None = 1.0  # None where the vessel is too small for any pixel
     in_frame: float = 1.0
     depth_m: float = 150.0
 
@@ -67,38 +59,23 @@ def hand_made(
     step_s: float = 1.0,
     rules: Rules | None = None,
 ) -> Scored:
-    """Tracks held against truth; frame = step × cameras + camera, and every camera takes a frame at each step.
-
-    Args:
-        truth: What is there, as for `Seen`.
-        tracks: What the tracker says, as for `Tracked`.
-        steps: Number of steps.
-        cameras: Number of cameras.
-        states: Index of the performance state of each frame; all clear if None.
-        step_s: Time between steps.
-        rules: By which it is scored; the defaults if None.
-    """
+    """Tracks, as for `Tracked`, held against truth, as for `Seen`. Frame = step × cameras + camera, and every camera
+    takes a frame at each step, `step_s` apart; `states` are indices of each frame's performance state, all clear if
+    None."""
     rows = rows_of(truth, steps, cameras=cameras, states=states, step_s=step_s)
     return Scored.of(rows, tracks_of(tracks, cameras), rules or Rules())
 
 
 def rows_of(
-    truth: Iterable[tuple],
-    steps: int,
-    *,
-    cameras: int = 1,
-    states: Sequence[int] | None = None,
-    step_s: float = 1.0,
+    truth: Iterable[tuple], steps: int, *, cameras: int = 1, states: Sequence[int] | None = None, step_s: float = 1.0
 ) -> RunRows:
     """The rows of a run with hand-made truth and without detections."""
     scene, seen = _scene(steps, cameras, step_s), [Seen(*row) for row in truth]
-    frames = [
-        {**_place(scene, frame), "state": STATES[states[frame] if states else 0]} for frame in range(steps * cameras)
-    ]
+    named = (STATES[state] for state in states or [0] * (steps * cameras))
+    frames = [{**_place(scene, frame), "state": state} for frame, state in enumerate(named)]
     tables = {"frames": frames, "truth": [_truth_row(scene, each) for each in seen], "detections": []}
-    return RunRows.of_tables(
-        scene, steps, {name: pa.Table.from_pylist(rows, schema_of(name)) for name, rows in tables.items()}
-    )
+    stored = {name: pa.Table.from_pylist(rows, schema_of(name)) for name, rows in tables.items()}
+    return RunRows.of_tables(scene, steps, stored)
 
 
 def tracks_of(tracks: Iterable[tuple], cameras: int = 1) -> Tracks:

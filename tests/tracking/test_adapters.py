@@ -1,7 +1,5 @@
 """Trackers of other libraries behind our interface."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 
@@ -11,15 +9,8 @@ from pydantic import ValidationError
 
 from modsim3d.core.boxes import centres, corner_form, iou
 from modsim3d.core.errors import ModsimError
-from modsim3d.tracking.trackers.interface import (
-    ByteTracker,
-    CameraFacts,
-    OcSortTracker,
-    SensedFrame,
-    SortTracker,
-    TrackedFrame,
-    Tracker,
-)
+from modsim3d.plugins import CameraFacts, SensedFrame, TrackedFrame, Tracker
+from modsim3d.tracking.trackers.interface import ByteTracker, OcSortTracker, SortTracker
 from modsim3d.tracking.trackers.stone_soup import StoneSoupGnn, StoneSoupJpda
 
 BY_IOU = [SortTracker, ByteTracker, OcSortTracker]
@@ -72,9 +63,7 @@ def followed(answer: TrackedFrame, time_s: float) -> list[int]:
 def test_two_crossing_vessels_keep_their_identities_and_labels(tracker: Tracker) -> None:
     found = answers(tracker, sensed(times_s()))
     seen = [followed(answer, time_s) for answer, time_s in zip(found, times_s(), strict=True)]
-    assert seen[4][0] != seen[4][1]
-    assert min(seen[4]) >= 0
-    assert all(pair == seen[4] for pair in seen[4:])
+    assert seen[4][0] != seen[4][1] and min(seen[4]) >= 0 and all(pair == seen[4] for pair in seen[4:])
     for answer, tracks in zip(found, seen, strict=True):
         labels = [] if answer.label is None else answer.label.tolist()
         by_track = dict(zip(answer.track.tolist(), labels, strict=True))
@@ -105,8 +94,7 @@ def test_nothing_is_tracked_without_detections(tracker: Tracker) -> None:
 @every
 def test_identities_outlive_a_gap_in_the_detections(tracker: Tracker) -> None:
     found = answers(tracker, sensed(times_s(20), empty=range(8, 10)))
-    assert len(found) == 20
-    assert followed(found[-1], times_s(20)[-1]) == followed(found[7], times_s(20)[7])
+    assert len(found) == 20 and followed(found[-1], times_s(20)[-1]) == followed(found[7], times_s(20)[7])
     assert min(followed(found[-1], times_s(20)[-1])) >= 0
     if type(tracker) in BY_IOU:  # the library reports no track without a detection
         assert [len(answer.track) for answer in found[7:10]] == [2, 0, 0]
@@ -129,8 +117,7 @@ def test_a_track_coasts_no_longer_than_asked(tracker: Tracker) -> None:
 
 @every
 def test_a_track_that_is_lost_for_too_long_comes_back_as_another(tracker: Tracker) -> None:
-    short = tracker.model_copy(update={"lost_s": 0.5})
-    times = times_s(30)
+    short, times = tracker.model_copy(update={"lost_s": 0.5}), times_s(30)
     found = answers(short, sensed(times, empty=range(8, 13)))
     assert not set(followed(found[-1], times[-1])) & set(followed(found[7], times[7]))
 
@@ -199,19 +186,12 @@ def test_the_covariance_of_the_centre_grows_while_a_track_coasts(model: type[Tra
 
 
 @every
-def test_a_detection_without_size_at_the_edge_of_the_image_is_survived(tracker: Tracker) -> None:
-    boxes_px = np.array([[0.0, 100, 0, 100], [600.0, 440, 640, 480]])
-    frames = [SensedFrame(time_s, boxes_px, np.array([0, 1]), np.array([0.9, 0.9])) for time_s in times_s(8)]
-    found = answers(tracker, iter(frames))
-    assert len(found) == 8
-    assert np.isfinite(np.concatenate([answer.boxes_px for answer in found])).all()
-
-
-@every
-def test_two_equal_detections_are_survived(tracker: Tracker) -> None:
-    boxes_px = np.tile([100.0, 100, 150, 130], (6, 1))
-    frames = [SensedFrame(time_s, boxes_px, np.zeros(6, int), np.full(6, 0.9)) for time_s in times_s(6)]
-    assert len(answers(tracker, iter(frames))) == 6
+def test_detections_without_size_at_the_edge_of_the_image_and_equal_ones_are_survived(tracker: Tracker) -> None:
+    at_edge, equal = np.array([[0.0, 100, 0, 100], [600.0, 440, 640, 480]]), np.tile([100.0, 100, 150, 130], (6, 1))
+    for boxes_px, labels in ((at_edge, np.array([0, 1])), (equal, np.zeros(6, int))):
+        frames = [SensedFrame(time_s, boxes_px, labels, np.full(len(labels), 0.9)) for time_s in times_s(8)]
+        found = answers(tracker, iter(frames))
+        assert len(found) == 8 and np.isfinite(np.concatenate([answer.boxes_px for answer in found])).all()
 
 
 @every
@@ -242,9 +222,7 @@ def test_settings_out_of_range_are_refused(model: type[Tracker], settings: dict[
 
 
 @every
-def test_a_missing_library_is_named_with_the_command_that_installs_it(
-    tracker: Tracker, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_named_with_how_to_install_it(tracker: Tracker, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "modsim3d.tracking.trackers.stone_soup_parts", raising=False)
     for library in ("trackers", "stonesoup"):
         for name in [each for each in sys.modules if each.split(".")[0] == library]:

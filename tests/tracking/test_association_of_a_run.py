@@ -1,20 +1,16 @@
 """Scores of a run's own detections, associated by where they came from, are TrackEval's of the exported run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from modsim3d import RunRows, StoredRun, Tracks
 from modsim3d.core.arrays import NOBODY
 from modsim3d.formats.writing import mot
 from modsim3d.formats.writing.request import ExportRequest
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.scores.association import clear, hota, identity
 from modsim3d.tracking.scores.scored import Rules, Scored
-from modsim3d.tracks.tracks import Tracks
 from tests.formats.exported import exported_run
 from tests.formats.test_export_mot import scores
 from tests.tracking.test_association import check_the_one_matching_is_that_of_clear
@@ -22,8 +18,7 @@ from tests.tracking.test_association import check_the_one_matching_is_that_of_cl
 
 def by_provenance(rows: RunRows, coasting: bool = True) -> Tracks:
     """Detections as tracks; they may coast over hidden vessels, and false positives are seven tracks in turn."""
-    hidden = (rows.numbers("visible_px") == 0) & coasting
-    false = rows.detected_row == NOBODY
+    hidden, false = (rows.numbers("visible_px") == 0) & coasting, rows.detected_row == NOBODY
     track = np.where(false, 100 + np.arange(len(false)) % 7, rows.detection_vessel)
     frame = np.append(rows.detection_frame, rows.truth_frame[hidden])
     track = np.append(track, rows.truth_vessel[hidden])
@@ -42,8 +37,7 @@ def test_the_scores_are_those_of_trackeval_over_the_exported_run(run: StoredRun,
     tracks = by_provenance(rows)
     mot.write(ExportRequest(run, (0, 1)), tmp_path / "mot")
     for camera, name in enumerate(("name-2", "quay.2")):
-        here = tracks.take(tracks.camera == camera)
-        taken = rows.frames[rows.frames % 2 == camera]
+        here, taken = tracks.take(tracks.camera == camera), rows.frames[rows.frames % 2 == camera]
         corner, size = here.boxes_px[:, :2] + 1, here.boxes_px[:, 2:] - here.boxes_px[:, :2]
         table = np.column_stack([np.searchsorted(taken, here.frame) + 1, here.track + 1, corner, size])
         path = tmp_path / "tracks" / mot.ALL_SET / "tracker" / "data" / f"{name}.txt"

@@ -1,7 +1,5 @@
 """Recall and association broken down, worked out by hand and against slow sums."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -18,11 +16,9 @@ VISIBLE = (1, 0.8, 0.6, 0.3, 0.1, 0, 1, 1)
 
 @pytest.fixture(scope="module")
 def groups() -> dict[str, tuple[Bin, ...]]:
-    """A vessel in eight frames, a second apart: occluded from 3 to 6 s, wholly hidden from 5 s on.
-
-    Track 1 follows it in frames 0, 1, 2 and 6, coasts in 5, where nothing is scored, and track 2 follows in frame 3.
-    Seven frames are scored. Of track 1 TPA = 4, FNA = 3, FPA = 0: A = 4/7; of track 2 A = 1/7.
-    """
+    """A vessel in eight frames, a second apart: occluded from 3 to 6 s, wholly hidden from 5 s on. Track 1 follows it
+    in frames 0, 1, 2 and 6, coasts in 5, where nothing is scored, and track 2 follows in frame 3. Seven frames are
+    scored. Of track 1 TPA = 4, FNA = 3, FPA = 0: A = 4/7; of track 2 A = 1/7."""
     depth_m = (50, 100, 150, 250, 450, 450, 850, 850)
     truth = [Seen(k, 0, box(), VISIBLE[k], 0.9 if k == 7 else 1, depth_m[k]) for k in range(8)]
     tracks = [(k, 2 if k == 3 else 1, box()) for k in (0, 1, 2, 3, 5, 6)]
@@ -58,12 +54,9 @@ EXPECTED = {
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_each_group_has_the_values_that_were_worked_out(groups, name: str) -> None:
+    assert [*groups] == [*EXPECTED]
     for found, expected in zip(groups[name], EXPECTED[name], strict=True):
         assert vars(found) == pytest.approx(vars(expected), abs=1e-12)
-
-
-def test_the_groups_are_these(groups) -> None:
-    assert [*groups] == [*EXPECTED]
 
 
 def test_an_occlusion_is_survived_or_not_among_those_of_its_length() -> None:
@@ -71,10 +64,8 @@ def test_an_occlusion_is_survived_or_not_among_those_of_its_length() -> None:
     truth = [Seen(k, 0, box(), 0.2 if k == 1 or 4 <= k < 8 else 1) for k in range(10)]
     tracks = [(k, 1 + k // 8, box()) for k in range(10)]
     found = {group.name: group.rows for group in breakdown(hand_made(truth, tracks, 10))}["occlusion"]
-    assert [(row.bin, row.occlusions, row.judged, row.survived) for row in found] == [
-        ("1 to 3", 1, 1, 1),
-        ("3 to 10", 1, 1, 0),
-    ]
+    told = [(row.bin, row.occlusions, row.judged, row.survived) for row in found]
+    assert told == [("1 to 3", 1, 1, 1), ("3 to 10", 1, 1, 0)]
 
 
 def random(seed: int) -> Scored:
@@ -93,14 +84,11 @@ def random(seed: int) -> Scored:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_bins_of_a_group_together_are_all_scored_vessel_frames(seed: int) -> None:
     scored = random(seed)
-    followed = len(scored.pairs[0])
-    association = np.nansum(association_of_pairs(scored)[1])
+    followed, association = len(scored.pairs[0]), np.nansum(association_of_pairs(scored)[1])
     for group in breakdown(scored):
         if group.name != "occlusion":
-            frames, found = (
-                np.array([getattr(row, name) for row in group.rows]) for name in ("vessel_frames", "recall")
-            )
-            each = np.array([row.association or 0 for row in group.rows])
+            columns = [(row.vessel_frames, row.recall, row.association or 0) for row in group.rows]
+            frames, found, each = np.array(columns, dtype=float).T
             assert frames.sum() == len(scored.truth) and frames.min() > 0
             assert frames @ found == pytest.approx(followed)
             assert (frames * found) @ each == pytest.approx(association)

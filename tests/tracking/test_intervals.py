@@ -1,7 +1,5 @@
 """Intervals of means."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,5 +27,4 @@ def test_one_value_and_equal_and_infinite_values_have_no_interval() -> None:
 
 def test_a_spread_with_an_infinite_value_is_infinite() -> None:
     spread = Spread((1.0, np.inf, None))
-    assert (spread.mean, spread.deviation) == (np.inf, None)
-    assert number(spread.mean, 1) == "∞"
+    assert (spread.mean, spread.deviation) == (np.inf, None) and number(spread.mean, 1) == "∞"

@@ -20,9 +20,8 @@ def test_a_step_is_that_of_the_hand():
     assert values(predicted) == [14, 2, 36, 21, 19]
     # Measured at 19 with variance 9: total 45, gains 36 / 45 and 21 / 45, surprise 5.
     corrected = predicted.corrected(np.array([19.0]), np.array([9.0]))
-    np.testing.assert_allclose(
-        values(corrected), [14 + 0.8 * 5, 2 + 21 / 45 * 5, 36 * 9 / 45, 21 * 9 / 45, 19 - 21 * 21 / 45]
-    )
+    expected = [14 + 0.8 * 5, 2 + 21 / 45 * 5, 36 * 9 / 45, 21 * 9 / 45, 19 - 21 * 21 / 45]
+    np.testing.assert_allclose(values(corrected), expected)
 
 
 def test_a_place_that_walks_grows_uncertain_with_time():

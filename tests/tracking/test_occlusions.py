@@ -1,7 +1,5 @@
 """Tracks on hidden vessels, and occlusions that tracks survive or not, worked out by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,8 +62,7 @@ def test_the_track_after_an_occlusion_is_the_one_before_or_not(tracks, before, a
 
 def test_no_track_is_judged_by_an_occlusion_after_which_the_vessel_is_gone() -> None:
     scored = seen([(3, 1)], VISIBLE[:7])
-    assert occlusions(scored)[0].survived is None
-    assert survival(scored) == Survival(1, 0, None, 0)
+    assert occlusions(scored)[0].survived is None and survival(scored) == Survival(1, 0, None, 0)
 
 
 def test_a_frame_in_which_the_vessel_has_no_pixel_neither_ends_an_occlusion_nor_shows_the_vessel() -> None:
@@ -82,10 +79,8 @@ def test_occlusions_of_two_vessels_in_two_cameras_are_apart() -> None:
     truth = [Seen(2 * k + c, c, boxes[c], 1 if k != 2 else 0.1) for k in range(5) for c in (0, 1)]
     tracks = [(2 * k + c, 7 + (c and k > 2), boxes[c]) for k in range(5) for c in (0, 1) if k != 2]
     scored = hand_made(truth, tracks, 5, cameras=2)
-    assert [(each.camera, each.vessel, each.survived) for each in occlusions(scored)] == [
-        ("C0", "v0", True),
-        ("C1", "v1", False),
-    ]
+    found = [(each.camera, each.vessel, each.survived) for each in occlusions(scored)]
+    assert found == [("C0", "v0", True), ("C1", "v1", False)]
     assert survival(scored) == Survival(2, 2, 0.5, 2)
     assert survival(scored.in_frames(np.array([4]))) == Survival(1, 1, 1, 1)
 
@@ -94,13 +89,11 @@ def test_two_occlusions_of_a_vessel_are_two_and_one_at_the_end_lasts_as_long_as_
     visible = (1, 0.4, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0.1)
     found = occlusions(seen([(k, 1) for k in range(14)], visible))
     assert [(each.start_s, each.end_s, each.survived) for each in found] == [(0.5, 1, True), (6.5, 7, None)]
-    assert occlusions(seen([], (1,) * 14)) == ()
-    assert survival(hand_made([], [], 2)) == Survival(0, 0, None, 0)
+    assert occlusions(seen([], (1,) * 14)) == () and survival(hand_made([], [], 2)) == Survival(0, 0, None, 0)
 
 
 def test_the_last_bits_of_times_decide_nothing() -> None:
     spans_s = np.array([4.4 - 2.4, 2.0, 2.001, np.nan])
-    assert spans_s[0] > 2
-    assert within(spans_s, 2).tolist() == [True, True, False, False]
+    assert spans_s[0] > 2 and within(spans_s, 2).tolist() == [True, True, False, False]
     since_1970_s = 1_700_000_000.2 - 1_700_000_000.1
     assert since_1970_s > 0.1 and within(np.array([since_1970_s]), 0.1).all()

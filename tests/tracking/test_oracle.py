@@ -6,46 +6,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modsim3d import InputError, ModsimError, RunRows, load_scene, open_run, run_scene
 from modsim3d.core.boxes import centre_form, centres, corner_form
-from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.files.tables import indices, number_column
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
-from modsim3d.tracking import oracle as noise_module
-from modsim3d.tracking.oracle import (
-    LIMITS,
-    BoxSequences,
-    DetectionSources,
-    IdentitySpans,
-    SmootherNoise,
-    fitted_noise,
-    log_likelihood,
-    most_likely_noise,
-    oracle_tracks,
-    smoothed_motion,
-    smoother_noise,
-)
+from modsim3d.tracking import oracle
+from modsim3d.tracking.oracle import BoxSequences, SmootherNoise, oracle_tracks, smoothed_motion, smoother_noise
 from modsim3d.tracks.true_tracks import TrueTracks
 from tests.scenes import crossing
 
+STATE = {
+    **{"confusion": [[1.0], [0.0]], "false_positive_labels": [1.0], "false_discovery_rate": 0.0},
+    "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": np.zeros((4, 4)).tolist()},
+    "confidence": {"mean": 0.67, "std": 0.1},
+}
 PERFECT = {
-    "labels": ["Vessel"],
-    "confidence_threshold": 0.2,
-    "initial_state": "only",
-    "transition_matrix": [[1.0]],
-    "states": {
-        "only": {
-            "confusion": [[1.0], [0.0]],
-            "false_positive_labels": [1.0],
-            "false_discovery_rate": 0.0,
-            "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": np.zeros((4, 4)).tolist()},
-            "confidence": {"mean": 0.67, "std": 0.1},
-        }
-    },
+    **{"labels": ["Vessel"], "confidence_threshold": 0.2, "initial_state": "only", "transition_matrix": [[1.0]]},
+    "states": {"only": STATE},
 }
 EXACT = SmootherNoise(noise_share=0, noise_x_px=0, noise_y_px=0, size_noise=0, velocity_change_px_s=5)
 
@@ -76,14 +54,18 @@ def truth_at(truth, tracks):
     return np.array([where[key] for key in zip(tracks.frame.tolist(), tracks.track.tolist(), strict=True)])
 
 
+def with_detections(rows, chosen):
+    columns = {name: getattr(rows, name)[chosen] for name in ("detection_frame", "detection_vessel")}
+    return replace(rows, detections=rows.detections.take(chosen), **columns)
+
+
 def frames_of(tracks, track):
     return tracks.frame[tracks.track == track]
 
 
 def test_without_noise_and_misses_the_true_boxes_come_back(perfect):
     truth = TrueTracks.of(perfect)
-    scored = truth.take(truth.scored)
-    raw = oracle_tracks(perfect, truth, smoothed=False)
+    scored, raw = truth.take(truth.scored), oracle_tracks(perfect, truth, smoothed=False)
     assert len(raw) == len(scored) > 20
     np.testing.assert_array_equal(raw.boxes_px, np.round(truth.boxes_px[truth_at(truth, raw)], 3))
 
@@ -104,8 +86,7 @@ def test_without_noise_the_smoother_changes_no_detected_box_and_bridges_a_hidden
 def test_each_track_has_each_frame_of_its_camera_from_its_first_detection_to_its_last(noisy, truth):
     raw = oracle_tracks(noisy, truth, smoothed=False)
     smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=SmootherNoise())
-    assert len(smoothed) > len(raw)
-    assert set(smoothed.track.tolist()) == set(raw.track.tolist())
+    assert len(smoothed) > len(raw) and set(smoothed.track.tolist()) == set(raw.track.tolist())
     for track in np.unique(raw.track).tolist():
         seen = frames_of(raw, track)
         taken = noisy.frames[noisy.frames % 2 == seen[0] % 2]
@@ -125,25 +106,18 @@ def test_a_bridged_box_has_the_label_of_the_detection_before_it(noisy, truth):
 def test_boxes_and_confidences_are_those_that_a_tracker_is_given_and_no_false_one_is_among_them(noisy, truth):
     raw = oracle_tracks(noisy, truth, smoothed=False)
     false = np.isin(indices(noisy.detections, "kind", KINDS), FALSE_KINDS)
-    assert false.sum() > 5
-    assert len(raw) == (~false).sum()
+    assert false.sum() > 5 and len(raw) == (~false).sum()
 
-    def rows(frame, boxes_px, confidence):
-        return sorted(map(tuple, np.column_stack([frame, boxes_px, confidence]).tolist()))
-
-    told = np.round(noisy.detection_boxes_px(), 3), np.round(number_column(noisy.detections, "confidence"), 6)
-    assert rows(raw.frame, raw.boxes_px, raw.confidence) == rows(
-        noisy.detection_frame[~false], *(column[~false] for column in told)
-    )
+    boxes_px, confidence = noisy.detection_boxes_px(), number_column(noisy.detections, "confidence")
+    told = np.column_stack([noisy.detection_frame, np.round(boxes_px, 3), np.round(confidence, 6)])[~false]
+    assert sorted(np.column_stack([raw.frame, raw.boxes_px, raw.confidence]).tolist()) == sorted(told.tolist())
 
 
 def test_identities_are_those_of_the_truth(noisy, truth):
     raw = oracle_tracks(noisy, truth, smoothed=False)
-    vessel = {}
-    for frame, box, found in zip(
-        noisy.detection_frame.tolist(), np.round(noisy.detection_boxes_px(), 3), noisy.detection_vessel, strict=True
-    ):
-        vessel[frame, tuple(box.tolist())] = int(found)
+    boxes = map(tuple, np.round(noisy.detection_boxes_px(), 3).tolist())
+    keys = zip(noisy.detection_frame.tolist(), boxes, strict=True)
+    vessel = dict(zip(keys, noisy.detection_vessel.tolist(), strict=True))
     came_from = [vessel[key] for key in zip(raw.frame.tolist(), map(tuple, raw.boxes_px.tolist()), strict=True)]
     assert truth.vessel[truth_at(truth, raw)].tolist() == came_from
 
@@ -160,8 +134,7 @@ def test_smoothed_centres_are_closer_to_the_truth_than_detected_ones(noisy, trut
     seen = smoothed.take(np.isfinite(smoothed.confidence))
     true = truth.boxes_px[truth_at(truth, raw)]
     errors = [np.hypot(*(centres(each.boxes_px) - centres(true)).T) for each in (raw, seen)]
-    assert errors[1].mean() < 0.95 * errors[0].mean()
-    assert np.isfinite(smoothed.covariance_px2).all()
+    assert errors[1].mean() < 0.95 * errors[0].mean() and np.isfinite(smoothed.covariance_px2).all()
     assert (smoothed.covariance_px2[:, 0, 0] > 0).all()
 
 
@@ -173,15 +146,10 @@ def test_the_smoother_is_the_least_squares_solution_of_all_steps_at_once():
     found = smoothed_motion(BoxSequences(corner_form(measured[:, None]), there[:, None], time_s[:, None]), noise)
     variance, walk = noise.variance_px2(np.ones(2)), noise.rate_walk_px_s**2
     for axis in range(4):
-        rows, wanted = [], []  # each row of the unknown places and rates, 10 of them, has variance 1
-        first = np.zeros(10)
-        first[1] = 1 / 1000
-        rows.append(first)
-        wanted.append(0.0)
+        # Each row of the unknown places and rates, 10 of them, has variance 1.
+        rows, wanted = [np.eye(10)[1] / 1000], [0.0]
         for step in np.flatnonzero(there):
-            row = np.zeros(10)
-            row[2 * step] = 1 / np.sqrt(variance[axis])
-            rows.append(row)
+            rows.append(np.eye(10)[2 * step] / np.sqrt(variance[axis]))
             wanted.append(measured[step, axis] / np.sqrt(variance[axis]))
         for step, elapsed in enumerate(time_s[1:]):
             change = np.zeros((2, 10))
@@ -212,14 +180,7 @@ def test_what_comes_after_the_last_detection_changes_nothing():
 
 def test_the_noise_that_made_boxes_is_found_again():
     rng, count, length = np.random.default_rng(3), 60, 40
-    made = SmootherNoise(
-        noise_share=0.05,
-        noise_x_px=2.0,
-        noise_y_px=4.0,
-        size_noise=1.5,
-        velocity_change_px_s=6.0,
-        growth_change_px_s=1.0,
-    )
+    made = SmootherNoise(**dict(zip(oracle.LIMITS, (0.05, 2.0, 4.0, 1.5, 6.0, 1.0), strict=True)))
     size = np.exp(rng.uniform(np.log(40), np.log(600), count))
     place = np.column_stack([np.zeros((count, 2)), size, size])
     rate, boxes = np.zeros((count, 4)), []
@@ -230,33 +191,27 @@ def test_the_noise_that_made_boxes_is_found_again():
         place = np.maximum(place, [-np.inf, -np.inf, 5, 5])
     there = rng.random((length, count)) < 0.9
     there[0] = True
-    found = most_likely_noise(BoxSequences(corner_form(np.array(boxes)), there, np.ones((length, count))))
+    found = oracle.most_likely_noise(BoxSequences(corner_form(np.array(boxes)), there, np.ones((length, count))))
     for name, value in made.model_dump().items():
         assert getattr(found, name) == pytest.approx(value, rel=0.25), name
 
 
 def test_fitted_noise_makes_the_detections_of_a_run_more_likely_than_other_noise(perfect):
     truth = TrueTracks.of(perfect)
-    sequences = IdentitySpans.of(perfect, DetectionSources.of(perfect, truth)).sequences
-    found = fitted_noise(perfect, truth)
+    sequences = oracle.IdentitySpans.of(perfect, oracle.DetectionSources.of(perfect, truth)).sequences
+    found = oracle.fitted_noise(perfect, truth)
     for name in ("noise_x_px", "noise_y_px", "growth_change_px_s"):
         for factor in (0.3, 3):
-            least, most = LIMITS[name]
+            least, most = oracle.LIMITS[name]
             other = found.model_copy(update={name: factor * getattr(found, name)})
             if least <= getattr(other, name) <= most:
-                assert log_likelihood(sequences, other) < log_likelihood(sequences, found)
+                assert oracle.log_likelihood(sequences, other) < oracle.log_likelihood(sequences, found)
 
 
 def test_noise_of_a_vessel_that_is_never_seen_twice_is_an_error(perfect):
-    row = np.flatnonzero(perfect.detection_frame == 0)
-    short = replace(
-        perfect,
-        detections=perfect.detections.take(row),
-        detection_frame=perfect.detection_frame[row],
-        detection_vessel=perfect.detection_vessel[row],
-    )
+    short = with_detections(perfect, np.flatnonzero(perfect.detection_frame == 0))
     with pytest.raises(ModsimError, match="no vessel is detected twice"):
-        fitted_noise(short, TrueTracks.of(perfect))
+        oracle.fitted_noise(short, TrueTracks.of(perfect))
 
 
 def test_each_shipped_scene_has_its_noise_and_others_have_the_default():
@@ -269,15 +224,13 @@ def test_a_damaged_file_of_noises_is_an_error_that_names_the_key(tmp_path, monke
     (tmp_path / "trackers").mkdir()
     text = "default: {noise_x_px: -1}\nscenes: {}\n"
     (tmp_path / "trackers" / "oracle.yaml").write_text(text, encoding="utf-8")
-    monkeypatch.setattr(noise_module, "data_folder", lambda kind: tmp_path)
+    monkeypatch.setattr(oracle, "data_folder", lambda kind: tmp_path)
     with pytest.raises(InputError, match=r"default\.noise_x_px"):
         smoother_noise("fairway")
 
 
 def test_a_run_without_detections_has_no_tracks(noisy, truth):
-    nothing = replace(
-        noisy, detections=noisy.detections[:0], detection_frame=np.empty(0, int), detection_vessel=np.empty(0, int)
-    )
+    nothing = with_detections(noisy, np.empty(0, int))
     for smoothed in (False, True):
         assert len(oracle_tracks(nothing, truth, smoothed=smoothed)) == 0
 

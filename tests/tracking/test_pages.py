@@ -1,7 +1,5 @@
 """The pages have each setting with its default, and each key of scores."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields
 from importlib import import_module

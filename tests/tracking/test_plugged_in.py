@@ -1,7 +1,5 @@
 """A tracker from an installed package, run by the command."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -9,25 +7,14 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.core.errors import InputError
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
-from modsim3d.tracking.track_run import track_run
+from modsim3d import InputError, StoredRun, track_run
 from tests.cli.bad_input.builders import Call
 from tests.plugin_site import Site, site
-from tests.scenes import crossing
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLE = ROOT / "tests" / "tracker_example"
 SECTION = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8").split("\n## A tracker\n")[1].split("\n## ")[0]
 __all__ = ["site"]  # a fixture
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("plugged_in")
-    run_scene(load_scene(crossing(folder, 40), source="analytic"), folder / "run")
-    return folder / "run"
 
 
 def test_the_page_quotes_the_package_that_is_tested() -> None:
@@ -41,16 +28,16 @@ def test_the_tracker_has_ten_lines() -> None:
     assert len([line for line in tracker.splitlines() if line]) == 10
 
 
-def test_an_installed_tracker_runs_by_its_name_with_its_settings(
-    run: Path, site: Site, tmp_path: Path, call: Call
+def test_an_installed_tracker_runs_by_name_with_its_settings(
+    run: StoredRun, site: Site, tmp_path: Path, call: Call
 ) -> None:
     project = site.add_project(EXAMPLE)
-    status, text = call("track", run, "--tracker", "overlap", "--json", "--out", tmp_path / "a")
+    status, text = call("track", run.folder, "--tracker", "overlap", "--json", "--out", tmp_path / "a")
     assert status == 0, text
     said = json.loads(text.splitlines()[0])
     assert said["package"] == f"{project['name']} {project['version']}"
     assert (said["name"], said["settings"], said["chosen"]) == ("overlap", {"least_iou": 0.3}, "the tracker's defaults")
-    detections = pq.read_table(run / "detections.parquet")
+    detections = pq.read_table(run.folder / "detections.parquet")
     tracks = pq.read_table(tmp_path / "a" / "tracks.parquet")
     assert len(tracks) == len(detections) == said["counts"]["boxes"] == said["counts"]["detections"]
     assert 0 < said["counts"]["tracks"] < len(tracks)

@@ -11,16 +11,8 @@ from modsim3d.tracking.trackers.reference import ReferenceTracker
 
 CAMERA = CameraFacts("C0", (4000, 3000), 10.0, ("boat", "ship"))
 TRACKER = ReferenceTracker(
-    noise_share=0.0,
-    noise_x_px=2.0,
-    noise_y_px=2.0,
-    velocity_change_px_s=1.0,
-    first_speed_px_s=30.0,
-    gate_probability=0.9999,
-    start_confidence=0.4,
-    confirm_hits=2,
-    lost_s=1.0,
-    coast_s=0.5,
+    **{"noise_share": 0.0, "noise_x_px": 2.0, "noise_y_px": 2.0, "velocity_change_px_s": 1.0, "first_speed_px_s": 30.0},
+    **{"gate_probability": 0.9999, "start_confidence": 0.4, "confirm_hits": 2, "lost_s": 1.0, "coast_s": 0.5},
 )
 
 
@@ -68,8 +60,7 @@ def replaced(**settings):
 
 
 def test_a_new_track_may_miss_one_frame_and_not_two():
-    frames = straight(np.arange(6) / 10, [[100, 200]], [[30, 0]])
-    three = replaced(confirm_hits=3)
+    frames, three = straight(np.arange(6) / 10, [[100, 200]], [[30, 0]]), replaced(confirm_hits=3)
     assert numbers(followed(without(frames, 1), three)) == [[], [], [], [0], [0], [0]]
     assert numbers(followed(without(frames, 1, 2), three)) == [[], [], [], [], [], [1]]
 
@@ -120,17 +111,15 @@ def test_times_need_not_be_regular():
     times_s = np.cumsum(np.random.default_rng(1).uniform(0.02, 0.5, 60))
     answers = followed(straight(times_s, [[100, 200], [100, 300]], [[60, 5], [40, -5]]))
     assert numbers(answers)[1:] == [[0, 1]] * 59
-    np.testing.assert_allclose(
-        np.sort(centres(answers[-1].boxes_px)[:, 0]), 100 + np.array([40, 60]) * times_s[-1], atol=1
-    )
+    last_px = np.sort(centres(answers[-1].boxes_px)[:, 0])
+    np.testing.assert_allclose(last_px, 100 + np.array([40, 60]) * times_s[-1], atol=1)
 
 
 def test_frames_without_detections_have_no_tracks():
     assert numbers(followed([sensed(time_s, []) for time_s in (0.0, 0.1, 0.2)])) == [[], [], []]
     frames = straight(np.arange(30) / 10, [[100, 200]], [[30, 0]])
     answers = followed(without(frames, *range(5), *range(20, 30)))
-    assert numbers(answers) == [[]] * 6 + [[0]] * 19 + [[]] * 5
-    assert followed([]) == []
+    assert numbers(answers) == [[]] * 6 + [[0]] * 19 + [[]] * 5 and followed([]) == []
 
 
 def test_unsure_detections_continue_a_track_and_start_none():
@@ -146,10 +135,7 @@ def test_the_order_of_detections_changes_nothing():
     for step in range(40):
         places = np.array([[100, 200], [300, 220], [500, 240], [700, 800]]) + step * np.array([8, 1])
         frames.append(sensed(step / 10, places + rng.normal(0, 2, (4, 2))))
-    shuffled = []
-    for frame in frames:
-        order = rng.permutation(4)
-        shuffled.append(replace(frame, boxes_px=frame.boxes_px[order]))
+    shuffled = [replace(frame, boxes_px=frame.boxes_px[rng.permutation(4)]) for frame in frames]
     same = {}
     for one, other in zip(followed(frames), followed(shuffled), strict=True):
         a, b = (np.lexsort(answer.boxes_px.T) for answer in (one, other))
@@ -160,8 +146,7 @@ def test_the_order_of_detections_changes_nothing():
 
 
 def test_a_track_has_the_label_with_the_most_confidence():
-    frames = straight(np.arange(5) / 10, [[100, 200]], [[30, 0]])
-    labels = [0, 1, 1, 1, 0]
+    frames, labels = straight(np.arange(5) / 10, [[100, 200]], [[30, 0]]), [0, 1, 1, 1, 0]
     mixed = [replace(frame, label=np.array([label])) for frame, label in zip(frames, labels, strict=True)]
     assert [answer.label.tolist() for answer in followed(mixed)] == [[], [0], [1], [1], [1]]
 

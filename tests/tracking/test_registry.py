@@ -1,7 +1,5 @@
 """Trackers by their names, and their settings: defaults, those of a file, those of its scene, those that are given."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +11,6 @@ import pytest
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.plugins import TRACKERS, Plugin
 from modsim3d.tracking.trackers import registry
-from modsim3d.tracking.trackers import registry as files
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn, tracker_names
 from modsim3d.tracking.trackers.registry import named_tracker
@@ -32,7 +29,7 @@ class Toy(Tracker):
 def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """A built-in tracker `sort` of these tests, and a folder of settings of their own."""
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Toy", ("pydantic",)))
-    monkeypatch.setattr(files, "data_folder", lambda kind: tmp_path / kind)
+    monkeypatch.setattr(registry, "data_folder", lambda kind: tmp_path / kind)
 
 
 def settings_file(folder: Path, text: str) -> None:
@@ -93,12 +90,12 @@ def test_a_wrong_file_is_told_with_its_path_and_key(tmp_path: Path, text: str, p
 def test_shipped_files_of_settings_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever files there are: each belongs to a tracker, and every value of it is one that the tracker takes."""
     monkeypatch.undo()
-    folder = files.data_folder("scenes") / "trackers"
+    folder = registry.data_folder("scenes") / "trackers"
     names = {path.stem for path in folder.glob("*.yaml")} - {"oracle"}  # its noises are no settings of a tracker
     assert names <= set(BUILT_IN)
     for name in sorted(names):
-        assert named_tracker(name, {}, "strait").chosen != files.DEFAULTS
-        assert named_tracker(name, {}, "a scene of my own").chosen == files.DEFAULTS
+        assert named_tracker(name, {}, "strait").chosen != registry.DEFAULTS
+        assert named_tracker(name, {}, "a scene of my own").chosen == registry.DEFAULTS
 
 
 def test_wrong_settings_are_told_together_with_the_nearest_names() -> None:
@@ -137,11 +134,8 @@ def test_settings_that_no_file_holds_are_refused(monkeypatch: pytest.MonkeyPatch
         _ = named_tracker("mine", {}, "strait").origin
 
 
-def test_a_library_that_is_not_installed_is_named_with_the_command_that_installs_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_library_that_is_not_installed_is_named_with_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Toy", ("no-such-library",)))
-    with pytest.raises(
-        ModsimError, match=r"'sort' needs the library no-such-library: pip install \"modsim3d\[trackers\]\""
-    ):
+    said = r"'sort' needs the library no-such-library: pip install \"modsim3d\[trackers\]\""
+    with pytest.raises(ModsimError, match=said):
         _ = named_tracker("sort", {}, "strait").origin

@@ -1,7 +1,5 @@
 """Scores of some cameras of a run, and tracks that say nothing of others."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -9,10 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
+from modsim3d import ModsimError, RunRows, StoredRun
 from modsim3d.cli.main import app
-from modsim3d.core.errors import ModsimError
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun
 from tests.tracks.track_files import csv_text, detected_tracks, mot_texts, write_mot
 
 
@@ -55,9 +51,8 @@ def test_the_camera_that_is_asked_for_is_scored_alone(run: StoredRun, of_bow: Pa
 def test_tracks_of_other_cameras_are_left_out(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
     rows = RunRows.of(run)
     (tmp_path / "all.csv").write_text(csv_text(rows, detected_tracks(rows)))
-    alone, among = (
-        modsim3d.score_run(run, path, cameras=("bow",)).trackers[0] for path in (of_bow, tmp_path / "all.csv")
-    )
+    paths = of_bow, tmp_path / "all.csv"
+    alone, among = (modsim3d.score_run(run, path, cameras=("bow",)).trackers[0] for path in paths)
     assert among.scores.flat() == alone.scores.flat()
 
 

@@ -1,7 +1,5 @@
 """The sentence of a score says what the numbers say, at the edges too."""
 
-from __future__ import annotations
-
 import pytest
 
 from modsim3d.core.text import number
@@ -63,9 +61,8 @@ def test_a_tracker_above_the_reference_is_not_told_to_fall_short_of_it() -> None
 
 def test_without_vessels_nothing_could_be_followed() -> None:
     empty = keys(None, 0, 0)
-    assert conclusion([TrackerOutcome("sort", empty, ())], empty) == (
-        "There is no vessel to follow in this run, and sort has no track."
-    )
+    said = conclusion([TrackerOutcome("sort", empty, ())], empty)
+    assert said == "There is no vessel to follow in this run, and sort has no track."
     said = conclusion([TrackerOutcome("sort", keys(0.0, 0, 0, 3), ())], empty)
     assert said == "There is no vessel to follow in this run, and sort reports 3 boxes, all false."
     assert "can only be false" in conclusion([TrackerOutcome("sort", empty, ()), TrackerOutcome("b", empty, ())], empty)
@@ -91,9 +88,8 @@ def test_occlusions_are_told_as_far_as_there_are_enough(lengths: tuple[LengthBin
 
 
 def test_a_share_is_0_or_100_percent_only_if_it_is() -> None:
-    assert [percent(share) for share in (0.0, 0.001, 0.5, 0.999, 1.0, None)] == [
-        *("0 %", "under 1 %", "50 %", "over 99 %", "100 %", "–")
-    ]
+    said = [percent(share) for share in (0.0, 0.001, 0.5, 0.999, 1.0, None)]
+    assert said == ["0 %", "under 1 %", "50 %", "over 99 %", "100 %", "–"]
     assert [number(-0.25, 2), number(None), number(1234.0, 0)] == ["−0.25", "–", "1,234"]
 
 

@@ -1,7 +1,5 @@
 """All scores together: their keys, and those by state, camera and class."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 from math import sqrt
@@ -49,10 +47,7 @@ def test_a_state_has_the_scores_of_its_frames_only(miss_in_haze: Scores) -> None
 
 def test_a_camera_has_the_scores_of_its_frames_only() -> None:
     found = scores_of([(k, 0, A) for k in range(4)], [(0, 1, A), (2, 1, A)], 2, cameras=2).by_camera
-    assert found == {
-        "C0": SubsetScores(2, 2, 1, 1, 1, 1, 1),
-        "C1": SubsetScores(2, 2, 0, 0, None, 0, 0),
-    }
+    assert found == {"C0": SubsetScores(2, 2, 1, 1, 1, 1, 1), "C1": SubsetScores(2, 2, 0, 0, None, 0, 0)}
 
 
 def test_a_track_on_a_vessel_that_is_not_scored_counts_in_no_subset() -> None:
@@ -66,8 +61,7 @@ def test_by_class_each_label_has_its_own_matching_and_the_others_stay_of_all_cla
     truth = [(k, vessel, place) for k in range(2) for vessel, place in ((0, A), (2, B))]
     tracks = [(k, track, place, 0) for k in range(2) for track, place in ((1, A), (2, B))]
     found = scores_of(truth, tracks, 2, BY_CLASS)
-    assert found.flat() == scores_of(truth, tracks, 2).flat()
-    assert found.flat()["hota"] == 1
+    assert found.flat() == scores_of(truth, tracks, 2).flat() and found.flat()["hota"] == 1
     first, second = (found.by_class[name].flat() for name in LABELS[:2])
     assert [*found.by_class] == [*LABELS[:2]]  # nothing has the third
     # Label 0: 2 matches and 2 false boxes, so DetA = 2/4, A = 1, MOTA = 1 − 2/2. Label 1: 2 misses.
@@ -78,9 +72,8 @@ def test_by_class_each_label_has_its_own_matching_and_the_others_stay_of_all_cla
 
 def test_a_track_without_a_label_is_refused_by_class() -> None:
     tracks = [(0, 1, A, 0), (0, 2, B), (1, 1, A, 0)]
-    with pytest.raises(
-        ModsimError, match=r"^--by-class needs a label .* 1 of 3 rows have none: score without --by-class$"
-    ):
+    said = r"^--by-class needs a label .* 1 of 3 rows have none: score without --by-class$"
+    with pytest.raises(ModsimError, match=said):
         scores_of([(0, 0, A)], tracks, 2, BY_CLASS)
     assert scores_of([(0, 0, A)], tracks, 2).by_class == {}
 

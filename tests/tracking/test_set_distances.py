@@ -1,7 +1,5 @@
 """GOSPA and OSPA of tracks in the image, worked out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -18,8 +16,7 @@ RULES = Rules(set_distance=SetDistance(cutoff=10))
 @pytest.fixture(scope="module")
 def four_frames() -> Scored:
     """A shift by (3, 4), a miss, a false track and an empty frame."""
-    truth = [(0, 0, box()), (1, 0, box())]
-    tracks = [(0, 7, box(3, 4)), (2, 7, box())]
+    truth, tracks = [(0, 0, box()), (1, 0, box())], [(0, 7, box(3, 4)), (2, 7, box())]
     return hand_made(truth, tracks, 4, rules=RULES)
 
 
@@ -29,21 +26,20 @@ def test_distances_are_means_of_an_error_a_miss_a_false_track_and_an_empty_frame
 
 
 def test_a_larger_power_gives_parts_as_powers() -> None:
-    scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=_rules(power=2))
+    squared = Rules(set_distance=SetDistance(cutoff=10, power=2))
+    scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=squared)
     assert gospa(scored) == Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
 
 
 def test_cutoffs_around_an_error_turn_it_into_a_miss_and_a_false_track(four_frames: Scored) -> None:
     """With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0."""
     low, high = (gospa(replace(four_frames, rules=Rules(set_distance=SetDistance(cutoff)))) for cutoff in (4, 20))
-    assert low == Gospa(2, 0, 1, 1)
-    assert high == Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
+    assert low == Gospa(2, 0, 1, 1) and high == Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
 
 
 def test_a_track_on_a_vessel_that_is_hidden_costs_nothing() -> None:
     scored = hand_made([(0, 0, box(), 0.0)], [(0, 7, box(1))], 1, rules=RULES)
-    assert gospa(scored) == Gospa(0, 0, 0, 0)
-    assert ospa(scored) == Ospa(0)
+    assert gospa(scored) == Gospa(0, 0, 0, 0) and ospa(scored) == Ospa(0)
 
 
 def test_only_the_frames_in_question_count(four_frames: Scored) -> None:
@@ -58,8 +54,7 @@ def test_frames_of_several_cameras_are_apart() -> None:
 
 def test_without_frames_there_is_no_distance(four_frames: Scored) -> None:
     nothing = four_frames.in_frames(np.empty(0, dtype=np.int64))
-    assert gospa(nothing) == Gospa(None, None, None, None)
-    assert ospa(nothing) == Ospa(None)
+    assert gospa(nothing) == Gospa(None, None, None, None) and ospa(nothing) == Ospa(None)
 
 
 def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
@@ -74,7 +69,3 @@ def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
 def test_the_largest_cutoff_and_power_have_a_distance() -> None:
     rules = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
     assert ospa(hand_made([(0, 0, box())], [], 1, rules=rules)).ospa == pytest.approx(1e6)
-
-
-def _rules(power: float) -> Rules:
-    return Rules(set_distance=SetDistance(cutoff=10, power=power))

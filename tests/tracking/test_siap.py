@@ -1,7 +1,5 @@
 """SIAP of tracks in the image: worked out by hand, with Stone Soup's values, and against a slow way."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections import defaultdict
 
@@ -51,9 +49,8 @@ def test_a_track_goes_to_the_nearest_vessel() -> None:
 
 def test_of_two_vessels_as_near_as_each_other_a_track_goes_to_the_one_that_it_follows() -> None:
     """The smaller vessel lies in the middle of the larger one in frame 1."""
-    truth = [
-        (k, vessel, place) for k in range(3) for vessel, place in ((0, box()), (1, box(5 + 50 * (k != 1), 5, 10, 10)))
-    ]
+    smaller = [(k, 1, box(5 + 50 * (k != 1), 5, 10, 10)) for k in range(3)]
+    truth = [(k, 0, box()) for k in range(3)] + smaller
     assert siap(hand_made(truth, truth, 3, rules=RULES)) == Siap(1, 1, 0, 0, 0, 1)
 
 
@@ -73,8 +70,7 @@ def test_a_track_that_pauses_is_no_change_but_breaks_the_stretch() -> None:
 
 def test_with_two_tracks_at_once_one_stays_on_the_longer_one() -> None:
     """7 in frames 0-2, 8 in 1-5, 9 in 2-3: one change is enough, in 6 s."""
-    truth = [(k, 0, box()) for k in range(6)]
-    spans = {7: range(3), 8: range(1, 6), 9: range(2, 4)}
+    truth, spans = [(k, 0, box()) for k in range(6)], {7: range(3), 8: range(1, 6), 9: range(2, 4)}
     tracks = [(k, track, box()) for track, span in spans.items() for k in span]
     assert siap(hand_made(truth, tracks, 6, rules=RULES)) == Siap(1, 10 / 6, 0, 0, 1 / 6, 5 / 6)
 
@@ -94,9 +90,8 @@ def test_what_lies_on_a_hidden_vessel_is_left_out_and_breaks_no_stretch() -> Non
 
 def test_cameras_are_apart() -> None:
     truth = [(frame, 0, box()) for frame in range(4)]
-    assert siap(hand_made(truth, [(0, 7, box()), (2, 7, box())], 2, cameras=2, rules=RULES)) == Siap(
-        0.5, 1, 0, 0, 0, 0.5
-    )
+    scored = hand_made(truth, [(0, 7, box()), (2, 7, box())], 2, cameras=2, rules=RULES)
+    assert siap(scored) == Siap(0.5, 1, 0, 0, 0, 0.5)
 
 
 def test_only_the_frames_in_question_count() -> None:
@@ -131,8 +126,7 @@ def test_changes_and_stretches_are_those_of_stone_soup_where_no_track_pauses() -
     """Stone Soup takes times from the first to the last frame: 19 s of 20 frames, 11 s of the longer track."""
     truth = [(k, 0, 0.0) for k in range(20)]
     tracks = [(k, 7 if k < 12 else 8, 0.0) for k in range(20)]
-    theirs = _stone_soup(truth, tracks)
-    ours = siap(_along_a_line(truth, tracks))
+    theirs, ours = _stone_soup(truth, tracks), siap(_along_a_line(truth, tracks))
     assert ours.siap_id_changes_per_s == 1 / 20
     assert theirs["SIAP Rate of Track Number Change"] == pytest.approx(1 / 18)  # 11 s and 7 s
     assert ours.siap_longest_track_share == 12 / 20
@@ -169,8 +163,7 @@ def test_changes_and_stretches_are_those_of_a_walk_along_the_frames(seed: int) -
                 held = (held & there) or there
         longest += best
     ours = siap(_along_a_line(truth, tracks))
-    assert changes > 3
-    assert ours.siap_id_changes_per_s == pytest.approx(changes / tracked)
+    assert changes > 3 and ours.siap_id_changes_per_s == pytest.approx(changes / tracked)
     assert ours.siap_longest_track_share == pytest.approx(longest / len(truth))
 
 

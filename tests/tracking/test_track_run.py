@@ -1,21 +1,16 @@
 """A tracker over a finished run, and what it writes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import modsim3d
-from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
+from modsim3d import ModsimError, OutputError, RunDirectoryError, RunRows, StoredRun, load_scene
 from modsim3d.runs.camera_sequences import camera_sequences
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun, open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.trackers import registry
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN, BuiltIn
@@ -40,16 +35,7 @@ class EveryBox(Tracker):
 @pytest.fixture(autouse=True)
 def every_box(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "EveryBox"))
-    monkeypatch.setattr(
-        registry, "data_folder", lambda kind: Path("/nowhere")
-    )  # the settings that were chosen for SORT are not its own
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    folder = tmp_path_factory.mktemp("track_run")
-    run_scene(load_scene(crossing(folder, STEPS), source="analytic"), folder / "run")
-    return open_run(folder / "run")
+    monkeypatch.setattr(registry, "data_folder", lambda kind: Path("/nowhere"))  # settings of SORT are not its own
 
 
 def test_the_tracks_of_a_tracker_that_repeats_detections_are_the_detections(run: StoredRun, tmp_path: Path) -> None:
@@ -76,18 +62,14 @@ class Coasting(Tracker):
             yield TrackedFrame(np.array([7]), box, covariance_px2=np.array([[[1.0, self.xy], [self.yx, 1.0]]]))
 
 
-def test_what_is_written_is_read_also_where_a_track_coasts_far_out_of_the_image(
-    run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_track_far_out_of_the_image_is_read(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Coasting"))
     modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
     (one,) = modsim3d.score_run(run, tmp_path / "tracks").trackers
     assert len(one.track_set.tracks) == STEPS
 
 
-def test_a_covariance_that_could_not_be_read_is_not_written(
-    run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_unreadable_covariance_is_written(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its two covariances differ by rounding; with the one that is written it is none."""
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Coasting"))
     with pytest.raises(ModsimError, match="this is no covariance of x and y"):
@@ -96,9 +78,8 @@ def test_a_covariance_that_could_not_be_read_is_not_written(
 
 def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
     told: list[int] = []
-    result = modsim3d.track_run(
-        run, tmp_path / "t", tracker="sort", settings={"most": 1, "first": 5}, progress=told.append
-    )
+    few = {"most": 1, "first": 5}
+    result = modsim3d.track_run(run, tmp_path / "t", tracker="sort", settings=few, progress=told.append)
     tracks, rows = result.tracks, RunRows.of(run)
     times_s = run.scene.times_s(0, STEPS)
     counts = result.counts
@@ -107,8 +88,7 @@ def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
     assert (counts.tracks, counts.boxes) == (1, len(seen))
     assert counts.median_track_s == pytest.approx(times_s[seen[-1]] - times_s[seen[0]])
     assert times_s[seen[0]] > 0 and np.isin(seen, tracks.step).all()
-    assert result.camera_counts == {"C0": counts}
-    assert sum(told) == STEPS
+    assert result.camera_counts == {"C0": counts} and sum(told) == STEPS
     assert result.name == "sort (most=1, first=5)"
     assert "tracks 1" in repr(result) and "sort (most=1, first=5)" in result._repr_html_()
 
@@ -149,9 +129,7 @@ def test_what_is_there_is_refused_before_the_work(run: StoredRun, tmp_path: Path
         ("/proc/t", "cannot be"),
     ],
 )
-def test_a_folder_that_cannot_be_written_to_is_refused_before_the_work(
-    run: StoredRun, tmp_path: Path, place: str, said: str
-) -> None:
+def test_an_unwritable_folder_is_refused_before_the_work(run: StoredRun, tmp_path: Path, place: str, said: str) -> None:
     (tmp_path / "file").write_text("mine")
     frames: list[int] = []
     with pytest.raises(OutputError, match=said):
@@ -181,8 +159,6 @@ def test_an_interrupted_run_is_refused_with_how_to_finish_it(tmp_path: Path) -> 
 
 
 def test_the_page_has_every_column_of_the_table(run: StoredRun, tmp_path: Path) -> None:
-    import pyarrow.parquet as pq
-
     modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
     text = (Path(__file__).parents[2] / "docs" / "track.md").read_text(encoding="utf-8")
     section = text.split("## What it writes")[1].split("\n## ")[0].split("`tracks.json`")[0]

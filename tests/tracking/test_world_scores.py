@@ -1,7 +1,5 @@
 """Scores of tracks in the world against values worked out by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,36 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, RunRows, StoredRun, score_run
 from modsim3d.geometry.kinematics import HullTracks
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.score_page import score_page
-from modsim3d.tracking.score_run import score_run
 from modsim3d.tracking.scores.errors import nees
 from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.world.following import TrackEstimates, WorldTruth
 from modsim3d.tracking.world.scoring import OverVessels, Quartiles, WorldScores, quartiles, score_world
 from modsim3d.tracks.tracks import WorldTracks
 from tests.scenes import camera_keys
-from tests.tracks.sea_runs import (
-    ANCHORED,
-    ASTERN,
-    CROSSER,
-    NAMES,
-    OWN,
-    PLACES_M,
-    STARTS_M,
-    STEPS,
-    TIMES_S,
-    VELOCITIES_M_S,
-    sea_run,
-)
+from tests.tracks import sea_runs
+from tests.tracks.sea_runs import ANCHORED, ASTERN, CROSSER, OWN, PLACES_M, STARTS_M, TIMES_S, VELOCITIES_M_S
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return sea_run(tmp_path_factory.mktemp("sea") / "run")
+    return sea_runs.sea_run(tmp_path_factory.mktemp("sea") / "run")
 
 
 @pytest.fixture(scope="module")
@@ -99,21 +83,17 @@ def test_tracks_shifted_by_3_and_4_metres_have_errors_of_5(rows: RunRows, scored
     scores = score_world(rows, perfect(scored, shift_m=(3, 4)))
     assert scores.flat()["rmse_m"] == pytest.approx(5)
     assert values(scores, "rmse_m_low", "rmse_m_high") == [None, None]  # the same for both vessels
-    assert values(scores, "gospa_m", "gospa_localisation_m") == pytest.approx([5 * scored.sum() / STEPS] * 2)
+    assert values(scores, "gospa_m", "gospa_localisation_m") == pytest.approx([5 * scored.sum() / sea_runs.STEPS] * 2)
     assert values(scores, "rmse_m_s", "gospa_missed_m", "gospa_false_m", "nees") == [0, 0, 0, None]
 
 
-def test_nees_of_a_shift_is_its_mahalanobis_distance_and_infinite_where_a_covariance_is_singular(
-    rows: RunRows, scored: Any
-) -> None:
+def test_nees_of_a_shift_is_its_mahalanobis_distance_or_infinite_if_singular(rows: RunRows, scored: Any) -> None:
     whole = np.broadcast_to(np.diag([9.0, 4.0, 1.0, 1.0]), (int(scored.sum()), 4, 4)).copy()
     scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
     assert values(scores, "nees", "anees", "nees_velocity", "nees_state", "anees_state") == [5, 2.5, 0, 5, 1.25]
     whole[3, 0, 0] = 0
-    found = values(
-        score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole)),
-        *("nees", "anees", "nees_low", "nees_velocity", "nees_state"),
-    )
+    scores = score_world(rows, perfect(scored, shift_m=(3, 4), covariance=whole))
+    found = values(scores, "nees", "anees", "nees_low", "nees_velocity", "nees_state")
     assert found == [np.inf, np.inf, None, 0, np.inf]
 
 
@@ -131,12 +111,8 @@ def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
 def test_each_vessel_counts_once_however_long_it_is_followed(rows: RunRows, scored: Any) -> None:
     one = tracks_of([(CROSSER, TIMES_S[:3])], shift_m=(6, 8))
     other = tracks_of([(ANCHORED, TIMES_S)])
-    both = WorldTracks.of(
-        "t",
-        np.append(one.track, other.track + 1),
-        ("a", "b"),
-        *(np.concatenate([getattr(one, name), getattr(other, name)]) for name in ("time_s", "position_m")),
-    )
+    columns = (np.concatenate([getattr(one, name), getattr(other, name)]) for name in ("time_s", "position_m"))
+    both = WorldTracks.of("t", np.append(one.track, other.track + 1), ("a", "b"), *columns)
     scores = score_world(rows, both)
     # The t-quantile of 0.975 with one degree of freedom is 12.706, and the standard error of 10 and 0 is 5.
     assert values(scores, "rmse_m", "rmse_m_low", "rmse_m_high") == pytest.approx([5, 5 - 63.531, 5 + 63.531], abs=1e-3)
@@ -151,13 +127,13 @@ def test_a_mean_over_few_vessels_has_no_interval() -> None:
 
 def test_a_missed_vessel_and_a_false_track_cost_half_the_cutoff_each(rows: RunRows, scored: Any) -> None:
     lost = score_world(rows, tracks_of([(CROSSER, TIMES_S[scored[:, CROSSER]])]))
-    missed = 25 * scored[:, ANCHORED].sum() / STEPS
+    missed = 25 * scored[:, ANCHORED].sum() / sea_runs.STEPS
     assert values(lost, "gospa_m", "gospa_missed_m", "gospa_false_m") == pytest.approx([missed, missed, 0])
     assert values(lost, "vessels", "established") == [2, 1]
     far = tracks_of([(ANCHORED, TIMES_S), (ANCHORED, TIMES_S[10:20])], shift_m=0)
     far.position_m[far.track == 1] += (0, 400)
     ghost = score_world(rows, far, set_distance=SetDistance(cutoff=30, power=1))
-    crosser = 15 * scored[:, CROSSER].sum() / STEPS
+    crosser = 15 * scored[:, CROSSER].sum() / sea_runs.STEPS
     assert values(ghost, "gospa_missed_m", "gospa_false_m") == pytest.approx([crosser, 15 * 10 / 60])
     assert values(ghost, "false_tracks", "false_track_s") == [1, 5.0]
 
@@ -165,7 +141,7 @@ def test_a_missed_vessel_and_a_false_track_cost_half_the_cutoff_each(rows: RunRo
 def test_without_tracks_all_is_missed(rows: RunRows, scored: Any) -> None:
     none = WorldTracks.of("t", np.zeros(0, dtype=np.int64), (), np.zeros(0), np.zeros((0, 2)))
     scores = score_world(rows, none)
-    assert values(scores, "gospa_m", "followed_share", "established") == [25 * scored.sum() / STEPS, 0, 0]
+    assert values(scores, "gospa_m", "followed_share", "established") == [25 * scored.sum() / sea_runs.STEPS, 0, 0]
     assert values(scores, "rmse_m", "nees", "pairs", "encounters", "encounters_established") == [None, None, 0, 1, 0]
     assert all(met.established_s is None and met.time_left_s is None for met in scores.encounters)
 
@@ -214,7 +190,7 @@ def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored:
         vessel: camera_keys(1280, 720, focal_length_m=0.008, mount={"vessel": vessel, "position_m": [5, 0, 6]})
         for vessel in ("own", "crosser")
     }
-    both = WorldTruth.of(RunRows.of(sea_run(tmp_path / "run", cameras=cameras, steps=4)))
+    both = WorldTruth.of(RunRows.of(sea_runs.sea_run(tmp_path / "run", cameras=cameras, steps=4)))
     assert bow.mount.vessel == "own" and scored[:4, CROSSER].all()
     assert both.own_ships == (OWN, CROSSER) and not both.scored[:, [OWN, CROSSER]].any()
     assert both.scored[:, ANCHORED].all()
@@ -241,8 +217,7 @@ def test_a_tracker_slower_than_the_steps_is_there_at_each(rows: RunRows, scored:
     scores = score_world(rows, tracks_of([(ANCHORED, TIMES_S[::4]), (CROSSER, TIMES_S[scored[:, CROSSER]][::4])]))
     # Each reaches a second to either side: those at 28 s to 29 s, and the crosser's last, at 18 s, to 19 s.
     assert values(scores, "rmse_m", "id_switches", "track_breaks") == pytest.approx([0, 0, 0], abs=1e-9)
-    assert scored[:, CROSSER].sum() == 40
-    assert scores.flat()["pairs"] == scored[:59, ANCHORED].sum() + 39
+    assert scored[:, CROSSER].sum() == 40 and scores.flat()["pairs"] == scored[:59, ANCHORED].sum() + 39
 
 
 def test_the_nearest_estimate_in_time_stands_for_a_step() -> None:
@@ -295,12 +270,13 @@ def test_distances_must_be_above_zero(option: str, value: float, rows: RunRows, 
 
 def test_a_run_and_its_rows_have_the_same_scores(run: StoredRun, rows: RunRows, scored: Any) -> None:
     assert score_world(run, perfect(scored)).flat() == score_world(rows, perfect(scored)).flat()
-    assert run.scene.vessel_names == NAMES
+    assert run.scene.vessel_names == sea_runs.NAMES
     np.testing.assert_allclose(WorldTruth.of(rows).hulls.centres_m, PLACES_M)
 
 
 def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run: StoredRun, tmp_path: Path) -> None:
-    rows = [f"{time_s},a,{x},{y}" for time_s, (x, y) in zip(TIMES_S[:9], _crosser_m(TIMES_S[:9]), strict=True)]
+    places_m = STARTS_M[CROSSER] + TIMES_S[:9, None] * VELOCITIES_M_S[CROSSER]
+    rows = [f"{time_s},a,{x},{y}" for time_s, (x, y) in zip(TIMES_S[:9], places_m, strict=True)]
     (tmp_path / "one.csv").write_text("\n".join(["time_s,track,w1_m,w2_m", *rows]) + "\n")
     page = score_page(score_run(run, tmp_path / "one.csv"))
     assert "one: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
@@ -317,14 +293,8 @@ def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run:
         ({"gap_s": 5.0}, "--gap: for"),
     ],
 )
-def test_rules_of_images_are_refused_where_all_tracks_are_in_the_world(
-    rules: dict[str, Any], said: str, run: StoredRun, tmp_path: Path
-) -> None:
+def test_image_rules_are_refused_in_the_world(rules: dict[str, Any], said: str, run: StoredRun, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("time_s,track,w1_m,w2_m\n0,a,1,2\n")
     with pytest.raises(ModsimError, match=said):
         score_run(run, tmp_path / "one.csv", **rules)
     assert score_run(run, tmp_path / "one.csv", threshold=0.5, gate_m=20.0, gospa_c=30.0, gospa_p=2.0).world
-
-
-def _crosser_m(times_s: Any) -> Any:
-    return STARTS_M[CROSSER] + times_s[:, None] * VELOCITIES_M_S[CROSSER]

@@ -1,9 +1,6 @@
-"""Exact occlusion where every number can be said beforehand.
-
-The camera looks along w1 from 10 m above the sea with a focal length of 1000 px, the principal point at (400, 300). A
-box of 10 m height has its top on the horizon, so that of a box straight ahead nothing but the front face is seen: a
-rectangle from row 300 to row 300 + 10000 / distance.
-"""
+"""Exact occlusion where every number can be said beforehand. The camera looks along w1 from 10 m above the sea with a
+focal length of 1000 px, the principal point at (400, 300). A box of 10 m height has its top on the horizon, so that of
+a box straight ahead nothing but the front face is seen: a rectangle from row 300 to row 300 + 10000 / distance."""
 
 import json
 import subprocess
@@ -30,8 +27,7 @@ def test_lone_box_has_the_area_and_box_of_its_front_face():
     np.testing.assert_allclose(seen.full_boxes_px, [[350, 300, 450, 350]], atol=1e-9)
     np.testing.assert_array_equal(seen.visible_boxes_px, seen.full_boxes_px)
     np.testing.assert_allclose(seen.silhouette_px, [5000])
-    assert seen.visible_fraction().tolist() == [1.0]
-    assert seen.occluders == ((),)
+    assert seen.visible_fraction().tolist() == [1.0] and seen.occluders == ((),)
 
 
 def test_side_that_is_covered_is_cut_to_the_exact_column():
@@ -76,8 +72,7 @@ def test_vessel_cut_in_two_by_one_before_it_keeps_the_box_around_both_parts():
 def test_vessel_behind_a_larger_one_has_no_visible_box():
     small, large = vessel("small", 2, 4, 3), vessel("large", 2, 40, 30)
     seen = seen_of([(small, (301, 0), 0), (large, (101, 0), 0)])
-    assert seen.visible_px[0] == 0
-    assert np.isnan(seen.visible_boxes_px[0]).all()
+    assert seen.visible_px[0] == 0 and np.isnan(seen.visible_boxes_px[0]).all()
     assert seen.occluders[0] == ((1, pytest.approx(seen.silhouette_px[0])),)
 
 
@@ -109,10 +104,8 @@ def test_vessel_wholly_behind_the_middle_of_three_is_not_given_to_the_nearest():
 
 
 def test_box_across_the_near_plane_is_cut_there_and_hides_what_is_behind_its_visible_part():
-    """2 to 3 m to port, from 20 m behind the camera to 20 m ahead, and the near plane at 10 m.
-
-    The near side at the far end is at column 400 − 2000 / 20 = 300, the far side at the cut at 400 − 3000 / 10 = 100.
-    """
+    """2 to 3 m to port, from 20 m behind the camera to 20 m ahead, and the near plane at 10 m. The near side at the far
+    end is at column 400 − 2000 / 20 = 300, the far side at the cut at 400 − 3000 / 10 = 100."""
     lens = replace(INTRINSICS, near_clip_m=10.0)
     quay, boat = vessel("quay", 40, 1, 20), vessel("boat", 1, 60, 10)
     outlines = outlines_of([(quay, (0, 2.5), 0), (boat, (200.5, 0), 0)], lens)

@@ -1,16 +1,14 @@
 """Exact truth of meshes: boxes of projected and clipped corners, unions of triangles, planes between hulls."""
 
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
+from functools import cache, partial
 
 import numpy as np
 import pytest
 import shapely
 
+from modsim3d import load_scene, simulate_frames
 from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.scene.reading import load_scene
 from modsim3d.truth import analytic
 from modsim3d.truth.analytic import analytic_occlusion, boundary_pixels, image_silhouettes
 from modsim3d.truth.full_frame import full_frame_occlusion
@@ -18,18 +16,13 @@ from modsim3d.truth.occlusion_order import hull_vertices, order_of
 from modsim3d.truth.outlines import outline
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from modsim3d.world.bodies import Obstacle, obstacle_bodies, placed, vessel_bodies
-from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
+from modsim3d.world.mesh_reading import shipped_meshes
 from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_scene, vessel
-from tests.truth.test_mesh_truth import own_ship_scene
+from tests.truth.test_mesh_truth import WRECK, mesh, own_ship_scene
 
 LEVEL = Mount((0.0, 0.0, 10.0))
 IMAGE = shapely.box(0, 0, *INTRINSICS.image_size_px)
-
-
-@cache
-def mesh(name):
-    return load_mesh(name, Path())
 
 
 @cache
@@ -47,10 +40,8 @@ def compared(renderer, outlines, intrinsics=INTRINSICS, supersample=1):
     """Comparison with everything drawn in one buffer with a depth test."""
     drawn = full_frame_occlusion(outlines, intrinsics, renderer, supersample)
 
-    def draw_masks(row):
-        return pixel_masks(outlines, intrinsics, renderer, row, supersample)
-
-    return compare_with_analytic(outlines, intrinsics, drawn, draw_masks, supersample)
+    masks = partial(pixel_masks, outlines, intrinsics, renderer, supersample=supersample)
+    return compare_with_analytic(outlines, intrinsics, drawn, masks, supersample)
 
 
 def beyond_near(triangle):
@@ -94,28 +85,26 @@ def test_area_of_a_silhouette_is_that_of_pixels_an_eighth_wide(renderer, name, p
     assert exact.visible_px.tolist() == exact.silhouette_px.tolist()
 
 
+def front_and_back(front, back):
+    before, behind = ship("front", 30, 7, 11, front), ship("back", 60, 12, 16, back)
+    return outlines_of([(before, (100.0, 2.0), 1.2), (behind, (190.0, -6.0), 1.9)])
+
+
 SHAPES = {"shoebox": shoebox, "ferry": lambda: mesh("ferry"), "sailboat": lambda: mesh("sailboat")}
 
 
 @pytest.mark.parametrize(
-    ("front", "back"),
-    [("shoebox", "ferry"), ("sailboat", "shoebox"), ("sailboat", "ferry"), ("ferry", "sailboat")],
+    ("front", "back"), [("shoebox", "ferry"), ("sailboat", "shoebox"), ("sailboat", "ferry"), ("ferry", "sailboat")]
 )
 def test_visible_part_behind_or_of_a_mesh_is_that_of_the_pixels(renderer, front, back):
-    outlines = outlines_of(
-        [
-            (ship("front", 30, 7, 11, SHAPES[front]()), (100.0, 2.0), 1.2),
-            (ship("back", 60, 12, 16, SHAPES[back]()), (190.0, -6.0), 1.9),
-        ]
-    )
+    outlines = front_and_back(SHAPES[front](), SHAPES[back]())
     exact = analytic_occlusion(outlines, INTRINSICS)
     fine = full_frame_occlusion(outlines, INTRINSICS, renderer, 8)
     assert 0.05 < exact.visible_fraction()[1] < 0.95
     np.testing.assert_allclose(exact.visible_fraction(), fine.visible_fraction(), atol=2e-3)
     np.testing.assert_allclose(exact.visible_boxes_px, fine.visible_boxes_px, atol=0.3)
     ((hider, px),) = exact.occluders[1]
-    assert hider == 0
-    assert px == pytest.approx(exact.silhouette_px[1] - exact.visible_px[1])
+    assert hider == 0 and px == pytest.approx(exact.silhouette_px[1] - exact.visible_px[1])
     assert (compared(renderer, outlines).worst < Agreement.BOUNDARY_ROUNDING).all()  # tips of the sails
 
 
@@ -129,16 +118,11 @@ def test_no_difference_between_pixels_and_geometry_of_meshes_is_unexplained(rend
 
 
 def test_hulls_that_intersect_while_the_meshes_do_not_are_left_to_pixels_and_counted(renderer):
-    outlines = outlines_of(
-        [
-            (ship("cat", 30, 15, 6, catamaran()), (100.0, 0.0), 0.0),
-            (ship("between", 4, 2, 2), (110.0, 0.0), 0.0),
-            (ship("behind", 30, 20, 9), (200.0, 0.0), 0.0),
-        ]
-    )
+    ships = ship("cat", 30, 15, 6, catamaran()), ship("between", 4, 2, 2), ship("behind", 30, 20, 9)
+    places = ((100.0, 0.0), (110.0, 0.0), (200.0, 0.0))
+    outlines = outlines_of([(each, place, 0.0) for each, place in zip(ships, places, strict=True)])
     exact = analytic_occlusion(outlines, INTRINSICS)
-    assert exact.intersecting.tolist() == [[0, 1]]
-    assert np.isnan(exact.visible_px[:2]).all()
+    assert exact.intersecting.tolist() == [[0, 1]] and np.isnan(exact.visible_px[:2]).all()
     assert np.isnan(exact.visible_boxes_px[:2]).all()
     found = compared(renderer, outlines)
     assert found.visible.tolist() == [Agreement.INTERSECTING, Agreement.INTERSECTING, Agreement.AGREE]
@@ -147,13 +131,10 @@ def test_hulls_that_intersect_while_the_meshes_do_not_are_left_to_pixels_and_cou
 
 def test_hulls_whose_boxes_intersect_have_a_plane_between_them(renderer):
     """A kayak's pointed bow reaches past the corner of the box around the other's bow."""
-    outlines = outlines_of(
-        [
-            (ship("one", 30, 10, 6, mesh("kayak")), (100.0, 0.0), 0.0),
-            (ship("other", 30, 10, 6, mesh("kayak")), (127.0, 5.0), 0.0),
-        ]
+    outlines, in_boxes = (
+        outlines_of([(ship("kayak", 30, 10, 6, solid), place, 0.0) for place in ((100.0, 0.0), (127.0, 5.0))])
+        for solid in (mesh("kayak"), shoebox())
     )
-    in_boxes = outlines_of([(ship("one", 30, 10, 6), (100.0, 0.0), 0.0), (ship("other", 30, 10, 6), (127.0, 5.0), 0.0)])
     assert order_of(in_boxes).intersecting.tolist() == [True]
     order = order_of(outlines)
     assert (order.first_can_hide.tolist(), order.second_can_hide.tolist()) == ([True], [False])
@@ -161,12 +142,7 @@ def test_hulls_whose_boxes_intersect_have_a_plane_between_them(renderer):
 
 
 def test_wrong_order_of_two_meshes_is_found(renderer, monkeypatch):
-    outlines = outlines_of(
-        [
-            (ship("front", 30, 7, 11, mesh("sailboat")), (100.0, 2.0), 1.2),
-            (ship("back", 60, 12, 16, mesh("ferry")), (190.0, -6.0), 1.9),
-        ]
-    )
+    outlines = front_and_back(mesh("sailboat"), mesh("ferry"))
 
     def swapped(outlines):
         order = order_of(outlines)
@@ -178,16 +154,11 @@ def test_wrong_order_of_two_meshes_is_found(renderer, monkeypatch):
 
 def test_mesh_of_an_obstacle_hides_by_its_own_silhouette(renderer):
     wreck = Obstacle("wreck", (placed(mesh("sailboat"), np.array([20, 6, 16]), np.array([100.0, 0, 0]), 1.3),))
-    bodies = vessel_bodies(
-        [vessel("ship", 60, 14, 12)],
-        np.ones((1, 1), dtype=bool),
-        np.array([[[200.0, 5.0, 0.0]]]),
-        world_R_vehicle(np.array([[0.4]])),
-    )
+    present, place = np.ones((1, 1), dtype=bool), np.array([[[200.0, 5.0, 0.0]]])
+    bodies = vessel_bodies([vessel("ship", 60, 14, 12)], present, place, world_R_vehicle(np.array([[0.4]])))
     outlines = outline(INTRINSICS, poses_ashore(LEVEL, 1), bodies + obstacle_bodies([wreck], 1, 1))
     ((hider, px),) = analytic_occlusion(outlines, INTRINSICS).occluders[0]
-    assert hider == 1
-    assert 0 < px < 0.6 * analytic_occlusion(outlines, INTRINSICS).silhouette_px[0]
+    assert hider == 1 and 0 < px < 0.6 * analytic_occlusion(outlines, INTRINSICS).silhouette_px[0]
     assert (compared(renderer, outlines).worst == Agreement.AGREE).all()
 
 
@@ -199,8 +170,7 @@ def test_hull_of_a_flat_mesh_is_all_its_vertices():
 
 
 def test_analytic_source_takes_vessels_own_ship_and_obstacles_by_their_meshes(tmp_path):
-    wreck = {"mesh": "container_ship", "size_m": [90, 15, 30], "position_m": [150, 0, -2], "heading_rad": 1.57}
-    path = own_ship_scene(tmp_path, obstacles={"wreck": wreck})
+    path = own_ship_scene(tmp_path, obstacles={"wreck": WRECK})
     drawn, exact = (list(simulate_frames(load_scene(path, source=source))) for source in ("rendered", "analytic"))
     for one, other in zip(drawn, exact, strict=True):
         assert one.truth.vessels == other.truth.vessels == ("near", "far")
@@ -208,8 +178,7 @@ def test_analytic_source_takes_vessels_own_ship_and_obstacles_by_their_meshes(tm
         np.testing.assert_allclose(other.truth.visible_fraction, one.truth.visible_fraction, atol=0.05)
         for counted, area in zip(one.truth.occluded_by, other.truth.occluded_by, strict=True):
             assert area.keys() == counted.keys()
-    assert exact[0].truth.occluded_by[0]["own"] > 20
-    assert exact[0].truth.occluded_by[1]["obstacle:wreck"] > 100
+    assert exact[0].truth.occluded_by[0]["own"] > 20 and exact[0].truth.occluded_by[1]["obstacle:wreck"] > 100
 
 
 def test_way_from_a_region_to_its_hole_is_no_boundary_that_pixels_may_cross():

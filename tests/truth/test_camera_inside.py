@@ -41,8 +41,7 @@ def test_closed_mesh_fills_the_sphere_inside_and_nothing_outside():
 
 def fleet(present: list[list[int]]) -> list[Bodies]:
     """A boat at the origin, 8 m long and 2 m wide and high, and one 20 m ahead of it that lies across."""
-    boats = [vessel("along", 8, 2, 2), vessel("across", 8, 2, 2)]
-    steps = len(present)
+    boats, steps = [vessel("along", 8, 2, 2), vessel("across", 8, 2, 2)], len(present)
     places = np.tile([[0.0, 0.0, 0.0], [20.0, 0.0, 0.0]], (steps, 1, 1))
     headings = np.tile([0.0, np.pi / 2], (steps, 1))
     return vessel_bodies(boats, np.array(present, dtype=bool), places, world_R_vehicle(headings))

@@ -12,18 +12,9 @@ from modsim3d.truth.outlines import Outlines
 def random_outlines(rng: np.random.Generator, count: int) -> Outlines:
     """Whole pixel boxes in three frames; a fifth are obstacles."""
     corner, size = rng.integers(0, 400, (count, 2)), rng.integers(1, 60, (count, 2))
-    numbers, nothing = np.arange(count), np.empty(count)
-    return Outlines(
-        frame=np.sort(rng.integers(0, 3, count)),
-        occluder=numbers,
-        boxed=rng.random(count) < 0.8,
-        boxes_px=np.concatenate([corner, corner + size], axis=1).astype(np.float64),
-        areas_px=nothing,
-        in_frame_fraction=nothing,
-        depth_m=nothing,
-        crosses_near=np.zeros(count, dtype=bool),
-        parts=(),
-    )
+    frame, boxed, nothing = np.sort(rng.integers(0, 3, count)), rng.random(count) < 0.8, np.empty(count)
+    boxes_px = np.concatenate([corner, corner + size], axis=1).astype(np.float64)
+    return Outlines(frame, np.arange(count), boxed, boxes_px, *[nothing] * 3, np.zeros(count, dtype=bool), parts=())
 
 
 def overlap(outlines: Outlines, a: int, b: int) -> bool:
@@ -45,17 +36,11 @@ def expected_clusters(outlines: Outlines) -> set[tuple]:
         pairs = [(a, b) for a in vessels for b in every if a != b and overlap(outlines, a, b)]
         if pairs:
             rows = sorted(vessels | {b for _, b in pairs})
-            boxes = outlines.boxes_px
-            common = [
-                [*np.maximum(boxes[a, :2], boxes[b, :2]), *np.minimum(boxes[a, 2:], boxes[b, 2:])] for a, b in pairs
-            ]
-            found.add((tuple(rows), around(np.array(common))))
+            one, other = outlines.boxes_px[np.array(pairs).T]
+            low = np.maximum(one[:, :2], other[:, :2]).min(axis=0).astype(int)
+            high = np.minimum(one[:, 2:], other[:, 2:]).max(axis=0).astype(int)
+            found.add((tuple(rows), Region(*low.tolist(), *(high - low).tolist())))
     return found
-
-
-def around(boxes: np.ndarray) -> Region:
-    low, high = boxes[:, :2].min(axis=0).astype(int), boxes[:, 2:].max(axis=0).astype(int)
-    return Region(*low.tolist(), *(high - low).tolist())
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -63,8 +48,7 @@ def test_clusters_are_those_that_a_search_of_all_pairs_finds(seed):
     outlines = random_outlines(np.random.default_rng(seed), (0, 1, 5, 40, 90, 120)[seed % 6])
     clusters = clusters_of(outlines, outlines.boxes_px, ClusteredPairs.of(outlines, outlines.boxes_px))
     told = [(tuple(each.rows.tolist()), each.shared) for each in clusters]
-    assert len(told) == len(set(told))
-    assert set(told) == expected_clusters(outlines)
+    assert len(told) == len(set(told)) and set(told) == expected_clusters(outlines)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -98,8 +82,7 @@ def test_every_cluster_has_a_place_of_its_own_in_one_buffer(count, most):
         assert sheet.regions == [each.shared for each in batch.clusters]
         taken = np.zeros(sheet.size[::-1], dtype=int)
         for region, (x, y) in zip(sheet.regions, sheet.places.tolist(), strict=True):
-            assert x + region.width <= sheet.size[0]
-            assert y + region.height <= sheet.size[1]
+            assert x + region.width <= sheet.size[0] and y + region.height <= sheet.size[1]
             taken[y : y + region.height, x : x + region.width] += 1
         assert taken.max() == 1
         assert taken.any(axis=1).all()  # no shelf is higher than what stands on it

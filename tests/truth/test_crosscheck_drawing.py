@@ -1,7 +1,5 @@
 """The cross-check's own drawing against the plain one, and what it says about ties."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -39,8 +37,7 @@ def check_against_plain_drawing(seed: int, renderer: IdRenderer, *, lens: bool) 
         intrinsics = replace(intrinsics, distortion=Distortion(k1=-0.05 * min(1.0, zoom**2), p1=0.002))
     supersample = 1 + seed % 2
     drawing = drawing_of(places, intrinsics, mount, supersample)
-    seen = drawing.ids(renderer, drawing.image)
-    outlines = outlines_of(places, intrinsics, mount)
+    seen, outlines = drawing.ids(renderer, drawing.image), outlines_of(places, intrinsics, mount)
     for row, masks in vessel_masks(outlines, intrinsics, renderer, supersample):
         occluder, region = int(outlines.occluder[row]), masks.region
         alone = drawing.only(occluder)
@@ -86,15 +83,13 @@ def test_pieces_of_a_cut_triangle_have_its_area_on_the_inner_side() -> None:
         parts, source = cut(triangle, [(np.array([1.0, 0.0]), offset)])
         (a, b, c) = np.moveaxis(parts, 1, 0)
         doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-        assert doubled.sum() / 2 == pytest.approx(area)
-        assert (source == 0).all()
+        assert doubled.sum() / 2 == pytest.approx(area) and (source == 0).all()
 
 
 def test_equal_boats_side_by_side_tie_where_their_faces_are_one() -> None:
     # Both bows lie in one plane across the view; they overlap by a tenth of the beam.
     places = [(vessel("a"), (60.0, 0.0), 0.0), (vessel("b"), (60.0, 9.0), 0.0)]
-    drawing = drawing_of(places)
-    column = np.arange(300, 420)
+    drawing, column = drawing_of(places), np.arange(300, 420)
     row = np.full(len(column), 305)
     ties = possible_ids(drawing, column, row)[1].sum(axis=1) > 1
     centre = column + 0.5

@@ -1,6 +1,7 @@
 """Solids cut at the near plane, what needs no clipping, and triangles whose edges are halved."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -114,15 +115,10 @@ def test_solids_that_the_near_plane_cuts_beside_the_image_are_left_out_as_nothin
     ]
     camera = replace(INTRINSICS, near_clip_m=1.0)
     some = outlines_of(places, camera)
-    beside = []
-    monkeypatch.setattr(
-        outlines_module,
-        "_beside_image",
-        lambda vertices, _: beside.append(len(vertices)) or np.zeros(len(vertices), bool),
-    )
-    every = outlines_of(places, camera)
-    assert some.crosses_near.sum() > 5
-    assert beside[0] - some.crosses_near.sum() > 5
+    none_beside = Mock(side_effect=lambda vertices, _: np.zeros(len(vertices), bool))
+    monkeypatch.setattr(outlines_module, "_beside_image", none_beside)
+    every, beside = outlines_of(places, camera), [len(call.args[0]) for call in none_beside.call_args_list]
+    assert some.crosses_near.sum() > 5 and beside[0] - some.crosses_near.sum() > 5
     for name in ("occluder", "boxes_px", "areas_px", "in_frame_fraction", "crosses_near"):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name))
 
@@ -153,8 +149,7 @@ def test_rows_within_the_guard_are_those_with_every_vertex_in_it(factor, guard):
     drawn = triangles_of(outlines, INTRINSICS, factor, guard)
     assert sorted(set(drawn.row[drawn.of_whole].tolist())) == np.flatnonzero(inside).tolist()
     low, high = drawn.corners_px.min(axis=(0, 1)), drawn.corners_px.max(axis=(0, 1))
-    assert (low >= -guard / factor - 1e-6).all()
-    assert (high <= size + guard / factor + 1e-6).all()
+    assert (low >= -guard / factor - 1e-6).all() and (high <= size + guard / factor + 1e-6).all()
 
 
 def test_triangles_on_both_sides_of_an_edge_are_cut_at_the_same_points():
@@ -185,7 +180,6 @@ def test_without_faces_turned_away_the_others_are_the_same(factor):
     outlines = outlines_of(random_places(np.random.default_rng(22), 60, near_m=5.0, far_m=150.0))
     every, some = (triangles_of(outlines, INTRINSICS, factor, facing_only=only) for only in (False, True))
     kept = ~every.of_whole | (facing(every.corners_px * factor) > 0)
-    assert (every.of_whole & kept).sum() > 100
-    assert len(some.row) < len(every.row) * 0.7
+    assert (every.of_whole & kept).sum() > 100 and len(some.row) < len(every.row) * 0.7
     for name in ("row", "corners_px", "inverse_depth", "of_whole"):
         np.testing.assert_array_equal(getattr(some, name), getattr(every, name)[kept], err_msg=name)

@@ -1,5 +1,7 @@
 """Boxes that overlap in space: the analytic source names them, and the rendered one decides."""
 
+import pickle
+
 import pytest
 
 from modsim3d.core.errors import InputError
@@ -31,9 +33,7 @@ detector: {folder}/detectors/thesis.yaml
 
 
 @pytest.mark.parametrize(("source", "annotated"), [("analytic", 4), ("rendered", 12)])
-def test_run_names_intersecting_vessels_whose_visibility_it_leaves_open(
-    monkeypatch, tmp_path, capsys, source, annotated
-):
+def test_run_names_intersecting_vessels_of_unknown_visibility(monkeypatch, tmp_path, capsys, source, annotated):
     scene = tmp_path / "raft.yaml"
     scene.write_text(SCENE.format(folder=data_folder("scenes")))
     out = str(tmp_path / "run")
@@ -44,8 +44,6 @@ def test_run_names_intersecting_vessels_whose_visibility_it_leaves_open(
 
 
 def test_input_errors_come_through_from_another_process():
-    import pickle
-
     error = InputError("scene x.yaml", ["a: wrong", "b: wrong"])
     again = pickle.loads(pickle.dumps(error))
     assert (str(again), again.source, again.problems) == (str(error), error.source, error.problems)

@@ -11,13 +11,9 @@ import pytest
 import shapely
 from typer.testing import CliRunner
 
+from modsim3d import InputError, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.cli.main import app
-from modsim3d.core.errors import InputError
 from modsim3d.render.id_pass import Region
-from modsim3d.runs.pipeline import simulate_frames
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import mask_box
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.outlines import Outlines
@@ -26,6 +22,7 @@ from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, camera_keys, outlines_of, random_scene, vessel, write_scene
+from tests.truth.test_regions_against_full import assert_same
 
 
 @cache
@@ -33,28 +30,16 @@ def mesh(name):
     return load_mesh(name, Path())
 
 
-@cache
-def box_as_mesh():
-    """A shoebox that nothing knows to be convex."""
-    return replace(shoebox(), convex=False)
-
-
 def with_solids(places, solids):
     return [(replace(ship, solid=solids[i % len(solids)]), *rest) for i, (ship, *rest) in enumerate(places)]
-
-
-def assert_same_truth(one, other, count):
-    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
-    assert one.occluders == other.occluders
-    assert len(one.visible_px) == count
 
 
 @pytest.mark.parametrize("seed", range(24))
 def test_shoebox_as_a_mesh_gives_the_truth_of_the_shoebox(renderer, seed):
     places, intrinsics, mount = random_scene(np.random.default_rng(70_000 + seed))
     boxes = outlines_of(places, intrinsics, mount)
-    meshes = outlines_of(with_solids(places, [box_as_mesh(), shoebox()]), intrinsics, mount)
+    not_known_to_be_convex = replace(shoebox(), convex=False)
+    meshes = outlines_of(with_solids(places, [not_known_to_be_convex, shoebox()]), intrinsics, mount)
     np.testing.assert_array_equal(meshes.occluder, boxes.occluder)
     np.testing.assert_allclose(meshes.boxes_px, boxes.boxes_px, rtol=0, atol=1e-6)
     np.testing.assert_allclose(meshes.depth_m, boxes.depth_m)
@@ -62,7 +47,7 @@ def test_shoebox_as_a_mesh_gives_the_truth_of_the_shoebox(renderer, seed):
     seen = [rendered_occlusion(outlines, intrinsics, renderer) for outlines in (meshes, boxes)]
     # A silhouette without a pixel keeps its projected box, which rounding may change.
     drawn = np.flatnonzero(seen[1].silhouette_px > 0)
-    assert_same_truth(*(occlusion.take(drawn) for occlusion in seen), len(drawn))
+    assert_same(*(occlusion.take(drawn) for occlusion in seen))
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -73,7 +58,7 @@ def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed):
     fast = rendered_occlusion(outlines, intrinsics, renderer)
     plain = full_frame_occlusion(outlines, intrinsics, renderer)
     drawn = np.flatnonzero(plain.silhouette_px > 0)
-    assert_same_truth(fast.take(drawn), plain.take(drawn), len(drawn))
+    assert_same(fast.take(drawn), plain.take(drawn))
 
 
 def alone(name, heading=0.7, place=(120.0, 3.0)):
@@ -81,12 +66,16 @@ def alone(name, heading=0.7, place=(120.0, 3.0)):
     return outlines_of([(ship, place, heading)])
 
 
+def silhouette_of(outlines: Outlines):
+    (part,) = outlines.parts
+    vertices = part.vertices_camera, part.vertices_px
+    return silhouette_polygons(INTRINSICS, *vertices, outlines.crosses_near, part.solid)[0]
+
+
 @pytest.mark.parametrize("name", shipped_meshes())
 def test_pixels_of_a_mesh_are_those_inside_its_exact_silhouette(renderer, name):
     outlines = alone(name)
-    (part,) = outlines.parts
-    polygon = silhouette_polygons(INTRINSICS, part.vertices_camera, part.vertices_px, np.zeros(1, bool), part.solid)[0]
-    seen = rendered_occlusion(outlines, INTRINSICS, renderer)
+    polygon, seen = silhouette_of(outlines), rendered_occlusion(outlines, INTRINSICS, renderer)
     x, y = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
     sure, perhaps = (shapely.contains_xy(polygon.buffer(band), x, y) for band in (-1 / 128, 1 / 128))
     assert sure.sum() <= seen.silhouette_px[0] <= perhaps.sum() < 1.02 * sure.sum()
@@ -103,27 +92,21 @@ def test_something_is_seen_between_a_sailboats_mast_and_sail(renderer):
     outlines = outlines_of([(ship, (60.0, 0.0), np.pi / 2), (vessel("boat", 2, 2, 3), (90.0, 6.5), 0.0)])
     seen = rendered_occlusion(outlines, INTRINSICS, renderer)
     assert (outlines.boxes_px[1, :2] >= outlines.boxes_px[0, :2]).all()
-    assert (outlines.boxes_px[1, 2:] <= outlines.boxes_px[0, 2:]).all()
-    assert seen.visible_px[1] > 0
-
-
-def silhouettes_of(outlines: Outlines):
-    (part,) = outlines.parts
-    args = (part.vertices_camera, part.vertices_px, outlines.crosses_near, part.solid)
-    return silhouette_polygons(INTRINSICS, *args)[0]
+    assert (outlines.boxes_px[1, 2:] <= outlines.boxes_px[0, 2:]).all() and seen.visible_px[1] > 0
 
 
 def test_mesh_cut_by_the_image_edge_has_the_fraction_of_its_area_that_is_inside():
     outlines = alone("ferry", heading=np.pi / 2, place=(60.0, 20.0))
-    whole = silhouettes_of(outlines)
+    whole = silhouette_of(outlines)
     inside = shapely.intersection(whole, shapely.box(0, 0, 800, 600))
     assert 0 < outlines.in_frame_fraction[0] < 1
     assert outlines.in_frame_fraction[0] == pytest.approx(inside.area / whole.area)
     np.testing.assert_allclose(outlines.boxes_px[0], inside.bounds)
 
 
+# At the stern, above deck, looking over the whole boat.
 OWN_CAMERA = camera_keys(mount={"vessel": "own", "position_m": [-6, 0, 6], "pitch_rad": 0.15})
-"""At the stern, above deck, looking over the whole boat."""
+WRECK = {"mesh": "container_ship", "size_m": [90, 15, 30], "position_m": [150, 0, -2], "heading_rad": 1.57}
 
 
 def own_ship_scene(folder, own_mesh="fishing_vessel", **keys):
@@ -182,11 +165,9 @@ def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tm
         assert figures[part]["verdicts"]["agree within a pixel"] == 12
         assert figures[part]["verdicts"]["left to pixels: no plane between two hulls"] == 0
     (loose,) = figures["shoebox_against_mesh"].items()
-    assert loose[0] == "far"
-    assert loose[1]["frames"] == 6
+    assert loose[0] == "far" and loose[1]["frames"] == 6
     assert 1.0 <= loose[1]["mean_area_ratio"] <= loose[1]["max_area_ratio"] < 1.5
-    assert "Shoebox against mesh" in result.output
-    assert "far" in result.output
+    assert "Shoebox against mesh" in result.output and "far" in result.output
 
 
 def test_rule_of_rectangles_takes_vessels_for_their_shoeboxes_and_leaves_own_ships_hull_out(tmp_path):
@@ -199,12 +180,7 @@ def test_rule_of_rectangles_takes_vessels_for_their_shoeboxes_and_leaves_own_shi
 
 
 def test_obstacle_of_mesh_hides_and_is_named(tmp_path):
-    path = own_ship_scene(
-        tmp_path,
-        obstacles={
-            "wreck": {"mesh": "container_ship", "size_m": [90, 15, 30], "position_m": [150, 0, -2], "heading_rad": 1.57}
-        },
-    )
+    path = own_ship_scene(tmp_path, obstacles={"wreck": WRECK})
     hidden = [frame.truth.occluded_by[frame.truth.vessels.index("far")] for frame in simulate_frames(load_scene(path))]
     assert all(entry.get("obstacle:wreck", 0) > 100 for entry in hidden)
 
@@ -232,8 +208,7 @@ def test_copy_of_a_scene_with_meshes_has_a_copy_that_is_the_same(tmp_path):
     scene = load_scene(path)
     assert len([name for name in scene.copy.files if name.startswith("meshes/")]) == 4
     copied = load_scene(scene.copy.write(tmp_path / "copy"))
-    assert dict(copied.copy.document) == dict(scene.copy.document)
-    assert copied.sha256 == scene.sha256
+    assert dict(copied.copy.document) == dict(scene.copy.document) and copied.sha256 == scene.sha256
 
 
 def test_camera_inside_its_own_ships_mesh_is_refused_and_in_its_shoebox_is_not(tmp_path):

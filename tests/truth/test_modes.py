@@ -15,15 +15,9 @@ def four_rows() -> Truth:
     full = np.array([[0.0, 0.0, 40.0, 20.0]] * 4)
     visible = np.array([[0.0, 0, 40, 20], [10, 0, 15, 20], [np.nan] * 4, [np.nan] * 4])
     silhouette, seen = np.full(4, 800.0), np.array([800.0, 100.0, 0.0, np.nan])
-    return replace(
-        no_truth(),
-        step=np.zeros(4, dtype=np.int64),
-        full_boxes_px=full,
-        visible_boxes_px=visible,
-        silhouette_px=silhouette,
-        visible_px=seen,
-        visible_fraction=seen / silhouette,
-    )
+    pixels = {"silhouette_px": silhouette, "visible_px": seen, "visible_fraction": seen / silhouette}
+    step = np.zeros(4, dtype=np.int64)
+    return replace(no_truth(), step=step, full_boxes_px=full, visible_boxes_px=visible, **pixels)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Clusters cut without drawing: against drawn ones, against painting pixel by pixel, and where nobody can tell."""
 
 from dataclasses import fields, replace
+from itertools import compress
 
 import numpy as np
 import pytest
@@ -9,10 +10,9 @@ from modsim3d.geometry.camera_poses import Mount
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth import outlines as projection
 from modsim3d.truth import rendered
-from modsim3d.truth import rendered as nearer_first
 from modsim3d.truth.cluster_visibility import ClusteredPairs, OrderedClusters, visibility_in_order
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.occlusion_order import _boxes_around
+from modsim3d.truth.occlusion_order import in_boxes
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.rendered import _ranks, ranks_of, rendered_occlusion
 from modsim3d.truth.silhouettes import Spans
@@ -59,8 +59,7 @@ def test_cut_spans_are_those_of_painting_pixel_by_pixel_from_far_to_near(seed):
     ordered = OrderedClusters(pairs, ranks, Spans(*np.array(spans, dtype=np.int64).reshape(-1, 4).T))
     seen = visibility_in_order(ordered, boxed, (WIDTH, HEIGHT))
     covered = (masks & (front != np.arange(count)[:, None, None])).any(axis=(1, 2)) & boxed
-    assert 0 < covered.sum() < boxed.sum()
-    assert seen.rows.tolist() == np.flatnonzero(covered).tolist()
+    assert 0 < covered.sum() < boxed.sum() and seen.rows.tolist() == np.flatnonzero(covered).tolist()
     painted = np.full((HEIGHT, WIDTH), -1)
     for row, y, start, stop in zip(*(getattr(seen.visible, n) for n in ("row", "y", "start", "stop")), strict=True):
         assert (painted[y, start:stop] == -1).all()
@@ -127,14 +126,13 @@ def test_solids_that_hide_each_other_in_a_circle_have_no_ranks_that_rise_along_i
     near, far = np.array([0, 1, 2, 0, 4]), np.array([1, 2, 0, 3, 5])
     found = _ranks(near, far, 6)
     rises = found[near] < found[far]
-    assert not rises[:3].all()
-    assert rises[4]
+    assert not rises[:3].all() and rises[4]
 
 
 def test_order_is_known_only_of_pairs_along_which_ranks_rise(monkeypatch):
     boat = vessel("boat", 5, 2, 2)
     outlines = outlines_of([(boat, (distance, 0.0), 0.0) for distance in (100.0, 200.0, 300.0)])
-    monkeypatch.setattr(nearer_first, "_ranks", lambda near, far, count: np.array([0, 1, 1]))
+    monkeypatch.setattr(rendered, "_ranks", lambda near, far, count: np.array([0, 1, 1]))
     assert ranks(outlines)[1] == [True, True, False]
 
 
@@ -157,10 +155,10 @@ def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
     _, sight = strait
     (boxes,) = (part for part in sight.outlines(as_shoeboxes=True).parts if part.solid is shoebox())
     outlines = sight.outlines()
-    meshes = [part for part in outlines.parts if not part.solid.convex and outlines.boxed[part.rows].all()]
-    assert meshes
-    for part in meshes:
-        for corners in _boxes_around(part):
+    meshes = [not part.solid.convex and outlines.boxed[part.rows].all() for part in outlines.parts]
+    assert any(meshes)
+    for part in compress(in_boxes(outlines).parts, meshes):
+        for corners in part.vertices_camera:
             assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
 
 
@@ -186,8 +184,7 @@ def test_steps_that_are_projected_in_portions_have_the_outlines_of_all_at_once(m
 def test_rows_between_two_are_those_that_are_taken(first, stop):
     scene = load_scene("strait", mode=2)
     outlines = scene.sight(scene.cameras[0], np.arange(100, 112)).outlines()
-    assert len(outlines) > 40
-    assert len(outlines.parts) > 3
+    assert len(outlines) > 40 and len(outlines.parts) > 3
     assert_same_outlines(outlines.between(first, stop), outlines.take(np.arange(first, stop)))
 
 

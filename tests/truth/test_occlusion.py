@@ -32,8 +32,7 @@ def test_entries_of_one_row_and_occluder_are_added_up_in_order():
 
 def test_chosen_rows_keep_their_hiders_and_the_pairs_of_which_both_are_chosen():
     found = five_rows().take(np.array([0, 2, 3]))
-    assert found.occluders == ((), ((0, 3.0), (1, 5.0)), ())
-    assert found.intersecting.tolist() == [[0, 2]]
+    assert found.occluders == ((), ((0, 3.0), (1, 5.0)), ()) and found.intersecting.tolist() == [[0, 2]]
     np.testing.assert_array_equal(found.silhouette_px, [0.0, 20.0, 30.0])
     assert five_rows().take(np.array([1, 2, 3, 4])).intersecting.tolist() == [[0, 3]]
 
@@ -45,10 +44,8 @@ def test_share_that_is_visible_is_unknown_without_a_pixel():
 def test_record_has_the_steps_of_the_frames_and_nothing_annotated():
     outlines = outlines_of([(vessel(f"v{i}"), (100.0 + 20 * i, 0.0), 0.0) for i in range(5)])
     truth = five_rows().truth(outlines, np.array([7]), 3)
-    assert truth.step.tolist() == [7] * 5
-    assert truth.camera.tolist() == [3] * 5
-    assert truth.vessel.tolist() == [0, 1, 2, 3, 4]
-    assert not truth.annotated.any()
+    assert truth.step.tolist() == [7] * 5 and truth.camera.tolist() == [3] * 5
+    assert truth.vessel.tolist() == [0, 1, 2, 3, 4] and not truth.annotated.any()
     assert truth.occluders_of(2) == [(0, 3.0), (1, 5.0)]
     np.testing.assert_array_equal(truth.intersections, [[7, 3, 0, 3], [7, 3, 1, 4]])
 

@@ -1,6 +1,7 @@
 """Which of two vessels is in front: a plane between them decides, not the distance of their centres."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ from modsim3d.geometry.camera_poses import rotation, world_R_vehicle
 from modsim3d.truth import occlusion_order
 from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes, rectangle_occlusion
 from modsim3d.truth.occlusion_order import axis_count, candidate_axes, order_of
-from modsim3d.truth.outlines import OutlinePart
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import compare_with_analytic
 from modsim3d.world.vessels import shoebox
@@ -32,31 +32,23 @@ def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_ster
     order = order_of(outlines)
     assert (order.first_can_hide.tolist(), order.second_can_hide.tolist()) == ([False], [True])
     for seen in (analytic_occlusion(outlines, INTRINSICS), rendered_occlusion(outlines, INTRINSICS, renderer)):
-        assert seen.visible_px[BOAT] == seen.silhouette_px[BOAT] > 100
-        assert seen.occluders[BOAT] == ()
+        assert seen.visible_px[BOAT] == seen.silhouette_px[BOAT] > 100 and seen.occluders[BOAT] == ()
         ((hider, hidden_px),) = seen.occluders[SHIP]  # all of the boat but what lies below the ship's waterline
-        assert hider == BOAT
-        assert 0.5 * seen.silhouette_px[BOAT] < hidden_px < seen.silhouette_px[BOAT]
+        assert hider == BOAT and 0.5 * seen.silhouette_px[BOAT] < hidden_px < seen.silhouette_px[BOAT]
         assert seen.visible_px[SHIP] + hidden_px == pytest.approx(seen.silhouette_px[SHIP])
 
 
 def test_rectangle_rule_drops_the_boat_before_the_long_ships_stern():
     seen = rectangle_occlusion(long_ship_and_boat())
-    assert seen.visible_px[BOAT] == 0
-    assert seen.visible_px[SHIP] == seen.silhouette_px[SHIP]
+    assert seen.visible_px[BOAT] == 0 and seen.visible_px[SHIP] == seen.silhouette_px[SHIP]
 
 
 def test_three_beams_each_hide_a_part_of_the_next():
     boxes, mount = cyclic_beams()
     outlines = outlines_at(boxes, INTRINSICS, mount)
     order = order_of(outlines)
-    hiders = {
-        (int(a if first else b), int(b if first else a))
-        for a, b, first, second in zip(
-            order.first, order.second, order.first_can_hide, order.second_can_hide, strict=True
-        )
-        if first != second
-    }
+    columns = zip(order.first, order.second, order.first_can_hide, order.second_can_hide, strict=True)
+    hiders = {(a, b) if first else (b, a) for a, b, first, second in columns if first != second}
     assert hiders == {(1, 0), (2, 1), (0, 2)}
     seen = analytic_occlusion(outlines, INTRINSICS)
     assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
@@ -71,21 +63,13 @@ def test_three_beams_each_hide_a_part_of_the_next():
 def test_three_beams_are_rendered_as_the_analytic_source_says(renderer, supersample):
     boxes, mount = cyclic_beams()
     outlines = outlines_at(boxes, INTRINSICS, mount)
-    seen, exact = (
-        rendered_occlusion(outlines, INTRINSICS, renderer, supersample),
-        analytic_occlusion(outlines, INTRINSICS),
-    )
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer, supersample)
+    exact = analytic_occlusion(outlines, INTRINSICS)
     assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
     np.testing.assert_allclose(seen.visible_px, exact.visible_px, atol=20 / supersample)  # of some 6,500
     np.testing.assert_allclose(seen.visible_boxes_px, exact.visible_boxes_px, atol=1 / supersample)
-    found = compare_with_analytic(
-        outlines,
-        INTRINSICS,
-        seen,
-        lambda row: pixel_masks(outlines, INTRINSICS, renderer, row, supersample),
-        supersample,
-    )
-    assert not found.worst.any()
+    masks = partial(pixel_masks, outlines, INTRINSICS, renderer, supersample=supersample)
+    assert not compare_with_analytic(outlines, INTRINSICS, seen, masks, supersample).worst.any()
 
 
 def corners_touching(rng):
@@ -94,12 +78,11 @@ def corners_touching(rng):
     length, beam = rng.uniform(5, 300), rng.uniform(2, 40)
     other_length, other_beam = rng.uniform(5, 300), rng.uniform(2, 40)
     first = np.array([rng.uniform(400, 3000), rng.uniform(-300, 300)])
-    if rng.random() < 0.5:  # side by side
-        offset = np.array([rng.uniform(-1, 1) * (length + other_length) / 2, (beam + other_beam) / 2])
-    else:  # bow to stern
-        offset = np.array([(length + other_length) / 2, rng.uniform(-1, 1) * (beam + other_beam) / 2])
+    reach = np.array([length + other_length, beam + other_beam]) / 2
+    beside = rng.random() < 0.5  # or bow to stern
+    offset = reach * np.where([beside, not beside], rng.uniform(-1, 1), 1.0)
     turn = world_R_vehicle(heading)[:2, :2]
-    push = 1e-3 * np.sign(offset) * (np.abs(offset) == np.abs([(length + other_length) / 2, (beam + other_beam) / 2]))
+    push = 1e-3 * np.sign(offset) * (np.abs(offset) == reach)
 
     def places(apart):
         one, two = vessel("one", length, beam, 20), vessel("two", other_length, other_beam, 20)
@@ -113,8 +96,7 @@ def test_touching_boxes_do_not_intersect_and_boxes_a_millimetre_into_each_other_
     wide = replace(INTRINSICS, principal_point_px=(4000.0, 4000.0), image_size_px=(8000, 8000))
     touching, pushed = corners_touching(np.random.default_rng(seed))
     order = order_of(outlines_of(touching, wide))
-    assert not order.intersecting.any()
-    assert not (order.first_can_hide & order.second_can_hide).any()
+    assert not order.intersecting.any() and not (order.first_can_hide & order.second_can_hide).any()
     assert order_of(outlines_of(pushed, wide)).intersecting.tolist() == [True]
 
 
@@ -125,10 +107,8 @@ def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_the
     outlines = outlines_of(places)
     seen = analytic_occlusion(outlines, INTRINSICS)
     np.testing.assert_array_equal(seen.intersecting, [[1, 2]])
-    assert np.isnan(seen.visible_px[[1, 2]]).all()
-    assert np.isnan(seen.visible_boxes_px[[1, 2]]).all()
-    assert np.isnan(seen.visible_fraction()[[1, 2]]).all()
-    assert np.isfinite(seen.full_boxes_px).all()
+    assert np.isnan(seen.visible_px[[1, 2]]).all() and np.isnan(seen.visible_boxes_px[[1, 2]]).all()
+    assert np.isnan(seen.visible_fraction()[[1, 2]]).all() and np.isfinite(seen.full_boxes_px).all()
     assert seen.visible_px[3] == seen.silhouette_px[3]
     # What both hide of the one behind is counted once.
     drawn = rendered_occlusion(outlines, INTRINSICS, renderer)
@@ -164,27 +144,22 @@ def tumbled_pairs(rng, count):
     angles = rng.uniform(-np.pi, np.pi, (3, 2 * count))
     turns = rotation(0, angles[0]) @ rotation(1, angles[1]) @ rotation(2, angles[2])
     half = np.linalg.norm(extents, axis=1).reshape(count, 2) / 2
-    centres = rng.normal([0, 0, 100], 40, (count, 1, 3))
-    directions = rng.normal(size=(count, 3))
+    centres, directions = rng.normal([0, 0, 100], 40, (count, 1, 3)), rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     apart = directions * (half.sum(axis=1) * rng.uniform(0.2, 1.0, count))[:, None]
     places = np.concatenate([centres, centres + apart[:, None]], axis=1).reshape(-1, 1, 3)
     vertices = (turned * extents[:, None]) @ np.swapaxes(turns, 1, 2) + places
     boxes = np.tile([0.0, 0.0, 10.0, 10.0], (2 * count, 1))
-    parts = (replace(part, vertices_camera=vertices),)
-    return replace(outlines, frame=np.repeat(np.arange(count), 2), boxes_px=boxes, parts=parts), (
-        extents,
-        turns,
-        places[:, 0],
-    )
+    parts, frame = (replace(part, vertices_camera=vertices),), np.repeat(np.arange(count), 2)
+    return replace(outlines, frame=frame, boxes_px=boxes, parts=parts), (extents, turns, places[:, 0])
 
 
 def margin_of_separation(a, b):
     """The widest gap along any direction with coordinates in [−1, 1], by linear programming; zero if there is none."""
-    rows = [np.column_stack([a, np.full(len(a), -1.0), np.zeros(len(a))])]  # n · a <= d
-    rows.append(np.column_stack([-b, np.ones(len(b)), np.ones(len(b))]))  # n · b >= d + gap
+    rows = np.pad(np.concatenate([a, -b]), ((0, 0), (0, 2)))  # n · a <= d and n · b >= d + gap
+    rows[: len(a), 3], rows[len(a) :, 3:] = -1, 1
     limits = [(-1, 1)] * 3 + [(None, None), (0, None)]
-    found = linprog([0, 0, 0, 0, -1], A_ub=np.concatenate(rows), b_ub=np.zeros(len(a) + len(b)), bounds=limits)
+    found = linprog([0, 0, 0, 0, -1], A_ub=rows, b_ub=np.zeros(len(rows)), bounds=limits)
     assert found.success
     return -found.fun
 
@@ -194,9 +169,7 @@ def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_
     (part,) = outlines.parts
     whole, group = order_of(outlines), np.random.default_rng(12).integers(0, 3, len(outlines))
     groups = [np.flatnonzero(group == number) for number in range(3)]
-    parts = tuple(
-        OutlinePart(replace(part.solid), rows, part.vertices_camera[rows], part.vertices_px[rows]) for rows in groups
-    )
+    parts = tuple(replace(part.take(rows), solid=replace(part.solid)) for rows in groups)
     monkeypatch.setattr(occlusion_order, "MAX_COORDINATES", 2_000)
     for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):
         np.testing.assert_array_equal(getattr(order_of(replace(outlines, parts=parts)), name), getattr(whole, name))
@@ -242,17 +215,12 @@ def test_separating_planes_are_found_exactly_where_linear_programming_finds_one(
 
 def test_upright_boxes_intersect_exactly_where_their_footprints_do():
     rng = np.random.default_rng(6)
-    wide = replace(INTRINSICS, focal_px=(10.0, 10.0))
-    told = []
+    wide, told = replace(INTRINSICS, focal_px=(10.0, 10.0)), []
     for _ in range(200):
-        places = [
-            (
-                vessel(name, rng.uniform(5, 60), rng.uniform(2, 15), 12),
-                tuple(rng.uniform([80, -30], [140, 30])),
-                heading,
-            )
-            for name, heading in zip("ab", rng.uniform(-np.pi, np.pi, 2), strict=True)
-        ]
+        places = []
+        for name, heading in zip("ab", rng.uniform(-np.pi, np.pi, 2), strict=True):
+            boat = vessel(name, rng.uniform(5, 60), rng.uniform(2, 15), 12)
+            places.append((boat, tuple(rng.uniform([80, -30], [140, 30])), heading))
         order = order_of(outlines_of(places, wide))
         if len(order.first):
             one, two = (footprint(*place) for place in places)
@@ -278,8 +246,7 @@ def first_met(directions, extents, turn, place):
 def test_order_is_that_in_which_rays_meet_the_boxes():
     outlines, (extents, turns, places) = tumbled_pairs(np.random.default_rng(7), 200)
     order = order_of(outlines)
-    rng = np.random.default_rng(8)
-    vertices = outlines.parts[0].vertices_camera
+    rng, vertices = np.random.default_rng(8), outlines.parts[0].vertices_camera
     both = 0
     for pair in np.flatnonzero(~order.intersecting):
         a, b = order.first[pair], order.second[pair]

@@ -51,11 +51,9 @@ def test_centre_closer_to_the_edge_than_the_rounding_of_corners_may_be_either(fa
 @pytest.mark.parametrize("factor", [1, 3])
 def test_box_and_count_are_those_of_the_mask_they_were_counted_from(factor):
     mask, region = pixels_of(SHAPE, factor)
-    y, x = np.nonzero(mask)
-    box = mask_box(mask, region)
-    np.testing.assert_array_equal(
-        box, [x.min() + region.x, y.min() + region.y, x.max() + 1 + region.x, y.max() + 1 + region.y]
-    )
+    (y, x), box = np.nonzero(mask), mask_box(mask, region)
+    expected = [x.min() + region.x, y.min() + region.y, x.max() + 1 + region.x, y.max() + 1 + region.y]
+    np.testing.assert_array_equal(box, expected)
     count = mask.sum() / factor**2
     assert counted_from(mask, region, box / factor, count, factor)
     assert not counted_from(mask, region, box / factor, count + 1 / factor**2, factor)

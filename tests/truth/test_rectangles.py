@@ -1,8 +1,6 @@
-"""The thesis's rule (Jessen & Mohr (2023), §7.5.1, Figures 7.14–7.16) on rectangles given as numbers.
-
-Mode 0 keeps the full box of every vessel, mode 1 of every vessel that is not fully covered; in mode 2, "if two
-neighbouring corners of the vessel are covered, only the visible part is annotated".
-"""
+"""The thesis's rule (Jessen & Mohr (2023), §7.5.1, Figures 7.14–7.16) on rectangles given as numbers. Mode 0 keeps the
+full box of every vessel, mode 1 of every vessel that is not fully covered; in mode 2, "if two neighbouring corners of
+the vessel are covered, only the visible part is annotated"."""
 
 from dataclasses import replace
 
@@ -58,8 +56,7 @@ def test_only_two_neighbouring_corners_that_are_covered_cut_a_side_and_in_mode_t
     covers, left, visible_px = COVERS[what]
     seen = seen_of([B, *covers])
     assert [annotated_box(seen, mode) for mode in (0, 1, 2)] == [B, B if left else None, left]
-    assert seen.visible_px[0] == visible_px
-    assert np.isnan(seen.visible_boxes_px[0]).all() == (left is None)
+    assert seen.visible_px[0] == visible_px and np.isnan(seen.visible_boxes_px[0]).all() == (left is None)
 
 
 def test_nearer_means_smaller_depth_whatever_the_order_of_vessels():

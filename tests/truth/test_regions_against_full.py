@@ -26,9 +26,8 @@ def assert_same(fast, slow):
 def test_random_scenes_have_the_same_truth_either_way(renderer, seed):
     places, intrinsics, mount = random_scene(np.random.default_rng(10_000 + seed))
     outlines = outlines_of(places, intrinsics, mount)
-    assert_same(
-        rendered_occlusion(outlines, intrinsics, renderer), full_frame_occlusion(outlines, intrinsics, renderer)
-    )
+    scene = outlines, intrinsics, renderer
+    assert_same(rendered_occlusion(*scene), full_frame_occlusion(*scene))
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -42,9 +41,8 @@ def test_supersampled_scenes_have_the_same_truth_either_way(renderer, seed):
 @pytest.mark.parametrize(("name", "first", "stop"), [("simulation_1", 1210, 1250), ("harbour", 155, 180)])
 def test_shipped_scenes_have_the_same_truth_either_way(renderer, name, first, stop):
     """Whole Simulation 1 and harbour were compared so; these are the steps with the most occlusion."""
-    fast, full = (
-        truth_block(load_scene(name, mode=2, render=render), first, stop, renderer) for render in ("regions", "full")
-    )
+    scenes = (load_scene(name, mode=2, render=render) for render in ("regions", "full"))
+    fast, full = (truth_block(scene, first, stop, renderer) for scene in scenes)
     assert (full.visible_fraction < 1).sum() > 15
     for column in set(COLUMNS) - {"drawn"}:
         np.testing.assert_array_equal(getattr(fast, column), getattr(full, column), err_msg=column)
@@ -58,8 +56,7 @@ def test_several_frames_at_once_give_the_truth_of_each(renderer):
         outlines = scene.sight(camera, np.arange(first, stop)).outlines()
         return rendered_occlusion(outlines, camera.intrinsics, renderer)
 
-    together = occlusion(100, 112)
-    single = [occlusion(step, step + 1) for step in range(100, 112)]
+    together, single = occlusion(100, 112), [occlusion(step, step + 1) for step in range(100, 112)]
     for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
         np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(o, name) for o in single]))
     assert together.occluders == tuple(entry for o in single for entry in o.occluders)
@@ -91,8 +88,7 @@ def test_scan_conversion_fills_the_pixels_that_the_rasteriser_fills(renderer, se
 def flat_box(left: float, top: float, right: float, bottom: float) -> np.ndarray:
     """A shoebox that projects to a rectangle: every vertex at the corner of its own side, seen along its length."""
     unit = shoebox().vertices
-    x = np.where(unit[:, 1] > 0, left, right)
-    y = np.where(unit[:, 2] > 0, top, bottom)
+    x, y = np.where(unit[:, 1] > 0, left, right), np.where(unit[:, 2] > 0, top, bottom)
     shrink = np.where(unit[:, 0] > 0, 1.0, 0.5)  # the far side within the near one
     centre = np.array([(left + right) / 2, (top + bottom) / 2])
     return (centre + (np.stack([x, y], axis=-1) - centre) * shrink[:, None])[None]

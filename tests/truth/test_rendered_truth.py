@@ -23,16 +23,13 @@ def test_box_in_front_hides_exactly_the_columns_it_should(renderer):
     np.testing.assert_array_equal(seen.visible_boxes_px[0][[0, 2]], [430, 450])
     assert seen.visible_px[0] == seen.silhouette_px[0] * 20 / 100
     assert seen.occluders[0] == ((1, seen.silhouette_px[0] * 80 / 100),)
-    assert seen.visible_px[1] == seen.silhouette_px[1]
-    assert seen.occluders[1] == ()
+    assert seen.visible_px[1] == seen.silhouette_px[1] and seen.occluders[1] == ()
 
 
 def test_vessel_behind_a_larger_one_is_hidden_and_keeps_its_full_box(renderer):
     small, large = vessel("small", 2, 4, 3), vessel("large", 2, 40, 30)
     _, seen = truth_of(renderer, [(small, (301, 0), 0), (large, (101, 0), 0)])
-    assert seen.visible_px[0] == 0
-    assert np.isnan(seen.visible_boxes_px[0]).all()
-    assert seen.silhouette_px[0] > 0
+    assert seen.visible_px[0] == 0 and np.isnan(seen.visible_boxes_px[0]).all() and seen.silhouette_px[0] > 0
     assert seen.full_boxes_px[0][2] - seen.full_boxes_px[0][0] == 14
     assert seen.occluders[0] == ((1, seen.silhouette_px[0]),)
 
@@ -54,21 +51,15 @@ def test_vessel_half_in_the_image_is_cut_at_its_edge(renderer):
     assert outlines.in_frame_fraction[0] == pytest.approx(0.5, abs=1e-3)
 
 
-def test_vessel_behind_the_camera_is_not_in_the_image(renderer):
-    outlines, _ = truth_of(renderer, [(vessel("behind"), (-100, 0), 0)])
-    assert len(outlines) == 0
-
-
-def test_vessel_outside_the_image_is_not_in_it(renderer):
-    outlines, _ = truth_of(renderer, [(vessel("beside"), (100, 60), 0)])
-    assert len(outlines) == 0
+@pytest.mark.parametrize("place", [(-100, 0), (100, 60)], ids=["behind the camera", "outside the image"])
+def test_vessel_behind_the_camera_or_outside_the_image_is_not_in_it(renderer, place):
+    assert len(truth_of(renderer, [(vessel("away"), place, 0)])[0]) == 0
 
 
 def test_vessel_across_the_near_plane_is_cut_there_and_not_mirrored(renderer):
     """A 40 m long box 2 m to port of the camera, from 20 m behind to 20 m ahead: its far end is 100 px to port."""
     outlines, seen = truth_of(renderer, [(vessel("long", 40, 1, 20), (0, 2.5), 0)])
-    assert outlines.crosses_near.tolist() == [True]
-    assert np.isnan(outlines.in_frame_fraction[0])
+    assert outlines.crosses_near.tolist() == [True] and np.isnan(outlines.in_frame_fraction[0])
     np.testing.assert_array_equal(seen.full_boxes_px[0], [0, 0, 300, 600])
     np.testing.assert_allclose(outlines.boxes_px[0], [0, 0, 300, 600], atol=1e-9)
     assert seen.visible_px[0] == seen.silhouette_px[0] == 300 * 600
@@ -81,16 +72,14 @@ def test_vessel_of_one_pixel_has_the_box_of_that_pixel(renderer, factor):
     outlines = outlines_of([(vessel("dot", 1e-3, size, size), (100, size / 2), 0)])
     seen = rendered_occlusion(outlines, INTRINSICS, renderer, factor)
     assert seen.silhouette_px[0] == seen.visible_px[0] == pytest.approx(1 / factor**2)
-    expected = [400 - 1 / factor, 400 - 1 / factor, 400, 400]
-    np.testing.assert_allclose(seen.full_boxes_px, [expected])
-    np.testing.assert_allclose(seen.visible_boxes_px, [expected])
+    for boxes_px in (seen.full_boxes_px, seen.visible_boxes_px):
+        np.testing.assert_allclose(boxes_px, [[400 - 1 / factor, 400 - 1 / factor, 400, 400]])
 
 
 def test_vessel_larger_than_the_image_fills_it(renderer):
     outlines, seen = truth_of(renderer, [(vessel("wall", 2, 500, 200), (20, 0), 0)])
     np.testing.assert_array_equal(seen.full_boxes_px[0], [0, 0, 800, 600])
-    assert seen.silhouette_px[0] == 800 * 600
-    assert 0 < outlines.in_frame_fraction[0] < 0.1
+    assert seen.silhouette_px[0] == 800 * 600 and 0 < outlines.in_frame_fraction[0] < 0.1
 
 
 def test_boxes_that_only_touch_hide_nothing_of_each_other(renderer):
@@ -103,13 +92,11 @@ def test_boxes_that_only_touch_hide_nothing_of_each_other(renderer):
 
 def test_three_hundred_vessels_in_one_image_have_an_id_each(renderer):
     """A grid of boxes on a hillside seen from high above: nobody hides anybody."""
-    places = [
-        (vessel(f"v{i}_{j}", 4, 4, 1), (60.0 * i - 360, 60.0 * j - 720), 0.0) for i in range(12) for j in range(25)
-    ]
+    corners = [(60.0 * i - 360, 60.0 * j - 720) for i in range(12) for j in range(25)]
+    places = [(vessel(f"v{k}", 4, 4, 1), corner, 0.0) for k, corner in enumerate(corners)]
     mount = Mount((0.0, 0.0, 2000.0), pitch_rad=np.pi / 2)
     outlines, seen = truth_of(renderer, places, mount=mount)
-    assert len(outlines) == 300
-    assert (seen.visible_px > 0).all()
+    assert len(outlines) == 300 and (seen.visible_px > 0).all()
     np.testing.assert_array_equal(seen.visible_px, seen.silhouette_px)
 
 
@@ -123,8 +110,7 @@ def test_silhouette_without_a_pixel_centre_has_no_pixels_and_keeps_its_projected
 @pytest.mark.parametrize("seed", range(6))
 def test_full_boxes_agree_with_corner_projection_within_a_pixel(renderer, seed):
     outlines, seen = truth_of(renderer, random_places(np.random.default_rng(seed), 30))
-    drawn = seen.silhouette_px >= 1
-    width = outlines.boxes_px[:, 2:] - outlines.boxes_px[:, :2]
+    drawn, width = seen.silhouette_px >= 1, outlines.boxes_px[:, 2:] - outlines.boxes_px[:, :2]
     fat = drawn & (width > 2).all(axis=1)
     difference = np.abs(seen.full_boxes_px - outlines.boxes_px)[fat]
     assert len(difference) > 5

@@ -1,5 +1,7 @@
 """Supersampled ID buffers: boxes of sub-pixel exactness that close in on the exact ones, all in image pixels."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_places, random_scene, vessel
+from tests.truth.test_regions_against_full import assert_same
 
 SMALL = Intrinsics((500.0, 500.0), (200.0, 150.0), (400, 300))
 FACTORS = (1, 2, 4, 8)
@@ -17,8 +20,7 @@ FACTORS = (1, 2, 4, 8)
 @pytest.fixture(scope="module")
 def side_differences(renderer):
     """Factor → sides of full and of visible boxes less the exact ones, of vessels that hold pixels at every factor."""
-    full = {factor: [] for factor in FACTORS}
-    visible = {factor: [] for factor in FACTORS}
+    full, visible = ({factor: [] for factor in FACTORS} for _ in range(2))
     for seed in range(25):
         outlines = outlines_of(random_places(np.random.default_rng(seed), 25, far_m=700.0), SMALL)
         exact = analytic_occlusion(outlines, SMALL)
@@ -37,9 +39,8 @@ def test_side_differences_shrink_in_proportion_to_the_factor(side_differences, f
     sides = side_differences[kind]
     assert len(sides[1]) > 300
     at_one, here = np.abs(sides[1]).mean(), np.abs(sides[factor]).mean()
-    assert (
-        0.2 < at_one < 0.5
-    )  # pixel centres miss a third of a pixel of a slanting side and a quarter of an upright one
+    # Pixel centres miss a third of a pixel of a slanting side and a quarter of an upright one.
+    assert 0.2 < at_one < 0.5
     assert here == pytest.approx(at_one / factor, rel=0.25)
 
 
@@ -49,15 +50,13 @@ def test_full_boxes_are_within_three_tenths_of_a_pixel_at_four_but_for_tips_with
         places, lens, mount = random_scene(np.random.default_rng(seed))
         outlines = outlines_of(places, lens, mount)
         drawn = rendered_occlusion(outlines, lens, renderer, 4)
-        found = compare_with_analytic(
-            outlines, lens, drawn, lambda row, o=outlines, k=lens: pixel_masks(o, k, renderer, row, 4), 4
-        )
+        masks = partial(pixel_masks, outlines, lens, renderer, supersample=4)
+        found = compare_with_analytic(outlines, lens, drawn, masks, 4)
         off = np.abs(found.full_side_px).max(axis=1) > 0.3
         assert (found.full[off] == Agreement.SHARP_TIP).all()
         assert not (found.worst == Agreement.UNEXPLAINED).any()
         rows, tips = rows + len(outlines), tips + int(off.sum())
-    assert rows > 150
-    assert tips < 0.03 * rows
+    assert rows > 150 and tips < 0.03 * rows
 
 
 @pytest.mark.parametrize("factor", [2, 3, 4, 8])
@@ -85,8 +84,7 @@ def test_box_between_pixels_is_told_to_an_eighth_of_a_pixel(renderer):
         # The first buffer column whose centre is inside, and the one after the last.
         first = np.ceil(outlines.boxes_px[0, 0] * factor - 0.5) / factor
         last = np.ceil(outlines.boxes_px[0, 2] * factor - 0.5) / factor
-        assert (left, right) == (first, last)
-        assert abs(left - outlines.boxes_px[0, 0]) <= 0.5 / factor
+        assert (left, right) == (first, last) and abs(left - outlines.boxes_px[0, 0]) <= 0.5 / factor
 
 
 @pytest.mark.parametrize(("factor", "tile"), [(1, (100, 64)), (3, (257, 100)), (4, (64, 1000))])
@@ -95,7 +93,5 @@ def test_buffer_drawn_in_tiles_gives_the_same_as_in_one(renderer, monkeypatch, f
     whole = rendered_occlusion(outlines, SMALL, renderer, factor)
     monkeypatch.setattr(buffer_drawing, "TILE_PX", tile)
     tiled = rendered_occlusion(outlines, SMALL, renderer, factor)
-    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
-        np.testing.assert_array_equal(getattr(tiled, name), getattr(whole, name))
-    assert tiled.occluders == whole.occluders
+    assert_same(tiled, whole)
     assert any(whole.occluders)

@@ -10,15 +10,12 @@ from modsim3d.truth.record import Truth, concatenate, no_truth
 def two_rows(step: int, vessels: tuple[int, int], hider: int) -> Truth:
     """Two vessels at a step, of which a hider hides the second."""
     numbers = np.array(vessels, dtype=np.float64)
+    plain = ("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction", "depth_m")
     return replace(
         no_truth(),
-        step=np.full(2, step),
-        camera=np.zeros(2, dtype=np.int64),
-        vessel=np.array(vessels),
-        full_boxes_px=np.tile(numbers[:, None], 4),
-        visible_boxes_px=np.tile(numbers[:, None], 4),
-        **dict.fromkeys(("silhouette_px", "visible_px", "visible_fraction", "in_frame_fraction"), numbers),
-        depth_m=numbers,
+        **{"step": np.full(2, step), "camera": np.zeros(2, dtype=np.int64), "vessel": np.array(vessels)},
+        **dict.fromkeys(("full_boxes_px", "visible_boxes_px"), np.tile(numbers[:, None], 4)),
+        **dict.fromkeys(plain, numbers),
         occluder_offsets=np.array([0, 0, 1]),
         occluder=np.array([hider]),
         occluder_px=np.array([10.0 * hider]),
@@ -30,8 +27,7 @@ def two_rows(step: int, vessels: tuple[int, int], hider: int) -> Truth:
 
 def test_record_without_rows_has_every_column_empty_and_of_its_kind():
     nothing, something = no_truth(), two_rows(0, (0, 1), 5)
-    assert len(nothing) == 0
-    assert nothing.occluder_offsets.tolist() == [0]
+    assert len(nothing) == 0 and nothing.occluder_offsets.tolist() == [0]
     for field in fields(Truth):
         empty, column = getattr(nothing, field.name), getattr(something, field.name)
         assert (empty.dtype.kind, empty.shape[1:]) == (column.dtype.kind, column.shape[1:]), field.name
@@ -42,8 +38,7 @@ def test_records_are_joined_in_order_of_steps_with_their_hiders():
     first, second = two_rows(3, (1, 2), 5), two_rows(1, (0, 4), 6)
     for parts in ([first, second], [second, no_truth(), first]):
         joined = concatenate(parts)
-        assert joined.step.tolist() == [1, 1, 3, 3]
-        assert joined.vessel.tolist() == [0, 4, 1, 2]
+        assert joined.step.tolist() == [1, 1, 3, 3] and joined.vessel.tolist() == [0, 4, 1, 2]
         assert [joined.occluders_of(row) for row in range(4)] == [[], [(6, 60.0)], [], [(5, 50.0)]]
         assert sorted(joined.intersections.tolist()) == [[1, 0, 0, 4], [3, 0, 1, 2]]
 

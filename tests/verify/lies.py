@@ -1,9 +1,8 @@
 """Runs whose single numbers are right and whose draws are not independent, made from a true run's detections."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -55,10 +54,8 @@ def in_frames(found: Detections, frame: Indices, **columns: Array) -> Detections
 def copied(
     seen: CameraEvidence, rows: Indices, of: CameraEvidence, those: Indices, apart: int, share: float
 ) -> Detections:
-    """The errors of other detections, so many steps earlier, of the same vessels where there are some.
-
-    Of the variance a share is theirs, the rest that of the own errors.
-    """
+    """The errors of other detections, so many steps earlier, of the same vessels where there are some. Of the variance
+    a share is theirs, the rest that of the own errors."""
     wanted, known = places(seen, rows) - 1000 * apart, places(of, those)
     order = np.argsort(known)
     place = np.minimum(np.searchsorted(known[order], wanted), len(known) - 1)
@@ -76,10 +73,6 @@ def same_errors_in_both_cameras(evidence: Evidence, share: float = 1.0) -> list[
     return [first.detections, copied(second, single(second), first, single(first), 0, share)]
 
 
-def similar_errors_in_both_cameras(evidence: Evidence) -> list[Detections]:
-    return same_errors_in_both_cameras(evidence, 0.1)
-
-
 def second_half_repeats_the_first(evidence: Evidence, share: float = 1.0) -> list[Detections]:
     half = max(int(seen.frames.steps[-1]) for seen in evidence.cameras) // 2
     result = []
@@ -88,10 +81,6 @@ def second_half_repeats_the_first(evidence: Evidence, share: float = 1.0) -> lis
         late = seen.frames.steps[seen.detections.frame[rows]] >= half
         result.append(copied(seen, rows[late], seen, rows[~late], half, share))
     return result
-
-
-def second_half_resembles_the_first(evidence: Evidence) -> list[Detections]:
-    return second_half_repeats_the_first(evidence, 0.4)
 
 
 def same_errors_in_an_image(evidence: Evidence) -> list[Detections]:
@@ -113,42 +102,29 @@ def larger_and_larger_errors(evidence: Evidence) -> list[Detections]:
     return result
 
 
-def confidence_in_order(evidence: Evidence) -> list[Detections]:
-    return [replace(seen.detections, confidence=np.sort(seen.detections.confidence)) for seen in evidence.cameras]
-
-
-def confidence_in_order_within_minutes(evidence: Evidence) -> list[Detections]:
-    def ordered(seen: CameraEvidence) -> Detections:
+def confidence_in_order(evidence: Evidence, within_s: float) -> list[Detections]:
+    result = []
+    for seen in evidence.cameras:
         found = seen.detections
-        minute = (seen.frames.times_s[found.frame] // 60).astype(np.int64)
-        return replace(found, confidence=found.confidence[np.lexsort((found.confidence, minute))])
-
-    return [ordered(seen) for seen in evidence.cameras]
-
-
-def _with_false_positives_at(seen: CameraEvidence, place: Callable[[Array, int], Array]) -> Detections:
-    """The same false positives at other places, given how many are expected up to each frame, as parts of these."""
-    found = seen.detections
-    rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
-    expected = np.cumsum(np.bincount(found.frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
-    wanted = place(expected, len(rows)) * expected[-1]
-    frame = found.frame.copy()
-    frame[rows] = np.searchsorted(expected, wanted)
-    return in_frames(found, frame)
+        span = seen.frames.times_s[found.frame] // within_s
+        result.append(replace(found, confidence=found.confidence[np.lexsort((found.confidence, span))]))
+    return result
 
 
-def even_false_positives(evidence: Evidence) -> list[Detections]:
-    def place(expected: Array, count: int) -> Array:
-        return (np.arange(count) + 0.5) / count
+def false_positives_at(evidence: Evidence, places: Callable[[int], Array]) -> list[Detections]:
+    """The same false positives at other places, as parts of how many are expected up to each frame."""
+    result = []
+    for seen in evidence.cameras:
+        found, frame = seen.detections, seen.detections.frame.copy()
+        rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
+        expected = np.cumsum(np.bincount(frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
+        frame[rows] = np.searchsorted(expected, places(len(rows)) * expected[-1])
+        result.append(in_frames(found, frame))
+    return result
 
-    return [_with_false_positives_at(seen, place) for seen in evidence.cameras]
 
-
-def false_positives_in_threes(evidence: Evidence) -> list[Detections]:
-    def place(expected: Array, count: int) -> Array:
-        return np.random.default_rng(0).random(count // 3 + 1)[np.arange(count) // 3]
-
-    return [_with_false_positives_at(seen, place) for seen in evidence.cameras]
+def in_threes(count: int) -> Array:
+    return np.random.default_rng(0).random(count // 3 + 1)[np.arange(count) // 3]
 
 
 def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
@@ -169,22 +145,32 @@ def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
     return [first.detections, in_frames(found, frame, **columns)]
 
 
-TWICE, CAMERAS, EARLIER = (
-    f"box errors: {check}"
-    for check in ("none comes twice", "correlation between cameras", "correlation with earlier times")
-)
+TWICE, CAMERAS = "box errors: none comes twice", "box errors: correlation between cameras"
+EARLIER = "box errors: correlation with earlier times"
 
-LIES: Mapping[Lie, set[str]] = {
-    same_errors_in_both_cameras: {TWICE, CAMERAS},
-    similar_errors_in_both_cameras: {CAMERAS},
-    second_half_repeats_the_first: {TWICE, EARLIER},
-    second_half_resembles_the_first: {EARLIER},
-    same_errors_in_an_image: {TWICE, "box errors: correlation within images"},
-    larger_and_larger_errors: {"box errors: order in time"},
-    same_misses_in_both_cameras: {"misses: correlation between cameras"},
-    confidence_in_order: {"confidence: order in time", "confidence: correlation with earlier times"},
-    confidence_in_order_within_minutes: {"confidence: correlation with earlier times"},
-    even_false_positives: {"false positives: variance over mean in stretches"},
-    false_positives_in_threes: {"false positives: variance over mean in images"},
+LIES: dict[str, tuple[Lie, set[str]]] = {
+    "same errors in both cameras": (same_errors_in_both_cameras, {TWICE, CAMERAS}),
+    "similar errors in both cameras": (partial(same_errors_in_both_cameras, share=0.1), {CAMERAS}),
+    "the second half repeats the first": (second_half_repeats_the_first, {TWICE, EARLIER}),
+    "the second half resembles the first": (partial(second_half_repeats_the_first, share=0.4), {EARLIER}),
+    "same errors in an image": (same_errors_in_an_image, {TWICE, "box errors: correlation within images"}),
+    "larger and larger errors": (larger_and_larger_errors, {"box errors: order in time"}),
+    "same misses in both cameras": (same_misses_in_both_cameras, {"misses: correlation between cameras"}),
+    "confidence in order": (
+        partial(confidence_in_order, within_s=np.inf),
+        {"confidence: order in time", "confidence: correlation with earlier times"},
+    ),
+    "confidence in order within minutes": (
+        partial(confidence_in_order, within_s=60),
+        {"confidence: correlation with earlier times"},
+    ),
+    "even false positives": (
+        partial(false_positives_at, places=lambda count: (np.arange(count) + 0.5) / count),
+        {"false positives: variance over mean in stretches"},
+    ),
+    "false positives in threes": (
+        partial(false_positives_at, places=in_threes),
+        {"false positives: variance over mean in images"},
+    ),
 }
 """Each lie, and the checks that must find it."""

@@ -3,10 +3,11 @@
 import json
 import re
 import sys
-from contextlib import redirect_stdout
-from dataclasses import dataclass, replace
+from contextlib import nullcontext, redirect_stdout
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,47 +39,33 @@ def one_picture(monkeypatch):
     monkeypatch.setattr(compare, "WORST", 1)  # drawing them is most of the time
 
 
-@dataclass(frozen=True)
-class Whole:
-    """A comparison of the whole scene with three pictures: exit status, compare.json, the page, and what is printed."""
-
-    status: int
-    figures: dict
-    page: str
-    said: str
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
+    """A comparison of the whole scene with three pictures: exit status, compare.json, the page, and what is printed."""
     folder = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as monkeypatch, redirect_stdout(StringIO()) as said:
         monkeypatch.setattr(compare, "WORST", 3)
         status, figures = figures_of(monkeypatch, folder / "out", crossing(folder))
     page = (folder / "out" / "compare.html").read_text(encoding="utf-8")
-    return Whole(status, figures, page, re.sub(r"\s+", " ", said.getvalue()))
+    return SimpleNamespace(status=status, figures=figures, page=page, said=re.sub(r"\s+", " ", said.getvalue()))
 
 
 def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_the_scene(whole):
     found = whole.figures
-    assert whole.status == 0
-    assert found["unexplained"] == 0
-    assert found["steps"] == found["frames"] == 12
+    assert whole.status == 0 and found["unexplained"] == 0 and found["steps"] == found["frames"] == 12
     # The ship is there for eleven of the twelve steps and in the image for some of them.
-    assert 24 < found["vessel_frames"] < 36
-    assert 4 <= found["occluded"] < 24
+    assert 24 < found["vessel_frames"] < 36 and 4 <= found["occluded"] < 24
     for kind in ("full_box", "visible_box"):
         assert sum(found[kind]["verdicts"].values()) == found["vessel_frames"]
         assert 0 < found[kind]["side_p99_px"] <= found[kind]["side_max_px"] < 1
     assert list(found["full_box"]["verdicts"]) == list(EXPLANATIONS.values())
     assert 0 < found["visible_fraction"]["largest_share_of_bound"] <= 1
-    assert found["visible_fraction"]["above_bound"] == 0
-    assert found["intersecting"] == {}
+    assert found["visible_fraction"]["above_bound"] == 0 and found["intersecting"] == {}
     assert set(found["ms_per_frame"]) == {"rendered", "analytic", "rectangles"}
     assert all(milliseconds > 0 for milliseconds in found["ms_per_frame"].values())
     drawn = found["drawn"]
     assert drawn["vessels"] == drawn["from_spans"] + drawn["from_buffers"] == found["vessel_frames"]
-    assert drawn["frames"] == 12
-    assert drawn["pixels"] > 100 * found["vessel_frames"]
+    assert drawn["frames"] == 12 and drawn["pixels"] > 100 * found["vessel_frames"]
     assert drawn["tie_pixels"] == found["differs_from_drawn"] == found["missing"] == 0
     rule = found["rectangles_against_rendered"]
     assert rule["occluded"] == found["occluded"]
@@ -134,18 +121,14 @@ def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, 
 def test_every_step_of_many_is_looked_at_in_blocks(monkeypatch, tmp_path, scene, whole):
     monkeypatch.setattr(compare, "BLOCK_STEPS", 5)
     parts = figures_of(monkeypatch, tmp_path / "b", scene)[1]
-    own = ("ms_per_frame", "scene")  # a scene has the name of its folder
-    assert parts.keys() == whole.figures.keys()
-    assert {key: parts[key] for key in parts if key not in own} == {
-        key: value for key, value in whole.figures.items() if key not in own
-    }
+    own = {key: whole.figures[key] for key in ("ms_per_frame", "scene")}  # a scene has the name of its folder
+    assert parts.keys() == whole.figures.keys() and parts | own == whole.figures
 
 
 def test_supersampling_brings_the_boxes_nearer_to_the_exact_ones(monkeypatch, tmp_path, scene, whole):
     coarse = whole.figures
     status, fine = figures_of(monkeypatch, tmp_path / "b", scene, "--set", "annotation.supersample=4")
-    assert (status, fine["supersample"]) == (0, 4)
-    assert fine["full_box"]["side_max_px"] <= 0.25
+    assert (status, fine["supersample"]) == (0, 4) and fine["full_box"]["side_max_px"] <= 0.25
     assert fine["full_box"]["side_max_px"] < 0.5 * coarse["full_box"]["side_max_px"]
 
 
@@ -174,12 +157,8 @@ def shifted(name, by_px):
 
 def nobody_hides(seen):
     none = np.empty(0, dtype=np.int64)
-    return replace(
-        seen,
-        visible_px=seen.silhouette_px,
-        visible_boxes_px=seen.full_boxes_px,
-        hidden=HiddenPixels(none, none, none.astype(float)),
-    )
+    hidden = HiddenPixels(none, none, none.astype(float))
+    return replace(seen, visible_px=seen.silhouette_px, visible_boxes_px=seen.full_boxes_px, hidden=hidden)
 
 
 def hidden_one_is_seen(seen):
@@ -214,15 +193,12 @@ PLANTED = {
 @pytest.mark.parametrize("plant", PLANTED.values(), ids=PLANTED.keys())
 def test_planted_error_in_what_was_counted_is_unexplained(monkeypatch, tmp_path, scene, plant):
     """The pixels, drawn again, are right: that explains nothing if the truth does not come from them."""
-    monkeypatch.setattr(
-        compare, "rendered_occlusion", lambda *arguments: plant(rendered.rendered_occlusion(*arguments))
-    )
+    occlusion = rendered.rendered_occlusion
+    monkeypatch.setattr(compare, "rendered_occlusion", lambda *arguments: plant(occlusion(*arguments)))
     status, found = figures_of(monkeypatch, tmp_path / "out", scene)
-    assert status == 1
-    assert found["unexplained"] >= 1
-    assert found["unexplained"] == sum(
-        found[kind]["verdicts"][EXPLANATIONS[Agreement.UNEXPLAINED]] for kind in ("full_box", "visible_box")
-    )
+    assert status == 1 and found["unexplained"] >= 1
+    word = EXPLANATIONS[Agreement.UNEXPLAINED]
+    assert found["unexplained"] == sum(found[kind]["verdicts"][word] for kind in ("full_box", "visible_box"))
     page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
     assert "are unexplained" in page
     assert "Unexplained: " in page  # what is said of the pictures begins with it
@@ -243,12 +219,9 @@ def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_p
         "alone": ([12, 4, 5], [[0, 200, 5], [10, 200, 4]]),
     }
     status, found = figures_of(monkeypatch, tmp_path / "out", write_scene(tmp_path, boats, 4))
-    assert status == 0
-    assert found["unexplained"] == 0
-    assert found["intersecting"] == {"rafted1 and rafted2": 4}
+    assert status == 0 and found["unexplained"] == 0 and found["intersecting"] == {"rafted1 and rafted2": 4}
     assert found["visible_box"]["verdicts"][EXPLANATIONS[Agreement.INTERSECTING]] == 8
-    assert found["visible_at_all_differs"] == 0
-    assert "rafted1 and rafted2" in capsys.readouterr().out
+    assert found["visible_at_all_differs"] == 0 and "rafted1 and rafted2" in capsys.readouterr().out
     assert "rafted1 and rafted2" in (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
 
 
@@ -259,26 +232,13 @@ def test_scene_that_is_wrong_or_not_there_is_exit_status_two(monkeypatch, tmp_pa
     data["annotation"]["mode"] = 7
     scene.write_text(json.dumps(data))
     assert call(monkeypatch, "check", "truth", scene, "--out", tmp_path / "out") == 2
-    assert "annotation.mode" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    assert "annotation.mode" in capsys.readouterr().err and not (tmp_path / "out").exists()
     assert call(monkeypatch, "check", "truth", scene, "--every", 0) == 2
 
 
-class InThisProcess:
-    """A pool of processes that is none."""
-
-    def __init__(self, *_):
-        self.map = map
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        pass
-
-
 def test_campaign_writes_the_same_bytes_again(monkeypatch, tmp_path):
-    for name, pool in (("a", campaign.ProcessPoolExecutor), ("b", InThisProcess)):
+    in_this_process = nullcontext(SimpleNamespace(map=map))
+    for name, pool in (("a", campaign.ProcessPoolExecutor), ("b", lambda *_: in_this_process)):
         line = ["compare.py", "--scenes", "2", "--processes", "1", "--out", str(tmp_path / name)]
         monkeypatch.setattr(sys, "argv", line)
         monkeypatch.setattr(campaign, "ProcessPoolExecutor", pool)
@@ -294,10 +254,8 @@ def test_campaign_writes_the_same_bytes_again(monkeypatch, tmp_path):
 def test_rafts_are_rendered_as_they_are_drawn(renderer, seed):
     """A sample of the campaign's ten thousand."""
     tally = campaign.compare_scene(seed, 0, renderer)
-    assert tally.unexplained == []
-    assert tally.differs_from_drawn == 0
-    assert tally.drawn.vessels == tally.vessel_frames
-    assert tally.drawn.tie_pixels < 20
+    assert tally.unexplained == [] and tally.differs_from_drawn == 0
+    assert tally.drawn.vessels == tally.vessel_frames and tally.drawn.tie_pixels < 20
 
 
 def test_committed_campaign_is_that_of_two_thousand_scenes_and_ten_thousand_rafts_without_anything_unexplained():
@@ -305,8 +263,7 @@ def test_committed_campaign_is_that_of_two_thousand_scenes_and_ten_thousand_raft
     found = figures["supersample"] | {"rafts": figures["rafts"]}
     assert [column["scenes"] for column in found.values()] == [2000, 300, 10_000]
     for factor, column in found.items():
-        assert column["unexplained"] == []
-        assert column["differs_from_drawn"] == 0
+        assert column["unexplained"] == [] and column["differs_from_drawn"] == 0
         assert column["drawn"]["vessels"] == column["vessel_frames"]
         assert column["drawn"]["tie_pixels"] < 1e-6 * column["drawn"]["pixels"]
         assert column["largest_agreed_full_side_px"] <= {"1": 1.0, "4": 0.3, "rafts": 1.0}[factor]

@@ -1,7 +1,5 @@
-"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing.
-
-There are four: of order, of near and far, of one vessel's corners, and of the near plane.
-"""
+"""`modsim3d check truth` finds an error planted in the fast path, in the analytic source, in both, or in the drawing:
+of order, of near and far, of one vessel's corners, or of the near plane."""
 
 import json
 from dataclasses import replace
@@ -27,8 +25,7 @@ BOATS = {
     # The near plane cuts a third vessel beside the camera, so narrow that behind a cut nothing of it is left.
     "punt": ([60, 0.5, 9], [[0, 10, -2.6], [100, 11, -2.6]]),
 }
-NEAR_M = 8.0
-"""In place of a tenth of a metre."""
+NEAR_M = 8.0  # in place of a tenth of a metre
 
 
 def swap_order(order):
@@ -55,12 +52,15 @@ def in_analytic(change):
     return lambda monkeypatch: wrap(monkeypatch, agreement, "visible_regions", lambda f, o, lens: f(*change(o, lens)))
 
 
-def in_drawing(change):
-    """Change each drawing once it is projected."""
+def in_drawing(inverse_depth):
+    """Give each drawing, once it is projected, other depths: a function of its depths and occluders."""
 
     def plant(monkeypatch):
+        def changed(drawing):
+            return replace(drawing, inverse_depth=inverse_depth(drawing.inverse_depth, drawing.occluder[:, None]))
+
         project = Drawing.of
-        monkeypatch.setattr(Drawing, "of", lambda *arguments: change(project(*arguments)))
+        monkeypatch.setattr(Drawing, "of", lambda *arguments: changed(project(*arguments)))
 
     return plant
 
@@ -91,15 +91,6 @@ def hidden_hides(monkeypatch):
     monkeypatch.setattr(analytic.Hiding, "of", lambda hidden, hiders: of(hiders, hidden))
 
 
-def first_in_front(drawing):
-    return replace(drawing, inverse_depth=np.where(drawing.occluder[:, None] == 0, 1.0, drawing.inverse_depth))
-
-
-def far_is_near(drawing):
-    depth = drawing.inverse_depth
-    return replace(drawing, inverse_depth=depth.max() + depth.min() - depth)
-
-
 def farthest_wins(monkeypatch):
     gl_of = IdRenderer._gl.func
 
@@ -127,10 +118,10 @@ MUTANTS = {
     "order, fast path and analytic alike": lambda m: wrap(
         m, occlusion_order, "_who_can_hide", lambda f, *rest: (f(*rest)[0][:, ::-1], f(*rest)[1])
     ),
-    "order, drawing": in_drawing(first_in_front),
+    "order, drawing": in_drawing(lambda depth, occluder: np.where(occluder == 0, 1.0, depth)),
     "near and far, fast path": in_fast_path(lambda outlines, lens: (behind_is_before(outlines), lens)),
     "near and far, analytic": hidden_hides,
-    "near and far, drawing": in_drawing(far_is_near),
+    "near and far, drawing": in_drawing(lambda depth, occluder: depth.max() + depth.min() - depth),
     "near and far, every ID buffer": farthest_wins,
     "corners, fast path": in_fast_path(shifted),
     "corners, analytic": in_analytic(shifted),
@@ -164,5 +155,4 @@ def test_scene_of_the_mutants_has_nothing_unexplained(monkeypatch, capsys, scene
 def test_planted_error_is_found(monkeypatch, capsys, scene, plant):
     plant(monkeypatch)
     status, count = unexplained(monkeypatch, capsys, scene)
-    assert status == 1
-    assert count > 0
+    assert status == 1 and count > 0

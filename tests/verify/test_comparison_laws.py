@@ -12,8 +12,7 @@ from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import mirrored, moved, outlines_at, outlines_of, pixel_masks, random_scene
 
-SEEDS = st.sampled_from(range(60))
-"""The laws share scenes, so that each is drawn and worked out once."""
+SEEDS = st.sampled_from(range(60))  # the laws share scenes, so that each is drawn and worked out once
 ROUNDING_PX = 1e-6
 
 

@@ -1,7 +1,5 @@
 """Levels of confidences in their own law are uniform, also where the law is cut off at the ends of the range."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """Confidences that persist count for fewer, and how long they do is tested."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -62,8 +60,7 @@ def test_scores_of_the_right_correlation_cancel_and_those_of_others_do_not() -> 
         for correlation, z in found.items():
             score = pair_score(*pairs, np.full(len(pairs[0]), correlation))
             z.append(score.sum() / np.sqrt((score**2).sum()))
-    assert abs(np.mean(found[KEPT])) < 0.4 and 0.8 < np.std(found[KEPT]) < 1.2
-    assert np.mean(found[0.7]) > 2
+    assert abs(np.mean(found[KEPT])) < 0.4 and 0.8 < np.std(found[KEPT]) < 1.2 and np.mean(found[0.7]) > 2
 
 
 def test_a_number_beyond_a_bound_has_the_probability_of_what_lies_there() -> None:
@@ -71,6 +68,5 @@ def test_a_number_beyond_a_bound_has_the_probability_of_what_lies_there() -> Non
     edges = np.linspace(-8, 8, 4001)
     density = np.exp(pair_likelihood(np.full(4001, 0.7), edges, edges, np.full(4001, 0.6))) / np.sqrt(2 * np.pi)
     beyond = np.trapezoid(density[edges >= 1], edges[edges >= 1])
-    assert np.exp(pair_likelihood(before, np.array([1.0]), np.array([np.inf]), rho))[0] == pytest.approx(
-        beyond, rel=1e-2
-    )
+    found = np.exp(pair_likelihood(before, np.array([1.0]), np.array([np.inf]), rho))[0]
+    assert found == pytest.approx(beyond, rel=1e-2)

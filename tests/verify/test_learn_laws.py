@@ -69,11 +69,9 @@ def test_truncated_moments_are_those_of_draws_that_count(name, box):
 
 
 def test_a_box_that_is_never_cut_has_the_normal_law():
-    boxes = np.array([[1500.0, 1000, 2100, 1400]])
-    law = law_of(std=np.array([10.0, 5, 20, 10]))
-    part = next(
-        accepted_errors(boxes, np.array([[3600.0, 2400]]), law.mean, law.correlation * np.outer(law.std, law.std))
-    )
+    boxes, law = np.array([[1500.0, 1000, 2100, 1400]]), law_of(std=np.array([10.0, 5, 20, 10]))
+    covariance = law.correlation * np.outer(law.std, law.std)
+    part = next(accepted_errors(boxes, np.array([[3600.0, 2400]]), law.mean, covariance))
     assert part.acceptance[0] == pytest.approx(1)
     assert np.abs((part.mean(part.errors)[0] - law.mean) / law.std).max() < 0.03
 
@@ -116,15 +114,8 @@ def samples_of(law: ErrorParameters, copies: int, count: int) -> list[StateError
     images = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1))
     means, stds = law.at(boxes)
     pools = [enough(law, box, copies * count, seed) for seed, box in enumerate(BOXES_PX[:4])]
-    return [
-        StateErrors(
-            means + stds * np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
-            np.arange(len(boxes)),
-            boxes,
-            images,
-        )
-        for k in range(count)
-    ]
+    standard = [np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]) for k in range(count)]
+    return [StateErrors(means + stds * errors, np.arange(len(boxes)), boxes, images) for errors in standard]
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -143,8 +134,7 @@ def test_the_fit_finds_a_law_that_is_another_than_the_one_asked_for():
     true = law_of(mean=law.mean + 0.4 * law.std, std=law.std * [1.5, 1, 1, 1])
     (sample,) = samples_of(true, 400, 1)
     fit = fit_step(law, sample, MomentTable())
-    found = fitted_law(law, fit, sample)
-    errors = fit.errors[:4] * law.std
+    found, errors = fitted_law(law, fit, sample), fit.errors[:4] * law.std
     np.testing.assert_array_less(np.abs(found.mean - true.mean), 5 * errors)
     assert found.std[0] == pytest.approx(true.std[0], rel=0.15)
 
@@ -171,12 +161,9 @@ def test_clipped_scores_are_derivatives_of_the_likelihood():
 
     scores, h = np.array([0.2, 0.5, 0.9, 1.0]), 1e-6
     found = clipped_score(scores, 0.65, 0.3, 0.2)
-    np.testing.assert_allclose(
-        found[:, 0], (likelihood(0.65 + h, 0.3) - likelihood(0.65 - h, 0.3)) / (2 * h), rtol=1e-5
-    )
-    np.testing.assert_allclose(
-        found[:, 1], (likelihood(0.65, 0.3 + h) - likelihood(0.65, 0.3 - h)) / (2 * h), rtol=1e-5
-    )
+    for column, (mean, std) in zip(found.T, ((h, 0), (0, h)), strict=True):
+        slope = (likelihood(0.65 + mean, 0.3 + std) - likelihood(0.65 - mean, 0.3 - std)) / (2 * h)
+        np.testing.assert_allclose(column, slope, rtol=1e-5)
 
 
 def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error():
@@ -194,8 +181,7 @@ def test_clipped_confidence_is_measured_without_bias_and_with_its_standard_error
 def test_occupancy_law_is_that_of_every_path():
     transitions = np.array([1, 0, 2, 1, 1])
     law = occupancy_law(MODEL, 1, transitions, start=0)
-    matrix = MODEL.transition_matrix
-    expected = np.zeros(len(transitions) + 2)
+    matrix, expected = MODEL.transition_matrix, np.zeros(len(transitions) + 2)
     for path in itertools.product(range(4), repeat=len(transitions)):
         states, chance = (0, *path), 1.0
         for before, after, steps in zip(states, path, transitions, strict=False):
@@ -207,17 +193,10 @@ def test_occupancy_law_is_that_of_every_path():
 def test_lag_pairs_are_all_pairs_of_a_track_that_are_near():
     rng = np.random.default_rng(5)
     tracks, times = rng.integers(0, 3, (40, 1)), rng.random(40) * 10
-    found = {
-        (int(a), int(b))
-        for later, earlier, _ in lag_pairs(tracks, times, 0.3)
-        for a, b in zip(later, earlier, strict=True)
-    }
-    expected = {
-        (a, b)
-        for a, b in itertools.permutations(range(40), 2)
-        if tracks[a, 0] == tracks[b, 0] and 0 < times[a] - times[b] <= 3.0
-    }
-    assert found == expected
+    parts = (zip(later.tolist(), earlier.tolist(), strict=True) for later, earlier, _ in lag_pairs(tracks, times, 0.3))
+    found = set(itertools.chain.from_iterable(parts))
+    near = (tracks == tracks[:, 0]) & (times[:, None] > times) & (times[:, None] - times <= 3.0)
+    assert found == {*map(tuple, np.argwhere(near).tolist())}
 
 
 def test_inflation_of_a_rate_that_persists_is_that_of_a_kept_uniform():
@@ -229,16 +208,14 @@ def test_inflation_of_a_rate_that_persists_is_that_of_a_kept_uniform():
         kept = fresh[np.maximum.accumulate(np.where(new, np.arange(frames), 0))]
         counts.append((kept >= 0.7).sum())
     spread = np.full(frames, 0.21)
-    factor = inflation(
-        np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames), 1.0, spread, lambda a, b: np.full(len(a), 0.21)
-    )
+    track, times_s = np.zeros((frames, 1), dtype=np.int64), 0.1 * np.arange(frames)
+    factor = inflation(track, times_s, 1.0, spread, lambda a, b: np.full(len(a), 0.21))
     assert np.var(counts) == pytest.approx(frames * 0.21 * factor, rel=5 * np.sqrt(2 / 2000))
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.6])
 def test_run_lengths_expected_are_those_of_every_outcome(keep):
-    before = np.array([-1, 0, 1, 2, -1, 4])
-    chance = np.array([0.3, 0.3, 0.3, 0.3, 0.4, 0.4])
+    before, chance = np.array([-1, 0, 1, 2, -1, 4]), np.array([0.3, 0.3, 0.3, 0.3, 0.4, 0.4])
     again = np.where(before >= 0, keep + (1 - keep) * chance, chance)
     spared = np.where(before >= 0, (1 - keep) * chance, chance)  # a miss where the frame before was none
     expected = np.zeros(7)

@@ -9,21 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from modsim3d.verify import measures
 from modsim3d.verify.independence_checks import Strongest, SumDrift
-from modsim3d.verify.measures import (
-    AMOUNT,
-    CORRELATION,
-    SHARE,
-    DiscoveryRate,
-    Estimate,
-    Exact,
-    ImageRate,
-    Measure,
-    Rate,
-    poisson_interval,
-    skewed_quantile,
-    skewed_tails,
-)
+from modsim3d.verify.measures import AMOUNT, CORRELATION, SHARE, DiscoveryRate, Estimate, Exact, ImageRate, Rate
 from modsim3d.verify.parameters import DIFFERS, FALLS_SHORT, OBEYS, UNTESTED, Law, Occupancy, Parameter, judge
 from modsim3d.verify.verify_run import conclusion
 
@@ -32,9 +20,9 @@ def test_intervals_are_clopper_and_pearsons_and_garwoods():
     # 10 of 100 at 95 %: 0.0490, 0.1762, e.g. Newcombe (1998), Statistics in Medicine 17, 857-872.
     np.testing.assert_allclose(Rate(10, 100, 0.1).interval(0.05), (0.0490, 0.1762), atol=5e-5)
     # 10 events at 95 %: 4.795, 18.390, Garwood (1936), Biometrika 28, 437-442.
-    np.testing.assert_allclose(poisson_interval(10, 0.05), (4.795, 18.390), atol=5e-4)
+    np.testing.assert_allclose(measures.poisson_interval(10, 0.05), (4.795, 18.390), atol=5e-4)
     low, high = ImageRate(false=40, images=100, asked=0.4).interval(0.05)
-    np.testing.assert_allclose((low * 100, high * 100), poisson_interval(40, 0.05))
+    np.testing.assert_allclose((low * 100, high * 100), measures.poisson_interval(40, 0.05))
     assert ImageRate(40, 100, 0.4).p_value() == 1 and ImageRate(80, 100, 0.4).p_value() < 1e-6
 
 
@@ -77,33 +65,32 @@ def test_a_false_discovery_rate_notices_its_smallest_change_nine_times_in_ten():
 @given(st.integers(20, 2000), st.floats(-3.5, 4.5))
 def test_skewed_tails_are_exact_for_a_sample_variance(n, z):
     # The sum of n squared normal numbers has mean n, variance 2n and skewness √(8/n).
-    below, above = skewed_tails(z, (8 / n) ** 0.5)
+    below, above = measures.skewed_tails(z, (8 / n) ** 0.5)
     expected = stats.chi2.sf(n + z * (2 * n) ** 0.5, n)
-    assert above == pytest.approx(expected, rel=1e-6, abs=1e-12)
-    assert below + above == pytest.approx(1)
+    assert above == pytest.approx(expected, rel=1e-6, abs=1e-12) and below + above == pytest.approx(1)
 
 
 @given(st.floats(1e-6, 0.4), st.floats(-0.8, 0.8))
 def test_quantile_undoes_the_tail(tail, skewness):
-    assert skewed_tails(skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
+    assert measures.skewed_tails(measures.skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
 
 
 @given(st.floats(1e-6, 0.3), st.floats(1.01, 30))
 def test_quantile_undoes_the_tail_of_rare_events(tail, skewness):
-    assert skewed_tails(skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
-    assert skewed_quantile(tail, -skewness) == math.inf  # that none happens is likelier than any such tail
+    assert measures.skewed_tails(measures.skewed_quantile(tail, skewness), skewness)[1] == pytest.approx(tail, rel=1e-6)
+    assert measures.skewed_quantile(tail, -skewness) == math.inf  # that none happens is likelier than any such tail
 
 
 @pytest.mark.parametrize("mean", [0.9, 0.05, 1e-6])
 def test_tails_of_rare_events_are_those_of_a_poisson_number(mean):
     skewness = mean**-0.5
     for count in range(1, 5):
-        below, above = skewed_tails((count - mean) * skewness, skewness)
+        below, above = measures.skewed_tails((count - mean) * skewness, skewness)
         assert above == pytest.approx(stats.poisson.sf(count - 1, mean), rel=1e-6)
         assert below == pytest.approx(stats.poisson.cdf(count, mean), rel=1e-6)
     for z in (-mean / mean**0.5, -mean / mean**0.5 - 1e-3):  # none, and as much as that by rounding
-        assert skewed_tails(z, skewness)[0] == pytest.approx(math.exp(-mean))
-        assert skewed_tails(-z, -skewness)[1] == pytest.approx(math.exp(-mean))
+        assert measures.skewed_tails(z, skewness)[0] == pytest.approx(math.exp(-mean))
+        assert measures.skewed_tails(-z, -skewness)[1] == pytest.approx(math.exp(-mean))
 
 
 def test_effective_trials_widen_the_interval():
@@ -114,10 +101,8 @@ def test_effective_trials_widen_the_interval():
 def test_a_law_is_held_against_its_quantiles():
     rng = np.random.default_rng(1)
     quantiles = np.array([0.2, 0.2, 0.5, 0.9, 1.0])
-    p_values = [
-        Law.of(np.interp(rng.random(300), np.linspace(0, 1, 5), quantiles), quantiles).p_value() for _ in range(200)
-    ]
-    assert 0 <= np.mean(np.array(p_values) < 0.05) < 0.1
+    values = np.interp(rng.random((200, 300)), np.linspace(0, 1, 5), quantiles)
+    assert 0 <= np.mean([Law.of(each, quantiles).p_value() < 0.05 for each in values]) < 0.1
     assert Law.of(rng.random(300), quantiles).p_value() < 1e-4
 
 
@@ -127,8 +112,7 @@ def test_tests_share_the_overall_level():
     untested = Parameter("unseen", "group", None, 0.3)
     verification = judge([*some, off, untested])
     assert verification.alpha == pytest.approx(0.01 / 50)
-    assert [v.verdict for v in verification.verdicts[-2:]] == [DIFFERS, UNTESTED]
-    assert not verification.obeys
+    assert [v.verdict for v in verification.verdicts[-2:]] == [DIFFERS, UNTESTED] and not verification.obeys
     assert verification.cause.parameter is off
 
 
@@ -146,7 +130,7 @@ def test_tests_share_the_overall_level():
         (ImageRate(0, 30, 0.1), "[0, "),
     ],
 )
-def test_intervals_and_what_is_noticed_are_cut_to_what_is_possible(measure: Measure, interval: str) -> None:
+def test_intervals_and_what_is_noticed_are_cut_to_what_is_possible(measure: measures.Measure, interval: str) -> None:
     (verdict,) = judge([Parameter("p", "group", measure)]).verdicts
     low, high = getattr(measure, "possible", AMOUNT)
     assert verdict.interval is not None and verdict.measured is not None
@@ -189,18 +173,14 @@ def test_what_was_noticed_or_could_have_been_is_no_too_little():
 def test_only_an_entry_of_the_file_is_a_cause_and_a_rule_that_is_obeyed_may_fall_short_of_what_is_asked():
     follows = Parameter("overall", "group", Rate(900, 1000, 0.1), in_file=False)
     entry = Parameter("entry", "group", Rate(35, 100, 0.1))
-    assert judge([follows, entry]).cause.parameter is entry
-    assert judge([follows]).cause.parameter is follows
+    assert judge([follows, entry]).cause.parameter is entry and judge([follows]).cause.parameter is follows
     rule = Parameter("fdr", "group", DiscoveryRate(0, 5000, 0.0), 0.089, promised=0.089)
     fine = Parameter("fdr", "group", DiscoveryRate(480, 5000, 490), 0.089, promised=0.089)
-    assert [v.verdict for v in judge([rule, fine]).verdicts] == [FALLS_SHORT, OBEYS]
-    assert judge([rule]).obeys
+    assert [v.verdict for v in judge([rule, fine]).verdicts] == [FALLS_SHORT, OBEYS] and judge([rule]).obeys
 
 
 def test_every_kind_of_measure_gives_all_numbers():
     kinds = [Rate(3, 10, 0.2), DiscoveryRate(3, 10, 2.0), ImageRate(3, 10, 0.2), Estimate(1, 1.1, 0.1, 10), Exact(0, 3)]
     for measure, alpha in itertools.product(kinds, (0.01, 1e-5)):
-        assert 0 <= measure.p_value() <= 1
-        assert measure.strength() >= 0
-        assert measure.interval(alpha)[0] <= measure.interval(alpha)[1]
-        assert len(measure.noticed(alpha)) == 2
+        assert 0 <= measure.p_value() <= 1 and measure.strength() >= 0
+        assert measure.interval(alpha)[0] <= measure.interval(alpha)[1] and len(measure.noticed(alpha)) == 2

@@ -1,7 +1,5 @@
 """Sums over pairs of residuals equal those of plain loops, and have the moments that they say."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -48,8 +46,7 @@ def test_cumulants_of_a_sum_over_a_group_are_those_of_all_outcomes() -> None:
     # Four rare events: every one of the sixteen outcomes with its probability.
     p = np.array([0.1, 0.3, 0.5, 0.05])
     variance = p * (1 - p)
-    third = (variance * (1 - 2 * p))[:, None]
-    moments = np.zeros(4)
+    third, moments = (variance * (1 - 2 * p))[:, None], np.zeros(4)
     for outcome in itertools.product((0, 1), repeat=4):
         happened = np.array(outcome)
         chance = np.where(happened == 1, p, 1 - p).prod()

@@ -1,7 +1,5 @@
 """Checks of the score behind misses and confidence: covariances, sums, and whether a wrong memory is noticed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special, stats
@@ -27,10 +25,8 @@ def drawn(score: LatentScore, count: int, seed: int, vessels: int = VESSELS) -> 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.95])
 def test_the_covariance_of_misses_is_that_of_the_bivariate_normal_distribution(correlation: float) -> None:
     first, second = np.array([0.05, 0.3, 0.5, 0.9]), np.array([0.1, 0.3, 0.8, 0.95])
-    asked = [
-        stats.multivariate_normal([0, 0], [[1, correlation], [correlation, 1]]).cdf(special.ndtri([a, b])) - a * b
-        for a, b in zip(first, second, strict=True)
-    ]
+    pair = stats.multivariate_normal([0, 0], [[1, correlation], [correlation, 1]])
+    asked = [pair.cdf(special.ndtri([a, b])) - a * b for a, b in zip(first, second, strict=True)]
     found = miss_covariance(first, second, np.full(4, correlation))
     np.testing.assert_allclose(found, asked, atol=2e-5)
 

@@ -1,20 +1,16 @@
 """`verify` where two models of a detector meet: what one of them leaves to be seen must not count against the other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
+from modsim3d import DetectorModel, MomentTable, load_scene
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.model import DetectorModel
-from modsim3d.scene.reading import load_scene
 from modsim3d.verify.box_error_checks import MIN_DETECTIONS, box_error_checks, with_known_errors
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.confidence_checks import confidence_checks
-from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import Evidence, ManyDetections
 from modsim3d.verify.false_positive_checks import false_positive_checks
 from modsim3d.verify.figures import run_lengths
@@ -23,17 +19,6 @@ from modsim3d.verify.parameters import Parameter, judge
 from modsim3d.verify.state_checks import state_checks
 from modsim3d.verify.verify_run import conclusion, row_of
 from tests.detector_variants import Data, thesis_data, variant
-
-
-@pytest.fixture(scope="module")
-def many() -> ManyDetections:
-    return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=400, source="analytic"))
-
-
-@pytest.fixture(scope="module")
-def table(many: ManyDetections) -> MomentTable:
-    """What is expected of box errors over that truth, the same for most of these models."""
-    return MomentTable()
 
 
 def changed(**sections: Any) -> DetectorModel:
@@ -51,8 +36,7 @@ def three_labels(share: float) -> DetectorModel:
 
 
 def labels_of(many: ManyDetections, model: DetectorModel, seed: int) -> list[Parameter]:
-    found = false_positive_checks(model, many.detect(model, seed))
-    return [parameter for parameter in found if "false_positive_labels" in parameter.name]
+    return [p for p in false_positive_checks(model, many.detect(model, seed)) if "false_positive_labels" in p.name]
 
 
 def test_labels_that_persist_are_not_taken_for_independent_ones(many: ManyDetections) -> None:
@@ -62,8 +46,7 @@ def test_labels_that_persist_are_not_taken_for_independent_ones(many: ManyDetect
 
 def test_labels_of_those_that_do_not_persist_are_tested_beside_others_that_do(many: ManyDetections) -> None:
     tested = [p.measure for seed in range(6) for p in labels_of(many, three_labels(0.5), seed) if p.measure is not None]
-    assert len(tested) > 40
-    assert min(measure.p_value() for measure in tested) > 1e-5
+    assert len(tested) > 40 and min(measure.p_value() for measure in tested) > 1e-5
 
 
 def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> None:
@@ -81,16 +64,11 @@ def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> No
     assert abs(some_narrow.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(some))
 
 
-def test_what_an_operating_threshold_drops_is_not_tested_and_the_rest_is(
-    many: ManyDetections, table: MomentTable
-) -> None:
+def test_only_what_an_operating_threshold_drops_is_not_tested(many: ManyDetections, table: MomentTable) -> None:
     model = parse_detector(thesis_data() | {"operating_threshold": 0.7})
     evidence = many.detect(model, 0)
-    rates = [
-        *class_checks(model, evidence),
-        *false_positive_checks(model, evidence),
-        *confidence_checks(model, evidence),
-    ]
+    checks = class_checks, false_positive_checks, confidence_checks
+    rates = [parameter for check in checks for parameter in check(model, evidence)]
     untested = [p for p in rates if p.name.startswith("states.") and "false_positive_labels" not in p.name]
     assert untested and all(p.measure is None and p.note.startswith("operating_threshold is 0.7") for p in untested)
     (least,) = [p.measure for p in rates if p.name == "operating_threshold"]
@@ -128,9 +106,7 @@ def persistence_of(model: DetectorModel, evidence: Evidence, table: MomentTable)
     return [parameter for parameter in every if parameter.name.startswith("persistence.")]
 
 
-def test_persistence_is_seen_between_the_frames_at_which_the_detector_runs(
-    many: ManyDetections, table: MomentTable
-) -> None:
+def test_persistence_is_seen_between_two_turns_of_the_detector(many: ManyDetections, table: MomentTable) -> None:
     gates = {"update_interval_s": 0.4}
     model = changed(gates=gates, persistence={"class_s": 1.0, "box_s": 1.0})
     evidence = many.detect(model, 4)
@@ -139,8 +115,7 @@ def test_persistence_is_seen_between_the_frames_at_which_the_detector_runs(
         assert parameter.measure.asked == pytest.approx(np.exp(-0.4), rel=1e-9)
         assert parameter.measure.p_value() > 1e-4
     for parameter in persistence_of(changed(gates=gates), evidence, table):
-        assert parameter.measure is not None
-        assert parameter.measure.p_value() < 1e-6
+        assert parameter.measure is not None and parameter.measure.p_value() < 1e-6
 
 
 def test_misses_that_persist_for_ever_are_obeyed_and_those_that_do_not_are_seen(many: ManyDetections) -> None:
@@ -170,9 +145,7 @@ def box_persistence(asked: DetectorModel, evidence: Evidence, table: MomentTable
     return measure
 
 
-def test_what_truncation_leaves_of_a_correlation_of_box_errors_is_not_taken_for_all_of_it(
-    many: ManyDetections, table: MomentTable
-) -> None:
+def test_a_part_that_truncation_leaves_of_a_correlation_is_not_all(many: ManyDetections, table: MomentTable) -> None:
     # Half of the first draws leave no box: of a correlation of 0.2 from frame to frame 0.05 is left.
     made_with = changed(persistence={"box_s": -0.2 / np.log(0.2)})
     found = [box_persistence(changed(), many.detect(made_with, seed), table) for seed in range(4)]
@@ -218,5 +191,4 @@ def test_of_two_states_the_rate_of_staying_is_named(many: ManyDetections, stay: 
     for seed in range(3):
         evidence = many.detect(parse_detector(two_states()), seed)
         found = judge(state_checks(asked, evidence))
-        assert found.cause is not None
-        assert found.cause.parameter.name == "transition_matrix[good][good]"
+        assert found.cause is not None and found.cause.parameter.name == "transition_matrix[good][good]"

@@ -7,16 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from modsim3d.core.errors import RunDirectoryError
+from modsim3d import RunDirectoryError, detect_run, load_scene, open_run, run_scene, verify_evidence
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.run import detect_run, run_scene
-from modsim3d.runs.stored_run import open_run
-from modsim3d.scene.reading import load_scene
-from modsim3d.verify.error_fit import MomentTable
-from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.parameters import FALLS_SHORT
-from modsim3d.verify.verification import verify_evidence
 from modsim3d.verify.verify_run import verify_run, write_report
 from tests.command_line import call
 from tests.detector_changes import single_changes
@@ -33,28 +27,15 @@ def finished(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="module")
-def many() -> ManyDetections:
-    return ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
-
-
-@pytest.fixture(scope="module")
-def table(many) -> MomentTable:
-    """What is expected of box errors over that truth: most models have the same law of them."""
-    return MomentTable()
-
-
 def test_an_honest_run_obeys_and_says_so(finished, monkeypatch, capsys):
     assert call(monkeypatch, "check", "run", finished) == 0
     said = capsys.readouterr().out
-    assert "obeys its detector file" in said
-    assert "states.excellent.confusion[background][Vessel]" in said
+    assert "obeys its detector file" in said and "states.excellent.confusion[background][Vessel]" in said
     assert "dropout, all states" in said and "noticed from" in said
     report = json.loads((finished / "verify.json").read_text())
     assert report["obeys"] and report["cause"] is None
     page = (finished / "verify.html").read_text()
-    assert page.count("<svg") >= 5
-    assert "http" not in page and "<script" not in page
+    assert page.count("<svg") >= 5 and "http" not in page and "<script" not in page
 
 
 def test_a_report_in_a_run_changes_nothing_for_whoever_reads_the_run(finished, tmp_path):
@@ -72,8 +53,7 @@ def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, mon
     out = tmp_path / "report"
     assert call(monkeypatch, "check", "run", finished, "--detector", changed, "--out", out) == 1
     report = json.loads((out / "verify.json").read_text())
-    assert report["cause"] == "states.good.confidence.std"
-    assert "does NOT obey" in capsys.readouterr().out
+    assert report["cause"] == "states.good.confidence.std" and "does NOT obey" in capsys.readouterr().out
     page = (out / "verify.html").read_text().replace("<wbr>", "")
     failing = [line for line in page.splitlines() if "DIFFERS" in line]
     assert all(line.startswith('<tr class="bad">') for line in failing)
@@ -128,9 +108,8 @@ def test_a_run_of_every_model_obeys_its_file(many, table, name):
     ],
 )
 def test_a_model_that_the_file_does_not_have_is_named(many, table, made_with, cause):
-    verification = verify_evidence(
-        parse_detector(thesis_data()), many.detect(parse_detector(variant(made_with)), 3), table
-    )
+    evidence = many.detect(parse_detector(variant(made_with)), 3)
+    verification = verify_evidence(parse_detector(thesis_data()), evidence, table)
     assert cause in [verdict.parameter.name for verdict in verification.failed]
     if cause.startswith("persistence"):
         assert verification.cause.parameter.name == cause
@@ -156,19 +135,16 @@ def test_changes_that_are_noticeable_are_caught_and_named(many, table):
         if reach is not None and reach <= change.size:
             noticeable += 1
             named += verification.cause is not None and verification.cause.parameter.name == change.name
-    assert noticeable >= 2
-    assert named >= noticeable - 1
+    assert noticeable >= 2 and named >= noticeable - 1
 
 
 def test_another_detector_with_other_states_cannot_have_made_a_run(finished, monkeypatch, capsys):
     line = ("check", "run", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
-    assert call(monkeypatch, *line) == 2
-    assert "cannot have made this run" in capsys.readouterr().err
+    assert call(monkeypatch, *line) == 2 and "cannot have made this run" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_run_or_has_a_broken_table_is_bad_input(finished, tmp_path, monkeypatch, capsys):
-    assert call(monkeypatch, "check", "run", tmp_path) == 2
-    assert "run.json" in capsys.readouterr().err
+    assert call(monkeypatch, "check", "run", tmp_path) == 2 and "run.json" in capsys.readouterr().err
     broken = shutil.copytree(finished, tmp_path / "broken")
     (broken / "detections.parquet").write_bytes(b"not a table")
     assert call(monkeypatch, "check", "run", broken) == 2

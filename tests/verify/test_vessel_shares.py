@@ -1,7 +1,5 @@
 """Sums of misses of vessels that keep a share of their noise stray as far as simulated ones do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import special

@@ -1,7 +1,5 @@
-"""HOTA and CLEAR scores by TrackEval, in memory, and identity scores.
-
-A score whose denominator is 0 is None. TrackEval writes 0 or 1 there.
-"""
+"""HOTA and CLEAR scores by TrackEval, in memory, and identity scores. One whose denominator is 0 is None: not 0 or
+1."""
 
 from __future__ import annotations
 
@@ -15,18 +13,11 @@ from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.errors import ModsimError
 from modsim3d.tracking.scores.scored import Scored
 
-# ---- Truth and tracks as TrackEval takes them ----
-
-Data = dict[str, Any]
-"""What `eval_sequence` of a metric of TrackEval is given; see its own documentation."""
+Data = dict[str, Any]  # what `eval_sequence` of a metric of TrackEval is given; see its own documentation
 
 
 def metrics() -> Any:  # a module of a library without types
-    """TrackEval's metrics.
-
-    Raises:
-        ModsimError: TrackEval is not installed.
-    """
+    """TrackEval's metrics. Raises ModsimError if it is not installed."""
     try:
         from trackeval import metrics as found  # type: ignore[import-untyped]
     except ImportError:
@@ -35,12 +26,10 @@ def metrics() -> Any:  # a module of a library without types
 
 
 def sequence(scored: Scored) -> Data:
-    """The vessels and the tracks that are scored, as one sequence.
-
-    Identities of different cameras are different, and the frames of a camera stand together, since CLEAR prefers the
-    pairs of the frame before. So the scores are those that TrackEval combines from a sequence for each camera. Frames
-    without vessels and without tracks are left out: they change no score.
-    """
+    """The vessels and the tracks that are scored, as one sequence. Identities of different cameras are different, and
+    the frames of a camera stand together, since CLEAR prefers the pairs of the frame before. So the scores are those
+    that TrackEval combines from a sequence for each camera. Frames without vessels and without tracks are left out:
+    they change no score."""
     truth, tracks = scored.truth, scored.tracks
     frames = np.union1d(truth.frame, tracks.frame)
     frames = frames[np.lexsort((frames, frames % scored.by_step))]
@@ -67,13 +56,10 @@ def _similarities(scored: Scored, truth: tuple[Indices, Indices], tracks: tuple[
     i = np.repeat(rows, tracks_of_row)
     j = ranges(np.repeat(track_first, truth_count), tracks_of_row)
     alike = scored.rules.similarity(scored.truth.boxes_px[i], scored.tracks.boxes_px[j])
-    parts = _cut(alike, *_places(truth_count * track_count))
+    sizes = truth_count * track_count
+    parts = _cut(alike, np.cumsum(sizes) - sizes, sizes)
     shapes = zip(truth_count.tolist(), track_count.tolist(), strict=True)
     return [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-
-
-def _places(counts: Indices) -> tuple[Indices, Indices]:
-    return np.cumsum(counts) - counts, counts
 
 
 def _cut(column: Any, first: Indices, count: Indices) -> list[Any]:
@@ -83,75 +69,46 @@ def _cut(column: Any, first: Indices, count: Indices) -> list[Any]:
 
 @dataclass(frozen=True)
 class Hota:
-    """Higher order tracking accuracy: means over the 19 thresholds α = 0.05, 0.1, …, 0.95 (Luiten et al. (2021)).
+    """Higher order tracking accuracy: means over the 19 thresholds α = 0.05, 0.1, …, 0.95 (Luiten et al. (2021))."""
 
-    Attributes:
-        hota: √(DetA · AssA) at each threshold.
-        deta: Detection accuracy, TP / (TP + FN + FP).
-        assa: Association accuracy: mean of TPA / (TPA + FNA + FPA) over the matches; None without any.
-        detre: Detection recall, TP / (TP + FN).
-        detpr: Detection precision, TP / (TP + FP).
-        assre: Association recall, mean of TPA / (TPA + FNA).
-        asspr: Association precision, mean of TPA / (TPA + FPA).
-        loca: Mean similarity of the matches, over the thresholds that have any. TrackEval counts 1 for the others, and
-            so large errors of boxes can look better located than small ones.
-        hota_by_alpha: HOTA at each threshold.
-    """
-
-    hota: float | None
-    deta: float | None
-    assa: float | None
-    detre: float | None
-    detpr: float | None
-    assre: float | None
-    asspr: float | None
+    hota: float | None  # √(DetA · AssA) at each threshold
+    deta: float | None  # detection accuracy, TP / (TP + FN + FP)
+    assa: float | None  # association accuracy: mean of TPA / (TPA + FNA + FPA) over the matches; None without any
+    detre: float | None  # detection recall, TP / (TP + FN)
+    detpr: float | None  # detection precision, TP / (TP + FP)
+    assre: float | None  # association recall, mean of TPA / (TPA + FNA)
+    asspr: float | None  # association precision, mean of TPA / (TPA + FPA)
+    # Mean similarity of the matches, over the thresholds that have any. TrackEval counts 1 for the others, and so large
+    # errors of boxes can look better located than small ones.
     loca: float | None
     hota_by_alpha: tuple[float, ...] | None
 
 
 @dataclass(frozen=True)
 class Clear:
-    """CLEAR scores at the rules' threshold (Bernardin & Stiefelhagen (2008)).
+    """CLEAR scores at the rules' threshold (Bernardin & Stiefelhagen (2008))."""
 
-    Attributes:
-        mota: 1 − (misses + false positives + switches) / vessel-frames; below 0 if there are more errors than vessels.
-        motp: Mean similarity of the matches.
-        id_switches: How often a vessel is followed by another track than the one before.
-        fragmentations: How often a vessel is followed again after it was not. As in TrackEval, a frame without any
-            track interrupts none, and one in which the vessel is hidden does, so perfect tracks have some.
-        mostly_tracked: Number of identities that are followed in more than 80 % of their frames.
-        partly_tracked: Number of those in between.
-        mostly_lost: Number of those that are followed in less than 20 %.
-        true_positives: Matches.
-        misses: Vessel-frames without a track.
-        false_positives: Boxes of tracks on no vessel.
-    """
-
-    mota: float | None
-    motp: float | None
-    id_switches: int
+    mota: float | None  # 1 − (misses + false positives + switches) / vessel-frames; below 0 with more errors than these
+    motp: float | None  # mean similarity of the matches
+    id_switches: int  # times at which a vessel is followed by another track than the one before
+    # Times at which a vessel is followed again after it was not. As in TrackEval, a frame without any track interrupts
+    # none, and one in which the vessel is hidden does, so perfect tracks have some.
     fragmentations: int
-    mostly_tracked: int
-    partly_tracked: int
-    mostly_lost: int
-    true_positives: int
-    misses: int
-    false_positives: int
+    mostly_tracked: int  # identities that are followed in more than 80 % of their frames
+    partly_tracked: int  # those in between
+    mostly_lost: int  # those that are followed in less than 20 %
+    true_positives: int  # matches
+    misses: int  # vessel-frames without a track
+    false_positives: int  # boxes of tracks on no vessel
 
 
 @dataclass(frozen=True)
 class Identity:
-    """Scores of the best one-to-one assignment of tracks to identities (Ristani et al. (2016)).
+    """Scores of the best one-to-one assignment of tracks to identities (Ristani et al. (2016))."""
 
-    Attributes:
-        idf1: F1 of the vessel-frames that carry the right identity.
-        idp: Share of the tracks' boxes that do.
-        idr: Share of the vessel-frames that do.
-    """
-
-    idf1: float | None
-    idp: float | None
-    idr: float | None
+    idf1: float | None  # F1 of the vessel-frames that carry the right identity
+    idp: float | None  # share of the tracks' boxes that do
+    idr: float | None  # share of the vessel-frames that do
 
 
 def hota(scored: Scored) -> Hota:
@@ -207,11 +164,9 @@ def clear_of(data: Data, least: float) -> Clear:
 
 
 def identity_of(data: Data, least: float) -> Identity:
-    """Identity scores of a sequence, from a similarity on.
-
-    TrackEval's numbers, without its three matrices of (identities + tracks)², which take 2.4 GB at 10,000 tracks: what
-    its costs are least for is the assignment of tracks to identities with the most boxes on each other.
-    """
+    """Identity scores of a sequence, from a similarity on: TrackEval's numbers, without its three matrices of
+    (identities + tracks)², which take 2.4 GB at 10,000 tracks. What its costs are least for is the assignment of tracks
+    to identities with the most boxes on each other."""
     together = np.zeros((data["num_gt_ids"], data["num_tracker_ids"]))
     for identities, tracks, alike in zip(data["gt_ids"], data["tracker_ids"], data["similarity_scores"], strict=True):
         i, j = np.nonzero(alike >= least)

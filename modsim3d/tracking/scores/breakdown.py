@@ -1,9 +1,6 @@
-"""Recall and association broken down by what only a simulator knows.
-
-Tracks are matched once, with everything. Then rows of the truth are averaged. To delete the other rows and match again
-would be wrong: the tracks on them would become false positives. A false positive has no visibility, no range and no
-state of occlusion, so nothing here counts them.
-"""
+"""Recall and association broken down by what only a simulator knows. Tracks are matched once, with everything. Then
+rows of the truth are averaged. To delete the other rows and match again would be wrong: the tracks on them would become
+false positives. A false positive has no visibility, no range and no state of occlusion, so nothing here counts them."""
 
 from __future__ import annotations
 
@@ -18,10 +15,8 @@ from modsim3d.core.boxes import areas
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionSpans, Survival, within
 from modsim3d.tracking.scores.scored import Scored
 
-NEAR_S = 2.0
-"""So long before and after an occlusion is a phase of its own."""
-PHASES = ("before", "during", "after", "elsewhere")
-"""Of an occlusion."""
+NEAR_S = 2.0  # so long before and after an occlusion is a phase of its own
+PHASES = ("before", "during", "after", "elsewhere")  # of an occlusion
 RANGE_EDGES_M, SIZE_EDGES_PX = (100, 200, 400, 800), (16, 32, 64, 128)
 
 
@@ -41,42 +36,25 @@ BINS = {
 
 @dataclass(frozen=True)
 class Bin:
-    """Some vessel-frames.
+    """Some vessel-frames."""
 
-    Attributes:
-        bin: What they have in common.
-        vessel_frames: Their number.
-        recall: Share of them that a track follows; None if there are none.
-        association: Mean association of those that are followed, as in `association_of_pairs`; None if none is.
-        occlusions: Number of occlusions that they belong to; None outside the group of occlusions.
-        judged: Number of these that a track could survive, as in `Survival`.
-        survived: Share of the judged ones that a track survived; None if there are none.
-        to_survive: Number of those that a tracker which misses nothing could survive, as in `Survival`.
-    """
-
-    bin: str
-    vessel_frames: int
-    recall: float | None
-    association: float | None
-    occlusions: int | None = None
-    judged: int | None = None
-    survived: float | None = None
-    to_survive: int | None = None
+    bin: str  # what they have in common
+    vessel_frames: int  # their number
+    recall: float | None  # share of them that a track follows; None if there are none
+    association: float | None  # mean of those that are followed, as in `association_of_pairs`; None if none is
+    occlusions: int | None = None  # that they belong to; None outside the group of occlusions
+    judged: int | None = None  # those that a track could survive, as in `Survival`
+    survived: float | None = None  # share of the judged ones that a track survived; None if there are none
+    to_survive: int | None = None  # those that a tracker which misses nothing could survive, as in `Survival`
 
 
 @dataclass(frozen=True)
 class Group:
-    """The vessel-frames divided by one property.
-
-    Attributes:
-        name: Name of the property.
-        explanation: What it is, with its unit.
-        rows: The bins that have vessel-frames.
-    """
+    """The vessel-frames divided by one property."""
 
     name: str
-    explanation: str
-    rows: tuple[Bin, ...]
+    explanation: str  # what the property is, with its unit
+    rows: tuple[Bin, ...]  # the bins that have vessel-frames
 
 
 Breakdown = tuple[Group, ...]
@@ -84,12 +62,8 @@ Breakdown = tuple[Group, ...]
 
 @dataclass(frozen=True, eq=False)
 class _Followed:
-    """The n vessel-frames that are scored.
-
-    Attributes:
-        found: Whether a track follows the vessel, shape (n,).
-        association: NaN where none does, shape (n,).
-    """
+    """The n vessel-frames that are scored: whether a track follows the vessel, and its association, NaN where none
+    does; shapes (n,)."""
 
     found: Mask
     association: Array
@@ -116,25 +90,18 @@ def breakdown(scored: Scored) -> Breakdown:
     """The scored vessel-frames by visibility, occlusion, state, range, size, edge of the image and label."""
     rows, truth = scored.rows, scored.truth
     followed = _Followed(*association_of_pairs(scored))
-    visible, depth_m, in_frame = (
-        rows.numbers(name)[truth.row] for name in ("visible_fraction", "depth_m", "in_frame_fraction")
-    )
+    names = ("visible_fraction", "depth_m", "in_frame_fraction")
+    visible, depth_m, in_frame = (rows.numbers(name)[truth.row] for name in names)
     side_px = np.sqrt(areas(truth.boxes_px))
-    detector = rows.scene.detector
+    detector, cut = rows.scene.detector, "whether the edge of the image cuts the vessel"
     states = [state.name for state in detector.states]
+    visibility = "share of the vessel's silhouette in the image that is visible"
+    edge = (~(in_frame >= 1)).astype(np.int64)  # it is unknown where the near plane cuts the vessel
     groups = {
-        "visible_fraction": (
-            "share of the vessel's silhouette in the image that is visible",
-            BINS["visible_fraction"],
-            _visibility(visible),
-        ),
+        "visible_fraction": (visibility, BINS["visible_fraction"], _visibility(visible)),
         "range": ("mean distance along the axis of the camera, m", BINS["range"], _places(depth_m, RANGE_EDGES_M)),
         "size": ("side of a square as large as the true box, px", BINS["size"], _places(side_px, SIZE_EDGES_PX)),
-        "edge": (
-            "whether the edge of the image cuts the vessel",
-            ("whole in the image", "cut by the edge"),
-            (~(in_frame >= 1)).astype(np.int64),  # it is unknown where the near plane cuts the vessel
-        ),
+        "edge": (cut, ("whole in the image", "cut by the edge"), edge),
         "state": ("performance state of the detector", states, rows.states_of(truth.frame)),
         "label": ("true class of the vessel", detector.labels, truth.label),
     }
@@ -143,11 +110,9 @@ def breakdown(scored: Scored) -> Breakdown:
 
 
 def association_of_pairs(scored: Scored) -> tuple[Mask, Array]:
-    """Mask of the vessels that are followed, and A(c) = TPA / (TPA + FNA + FPA) of those, shapes (n,).
-
-    Luiten et al. (2021), eq. 1: TPA counts the frames in which the same track follows the same vessel, FNA all others
-    of the vessel, FPA all others of the track; here of one matching at the rules' threshold.
-    """
+    """Mask of the vessels that are followed, and A(c) = TPA / (TPA + FNA + FPA) of those, shapes (n,). Luiten et al.
+    (2021), eq. 1: TPA counts the frames in which the same track follows the same vessel, FNA all others of the vessel,
+    FPA all others of the track; here of one matching at the rules' threshold."""
     following, truth = scored.following, scored.truth
     tracks = scored.following.tracks.identity
     track_row = following.track_row[scored.truth_rows]

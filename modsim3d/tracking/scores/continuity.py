@@ -1,7 +1,5 @@
-"""How soon vessels are followed, how often and how long they are lost, and tracks of nothing.
-
-The list is that of Helgesen et al. (2022), as in Jessen & Mohr (2023), section 2.3.1.
-"""
+"""Times until vessels are followed, how often and how long they are lost, and tracks of nothing. The list is that of
+Helgesen et al. (2022), as in Jessen & Mohr (2023), section 2.3.1."""
 
 from __future__ import annotations
 
@@ -18,66 +16,37 @@ _HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Continuity:
-    """Continuity of tracks over each vessel's appearances, in scored frames; None where there is nothing to average.
+    """Continuity of tracks over each vessel's appearances, in scored frames; None where there is nothing to average. A
+    break is a stretch in which an established vessel is not followed before it is followed again. Frames in which the
+    vessel is hidden or not expected to be followed belong to no break and add no time. A false track never follows a
+    vessel, not even one that is not scored."""
 
-    A break is a stretch in which an established vessel is not followed before it is followed again. Frames in which
-    the vessel is hidden or not expected to be followed belong to no break and add no time. A false track never follows
-    a vessel, not even one that is not scored.
-
-    Attributes:
-        appearances: Number of appearances with a scored frame.
-        established: Number of those that are followed in at least one such frame.
-        established_share: established / appearances.
-        time_to_establish_s: Mean time from the first scored frame to the first in which it is followed, of those
-            established.
-        longest_time_to_establish_s: The longest of these times.
-        tracks_per_vessel: Mean number of different tracks that followed an established appearance.
-        track_breaks: Number of breaks.
-        track_break_s: Their total length.
-        mean_track_break_s: Their mean length.
-        longest_track_break_s: The longest.
-        track_breaks_per_hour: Breaks for each hour of established vessels.
-        lost: Number of established appearances that are not followed in their last scored frame.
-        lost_s: Their total time after the last frame in which they are followed.
-        false_tracks: Number of false tracks.
-        false_track_s: Their total length, of the frames in which they are reported.
-        mean_false_track_s: Their mean length.
-        false_tracks_per_hour: False tracks for each hour of a camera.
-    """
-
-    appearances: int
-    established: int
-    established_share: float | None
-    time_to_establish_s: float | None
+    appearances: int  # with a scored frame
+    established: int  # those that are followed in at least one such frame
+    established_share: float | None  # established / appearances
+    time_to_establish_s: float | None  # mean, from the first scored frame to the first in which it is followed
     longest_time_to_establish_s: float | None
-    tracks_per_vessel: float | None
+    tracks_per_vessel: float | None  # mean number of different tracks that followed an established appearance
     track_breaks: int
-    track_break_s: float
+    track_break_s: float  # total length of breaks
     mean_track_break_s: float | None
     longest_track_break_s: float | None
-    track_breaks_per_hour: float | None
-    lost: int
-    lost_s: float
+    track_breaks_per_hour: float | None  # for each hour of established vessels
+    lost: int  # established appearances that are not followed in their last scored frame
+    lost_s: float  # their total time after the last frame in which they are followed
     false_tracks: int
-    false_track_s: float
+    false_track_s: float  # their total length, of the frames in which they are reported
     mean_false_track_s: float | None
-    false_tracks_per_hour: float | None
+    false_tracks_per_hour: float | None  # for each hour of a camera
 
 
 class _Appearances(NamedTuple):
-    """Scored frames of vessels by identity and frame: n rows.
-
-    Attributes:
-        identity: Number of the identity.
-        time_s: Time of the frame since the first step.
-        followed: Whether it is followed.
-        length_s: Time that the frame stands for.
-    """
+    """Scored frames of vessels by identity and frame: n rows."""
 
     identity: Indices
-    time_s: Array
+    time_s: Array  # of the frame since the first step
     followed: Mask
-    length_s: Array
+    length_s: Array  # time that the frame stands for
 
 
 def continuity(scored: Scored) -> Continuity:

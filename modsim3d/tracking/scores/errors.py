@@ -1,4 +1,4 @@
-"""How far tracks are from the vessels that they follow, if their covariances say so, and distances of whole sets."""
+"""Distances of tracks from the vessels that they follow, whether covariances say so, and distances of whole sets."""
 
 from __future__ import annotations
 
@@ -13,46 +13,33 @@ from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.boxes import centres, errors_between
 from modsim3d.tracking.scores.scored import Scored, frame_lengths_s, stretches
 
-# ---- How far tracks are from the vessels that they follow, and whether their covariances say so ----
-
 _MIN_CONDITION = 1e-12
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors over the pairs of a scored vessel and the track that follows it; None where there is no pair.
-
-    Attributes:
-        error_pairs: Number of pairs.
-        rmse_px: Root of the mean squared distance of the centres.
-        median_error_px: Median distance of the centres.
-        rmse_width_px: Root of the mean squared error of the width.
-        rmse_height_px: That of the height.
-        nees: Mean of the normalised estimation error squared of the centre; 2 is expected. None without covariances,
-            infinite where one is singular.
-        anees: NEES / 2, the number of its dimensions; 1 is expected.
-        nees_pairs: Number of pairs with a covariance.
-        singular_covariances: Number of those whose covariance is not positive definite.
-    """
+    """Errors over the pairs of a scored vessel and the track that follows it; None where there is no pair."""
 
     error_pairs: int
-    rmse_px: float | None
-    median_error_px: float | None
+    rmse_px: float | None  # root of the mean squared distance of the centres
+    median_error_px: float | None  # median distance of the centres
     rmse_width_px: float | None
     rmse_height_px: float | None
+    # Mean normalised estimation error squared of the centre; 2 is expected. None without covariances, infinite where
+    # one is singular.
     nees: float | None
-    anees: float | None
-    nees_pairs: int
-    singular_covariances: int
+    anees: float | None  # NEES / 2, the number of its dimensions; 1 is expected
+    nees_pairs: int  # with a covariance
+    singular_covariances: int  # pairs whose covariance is not positive definite
 
 
 def errors(scored: Scored) -> Errors:
-    """Errors over all pairs.
-
-    Errors of consecutive frames are correlated, so the chi-square interval of NEES does not hold over frames: take an
-    interval over runs.
-    """
-    error_px, squares = _pair_errors(scored)
+    """Errors over all pairs. Errors of consecutive frames are correlated, so the chi-square interval of NEES does not
+    hold over frames: take an interval over runs."""
+    vessels, tracks = scored.pairs
+    following = scored.following
+    error_px = errors_between(following.tracks.boxes_px[tracks], following.truth.boxes_px[vessels])
+    squares = nees_or_infinity(error_px[:, :2], following.tracks.covariance_px2[tracks])
     if not len(error_px):
         return Errors(0, None, None, None, None, None, None, 0, 0)
     distance = np.hypot(error_px[:, 0], error_px[:, 1])
@@ -72,14 +59,9 @@ def errors(scored: Scored) -> Errors:
 
 
 def nees(errors: Array, covariances: Array) -> Array:
-    """Normalised estimation errors squared e' P⁻¹ e (Bar-Shalom et al. (2001), equation 5.4.2-1), shape (k,).
-
-    Jessen & Mohr (2023) misplace the transpose in equation 2.2, and leave out 1/n in that of ANEES, 2.3.
-
-    Args:
-        errors: Estimate minus truth, shape (k, d).
-        covariances: P, positive definite, shape (k, d, d). NaN in either gives NaN.
-    """
+    """Normalised estimation errors squared e' P⁻¹ e (Bar-Shalom et al. (2001), equation 5.4.2-1), shape (k,). Errors,
+    estimate minus truth, have shape (k, d); covariances P are positive definite, shape (k, d, d); NaN in either gives
+    NaN. Jessen & Mohr (2023) misplace the transpose in equation 2.2, and leave out 1/n in that of ANEES, 2.3."""
     known = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
     found = np.full(len(errors), np.nan)
     wanted = errors[known, :, None]
@@ -89,9 +71,7 @@ def nees(errors: Array, covariances: Array) -> Array:
 
 def nees_or_infinity(error: Array, covariance: Array) -> Array:
     """NEES of k errors whose covariances may be singular: infinite where they are not positive definite, shape (k,).
-
-    The smallest eigenvalue must be above 10⁻¹² of the largest. Where error or covariance is unknown, so is NEES: NaN.
-    """
+    The smallest eigenvalue must be above 10⁻¹² of the largest. NaN where error or covariance is unknown."""
     squares = np.full(len(error), np.nan)
     given = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)) & np.isfinite(error).all(axis=1))
     spread = np.linalg.eigvalsh(covariance[given])
@@ -102,47 +82,23 @@ def nees_or_infinity(error: Array, covariance: Array) -> Array:
     return squares
 
 
-def _pair_errors(scored: Scored) -> tuple[Array, Array]:
-    """Errors of centre x, centre y, width and height of each pair, shape (m, 4), and its NEES, shape (m,)."""
-    vessels, tracks = scored.pairs
-    following = scored.following
-    error_px = errors_between(following.tracks.boxes_px[tracks], following.truth.boxes_px[vessels])
-    return error_px, nees_or_infinity(error_px[:, :2], following.tracks.covariance_px2[tracks])
-
-
 def _root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-# ---- GOSPA and OSPA in the image ----
-
-
 class GospaParts(NamedTuple):
-    """GOSPA with α = 2 and what it consists of; in one frame gospa^p = localisation + missed + false.
+    """GOSPA with α = 2 and what it consists of; in one frame gospa^p = localisation + missed + false."""
 
-    Attributes:
-        gospa: The distance, in the unit of the cutoff c.
-        localisation: Sum of the p-th powers of the distances of pairs closer than c.
-        missed: c^p / 2 for each vessel without a track closer than c.
-        false: c^p / 2 for each track without a vessel closer than c.
-    """
-
-    gospa: float
-    localisation: float
-    missed: float
-    false: float
+    gospa: float  # the distance, in the unit of the cutoff c
+    localisation: float  # sum of the p-th powers of the distances of pairs closer than c
+    missed: float  # c^p / 2 for each vessel without a track closer than c
+    false: float  # c^p / 2 for each track without a vessel closer than c
 
 
 def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaParts:
-    """GOSPA of one frame (Rahmathullah et al. (2017), definition 1 and proposition 1, with α = 2).
-
-    A pair at c or beyond costs c^p, as much as a missed vessel and a false track, and is counted as these.
-
-    Args:
-        distance: Of each of n vessels to each of m tracks, shape (n, m); n and m may be 0.
-        cutoff: c > 0, in the unit of the distance.
-        power: p ≥ 1.
-    """
+    """GOSPA of one frame (Rahmathullah et al. (2017), definition 1 and proposition 1, with α = 2), given the distances
+    of n vessels to m tracks, shape (n, m), n and m may be 0; the cutoff c > 0 in their unit; and the power p ≥ 1. A
+    pair at c or beyond costs c^p, as much as a missed vessel and a false track, and is counted as these."""
     vessels, tracks = distance.shape
     close = _paired(distance, cutoff, power)
     close = close[close < cutoff]
@@ -152,10 +108,8 @@ def gospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> GospaPart
 
 
 def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
-    """OSPA of one frame (Schuhmacher et al. (2008)), at most the cutoff; 0 for two empty sets.
-
-    The arguments are those of `gospa_frame`.
-    """
+    """OSPA of one frame (Schuhmacher et al. (2008)), at most the cutoff; 0 for two empty sets; arguments as in
+    `gospa_frame`."""
     more, fewer = max(distance.shape), min(distance.shape)
     if not more:
         return 0.0
@@ -164,10 +118,8 @@ def ospa_frame(distance: Array, cutoff: float, power: float = 1.0) -> float:
 
 
 def mean_gospa(distances: Iterable[Array], cutoff: float, power: float = 1.0) -> GospaParts | None:
-    """Means over frames of GOSPA and of each part, which add up to it if p = 1; None without frames.
-
-    With p > 1 the parts are means of p-th powers, and GOSPA the mean of p-th roots, so they do not add up.
-    """
+    """Means over frames of GOSPA and of each part, which add up to it if p = 1; None without frames. With p > 1 the
+    parts are means of p-th powers, and GOSPA the mean of p-th roots, so they do not add up."""
     frames = [gospa_frame(distance, cutoff, power) for distance in distances]
     return GospaParts(*np.mean(frames, axis=0).tolist()) if frames else None
 
@@ -193,17 +145,10 @@ def _paired(distance: Array, cutoff: float, power: float) -> Array:
 
 @dataclass(frozen=True)
 class Gospa:
-    """Means over frames of GOSPA with α = 2 and of its parts; None without frames.
-
-    Attributes:
-        gospa: The distance, in pixels.
-        gospa_localisation: What the errors of centres add, in px^p.
-        gospa_missed: What missed vessels add, in px^p.
-        gospa_false: What false tracks add, in px^p.
-    """
+    """Means over frames of GOSPA with α = 2, in pixels, and of what its parts add, in px^p; None without frames."""
 
     gospa: float | None
-    gospa_localisation: float | None
+    gospa_localisation: float | None  # the errors of centres
     gospa_missed: float | None
     gospa_false: float | None
 
@@ -216,20 +161,15 @@ class Ospa:
 
 
 def gospa(scored: Scored) -> Gospa:
-    """GOSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0.
-
-    The formula is that of `gospa_frame`. Parts are means of p-th powers: with p = 1 they add up to GOSPA.
-    """
+    """GOSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0. The formula is that
+    of `gospa_frame`. Parts are means of p-th powers: with p = 1 they add up to GOSPA."""
     rule = scored.rules.set_distance
     parts = mean_gospa(_frames(scored), rule.cutoff, rule.power)
     return Gospa(*parts) if parts else Gospa(None, None, None, None)
 
 
 def ospa(scored: Scored) -> Ospa:
-    """OSPA of the centres of boxes, mean over all frames; one without vessels and tracks counts 0.
-
-    The formula is that of `ospa_frame`.
-    """
+    """OSPA of the centres of boxes, mean over all frames, by `ospa_frame`; one without vessels and tracks counts 0."""
     rule = scored.rules.set_distance
     return Ospa(mean_ospa(_frames(scored), rule.cutoff, rule.power))
 
@@ -243,42 +183,29 @@ def _frames(scored: Scored) -> Iterator[Array]:
         yield distances(a_px[a : a + n], b_px[b : b + m])
 
 
-# ---- SIAP ----
-
-_TIME_DECIMALS = 9
-"""Sums of times in another order differ in their last bits: they are rounded to so many decimals."""
+_TIME_DECIMALS = 9  # sums of times in another order differ in their last bits: they are rounded to so many decimals
 
 
 @dataclass(frozen=True)
 class Siap:
-    """Attributes of the single integrated air picture, over all frames; None where there is nothing to divide by.
+    """Attributes of the single integrated air picture, over all frames; None where there is nothing to divide by."""
 
-    Attributes:
-        siap_completeness: Share of vessels, counted in each frame, with a track.
-        siap_ambiguity: Tracks for each vessel that has one.
-        siap_spuriousness: Share of tracks, counted in each frame, without a vessel.
-        siap_positional_accuracy_px: Mean distance of a track's centre from that of its vessel.
-        siap_id_changes_per_s: Changes of the track that one has to make to stay on each vessel, as few as possible, for
-            each second in which the vessel has a track.
-        siap_longest_track_share: The longest stretch that one track stays on each vessel without a break, as a share of
-            the vessel's time, sums over vessels.
-    """
-
-    siap_completeness: float | None
-    siap_ambiguity: float | None
-    siap_spuriousness: float | None
-    siap_positional_accuracy_px: float | None
+    siap_completeness: float | None  # share of vessels, counted in each frame, with a track
+    siap_ambiguity: float | None  # tracks for each vessel that has one
+    siap_spuriousness: float | None  # share of tracks, counted in each frame, without a vessel
+    siap_positional_accuracy_px: float | None  # mean distance of a track's centre from that of its vessel
+    # Changes of the track that one has to make to stay on each vessel, as few as possible, for each second in which the
+    # vessel has a track.
     siap_id_changes_per_s: float | None
+    # The longest stretch that one track stays on each vessel without a break, over her time, sums over vessels.
     siap_longest_track_share: float | None
 
 
 def siap(scored: Scored) -> Siap:
-    """Assign each track in each frame to the vessel that it is most similar to, if it is similar enough.
-
-    This is not the one matching of the other scores. A track that is assigned to a vessel that is not scored is left
-    out. A track that loses its vessel and finds it again is no change, but two stretches; in Stone Soup 1.9.1 it is a
-    change and one stretch.
-    """
+    """Assign each track in each frame to the vessel that it is most similar to, if it is similar enough: not the one
+    matching of the other scores. A track that is assigned to a vessel that is not scored is left out. A track that
+    loses its vessel and finds it again is no change, but two stretches; in Stone Soup 1.9.1 it is a change and one
+    stretch."""
     following = scored.following
     vessel, track, spurious = _assigned(scored)
     scored_vessels = len(scored.truth_rows)
@@ -324,10 +251,8 @@ def _places(scored: Scored) -> tuple[Indices, Array]:
 
 
 def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
-    """The least number of changes of the track over the frames in which each identity has one; arguments (a,).
-
-    It is best to take the track that stays longest, and at its end again.
-    """
+    """The least number of changes of the track over the frames in which each identity has one; arguments (a,). It is
+    best to take the track that stays longest, and at its end again."""
     tracked, place = np.unique(np.column_stack([identity, frame]), axis=0, return_inverse=True)
     group, place = _by_track(identity, track, place.reshape(-1))
     stays = stretches(group, place)
@@ -340,14 +265,9 @@ def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
 
 
 def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Array) -> float:
-    """Sum over identities of the longest time that one track stays on them.
-
-    Args:
-        identity: Of the vessel of each assignment, shape (a,).
-        place: Place of its row in the times, shape (a,).
-        track: Identity of the track, shape (a,).
-        length_s: Time that each place stands for, shape (p,).
-    """
+    """Sum over identities of the longest time that one track stays on them. Identities of the vessels of a assignments,
+    the places of their rows in the times, and identities of the tracks have shape (a,); `length_s` is the time that
+    each place stands for, shape (p,)."""
     vessel = np.zeros(len(length_s), dtype=np.int64)
     vessel[place] = identity
     group, place = _by_track(identity, track, place)

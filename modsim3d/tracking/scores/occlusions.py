@@ -10,95 +10,59 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.tracking.scores.scored import Histories, Scored, frame_lengths_s, stretches
 
-OCCLUDED_BELOW = 0.5
-"""A vessel is occluded while less than this share of its silhouette in the image is visible."""
-BEFORE_S = 1.0
-"""The track before is the last that followed the vessel within this time before its occlusion."""
-LENGTH_EDGES_S = (1, 3, 10)
-"""Between these, occlusions are told apart by length."""
-AFTER_S = 2.0
-"""The track after is the first that follows the vessel within this time after its occlusion."""
-
+OCCLUDED_BELOW = 0.5  # a vessel is occluded while less than this share of its silhouette in the image is visible
+BEFORE_S = 1.0  # the track before is the last that followed the vessel within this time before its occlusion
+LENGTH_EDGES_S = (1, 3, 10)  # between these, occlusions are told apart by length
+AFTER_S = 2.0  # the track after is the first that follows the vessel within this time after its occlusion
 _TIME_DECIMALS = 6
 """Differences of times are rounded to so many decimals before they are compared: seconds since 1970 have no more."""
 
 
 @dataclass(frozen=True)
 class Survival:
-    """How many occlusions there are, and how many of them tracks survive.
-
-    Attributes:
-        occlusions: Their number.
-        occlusions_judged: Number of those that a track could survive: one followed the vessel in the last second
-            before, and the vessel is scored in the two seconds after.
-        occlusions_survived: Share of these after which the same track is the first to follow the vessel.
-        occlusions_to_survive: Number of those that a tracker which misses nothing could survive: the vessel is scored
-            in the last second before, or a track followed it there all the same, and in the two seconds after.
-    """
+    """Number of occlusions, and of those that tracks survive."""
 
     occlusions: int
+    # Those that a track could survive: one followed the vessel in the last second before, and the vessel is scored in
+    # the two seconds after.
     occlusions_judged: int
-    occlusions_survived: float | None
+    occlusions_survived: float | None  # share of these after which the same track is the first to follow the vessel
+    # Those that a tracker which misses nothing could survive: the vessel is scored in the two seconds after, and in the
+    # last second before, or a track followed it there all the same.
     occlusions_to_survive: int
 
 
 @dataclass(frozen=True)
 class OcclusionEpisode:
-    """Consecutive frames of an appearance in which less than half of the vessel is visible.
-
-    Frames in which the vessel is too small for any pixel are passed over: nothing can be said of them.
-
-    Attributes:
-        camera: Name of the camera.
-        vessel: Name of the vessel.
-        start_s: Time of the first of these frames.
-        end_s: Time of the camera's next frame after the last of them.
-        length_s: From start to end.
-        least_visible_fraction: The least share of the silhouette that is visible.
-        followed_before: Whether a track followed the vessel in the last second before.
-        track_before: Number of that track; None without one.
-        track_after: Number of the first track that follows the vessel within two seconds after; None without one.
-        survived: Whether that is the same; None if no track followed the vessel before, or if the vessel is not scored
-            in the two seconds after.
-    """
+    """Consecutive frames of an appearance in which less than half of the vessel is visible. Frames in which the vessel
+    is too small for any pixel are passed over: nothing can be said of them."""
 
     camera: str
     vessel: str
-    start_s: float
-    end_s: float
-    length_s: float
-    least_visible_fraction: float
-    followed_before: bool
-    track_before: int | None
-    track_after: int | None
+    start_s: float  # time of the first of these frames
+    end_s: float  # time of the camera's next frame after the last of them
+    length_s: float  # from start to end
+    least_visible_fraction: float  # of the silhouette
+    followed_before: bool  # whether a track followed the vessel in the last second before
+    track_before: int | None  # number of that track; None without one
+    track_after: int | None  # number of the first track that follows it within two seconds after; None without one
+    # Whether that is the same; None if no track followed before, or the vessel is not scored in the two seconds after.
     survived: bool | None
 
 
 @dataclass(frozen=True, eq=False)
 class OcclusionSpans:
-    """The m occlusions of a matching in order of identity and time, as places in its histories.
-
-    Attributes:
-        histories: The histories.
-        first: Place of the first frame of each, shape (m,).
-        last: Place of the last one, shape (m,).
-        start_s: Time of the first frame, shape (m,).
-        end_s: Time of the camera's next frame after the last one, shape (m,).
-        before: Place at which the track before last followed the vessel, `NOBODY` for none, shape (m,).
-        after: Place at which the track after first follows it, `NOBODY` for none, shape (m,).
-        stays: Whether the vessel is scored within two seconds after, shape (m,).
-        expected: Whether it is scored within the second before, shape (m,).
-    """
+    """The m occlusions of a matching in order of identity and time, as places in its histories; shapes (m,)."""
 
     histories: Histories
-    first: Indices
-    last: Indices
-    start_s: Array
-    end_s: Array
-    before: Indices
-    after: Indices
-    stays: Mask
-    expected: Mask
+    first: Indices  # place of the first frame of each
+    last: Indices  # place of the last one
+    start_s: Array  # time of the first frame
+    end_s: Array  # time of the camera's next frame after the last one
+    before: Indices  # place at which the track before last followed the vessel, `NOBODY` for none
+    after: Indices  # place at which the track after first follows it, `NOBODY` for none
+    stays: Mask  # whether the vessel is scored within two seconds after
+    expected: Mask  # whether it is scored within the second before
 
     @classmethod
     def of(cls, scored: Scored) -> OcclusionSpans:
@@ -115,17 +79,10 @@ class OcclusionSpans:
         wanted = scored.following.truth.scored[each.row]
         last_one, next_one = each.last_before(wanted)[first], each.first_after(wanted)[last]
         times_s = np.append(each.time_s, np.nan)  # the last is that of NOBODY, which no comparison finds
-        return cls(
-            each,
-            first,
-            last,
-            start_s,
-            end_s,
-            np.where(within(start_s - times_s[before], BEFORE_S), before, NOBODY),
-            np.where(within(times_s[after] - end_s, AFTER_S), after, NOBODY),
-            within(times_s[next_one] - end_s, AFTER_S),
-            within(start_s - times_s[last_one], BEFORE_S),
-        )
+        before = np.where(within(start_s - times_s[before], BEFORE_S), before, NOBODY)
+        after = np.where(within(times_s[after] - end_s, AFTER_S), after, NOBODY)
+        stays, expected = within(times_s[next_one] - end_s, AFTER_S), within(start_s - times_s[last_one], BEFORE_S)
+        return cls(each, first, last, start_s, end_s, before, after, stays, expected)
 
     @property
     def length_s(self) -> Array:
@@ -147,7 +104,7 @@ class OcclusionSpans:
         return survived
 
     def survival(self, chosen: Mask) -> Survival:
-        """How many of the chosen ones there are, and how many of them tracks survive."""
+        """Number of the chosen ones, and of those that tracks survive."""
         judged = chosen & self.judged
         count = int(np.count_nonzero(judged))
         survived = float(np.mean(self.survived[judged])) if count else None
@@ -161,7 +118,7 @@ def within(times_s: Array, limit_s: float) -> Mask:
 
 
 def survival(scored: Scored) -> Survival:
-    """How many occlusions there are, and how many of them tracks survive."""
+    """Number of all occlusions, and of those that tracks survive."""
     spans = OcclusionSpans.of(scored)
     return spans.survival(np.ones(len(spans.first), dtype=bool))
 
@@ -171,10 +128,10 @@ def occlusions(scored: Scored) -> tuple[OcclusionEpisode, ...]:
     spans, following, scene = OcclusionSpans.of(scored), scored.following, scored.rows.scene
     truth_row = spans.histories.row[spans.first]
     frame, vessel = following.truth.frame[truth_row], following.truth.vessel[truth_row]
-    least = [
-        float(np.nanmin(spans.histories.visible_fraction[a : b + 1]))
-        for a, b in zip(spans.first.tolist(), spans.last.tolist(), strict=True)
-    ]
+    fraction = spans.histories.visible_fraction
+    ends = zip(spans.first.tolist(), spans.last.tolist(), strict=True)
+    least = [float(np.nanmin(fraction[first : last + 1])) for first, last in ends]
+    track_before, track_after = (_track_numbers(scored, spans, each) for each in (spans.before, spans.after))
     found = [
         OcclusionEpisode(
             scene.cameras[int(frame[k]) % scored.by_step].name,
@@ -184,13 +141,11 @@ def occlusions(scored: Scored) -> tuple[OcclusionEpisode, ...]:
             float(spans.length_s[k]),
             least[k],
             bool(spans.before[k] != NOBODY),
-            before,
-            after,
+            track_before[k],
+            track_after[k],
             bool(spans.survived[k]) if spans.judged[k] else None,
         )
-        for k, (before, after) in enumerate(
-            zip(_track_numbers(scored, spans, spans.before), _track_numbers(scored, spans, spans.after), strict=True)
-        )
+        for k in range(len(least))
     ]
     return tuple(found[k] for k in np.lexsort((vessel, frame)).tolist())
 
@@ -204,22 +159,13 @@ def _track_numbers(scored: Scored, spans: OcclusionSpans, places: Indices) -> Se
     return [None if place == NOBODY else next(found) for place in places.tolist()]
 
 
-# ---- What tracks do while other things hide all of a vessel ----
-
-
 @dataclass(frozen=True)
 class Hidden:
-    """Tracks on vessels that are wholly hidden, against the box of the whole vessel.
+    """Tracks on vessels that are wholly hidden, against the box of the whole vessel."""
 
-    Attributes:
-        hidden_vessel_frames: Number of frames of vessels of which no pixel is visible.
-        hidden_followed: Share of them in which a track follows the vessel.
-        hidden_same_track: Share of them in which that is the track that last followed it before it was hidden.
-    """
-
-    hidden_vessel_frames: int
-    hidden_followed: float | None
-    hidden_same_track: float | None
+    hidden_vessel_frames: int  # frames of vessels of which no pixel is visible
+    hidden_followed: float | None  # share of them in which a track follows the vessel
+    hidden_same_track: float | None  # share in which that is the track that last followed it before it was hidden
 
 
 def hidden(scored: Scored) -> Hidden:

@@ -14,30 +14,18 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, Following, TrueTracks, TruthName, follow
 
-# ---- The rules by which tracks are scored ----
-
-LARGEST_CUTOFF = 1e6
-"""More than any distance in an image, and its tenth power is still a number."""
+LARGEST_CUTOFF = 1e6  # more than any distance in an image, and its tenth power is still a number
 
 
 @dataclass(frozen=True)
 class SetDistance:
-    """Costs in GOSPA and OSPA: the base distance is that of the centres.
+    """Costs in GOSPA and OSPA: the base distance is that of the centres."""
 
-    Attributes:
-        cutoff: c, in the unit of the distance; a missed vessel and a false track cost c^p / 2 each in GOSPA.
-        power: p; with 1 the parts are additive distances.
-    """
-
-    cutoff: float = 100.0
-    power: float = 1.0
+    cutoff: float = 100.0  # c, in the unit of the distance; missed vessels and false tracks cost c^p / 2 in GOSPA
+    power: float = 1.0  # p; with 1 the parts are additive distances
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ModsimError: One is out of range.
-        """
+        """Raise ModsimError if a value is out of range."""
         if not 0 < self.cutoff <= LARGEST_CUTOFF:
             raise ModsimError(f"--gospa C: must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
         if not 1 <= self.power <= 10:
@@ -46,49 +34,29 @@ class SetDistance:
 
 @dataclass(frozen=True)
 class Rules:
-    """The rules by which tracks are scored.
+    """The rules by which tracks are scored."""
 
-    Attributes:
-        truth: What tracks are held against, as in `TrueTracks.of`.
-        gap_s: After so long outside the image a vessel that comes back is a new identity.
-        similarity: How boxes are compared.
-        by_class: Whether only tracks of a vessel's class count for it.
-        set_distance: Of GOSPA and OSPA, in pixels.
-        cameras: Names of the cameras that are scored, in the order of the scene; all if there are none.
-    """
-
-    truth: TruthName = "annotated"
-    gap_s: float = DEFAULT_GAP_S
-    similarity: Similarity = field(default_factory=Similarity)
-    by_class: bool = False
-    set_distance: SetDistance = field(default_factory=SetDistance)
-    cameras: tuple[str, ...] = ()
+    truth: TruthName = "annotated"  # what tracks are held against, as in `TrueTracks.of`
+    gap_s: float = DEFAULT_GAP_S  # after so long outside the image a vessel that comes back is a new identity
+    similarity: Similarity = field(default_factory=Similarity)  # of boxes
+    by_class: bool = False  # whether only tracks of a vessel's class count for it
+    set_distance: SetDistance = field(default_factory=SetDistance)  # of GOSPA and OSPA, in pixels
+    cameras: tuple[str, ...] = ()  # names of those that are scored, in the order of the scene; all if there are none
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            ModsimError: The gap is out of range.
-        """
+        """Raise ModsimError if the gap is out of range."""
         if not 0 <= self.gap_s < np.inf:
             raise ModsimError(f"--gap must be 0 or more seconds (got {self.gap_s:g})")
 
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Tracks in the frames of a run, held against its truth.
-
-    Attributes:
-        rows: The run.
-        rules: The rules.
-        following: Which track follows which vessel, of all vessels in the image.
-        frames: Numbers of the frames that count, ascending, shape (F,).
-    """
+    """Tracks in the frames of a run, held against its truth."""
 
     rows: RunRows
     rules: Rules
-    following: Following
-    frames: Indices
+    following: Following  # which track follows which vessel, of all vessels in the image
+    frames: Indices  # numbers of the frames that count, ascending, shape (F,)
 
     @classmethod
     def of(cls, rows: RunRows, tracks: Tracks, rules: Rules) -> Self:
@@ -144,32 +112,18 @@ class Scored:
         return chosen
 
 
-# ---- The frames of each identity one after another ----
-
-
 @dataclass(frozen=True, eq=False)
 class Histories:
-    """All vessels of a matching, n rows in order of identity and frame, whether they are scored or not.
+    """All vessels of a matching, n rows in order of identity and frame, whether they are scored or not; shapes (n,)."""
 
-    Attributes:
-        row: Row of the matching's vessels, shape (n,).
-        identity: Number of the appearance, shape (n,).
-        frame: Number of the frame, shape (n,).
-        time_s: Time of the frame since the first step, shape (n,).
-        hidden: Whether other things hide all of the vessel, shape (n,).
-        visible_fraction: NaN where unknown, shape (n,).
-        track: Identity of the track that follows it, `NOBODY` for none, shape (n,).
-        counted: Whether the frame is among those that count, shape (n,).
-    """
-
-    row: Indices
-    identity: Indices
-    frame: Indices
-    time_s: Array
-    hidden: Mask
-    visible_fraction: Array
-    track: Indices
-    counted: Mask
+    row: Indices  # of the matching's vessels
+    identity: Indices  # number of the appearance
+    frame: Indices  # number of the frame
+    time_s: Array  # of the frame since the first step
+    hidden: Mask  # whether other things hide all of the vessel
+    visible_fraction: Array  # NaN where unknown
+    track: Indices  # identity of the track that follows it, `NOBODY` for none
+    counted: Mask  # whether the frame is among those that count
 
     @classmethod
     def of(cls, scored: Scored) -> Self:
@@ -213,18 +167,9 @@ class Histories:
         return np.where(same, place, NOBODY)
 
 
-# ---- How long each frame stands for, and stretches of rows without a break ----
-
-
 def frame_lengths_s(scored: Scored, frames: Indices) -> Array:
-    """The time from each frame to the camera's next one, shape (k,).
-
-    A camera's last frame stands for as long as the one before it, and an only frame for a frame of the camera's rate.
-
-    Args:
-        scored: The run.
-        frames: Numbers of frames of the run, shape (k,).
-    """
+    """The time from each of k frames, given by their numbers, to the camera's next one, shape (k,). A camera's last
+    frame stands for as long as the one before it, and an only frame for a frame of the camera's rate."""
     every, cameras = scored.rows.frames, scored.by_step
     length_s = np.empty(len(every))
     for index, camera in enumerate(scored.rows.scene.cameras):
@@ -237,24 +182,15 @@ def frame_lengths_s(scored: Scored, frames: Indices) -> Array:
 
 
 class RowStretches(NamedTuple):
-    """Stretches of rows that follow each other: r of them.
-
-    Attributes:
-        first: Place of each stretch's first row, shape (r,).
-        last: Place of its last row, shape (r,).
-    """
+    """Stretches of rows that follow each other: places of the first and last row of each, shapes (r,)."""
 
     first: Indices
     last: Indices
 
 
 def stretches(group: Indices, place: Indices) -> RowStretches:
-    """Stretches in which the group stays and the place grows by 1 from row to row.
-
-    Args:
-        group: Group of each row; rows of a group stand together, shape (k,).
-        place: Place of each row in its group, ascending in it, shape (k,).
-    """
+    """Stretches in which the group stays and the place grows by 1 from row to row. Rows of a group stand together, and
+    `place`, of each row in its group, ascends in it; shapes (k,)."""
     ends = np.flatnonzero((np.diff(group) != 0) | (np.diff(place) != 1)) + 1
     if not len(group):
         return RowStretches(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))

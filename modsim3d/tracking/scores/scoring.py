@@ -29,20 +29,10 @@ OWN_PARTS: tuple[Callable[[Scored], Part], ...] = (gospa, ospa, siap, errors, co
 
 @dataclass(frozen=True)
 class SubsetScores:
-    """The scores of some frames of a run, from the matching of all.
+    """The scores of some frames of a run, from the matching of all; as in `Hota`, `Clear` and `Identity`."""
 
-    Attributes:
-        frames: Number of frames.
-        vessel_frames: Number of scored vessels in them.
-        hota: As in `Hota`, of these frames only.
-        deta: The same.
-        assa: The same.
-        mota: As in `Clear`.
-        idf1: As in `Identity`.
-    """
-
-    frames: int
-    vessel_frames: int
+    frames: int  # number of frames
+    vessel_frames: int  # number of scored vessels in them
     hota: float | None
     deta: float | None
     assa: float | None
@@ -52,23 +42,14 @@ class SubsetScores:
 
 @dataclass(frozen=True)
 class Scores:
-    """All scores of tracks over a run.
+    """All scores of tracks over a run."""
 
-    Attributes:
-        parts: The scores of everything.
-        occlusions: Each occlusion.
-        breakdown: Recall and association by what only a simulator knows.
-        by_state: The frames of each performance state, by its name.
-        by_camera: The frames of each camera, by its name.
-        by_class: The scores of each label alone, by its name, if the rules ask for them; labels without vessels and
-            tracks are left out.
-    """
-
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # the scores of everything
     occlusions: tuple[OcclusionEpisode, ...]
-    breakdown: Breakdown
-    by_state: dict[str, SubsetScores]
-    by_camera: dict[str, SubsetScores]
+    breakdown: Breakdown  # recall and association by what only a simulator knows
+    by_state: dict[str, SubsetScores]  # the frames of each performance state, by its name
+    by_camera: dict[str, SubsetScores]  # the frames of each camera, by its name
+    # The scores of each label alone, by its name, if the rules ask for them, but for labels without vessels and tracks.
     by_class: dict[str, Scores] = field(default_factory=dict)
 
     def flat(self) -> dict[str, Value]:
@@ -90,44 +71,25 @@ class Scores:
 
 
 def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
-    """Score tracks over a run.
-
-    Args:
-        rows: The run.
-        tracks: The tracks.
-        rules: By which they are scored. By class, the vessels and tracks of each label are matched and scored alone;
-            the other scores stay as they are, of all classes as one.
-
-    Raises:
-        ModsimError: It should be by class and a track has no label, or TrackEval is not installed.
-    """
-    if rules.by_class:
-        check_labels(tracks)
-    return scores_of(Scored.of(rows, tracks, rules))
-
-
-def scores_of(scored: Scored) -> Scores:
-    """Score tracks that are matched already, and whose labels are checked if the rules ask for classes.
-
-    Raises:
-        ModsimError: TrackEval is not installed.
-    """
-    names = scored.rows.scene.detector.labels if scored.rules.by_class else ()
-    by_class = {name: _scores(each) for name, each in zip(names, _by_class(scored), strict=False) if _has_rows(each)}
-    return _scores(scored, by_class)
-
-
-def check_labels(tracks: Tracks) -> None:
-    """Refuse tracks without labels.
-
-    Raises:
-        ModsimError: A row of the tracks has no label.
-    """
-    if unknown := int(np.count_nonzero(tracks.label == NOBODY)):
+    """Score tracks over a run. By class, the vessels and tracks of each label are matched and scored alone; the other
+    scores stay as they are, of all classes as one. Raises ModsimError if it should be by class and a track has no
+    label, or TrackEval is not installed."""
+    unknown = int(np.count_nonzero(tracks.label == NOBODY))
+    if rules.by_class and unknown:
         raise ModsimError(
             f"--by-class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
             "score without --by-class"
         )
+    return scores_of(Scored.of(rows, tracks, rules))
+
+
+def scores_of(scored: Scored) -> Scores:
+    """Score tracks that are matched already, and whose labels are checked if the rules ask for classes. Raises
+    ModsimError if TrackEval is not installed."""
+    names = scored.rows.scene.detector.labels if scored.rules.by_class else ()
+    alone = zip(names, _by_class(scored), strict=False)
+    by_class = {name: _scores(each) for name, each in alone if len(each.truth) + len(each.tracks)}
+    return _scores(scored, by_class)
 
 
 def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores:
@@ -167,7 +129,3 @@ def _by_class(scored: Scored) -> Iterator[Scored]:
     for label in range(len(scored.rows.scene.detector.labels)):
         alone = follow(truth.take(truth.label == label), tracks.take(tracks.label == label), rules.similarity)
         yield Scored(scored.rows, rules, alone, scored.frames)
-
-
-def _has_rows(scored: Scored) -> bool:
-    return len(scored.truth) + len(scored.tracks) > 0

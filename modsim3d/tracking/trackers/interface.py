@@ -89,11 +89,8 @@ class Tracker(Strict):
 def answers_of(
     library: str, step: Callable[[SensedFrame], TrackedFrame], frames: Iterable[SensedFrame], camera: CameraFacts
 ) -> Iterator[TrackedFrame]:
-    """Answers of a tracker of some library to each frame, without the warnings of the library.
-
-    Raises:
-        ModsimError: It failed in a frame.
-    """
+    """Answers of a library's tracker to each frame, without its warnings. Raises ModsimError if it failed in a
+    frame."""
     for frame in frames:
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -105,10 +102,7 @@ def answers_of(
         yield answer
 
 
-# ---- SORT, ByteTrack and OC-SORT, as the library `trackers` has them ----
-
-_BUFFER_RATE_HZ = 30
-"""The library counts `lost_track_buffer` in frames of this rate, whatever the camera's."""
+_BUFFER_RATE_HZ = 30  # the library counts `lost_track_buffer` in frames of this rate, whatever the camera's
 _MIN_PERIODS_KEPT = 1.5
 """The library drops what is lost for too long before it matches: tracks must outlive the time between two frames."""
 
@@ -117,35 +111,20 @@ Overlap = Annotated[float, Field(strict=True, ge=-1, le=1)]
 
 
 class _LibraryTracker(Tracker):
-    """Base of the three trackers of the library; what one of them adds has the library's name.
+    """Base of the three trackers of the library; what one of them adds has the library's name."""
 
-    Attributes:
-        lost_s: A track without a detection for longer is dropped: the library's `lost_track_buffer` over 30.
-        minimum_consecutive_frames: Detections in a row that make a track.
-        minimum_iou_threshold: The least overlap of a detection and a track's predicted box, in terms of `iou`.
-        iou: The measure of overlap; `giou`, `diou` and `ciou` are below 0 for boxes apart.
-        state_estimator: The filter's state: corners, or centre, area and aspect ratio.
-        boxes: The box of a track with a detection: the detection's, as the library reports it, or the filter's.
-        coast_s: A track without a detection is reported for so long, with the filter's box; the library reports none.
-    """
+    library_name: ClassVar[str]  # of the class in the library
 
-    library_name: ClassVar[str]
-    """Of the class in the library."""
-
-    lost_s: NotNegative = 2.0
-    minimum_consecutive_frames: FrameCount = 2
-    minimum_iou_threshold: Overlap = 0.1
-    iou: Literal["iou", "biou", "giou", "diou", "ciou"] = "iou"
-    state_estimator: Literal["xyxy", "xcycsr"] = "xyxy"
-    boxes: Literal["detected", "filtered"] = "detected"
-    coast_s: NotNegative = 0.0
+    lost_s: NotNegative = 2.0  # a track without a detection for longer is dropped: `lost_track_buffer` over 30
+    minimum_consecutive_frames: FrameCount = 2  # detections in a row that make a track
+    minimum_iou_threshold: Overlap = 0.1  # least overlap of a detection and a track's predicted box, in terms of `iou`
+    iou: Literal["iou", "biou", "giou", "diou", "ciou"] = "iou"  # the last three are below 0 for boxes apart
+    state_estimator: Literal["xyxy", "xcycsr"] = "xyxy"  # the filter's state: corners, or centre, area and aspect ratio
+    boxes: Literal["detected", "filtered"] = "detected"  # of a track with a detection; the library reports the detected
+    coast_s: NotNegative = 0.0  # a track without a detection is reported so long, as filtered; the library reports none
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
-        """Track the detections of one camera.
-
-        Raises:
-            ModsimError: The library is not installed, or it failed in a frame.
-        """
+        """Track the detections of one camera. Raises ModsimError without the library, or if it failed in a frame."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tracker = self._library_tracker(camera)
@@ -155,22 +134,14 @@ class _LibraryTracker(Tracker):
     def _library_tracker(self, camera: CameraFacts) -> Any:
         try:
             import trackers
-            from trackers.utils import iou, state_representations
+            from trackers.utils import iou
+            from trackers.utils.state_representations import XCYCSRStateEstimator, XYXYStateEstimator
         except ImportError:
             raise ModsimError(
                 f'{self.library_name} needs the library trackers: pip install "modsim3d[trackers]"'
             ) from None
-        measures: dict[str, Any] = {
-            "iou": iou.IoU,
-            "biou": iou.BIoU,
-            "giou": iou.GIoU,
-            "diou": iou.DIoU,
-            "ciou": iou.CIoU,
-        }
-        estimators: dict[str, Any] = {
-            "xyxy": state_representations.XYXYStateEstimator,
-            "xcycsr": state_representations.XCYCSRStateEstimator,
-        }
+        measures = {"iou": iou.IoU, "biou": iou.BIoU, "giou": iou.GIoU, "diou": iou.DIoU, "ciou": iou.CIoU}
+        estimators = {"xyxy": XYXYStateEstimator, "xcycsr": XCYCSRStateEstimator}
         kept_s = max(self.lost_s, _MIN_PERIODS_KEPT / camera.rate_hz)
         return getattr(trackers, self.library_name)(
             lost_track_buffer=math.ceil(kept_s * _BUFFER_RATE_HZ - 1e-6),
@@ -234,44 +205,30 @@ class _LibraryTracker(Tracker):
 
 
 class SortTracker(_LibraryTracker):
-    """SORT (Bewley et al. (2016)).
-
-    Attributes:
-        track_activation_threshold: The least confidence of a detection that starts a track.
-    """
+    """SORT (Bewley et al. (2016))."""
 
     library_name: ClassVar[str] = "SORTTracker"
 
-    track_activation_threshold: Probability = 0.25
+    track_activation_threshold: Probability = 0.25  # least confidence of a detection that starts a track
 
 
 class ByteTracker(_LibraryTracker):
-    """ByteTrack (Zhang et al. (2022)).
-
-    Attributes:
-        track_activation_threshold: The least confidence of a detection that starts a track; the library's 0.7 starts
-            few where boats have a mean confidence of 0.67.
-        high_conf_det_threshold: Detections of at least this confidence are matched first, and only they start tracks.
-    """
+    """ByteTrack (Zhang et al. (2022))."""
 
     library_name: ClassVar[str] = "ByteTrackTracker"
 
+    # Least confidence of a detection that starts a track; the library's 0.7 starts few where boxes have a mean
+    # confidence of 0.67.
     track_activation_threshold: Probability = 0.5
-    high_conf_det_threshold: Probability = 0.5
+    high_conf_det_threshold: Probability = 0.5  # detections from here on are matched first, and only they start tracks
 
 
 class OcSortTracker(_LibraryTracker):
-    """OC-SORT (Cao et al. (2023)).
-
-    Attributes:
-        high_conf_det_threshold: Detections of less confidence are not used.
-        direction_consistency_weight: Weight of the direction of motion beside the overlap.
-        delta_t: Frames back over which the direction is taken.
-    """
+    """OC-SORT (Cao et al. (2023))."""
 
     library_name: ClassVar[str] = "OCSORTTracker"
 
     state_estimator: Literal["xyxy", "xcycsr"] = "xcycsr"
-    high_conf_det_threshold: Probability = 0.3
-    direction_consistency_weight: NotNegative = 0.2
-    delta_t: FrameCount = 3
+    high_conf_det_threshold: Probability = 0.3  # detections of less confidence are not used
+    direction_consistency_weight: NotNegative = 0.2  # of the direction of motion beside the overlap
+    delta_t: FrameCount = 3  # frames back over which the direction is taken

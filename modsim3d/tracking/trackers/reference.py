@@ -16,38 +16,25 @@ from modsim3d.io.validation import NotNegative, Positive, Probability
 from modsim3d.tracking.kalman import MotionEstimates
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 
-_SIZE_NOISE = 1.5
-"""Noise of width and height over that of the centre: between 1.2 and 1.8 in the shipped detectors."""
-_SIZE_WALK = 0.2
-"""Share by which a box's size changes in a second."""
+_SIZE_NOISE = 1.5  # noise of width and height over that of the centre: between 1.2 and 1.8 in the shipped detectors
+_SIZE_WALK = 0.2  # share by which a box's size changes in a second
 _FORBIDDEN = 1e6
-_FEWEST = 3
-"""Tracks with a detection from which the turn of the camera is taken."""
-_TIME_S = 1e-6
-"""Times are differences of rounded ones, maybe since 1970: one that is as long as allowed is not longer."""
+_FEWEST = 3  # tracks with a detection from which the turn of the camera is taken
+_TIME_S = 1e-6  # times are differences of rounded ones, maybe since 1970: one that is as long as allowed is not longer
 
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """The tracks that are alive: k rows.
+    """The tracks that are alive: k rows; shapes (k,) unless given."""
 
-    Attributes:
-        motion: Centre x, centre y, width and height, shape (k, 4). A size has no rate: it would shrink behind others.
-        number: Of the track, shape (k,).
-        hits: Detections so far, shape (k,).
-        misses: Frames without detection before the track was confirmed, shape (k,).
-        seen_s: Time of the last detection, shape (k,).
-        votes: Confidence of its detections, summed by label, shape (k, labels).
-        confidence: Of the last detection, shape (k,).
-    """
-
+    # Centre x, centre y, width and height, shape (k, 4). A size has no rate: it would shrink behind others.
     motion: MotionEstimates
-    number: Indices
-    hits: Indices
-    misses: Indices
-    seen_s: Array
-    votes: Array
-    confidence: Array
+    number: Indices  # of the track
+    hits: Indices  # detections so far
+    misses: Indices  # frames without detection before the track was confirmed
+    seen_s: Array  # time of the last detection
+    votes: Array  # confidence of its detections, summed by label, shape (k, labels)
+    confidence: Array  # of the last detection
 
     def take(self, chosen: Mask) -> _Known:
         """The chosen rows."""
@@ -61,38 +48,26 @@ class _Known:
 
 
 class ReferenceTracker(Tracker):
-    """A yardstick and an example, not a product: what a textbook's tracker reaches in a hundred lines.
+    """A yardstick and an example, not a product: what a textbook's tracker reaches in a hundred lines. A Kalman filter
+    with constant velocity follows the centre of each box, with the true times of the frames; width and height are
+    random walks. Detections within the gate (Mahalanobis distance of the centres) are assigned to tracks so that most
+    tracks get one, and then the likelihood is largest (global nearest neighbour; Blackman & Popoli (1999), section
+    6.4). What the tracks of a frame are off by together is taken for a turn of the camera. Classes are not looked at: a
+    track has the class with the most confidence behind it. The defaults suit a detector whose errors grow with the box;
+    noise and motion in pixels should be those of the scene."""
 
-    A Kalman filter with constant velocity follows the centre of each box, with the true times of the frames; width and
-    height are random walks. Detections within the gate (Mahalanobis distance of the centres) are assigned to tracks so
-    that most tracks get one, and then the likelihood is largest (global nearest neighbour; Blackman & Popoli (1999),
-    section 6.4). What the tracks of a frame are off by together is taken for a turn of the camera. Classes are not
-    looked at: a track has the class with the most confidence behind it. The defaults suit a detector whose errors
-    grow with the box; noise and motion in pixels should be those of the scene.
-
-    Attributes:
-        noise_share: Standard deviation of a detected centre, as a share of the box's width and height.
-        noise_x_px: What is added to that across, in pixels.
-        noise_y_px: What is added to it down the image, in pixels.
-        velocity_change_px_s: Standard deviation of the change of the velocity in one second, in pixels per second.
-        first_speed_px_s: Standard deviation of the velocity of a new track, in each direction.
-        gate_probability: Probability that a track's own detection lies in its gate.
-        start_confidence: The least confidence of a detection that starts a track. Those below continue tracks only.
-        confirm_hits: Detections until a track is reported, in at most one frame more than that.
-        lost_s: A track without detection for longer than this ends.
-        coast_s: A track without detection is reported at its predicted place for at most this time.
-    """
-
-    noise_share: NotNegative = 0.04
-    noise_x_px: Positive = 4.0
-    noise_y_px: Positive = 2.0
-    velocity_change_px_s: Positive = 5.0
-    first_speed_px_s: Positive = 80.0
+    noise_share: NotNegative = 0.04  # standard deviation of a detected centre, as a share of the box's width and height
+    noise_x_px: Positive = 4.0  # added to that across
+    noise_y_px: Positive = 2.0  # added to it down the image
+    velocity_change_px_s: Positive = 5.0  # standard deviation of the change of the velocity in one second, in px/s
+    first_speed_px_s: Positive = 80.0  # standard deviation of the velocity of a new track, in each direction
+    # Probability that a track's own detection lies in its gate.
     gate_probability: Annotated[float, Field(strict=True, gt=0, lt=1)] = 0.99
-    start_confidence: Probability = 0.5
+    start_confidence: Probability = 0.5  # least confidence of a detection that starts a track; others continue tracks
+    # Detections until a track is reported, in at most one frame more than that.
     confirm_hits: Annotated[int, Field(strict=True, ge=1, le=100)] = 3
-    lost_s: NotNegative = 8.0
-    coast_s: NotNegative = 2.0
+    lost_s: NotNegative = 8.0  # a track without detection for longer than this ends
+    coast_s: NotNegative = 2.0  # a track without detection is reported at its predicted place for at most this time
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         """Track the detections of one camera; see `Tracker`."""
@@ -168,12 +143,11 @@ class ReferenceTracker(Tracker):
         return known if alive.all() else known.take(alive)
 
     def _reported(self, known: _Known, time_s: float, camera: CameraFacts) -> TrackedFrame:
-        boxes = corner_form(
-            np.concatenate([known.motion.place[:, :2], np.maximum(known.motion.place[:, 2:], 1)], axis=1)
-        )
+        motion = known.motion
+        boxes = corner_form(np.concatenate([motion.place[:, :2], np.maximum(motion.place[:, 2:], 1)], axis=1))
         shown = (known.hits >= self.confirm_hits) & (time_s - known.seen_s <= self.coast_s + _TIME_S)
         shown &= inside_image(boxes, camera.image_size_px)
-        covariance = known.motion.place_variance[shown, :2, None] * np.eye(2)
+        covariance = motion.place_variance[shown, :2, None] * np.eye(2)
         label = known.votes[shown].argmax(axis=1) if known.votes.shape[1] else None
         boxes = clip(boxes[shown], camera.image_size_px)
         return TrackedFrame(known.number[shown], boxes, label, known.confidence[shown], covariance)

@@ -21,36 +21,21 @@ from modsim3d.tracking.trackers.interface import Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracks.tracks import Origin
 
-# ---- Settings of the built-in trackers that were chosen for the shipped scenes ----
-
 DEFAULTS = "the tracker's defaults"
 
 
 class SettingsFile(Strict):
-    """The content of a file.
+    """The content of a file."""
 
-    Attributes:
-        chosen: How the settings were chosen, and on which seeds, in a sentence.
-        settings: Settings for every scene, in place of the tracker's defaults.
-        scenes: Settings for the scenes of these names, in place of those.
-    """
-
+    # A sentence that says how the settings were chosen, and on which seeds.
     chosen: Annotated[str, Field(min_length=1)]
-    settings: dict[str, Any] = Field(default_factory=dict)
-    scenes: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)  # for every scene, in place of the tracker's defaults
+    scenes: dict[str, dict[str, Any]] = Field(default_factory=dict)  # for the scenes of these names, in place of those
 
 
 def chosen_settings(name: str, model: type[Tracker], scene: str) -> tuple[dict[str, Any], str]:
-    """The settings of a tracker that were chosen for a scene, none where there is no file, and how, in a sentence.
-
-    Args:
-        name: Name of the tracker.
-        model: Its class, which says what is right.
-        scene: Name of the scene.
-
-    Raises:
-        InputError: The file cannot be read, or what it sets is wrong.
-    """
+    """The settings of a tracker that were chosen for a scene, none where there is no file, and how, in a sentence. Its
+    class, `model`, says what is right. Raises InputError if the file cannot be read, or what it sets is wrong."""
     path = data_folder("scenes") / "trackers" / f"{name}.yaml"
     if name not in BUILT_IN or not path.is_file():
         return {}, DEFAULTS
@@ -75,19 +60,12 @@ _ALWAYS = ("numpy", "scipy")
 
 @dataclass(frozen=True)
 class NamedTracker:
-    """A tracker with its settings.
-
-    Attributes:
-        name: Its name.
-        tracker: The tracker.
-        plugin: Where it comes from; None if it is built in.
-        chosen: Where its settings come from, in a sentence.
-    """
+    """A tracker with its settings."""
 
     name: str
     tracker: Tracker
-    plugin: Plugin | None
-    chosen: str
+    plugin: Plugin | None  # where it comes from; None if it is built in
+    chosen: str  # where its settings come from, in a sentence
 
     def __str__(self) -> str:
         """Text for messages."""
@@ -95,11 +73,8 @@ class NamedTracker:
 
     @property
     def origin(self) -> Origin:
-        """How its tracks are made.
-
-        Raises:
-            ModsimError: A library that it needs is not installed, or its settings cannot be written as JSON.
-        """
+        """Origin of its tracks. Raises ModsimError if a library that it needs is not installed, or its settings cannot
+        be written as JSON."""
         try:
             settings = self.tracker.model_dump(mode="json")
         except PydanticSerializationError as error:
@@ -121,20 +96,10 @@ class NamedTracker:
 
 
 def named_tracker(name: str, settings: Mapping[str, object], scene: str | None) -> NamedTracker:
-    """A tracker by its name.
-
-    The settings are its defaults; in their place those that were chosen for all shipped scenes; in place of these
-    those chosen for the scene; and in place of all those that are given.
-
-    Args:
-        name: Name of a built-in tracker or of a plug-in.
-        settings: Settings by their names.
-        scene: Name of the run's scene; None: nothing that was chosen for the shipped scenes.
-
-    Raises:
-        InputError: There is no such tracker, or a setting is wrong.
-        TypeError: The settings are no mapping.
-    """
+    """A built-in tracker or a plug-in by its name. The settings are its defaults; in their place those that were chosen
+    for all shipped scenes; in place of these those chosen for the scene of that name, unless it is None; and in place
+    of all those that are given. Raises InputError if there is no such tracker, or a setting is wrong, and TypeError if
+    the settings are no mapping."""
     if not isinstance(settings, Mapping):
         raise TypeError(f"settings: a mapping of names to values is needed (got {type(settings).__name__})")
     model, plugin = _model(name)
@@ -160,10 +125,8 @@ def _model(name: str) -> tuple[type[Tracker], Plugin | None]:
         found, plugin = load_plugin(TRACKERS, name, "--tracker", BUILT_IN)
     if isinstance(found, type) and issubclass(found, Tracker) and found.follow is not Tracker.follow:
         return found, plugin
-    raise InputError(
-        f"--tracker {name}",
-        [f"{plugin} must be a class made from modsim3d.Tracker with a method follow, not {found!r}"],
-    )
+    problem = f"{plugin} must be a class made from modsim3d.Tracker with a method follow, not {found!r}"
+    raise InputError(f"--tracker {name}", [problem])
 
 
 def _validated(model: type[Tracker], settings: dict[str, Any], name: str, plugin: Plugin | None) -> Tracker:

@@ -18,37 +18,18 @@ from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, Track
 from modsim3d.tracking.trackers.registry import NamedTracker
 from modsim3d.tracks.tracks import FAR, Tracks, covariances, far_tracks
 
-# ---- What a tracker answers about a camera, checked ----
-
-Named = Callable[[int, str], ModsimError]
-"""The error of a problem in a frame, by the frame's place in the sequence."""
-_SYMMETRIC = 1e-6
-"""Largest difference of the two covariances of x and y, as a share of the variances."""
+Named = Callable[[int, str], ModsimError]  # the error of a problem in a frame, by the frame's place in the sequence
+_SYMMETRIC = 1e-6  # largest difference of the two covariances of x and y, as a share of the variances
 
 
 class Answers:
-    """The answers to some frames of a camera, as columns: k rows, in the order of the frames.
-
-    Attributes:
-        frame: Place of the frame in the sequence, shape (k,).
-        track: Number that the tracker gave the track, shape (k,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (k, 4).
-        label: Index of the label, −1 for none, shape (k,).
-        confidence: NaN for none, shape (k,).
-        covariance_px2: NaN for none, shape (k, 2, 2).
-    """
+    """The answers to some frames of a camera, as columns: k rows, in the order of the frames. `frame` is the place of
+    the frame in the sequence, `track` the number that the tracker gave, `label` the index or −1 for none, and
+    `confidence` NaN for none, shapes (k,); `boxes_px` x_min, y_min, x_max, y_max, shape (k, 4); `covariance_px2` NaN
+    for none, shape (k, 2, 2)."""
 
     def __init__(self, answers: Sequence[TrackedFrame], facts: CameraFacts, problem: Named) -> None:
-        """Join answers, one for each frame, and check them.
-
-        Args:
-            answers: The answers.
-            facts: The camera.
-            problem: Makes the error.
-
-        Raises:
-            ModsimError: One is not what a tracker answers.
-        """
+        """Join answers, one for each frame. Raises what `problem` makes if one cannot be an answer."""
         columns = [_columns(answer, partial(problem, at)) for at, answer in enumerate(answers)]
         counts = [len(each[0]) for each in columns]
         self.frame: Indices = np.repeat(np.arange(len(columns)), counts)
@@ -65,24 +46,16 @@ class Answers:
         twice = np.zeros(len(order), dtype=bool)
         twice[order[1:]] = (np.diff(self.frame[order]) == 0) & (np.diff(self.track[order]) == 0)
         confidence = self.confidence
+        upright = (x_max > x_min) & (y_max > y_min)
+        possible = np.isnan(confidence) | ((confidence >= 0) & (confidence <= 1))
+        box = "a box is x_min, y_min, x_max, y_max, with a positive width and height, not"
+        index = f"a label is an index from 0 to {labels - 1}, or -1 for none, not"
         checks: tuple[tuple[Mask, str, Array | Indices], ...] = (
             (twice, "two boxes have the track", self.track),
             (~np.isfinite(self.boxes_px).all(axis=1), "a box must be finite, not", self.boxes_px),
-            (
-                ~((x_max > x_min) & (y_max > y_min)),
-                "a box is x_min, y_min, x_max, y_max, with a positive width and height, not",
-                self.boxes_px,
-            ),
-            (
-                (self.label < -1) | (self.label >= labels),
-                f"a label is an index from 0 to {labels - 1}, or -1 for none, not",
-                self.label,
-            ),
-            (
-                ~np.isnan(confidence) & ~((confidence >= 0) & (confidence <= 1)),
-                "a confidence is from 0 to 1, not",
-                confidence,
-            ),
+            (~upright, box, self.boxes_px),
+            ((self.label < -1) | (self.label >= labels), index, self.label),
+            (~possible, "a confidence is from 0 to 1, not", confidence),
             (far_tracks(self.boxes_px, self.track, image_px), f"{FAR}:", self.boxes_px),
             (~_possible(self.covariance_px2), "this is no covariance of x and y:", self.covariance_px2),
         )
@@ -153,8 +126,7 @@ def _shown(value: Any) -> str:
 
 
 Progress = Callable[[int], None]
-_TOLD_FRAMES = 50
-"""Frames between two calls of `progress`, since drawing a bar takes longer than a frame."""
+_TOLD_FRAMES = 50  # frames between two calls of `progress`, since drawing a bar takes longer than a frame
 
 
 def tracked(
@@ -164,20 +136,10 @@ def tracked(
     scene: Scene,
     progress: Progress = lambda frames: None,
 ) -> Tracks:
-    """The tracks of a tracker in some cameras of a run; each camera is tracked by itself.
-
-    Tracks are numbered 1, 2, … in order of their first box in each camera.
-
-    Args:
-        named: The tracker.
-        sequences: The frames of the cameras.
-        cameras: Index of each of these cameras in the scene.
-        scene: The scene of the run.
-        progress: Called with the number of frames done since its last call.
-
-    Raises:
-        ModsimError: The tracker fails, or answers otherwise than it should.
-    """
+    """The tracks of a tracker in some cameras of a run; each camera is tracked by itself. Tracks are numbered 1, 2, …
+    in order of their first box in each camera. `sequences` are the frames of the cameras, and `cameras` the indices of
+    these in the scene; `progress` is called with the number of frames done since its last call. Raises ModsimError if
+    the tracker fails, or answers otherwise than it should."""
     count, labels = len(scene.cameras), scene.detector.labels
     found = [Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))]
     frames = [np.empty(0, dtype=np.int64)]
@@ -208,11 +170,8 @@ class _CameraFeed:
         return f" at {self._sequence.times_s[at]:g} s" if at < len(self._sequence.times_s) else ""
 
     def answers(self, progress: Progress) -> Iterator[TrackedFrame]:
-        """The tracker's answer to each frame.
-
-        Raises:
-            ModsimError: It fails, reads a frame before it has answered the one before, or answers too often or seldom.
-        """
+        """The tracker's answer to each frame. Raises ModsimError if it fails, reads a frame before it has answered the
+        one before, or answers too often or seldom."""
         frames = len(self._sequence.steps)
         answers = self._started()
         for at in range(frames):
@@ -221,9 +180,8 @@ class _CameraFeed:
             except StopIteration:
                 raise self.problem(at, f"it ended after {at} of {frames} frames: it answers each frame once") from None
             if self._read > at + 1:
-                raise self.problem(
-                    at, "it read the next frame before it answered this one: yield an answer for each frame"
-                )
+                problem = "it read the next frame before it answered this one: yield an answer for each frame"
+                raise self.problem(at, problem)
             if self._read < at + 1:
                 raise self.problem(at, "it answered before it read the frame: yield one answer for each frame")
             yield answer

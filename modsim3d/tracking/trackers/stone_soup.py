@@ -17,44 +17,24 @@ DetectionCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
 
 
 class StoneSoup(Tracker):
-    """Base of two trackers: a Kalman filter of the box's centre, velocity and size, in the image.
+    """Base of two trackers: a Kalman filter of the box's centre, velocity and size, in the image. The centre moves with
+    constant velocity, width and height walk at random."""
 
-    The centre moves with constant velocity, width and height walk at random.
-
-    Attributes:
-        centre_sigma_px: Standard deviation of the error of a detection's centre, added in squares to the next.
-        centre_sigma_share: The same as a share of the detection's width and height.
-        size_sigma_px: Standard deviation of the error of a detection's width and height, added in squares to the next.
-        size_sigma_share: The same as a share of them.
-        acceleration_density_px2_s3: Power spectral density of the acceleration of the centre.
-        size_density_px2_s: Variance that width and height gain each second.
-        speed_sigma_px_s: Standard deviation of the speed of a new track, in each axis.
-        gate_probability: Share of the true detections that lie in the gate.
-        minimum_detections: Detections that confirm a track; before, it is not reported.
-        tentative_s: A track that is not yet confirmed is dropped after so long without a detection.
-        lost_s: A track is dropped after so long without a detection.
-        coast_s: A track without a detection is reported for so long, at most until it is dropped.
-    """
-
-    centre_sigma_px: Positive = 3.0
-    centre_sigma_share: NotNegative = 0.1
-    size_sigma_px: Positive = 3.0
-    size_sigma_share: NotNegative = 0.2
-    acceleration_density_px2_s3: Positive = 30.0
-    size_density_px2_s: Positive = 30.0
-    speed_sigma_px_s: Positive = 30.0
-    gate_probability: Share = 0.997
-    minimum_detections: DetectionCount = 3
-    tentative_s: NotNegative = 1.0
-    lost_s: NotNegative = 3.0
-    coast_s: NotNegative = 1.0
+    centre_sigma_px: Positive = 3.0  # standard deviation of the error of a detection's centre, added in squares to …
+    centre_sigma_share: NotNegative = 0.1  # … this share of the detection's width and height
+    size_sigma_px: Positive = 3.0  # the same of the error of a detection's width and height, added in squares to …
+    size_sigma_share: NotNegative = 0.2  # … this share of them
+    acceleration_density_px2_s3: Positive = 30.0  # power spectral density of the acceleration of the centre
+    size_density_px2_s: Positive = 30.0  # variance that width and height gain each second
+    speed_sigma_px_s: Positive = 30.0  # standard deviation of the speed of a new track, in each axis
+    gate_probability: Share = 0.997  # share of the true detections that lie in the gate
+    minimum_detections: DetectionCount = 3  # that confirm a track; before, it is not reported
+    tentative_s: NotNegative = 1.0  # a track that is not yet confirmed is dropped after so long without a detection
+    lost_s: NotNegative = 3.0  # a track is dropped after so long without a detection
+    coast_s: NotNegative = 1.0  # a track without a detection is reported for so long, at most until it is dropped
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
-        """Track the detections of one camera.
-
-        Raises:
-            ModsimError: Stone Soup is not installed, or it failed in a frame.
-        """
+        """Track the detections of one camera. Raises ModsimError without Stone Soup, or if it failed in a frame."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
@@ -70,13 +50,9 @@ class StoneSoupGnn(StoneSoup):
 
 
 class StoneSoupJpda(StoneSoup):
-    """Each track is updated with all detections in its gate, weighted by how probably each is its own.
+    """Each track is updated with all detections in its gate, weighted by how probably each is its own."""
 
-    Attributes:
-        detection_probability: Probability that a vessel is detected in a frame.
-        false_alarms_per_frame: Mean number of false detections; they are taken to lie anywhere in the image, with
-            widths and heights up to a quarter of the image's.
-    """
-
-    detection_probability: Share = 0.9
+    detection_probability: Share = 0.9  # probability that a vessel is detected in a frame
+    # Mean number of false detections in a frame; they are taken to lie anywhere in the image, with widths and heights
+    # up to a quarter of the image's.
     false_alarms_per_frame: Positive = 1.0

@@ -19,11 +19,7 @@ from stonesoup.hypothesiser.probability import PDAHypothesiser
 from stonesoup.initiator.simple import MultiMeasurementInitiator, SimpleMeasurementInitiator
 from stonesoup.measures import Mahalanobis
 from stonesoup.models.measurement.linear import LinearGaussian
-from stonesoup.models.transition.linear import (
-    CombinedLinearGaussianTransitionModel,
-    ConstantVelocity,
-    RandomWalk,
-)
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity, RandomWalk
 from stonesoup.predictor.kalman import KalmanPredictor
 from stonesoup.tracker.simple import MultiTargetMixtureTracker, MultiTargetTracker
 from stonesoup.types.detection import Detection
@@ -36,11 +32,9 @@ from modsim3d.core.boxes import centre_form, corner_form
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
 
 _START = datetime(2000, 1, 1)
-_STATE = 6
-"""x, its rate, y, its rate, width, height."""
+_STATE = 6  # x, its rate, y, its rate, width, height
 _MEASURED = (0, 2, 4, 5)
-_LARGEST_CLUTTER_SHARE = 0.25
-"""Of the image's width and height, up to which the sizes of false detections are taken to go."""
+_LARGEST_CLUTTER_SHARE = 0.25  # of the image's width and height: sizes of false detections are taken to go up to it
 _MIN_SIDE_PX = 1.0
 
 
@@ -102,13 +96,8 @@ class ImageTracker:
     """A tracker of boxes in the images of one camera."""
 
     def __init__(self, settings: Any, camera: CameraFacts, joint: bool) -> None:
-        """Put the components together.
-
-        Args:
-            settings: Those of `stone_soup.StoneSoup`, which imports this file when it is used.
-            camera: What is known of the camera.
-            joint: Whether detections are associated jointly.
-        """
+        """Put the components together, by the settings of `stone_soup.StoneSoup`, which imports this file when it is
+        used. `joint` says whether detections are associated jointly."""
         self._settings = settings
         self._numbers: dict[Any, int] = {}
         moves = ConstantVelocity(settings.acceleration_density_px2_s3)
@@ -128,8 +117,7 @@ class ImageTracker:
         self._tracker._tracks = OrderedSet()
 
     def _confirming(self, associator: Any, updater: Any) -> Any:
-        settings = self._settings
-        spread = np.zeros(_STATE)
+        settings, spread = self._settings, np.zeros(_STATE)
         spread[[1, 3]] = settings.speed_sigma_px_s**2
         prior = GaussianState(np.zeros((_STATE, 1)), np.diag(spread))
         confirming = _Confirming(
@@ -187,10 +175,8 @@ class ImageTracker:
 
 
 def _joint(settings: Any, camera: CameraFacts, predictor: Any, updater: Any) -> Any:
-    """Joint association by loopy belief propagation (Williams & Lau (2014)).
-
-    Exact methods take seconds a frame where a dozen detections lie in the gates of a dozen tracks.
-    """
+    """Joint association by loopy belief propagation (Williams & Lau (2014)). Exact methods take seconds a frame where a
+    dozen detections lie in the gates of a dozen tracks."""
     width, height = camera.image_size_px
     places = width * height * (width * _LARGEST_CLUTTER_SHARE) * (height * _LARGEST_CLUTTER_SHARE)
     hypotheses = PDAHypothesiser(
@@ -204,8 +190,7 @@ def _joint(settings: Any, camera: CameraFacts, predictor: Any, updater: Any) -> 
 
 
 def _last_update(track: Any) -> datetime:
-    """When the last detection was associated with a track."""
-    time: datetime = next(
-        state.timestamp for state in reversed(track.states) if isinstance(state, Update) and state.hypothesis
-    )
+    """Time at which the last detection was associated with a track."""
+    updates = (state for state in reversed(track.states) if isinstance(state, Update) and state.hypothesis)
+    time: datetime = next(updates).timestamp
     return time

@@ -18,27 +18,19 @@ from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.tracks.true_tracks import best_pairs
 from modsim3d.world.encounters import hull_tracks
 
-# ---- Where the vessels of a run are, and which of them a camera sees ----
-
 _SAME = 1e-5
 """Shares of a step that are rounding errors of a time: of seconds since 1970 in steps of 0.1 s they are up to 5e-6."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorldTruth:
-    """V vessels at S steps.
+    """V vessels at S steps."""
 
-    Attributes:
-        names: Their IDs.
-        own_ships: Indices of those that carry cameras, ascending.
-        hulls: Where they are.
-        scored: Whether a tracker is expected to follow each: some camera saw a pixel of it in its last frame, and it
-            carries no camera itself, shape (S, V).
-    """
-
-    names: tuple[str, ...]
-    own_ships: tuple[int, ...]
-    hulls: HullTracks
+    names: tuple[str, ...]  # their IDs
+    own_ships: tuple[int, ...]  # indices of those that carry cameras, ascending
+    hulls: HullTracks  # where they are
+    # Whether a tracker is expected to follow each, shape (S, V): some camera saw a pixel of it in its last frame, and
+    # it carries no camera itself.
     scored: Mask
 
     @classmethod
@@ -81,10 +73,8 @@ class WorldTruth:
         return found
 
     def _legs(self, times_s: Array) -> tuple[Indices, Array]:
-        """Step before each time, and the share of the way to the next, shapes (m,) and (m, 1).
-
-        Half an interval before the first step and after the last the vessel goes on along its leg.
-        """
+        """Step before each time, and the share of the way to the next, shapes (m,) and (m, 1). Half an interval before
+        the first step and after the last the vessel goes on along its leg."""
         if len(self.times_s) < 2:
             return np.zeros(len(times_s), dtype=np.int64), np.zeros((len(times_s), 1))
         before = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.times_s) - 2)
@@ -95,10 +85,8 @@ class WorldTruth:
 
 
 def seen(rows: RunRows) -> Mask:
-    """Whether a camera's last frame has a visible pixel of each vessel at each step, shape (S, V).
-
-    Where it is unknown what is visible, a vessel in the image is taken as seen, as in `TrueTracks`.
-    """
+    """Whether a camera's last frame has a visible pixel of each vessel at each step, shape (S, V). Where it is unknown
+    what is visible, a vessel in the image is taken as seen, as in `TrueTracks`."""
     scene = rows.scene
     cameras, vessels = len(scene.cameras), len(scene.vessels)
     in_frame = np.zeros((rows.steps * cameras + 1, vessels), dtype=bool)  # the last is that of NOBODY
@@ -115,23 +103,16 @@ _LEAST = 0.5
 
 @dataclass(frozen=True, eq=False)
 class TrackEstimates:
-    """Estimate that stands for each track at each step: m of them, in order of step and track.
-
-    Attributes:
-        step: Shape (m,).
-        row: Row of the tracks, shape (m,).
-    """
+    """Estimate that stands for each track at each step: m of them, in order of step and track; shapes (m,)."""
 
     step: Indices
-    row: Indices
+    row: Indices  # of the tracks
 
     @classmethod
     def of(cls, times_s: Array, tracks: WorldTracks) -> TrackEstimates:
-        """The estimate of each track that is nearest in time to each step, if it is near enough.
-
-        Near enough is half of the median time between two estimates of a track, or half a step if that is longer: so
-        a tracker may be slower than the run's steps and is still there at each.
-        """
+        """The estimate of each track that is nearest in time to each step, if it is near enough: within half of the
+        median time between two estimates of a track, or half a step if that is longer. So a tracker may be slower than
+        the run's steps and is still there at each."""
         step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
         reach_s = max(step_s, tracks.interval_s) / 2
         reach_s += 1e-6 * max(reach_s, 1.0)  # times have rounding errors
@@ -157,24 +138,15 @@ def _nearest(times_s: Array, tracks: WorldTracks, reach_s: float) -> Iterator[In
 
 @dataclass(frozen=True, eq=False)
 class WorldFollowing:
-    """The one matching of tracks and V vessels at S steps that all scores are taken from.
-
-    At each step as many pairs of the step before as possible stay, and then the sum of 1 − distance / (2 gate) is
-    largest. Vessels that are not scored take part: a track that follows one is not counted.
-
-    Attributes:
-        truth: The vessels.
-        tracks: The tracks.
-        estimates: What stands for the tracks at the steps.
-        followed_by: Row of the tracks that follows each vessel, `NOBODY` for none, shape (S, V).
-        vessel: Index of the vessel that each of the m estimates follows, `NOBODY` for none, shape (m,).
-    """
+    """The one matching of tracks and V vessels at S steps that all scores are taken from. At each step as many pairs of
+    the step before as possible stay, and then the sum of 1 − distance / (2 gate) is largest. Vessels that are not
+    scored take part: a track that follows one is not counted."""
 
     truth: WorldTruth
     tracks: WorldTracks
-    estimates: TrackEstimates
-    followed_by: Indices
-    vessel: Indices
+    estimates: TrackEstimates  # what stands for the tracks at the steps
+    followed_by: Indices  # row of the tracks that follows each vessel, `NOBODY` for none, shape (S, V)
+    vessel: Indices  # index of the vessel that each of the m estimates follows, `NOBODY` for none, shape (m,)
 
     @property
     def found(self) -> Mask:
@@ -184,10 +156,8 @@ class WorldFollowing:
     @property
     def counted(self) -> Mask:
         """Mask of the m estimates that are not on a vessel that is not scored, shape (m,)."""
-        counted: Mask = np.pad(self.truth.scored, ((0, 0), (0, 1)), constant_values=True)[
-            self.estimates.step, self.vessel
-        ]
-        return counted
+        scored = np.pad(self.truth.scored, ((0, 0), (0, 1)), constant_values=True)  # the last is for NOBODY
+        return np.asarray(scored[self.estimates.step, self.vessel], dtype=bool)
 
     def scored_distances(self) -> Iterator[Array]:
         """Distances of scored vessels to counted estimates at each step, shape (a, b)."""
@@ -216,10 +186,8 @@ def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> Wo
 
 
 def distances_at(truth: WorldTruth, tracks: WorldTracks, step: int, vessels: Indices, rows: Indices) -> Array:
-    """Distances of a vessels to b estimates of a step, each at the estimate's own time, shape (a, b).
-
-    They are infinite where the vessel is absent at that time.
-    """
+    """Distances of a vessels to b estimates of a step, each at the estimate's own time, shape (a, b); infinite where
+    the vessel is absent at that time."""
     times_s = tracks.time_s[rows]
     if (times_s == truth.times_s[step]).all():
         return distances(truth.hulls.centres_m[step, vessels], tracks.position_m[rows])

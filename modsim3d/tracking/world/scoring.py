@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices
+from modsim3d.core.arrays import NOBODY, Array
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import t_bounds
 from modsim3d.geometry.kinematics import closest_approach
@@ -21,44 +21,27 @@ from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.world.encounters import encounter
 
-# ---- Vessels that met own ship ----
-
-ENCOUNTER_M = 1852.0
-"""One nautical mile: vessels that do not come nearer have not met own ship."""
+ENCOUNTER_M = 1852.0  # one nautical mile: vessels that do not come nearer have not met own ship
 
 
 @dataclass(frozen=True)
 class MetVessel:
-    """A vessel that came nearer to own ship, and how near.
+    """A vessel that came nearer to own ship, and how near: times in seconds since the scene's first step, distances
+    of the centres."""
 
-    Times are seconds since the scene's first step, distances those of the centres.
-
-    Attributes:
-        own_ship: ID of own ship.
-        vessel: ID of the vessel.
-        kind: What own ship has to do by COLREG when the vessel is first seen, or when both are first there if no
-            camera sees it before the closest approach: a name of `motion.encounters.Encounter` in small letters.
-        closest_m: Distance at the closest approach.
-        closest_s: Its time.
-        passed: Whether the two draw away again; otherwise the run ends, or one of them leaves, while they come nearer.
-        seen_s: First step at which a camera sees the vessel; None if never.
-        seen_m: Distance from own ship then.
-        established_s: First time at which a track follows the vessel while a camera sees it; None if never.
-        established_m: Distance from own ship then.
-        time_left_s: From then to the closest approach, negative after it.
-    """
-
-    own_ship: str
-    vessel: str
+    own_ship: str  # ID
+    vessel: str  # ID
+    # What own ship has to do by COLREG when the vessel is first seen, or when both are first there if no camera sees it
+    # before the closest approach: a name of `motion.encounters.Encounter` in small letters.
     kind: str
-    closest_m: float
+    closest_m: float  # at the closest approach
     closest_s: float
-    passed: bool
-    seen_s: float | None
-    seen_m: float | None
-    established_s: float | None
-    established_m: float | None
-    time_left_s: float | None
+    passed: bool  # whether both draw away again; otherwise the run ends, or one leaves, while they come nearer
+    seen_s: float | None  # first step at which a camera sees the vessel; None if never
+    seen_m: float | None  # distance from own ship then
+    established_s: float | None  # first time at which a track follows it while a camera sees it; None if never
+    established_m: float | None  # distance from own ship then
+    time_left_s: float | None  # from then to the closest approach, negative after it
 
     @property
     def expected(self) -> bool:
@@ -72,10 +55,8 @@ class MetVessel:
 
 
 def met_vessels(following: WorldFollowing, within_m: float = ENCOUNTER_M) -> tuple[MetVessel, ...]:
-    """All encounters of own ships, in the order of own ships and vessels.
-
-    A vessel that only draws away from own ship, since both are there, has not met her.
-    """
+    """All encounters of own ships, in the order of own ships and vessels. A vessel that only draws away from own ship,
+    since both are there, has not met her."""
     own_ships = following.truth.own_ships
     vessels = [index for index in range(len(following.truth.names)) if index not in own_ships]
     return tuple(met for own in own_ships for vessel in vessels for met in _met(following, own, vessel, within_m))
@@ -91,10 +72,12 @@ def _met(following: WorldFollowing, own: int, vessel: int, within_m: float) -> I
     seen = np.flatnonzero(truth.scored[:, vessel])
     first = seen[0] if len(seen) and times_s[seen[0]] < closest_s else together[0]
     established_s = _established_s(following, vessel)
+    own_rad, vessel_rad = truth.hulls.headings_rad[first, [own, vessel]].tolist()
+    kind = encounter(centres_m[first, own], own_rad, centres_m[first, vessel], vessel_rad)
     yield MetVessel(
         own_ship=truth.names[own],
         vessel=truth.names[vessel],
-        kind=_kind(truth, int(first), own, vessel),
+        kind=kind.name.lower(),
         closest_m=closest_m,
         closest_s=closest_s,
         passed=bool(closest_s < times_s[together[-1]]),
@@ -107,7 +90,7 @@ def _met(following: WorldFollowing, own: int, vessel: int, within_m: float) -> I
 
 
 def _established_s(following: WorldFollowing, vessel: int) -> float | None:
-    """When a track is first on the vessel: the time of its estimate, which may be later than the step."""
+    """Time at which a track is first on the vessel: that of its estimate, which may be later than the step."""
     steps = np.flatnonzero(following.found[:, vessel])
     if not len(steps):
         return None
@@ -123,21 +106,10 @@ def _apart_m(truth: WorldTruth, time_s: float, own: int, vessel: int) -> float |
     return apart if np.isfinite(apart) else None
 
 
-def _kind(truth: WorldTruth, step: int, own: int, vessel: int) -> str:
-    centres_m, headings_rad = truth.hulls.centres_m[step], truth.hulls.headings_rad[step]
-    kind = encounter(centres_m[own], float(headings_rad[own]), centres_m[vessel], float(headings_rad[vessel]))
-    return kind.name.lower()
-
-
 @dataclass(frozen=True)
 class Quartiles:
-    """Quartiles over encounters, in which a vessel that is not established in time is worse than all others.
-
-    Attributes:
-        lower: A quarter of the encounters is worse; None if that is not established in time.
-        median: Half of them is worse.
-        upper: Three quarters are worse.
-    """
+    """Values than which a quarter, half and three quarters of the encounters are worse; None if such a vessel is not
+    established in time, which is worse than all others."""
 
     lower: float | None
     median: float | None
@@ -153,24 +125,12 @@ def quartiles(values: list[float | None]) -> Quartiles:
     return Quartiles(*(value if np.isfinite(value) else None for value in found))
 
 
-# ---- All scores of tracks in the world ----
-
-# ---- Errors of tracks in the world ----
-
-
 @dataclass(frozen=True)
 class OverVessels:
-    """A mean over vessels, each with one value, however long it was followed.
+    """A mean over vessels, each with one value, however long it was followed."""
 
-    Attributes:
-        mean: None without vessels.
-        low: Lower end of the 95 % t-interval of the mean; None with fewer than two vessels, or if all have one value.
-        high: Upper end.
-        vessels: Number of vessels.
-    """
-
-    mean: float | None
-    low: float | None
+    mean: float | None  # None without vessels
+    low: float | None  # of the 95 % t-interval of the mean; None with fewer than two vessels, or if all have one value
     high: float | None
     vessels: int
 
@@ -184,23 +144,14 @@ class OverVessels:
 
 @dataclass(frozen=True)
 class WorldErrors:
-    """Errors of the tracks that follow a scored vessel, as means over vessels.
+    """Errors of the tracks that follow a scored vessel, as means over vessels."""
 
-    Attributes:
-        rmse_m: Root of a vessel's mean squared error of position.
-        rmse_m_s: The same of velocity, where tracks have one.
-        nees: A vessel's mean squared error of position over its covariance, e' P⁻¹ e: 2 if the covariance is right.
-        nees_velocity: The same of velocity: 2.
-        nees_state: The same of position and velocity together, where tracks have the whole covariance: 4.
-        pairs: Number of estimates that are compared, over all vessels and steps.
-    """
-
-    rmse_m: OverVessels
-    rmse_m_s: OverVessels
-    nees: OverVessels
-    nees_velocity: OverVessels
-    nees_state: OverVessels
-    pairs: int
+    rmse_m: OverVessels  # root of a vessel's mean squared error of position
+    rmse_m_s: OverVessels  # of velocity, where tracks have one
+    nees: OverVessels  # mean squared error of position over its covariance, e' P⁻¹ e: 2 if the covariance is right
+    nees_velocity: OverVessels  # of velocity: 2
+    nees_state: OverVessels  # of position and velocity together, where tracks have the whole covariance: 4
+    pairs: int  # estimates that are compared, over all vessels and steps
 
 
 def world_errors(following: WorldFollowing) -> WorldErrors:
@@ -214,7 +165,11 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
     covariance = tracks.covariance[row]
 
     def by_vessel(values: Array) -> Array:
-        return mean_by(vessel, values, len(truth.names))
+        """Mean of each vessel's values that are not NaN, NaN for none, shape (V,)."""
+        known = ~np.isnan(values)
+        count = np.bincount(vessel[known], minlength=len(truth.names))
+        total = np.bincount(vessel[known], values[known], minlength=len(truth.names))
+        return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
     whole = nees_or_infinity(np.concatenate([position, velocity], axis=1), covariance)
     return WorldErrors(
@@ -227,38 +182,17 @@ def world_errors(following: WorldFollowing) -> WorldErrors:
     )
 
 
-def mean_by(group: Indices, values: Array, groups: int) -> Array:
-    """Mean of the values of each group that are not NaN, NaN for none, shape (groups,)."""
-    known = ~np.isnan(values)
-    count = np.bincount(group[known], minlength=groups)
-    total = np.bincount(group[known], values[known], minlength=groups)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-# ---- How much of the time vessels are followed in the world ----
-
-
 @dataclass(frozen=True)
 class WorldContinuity:
-    """Continuity over the steps at which vessels are scored.
+    """Continuity over the steps at which vessels are scored."""
 
-    Attributes:
-        vessels: Number of vessels that are scored at some step.
-        established: Number of those that are followed at one of these steps.
-        followed_share: Share of a vessel's scored steps at which it is followed.
-        id_switches: How often a vessel is followed by another track than when it was followed last.
-        track_breaks: Stretches of scored steps without a track, between two with one.
-        false_tracks: Number of tracks that never follow a vessel, scored or not.
-        false_track_s: Their time, that of the steps at which they are there.
-    """
-
-    vessels: int
-    established: int
-    followed_share: OverVessels
-    id_switches: int
-    track_breaks: int
-    false_tracks: int
-    false_track_s: float
+    vessels: int  # scored at some step
+    established: int  # those that are followed at one of these steps
+    followed_share: OverVessels  # share of a vessel's scored steps at which it is followed
+    id_switches: int  # times at which a vessel is followed by another track than when it was followed last
+    track_breaks: int  # stretches of scored steps without a track, between two with one
+    false_tracks: int  # tracks that never follow a vessel, scored or not
+    false_track_s: float  # their time, that of the steps at which they are there
 
 
 def world_continuity(following: WorldFollowing) -> WorldContinuity:
@@ -268,7 +202,8 @@ def world_continuity(following: WorldFollowing) -> WorldContinuity:
     share = np.where(steps > 0, followed / np.maximum(steps, 1), np.nan)
     tracks = following.tracks.track[following.estimates.row]
     false = ~np.isin(tracks, tracks[following.vessel != NOBODY])
-    length_s = step_lengths_s(following.truth.times_s)
+    gaps_s = np.diff(following.truth.times_s)  # the last step is taken to be as long as the one before it
+    length_s = np.append(gaps_s, gaps_s[-1]) if len(gaps_s) else np.zeros(len(following.truth.times_s))
     pairs = [_switches_and_breaks(following, vessel) for vessel in np.flatnonzero(followed).tolist()]
     return WorldContinuity(
         vessels=int((steps > 0).sum()),
@@ -290,50 +225,34 @@ def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, i
     return switches, begins - int(not on[0])
 
 
-def step_lengths_s(times_s: Array) -> Array:
-    """Time from each step to the next; the last is as long as the one before it, shape (S,)."""
-    gaps = np.diff(times_s)
-    return np.append(gaps, gaps[-1]) if len(gaps) else np.zeros(len(times_s))
-
-
-DEFAULT_GATE_M = 50.0
-"""A track farther from a vessel than that does not follow it."""
-IN_METRES = SetDistance(cutoff=50.0)
-"""GOSPA's c and p by default."""
+DEFAULT_GATE_M = 50.0  # a track farther from a vessel than that does not follow it
+IN_METRES = SetDistance(cutoff=50.0)  # GOSPA's c and p by default
 _DIMENSIONS = {"nees": 2, "nees_velocity": 2, "nees_state": 4}
 
 
 @dataclass(frozen=True)
 class WorldScores:
-    """Scores of tracks in the world.
+    """Scores of tracks in the world."""
 
-    Attributes:
-        gate_m: A track farther from a vessel than that does not follow it.
-        set_distance: c in metres and p of GOSPA.
-        errors: Of tracks that follow a vessel.
-        gospa: Mean over the run's steps, in metres, and its parts; None without steps.
-        continuity: How much is followed, and tracks of nothing.
-        encounters: The vessels that met own ship, in the order of the vessels.
-    """
-
-    gate_m: float
-    set_distance: SetDistance
-    errors: WorldErrors
-    gospa: GospaParts | None
+    gate_m: float  # a track farther from a vessel than that does not follow it
+    set_distance: SetDistance  # c in metres and p of GOSPA
+    errors: WorldErrors  # of tracks that follow a vessel
+    gospa: GospaParts | None  # mean over steps, in metres, its parts in metres to the power p; None without steps
     continuity: WorldContinuity
-    encounters: tuple[MetVessel, ...]
+    encounters: tuple[MetVessel, ...]  # the vessels that met own ship, in the order of the vessels
 
     def flat(self) -> dict[str, float | int | None]:
         """All numbers by their names, flat, as JSON has them. docs/world_tracks.md says what they mean."""
         errors, continuity = self.errors, self.continuity
         nees = {"nees": errors.nees, "nees_velocity": errors.nees_velocity, "nees_state": errors.nees_state}
+        gospa = ("gospa_m", "gospa_localisation_m", "gospa_missed_m", "gospa_false_m")
         return {
             **_mean_keys("rmse_m", errors.rmse_m),
             **_mean_keys("rmse_m_s", errors.rmse_m_s),
             **{key: value for name, each in nees.items() for key, value in _mean_keys(name, each).items()},
-            **{f"a{name}": _over(each.mean, _DIMENSIONS[name]) for name, each in nees.items()},
+            **{f"a{name}": None if each.mean is None else each.mean / _DIMENSIONS[name] for name, each in nees.items()},
             "pairs": errors.pairs,
-            **_gospa_keys(self.gospa),
+            **dict(zip(gospa, self.gospa or (None,) * len(gospa), strict=True)),
             "vessels": continuity.vessels,
             "established": continuity.established,
             **_mean_keys("followed_share", continuity.followed_share),
@@ -398,14 +317,3 @@ def score_world(
 
 def _mean_keys(name: str, value: OverVessels) -> Mapping[str, float | None]:
     return {name: value.mean, f"{name}_low": value.low, f"{name}_high": value.high}
-
-
-def _gospa_keys(parts: GospaParts | None) -> Mapping[str, float | None]:
-    """GOSPA in metres, and its parts in metres to the power p."""
-    values = parts or (None, None, None, None)
-    names = ("gospa_m", "gospa_localisation_m", "gospa_missed_m", "gospa_false_m")
-    return dict(zip(names, values, strict=True))
-
-
-def _over(value: float | None, dimensions: int) -> float | None:
-    return None if value is None else value / dimensions

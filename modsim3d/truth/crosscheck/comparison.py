@@ -1,9 +1,7 @@
-"""The truth of one frame against its own drawing: pixel by pixel, in numbers, and against the corners' boxes.
-
-Each vessel is drawn alone, in a buffer of its own size, and the scene in the rectangle around all of them. Pixels may
-differ only where rounding decides what is seen. A box from pixels reaches at most half a pixel, and what rounding
-moves, beyond the box of the projected corners; it may be smaller where a sharp tip holds no pixel centre.
-"""
+"""The truth of one frame against its own drawing: pixel by pixel, in numbers, and against the corners' boxes. Each
+vessel is drawn alone, in a buffer of its own size, and the scene in the rectangle around all of them. Pixels may differ
+only where rounding decides what is seen. A box from pixels reaches at most half a pixel, and what rounding moves,
+beyond the box of the projected corners; it may be smaller where a sharp tip holds no pixel centre."""
 
 from __future__ import annotations
 
@@ -22,21 +20,17 @@ from modsim3d.truth.crosscheck.drawing import MARGIN_PX, Drawing, tiles_of
 from modsim3d.truth.record import Annotation, Truth
 from modsim3d.truth.silhouettes import Spans
 
-# ---- What may be seen at pixels, from rays through their centres ----
-
 EDGE_PX = 1 / 128
 """Buffer pixels by which rounding may move an edge: half of 1/256 along both axes, and as much for the corners of what
 it is compared with."""
-LENS_EDGE_PX = 1 / 32
-"""The same with a lens, whose curves are drawn as chords."""
+LENS_EDGE_PX = 1 / 32  # the same with a lens, whose curves are drawn as chords
 DEPTH_SHARE = 2.0**-20
 """Depths that differ by a smaller share of the nearest corner's are equal, beside what moved corners change."""
-MAX_PAIRS = 2_000_000
-"""Most pixels times triangles that are looked at together; it bounds the memory."""
+MAX_PAIRS = 2_000_000  # most pixels times triangles that are looked at together; it bounds the memory
 
 
 def undecided(drawing: Drawing, x: Indices, y: Indices, wanted: int) -> Mask:
-    """At which of k pixels rounding decides whether an ID is seen, or anything else or nothing, shape (k,)."""
+    """Mask of k pixels at which rounding decides whether an ID is seen, or anything else or nothing, shape (k,)."""
     ids, possible = possible_ids(drawing, x, y)
     this = ids == wanted
     return np.asarray(possible[:, this].any(axis=1) & possible[:, ~this].any(axis=1))
@@ -69,9 +63,8 @@ def _possible(drawing: Drawing, solid: Indices, count: int, points: Array) -> Ma
     """Whether nothing, and each of `count` solids, may be seen at points (k, 2), shape (k, count + 1)."""
     band = EDGE_PX if drawing.intrinsics.distortion is None else LENS_EDGE_PX
     corners, depth = drawing.straight_px, drawing.inverse_depth
-    near = (
-        (corners.min(axis=1) <= points.max(axis=0) + band) & (corners.max(axis=1) >= points.min(axis=0) - band)
-    ).all(axis=1)
+    touching = (corners.min(axis=1) <= points.max(axis=0) + band) & (corners.max(axis=1) >= points.min(axis=0) - band)
+    near = touching.all(axis=1)
     corners, depth, solid = corners[near], depth[near], solid[near]
     low, high = corners.min(axis=1) - band, corners.max(axis=1) + band
     perhaps = ((points[:, None] >= low) & (points[:, None] <= high)).all(axis=-1)
@@ -106,7 +99,7 @@ def _possible(drawing: Drawing, solid: Indices, count: int, points: Array) -> Ma
 
 
 def _slope(edges: Array, depth: Array, doubled: Array) -> Array:
-    """How near / c3 changes for a pixel to the right and a pixel down in T triangles, shape (T, 2)."""
+    """Change of near / c3 for a pixel to the right and a pixel down in T triangles, shape (T, 2)."""
     to_b, to_c = edges[:, 0], -edges[:, 2]
     by_b, by_c = depth[:, 1] - depth[:, 0], depth[:, 2] - depth[:, 0]
     right, down = by_b * to_c[:, 1] - by_c * to_b[:, 1], by_c * to_b[:, 0] - by_b * to_c[:, 0]
@@ -119,38 +112,22 @@ NOT_ROUNDED_PX = 1e-6
 
 @dataclass(frozen=True)
 class Checked:
-    """Counts of a cross-check, and how far apart its sides were; results can be added. Names are those in `run.json`.
+    """Counts of a cross-check, and largest differences; results can be added. Names are those in `run.json`."""
 
-    Attributes:
-        from_spans: Vessels of the whole run whose pixels came from exact spans.
-        from_buffers: Those that OpenGL drew.
-        frames: Frames that were checked.
-        empty_frames: Those of them without a vessel.
-        whole_frames: Those of which the whole image was drawn.
-        vessels: Vessels in them.
-        pixels: Pixels of silhouettes, each compared twice: the vessel alone, and with what is in front of it.
-        tie_pixels: Pixels that differ because rounding decides what is seen there.
-        geometry_vessels: Vessels whose visible pixels were compared with the area that exact geometry gives.
-        sharp_tips: Boxes that are smaller than that of the corners by more than a pixel, where a tip has no pixel.
-        largest_box_px: Largest distance of a side of a box from pixels to that of the box of the projected corners,
-            tips left out.
-        largest_tip_px: The same of the tips.
-        largest_area_px: Largest difference between visible pixels and visible area.
-    """
-
-    from_spans: int = 0
-    from_buffers: int = 0
-    frames: int = 0
-    empty_frames: int = 0
-    whole_frames: int = 0
-    vessels: int = 0
-    pixels: int = 0
-    tie_pixels: int = 0
-    geometry_vessels: int = 0
-    sharp_tips: int = 0
+    from_spans: int = 0  # vessels of the whole run whose pixels came from exact spans
+    from_buffers: int = 0  # those that OpenGL drew
+    frames: int = 0  # that were checked
+    empty_frames: int = 0  # those of them without a vessel
+    whole_frames: int = 0  # those of which the whole image was drawn
+    vessels: int = 0  # in them
+    pixels: int = 0  # of silhouettes, each compared twice: the vessel alone, and with what is in front of it
+    tie_pixels: int = 0  # that differ because rounding decides what is seen there
+    geometry_vessels: int = 0  # whose visible pixels were compared with the area that exact geometry gives
+    sharp_tips: int = 0  # boxes smaller than that of the corners by more than a pixel, where a tip has no pixel
+    # Largest distance of a side of a box from pixels to that of the box of the projected corners, tips left out.
     largest_box_px: float = 0.0
-    largest_tip_px: float = 0.0
-    largest_area_px: float = 0.0
+    largest_tip_px: float = 0.0  # the same of the tips
+    largest_area_px: float = 0.0  # largest difference between visible pixels and visible area
 
     def __add__(self, other: Checked) -> Checked:
         """Both together: counts are summed, of differences the larger ones are kept."""
@@ -160,40 +137,25 @@ class Checked:
 
 @dataclass(eq=False)
 class Difference(Exception):
-    """A vessel on which truth and drawing differ.
+    """A vessel on which truth and drawing differ."""
 
-    Attributes:
-        vessel: Its index.
-        what: What differs.
-        truth: What the truth has.
-        drawn: What was drawn.
-        masks: Its pixels in the truth, and as they were drawn; of the same shape (h, w).
-    """
-
-    vessel: int
-    what: str
-    truth: str
-    drawn: str
-    masks: tuple[Mask, Mask]
+    vessel: int  # its index
+    what: str  # differs
+    truth: str  # its value in the truth
+    drawn: str  # its value as drawn
+    masks: tuple[Mask, Mask]  # its pixels in the truth, and as they were drawn; of the same shape (h, w)
 
 
 @dataclass(frozen=True, eq=False)
 class SaidOfFrame:
-    """Values of one frame by the truth and by exact geometry.
+    """Values of one frame by the truth and by exact geometry."""
 
-    Attributes:
-        truth: Its rows.
-        silhouettes: Their pixels; `row` is the index of the vessel.
-        visible: Those that are visible, likewise.
-        areas: Area of a vessel's visible part, and by how much its pixels may differ, where geometry tells.
-        annotation: The mode and filters that `annotated` of the truth follows; None if it follows none yet.
-    """
-
-    truth: Truth
-    silhouettes: Spans
-    visible: Spans
+    truth: Truth  # its rows
+    silhouettes: Spans  # their pixels; `row` is the index of the vessel
+    visible: Spans  # those that are visible, likewise
+    # Area of a vessel's visible part, and by how much its pixels may differ, where geometry tells.
     areas: Mapping[int, tuple[float, float]]
-    annotation: Annotation | None = None
+    annotation: Annotation | None = None  # that `annotated` of the truth follows; None if it follows none yet
 
 
 def check_frame(
@@ -205,19 +167,9 @@ def check_frame(
     *,
     whole: bool = False,
 ) -> Checked:
-    """Draw a frame and compare it with what is said of it.
-
-    Args:
-        drawing: The frame.
-        renderer: Draws it.
-        said: See above.
-        boxed: Indices of the vessels that get a box if they are in the image.
-        names: Of the scene's occluders.
-        whole: Draw the whole image, not only the rectangle around all vessels.
-
-    Raises:
-        Difference: They differ by more than ties.
-    """
+    """Draw a frame and compare it with what is said of it. `boxed` are the indices of the vessels that get a box if
+    they are in the image, `names` those of the scene's occluders; with `whole`, the whole image is drawn, not only the
+    rectangle around all vessels. Raises Difference if they differ by more than ties."""
     row_of = {vessel: row for row, vessel in enumerate(said.truth.vessel.tolist())}
     vessels = sorted({*row_of, *(boxed & drawing.boxes_px.keys())})
     found = [_VesselPixels(drawing, said, vessel, row_of.get(vessel), names) for vessel in vessels]
@@ -265,11 +217,8 @@ class _VesselPixels:
         return seen[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
 
     def compare(self, renderer: IdRenderer, seen: Ids, tile: Region) -> None:
-        """Compare its pixels in a tile, of which `seen` are the IDs.
-
-        Raises:
-            Difference: They differ by more than ties.
-        """
+        """Compare its pixels in a tile that shows the IDs `seen`. Raises Difference if they differ by more than
+        ties."""
         region = self.region.common(tile)
         if not region.width or not region.height:
             return
@@ -277,9 +226,8 @@ class _VesselPixels:
         alone = self.alone.ids(renderer, region) > 0
         shown = alone & ((ids == self.vessel + 1) | (ids == 0))
         saids = [mask_of(spans, region) for spans in self.spans]
-        for which, (what, of, said, drawn) in enumerate(
-            (("silhouette", self.alone, saids[0], alone), ("visible", self.drawing, saids[1], shown))
-        ):
+        kinds = ("silhouette", self.alone, saids[0], alone), ("visible", self.drawing, saids[1], shown)
+        for which, (what, of, said, drawn) in enumerate(kinds):
             self._compare(of, what, said, drawn, region)
             if said.any():
                 self.px[which] += int(np.count_nonzero(said))
@@ -305,22 +253,16 @@ class _VesselPixels:
             self.refuse(f"{what} pixels", f"{np.count_nonzero(said)}", f"{np.count_nonzero(drawn)} ({where})")
 
     def checked(self) -> Checked:
-        """Result of the comparison, once all tiles were compared.
-
-        Raises:
-            Difference: Numbers or boxes of the truth are not those of its pixels, or not those of the corners.
-        """
+        """Result of the comparison, once all tiles were compared. Raises Difference if numbers or boxes of the truth
+        are not those of its pixels, or not those of the corners."""
         if self.row is None:
             if self.px[0]:
                 self.refuse("silhouette pixels", "no row", f"{self.px[0] / self.drawing.supersample**2:g}")
             return Checked()
         truth, ss = self.said.truth, self.drawing.supersample
-        for which, (what, px, box) in enumerate(
-            (
-                ("silhouette", truth.silhouette_px[self.row], self.full_box),
-                ("visible", truth.visible_px[self.row], self.visible_box),
-            )
-        ):
+        silhouette = "silhouette", truth.silhouette_px[self.row], self.full_box
+        visible = "visible", truth.visible_px[self.row], self.visible_box
+        for which, (what, px, box) in enumerate((silhouette, visible)):
             if self.px[which] != round(px * ss**2):
                 self.refuse(f"{what} pixels", f"{px:g}", f"{self.px[which] / ss**2:g}")
             if self.px[which] and np.abs(self.boxes[which] - box).max() > NOT_ROUNDED_PX:

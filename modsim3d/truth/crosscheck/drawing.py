@@ -1,10 +1,8 @@
-"""One frame drawn as ID buffers in the most obvious way: each corner projected, each triangle drawn, a depth test.
-
-A corner x of a solid is at R · x + s in the world, at R_c · (x − s_c) in the camera and at K of that in the image.
-What is nearer than the near plane is cut off, and the section there closes the solid again. What reaches far outside
-the image is cut off too, since OpenGL would cut edges there itself and move them. Triangles that are turned away from
-the camera are drawn as well: the depth test hides them.
-"""
+"""One frame drawn as ID buffers in the most obvious way: each corner projected, each triangle drawn, a depth test. A
+corner x of a solid is at R · x + s in the world, at R_c · (x − s_c) in the camera and at K of that in the image. What
+is nearer than the near plane is cut off, and the section there closes the solid again. What reaches far outside the
+image is cut off too, since OpenGL would cut edges there itself and move them. Triangles that are turned away from the
+camera are drawn as well: the depth test hides them."""
 
 from __future__ import annotations
 
@@ -22,22 +20,14 @@ from modsim3d.render.id_pass import IdRenderer, Ids, Region
 from modsim3d.world.bodies import Obstacle
 from modsim3d.world.vessels import Solid, Vessel
 
-# ---- The solids of a scene at one step as one list of triangles in the world ----
-
 
 @dataclass(frozen=True, eq=False)
 class WorldTriangles:
-    """T triangles, those of a solid together, in order of occluder.
+    """T triangles, those of a solid together, in order of occluder."""
 
-    Attributes:
-        corners_m: In WCF, shape (T, 3, 3).
-        occluder: Index into the scene's occluder names of the solid of each, shape (T,).
-        closed: Number of the closed solid that it bounds, 1 or more; 0 for a surface with holes, shape (T,).
-    """
-
-    corners_m: Array
-    occluder: Indices
-    closed: Indices
+    corners_m: Array  # in WCF, shape (T, 3, 3)
+    occluder: Indices  # index into the scene's occluder names of the solid of each, shape (T,)
+    closed: Indices  # number of the closed solid that it bounds, 1 or more; 0 for a surface with holes, shape (T,)
 
     @classmethod
     def joined(cls, parts: Sequence[WorldTriangles]) -> WorldTriangles:
@@ -56,14 +46,9 @@ class WorldTriangles:
 def vessel_triangles(
     vessels: Sequence[Vessel], present: Mask, positions_m: Array, world_R_vessel: Array
 ) -> WorldTriangles:
-    """The solids of V vessels at one step: R · x + s for each corner (Jessen & Mohr (2023), eq. 7.1).
-
-    Args:
-        vessels: V vessels; the index of each is its occluder index.
-        present: Which of them to take, shape (V,).
-        positions_m: Origins of the vessels in WCF, shape (V, 3).
-        world_R_vessel: Rotations VCF to WCF, shape (V, 3, 3).
-    """
+    """The solids of V vessels at one step: R · x + s for each corner (Jessen & Mohr (2023), eq. 7.1). The index of each
+    vessel is its occluder index; `present` says which to take, shape (V,). Origins are in WCF, shape (V, 3), and
+    rotations VCF to WCF, shape (V, 3, 3)."""
     parts = []
     for index in np.flatnonzero(present).tolist():
         corners = vessels[index].triangles_m @ world_R_vessel[index].T + positions_m[index]
@@ -72,11 +57,9 @@ def vessel_triangles(
 
 
 def obstacle_triangles(obstacles: tuple[Obstacle, ...], first_occluder: int, camera_m: Array | None) -> WorldTriangles:
-    """The solids of obstacles; `first_occluder` is the occluder index of the first one.
-
-    On a curved sea `camera_m` is the camera's centre in WCF, shape (3,), and each obstacle is lowered by the drop at
-    its centre. On a flat sea it is None.
-    """
+    """The solids of obstacles; `first_occluder` is the occluder index of the first one. On a curved sea `camera_m` is
+    the camera's centre in WCF, shape (3,), and each obstacle is lowered by the drop at its centre. On a flat sea it is
+    None."""
     triangles = _standing(obstacles, first_occluder)
     if camera_m is None or not obstacles:
         return triangles
@@ -89,18 +72,14 @@ def obstacle_triangles(obstacles: tuple[Obstacle, ...], first_occluder: int, cam
 @lru_cache(maxsize=4)
 def _standing(obstacles: tuple[Obstacle, ...], first_occluder: int) -> WorldTriangles:
     solids = [(index, *each) for index, obstacle in enumerate(obstacles) for each in obstacle.solids]
-    return WorldTriangles.joined(
-        [
-            WorldTriangles.of_solid(vertices[solid.faces], solid, first_occluder + index, first_occluder + number + 1)
-            for number, (index, solid, vertices) in enumerate(solids)
-        ]
-    )
+    parts = [
+        WorldTriangles.of_solid(vertices[solid.faces], solid, first_occluder + index, first_occluder + number + 1)
+        for number, (index, solid, vertices) in enumerate(solids)
+    ]
+    return WorldTriangles.joined(parts)
 
 
-# ---- Triangles cut by a half-space ----
-
-HalfSpace = tuple[Array, float]
-"""A normal n, shape (D,), and an offset d: inside is n · p >= d."""
+HalfSpace = tuple[Array, float]  # a normal n, shape (D,), and an offset d: inside is n · p >= d
 
 
 def cut(triangles: Array, half_spaces: Sequence[HalfSpace]) -> tuple[Array, Indices]:
@@ -140,7 +119,7 @@ def _cut(triangles: Array, height: Array) -> tuple[Array, Indices]:
 
 
 def _crossing(inner: Array, at_inner: Array, outer: Array, at_outer: Array) -> Array:
-    """Where edges leave the half-space, from the inner corner on: the same point for both triangles at an edge."""
+    """Points at which edges leave the half-space, from the inner corner on: the same for both triangles at an edge."""
     point: Array = inner + (outer - inner) * (at_inner / (at_inner - at_outer))
     return point
 
@@ -148,29 +127,19 @@ def _crossing(inner: Array, at_inner: Array, outer: Array, at_outer: Array) -> A
 GUARD_PX, LENS_GUARD_PX = 2048.0, 1.0
 """How far outside the image triangles are drawn, in buffer pixels; the second where a lens distorts, since its formula
 may fold what lies far outside back into the image."""
-MARGIN_PX = 2
-"""Of a buffer around the corners of what is drawn into it."""
-TILE_PX = (4096, 256)
-"""Width and height of the largest buffer that is drawn at once: large ones take long to make."""
+MARGIN_PX = 2  # of a buffer around the corners of what is drawn into it
+TILE_PX = (4096, 256)  # width and height of the largest buffer that is drawn at once: large ones take long to make
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """The triangles of one frame in buffer pixels, of which there are `supersample` per image pixel and axis.
-
-    Attributes:
-        intrinsics: Of the camera.
-        supersample: See above.
-        straight_px: Corners in the image of a pinhole, shape (T, 3, 2): that of the camera unless its lens distorts.
-        inverse_depth: near / c3 of these corners, in (0, 1], which is linear in that image, shape (T, 3).
-        occluder: Index into the scene's occluder names of the solid of each, shape (T,).
-    """
+    """The triangles of one frame in buffer pixels, of which there are `supersample` per image pixel and axis."""
 
     intrinsics: Intrinsics
     supersample: int
-    straight_px: Array
-    inverse_depth: Array
-    occluder: Indices
+    straight_px: Array  # corners in the image of the pinhole: the camera's unless its lens distorts, shape (T, 3, 2)
+    inverse_depth: Array  # near / c3 of these corners, in (0, 1], which is linear in that image, shape (T, 3)
+    occluder: Indices  # index into the scene's occluder names of the solid of each, shape (T,)
 
     @classmethod
     def of(
@@ -197,12 +166,8 @@ class Drawing:
     def only(self, occluder: int) -> Drawing:
         """One solid alone."""
         chosen = self.occluder == occluder
-        return replace(
-            self,
-            straight_px=self.straight_px[chosen],
-            inverse_depth=self.inverse_depth[chosen],
-            occluder=self.occluder[chosen],
-        )
+        columns = (column[chosen] for column in (self.straight_px, self.inverse_depth, self.occluder))
+        return Drawing(self.intrinsics, self.supersample, *columns)
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -258,10 +223,8 @@ class Drawing:
 
 def _sections(corners: Array, closed: Indices, near_m: float) -> tuple[Array, Indices]:
     """The sections of closed solids at the near plane as triangles (k, 3, 3), and a triangle of the solid of each (k,).
-
     Otherwise the camera would look into a solid that it is close to. `corners` (T, 3, 3) are cut there; for `closed`
-    (T,) see `WorldTriangles`.
-    """
+    (T,) see `WorldTriangles`."""
     on_plane = corners[..., 2] <= near_m * (1 + 1e-9)
     edge = np.flatnonzero((on_plane.sum(axis=1) == 2) & (closed > 0))
     sections, sources = [corners[:0]], [edge[:0]]
@@ -279,12 +242,8 @@ def _sections(corners: Array, closed: Indices, near_m: float) -> tuple[Array, In
 def _field_of_view(pinhole: Intrinsics, guard_px: float) -> list[HalfSpace]:
     """The half-spaces that project to an image and a band around it: x >= −guard is (f1, s, a1 + guard) · p >= 0."""
     (x, y, depth), (width, height) = pinhole.matrix, pinhole.image_size_px
-    return [
-        (x + guard_px * depth, 0.0),
-        ((width + guard_px) * depth - x, 0.0),
-        (y + guard_px * depth, 0.0),
-        ((height + guard_px) * depth - y, 0.0),
-    ]
+    right, bottom = (width + guard_px) * depth - x, (height + guard_px) * depth - y
+    return [(side, 0.0) for side in (x + guard_px * depth, right, y + guard_px * depth, bottom)]
 
 
 def _pieces(straight_px: Array, inverse_depth: Array, longest_px: float) -> tuple[Array, Indices]:
@@ -308,12 +267,9 @@ def _lattice(count: int) -> Array:
     i, j = np.nonzero(np.tri(count))
     inner = j < i
     k, m = i[inner], j[inner]
-    places = np.concatenate(
-        [
-            np.stack([[i, j], [i + 1, j], [i + 1, j + 1]]).transpose(2, 0, 1),
-            np.stack([[k, m], [k + 1, m + 1], [k, m + 1]]).transpose(2, 0, 1),
-        ]
-    )
+    upright = np.stack([[i, j], [i + 1, j], [i + 1, j + 1]]).transpose(2, 0, 1)
+    upside_down = np.stack([[k, m], [k + 1, m + 1], [k, m + 1]]).transpose(2, 0, 1)
+    places = np.concatenate([upright, upside_down])
     i, j = places[..., 0], places[..., 1]
     weights: Array = np.stack([count - i, i - j, j], axis=-1) / count
     return weights

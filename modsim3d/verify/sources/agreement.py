@@ -1,13 +1,9 @@
-"""Whether the rendered truth agrees with the analytic truth of the same outlines, and if it does not, why.
-
-The rendered source counts pixels of exact spans, and of ID buffers with a depth test. The analytic source cuts polygons
-by polygons, in an order that comes from separating planes. They may differ only because pixels sample regions at their
-centres.
-
+"""Whether the rendered truth agrees with the analytic truth of the same outlines, and if it does not, why. The rendered
+source counts pixels of exact spans, and of ID buffers with a depth test. The analytic source cuts polygons by polygons,
+in an order that comes from separating planes. They may differ only because pixels sample regions at their centres.
 Where they differ by more than a pixel, all pixels of the vessel are drawn again and checked. A pixel must be set where
 its centre is inside the exact region, and nowhere else, except in a band along the boundary as wide as the rasteriser's
-rounding of corners. The box and the count of the truth must be those of these pixels.
-"""
+rounding of corners. The box and the count of the truth must be those of these pixels."""
 
 from __future__ import annotations
 
@@ -52,33 +48,21 @@ EXPLANATIONS = {
     Agreement.UNEXPLAINED: "unexplained",
 }
 
-DrawMasks = Callable[[int], PixelMasks]
-"""Draws the masks of a row of the outlines."""
+DrawMasks = Callable[[int], PixelMasks]  # draws the masks of a row of the outlines
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Columns):
-    """How two sources differ on n outlines.
+    """Differences of two sources on n outlines, rendered minus analytic."""
 
-    Attributes:
-        full_side_px: Sides of full boxes, rendered minus analytic, shape (n, 4).
-        visible_side_px: Sides of visible boxes, rendered minus analytic; NaN where either has none, shape (n, 4).
-        fraction: Visible fraction, rendered minus analytic; NaN where either has none, shape (n,).
-        fraction_bound: Largest difference of fractions that pixels on the boundary can explain, shape (n,).
-        seen_differs: Whether the vessel is visible to one source only, shape (n,).
-        full: `Agreement` of the full boxes, shape (n,).
-        visible: `Agreement` of visible boxes, visible fractions and visibility, shape (n,).
-        pixels_looked_at: Whether all pixels of the row were checked, shape (n,).
-    """
-
-    full_side_px: Array
-    visible_side_px: Array
-    fraction: Array
-    fraction_bound: Array
-    seen_differs: Mask
-    full: Indices
-    visible: Indices
-    pixels_looked_at: Mask
+    full_side_px: Array  # sides of full boxes, shape (n, 4)
+    visible_side_px: Array  # sides of visible boxes; NaN where either has none, shape (n, 4)
+    fraction: Array  # visible fraction; NaN where either has none, shape (n,)
+    fraction_bound: Array  # largest difference of fractions that pixels on the boundary can explain, shape (n,)
+    seen_differs: Mask  # whether the vessel is visible to one source only, shape (n,)
+    full: Indices  # `Agreement` of the full boxes, shape (n,)
+    visible: Indices  # `Agreement` of visible boxes, visible fractions and visibility, shape (n,)
+    pixels_looked_at: Mask  # whether all pixels of the row were checked, shape (n,)
 
     @property
     def worst(self) -> Indices:
@@ -96,14 +80,9 @@ def concatenate_comparisons(parts: Sequence[Comparison]) -> Comparison:
 def compare_with_analytic(
     outlines: Outlines, intrinsics: Intrinsics, rendered: Occlusion, draw_masks: DrawMasks, supersample: int = 1
 ) -> Comparison:
-    """Compare rendered with analytic truth, with a row for each vessel in the outlines.
-
-    Args:
-        outlines: What both sources start from.
-        rendered: What the rendered source found, for all rows of `outlines`.
-        draw_masks: Called with rows of `outlines` where the sources differ by more than a pixel.
-        supersample: Buffer pixels per image pixel and axis.
-    """
+    """Compare rendered with analytic truth, with a row for each vessel in the outlines. `rendered` has all rows of
+    `outlines`, which both sources start from; `draw_masks` is called with rows where they differ by more than a pixel;
+    `supersample` are buffer pixels per image pixel and axis."""
     regions = visible_regions(outlines, intrinsics)
     analytic = occlusion_of_regions(outlines, regions)
     full_side = rendered.full_boxes_px - analytic.full_boxes_px
@@ -151,9 +130,8 @@ class _PixelCheck:
     def full(self, row: int, masks: PixelMasks) -> Agreement:
         """Why the full boxes differ."""
         silhouettes = self.regions.silhouettes
-        fits = self._full_counted(row, masks) and mask_fits(
-            masks.silhouette, masks.region, silhouettes[row], silhouettes[:0], self.supersample
-        )
+        mask = masks.silhouette, masks.region
+        fits = self._full_counted(row, masks) and mask_fits(*mask, silhouettes[row], silhouettes[:0], self.supersample)
         boxes = self.rendered.full_boxes_px[row], self.analytic.full_boxes_px[row]
         return _agreement(fits, *boxes, if_smaller=Agreement.SHARP_TIP)
 
@@ -161,11 +139,9 @@ class _PixelCheck:
         """Why the visible boxes or fractions differ."""
         silhouettes, box, px = self.regions.silhouettes, self.rendered.visible_boxes_px[row], self.rendered.visible_px
         covers = silhouettes[self.regions.hiding.hiders_of(row)]
-        fits = (
-            self._full_counted(row, masks)
-            and counted_from(masks.visible, masks.region, box, px[row], self.supersample)
-            and mask_fits(masks.visible, masks.region, silhouettes[row], covers, self.supersample)
-        )
+        mask = masks.visible, masks.region
+        counted = self._full_counted(row, masks) and counted_from(*mask, box, px[row], self.supersample)
+        fits = counted and mask_fits(*mask, silhouettes[row], covers, self.supersample)
         return _agreement(fits, box, self.analytic.visible_boxes_px[row], if_smaller)
 
     def _full_counted(self, row: int, masks: PixelMasks) -> bool:
@@ -174,10 +150,8 @@ class _PixelCheck:
 
 
 def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: Agreement) -> Agreement:
-    """Why two boxes (4,) differ, given whether the pixels fit the exact region.
-
-    `if_smaller` is the reason if the box from pixels lies inside the exact one.
-    """
+    """Why two boxes (4,) differ, given whether the pixels fit the exact region. `if_smaller` is the reason if the box
+    from pixels lies inside the exact one."""
     if not fits:
         return Agreement.UNEXPLAINED
     nothing_drawn, nothing_exact = bool(np.isnan(rendered_px[0])), bool(np.isnan(analytic_px[0]))
@@ -187,12 +161,10 @@ def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: A
 
 
 def fraction_bound(regions: VisibleRegions, analytic: Occlusion, supersample: int) -> Array:
-    """The greatest difference of visible fractions that boundary pixels can explain, shape (n,).
-
-    A region of area A is counted as N pixels, and |N − A| is less than the number B of pixels on its boundary. With
-    areas S of the silhouette and V of its visible part, the fraction from pixels therefore lies between
-    (V − B_V) / (S + B_S) and (V + B_V) / (S − B_S).
-    """
+    """The greatest difference of visible fractions that boundary pixels can explain, shape (n,). A region of area A is
+    counted as N pixels, and |N − A| is less than the number B of pixels on its boundary. With areas S of the silhouette
+    and V of its visible part, the fraction from pixels therefore lies between (V − B_V) / (S + B_S) and (V + B_V) /
+    (S − B_S)."""
     scale = supersample**2
     whole, seen = analytic.silhouette_px * scale, analytic.visible_px * scale
     edge, seen_edge = (boundary_pixels(r, supersample) for r in (regions.silhouettes, regions.visible))

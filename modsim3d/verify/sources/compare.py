@@ -1,9 +1,6 @@
-"""Compares the sources of truth on a scene: the check that an auditor can run.
-
-OpenGL draws every frame, with a projection and an order of its own, and the rendered source must have the same pixels.
-Every difference between these and the analytic truth is explained. The idealised rectangle rule is held against the
-rendered truth.
-"""
+"""Compares the sources of truth on a scene: the check that an auditor can run. OpenGL draws every frame, with a
+projection and an order of its own, and the rendered source must have the same pixels. Every difference between these
+and the analytic truth is explained. The idealised rectangle rule is held against the rendered truth."""
 
 from __future__ import annotations
 
@@ -11,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -38,22 +36,14 @@ from modsim3d.verify.sources.figures import (
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 from modsim3d.world.vessels import shoebox
 
-# ---- The fast path of the rendered source ----
-
 
 @dataclass(frozen=True, eq=False)
 class FastPath:
-    """Result of the fast path for outlines.
+    """Result of the fast path of the rendered source for outlines."""
 
-    Attributes:
-        outlines: The vessels and obstacles in F frames.
-        occlusion: Their counts, boxes and occluders.
-        spans: Their pixels: of whole silhouettes, and of what is visible.
-    """
-
-    outlines: Outlines
-    occlusion: Occlusion
-    spans: tuple[Spans, Spans]
+    outlines: Outlines  # the vessels and obstacles in F frames
+    occlusion: Occlusion  # their counts, boxes and occluders
+    spans: tuple[Spans, Spans]  # their pixels: of whole silhouettes, and of what is visible
 
     def masks(self, row: int, drawings: Sequence[Drawing]) -> PixelMasks:
         """The pixels of a row, in a buffer like that of the drawings of the F frames."""
@@ -65,20 +55,12 @@ class FastPath:
     def compare(
         self, drawings: Sequence[Drawing], boxed: Mask, names: Sequence[str], renderer: IdRenderer
     ) -> tuple[Checked, dict[int, str], int]:
-        """Draw the F frames, and compare.
-
-        Args:
-            drawings: One of each frame.
-            boxed: Which of the scene's V vessels get a box if they are in the image, shape (F, V).
-            names: Of the scene's occluders.
-            renderer: Draws them.
-
-        Returns:
-            How much was drawn; row → how it differs; and the number of vessels that were drawn and have no row.
-        """
+        """Draw the F frames, and compare: how much was drawn; row → how it differs; and the number of vessels that were
+        drawn and have no row. `drawings` has one of each frame; `boxed` says which of the scene's V vessels get a box
+        if they are in the image, shape (F, V); `names` are those of the scene's occluders."""
         truth = self.occlusion.truth(self.outlines, np.arange(len(drawings)), camera=0)
         checked = Checked(from_spans=int((~truth.drawn).sum()), from_buffers=int(truth.drawn.sum()))
-        words: dict[int, str] = {}
+        words: dict[int, str] = {}  # row → how it differs
         missing = 0
         for frame, drawing in enumerate(drawings):
             silhouettes, visible = (spans_of_frame(each, self.outlines, frame) for each in self.spans)
@@ -99,10 +81,8 @@ class FastPath:
 
 
 BLOCK_STEPS = 50
-WORST = 10
-"""Number of vessels, those with the largest differences, that the report shows."""
-RULE_OFF_PX = 2.0
-"""The rectangle rule's box counts as wrong where a side is off by more."""
+WORST = 10  # number of vessels, those with the largest differences, that the report shows
+RULE_OFF_PX = 2.0  # the rectangle rule's box counts as wrong where a side is off by more
 AGREED_PX, AGREED_FIRST = 1.0, 1e6
 """A mistake of the rule where no side of the other two boxes differs by more is shown rather than a larger one."""
 
@@ -118,15 +98,9 @@ class SourceComparison:
 def compare_sources(
     scene: Scene, renderer: IdRenderer, *, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> SourceComparison:
-    """Compare rendered, drawn, analytic and rectangle truth on every camera of a scene.
-
-    Args:
-        every: Compare every K-th frame of each camera.
-        progress: Called with the number of steps done since its last call.
-
-    Raises:
-        ModsimError: The scene is live.
-    """
+    """Compare rendered, drawn, analytic and rectangle truth on every K-th frame of each camera of a scene, K being
+    `every`. `progress` is called with the number of steps done since the last call. Raises ModsimError for a live
+    scene."""
     if scene.live:
         raise ModsimError(
             f"{scene.title}: check truth needs a scene whose steps are known, and this one is live: run it, and "
@@ -155,15 +129,11 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     sight = scene.sight(scene.cameras[camera], steps)
     outlines = sight.outlines()
     sources, seconds = _occlusions(scene, renderer, camera, outlines, shared_s=time.perf_counter() - started)
-
     spans = rendered_spans(outlines, intrinsics, renderer, supersample, full=full)
     fast = FastPath(outlines, sources["rendered"], spans)
     drawings = [sight.drawing(row, supersample) for row in range(len(steps))]
     checked, differing, missing = fast.compare(drawings, sight.others, scene.occluder_names, renderer)
-
-    def masks_of(row: int) -> PixelMasks:
-        return fast.masks(row, drawings)
-
+    masks_of = partial(fast.masks, drawings=drawings)
     differences = compare_with_analytic(outlines, intrinsics, sources["rendered"], masks_of, supersample)
     boxed = np.flatnonzero(outlines.boxed)
     words = {int(boxed.searchsorted(row)): text for row, text in differing.items()}
@@ -172,10 +142,8 @@ def _compare_frames(scene: Scene, renderer: IdRenderer, camera: int, steps: Indi
     vessels = _Vessels(camera, steps, outlines.take(boxed), seen)
     fits = {}
     if not outlines.convex.all():
-        shoeboxes = sight.outlines(as_shoeboxes=True)
-        fits = shoebox_fits(scene.vessels, vessels.outlines, shoeboxes)
-    names = scene.occluder_names
-    pairs = outlines.occluder[sources["analytic"].intersecting].tolist()
+        fits = shoebox_fits(scene.vessels, vessels.outlines, sight.outlines(as_shoeboxes=True))
+    names, pairs = scene.occluder_names, outlines.occluder[sources["analytic"].intersecting].tolist()
     return Findings(
         frames=len(steps),
         drawn=checked,
@@ -232,10 +200,8 @@ class _Vessels:
 
 
 def _worst(differences: Comparison, vessels: _Vessels, words: dict[int, str]) -> tuple[VesselDifference, ...]:
-    """The largest differences: unexplained ones first, those that are left to pixels last.
-
-    `words` say of rows how the rendered source differs from what was drawn.
-    """
+    """The largest differences: unexplained ones first, those that are left to pixels last. `words` say of rows how the
+    rendered source differs from what was drawn."""
     sides = np.abs(np.concatenate([differences.full_side_px, differences.visible_side_px], axis=1))
     size_px: Array = np.nan_to_num(sides).max(axis=1, initial=0.0) + np.where(differences.seen_differs, 1.0, 0.0)
     size_px[differences.visible == Agreement.INTERSECTING] *= 1e-3

@@ -17,46 +17,28 @@ from modsim3d.verify.sources.agreement import EXPLANATIONS, Agreement, Compariso
 from modsim3d.view.pictures.comparison_picture import SourceBoxes
 from modsim3d.world.vessels import Vessel
 
-# ---- What a comparison of the sources of truth finds ----
-
 
 @dataclass(frozen=True)
 class VesselDifference:
-    """A vessel in an image on which sources differ.
+    """A vessel in an image on which sources differ."""
 
-    Attributes:
-        camera: Index into the scene's cameras.
-        vessel: Index into the scene's vessels.
-        badness: The greater it is, the more it deserves to be shown.
-        boxes_px: Its boxes by each source.
-    """
-
-    camera: int
+    camera: int  # index into the scene's cameras
     step: int
-    vessel: int
-    badness: float
+    vessel: int  # index into the scene's vessels
+    badness: float  # the greater it is, the more it deserves to be shown
     reason: str
-    boxes_px: SourceBoxes
+    boxes_px: SourceBoxes  # its boxes by each source
 
 
 @dataclass(frozen=True)
 class RectangleRuleCheck:
-    """How the idealised rectangle rule does on vessels that something hides.
+    """Numbers of vessel-frames with a hidden pixel, and of those that the idealised rectangle rule gets wrong."""
 
-    Attributes:
-        occluded: Number of vessel-frames with a hidden pixel.
-        off: Number of these that both sources see, with a side more than 2 px off.
-        kept_hidden: Number of these that are wholly hidden, yet kept by the rule.
-        dropped_visible: Number of these that are visible, yet dropped by the rule.
-        worst: The box that is farthest off, of those on which the other sources agree if there is one; None if no
-            vessel is occluded.
-    """
-
-    occluded: int = 0
-    off: int = 0
-    kept_hidden: int = 0
-    dropped_visible: int = 0
-    worst: VesselDifference | None = None
+    occluded: int = 0  # all of them
+    off: int = 0  # that both sources see, with a side more than 2 px off
+    kept_hidden: int = 0  # that are wholly hidden, yet kept by the rule
+    dropped_visible: int = 0  # that are visible, yet dropped by the rule
+    worst: VesselDifference | None = None  # the box farthest off, of those that the other sources agree on if any
 
     def __add__(self, other: RectangleRuleCheck) -> RectangleRuleCheck:
         """The check of the vessel-frames of both."""
@@ -78,21 +60,13 @@ class RectangleRuleCheck:
 
 @dataclass(frozen=True)
 class ShoeboxFit:
-    """One vessel's full boxes of mesh and shoebox, summed over frames. Fits of different frames add up.
+    """One vessel's full boxes of mesh and shoebox, summed over frames. Fits of different frames add up."""
 
-    Attributes:
-        frames: Number of frames in which the mesh is in the image.
-        ratio_sum: Sum over frames of the area of the shoebox's box over the area of the mesh's box.
-        ratio_max: The greatest of these ratios.
-        side_max_px: The greatest distance by which a side of the shoebox's box is farther out.
-        within_a_pixel: Number of frames in which no side is more than a pixel farther out.
-    """
-
-    frames: int
-    ratio_sum: float
-    ratio_max: float
-    side_max_px: float
-    within_a_pixel: int
+    frames: int  # in which the mesh is in the image
+    ratio_sum: float  # over frames, of the area of the shoebox's box over the area of the mesh's box
+    ratio_max: float  # the greatest of these ratios
+    side_max_px: float  # the greatest distance by which a side of the shoebox's box is farther out
+    within_a_pixel: int  # frames in which no side is more than a pixel farther out
 
     @classmethod
     def between(cls, mesh_boxes_px: Array, shoebox_boxes_px: Array) -> ShoeboxFit:
@@ -120,30 +94,18 @@ class ShoeboxFit:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Findings in some frames.
-
-    Attributes:
-        drawn: How much OpenGL drew, and the rendered source was compared with.
-        differing: Vessel-frames of which the rendered source has other pixels, ties apart.
-        missing: Vessels in frames that were drawn, but that the rendered source does not have.
-        differences: Rendered against analytic truth, a row for each vessel in a frame.
-        rule: The rectangle rule against the rendered source.
-        intersecting: Pair of vessels or obstacles that intersect, as "a and b" → number of frames.
-        shoebox_fits: ID of a vessel with a mesh → how well its shoebox fits it.
-        seconds: Source of truth → computing time.
-        worst: The vessels with the largest differences between rendered and analytic truth, worst first.
-    """
+    """Findings in some frames."""
 
     frames: int
-    drawn: Checked
-    differing: int
-    missing: int
-    differences: Comparison
-    rule: RectangleRuleCheck
-    intersecting: Mapping[str, int]
-    shoebox_fits: Mapping[str, ShoeboxFit]
-    seconds: Mapping[str, float]
-    worst: tuple[VesselDifference, ...]
+    drawn: Checked  # what OpenGL drew, and the rendered source was compared with
+    differing: int  # vessel-frames of which the rendered source has other pixels, ties apart
+    missing: int  # vessels in frames that were drawn, but that the rendered source does not have
+    differences: Comparison  # rendered against analytic truth, a row for each vessel in a frame
+    rule: RectangleRuleCheck  # against the rendered source
+    intersecting: Mapping[str, int]  # pair of vessels or obstacles that intersect, as "a and b" → number of frames
+    shoebox_fits: Mapping[str, ShoeboxFit]  # by ID of a vessel with a mesh
+    seconds: Mapping[str, float]  # source of truth → computing time
+    worst: tuple[VesselDifference, ...]  # the largest differences between rendered and analytic truth, worst first
 
     @classmethod
     def total(cls, parts: Sequence[Findings], most_shown: int) -> Findings:
@@ -182,12 +144,8 @@ def _summed(parts: Sequence[Mapping[str, _Value]]) -> dict[str, _Value]:
 
 
 def shoebox_fits(vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outlines) -> dict[str, ShoeboxFit]:
-    """Vessel ID → fit, for each vessel with a mesh that is in an image.
-
-    Args:
-        meshes: Rows of vessels with their own shapes.
-        shoeboxes: The same frames with every vessel as its shoebox. It contains the mesh, so no row is missing.
-    """
+    """Vessel ID → fit, for each vessel with a mesh that is in an image. `meshes` are vessels with their own shapes,
+    `shoeboxes` the same frames with every vessel as its shoebox. It contains the mesh, so no row is missing."""
     keys = zip(shoeboxes.frame.tolist(), shoeboxes.occluder.tolist(), strict=True)
     place = {key: row for row, key in enumerate(keys)}
     fits = {}
@@ -202,33 +160,21 @@ def shoebox_fits(vessels: Sequence[Vessel], meshes: Outlines, shoeboxes: Outline
 
 @dataclass(frozen=True)
 class BoxFigures:
-    """Differences of full or of visible boxes.
+    """Differences of full or of visible boxes."""
 
-    Attributes:
-        side_max_px: The largest side difference of any box.
-        side_p99_px: The 99th percentile of each box's largest side difference.
-        verdicts: Explanation → number of vessel-frames.
-    """
-
-    side_max_px: float
-    side_p99_px: float
-    verdicts: dict[str, int]
+    side_max_px: float  # the largest side difference of any box
+    side_p99_px: float  # the 99th percentile of each box's largest side difference
+    verdicts: dict[str, int]  # explanation → number of vessel-frames
 
 
 @dataclass(frozen=True)
 class FractionFigures:
-    """Absolute differences of visible fractions.
-
-    Attributes:
-        p99: The 99th percentile.
-        above_bound: Number of differences above what the pixels on the boundary can explain.
-        largest_share_of_bound: The largest difference over what the boundary can explain.
-    """
+    """Absolute differences of visible fractions."""
 
     max: float
-    p99: float
-    above_bound: int
-    largest_share_of_bound: float
+    p99: float  # the 99th percentile
+    above_bound: int  # differences above what the pixels on the boundary can explain
+    largest_share_of_bound: float  # the largest difference over what the boundary can explain
 
 
 @dataclass(frozen=True)
@@ -241,15 +187,10 @@ class RuleFigures:
     visible_vessel_dropped: int
     wrong_share: float
 
-    @classmethod
-    def of(cls, rule: RectangleRuleCheck) -> RuleFigures:
-        """The figures of a check."""
-        return cls(rule.occluded, rule.off, rule.kept_hidden, rule.dropped_visible, rule.wrong_share)
-
 
 @dataclass(frozen=True)
 class ShoeboxFigures:
-    """How much larger a shoebox's boxes are than a mesh's; see `ShoeboxFit`."""
+    """Sizes of a shoebox's boxes over a mesh's; see `ShoeboxFit`."""
 
     frames: int
     mean_area_ratio: float
@@ -257,58 +198,41 @@ class ShoeboxFigures:
     max_side_px: float
     within_a_pixel: int
 
-    @classmethod
-    def of(cls, fit: ShoeboxFit) -> ShoeboxFigures:
-        """The figures of a fit."""
-        return cls(fit.frames, fit.ratio_sum / fit.frames, fit.ratio_max, fit.side_max_px, fit.within_a_pixel)
-
 
 @dataclass(frozen=True)
 class ComparisonFigures:
-    """Everything that `compare.json` holds.
+    """Everything that `compare.json` holds."""
 
-    Attributes:
-        format: Version of the file's layout.
-        supersample: Buffer pixels per image pixel and axis of the rendered source.
-        vessel_frames: Number of vessels in these frames.
-        drawn: How much OpenGL drew, and the rendered source was compared with: as in `run.json`.
-        differs_from_drawn: Vessel-frames of which the rendered source has other pixels, ties apart.
-        missing: Vessels in frames that were drawn, but that the rendered source does not have.
-        occluded: Vessel-frames with a hidden pixel.
-        unexplained: Number of differences that nothing explains.
-        visible_at_all_differs: Vessel-frames that are visible to one source only.
-        pixels_looked_at: Vessel-frames of which every pixel was checked.
-        intersecting: Pair of vessels or obstacles that intersect → number of frames.
-        shoebox_against_mesh: ID of a vessel with a mesh → how well its shoebox fits.
-        ms_per_frame: Source of truth → computing time per frame.
-    """
-
-    format: int
+    format: int  # version of the file's layout
     scene: str
-    supersample: int
+    supersample: int  # buffer pixels per image pixel and axis of the rendered source
     steps: int
     frames: int
-    vessel_frames: int
-    drawn: Checked
-    differs_from_drawn: int
-    missing: int
-    occluded: int
-    unexplained: int
+    vessel_frames: int  # vessels in these frames
+    drawn: Checked  # as in `run.json`; see `Findings`
+    differs_from_drawn: int  # see `Findings.differing`
+    missing: int  # see `Findings`
+    occluded: int  # vessel-frames with a hidden pixel
+    unexplained: int  # differences that nothing explains
     full_box: BoxFigures
     visible_box: BoxFigures
     visible_fraction: FractionFigures
-    visible_at_all_differs: int
-    pixels_looked_at: int
-    intersecting: dict[str, int]
+    visible_at_all_differs: int  # vessel-frames that are visible to one source only
+    pixels_looked_at: int  # vessel-frames of which every pixel was checked
+    intersecting: dict[str, int]  # pair of vessels or obstacles that intersect → number of frames
     rectangles_against_rendered: RuleFigures
-    shoebox_against_mesh: dict[str, ShoeboxFigures]
-    ms_per_frame: dict[str, float]
+    shoebox_against_mesh: dict[str, ShoeboxFigures]  # by ID of a vessel with a mesh
+    ms_per_frame: dict[str, float]  # source of truth → computing time
 
 
 def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> ComparisonFigures:
     """The figures of the findings in all frames of some steps."""
-    differences, frames = findings.differences, max(findings.frames, 1)
+    differences, frames, rule = findings.differences, max(findings.frames, 1), findings.rule
     compared = differences.visible != Agreement.INTERSECTING
+    shoeboxes = {
+        name: ShoeboxFigures(fit.frames, fit.ratio_sum / fit.frames, fit.ratio_max, fit.side_max_px, fit.within_a_pixel)
+        for name, fit in sorted(findings.shoebox_fits.items())
+    }
     return ComparisonFigures(
         format=1,
         scene=scene,
@@ -319,7 +243,7 @@ def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> 
         drawn=findings.drawn,
         differs_from_drawn=findings.differing,
         missing=findings.missing,
-        occluded=findings.rule.occluded,
+        occluded=rule.occluded,
         unexplained=findings.unexplained,
         full_box=_box_figures(differences.full_side_px, differences.full),
         visible_box=_box_figures(differences.visible_side_px, differences.visible),
@@ -327,8 +251,10 @@ def figures_of(findings: Findings, scene: str, supersample: int, steps: int) -> 
         visible_at_all_differs=int((differences.seen_differs & compared).sum()),
         pixels_looked_at=int(differences.pixels_looked_at.sum()),
         intersecting=dict(findings.intersecting),
-        rectangles_against_rendered=RuleFigures.of(findings.rule),
-        shoebox_against_mesh={name: ShoeboxFigures.of(fit) for name, fit in sorted(findings.shoebox_fits.items())},
+        rectangles_against_rendered=RuleFigures(
+            rule.occluded, rule.off, rule.kept_hidden, rule.dropped_visible, rule.wrong_share
+        ),
+        shoebox_against_mesh=shoeboxes,
         ms_per_frame={source: 1e3 * seconds / frames for source, seconds in findings.seconds.items()},
     )
 

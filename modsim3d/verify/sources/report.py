@@ -22,7 +22,6 @@ from modsim3d.view.pictures.comparison_picture import RULE, Styles, boxes_that_d
 from modsim3d.view.pictures.plain import Solids
 
 FILES = ("compare.json", "compare.html", "rectangle_rule.png")
-
 Rows = list[tuple[str, str]]
 
 
@@ -30,8 +29,10 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
     """The comparison, to be read; its pictures need a renderer. A page has no times."""
     figures, rule = comparison.figures, comparison.figures.rectangles_against_rendered
     said = f"{figures.vessel_frames:,} vessel-frames compared: {figures.unexplained:,} unexplained differences"
-    agreed = ("Agreement", "Full box", "Visible part")
-    largest = "largest difference of a side"
+    agreed, largest = ("Agreement", "Full box", "Visible part"), "largest difference of a side"
+    full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
+    verdicts = [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
+    tables = [Table("", (), _figure_rows(figures)), Table("", agreed, verdicts)]
     times = [(source, f"{milliseconds:.2f} ms") for source, milliseconds in figures.ms_per_frame.items()]
     return Document(
         f"{scene.name}: sources of truth compared",
@@ -46,11 +47,7 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
                 ]
             ),
             Heading("Rendered against drawn and analytic"),
-            Fold(
-                said,
-                [Table("", (), _figure_rows(figures)), Table("", agreed, _verdict_rows(figures))],
-                opened=figures.unexplained > 0,
-            ),
+            Fold(said, tables, opened=figures.unexplained > 0),
             Heading("The idealised rectangle rule against rendered"),
             Table("", (), _rule_rows(rule)),
             Heading("Time per frame"),
@@ -62,12 +59,6 @@ def document(comparison: SourceComparison, scene: Scene, renderer: IdRenderer | 
             *(_pictures(comparison, scene, renderer) if renderer else ()),
         ],
     )
-
-
-def _verdict_rows(figures: ComparisonFigures) -> list[tuple[str, str, str]]:
-    """How many full and visible boxes agree, or why they do not."""
-    full, visible, whole = figures.full_box.verdicts, figures.visible_box.verdicts, figures.vessel_frames
-    return [(name, _share(full[name], whole), _share(visible[name], whole)) for name in full]
 
 
 def _figure_rows(figures: ComparisonFigures) -> Rows:
@@ -102,18 +93,12 @@ def _rule_rows(rule: RuleFigures) -> Rows:
 
 
 def _shoeboxes(figures: ComparisonFigures) -> Table:
-    """How much looser the shoebox of each vessel with a mesh is."""
+    """Room that the shoebox of each vessel with a mesh leaves around it."""
     header = ("vessel", "mean area over the mesh's", "at most", "farthest side, px", "frames within a pixel")
-    rows = [
-        (
-            vessel,
-            f"{fit.mean_area_ratio:.2f}",
-            f"{fit.max_area_ratio:.2f}",
-            f"{fit.max_side_px:.1f}",
-            _share(fit.within_a_pixel, fit.frames),
-        )
-        for vessel, fit in figures.shoebox_against_mesh.items()
-    ]
+    rows = []
+    for vessel, fit in figures.shoebox_against_mesh.items():
+        ratios = f"{fit.mean_area_ratio:.2f}", f"{fit.max_area_ratio:.2f}"
+        rows.append((vessel, *ratios, f"{fit.max_side_px:.1f}", _share(fit.within_a_pixel, fit.frames)))
     return Table("", header, rows)
 
 
@@ -153,19 +138,14 @@ def write_report(
     given: str | None = None,
 ) -> None:
     """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder.
-
-    Args:
-        comparison: What was found.
-        scene: The scene that was compared.
-        renderer: Draws the pictures.
-        folder: Where to.
-        command: What the page says it was made by; the function if None.
-        given: The scene as the user named it; its file if None.
-    """
-    contents: list[bytes | str] = [orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n"]
+    The page says that the command made it, or this function if it is None; `given` is the scene as the user named it,
+    its file if None."""
     made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
     rests_on = _provenance(comparison, scene, renderer, made_by, given)
-    contents.append(document_page(document(comparison, scene, renderer), rests_on))
+    contents: list[bytes | str] = [
+        orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n",
+        document_page(document(comparison, scene, renderer), rests_on),
+    ]
     if worst := comparison.findings.rule.worst:
         contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
     else:
@@ -177,12 +157,10 @@ def _provenance(
     comparison: SourceComparison, scene: Scene, renderer: IdRenderer, made_by: str, given: str | None
 ) -> Provenance:
     figures = comparison.figures
-    whole = Input(
-        "scene as compared",
-        given or shown_path(Path(scene.path)),
-        scene.sha256,
-        "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json",
+    about = (
+        "of the scene with the settings of the command, and every file that it names; a run of it has it in run.json"
     )
+    whole = Input("scene as compared", given or shown_path(Path(scene.path)), scene.sha256, about)
     files = dict.fromkeys(each for each in scene.copy.read if each.is_file())
     return Provenance(
         page="comparison of the sources of truth",
