@@ -1,7 +1,5 @@
 """Hand-made scenes: a level camera at the origin, 10 m above the sea, with 1000 px focal length."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil
@@ -30,17 +28,15 @@ from modsim3d.world.vessels import Vessel
 
 CAMERA_HEIGHT_M = 10.0
 INTRINSICS = Intrinsics((1000.0, 1000.0), (400.0, 300.0), (800, 600))
+Place = tuple[Vessel, tuple[float, float], float]
+"""A vessel, the centre of its waterline as (w1, w2), and its heading."""
 
 
 def vessel(name: str, length: float = 10.0, beam: float = 10.0, height: float = 10.0) -> Vessel:
     return Vessel(name, "Vessel", length, beam, height)
 
 
-def outlines_of(
-    places: Sequence[tuple[Vessel, tuple[float, float], float]],
-    intrinsics: Intrinsics = INTRINSICS,
-    mount: Mount | None = None,
-) -> Outlines:
+def outlines_of(places: Sequence[Place], intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None) -> Outlines:
     """Outlines of vessels given as (vessel, (w1, w2), heading) at one step."""
     positions = np.array([[[*place, 0.0] for _, place, _ in places]])
     headings = np.array([[heading for _, _, heading in places]])
@@ -60,10 +56,7 @@ def harbour_of_shoeboxes(**options) -> Scene:
 
 
 def drawing_of(
-    places: Sequence[tuple[Vessel, tuple[float, float], float]],
-    intrinsics: Intrinsics = INTRINSICS,
-    mount: Mount | None = None,
-    supersample: int = 1,
+    places: Sequence[Place], intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None, supersample: int = 1
 ) -> Drawing:
     """The cross-check's drawing of what `outlines_of` projects."""
     camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
@@ -83,11 +76,9 @@ def pixel_masks(
     return PixelMasks(region, *(mask_of(each.take(each.row == row), region) for each in spans))
 
 
-def random_places(
-    rng: np.random.Generator, count: int, near_m: float = 15.0, far_m: float = 3000.0
-) -> list[tuple[Vessel, tuple[float, float], float]]:
+def random_places(rng: np.random.Generator, count: int, near_m: float = 15.0, far_m: float = 3000.0) -> list[Place]:
     """Vessels of 2 to 200 m anywhere in front of the camera, with bounding circles that do not touch."""
-    places: list[tuple[Vessel, tuple[float, float], float]] = []
+    places: list[Place] = []
     circles: list[tuple[NDArray[np.float64], float]] = []
     while len(places) < count:
         length = float(np.exp(rng.uniform(np.log(2), np.log(200))))
@@ -123,14 +114,12 @@ def random_view(rng: np.random.Generator) -> tuple[Intrinsics, Mount]:
     return intrinsics, mount
 
 
-def random_scene(
-    rng: np.random.Generator,
-) -> tuple[list[tuple[Vessel, tuple[float, float], float]], Intrinsics, Mount]:
+def random_scene(rng: np.random.Generator) -> tuple[list[Place], Intrinsics, Mount]:
     """1 to 40 disjoint boxes of 2 to 400 m at 5 m to 10 km, crowded into the view, some abeam or behind the camera."""
     intrinsics, mount = random_view(rng)
     half_view = np.arctan(intrinsics.image_size_px[0] / 2 / intrinsics.focal_px[0])
     spread = rng.uniform(0.1, 1.2) * half_view if rng.random() < 0.8 else np.pi
-    places: list[tuple[Vessel, tuple[float, float], float]] = []
+    places: list[Place] = []
     hulls: list[tuple[NDArray[np.float64], float]] = []
     wanted = int(rng.integers(1, 41))
     for _ in range(20 * wanted):
@@ -169,10 +158,7 @@ def outlines_at(boxes: Sequence[Box], intrinsics: Intrinsics = INTRINSICS, mount
 
 
 def moved(
-    places: Sequence[tuple[Vessel, tuple[float, float], float]],
-    mount: Mount,
-    turn_rad: float,
-    shift_m: tuple[float, float, float],
+    places: Sequence[Place], mount: Mount, turn_rad: float, shift_m: tuple[float, float, float]
 ) -> tuple[list[Box], Mount]:
     """World and camera turned about w3, then shifted: nothing that the camera sees has changed."""
     turn = world_R_vehicle(turn_rad)
@@ -181,9 +167,7 @@ def moved(
     return boxes, replace(mount, position_m=tuple(position), yaw_rad=mount.yaw_rad + turn_rad)
 
 
-def mirrored(
-    places: Sequence[tuple[Vessel, tuple[float, float], float]], intrinsics: Intrinsics, mount: Mount
-) -> tuple[list[tuple[Vessel, tuple[float, float], float]], Intrinsics, Mount]:
+def mirrored(places: Sequence[Place], intrinsics: Intrinsics, mount: Mount) -> tuple[list[Place], Intrinsics, Mount]:
     """World and camera in a mirror along w1 and w3: the image has its left and right exchanged."""
     w1, w2, w3 = mount.position_m
     a1, a2 = intrinsics.principal_point_px
@@ -195,15 +179,10 @@ def mirrored(
 def cyclic_beams() -> tuple[list[Box], Mount]:
     """Three beams, one along each axis of the world, each in front of the next, seen along their axis of symmetry."""
     long, thick = 8.0, 1.0
-    along_x, along_y, along_z = (
-        vessel("x", long, thick, thick),
-        vessel("y", thick, long, thick),
-        vessel("z", 1, 1, long),
-    )
     boxes: list[Box] = [
-        (along_x, (0.0, 1.0, -1.0 - thick / 2), 0.0),
-        (along_y, (-1.0, 0.0, 1.0 - thick / 2), 0.0),
-        (along_z, (1.0, -1.0, -long / 2), 0.0),
+        (vessel("x", long, thick, thick), (0.0, 1.0, -1.0 - thick / 2), 0.0),
+        (vessel("y", thick, long, thick), (-1.0, 0.0, 1.0 - thick / 2), 0.0),
+        (vessel("z", 1, 1, long), (1.0, -1.0, -long / 2), 0.0),
     ]
     mount = Mount((20.0, 20.0, 20.0), pitch_rad=float(np.arctan(np.sqrt(0.5))), yaw_rad=-3 * np.pi / 4)
     return boxes, mount
@@ -232,18 +211,11 @@ def write_scene(
     **keys: object,
 ) -> Path:
     """A scene file: this module's camera, and boats as name → (length, beam and air draft; waypoints); a step a second.
-
-    Args:
-        folder: Where to write it.
-        boats: Waypoints are [time, w1, w2]; none at all for a boat without a track.
-        steps: Number of time steps; None where the poses say it.
-        **keys: Of the scene, beside these or in their place; None for a key that is to be left out.
-    """
+    Waypoints are [time, w1, w2]; there are none for a boat without a track. `steps` are None where the poses say them.
+    Keys of the scene stand beside these or in their place; one that is None is left out."""
     shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", folder / "detector.yaml")
-    vessels = {
-        name: {"length_m": size[0], "beam_m": size[1], "air_draft_m": size[2], "label": "Vessel"}
-        for name, (size, _) in boats.items()
-    }
+    sides = ("length_m", "beam_m", "air_draft_m")
+    vessels = {name: {**dict(zip(sides, size, strict=True)), "label": "Vessel"} for name, (size, _) in boats.items()}
     camera = camera_keys(pose={"position_m": [0, 0, CAMERA_HEIGHT_M]})
     scene = {
         "steps": steps,
@@ -279,13 +251,8 @@ def mistaken_strait(folder: Path, steps: int = 130) -> Path:
     """The strait before a detector that makes every kind of mistake; written into the folder."""
     scenes = data_folder("scenes")
     detector = yaml.safe_load((scenes / "detectors" / "rich.yaml").read_text(encoding="utf-8"))
-    detector["false_positives"] |= {
-        "duplicates": 0.05,
-        "splits": 0.2,
-        "split_aspect": 2.5,
-        "merges": 1.0,
-        "merge_overlap": 0.05,
-    }
+    detector["false_positives"] |= {"duplicates": 0.05, "splits": 0.2, "split_aspect": 2.5}
+    detector["false_positives"] |= {"merges": 1.0, "merge_overlap": 0.05}
     detector["states"]["clear"]["false_discovery_rate"] = detector["states"]["haze"]["false_discovery_rate"] = 0.3
     for state, variance in (("clear", 30), ("haze", 400)):
         covariance = np.diag([variance, variance / 4, variance, variance / 4]).tolist()
@@ -301,13 +268,11 @@ def mistaken_strait(folder: Path, steps: int = 130) -> Path:
     return path
 
 
-def random_rafts(
-    rng: np.random.Generator,
-) -> tuple[list[tuple[Vessel, tuple[float, float], float]], Intrinsics, Mount]:
+def random_rafts(rng: np.random.Generator) -> tuple[list[Place], Intrinsics, Mount]:
     """1 to 4 rafts of 2 to 6 boats with faces in one plane: side by side or astern, overlapping, touching or apart."""
     intrinsics, mount = random_view(rng)
     half_view = np.arctan(intrinsics.image_size_px[0] / 2 / intrinsics.focal_px[0])
-    places: list[tuple[Vessel, tuple[float, float], float]] = []
+    places: list[Place] = []
     hulls: list[tuple[NDArray[np.float64], float]] = []
     for _ in range(int(rng.integers(1, 5))):
         length, distance = float(np.exp(rng.uniform(1, 4))), float(np.exp(rng.uniform(np.log(20), np.log(2000))))

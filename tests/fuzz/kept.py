@@ -1,7 +1,5 @@
 """Inputs that failed once, kept in `kept/READER.json`: what differs from a good input, and why it failed."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json
