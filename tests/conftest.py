@@ -1,7 +1,5 @@
 """Fixtures that several tests share."""
 
-from __future__ import annotations
-
 import functools
 import gc
 import os
@@ -43,11 +41,8 @@ TERMINAL = (
 
 
 def forget_who_started_the_tests() -> None:
-    """Take from this process, and so from those that tests start, what its shell or its user gave it.
-
-    A shell lets the programs that it starts in the background ignore Ctrl-C, and nohup lets them ignore that
-    their terminal is gone.
-    """
+    """Take from this process, and so from those that tests start, what its shell or its user gave it: a shell lets
+    programs in the background ignore Ctrl-C, and nohup lets them ignore that their terminal is gone."""
     for name in TERMINAL:
         os.environ.pop(name, None)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -87,8 +82,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("prepared")
     line = [sys.executable, "-m", "tests.prepared_commands", str(folder)]
     with subprocess.Popen(line, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as server:
-        assert server.stdin is not None
-        assert server.stdout is not None
+        assert server.stdin is not None and server.stdout is not None
         assert server.stdout.readline() == "ready\n"
         yield folder / "modsim3d"
         server.stdin.close()

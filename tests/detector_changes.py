@@ -1,7 +1,5 @@
 """Changes of one parameter of a detector file, as somebody might make them after a run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,21 +16,13 @@ PART, SIGMAS, CORRELATION = 0.2, 0.2, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One change.
+    """One change of a parameter."""
 
-    Attributes:
-        kind: Of the parameter, for tables.
-        name: What `verify` calls the parameter.
-        size: By how much, positive: the file asks for so much more than the run was made with, or less.
-        up: Whether the file asks for more.
-        model: With the change.
-    """
-
-    kind: str
-    name: str
-    size: float
-    up: bool
-    model: DetectorModel
+    kind: str  # for tables
+    name: str  # as `verify` calls it
+    size: float  # positive: the file asks for so much more than the run was made with, or less
+    up: bool  # whether the file asks for more
+    model: DetectorModel  # with the change
 
 
 def with_entry(column: np.ndarray, row: int, value: float) -> np.ndarray:
@@ -55,12 +45,8 @@ def with_error(model: DetectorModel, index: int, **changes: object) -> DetectorM
 
 
 def single_changes(model: DetectorModel, frame_s: float) -> Iterator[Change]:
-    """Each parameter changed once, every other one up and every other one down where both can be.
-
-    Args:
-        model: What a run was made with.
-        frame_s: Seconds from one frame to the next, over which correlations in time are taken.
-    """
+    """Each parameter of what a run was made with changed once, every other one up and every other one down where both
+    can be; correlations in time are taken over the seconds from one frame to the next."""
     up = True
     for change in _every_pair(model, frame_s):
         wanted, other = change if up else change[::-1]
@@ -96,23 +82,15 @@ def _persistence(model: DetectorModel, frame_s: float) -> Iterator[Pair]:
 
 def _stay_rate(model: DetectorModel, index: int) -> Iterator[Pair]:
     name = model.states[index].name
-    yield _pair(
-        "stay-rate",
-        f"transition_matrix[{name}][{name}]",
-        float(model.transition_matrix[index, index]),
-        PART * float(model.transition_matrix[index, index]),
-        lambda value: _with_stay(model, index, value),
-        low=0.0,
-        high=1.0,
-    )
+    stays = float(model.transition_matrix[index, index])
 
+    def with_stay(value: float) -> DetectorModel:
+        matrix = np.array(model.transition_matrix)
+        matrix[:, index] = with_entry(matrix[:, index], index, value)
+        return replace(model, transition_matrix=read_only(matrix))
 
-def _with_stay(model: DetectorModel, index: int, value: float) -> DetectorModel:
-    matrix = np.array(model.transition_matrix)
-    if len(matrix) == 1:
-        raise ValueError("a single state always stays")
-    matrix[:, index] = with_entry(matrix[:, index], index, value)
-    return replace(model, transition_matrix=read_only(matrix))
+    path = f"transition_matrix[{name}][{name}]"
+    yield _pair("stay-rate", path, stays, PART * stays, with_stay, low=0.0, high=1.0)
 
 
 def _state_changes(model: DetectorModel, index: int, state: PerformanceState) -> Iterator[Pair]:
@@ -127,44 +105,23 @@ def _state_changes(model: DetectorModel, index: int, state: PerformanceState) ->
 
         name = f"{path}.confusion[background][{label}]"
         yield _pair("false negative rate", name, rate, PART * rate, missed, low=0.0, high=1.0)
-    rate = state.false_discovery_rate
-    yield _pair(
-        "false discovery rate",
-        f"{path}.false_discovery_rate",
-        rate,
-        PART * rate,
-        lambda value: with_state(model, index, false_discovery_rate=value),
-        low=0.0,
-        high=0.99,
-    )
-    mean, std = _normal_confidence(state)
-    yield _pair(
-        "confidence mean",
-        f"{path}.confidence.mean",
-        mean,
-        SIGMAS * std,
-        lambda value: _with_confidence(model, index, value, std),
-    )
-    yield _pair(
-        "confidence standard deviation",
-        f"{path}.confidence.std",
-        std,
-        PART * std,
-        lambda value: _with_confidence(model, index, mean, value),
-    )
+    rate, true = state.false_discovery_rate, state.confidence.true
+    mean, std = (true.mean, true.std) if isinstance(true, NormalScores) else (math.nan, math.nan)
+
+    def false(value: float) -> DetectorModel:
+        return with_state(model, index, false_discovery_rate=value)
+
+    def confident(mean: float, std: float) -> DetectorModel:
+        scores = NormalScores(mean, std)
+        return with_state(model, index, confidence=replace(state.confidence, true=scores, false=scores))
+
+    name = f"{path}.false_discovery_rate"
+    yield _pair("false discovery rate", name, rate, PART * rate, false, low=0.0, high=0.99)
+    name = f"{path}.confidence.mean"
+    yield _pair("confidence mean", name, mean, SIGMAS * std, lambda value: confident(value, std))
+    name = f"{path}.confidence.std"
+    yield _pair("confidence standard deviation", name, std, PART * std, lambda value: confident(mean, value))
     yield from _box_changes(model, index, state)
-
-
-def _with_confidence(model: DetectorModel, index: int, mean: float, std: float) -> DetectorModel:
-    scores = NormalScores(mean, std)
-    confidence = replace(model.states[index].confidence, true=scores, false=scores)
-    return with_state(model, index, confidence=confidence)
-
-
-def _normal_confidence(state: PerformanceState) -> tuple[float, float]:
-    """Mean and standard deviation of true detections; NaN where they are not normal."""
-    true = state.confidence.true
-    return (true.mean, true.std) if isinstance(true, NormalScores) else (math.nan, math.nan)
 
 
 def _box_changes(model: DetectorModel, index: int, state: PerformanceState) -> Iterator[Pair]:

@@ -1,7 +1,5 @@
 """The thesis's detector with one further model switched on at a time."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from typing import Any
@@ -46,21 +44,13 @@ def _heavy_tails(state: Data) -> None:
 
 
 def _apart(state: Data) -> None:
-    state["confidence"] = {
-        "true": {"mean": 0.75, "std": 0.12},
-        "false": {"mean": 0.45, "std": 0.15},
-        "visibility_slope": 0.3,
-        "size_slope": 0.04,
-    }
+    state["confidence"] = {"true": {"mean": 0.75, "std": 0.12}, "false": {"mean": 0.45, "std": 0.15}}
+    state["confidence"] |= {"visibility_slope": 0.3, "size_slope": 0.04}
 
 
 def _curve(state: Data) -> None:
     found, right = 1 - state["confusion"][-1][0], 1 - state["false_discovery_rate"]
     state["confidence"] = {"precision_recall": [[found / 2, 0.99], [found, right]]}
-
-
-def _per_image(data: Data) -> None:
-    data["false_positives"] = {"model": "per_image", "rate": 0.4}
 
 
 CHANGES: dict[str, Callable[[Data], None]] = {
@@ -86,18 +76,12 @@ CHANGES: dict[str, Callable[[Data], None]] = {
     "relative box errors": _every_state(_relative),
     "mixed box errors": _every_state(_mixed),
     "Student's t box errors": _every_state(_heavy_tails),
-    "false positives per image": _per_image,
+    "false positives per image": _with(false_positives={"model": "per_image", "rate": 0.4}),
     "persistent false positives": _with(
         false_positives={"model": "calibrated", "persistence": {"lifetime_s": 2.0, "share": 0.5, "drift_px_s": 5}}
     ),
     "doubled, split and merged boxes": _with(
-        false_positives={
-            "model": "calibrated",
-            "duplicates": 0.03,
-            "splits": 0.05,
-            "split_aspect": 1.5,
-            "merges": 0.3,
-        }
+        false_positives={"model": "calibrated", "duplicates": 0.03, "splits": 0.05, "split_aspect": 1.5, "merges": 0.3}
     ),
     "confidence of true and false apart, with slopes": _every_state(_apart),
     "confidence from a precision-recall curve": _every_state(_curve),
@@ -110,6 +94,6 @@ CHANGES: dict[str, Callable[[Data], None]] = {
 
 def variant(name: str) -> Data:
     """The detector file of a variant."""
-    data = copy.deepcopy(thesis_data())
+    data = thesis_data()
     CHANGES[name](data)
     return data

@@ -82,10 +82,8 @@ def modules() -> list[str]:
 
 
 def answer(connection: socket.socket, inherited: frozenset[str]) -> None:
-    """Run the command of a client in a process of its own; a client that goes away takes it along.
-
-    Of the environment of this process the command has only what preparing has added to the variables `inherited`.
-    """
+    """Run the command of a client in a process of its own; a client that goes away takes it along. Of the environment
+    of this process the command has only what preparing has added to the variables `inherited`."""
     length, files, _, _ = socket.recv_fds(connection, 8, 3)
     arguments, folder, environment, limits = json.loads(
         connection.recv(int.from_bytes(length, "big"), socket.MSG_WAITALL)

@@ -1,7 +1,5 @@
 """Folders of runs that tests make: what is in them, and runs that are interrupted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

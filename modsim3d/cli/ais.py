@@ -7,16 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.cli.shared import (
-    OverwriteOption,
-    QuietOption,
-    VerboseOption,
-    print_line,
-    print_path,
-    print_rows,
-    typed_command,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, tell_files, timed, warn
+from modsim3d.cli.terminal_tables import print_table
 
 if TYPE_CHECKING:
     from modsim3d.scene.ais.traffic import AisTraffic
@@ -29,50 +23,38 @@ BY_TYPE = "type"
 # More than fifty lines, because each option stands in the signature, where the command line finds it.
 def ais_command(
     context: typer.Context,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="AIS logs, CSV or NMEA, gzipped or not.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Scene folder to write.")],
+    files: Annotated[list[Path], argument("FILE...", "AIS logs, CSV or NMEA, gzipped or not.")],
+    out: Annotated[Path, option("DIR", "Scene folder to write.")],
     origin: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LAT,LON", help="Origin of the scene's coordinates, in degrees.", show_default="median position"
-        ),
+        str | None, option("LAT,LON", "Origin of the scene's coordinates, in degrees.", show_default="median position")
     ] = None,
     region: Annotated[
-        str | None, typer.Option(metavar="LAT1,LON1,LAT2,LON2", help="Keep only positions between these two corners.")
+        str | None, option("LAT1,LON1,LAT2,LON2", "Keep only positions between these two corners.")
     ] = None,
-    start: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Time of the first step, in UTC.", show_default="first report")
-    ] = None,
-    end: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Time of the last step, in UTC.", show_default="last report")
-    ] = None,
+    start: Annotated[str | None, option("TIME", "Time of the first step, in UTC.", show_default="first report")] = None,
+    end: Annotated[str | None, option("TIME", "Time of the last step, in UTC.", show_default="last report")] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Time from the first step to the last, in place of --end.")
+        float | None, option("SECONDS", "Time from the first step to the last, in place of --end.")
     ] = None,
-    time_step: Annotated[float, typer.Option(metavar="SECONDS", help="Time between steps.")] = 1.0,
-    max_gap: Annotated[
-        float, typer.Option(metavar="SECONDS", help="A vessel is absent between reports that are further apart.")
-    ] = 400.0,
+    time_step: Annotated[float, option("SECONDS", "Time between steps.")] = 1.0,
+    max_gap: Annotated[float, option("SECONDS", "A vessel is absent between reports that are further apart.")] = 400.0,
     max_speed: Annotated[
-        float, typer.Option(metavar="KNOTS", help="Drop a position that a vessel can reach only at a higher speed.")
+        float, option("KNOTS", "Drop a position that a vessel can reach only at a higher speed.")
     ] = 60.0,
     swap_coordinates: Annotated[
-        bool,
-        typer.Option(
-            "--swap-coordinates", help="Exchange latitude and longitude, for CSV files that have them swapped."
-        ),
+        bool, flag("--swap-coordinates", "Exchange latitude and longitude, for CSV files that have them swapped.")
     ] = False,
     label: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="type|GROUP=LABEL",
-            help="Label of one group of ship types, or type for a label of each; repeatable.",
+        option(
+            "type|GROUP=LABEL",
+            "Label of one group of ship types, or type for a label of each; repeatable.",
             show_default="Vessel for all",
         ),
     ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
 
@@ -110,7 +92,7 @@ def ais_command(
         tell_files(read)
         detector = data_folder("scenes") / "detectors" / "thesis.yaml"
         with timed("writing"):
-            write_scene(traffic, out, detector, overwrite, ais_page(traffic, typed_command(context)))
+            write_scene(traffic, out, detector, overwrite, ais_page(traffic, shared.typed_command(context)))
     _print_summary(traffic, out)
 
 
@@ -121,8 +103,8 @@ def _print_summary(traffic: AisTraffic, folder: Path) -> None:
     if text := warning(traffic):
         warn(text)
     for title, rows in summary_rows(traffic):
-        print_rows(console, title, rows)
-    print_line(console, "")
-    print_path(console, "scene folder", folder)
-    print_path(console, "page", folder / PAGE)
-    print_line(console, f"run it with   modsim3d run {folder}")
+        print_table(console, title, rows)
+    shared.print_line(console, "")
+    shared.print_path(console, "scene folder", folder)
+    shared.print_path(console, "page", folder / PAGE)
+    shared.print_line(console, f"run it with   modsim3d run {folder}")

@@ -8,18 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.shared import (
-    INTERRUPTED,
-    CampaignArgument,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    VerboseOption,
-    print_line,
-    print_written,
-    progress,
-)
-from modsim3d.cli.terminal import open_console, say, say_json, timed, warn
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, flag, option
+from modsim3d.cli.terminal import open_console, say_json, timed, warn
 from modsim3d.cli.terminal_tables import print_prose, print_table
 
 if TYPE_CHECKING:
@@ -34,18 +25,14 @@ HEADER = ("", "in the campaign", "again")
 
 
 def campaign_reproduce_command(
-    campaign: CampaignArgument,
-    number: Annotated[int, typer.Argument(min=0, metavar="NUMBER", help="Number of the run, as in its tables.")],
-    out: Annotated[
-        Path, typer.Option(metavar="RUN", help="Run directory to write; its tracks go to RUN_tracks beside it.")
-    ],
-    film: Annotated[
-        bool, typer.Option("--film", help="Film ten seconds around the moment at which the run went wrong.")
-    ] = False,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    campaign: shared.CampaignArgument,
+    number: Annotated[int, argument("NUMBER", "Number of the run, as in its tables.", min=0)],
+    out: Annotated[Path, option("RUN", "Run directory to write; its tracks go to RUN_tracks beside it.")],
+    film: Annotated[bool, flag("--film", "Film ten seconds around the moment at which the run went wrong.")] = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
 
@@ -66,16 +53,13 @@ def campaign_reproduce_command(
     if film:
         check_encoder("mp4")
         check_free(film_path(out), overwrite)
-    try:
-        with timed("run, tracks and scores"), progress(f"run {number}", opened.keys.steps) as advance:
-            again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
-    except KeyboardInterrupt:
-        say("\nmodsim3d: interrupted; the same command goes on", err=True)
-        raise typer.Exit(INTERRUPTED) from None
+    bar = shared.progress(f"run {number}", opened.keys.steps)
+    with shared.interruptible("; the same command goes on"), timed("run, tracks and scores"), bar as advance:
+        again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
     moment = None
     moment_s = None if again.row is None else again.row["worst_s"]
     if film and moment_s is not None:
-        with timed("film"), progress("drawn", None) as advance:
+        with timed("film"), shared.progress("drawn", None) as advance:
             moment = film_moment(
                 out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance
             )
@@ -107,25 +91,25 @@ def _print_outcome(campaign: CampaignFolder, again: RunAgain, film: MomentFilm |
     console, out, tracks = open_console(), shlex.quote(str(again.folder)), shlex.quote(str(again.tracks))
     if again.row is not None:
         print_table(console, "scores", _score_rows(campaign, again), header=HEADER, right=(1, 2))
-    print_line(console, "")
+    shared.print_line(console, "")
     for sentence in _sentences(again):
         print_prose(console, sentence, "bold")
     if again.error is not None:
-        print_line(console, f"\n{again.error}\n  {again.raised_at}")
+        shared.print_line(console, f"\n{again.error}\n  {again.raised_at}")
         if (again.folder / "run.json").is_file():
-            print_written(console, [again.folder])
-            print_line(console, f"\nnext\n  modsim3d view film {out}")
+            shared.print_written(console, [again.folder])
+            shared.print_line(console, f"\nnext\n  modsim3d view film {out}")
         return
     for path in again.reused:
-        print_line(console, f"{path} was there already")
+        shared.print_line(console, f"{path} was there already")
     new = [path for path in (again.folder, again.tracks) if path not in again.reused]
-    print_written(console, [*new, *([film.path] if film else [])])
+    shared.print_written(console, [*new, *([film.path] if film else [])])
     moment_s = (again.row or {}).get("worst_s")
     options = _score_options(campaign.keys.score)
-    print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")
+    shared.print_line(console, f"\nnext\n  modsim3d score {out} {tracks}{options}")
     if film is None and moment_s is not None:
-        print_line(console, f"  modsim3d view frame {out} {moment_s}s --tracks {tracks} --crop vessels")
-    print_line(console, f"  modsim3d report {out} --tracks {tracks}")
+        shared.print_line(console, f"  modsim3d view frame {out} {moment_s}s --tracks {tracks} --crop vessels")
+    shared.print_line(console, f"  modsim3d report {out} --tracks {tracks}")
 
 
 def _sentences(again: RunAgain) -> list[str]:
@@ -191,10 +175,7 @@ def _json(campaign: CampaignFolder, again: RunAgain, film: MomentFilm | None) ->
         "traffic_seed": run.traffic_seed,
         "detector_seed": run.detector_seed,
         "tracker": run.tracker.label,
-        "folder": again.folder,
-        "tracks": again.tracks,
-        "same": again.same,
-        "error": again.error,
+        **{name: getattr(again, name) for name in ("folder", "tracks", "same", "error")},
         "raised_at": again.raised_at or None,
         "differing": again.differing,
         "versions": again.versions,

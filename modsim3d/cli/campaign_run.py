@@ -4,26 +4,15 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.shared import (
-    INTERRUPTED,
-    JsonOption,
-    QuietOption,
-    Stopped,
-    VerboseOption,
-    WorkersOption,
-    complete_campaign,
-    print_line,
-    print_path,
-    stoppable,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, option
 from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_blocks, print_prose, print_table
 from modsim3d.core.errors import ModsimError
@@ -62,10 +51,10 @@ def _cluster(text: str) -> dict[str, Any]:
 
 CampaignFileArgument = Annotated[
     str,
-    typer.Argument(
-        metavar="CAMPAIGN",
-        help="Campaign file, or name of a shipped campaign, such as example.",
-        autocompletion=complete_campaign,
+    argument(
+        "CAMPAIGN",
+        "Campaign file, or name of a shipped campaign, such as example.",
+        autocompletion=shared.complete_campaign,
     ),
 ]
 
@@ -74,32 +63,26 @@ def campaign_run_command(
     campaign: CampaignFileArgument,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Folder of the campaign, new or with a part of its runs.", show_default="runs/CAMPAIGN"
-        ),
+        option("DIR", "Folder of the campaign, new or with a part of its runs.", show_default="runs/CAMPAIGN"),
     ] = None,
-    workers: WorkersOption = "auto",
+    workers: shared.WorkersOption = "auto",
     cluster: Annotated[
         Any,
-        typer.Option(
+        option(
+            "ADDRESS|slurm:JOBS",
+            "Work on a Dask cluster: its scheduler, such as tcp://10.0.0.1:8786, or so many Slurm jobs.",
             parser=_cluster,
-            metavar="ADDRESS|slurm:JOBS",
-            help="Work on a Dask cluster: its scheduler, such as tcp://10.0.0.1:8786, or so many Slurm jobs.",
         ),
     ] = None,
     shard: Annotated[
-        Any,
-        typer.Option(
-            parser=_shard, metavar="K/N", help="Make one part of N only, as a job of an array; gather them without it."
-        ),
+        Any, option("K/N", "Make one part of N only, as a job of an array; gather them without it.", parser=_shard)
     ] = None,
     cache: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Where kept layers are read and written.", show_default="DIR/cache"),
+        Path | None, option("DIR", "Where kept layers are read and written.", show_default="DIR/cache")
     ] = None,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Run a campaign, or go on with one that was interrupted: many runs, their scores, verdicts on requirements.
 
@@ -121,16 +104,16 @@ def campaign_run_command(
         raise ModsimError("--shard: what a search runs next depends on all that it has run: leave --shard out")
     folder = out if out is not None else Path("runs") / found.file.path.stem
     warnings = introduced(found)
-    with timed("runs"), _interruptible(folder), campaign_progress(folder, found.file.keys.stop == "once") as advance:
-        if found.file.keys.search is not None:
+    kept = f"; runs that are done are kept in {folder}: the same command goes on"
+    bar = campaign_progress(folder, found.file.keys.stop == "once")
+    with timed("runs"), shared.interruptible(kept), shared.stoppable(), bar as advance:
+        if found.file.keys.search is None:
+            result = run_plan(found, folder, engine, shard=shard, cache=cache, progress=advance)
+        else:
             from modsim3d.campaign.search import run_search
 
             searched = run_search(found, folder, engine, cache=cache, progress=advance)
-            result = None
-        else:
-            searched = None
-            result = run_plan(found, folder, engine, shard=shard, cache=cache, progress=advance)
-    if searched is not None:
+    if found.file.keys.search is not None:
         _print_search(searched)
         say_json({**_json(found, folder, warnings), "finished": True, "trials": len(searched.table)})
         return
@@ -167,25 +150,13 @@ def exit_status(verdicts: tuple[Verdict, ...]) -> int:
     return FAILED if "failed" in outcomes else UNDECIDED if "undecided" in outcomes else 0
 
 
-@contextmanager
-def _interruptible(folder: Path) -> Iterator[None]:
-    """End the command after Ctrl-C or when the system stops it, and say how to go on."""
-    try:
-        with stoppable():
-            yield
-    except KeyboardInterrupt as stop:
-        kept = f"runs that are done are kept in {folder}"
-        say(f"\nmodsim3d: interrupted; {kept}: the same command goes on", err=True)
-        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
-
-
 def introduced(campaign: CheckedCampaign) -> list[str]:
     """Print the plan before it starts; the warnings about it."""
     from modsim3d.campaign.verdicts.wording import warnings_of
     from modsim3d.cli.campaign_text import plan_rows, traffic_warnings
 
     console = open_console()
-    print_line(console, str(campaign.file.path), "bold")
+    shared.print_line(console, str(campaign.file.path), "bold")
     print_table(console, "", plan_rows(campaign), styles=("dim", ""))
     warnings = [*traffic_warnings(campaign), *warnings_of(campaign.plan)]
     for text in warnings:
@@ -199,11 +170,11 @@ def _print_result(result: CampaignResult) -> None:
     console, folder = open_console(), result.folder.path
     print_blocks(console, requirement_blocks(result.folder.plan, result.verdicts))
     print_blocks(console, compared_blocks(result.folder, result.table, result.verdicts))
-    print_line(console, "")
+    shared.print_line(console, "")
     print_prose(console, _conclusion(result), "bold")
-    print_path(console, "campaign", folder)
+    shared.print_path(console, "campaign", folder)
     for command in ("report", "table"):
-        print_line(console, f"  modsim3d campaign {command} {shlex.quote(str(folder))}", "dim")
+        shared.print_line(console, f"  modsim3d campaign {command} {shlex.quote(str(folder))}", "dim")
 
 
 def _conclusion(result: CampaignResult) -> str:
@@ -216,16 +187,16 @@ def _conclusion(result: CampaignResult) -> str:
 
 def _print_search(result: SearchResult) -> None:
     console = open_console()
-    print_line(console, "")
+    shared.print_line(console, "")
     print_prose(console, str(result), "bold")
     for finding in result.findings:
-        print_line(console, "")
+        shared.print_line(console, "")
         values = ", ".join(f"{key} {value}" for key, value in finding.values.items())
         said = finding.error if finding.value is None else f"{finding.value:.4g}"
         print_prose(console, f"trial {finding.number}: {said}; traffic seed {finding.traffic_seed}, {values}")
-        print_line(console, f"  {finding.again}", "dim")
-    print_path(console, "search", result.folder.path)
-    print_line(console, f"  modsim3d campaign report {shlex.quote(str(result.folder.path))}", "dim")
+        shared.print_line(console, f"  {finding.again}", "dim")
+    shared.print_path(console, "search", result.folder.path)
+    shared.print_line(console, f"  modsim3d campaign report {shlex.quote(str(result.folder.path))}", "dim")
 
 
 def _json(campaign: CheckedCampaign, folder: Path | None, warnings: list[str], command: str = "run") -> dict[str, Any]:
@@ -239,9 +210,7 @@ def _json(campaign: CheckedCampaign, folder: Path | None, warnings: list[str], c
         "frames": None,
         "needed": [],
         "finished": False,
-        "done": None,
-        "crashed": None,
-        "trials": None,
+        **dict.fromkeys(("done", "crashed", "trials"), None),
         "verdicts": [],
         "means": [],
         "warnings": warnings,
@@ -269,18 +238,16 @@ def campaign_plan_command(
     campaign: CampaignFileArgument,
     expect: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="SCORE=MEAN:SPREAD",
-            help="Expected mean and spread of a score over traffic seeds; may be repeated.",
+        option(
+            "SCORE=MEAN:SPREAD",
+            "Expected mean and spread of a score over traffic seeds; may be repeated.",
             show_default="none",
         ),
     ] = None,
-    like: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Earlier campaign of this kind, which says what is expected.")
-    ] = None,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    like: Annotated[Path | None, option("DIR", "Earlier campaign of this kind, which says what is expected.")] = None,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Say how many runs a campaign has and how many seeds its requirements need, without running it.
 
@@ -292,34 +259,26 @@ def campaign_plan_command(
 
 
 def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | None) -> dict[str, Any]:
-    """Print how many frames and seeds there will be and are needed; the same for JSON.
-
-    Raises:
-        ModsimError: What is expected says nothing, `like` is no campaign, or this is a search.
-    """
+    """Print how many frames and seeds there will be and are needed; the same for JSON. Raises ModsimError if what is
+    expected says nothing, `like` is no campaign, or this is a search."""
     from modsim3d.campaign.done_rows import needed_seeds, parsed_expectation
     from modsim3d.campaign.folder import opened_campaign
 
     plan = campaign.plan
     if plan.keys.search is not None:
-        raise ModsimError(
-            "campaign plan: a search has no requirements, and its budget says how many trials there will be"
-        )
+        reason = "a search has no requirements, and its budget says how many trials there will be"
+        raise ModsimError(f"campaign plan: {reason}")
     expected = dict(parsed_expectation(text, plan) for text in expect)
     earlier = None if like is None else opened_campaign(like)
     if earlier is not None and earlier.keys.search is not None:
         raise ModsimError(f"--like {like}: holds a search, whose trials were chosen to be bad, and has no mean")
     needed = needed_seeds(plan, expected, earlier)
     frames, console = _frames_of(campaign), open_console()
-    print_line(console, f"{len(plan):,} runs of {frames:,} frames together")
+    shared.print_line(console, f"{len(plan):,} runs of {frames:,} frames together")
     if needed:
-        print_table(
-            console,
-            "traffic seeds needed",
-            [_needed_row(plan, each) for each in needed],
-            header=("requirement", "tracker", "condition", "seeds needed", "why"),
-            right=(3,),
-        )
+        rows = [_needed_row(plan, each) for each in needed]
+        header = ("requirement", "tracker", "condition", "seeds needed", "why")
+        print_table(console, "traffic seeds needed", rows, header=header, right=(3,))
         print_prose(
             console,
             "Seeds needed by a mean: so many that the bound of its verdict is beyond the threshold in 80 % of such "

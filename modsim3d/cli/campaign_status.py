@@ -8,18 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.shared import (
-    CampaignArgument,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    VerboseOption,
-    out_file,
-    print_line,
-    print_written,
-    progress,
-    typed_command,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed
 from modsim3d.cli.terminal_tables import print_blocks, print_prose
 from modsim3d.core.errors import ModsimError
@@ -33,7 +23,10 @@ if TYPE_CHECKING:
 
 
 def campaign_status_command(
-    campaign: CampaignArgument, quiet: QuietOption = False, verbose: VerboseOption = False, json: JsonOption = False
+    campaign: shared.CampaignArgument,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Say how far a campaign is and what is known of its requirements, while it is worked on or afterwards.
 
@@ -52,10 +45,7 @@ def campaign_status_command(
             "command": "campaign status",
             "folder": campaign,
             "runs": found.total,
-            "done": found.done,
-            "crashed": found.crashed,
-            "finished": found.finished,
-            "worked_on_by": found.worked_on_by,
+            **{name: getattr(found, name) for name in ("done", "crashed", "finished", "worked_on_by")},
             "left_s": found.left_s,
             "last_s": found.last_s,
             "verdicts": [asdict(verdict) for verdict in found.verdicts],
@@ -69,16 +59,18 @@ def _print_state(opened: CampaignFolder, found: Present, once: bool) -> None:
     from modsim3d.cli.campaign_text import MAX_ROWS, present_text
 
     console = open_console()
-    print_line(console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold")
+    shared.print_line(
+        console, f"{found.done:,} of {found.total:,} runs are done, {found.crashed:,} of them crashed", "bold"
+    )
     for line in _how(found):
-        print_line(console, line)
+        shared.print_line(console, line)
     if found.finished:
         print_blocks(console, requirement_blocks(opened.plan, found.verdicts))
     elif found.verdicts:
-        print_line(console, "")
-        print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
+        shared.print_line(console, "")
+        shared.print_line(console, "requirements so far" if once else "requirements at the last look", "bold")
         for verdict in found.verdicts[:MAX_ROWS]:
-            print_line(console, f"  {present_text(verdict, once)}")
+            shared.print_line(console, f"  {present_text(verdict, once)}")
     print_blocks(console, crash_sections(opened, found.table))
     if killed := killed_sentence(opened):
         print_prose(console, killed)
@@ -106,25 +98,20 @@ ENDINGS = (".csv", ".parquet")
 
 
 def campaign_table_command(
-    campaign: CampaignArgument,
+    campaign: shared.CampaignArgument,
     by: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="KEY", help="Varied key to tell apart; may be repeated.", show_default="all but those drawn"
-        ),
+        option("KEY", "Varied key to tell apart; may be repeated.", show_default="all but those drawn"),
     ] = None,
     score: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Column of the rows, such as hota or state.haze.hota; may be repeated."),
+        list[str] | None, option("NAME", "Column of the rows, such as hota or state.haze.hota; may be repeated.")
     ] = None,
-    runs: Annotated[bool, typer.Option("--runs", help="Write all columns of each run, in place of means.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Table to write, .csv or .parquet.", show_default="none")
-    ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    runs: Annotated[bool, flag("--runs", "Write all columns of each run, in place of means.")] = False,
+    out: Annotated[Path | None, option("FILE", "Table to write, .csv or .parquet.", show_default="none")] = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Mean scores of a campaign by tracker and condition, with 95 % intervals over traffic seeds.
 
@@ -138,9 +125,8 @@ def campaign_table_command(
     _check(runs, bool(by or score), out)
     opened = opened_campaign(campaign)
     if opened.keys.search is not None and not runs:
-        raise ModsimError(
-            f"{campaign} holds a search, and no mean may be made of trials that were chosen to be bad: use --runs"
-        )
+        reason = "no mean may be made of trials that were chosen to be bad: use --runs"
+        raise ModsimError(f"{campaign} holds a search, and {reason}")
     files = files_of_campaign(opened)
     tell_files(files)
     paths = [] if out is None else [out]
@@ -153,7 +139,7 @@ def campaign_table_command(
             _write(out, table if runs else flat_table(rows))
     if not runs:
         print_blocks(open_console(), [mean_table(rows)])
-    print_written(open_console(), paths)
+    shared.print_written(open_console(), paths)
     say_json(
         {
             "format": 1,
@@ -168,11 +154,7 @@ def campaign_table_command(
 
 
 def _check(runs: bool, selected: bool, out: Path | None) -> None:
-    """Refuse options that contradict each other, and a file of another kind.
-
-    Raises:
-        ModsimError: They do, or it is.
-    """
+    """Raise a `ModsimError` for options that contradict each other, and for a file of another kind."""
     if runs and selected:
         raise ModsimError("--runs writes all columns of each run: leave out --by and --score")
     if runs and out is None:
@@ -189,12 +171,8 @@ def flat_table(rows: list[MeanRow]) -> pa.Table:
     for row in rows:
         cells = {**row.values, "runs": row.runs, "crashed": row.crashed}
         for score, mean in row.means.items():
-            cells |= {
-                score: mean.value,
-                f"{score}_low": mean.low,
-                f"{score}_high": mean.high,
-                f"{score}_seeds": mean.seeds,
-            }
+            cells |= {score: mean.value, f"{score}_low": mean.low, f"{score}_high": mean.high}
+            cells[f"{score}_seeds"] = mean.seeds
         flat.append(cells)
     return pa.Table.from_pylist(flat)
 
@@ -217,14 +195,12 @@ def _write(out: Path, table: pa.Table) -> None:
 
 def campaign_report_command(
     context: typer.Context,
-    campaign: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign, finished or not.")],
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="HTML file to write.", show_default="DIR/report.html")
-    ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    campaign: Annotated[Path, argument("DIR", "Folder of a campaign, finished or not.")],
+    out: Annotated[Path | None, option("FILE", "HTML file to write.", show_default="DIR/report.html")] = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Write a page about a campaign: requirements first, then means, charts, the worst runs and what was covered.
 
@@ -237,10 +213,14 @@ def campaign_report_command(
 
     with timed("opening the campaign"):
         opened = opened_campaign(campaign)
-    path, read = out_file(out, campaign / REPORT_FILE), files_of_campaign(opened)
+    path, read = shared.out_file(out, campaign / REPORT_FILE), files_of_campaign(opened)
     tell_files(read)
-    with timed("page"), claimed([path], overwrite=overwrite, inputs=read), progress("worst runs", None) as advance:
-        lead = write_page(opened, path, advance, typed_command(context))
+    with (
+        timed("page"),
+        claimed([path], overwrite=overwrite, inputs=read),
+        shared.progress("worst runs", None) as advance,
+    ):
+        lead = write_page(opened, path, advance, shared.typed_command(context))
     say(lead)
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
     say_json({"format": 1, "command": "campaign report", "conclusion": lead, "written": [path]})

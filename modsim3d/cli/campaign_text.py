@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,8 @@ def plan_rows(campaign: CheckedCampaign) -> list[tuple[str, str]]:
     """A campaign before it starts: what is run, and what must hold."""
     plan, keys = campaign.plan, campaign.file.keys
     rows = [("scenes", _scenes(campaign))]
-    rows += [("varied" if place == 0 else "", text) for place, text in enumerate(_varied(keys))]
+    varied = [text for factor in keys.vary for text in _factor(factor)] or ["nothing"]
+    rows += [("varied" if place == 0 else "", text) for place, text in enumerate(varied)]
     if keys.settings:
         rows.append(("set", ", ".join(f"{key} {shown(value)}" for key, value in keys.settings.items())))
     rows.append(("trackers", listed([each.label for each in keys.trackers])))
@@ -72,27 +73,16 @@ def traffic_warnings(campaign: CheckedCampaign) -> list[str]:
     ]
 
 
-def _varied(keys: CampaignKeys) -> list[str]:
-    return [text for factor in keys.vary for text in _factor(factor)] or ["nothing"]
-
-
 def _factor(factor: Factor) -> list[str]:
     ranges = factor.latin_hypercube or factor.uniform
     if ranges is not None:
         how = "drawn for each traffic seed" + (", Latin hypercube" if factor.latin_hypercube else "")
         return [f"{key}: {_range(each)}, {how}" for key, each in ranges.items()]
     if factor.conditions is not None:
-        return [f"{counted(len(factor.conditions), 'condition')} of {listed(list(_keys(factor.conditions)))}"]
-    together = " (together)" if factor.pairs else ""
-    return [f"{key}: {listed([_plain(value) for value in values])}{together}" for key, values in _lists(factor).items()]
-
-
-def _lists(factor: Factor) -> Mapping[str, Sequence[Any]]:
-    return factor.grid or factor.pairs or {}
-
-
-def _keys(conditions: Iterable[Mapping[str, Any]]) -> dict[str, None]:
-    return dict.fromkeys(key for values in conditions for key in values)
+        keys = dict.fromkeys(key for values in factor.conditions for key in values)
+        return [f"{counted(len(factor.conditions), 'condition')} of {listed(list(keys))}"]
+    lists, together = factor.grid or factor.pairs or {}, " (together)" if factor.pairs else ""
+    return [f"{key}: {listed([_plain(value) for value in values])}{together}" for key, values in lists.items()]
 
 
 def _range(values: Range) -> str:
@@ -165,15 +155,8 @@ WIDTH = 30
 
 @contextmanager
 def campaign_progress(folder: Path, once: bool) -> Iterator[Callable[[Progress], None]]:
-    """Show how far a campaign is: redrawn on a terminal, and a line each minute elsewhere.
-
-    Args:
-        folder: Its folder.
-        once: Whether its requirements are judged at the end only; what is known of them before is shown as such.
-
-    Yields:
-        What to call with the progress.
-    """
+    """Yield what to call with a campaign's progress, to show it: redrawn on a terminal, and a line each minute
+    elsewhere. With `once`, requirements are judged at the end only; what is known of them before is shown as such."""
     from rich.live import Live
 
     console = open_console(stderr=True)
@@ -200,13 +183,9 @@ def _lines() -> Callable[[Progress], None]:
 
 def progress_line(progress: Progress) -> str:
     """How far a campaign is, on a line."""
-    parts = [
-        f"{progress.done:,} of {counted(progress.total, 'run')}",
-        f"{progress.running:,} handed in",
-        *([f"{progress.crashed:,} crashed"] if progress.crashed else []),
-        time_left_text(progress.left_s),
-    ]
-    return ", ".join(parts)
+    done = f"{progress.done:,} of {counted(progress.total, 'run')}, {progress.running:,} handed in"
+    crashed = f", {progress.crashed:,} crashed" if progress.crashed else ""
+    return f"{done}{crashed}, {time_left_text(progress.left_s)}"
 
 
 def _looks(folder: Path) -> Callable[[Progress], Sequence[Verdict]]:
@@ -236,23 +215,18 @@ def _display(progress: Progress, verdicts: Sequence[Verdict], once: bool) -> Gro
     filled = WIDTH * progress.done // max(progress.total, 1)
     bar = Text.assemble(("━" * filled, "green"), ("━" * (WIDTH - filled), "dim"), f"  {progress_line(progress)}")
     ordered = sorted(verdicts, key=lambda verdict: FIRST.index(verdict.outcome))
-    lines = [Text(present_text(verdict, once), style=_style(verdict, once)) for verdict in ordered[:MAX_VERDICTS]]
+    lines = [
+        Text(present_text(verdict, once), style="dim" if once else STYLES[verdict.outcome])
+        for verdict in ordered[:MAX_VERDICTS]
+    ]
     if len(ordered) > MAX_VERDICTS:
         lines.append(Text(f"… and {len(ordered) - MAX_VERDICTS:,} more", style="dim"))
     return Group(bar, *lines)
 
 
-def _style(verdict: Verdict, once: bool) -> str:
-    return "dim" if once else STYLES[verdict.outcome]
-
-
 def present_text(verdict: Verdict, once: bool) -> str:
-    """State of a requirement in words; one that is judged at the end has no verdict yet.
-
-    Args:
-        verdict: On what is done.
-        once: Whether it is judged at the end only.
-    """
+    """State of a requirement in words, by the verdict on what is done; with `once`, it is judged at the end only and
+    has no verdict yet."""
     known = "nothing yet"
     if verdict.estimate is not None:
         known = three_digits(verdict.estimate)

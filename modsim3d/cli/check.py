@@ -9,28 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modsim3d.cli import shared
 from modsim3d.cli.run_summary import scene_warnings, traffic_in_words
-from modsim3d.cli.shared import (
-    EveryOption,
-    FinishedRunArgument,
-    FromOption,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    SceneArgument,
-    SetOption,
-    StateOption,
-    StepsOption,
-    VerboseOption,
-    WorkersOption,
-    print_line,
-    print_rows,
-    print_written,
-    progress,
-    typed_command,
-)
+from modsim3d.cli.shared import option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
-from modsim3d.cli.terminal_tables import print_document
+from modsim3d.cli.terminal_tables import print_document, print_table
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
@@ -42,13 +25,13 @@ if TYPE_CHECKING:
 
 
 def check_scene_command(
-    scene: SceneArgument,
-    settings: SetOption = None,
-    state: StateOption = None,
-    state_from: FromOption = None,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    scene: shared.SceneArgument,
+    settings: shared.SetOption = None,
+    state: shared.StateOption = None,
+    state_from: shared.FromOption = None,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Read a scene, a campaign or a detector with every file that it names, and list everything that is wrong.
 
@@ -72,8 +55,8 @@ def check_scene_command(
     tell_files(loaded.copy.read)
     console = open_console()
     warnings = [*scene_warnings(loaded), *blind_at_first(loaded)]
-    print_line(console, f"{loaded.path}: {_found(warnings)}")
-    print_rows(console, "", _rows(loaded))
+    shared.print_line(console, f"{loaded.path}: {_found(warnings)}")
+    print_table(console, "", _rows(loaded))
     for warning in warnings:
         warn(warning)
     say_json(_check_json(loaded, warnings))
@@ -106,8 +89,8 @@ def _check_detector(path: Path) -> None:
 
     detector = load_detector(path)
     warnings = list(dead_lines(detector))
-    print_line(open_console(), f"{path}: {detector.in_words()}; {_found(warnings)}")
-    print_rows(open_console(), "", _state_rows(detector))
+    shared.print_line(open_console(), f"{path}: {detector.in_words()}; {_found(warnings)}")
+    print_table(open_console(), "", _state_rows(detector))
     for warning in warnings:
         warn(warning)
     say_json({"format": 1, "command": "check scene", "path": path, "labels": detector.labels, "warnings": warnings})
@@ -118,8 +101,9 @@ def _found(warnings: list[str]) -> str:
 
 
 def _rows(scene: Scene) -> list[tuple[str, str]]:
+    drawn = f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
     return [
-        ("vessels", f"{len(scene.vessels)}{_drawn(scene)}"),
+        ("vessels", f"{len(scene.vessels)}{drawn}"),
         ("cameras", f"{len(scene.cameras)}: {', '.join(camera.name for camera in scene.cameras)}"),
         ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
@@ -135,10 +119,6 @@ def _state_rows(detector: DetectorModel) -> list[tuple[str, str]]:
     unforced = ", while no schedule forces one" if detector.performance.schedule else ""
     named = ", ".join(f"{state} {share:.1%}" for state, share in shares.items())
     return [("states", f"in the long run {named}{unforced}")]
-
-
-def _drawn(scene: Scene) -> str:
-    return f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
 
 
 def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
@@ -164,18 +144,15 @@ def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:
 
 def check_run_command(
     context: typer.Context,
-    run: FinishedRunArgument,
+    run: shared.FinishedRunArgument,
     detector: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Detector file to hold the run against.", show_default="the run's own"),
+        Path | None, option("FILE", "Detector file to hold the run against.", show_default="the run's own")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for verify.json and verify.html.", show_default="RUN")
-    ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    out: Annotated[Path | None, option("DIR", "Folder for verify.json and verify.html.", show_default="RUN")] = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Check that a run obeys its detector file: every parameter as given and as measured, with a verdict.
 
@@ -199,11 +176,10 @@ def check_run_command(
         with timed("checks"):
             verified = verify_run(opened, detector)
         with timed("files"):
-            verify_report.write_report(verified, folder, typed_command(context))
+            verify_report.write_report(verified, folder, shared.typed_command(context))
     verification = verified.verification
-    console = open_console()
-    print_document(console, verify_report.document(verified))
-    print_written(console, paths)
+    print_document(open_console(), verify_report.document(verified))
+    shared.print_written(open_console(), paths)
     said = {"conclusion": verify_report.conclusion(verification), "notes": verify_report.notes_of(verification)}
     say_json({"command": "check run", **verify_report.report_data(verified), **said, "written": paths})
     if not verification.obeys:
@@ -215,18 +191,17 @@ def check_run_command(
 
 def check_truth_command(
     context: typer.Context,
-    scene: SceneArgument,
-    steps: StepsOption = None,
-    settings: SetOption = None,
-    every: EveryOption = 1,
+    scene: shared.SceneArgument,
+    steps: shared.StepsOption = None,
+    settings: shared.SetOption = None,
+    every: shared.EveryOption = 1,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for compare.json and compare.html.", show_default="nothing written"),
+        Path | None, option("DIR", "Folder for compare.json and compare.html.", show_default="nothing written")
     ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Check the rendered truth of a scene against ID buffers and geometry, and the idealised rectangle rule against it.
 
@@ -249,17 +224,16 @@ def check_truth_command(
         if renderer is None:
             raise ModsimError("check truth needs the rendered source")
         tell("OpenGL", renderer.context.description)
-        with timed("comparison"), progress(loaded.name, None if loaded.live else -(-loaded.steps // every)) as advance:
+        bar = shared.progress(loaded.name, None if loaded.live else -(-loaded.steps // every))
+        with timed("comparison"), bar as advance:
             comparison = compare_sources(loaded, renderer, every=every, progress=advance)
         if out is not None:
-            compare_report.write_report(comparison, loaded, renderer, out, typed_command(context), scene)
-    figures = comparison.figures
-    console = open_console()
-    print_document(console, compare_report.document(comparison, loaded))
+            compare_report.write_report(comparison, loaded, renderer, out, shared.typed_command(context), scene)
+    print_document(open_console(), compare_report.document(comparison, loaded))
     written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
-    print_written(console, written)
-    say_json({"command": "check truth", **asdict(figures), "written": written})
-    if figures.unexplained:
+    shared.print_written(open_console(), written)
+    say_json({"command": "check truth", **asdict(comparison.figures), "written": written})
+    if comparison.figures.unexplained:
         raise typer.Exit(1)
 
 
@@ -267,11 +241,11 @@ def check_truth_command(
 
 
 def check_repeat_command(
-    run: FinishedRunArgument,
-    workers: WorkersOption = 1,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    run: shared.FinishedRunArgument,
+    workers: shared.WorkersOption = 1,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Repeat a run from the copy of its scene into a temporary folder, and compare every file, byte by byte.
 
@@ -286,7 +260,7 @@ def check_repeat_command(
     with timed("opening the run"):
         stored = read_finished(run)  # damage to the tables is for the comparison to tell
     tell_files(read_of_run(run))
-    bar = progress(stored.scene.name, stored.scene.steps)
+    bar = shared.progress(stored.scene.name, stored.scene.steps)
     with timed("repetition"), TemporaryDirectory(prefix="modsim3d_repeat_") as folder, bar as advance:
         repetition = repeat_run(stored, Path(folder) / "again", workers=workers, progress=advance)
     _print_repetition(repetition)
@@ -297,14 +271,14 @@ def check_repeat_command(
 
 def _print_repetition(repetition: Repetition) -> None:
     console = open_console()
-    print_rows(console, "files", [(file.name, _said(file, repetition.listed)) for file in repetition.files])
+    print_table(console, "files", [(file.name, _said(file, repetition.listed)) for file in repetition.files])
     versions = [(item.name, f"then {item.then or 'none'}", f"now {item.now or 'none'}") for item in repetition.versions]
-    print_rows(console, "made with other versions", versions)
-    wrong = sum(not file.same for file in repetition.files)
-    if not wrong:
-        print_line(console, f"\nall {len(repetition.files)} files are the same", "bold")
-        return
-    print_line(console, f"\n{wrong} of {len(repetition.files)} files are not the same", "bold red")
+    print_table(console, "made with other versions", versions)
+    wrong, files = sum(not file.same for file in repetition.files), f"{len(repetition.files)} files are"
+    if wrong:
+        shared.print_line(console, f"\n{wrong} of {files} not the same", "bold red")
+    else:
+        shared.print_line(console, f"\nall {files} the same", "bold")
 
 
 def _said(file: RepeatedFile, listed: bool) -> str:

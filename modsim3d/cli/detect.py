@@ -7,22 +7,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from modsim3d.cli import shared
 from modsim3d.cli.run import print_truth_summary, run_json, truth_json
 from modsim3d.cli.run_summary import print_summary
-from modsim3d.cli.shared import (
-    FromOption,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    SetOption,
-    StateOption,
-    VerboseOption,
-    WorkersOption,
-    progress,
-    under,
-)
+from modsim3d.cli.shared import argument, flag, option, under
 from modsim3d.cli.terminal import say_json, tell_files, timed
 from modsim3d.core.errors import InputError, ModsimError
 
@@ -45,17 +33,12 @@ HorizonOption = Annotated[
     str | None, under(FILES, "ROW", "Row of the horizon in images that do not say theirs, or X1,Y1,X2,Y2.")
 ]
 SkipBadOption = Annotated[
-    bool,
-    typer.Option("--skip-bad", help="Leave out wrong entries of the files, and say how many.", rich_help_panel=FILES),
+    bool, flag("--skip-bad", "Leave out wrong entries of the files, and say how many.", rich_help_panel=FILES)
 ]
 
 
 def parsed_names(text: str | None, option: str) -> tuple[str, ...]:
-    """Names of a text such as `a,b`.
-
-    Raises:
-        InputError: One is empty, so that others would take its place.
-    """
+    """Names of a text such as `a,b`. Raises InputError if one is empty, so that others would take its place."""
     names = tuple(part.strip() for part in text.removesuffix(",").split(",")) if text else ()
     if "" in names:
         problem = f"the name {names.index('') + 1} is empty, so others would move (got '{text}')"
@@ -64,11 +47,7 @@ def parsed_names(text: str | None, option: str) -> tuple[str, ...]:
 
 
 def parsed_horizon(text: str) -> tuple[float, ...] | float:
-    """The row of a horizon, or the numbers of two of its points.
-
-    Raises:
-        InputError: The text is something else.
-    """
+    """The row of a horizon, or the numbers of two of its points. Raises InputError if the text is something else."""
     from modsim3d.formats.labelled import parse_horizon
 
     numbers = parse_horizon(text)
@@ -97,38 +76,31 @@ def _pair(text: str, option: str, needed: str, holds: Callable[[float, float], b
 
 
 def detect_command(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Run directory, or folder with --truth, to write.")],
-    run: Annotated[Path | None, typer.Argument(metavar="[RUN]", help="Run directory of a finished run.")] = None,
+    out: Annotated[Path, option("DIR", "Run directory, or folder with --truth, to write.")],
+    run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run.")] = None,
     truth: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Ground truth of a labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks.",
-        ),
+        option("FILE", "Ground truth of a labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
     ] = None,
-    detector: Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the run's.")] = None,
+    detector: Annotated[Path | None, option("FILE", "Detector file, in place of the run's.")] = None,
     detector_seed: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="N", help="Seed of the detector, in place of the run's; 0 with --truth."),
+        int | None, option("N", "Seed of the detector, in place of the run's; 0 with --truth.", min=0)
     ] = None,
     labels: Annotated[
-        str | None,
-        typer.Option(
-            metavar="A,B,...", help="Labels of the classes of --truth, in order; - for one that is no target."
-        ),
+        str | None, option("A,B,...", "Labels of the classes of --truth, in order; - for one that is no target.")
     ] = None,
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
     horizon: HorizonOption = None,
     skip_bad: SkipBadOption = False,
-    settings: SetOption = None,
-    state: StateOption = None,
-    state_from: FromOption = None,
-    overwrite: OverwriteOption = False,
-    workers: WorkersOption = 1,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    settings: shared.SetOption = None,
+    state: shared.StateOption = None,
+    state_from: shared.FromOption = None,
+    overwrite: shared.OverwriteOption = False,
+    workers: shared.WorkersOption = 1,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
 
@@ -176,7 +148,7 @@ def _detect_run(run: Path, out: Path, seed: int | None, workers: WorkerCount, gi
     with timed("opening the run"):
         stored = open_run(run)
     tell_files([*read_of_run(run), *([given["detector"]] if given["detector"] else [])])
-    with timed("detections and files"), progress(stored.scene.name, stored.scene.steps) as advance:
+    with timed("detections and files"), shared.progress(stored.scene.name, stored.scene.steps) as advance:
         result = detect_run(stored, out, seed=seed, workers=workers, progress=advance, **given)
     print_summary(stored.scene, result, sheet=False)
     say_json(run_json("detect", stored.scene, result, sheet=False))

@@ -7,22 +7,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from modsim3d.cli.shared import (
-    EveryOption,
-    OverwriteOption,
-    QuietOption,
-    RunArgument,
-    SimilarityOption,
-    ThresholdOption,
-    TracksOption,
-    VerboseOption,
-    opened_tracks,
-    print_written,
-    progress_bar,
-    read_of_tracks,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import flag, option
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.writing.registry import FORMATS
@@ -36,28 +22,25 @@ RERUN_OPTIONS = ("--every", "--tracks", "--similarity", "--threshold")
 
 
 def export_command(
-    run: RunArgument,
-    format_: Annotated[ExportFormat, typer.Option("--format", metavar="FORMAT", help=f"Format to write: {_CONTENTS}.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    run: shared.RunArgument,
+    format_: Annotated[ExportFormat, option("FORMAT", f"Format to write: {_CONTENTS}.", "--format")],
+    out: Annotated[Path, option("DIR", "Folder for the files.")],
     camera: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Camera to export; repeatable.", show_default="all cameras")
+        list[str] | None, option("NAME", "Camera to export; repeatable.", show_default="all cameras")
     ] = None,
     masks: Annotated[
-        bool, typer.Option("--masks", help="Write which pixels each vessel has, whole and visible (coco only).")
+        bool, flag("--masks", "Write which pixels each vessel has, whole and visible (coco only).")
     ] = False,
     true_attitude: Annotated[
-        bool,
-        typer.Option(
-            "--true-attitude", help="Write the true attitude of cameras on board, not the measured one (csv only)."
-        ),
+        bool, flag("--true-attitude", "Write the true attitude of cameras on board, not the measured one (csv only).")
     ] = False,
-    every: EveryOption = 1,
-    tracks: TracksOption = None,
-    similarity: SimilarityOption = None,
-    threshold: ThresholdOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    every: shared.EveryOption = 1,
+    tracks: shared.TracksOption = None,
+    similarity: shared.SimilarityOption = None,
+    threshold: shared.ThresholdOption = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Write a run's truth and detections in another program's format.
 
@@ -90,7 +73,7 @@ def export_command(
         timed("files"),
     ):
         chosen.write(request, out)
-    print_written(open_console(), [*paths, *folders])
+    shared.print_written(open_console(), [*paths, *folders])
     for note in chosen.notes(request):
         warn(note)
 
@@ -111,11 +94,11 @@ def _export_rerun(
 
     with timed("opening the run"):
         opened = open_run(run)
-    read = read_of_run(run) + read_of_tracks(tracks)
+    read = read_of_run(run) + shared.read_of_tracks(tracks)
     tell_files(read)
-    followed = opened_tracks(tracks, opened, similarity, threshold)
+    followed = shared.opened_tracks(tracks, opened, similarity, threshold)
     path = out / "run.rrd"
-    with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), progress_bar() as bar:
+    with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), shared.progress_bar() as bar:
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
         write_recording(opened, path, every, lambda steps: bar.update(task, advance=steps, refresh=True), followed)
     if followed is not None:
@@ -123,14 +106,10 @@ def _export_rerun(
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")
 
 
-def _check_options(name: str, given: Mapping[str, object]) -> None:
-    """Refuse options that a format does not take.
-
-    Raises:
-        ModsimError: One is given.
-    """
+def _check_options(chosen: str, given: Mapping[str, object]) -> None:
+    """Raise a `ModsimError` if an option is given that a format does not take."""
     takers = {other: (*format_.options, "--camera") for other, format_ in FORMATS.items()} | {RERUN: RERUN_OPTIONS}
-    for option, value in given.items():
-        if value and option not in takers[name]:
-            others = " or ".join(other for other, options in takers.items() if option in options)
-            raise ModsimError(f"{option} goes with --format {others}, not with {name}")
+    for name, value in given.items():
+        if value and name not in takers[chosen]:
+            others = " or ".join(other for other, options in takers.items() if name in options)
+            raise ModsimError(f"{name} goes with --format {others}, not with {chosen}")

@@ -10,36 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from modsim3d.cli.detect import (
-    FILES,
-    ConfidenceScaleOption,
-    FrameRateOption,
-    HorizonOption,
-    ImageSizeOption,
-    SkipBadOption,
-    parsed_horizon,
-    parsed_names,
-    parsed_scale,
-    parsed_size,
-)
-from modsim3d.cli.shared import (
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    VerboseOption,
-    out_file,
-    print_rows,
-    print_written,
-    typed_command,
-    under,
-)
+from modsim3d.cli import detect, shared
+from modsim3d.cli.shared import argument, flag, option, under
 from modsim3d.cli.terminal import open_console, say_json, tell_files, timed, warn
-from modsim3d.cli.terminal_tables import print_document, print_prose
+from modsim3d.cli.terminal_tables import print_document, print_prose, print_table
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
     from modsim3d.learn.bootstrap import Column, Interval
     from modsim3d.learn.figures import Figures
+    from modsim3d.learn.guess import ConditionChange
     from modsim3d.learn.learning import LearnResult
     from modsim3d.learn.report import LearnReport
     from modsim3d.learn.request import LearnRequest
@@ -49,28 +29,26 @@ if TYPE_CHECKING:
 MODELS, NUMBERS, TIMES, GUESS = "Models", "Intervals and figures", "States in time", "A guess of another condition"
 
 
-DetectorOutOption = Annotated[
-    Path, typer.Option(metavar="FILE", help="Detector file to write; its page is beside it, as .html.")
-]
+DetectorOutOption = Annotated[Path, option("FILE", "Detector file to write; its page is beside it, as .html.")]
 StatesOption = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="N|NAME=COND,...",
-        help="States of the detector: each with its conditions, repeatable, or how many to make of them by F1.",
+    option(
+        "N|NAME=COND,...",
+        "States of the detector: each with its conditions, repeatable, or how many to make of them by F1.",
         show_default="one for each condition",
     ),
 ]
 MatchOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="HOW[:LIMIT]",
-        help="How boxes are matched: confidence or optimal, with a least IoU as in optimal:0.4; centre, with a "
+    option(
+        "HOW[:LIMIT]",
+        "How boxes are matched: confidence or optimal, with a least IoU as in optimal:0.4; centre, with a "
         "distance in pixels as in centre:30; or provenance.",
         show_default="provenance for runs, confidence for files, centre for AIS, optimal without confidences",
     ),
 ]
 ConfidenceOption = Annotated[
-    float | None, typer.Option(metavar="P", help="Least confidence of a detection that counts.", show_default="0.2")
+    float | None, option("P", "Least confidence of a detection that counts.", show_default="0.2")
 ]
 SequenceOption = Annotated[
     Path | None, under(TIMES, "FILE", "Text file with a state on each line, in time order, for the transitions.")
@@ -92,12 +70,11 @@ WithoutOption = Annotated[
 LevelOption = Annotated[float, under(NUMBERS, "P", "Confidence level of the intervals.")]
 ReplicatesOption = Annotated[int, under(NUMBERS, "N", "Number of bootstrap replicates, for the intervals.")]
 BootstrapSeedOption = Annotated[
-    int,
-    typer.Option("--seed", metavar="N", help="Seed of all random numbers: of the bootstrap.", rich_help_panel=NUMBERS),
+    int, option("N", "Seed of all random numbers: of the bootstrap.", "--seed", rich_help_panel=NUMBERS)
 ]
 BetaOption = Annotated[float, under(NUMBERS, "B", "How many times more recall weighs than precision in F-beta.")]
-LabelsOption = Annotated[str | None, under(FILES, "A,B,...", "Labels of the classes of MOT and YOLO, in order.")]
-CategoryOffsetOption = Annotated[int, under(FILES, "N", "Number to add to the category IDs of COCO results.")]
+LabelsOption = Annotated[str | None, under(detect.FILES, "A,B,...", "Labels of the classes of MOT and YOLO, in order.")]
+CategoryOffsetOption = Annotated[int, under(detect.FILES, "N", "Number to add to the category IDs of COCO results.")]
 
 
 # ---- The command ----
@@ -107,36 +84,32 @@ def learn_command(
     context: typer.Context,
     out: DetectorOutOption,
     runs: Annotated[
-        list[Path] | None, typer.Argument(metavar="RUN", help="Run directories, in place of --truth and --detections.")
+        list[Path] | None, argument("RUN", "Run directories, in place of --truth and --detections.")
     ] = None,
     truth: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Ground truth: COCO JSON, MOT gt.txt or YOLO folder; repeatable."),
+        list[Path] | None, option("FILE", "Ground truth: COCO JSON, MOT gt.txt or YOLO folder; repeatable.")
     ] = None,
     detections: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."
-        ),
+        option("FILE", "Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."),
     ] = None,
     condition: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Condition that a pair of --truth and --detections shows; repeatable."),
+        list[str] | None, option("NAME", "Condition that a pair of --truth and --detections shows; repeatable.")
     ] = None,
     states: StatesOption = None,
     match: MatchOption = None,
     confidence: ConfidenceOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
-    confidence_scale: ConfidenceScaleOption = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
+    confidence_scale: detect.ConfidenceScaleOption = None,
     labels: LabelsOption = None,
-    image_size: ImageSizeOption = None,
-    frame_rate: FrameRateOption = None,
-    horizon: HorizonOption = None,
+    image_size: detect.ImageSizeOption = None,
+    frame_rate: detect.FrameRateOption = None,
+    horizon: detect.HorizonOption = None,
     category_offset: CategoryOffsetOption = 0,
-    skip_bad: SkipBadOption = False,
+    skip_bad: detect.SkipBadOption = False,
     clutter: ClutterOption = "auto",
     without: WithoutOption = None,
     sequence: SequenceOption = None,
@@ -147,9 +120,7 @@ def learn_command(
     beta: BetaOption = 2.0,
     no_check: Annotated[
         bool,
-        typer.Option(
-            "--no-check", help="Do not compare with the real results where it was not learned.", rich_help_panel=NUMBERS
-        ),
+        flag("--no-check", "Do not compare with the real results where it was not learned.", rich_help_panel=NUMBERS),
     ] = False,
     detector: Annotated[
         Path | None,
@@ -177,11 +148,11 @@ def learn_command(
 
     request = learn_request(
         context,
-        image_size_px=None if image_size is None else parsed_size(image_size),
-        horizon=None if horizon is None else parsed_horizon(horizon),
+        image_size_px=None if image_size is None else detect.parsed_size(image_size),
+        horizon=None if horizon is None else detect.parsed_horizon(horizon),
         check=not no_check,
     )
-    out = out_file(out, Path("detector.yaml"))
+    out = shared.out_file(out, Path("detector.yaml"))
     written = detector_files(out)
     for path in written:
         check_free(path, overwrite)  # again below, but reading may take minutes
@@ -191,7 +162,7 @@ def learn_command(
     tell_files(read)
     with claimed(written, overwrite=overwrite, inputs=read):
         with timed("learning"):
-            result = inputs.learn(request, typed_command(context))
+            result = inputs.learn(request, shared.typed_command(context))
         with timed("files"):
             write_files(learned_files(result, out))
     show_result(result, out.name, written)
@@ -211,11 +182,11 @@ def learn_request(context: typer.Context, **given: Any) -> LearnRequest:
         **parse_match(option["match"]),
         **parse_states(list(option["states"] or ()) or None, "--states"),
         conditions=tuple(option["condition"] or ()),
-        labels=parsed_names(option["labels"], "--labels"),
-        without=parsed_names(option["without"], "--without"),
+        labels=detect.parsed_names(option["labels"], "--labels"),
+        without=detect.parsed_names(option["without"], "--without"),
         sequence=None if sequence is None else read_text(Path(sequence), "sequence"),
         interval_s=option["interval"],
-        confidence_scale=None if scale is None else parsed_scale(scale),
+        confidence_scale=None if scale is None else detect.parsed_scale(scale),
         frame_rate_hz=option["frame_rate"],
         clutter=str(option["clutter"]),
         **{name: option[name] for name in same},
@@ -229,7 +200,7 @@ def show_result(result: LearnResult, name: str, written: Sequence[Path]) -> None
 
     console = open_console()
     print_document(console, document(result.report, name, result.sources.names, result.sections))
-    print_written(console, written)
+    shared.print_written(console, written)
     if result.report.warning:
         warn(result.report.warning)
 
@@ -292,16 +263,8 @@ def _numbers(interval: Interval) -> list[dict[str, Any]]:
 
 # ---- Work of `modsim3d learn --from-condition`: a detector as it might be in another condition ----
 
-if TYPE_CHECKING:
-    from modsim3d.learn.guess import ConditionChange
-
-
 STRANGE_SPREAD = 4.0
 """Box errors of the thesis's conditions on the same images differ by factors of 3.4 at most."""
-_STRANGE = (
-    "the box errors of the two conditions differ by more than a factor of four. If they were measured on different "
-    "images, this is not the effect of the condition"
-)
 
 
 def guess_detector(detector: Path, measured_in: str, wanted_in: str, out: Path, overwrite: bool) -> None:
@@ -315,22 +278,23 @@ def guess_detector(detector: Path, measured_in: str, wanted_in: str, out: Path, 
     from modsim3d.learn.guess import ConditionChange, guessed
 
     files = [Path(name) if Path(name).is_file() else find_condition(name) for name in (measured_in, wanted_in)]
-    detector, out = find_detector(detector), out_file(out, Path("detector.yaml"))
+    detector, out = find_detector(detector), shared.out_file(out, Path("detector.yaml"))
     tell_files([detector, *files])
     with claimed([out], overwrite=overwrite, inputs=[detector, *files]):
-        before, after = (
-            (name, load_detector(file)) for name, file in zip((measured_in, wanted_in), files, strict=True)
-        )
-        change = ConditionChange.between(before, after)
+        before, after = map(load_detector, files)
+        change = ConditionChange.between((measured_in, before), (wanted_in, after))
         content = load_yaml(detector, "detector")
         result = guessed(content, change, f"detector {detector}")
         write_files({out: detector_text(result, _comments(detector, measured_in, wanted_in, change))})
     console = open_console()
     print_prose(console, _guess(detector, measured_in, wanted_in))
-    print_rows(console, "In each state", list(_rows(content, result)))
-    print_written(console, [out])
+    print_table(console, "In each state", list(_rows(content, result)))
+    shared.print_written(console, [out])
     if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
-        warn(_STRANGE)
+        warn(
+            "the box errors of the two conditions differ by more than a factor of four. If they were measured on "
+            "different images, this is not the effect of the condition"
+        )
 
 
 def _guess(detector: Path, measured_in: str, wanted_in: str) -> str:

@@ -8,36 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modsim3d.cli.detect import ConfidenceScaleOption, FrameRateOption, SkipBadOption
-from modsim3d.cli.learn import (
-    BetaOption,
-    BootstrapSeedOption,
-    CategoryOffsetOption,
-    ClutterOption,
-    ConfidenceOption,
-    DetectorOutOption,
-    IntervalOption,
-    LabelsOption,
-    LevelOption,
-    MatchOption,
-    ReplicatesOption,
-    SequenceOption,
-    StatesOption,
-    WithoutOption,
-    learn_json,
-    learn_request,
-    show_result,
-)
-from modsim3d.cli.shared import (
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    SceneArgument,
-    VerboseOption,
-    out_file,
-    typed_command,
-    under,
-)
+from modsim3d.cli import detect, learn, shared
+from modsim3d.cli.shared import option, under
 from modsim3d.cli.terminal import say_json, tell_files, timed
 from modsim3d.core.errors import InputError
 
@@ -49,31 +21,24 @@ LOGS, REGISTRATION = "The logs", "Registration and truth"
 
 def learn_voyage_command(
     context: typer.Context,
-    scene: SceneArgument,
-    out: DetectorOutOption,
+    scene: shared.SceneArgument,
+    out: learn.DetectorOutOption,
     detections: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="FILE", help="Detections of the voyage: the log of a camera's detector, or a run; repeatable."
-        ),
+        option("FILE", "Detections of the voyage: the log of a camera's detector, or a run; repeatable."),
     ] = None,
     camera: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="Camera of the logs: once for all, or for each in their order; repeatable."),
+        list[str] | None, option("NAME", "Camera of the logs: once for all, or for each in their order; repeatable.")
     ] = None,
-    condition: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Condition that a log shows; repeatable.")
-    ] = None,
-    states: StatesOption = None,
-    match: MatchOption = None,
-    confidence: ConfidenceOption = None,
-    write_scene: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Scene folder to write, with the registered cameras.")
-    ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    condition: Annotated[list[str] | None, option("NAME", "Condition that a log shows; repeatable.")] = None,
+    states: learn.StatesOption = None,
+    match: learn.MatchOption = None,
+    confidence: learn.ConfidenceOption = None,
+    write_scene: Annotated[Path | None, option("DIR", "Scene folder to write, with the registered cameras.")] = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
     log_start: Annotated[
         str | None, under(LOGS, "TIME", "Time of the logs' zero: UTC, or seconds since the scene's first step.")
     ] = None,
@@ -88,11 +53,11 @@ def learn_voyage_command(
             "Stretches in which nothing floats but the scene's vessels, by the log's clock, in seconds or UTC.",
         ),
     ] = None,
-    confidence_scale: ConfidenceScaleOption = None,
-    labels: LabelsOption = None,
-    frame_rate: FrameRateOption = None,
-    category_offset: CategoryOffsetOption = 0,
-    skip_bad: SkipBadOption = False,
+    confidence_scale: detect.ConfidenceScaleOption = None,
+    labels: learn.LabelsOption = None,
+    frame_rate: detect.FrameRateOption = None,
+    category_offset: learn.CategoryOffsetOption = 0,
+    skip_bad: detect.SkipBadOption = False,
     fixed: Annotated[
         str | None,
         under(
@@ -133,14 +98,14 @@ def learn_voyage_command(
             show_default="60",
         ),
     ] = None,
-    clutter: ClutterOption = "auto",
-    without: WithoutOption = None,
-    sequence: SequenceOption = None,
-    interval: IntervalOption = None,
-    level: LevelOption = 0.95,
-    replicates: ReplicatesOption = 300,
-    seed: BootstrapSeedOption = 0,
-    beta: BetaOption = 2.0,
+    clutter: learn.ClutterOption = "auto",
+    without: learn.WithoutOption = None,
+    sequence: learn.SequenceOption = None,
+    interval: learn.IntervalOption = None,
+    level: learn.LevelOption = 0.95,
+    replicates: learn.ReplicatesOption = 300,
+    seed: learn.BootstrapSeedOption = 0,
+    beta: learn.BetaOption = 2.0,
 ) -> None:
     """Learn a detector from what it wrote during a voyage whose vessels' tracks are known from AIS or a scene.
 
@@ -157,7 +122,7 @@ def learn_voyage_command(
     from modsim3d.scene.parts import SCENE_FILE
     from modsim3d.scene.reading import load_scene
 
-    request = learn_request(context)
+    request = learn.learn_request(context)
     start = None if log_start is None else _start(log_start)
     voyage = VoyageRequest(
         request,
@@ -173,7 +138,7 @@ def learn_voyage_command(
         attitude,
         LogOptions(frame_rate, start, images, request.labels, request.confidence_scale, category_offset, skip_bad),
     )
-    out = out_file(out, Path("detector.yaml"))
+    out = shared.out_file(out, Path("detector.yaml"))
     written = detector_files(out)
     for path in [*written, *([write_scene / SCENE_FILE] if write_scene else [])]:
         check_free(path, overwrite)  # again below, but reading may take minutes
@@ -185,11 +150,11 @@ def learn_voyage_command(
     tell_files(dict.fromkeys(read))
     with claimed([*written, *files], overwrite=overwrite, inputs=read):
         with timed("learning"):
-            result = voyage.learn(labelled, read, typed_command(context))
+            result = voyage.learn(labelled, read, shared.typed_command(context))
         with timed("files"):
             write_files(learned_files(result, out) | files)
-    show_result(result, out.name, [*written, *files])
-    found = learn_json(result.report, [*written, *files], "learn-voyage")
+    learn.show_result(result, out.name, [*written, *files])
+    found = learn.learn_json(result.report, [*written, *files], "learn-voyage")
     say_json(found | {"voyage": voyage_json(result.told)})
 
 

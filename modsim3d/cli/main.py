@@ -26,7 +26,7 @@ from modsim3d.cli.report import report_command
 from modsim3d.cli.run import run_command
 from modsim3d.cli.scenes import scenes_command
 from modsim3d.cli.score import score_command
-from modsim3d.cli.shared import INTERRUPTED
+from modsim3d.cli.shared import INTERRUPTED, flag
 from modsim3d.cli.stream import stream_command
 from modsim3d.cli.terminal import check_arguments, lost_output, prepare_output, say, say_error, start_afresh
 from modsim3d.cli.track import track_command
@@ -133,7 +133,7 @@ def _show_version(requested: bool) -> None:
 def _root(
     context: typer.Context,
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool, flag("--version", "Show the version and exit.", callback=_show_version, is_eager=True)
     ] = False,
 ) -> None:
     start_afresh()
@@ -180,11 +180,7 @@ def _asked(arguments: Sequence[str]) -> typer.Typer:
 
 
 def check_memory() -> None:
-    """Refuse to start under a limit in which libraries abort without a word.
-
-    Raises:
-        ModsimError: The process may not have as many addresses as the libraries need.
-    """
+    """Raise a `ModsimError` under a limit of addresses in which libraries abort without a word."""
     try:
         import resource  # not on Windows
     except ImportError:

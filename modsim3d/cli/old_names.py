@@ -64,15 +64,8 @@ OLD_NAMES |= {f"learn --{name}": f"learn-voyage SCENE --{name}" for name in OF_A
 
 
 def refuse_old_names(context: Any, arguments: Sequence[str]) -> None:
-    """Answer an old name with the new one.
-
-    Args:
-        context: The command or group, as typer has it.
-        arguments: What stands after its name.
-
-    Raises:
-        ModsimError: A name among the arguments is an old one.
-    """
+    """Raise a `ModsimError` with the new name where one of the arguments after a command's or group's name is an old
+    one. `context` is the command or group, as typer has it."""
     command, path = context.command, _path(context)
     subcommands = getattr(command, "commands", None)
     first = arguments[0] if arguments else ""

@@ -7,47 +7,29 @@ from typing import Annotated
 
 import typer
 
-from modsim3d.cli.shared import (
-    OverwriteOption,
-    QuietOption,
-    RunArgument,
-    SimilarityOption,
-    ThresholdOption,
-    TracksOption,
-    VerboseOption,
-    opened_tracks,
-    out_file,
-    progress_bar,
-    read_of_tracks,
-    typed_command,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import say, tell_files, timed, warn
 
 
 def report_command(
     context: typer.Context,
-    run: RunArgument,
-    other: Annotated[
-        Path | None, typer.Argument(metavar="RUN_B", help="Another run of the same truth, to show beside the first.")
-    ] = None,
+    run: shared.RunArgument,
+    other: Annotated[Path | None, argument("RUN_B", "Another run of the same truth, to show beside the first.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="HTML file to write.", show_default="RUN/report.html; RUN/side_by_side.html with RUN_B"
-        ),
+        option("FILE", "HTML file to write.", show_default="RUN/report.html; RUN/side_by_side.html with RUN_B"),
     ] = None,
-    every: Annotated[
-        int, typer.Option(min=1, metavar="K", help="Take every K-th time step only; the tables count all steps.")
-    ] = 1,
-    tracks: TracksOption = None,
-    similarity: SimilarityOption = None,
-    threshold: ThresholdOption = None,
+    every: Annotated[int, option("K", "Take every K-th time step only; the tables count all steps.", min=1)] = 1,
+    tracks: shared.TracksOption = None,
+    similarity: shared.SimilarityOption = None,
+    threshold: shared.ThresholdOption = None,
     parts: Annotated[
-        bool, typer.Option("--parts", help="Write the frames into a folder beside the page, for very long runs.")
+        bool, flag("--parts", "Write the frames into a folder beside the page, for very long runs.")
     ] = False,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
 
@@ -67,16 +49,16 @@ def report_command(
     with timed("opening the run"):
         opened = open_run(run)
         second = None if other is None else open_run(other)
-    read = read_of_run(run) + read_of_tracks(tracks) + ([] if other is None else read_of_run(other))
+    read = read_of_run(run) + shared.read_of_tracks(tracks) + ([] if other is None else read_of_run(other))
     tell_files(read)
-    followed = opened_tracks(tracks, opened, similarity, threshold)
-    path = out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
+    followed = shared.opened_tracks(tracks, opened, similarity, threshold)
+    path = shared.out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
     folders = {parts_folder(path): PART_FILES} if parts else {}
     with (
         timed("page"),
         claimed([path], overwrite=overwrite, inputs=read),
         claimed_folders(folders, overwrite=overwrite, inputs=read),
-        progress_bar() as bar,
+        shared.progress_bar() as bar,
     ):
         runs = 1 if second is None else 2
         task = bar.add_task(opened.scene.name, total=-(-opened.steps // every) * runs)
@@ -85,9 +67,9 @@ def report_command(
             bar.update(task, advance=steps, refresh=True)
 
         if second is None:
-            write_report(opened, path, every, advance, followed, typed_command(context), tracks, in_files=parts)
+            write_report(opened, path, every, advance, followed, shared.typed_command(context), tracks, in_files=parts)
         else:
-            write_side_by_side(opened, second, path, every, advance, typed_command(context), in_files=parts)
+            write_side_by_side(opened, second, path, every, advance, shared.typed_command(context), in_files=parts)
     if followed is not None:
         say(followed.sentence())
     if not opened.finished:

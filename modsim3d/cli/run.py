@@ -8,39 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-
-from modsim3d.cli.run_summary import (
-    CAMERA_HEADER,
-    Row,
-    camera_row,
-    detection_rows,
-    gate_rows,
-    iou_warnings,
-    print_summary,
-    run_warnings,
-    vessel_rows,
-)
-from modsim3d.cli.shared import (
-    INTERRUPTED,
-    DetectorOption,
-    DetectorSeedOption,
-    FromOption,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    SceneArgument,
-    SeedOption,
-    SetOption,
-    StateOption,
-    StepsOption,
-    VerboseOption,
-    WorkersOption,
-    print_line,
-    print_path,
-    progress,
-)
-from modsim3d.cli.terminal import open_console, say, say_json, tell, tell_files, timed, warn
+from modsim3d.cli import run_summary, shared
+from modsim3d.cli.shared import flag, option
+from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_prose, print_table
 from modsim3d.core.errors import ModsimError
 
@@ -60,29 +30,35 @@ def print_truth_summary(result: TruthResult) -> None:
     console = open_console()
     print_table(console, "", _rows(result), right=(1,), styles=("bold", "", "dim"))
     if 1 < len(result.sequence_counts) <= MAX_SEQUENCES:
-        rows = [camera_row(name, counts) for name, counts in result.sequence_counts.items()]
+        rows = [run_summary.camera_row(name, counts) for name, counts in result.sequence_counts.items()]
+        header = ("sequence", *run_summary.CAMERA_HEADER[1:])
         console.print()
-        print_table(console, "", rows, header=("sequence", *CAMERA_HEADER[1:]), right=range(1, len(CAMERA_HEADER)))
-    print_line(console, "")
+        print_table(console, "", rows, header=header, right=range(1, len(header)))
+    shared.print_line(console, "")
     for note in result.notes:
         print_prose(console, f"Note: {note}.")
     if result.notes:
-        print_line(console, "")
-    print_path(console, "folder", result.folder)
+        shared.print_line(console, "")
+    shared.print_path(console, "folder", result.folder)
     for warning in truth_warnings(result):
         warn(warning)
 
 
-def _rows(result: TruthResult) -> list[Row]:
+def _rows(result: TruthResult) -> list[run_summary.Row]:
     counts, sequences = result.counts, len(result.sequence_counts)
     many = f"{sequences} sequence{'s' if sequences > 1 else ''}, from {result.kind}"
-    return [("frames", str(counts.frames), many), *vessel_rows(counts), *detection_rows(counts), *gate_rows(counts)]
+    return [
+        ("frames", str(counts.frames), many),
+        *run_summary.vessel_rows(counts),
+        *run_summary.detection_rows(counts),
+        *run_summary.gate_rows(counts),
+    ]
 
 
 def truth_warnings(result: TruthResult) -> list[str]:
     """Warnings to read before using the files, each a sentence."""
     nothing = [] if result.counts.annotated else ["no box of the truth is to be detected: there are only false alarms"]
-    return nothing + iou_warnings(result.counts)
+    return nothing + run_summary.iou_warnings(result.counts)
 
 
 # ---- What `modsim3d run --json` and `modsim3d detect --json` say of a finished run ----
@@ -102,7 +78,7 @@ def run_json(command: str, scene: Scene, result: RunResult, sheet: bool) -> dict
         "counts": asdict(result.counts),
         **asdict(result),
         "contact_sheet": result.folder / "contact_sheet.png" if sheet else None,
-        "warnings": run_warnings(scene, result),
+        "warnings": run_summary.run_warnings(scene, result),
     }
 
 
@@ -123,50 +99,37 @@ def truth_json(result: TruthResult) -> dict[str, Any]:
     }
 
 
-def tell_backend(folder: Path) -> None:
-    """Tell which OpenGL drew the truth of a run, if that is asked for."""
-    from modsim3d.runs.files.overwrite import RUN_FILE, read_json
-
-    tell("OpenGL", str(read_json(folder / RUN_FILE)["backend"]))
-
-
 def run_command(
-    scene: SceneArgument,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Run directory to write.", show_default="runs/SCENE")
-    ] = None,
-    overwrite: OverwriteOption = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with an interrupted run in DIR.")] = False,
-    seed: SeedOption = None,
-    detector: DetectorOption = None,
-    detector_seed: DetectorSeedOption = None,
+    scene: shared.SceneArgument,
+    out: Annotated[Path | None, option("DIR", "Run directory to write.", show_default="runs/SCENE")] = None,
+    overwrite: shared.OverwriteOption = False,
+    resume: Annotated[bool, flag("--resume", "Go on with an interrupted run in DIR.")] = False,
+    seed: shared.SeedOption = None,
+    detector: shared.DetectorOption = None,
+    detector_seed: shared.DetectorSeedOption = None,
     mode: Annotated[
-        int | None,
-        typer.Option(
-            "--mode", min=0, max=2, metavar="MODE", help="Annotation mode, 0 to 2, in place of the scene's (README)."
-        ),
+        int | None, option("MODE", "Annotation mode, 0 to 2, in place of the scene's (README).", "--mode", min=0, max=2)
     ] = None,
     source: Annotated[
         Literal["rendered", "analytic", "rectangles"] | None,
-        typer.Option(
-            "--source", metavar="SOURCE", help="Where the truth comes from: rendered, analytic or rectangles."
-        ),
+        option("SOURCE", "Where the truth comes from: rendered, analytic or rectangles.", "--source"),
     ] = None,
-    steps: StepsOption = None,
-    settings: SetOption = None,
-    state: StateOption = None,
-    state_from: FromOption = None,
-    workers: WorkersOption = 1,
-    no_json: Annotated[bool, typer.Option("--no-json", help="Write no annotations or detections as JSON.")] = False,
-    no_sheet: Annotated[bool, typer.Option("--no-sheet", help="Draw no contact_sheet.png.")] = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    steps: shared.StepsOption = None,
+    settings: shared.SetOption = None,
+    state: shared.StateOption = None,
+    state_from: shared.FromOption = None,
+    workers: shared.WorkersOption = 1,
+    no_json: Annotated[bool, flag("--no-json", "Write no annotations or detections as JSON.")] = False,
+    no_sheet: Annotated[bool, flag("--no-sheet", "Draw no contact_sheet.png.")] = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Run a scene: write truth, detections and a contact sheet into a run directory.
 
     Example: modsim3d run strait --out runs/first
     """
+    from modsim3d.runs.files.overwrite import RUN_FILE, read_json
     from modsim3d.runs.run import run_scene
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
@@ -191,8 +154,8 @@ def run_command(
     with (
         timed("truth, detections and files"),
         _with_picture(folder),
-        _interruptible(kept),
-        progress(loaded.name, total) as advance,
+        shared.interruptible(f"; what was finished is kept: {kept}"),
+        shared.progress(loaded.name, total) as advance,
     ):
         result = run_scene(
             loaded,
@@ -203,11 +166,11 @@ def run_command(
             workers=workers,
             progress=advance,
         )
-    tell_backend(folder)
+    tell("OpenGL", str(read_json(folder / RUN_FILE)["backend"]))
     if not no_sheet:
         with timed("contact sheet"):
             _draw_sheet(folder, loaded)
-    print_summary(loaded, result, sheet=not no_sheet)
+    run_summary.print_summary(loaded, result, sheet=not no_sheet)
     say_json(run_json("run", loaded, result, sheet=not no_sheet))
 
 
@@ -236,13 +199,3 @@ def _with_picture(folder: Path) -> Iterator[None]:
             raise
         write_difference(error.masks, path)
         raise ModsimError(f"{error}\n  {path} shows the truth, what was drawn, and where they differ") from None
-
-
-@contextmanager
-def _interruptible(kept: str) -> Iterator[None]:
-    """End the command after Ctrl-C, and say where the finished part is."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        say(f"\nmodsim3d: interrupted; what was finished is kept: {kept}", err=True)
-        raise typer.Exit(INTERRUPTED) from None

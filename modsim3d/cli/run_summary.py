@@ -73,14 +73,11 @@ def scene_warnings(scene: Scene) -> list[str]:
 
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     """Summary of a run; each share is of a number that stands in another row."""
-    rows = _frame_rows(scene, result) + detection_rows(result.counts) + _model_rows(result)
-    return rows + _check_rows(scene, result.checked) + _time_rows(result)
-
-
-def _frame_rows(scene: Scene, result: RunResult) -> list[Row]:
     counts, cameras = result.counts, len(scene.cameras)
     many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
-    return [("frames", str(counts.frames), many), *vessel_rows(counts)]
+    rows = [("frames", str(counts.frames), many), *vessel_rows(counts), *detection_rows(counts)]
+    rows += _bias_rows(result) + gate_rows(counts)
+    return rows + _check_rows(scene, result.checked) + _time_rows(result)
 
 
 def _check_rows(scene: Scene, checked: Checked | None) -> list[Row]:
@@ -153,20 +150,13 @@ def _time_rows(result: RunResult) -> list[Row]:
     return rows
 
 
-def _model_rows(result: RunResult) -> list[Row]:
-    """Counts of optional parts of the detector, if they did anything."""
-    return _bias_rows(result) + gate_rows(result.counts)
-
-
 def gate_rows(counts: Counts) -> list[Row]:
     """Counts of gates and merges, if they did anything."""
     rows: list[Row] = []
-    if counts.missed_by_gate:
-        gated = share(counts.missed_by_gate, counts.missed, "missed")
-        rows.append(("gated", str(counts.missed_by_gate), gated))
-    if counts.merged:
-        merged = share(counts.merged, counts.true_detections, "true detections")
-        rows.append(("merged", str(counts.merged), merged))
+    if gated := counts.missed_by_gate:
+        rows.append(("gated", str(gated), share(gated, counts.missed, "missed")))
+    if merged := counts.merged:
+        rows.append(("merged", str(merged), share(merged, counts.true_detections, "true detections")))
     return rows
 
 

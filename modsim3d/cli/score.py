@@ -8,17 +8,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from modsim3d.cli.shared import (
-    FinishedRunArgument,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    SimilarityOption,
-    VerboseOption,
-    parse_similarity,
-    print_written,
-    typed_command,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
 from modsim3d.cli.terminal_tables import print_document
 from modsim3d.core.errors import ModsimError
@@ -26,10 +17,9 @@ from modsim3d.core.errors import ModsimError
 
 def score_command(
     context: typer.Context,
-    run: FinishedRunArgument,
+    run: shared.FinishedRunArgument,
     tracks: Annotated[
-        list[Path],
-        typer.Argument(metavar="TRACKS", help="Folders that `modsim3d track` wrote, or files of your own tracker."),
+        list[Path], argument("TRACKS", "Folders that `modsim3d track` wrote, or files of your own tracker.")
     ],
     vessels: Annotated[
         Literal["annotated", "full"],
@@ -37,44 +27,31 @@ def score_command(
             help="Vessels that count: annotated, as the detector was given, or full, all in the image with whole boxes."
         ),
     ] = "annotated",
-    similarity: SimilarityOption = None,
-    threshold: Annotated[
-        float, typer.Option(metavar="S", help="Least similarity at which a track follows a vessel.")
-    ] = 0.5,
-    gap: Annotated[
-        float, typer.Option(metavar="SECONDS", help="After so long outside the image a vessel is a new one.")
-    ] = 2.0,
-    by_class: Annotated[bool, typer.Option("--by-class", help="Score each class by itself too.")] = False,
+    similarity: shared.SimilarityOption = None,
+    threshold: Annotated[float, option("S", "Least similarity at which a track follows a vessel.")] = 0.5,
+    gap: Annotated[float, option("SECONDS", "After so long outside the image a vessel is a new one.")] = 2.0,
+    by_class: Annotated[bool, flag("--by-class", "Score each class by itself too.")] = False,
     gospa: Annotated[
         str | None,
-        typer.Option(
-            metavar="C[:P]", help="Cutoff of GOSPA, and its power.", show_default="100 px, in the world 50 m; power 1"
-        ),
+        option("C[:P]", "Cutoff of GOSPA, and its power.", show_default="100 px, in the world 50 m; power 1"),
     ] = None,
     gate: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Farthest that a track in the world follows a vessel.", show_default="50 m"),
+        float | None, option("M", "Farthest that a track in the world follows a vessel.", show_default="50 m")
     ] = None,
-    camera: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Camera to score; repeatable.", show_default="all")
-    ] = None,
+    camera: Annotated[list[str] | None, option("NAME", "Camera to score; repeatable.", show_default="all")] = None,
     seeds: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Run detector, tracker and scores again with N seeds of the detector."),
+        int | None, option("N", "Run detector, tracker and scores again with N seeds of the detector.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for score.json and score.html.", show_default="none")
-    ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    out: Annotated[Path | None, option("DIR", "Folder for score.json and score.html.", show_default="none")] = None,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Score tracks against what was true, and beside them the same detections with perfect association.
 
     Example: modsim3d score runs/first runs/tracks
     """
-    from modsim3d.cli.shared import progress
     from modsim3d.io.overwrite_guard import claimed
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
@@ -85,12 +62,12 @@ def score_command(
     with timed("opening the run"):
         opened = open_run(run)
     paths = [] if out is None else [out / file for file in FILES]
-    name, scale_px = parse_similarity(similarity)
+    name, scale_px = shared.parse_similarity(similarity)
     cutoff, power = parse_gospa(gospa)
     read = [*read_of_run(run), *tracks]
     tell_files(read)
     with claimed(paths, overwrite=overwrite, inputs=read):
-        with timed("scores"), progress("seeds", seeds) if seeds else nullcontext(lambda done: None) as advance:
+        with timed("scores"), shared.progress("seeds", seeds) if seeds else nullcontext(lambda done: None) as advance:
             scores = score_run(
                 opened,
                 tracks,
@@ -109,19 +86,16 @@ def score_command(
             )
         if out is not None:
             with timed("files"):
-                write_scores(scores, out, typed_command(context))
+                write_scores(scores, out, shared.typed_command(context))
     console = open_console()
     print_document(console, document(scores))
-    print_written(console, paths)
+    shared.print_written(console, paths)
     say_json({"command": "score", **score_data(scores), "written": paths})
 
 
 def parse_gospa(text: str | None) -> tuple[float | None, float]:
-    """Cutoff of GOSPA, None for the usual one, and its power, from a text such as `70` or `70:2`.
-
-    Raises:
-        ModsimError: It is no such text.
-    """
+    """Cutoff of GOSPA, None for the usual one, and its power, from a text such as `70` or `70:2`. Raises ModsimError if
+    it is no such text."""
     if text is None:
         return None, 1.0
     cutoff, colon, power = text.partition(":")

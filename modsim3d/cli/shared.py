@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console
-from modsim3d.cli.terminal_tables import print_table
+from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, say, timed
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.input_files import data_folder
 
@@ -29,9 +28,24 @@ if TYPE_CHECKING:
     from modsim3d.view.followed_tracks import FollowedTracks
 
 
+def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
+    """An option of what stands for its value in help, its text there, and its names, if not that of its parameter."""
+    return typer.Option(*names, metavar=metavar, help=text, **more)
+
+
+def flag(name: str, text: str, **more: Any) -> Any:
+    """An option that takes no value."""
+    return typer.Option(name, help=text, **more)
+
+
+def argument(metavar: str, text: str, **more: Any) -> Any:
+    """An argument of what stands for it in help, and its text there."""
+    return typer.Argument(metavar=metavar, help=text, **more)
+
+
 def under(panel: str, metavar: str, text: str, **more: Any) -> Any:
     """An option that help shows under a panel, with what stands for its value and its text."""
-    return typer.Option(metavar=metavar, help=text, rich_help_panel=panel, **more)
+    return option(metavar, text, rich_help_panel=panel, **more)
 
 
 # ---- Completions for the Tab key, found without loading more than the command line itself ----
@@ -40,10 +54,8 @@ _SCENE_FILES = (".yaml", ".yml", ".json")
 
 
 def complete_scene(incomplete: str) -> list[str]:
-    """Shipped scenes, and scene files of the working directory, that begin so.
-
-    Where no shipped scene does, there is nothing, and the shell completes the names of files and folders by itself.
-    """
+    """Shipped scenes, and scene files of the working directory, that begin so. Where no shipped scene does, there is
+    nothing, and the shell completes the names of files and folders by itself."""
     return _completed(incomplete, data_folder("scenes"), _SCENE_FILES)
 
 
@@ -80,47 +92,36 @@ def _workers(given: str | int) -> WorkerCount:
 
 
 SceneArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE", help="Scene file, or name of a shipped scene (modsim3d scenes).", autocompletion=complete_scene
-    ),
+    str, argument("SCENE", "Scene file, or name of a shipped scene (modsim3d scenes).", autocompletion=complete_scene)
 ]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory, finished or interrupted.")]
-FinishedRunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Run directory of a finished run.")]
+RunArgument = Annotated[Path, argument("RUN", "Run directory, finished or interrupted.")]
+FinishedRunArgument = Annotated[Path, argument("RUN", "Run directory of a finished run.")]
 CampaignArgument = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Folder of a campaign, finished or not, also while it is worked on.")
+    Path, argument("DIR", "Folder of a campaign, finished or not, also while it is worked on.")
 ]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist; never what is read.")]
+OverwriteOption = Annotated[bool, flag("--overwrite", "Replace files that exist; never what is read.")]
 WorkersOption = Annotated[
     Any,
-    typer.Option(
+    option(
+        "N|auto",
+        "Number of processes that share the work; auto: one for each CPU. The output is the same.",
         parser=_workers,
-        metavar="N|auto",
-        help="Number of processes that share the work; auto: one for each CPU. The output is the same.",
     ),
 ]
-StepsOption = Annotated[
-    int | None, typer.Option(min=1, metavar="N", help="Number of time steps, in place of the scene's.")
-]
-SeedOption = Annotated[
-    int | None, typer.Option(min=0, metavar="N", help="Seed of all random numbers, in place of the scene's.")
-]
-DetectorOption = Annotated[Path | None, typer.Option(metavar="FILE", help="Detector file, in place of the scene's.")]
+StepsOption = Annotated[int | None, option("N", "Number of time steps, in place of the scene's.", min=1)]
+SeedOption = Annotated[int | None, option("N", "Seed of all random numbers, in place of the scene's.", min=0)]
+DetectorOption = Annotated[Path | None, option("FILE", "Detector file, in place of the scene's.")]
 DetectorSeedOption = Annotated[
-    int | None, typer.Option(min=0, metavar="N", help="Seed of the detector; poses and waves keep the scene's.")
+    int | None, option("N", "Seed of the detector; poses and waves keep the scene's.", min=0)
 ]
 SetOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Set a key of the scene or, below detector., of its detector."),
+    list[str] | None, option("KEY=VALUE", "Set a key of the scene or, below detector., of its detector.", "--set")
 ]
-StateOption = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Keep the detector in one of its performance states.")
-]
+StateOption = Annotated[str | None, option("NAME", "Keep the detector in one of its performance states.")]
 FromOption = Annotated[
-    str | None,
-    typer.Option("--from", metavar="DIR", help="Take --state from the detectors of a folder; conditions: shipped."),
+    str | None, option("DIR", "Take --state from the detectors of a folder; conditions: shipped.", "--from")
 ]
-EveryOption = Annotated[int, typer.Option(min=1, metavar="K", help="Take every K-th time step only.")]
+EveryOption = Annotated[int, option("K", "Take every K-th time step only.", min=1)]
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", callback=ask_quiet, help="Print nothing but warnings and errors.")
 ]
@@ -130,26 +131,14 @@ VerboseOption = Annotated[
         "--verbose", "-v", callback=ask_verbose, help="Also print versions, files read, the OpenGL in use and times."
     ),
 ]
-JsonOption = Annotated[
-    bool, typer.Option("--json", callback=ask_json, help="Print the result as one JSON object (docs/json.md).")
-]
+JsonOption = Annotated[bool, flag("--json", "Print the result as one JSON object (docs/json.md).", callback=ask_json)]
 
 
 def out_file(out: Path | None, usual: Path) -> Path:
-    """The file that `--out` names: in a folder that exists under its usual name, as `cp` does it.
-
-    Args:
-        out: What was given.
-        usual: The file without `--out`.
-    """
+    """The file that `--out` names, or else `usual`: in a folder that exists under its usual name, as `cp` does it."""
     if out is None:
         return usual
     return out / usual.name if out.is_dir() else out
-
-
-def print_rows(console: Console, title: str, rows: Sequence[tuple[str, ...]]) -> None:
-    """Print rows as a table without a header under a title; print nothing if there are no rows."""
-    print_table(console, title, rows)
 
 
 def print_line(console: Console, text: str, style: str = "") -> None:
@@ -180,10 +169,8 @@ LEFT_OUT = frozenset({"out", "page", "overwrite", "quiet", "verbose", "json", "w
 
 
 def typed_command(context: typer.Context) -> str:
-    """The command with its arguments and the options that were given, in the order of its help.
-
-    Options have their long names. Those that only say where files go or what is printed are left out.
-    """
+    """The command with its arguments and the options that were given under their long names, in the order of its help.
+    Options that only say where files go or what is printed are left out."""
     words = ["modsim3d", *_command_words(context)]
     parameters = [each for each in context.command.params if each.name not in LEFT_OUT]
     for parameter in sorted(parameters, key=lambda each: each.param_type_name != "argument"):
@@ -238,11 +225,8 @@ def progress_bar() -> Progress:
 
 @contextmanager
 def progress(description: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """Show a bar after a description; `total` is the number of steps in all, or None if that is not known.
-
-    Yields:
-        The function to call with the number of steps done since its last call.
-    """
+    """Yield the function that moves a bar on by a number of steps; `total` is their number, None if that is not
+    known."""
     with progress_bar() as bar:
         task = bar.add_task(description, total=total)
         yield lambda steps: bar.update(task, advance=steps, refresh=True)
@@ -255,12 +239,22 @@ SIGNALED = 128
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was told to stop by a signal; `status` is its exit status."""
+    """The process was told to stop by the signal of a number."""
 
     def __init__(self, number: int) -> None:
-        """Keep the signal's number as the exit status."""
+        """Keep the number as the exit status."""
         super().__init__()
         self.status = SIGNALED + number
+
+
+@contextmanager
+def interruptible(said: str = "") -> Iterator[None]:
+    """End the command after Ctrl-C or a signal that `stoppable` takes, and say `said` after `interrupted`."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        say(f"\nmodsim3d: interrupted{said}", err=True)
+        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
 
 
 @contextmanager
@@ -290,33 +284,28 @@ def stoppable() -> Iterator[None]:
 
 TracksOption = Annotated[
     Path | None,
-    typer.Option(
+    option(
+        "TRACKS",
+        "Show the tracks of a tracker: a folder of modsim3d track, a .csv file, or MOT (docs/track_files.md).",
         "--tracks",
-        metavar="TRACKS",
-        help="Show the tracks of a tracker: a folder of modsim3d track, a .csv file, or MOT (docs/track_files.md).",
     ),
 ]
 
 SimilarityOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="iou|centre:PX",
-        help="Similarity of a track's box and a vessel's: iou, or centre, by distance, with that at which it is 0.",
+    option(
+        "iou|centre:PX",
+        "Similarity of a track's box and a vessel's: iou, or centre, by distance, with that at which it is 0.",
         show_default="iou",
     ),
 ]
 ThresholdOption = Annotated[
-    float | None,
-    typer.Option(metavar="S", help="Least similarity at which a track follows a vessel.", show_default="0.5"),
+    float | None, option("S", "Least similarity at which a track follows a vessel.", show_default="0.5")
 ]
 
 
 def parse_similarity(text: str | None) -> tuple[SimilarityName, float | None]:
-    """Name and scale of a text such as `iou` or `centre:40`; IoU without a text.
-
-    Raises:
-        ModsimError: There is no such similarity.
-    """
+    """Name and scale of a text such as `iou` or `centre:40`; IoU without a text. Raises ModsimError for any other."""
     name, colon, scale = (text or "iou").partition(":")
     try:
         scale_px = float(scale) if colon else None
@@ -332,12 +321,8 @@ def parse_similarity(text: str | None) -> tuple[SimilarityName, float | None]:
 def opened_tracks(
     path: Path | None, run: StoredRun, similarity: str | None, threshold: float | None
 ) -> FollowedTracks | None:
-    """The tracks that `--tracks` names, with the vessels that they follow; None without it.
-
-    Raises:
-        ModsimError: The run is not finished, the tracks are wrong, or an option is.
-    """
-    from modsim3d.cli.terminal import timed
+    """The tracks that `--tracks` names, with the vessels that they follow; None without it. Raises ModsimError if the
+    run is not finished, the tracks are wrong, or an option is."""
     from modsim3d.tracks.tracks import Similarity
     from modsim3d.view.followed_tracks import read_followed_tracks
 

@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from modsim3d.cli.shared import (
-    INTERRUPTED,
-    DetectorOption,
-    DetectorSeedOption,
-    FromOption,
-    QuietOption,
-    SceneArgument,
-    SeedOption,
-    SetOption,
-    StateOption,
-    StepsOption,
-    Stopped,
-    VerboseOption,
-    stoppable,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import flag, option
 from modsim3d.cli.terminal import remark, say, tell, tell_files, timed, warn, write_at_once
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
     from modsim3d.runs.streaming.lines import Address
-    from modsim3d.runs.streaming.server import LineServer
     from modsim3d.scene.scene import Scene
 
 WAIT_S = 60.0
@@ -36,31 +20,29 @@ LONGEST_WAIT_S = 100_000
 
 
 def stream_command(
-    scene: SceneArgument,
-    to: Annotated[
-        str, typer.Option("--to", metavar="-|tcp://HOST:PORT", help="Where the lines go; - is standard output.")
-    ] = "-",
+    scene: shared.SceneArgument,
+    to: Annotated[str, option("-|tcp://HOST:PORT", "Where the lines go; - is standard output.", "--to")] = "-",
     realtime: Annotated[
-        bool, typer.Option("--realtime", help="Let each line leave at its time, not as soon as it is ready.")
+        bool, flag("--realtime", "Let each line leave at its time, not as soon as it is ready.")
     ] = False,
     wait: Annotated[
-        float | None,
-        typer.Option(metavar="S", help="Seconds to wait while no reader is connected over TCP.", show_default="60"),
+        float | None, option("S", "Seconds to wait while no reader is connected over TCP.", show_default="60")
     ] = None,
-    seed: SeedOption = None,
-    detector: DetectorOption = None,
-    detector_seed: DetectorSeedOption = None,
-    steps: StepsOption = None,
-    settings: SetOption = None,
-    state: StateOption = None,
-    state_from: FromOption = None,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    seed: shared.SeedOption = None,
+    detector: shared.DetectorOption = None,
+    detector_seed: shared.DetectorSeedOption = None,
+    steps: shared.StepsOption = None,
+    settings: shared.SetOption = None,
+    state: shared.StateOption = None,
+    state_from: shared.FromOption = None,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Simulate a scene, and give a tracker each camera's detections as one line of JSON for each step.
 
     Example: modsim3d stream strait --to tcp://127.0.0.1:5000 --realtime
     """
+    from modsim3d.runs.streaming.lines import header_line
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
 
@@ -77,11 +59,11 @@ def stream_command(
             state_from=state_from,
         )
     tell_files(loaded.copy.read)
-    with _interruptible(), timed("stream"):
-        if address is None:
-            _to_standard_output(loaded, realtime)
-        else:
+    with shared.interruptible(), shared.stoppable(), timed("stream"):
+        if address is not None:
             _to_readers(loaded, realtime, address, WAIT_S if wait is None else wait)
+        elif write_at_once(header_line(loaded)):
+            _send_steps(loaded, realtime, write_at_once)
 
 
 def _address(to: str, wait: float | None) -> Address | None:
@@ -95,14 +77,6 @@ def _address(to: str, wait: float | None) -> Address | None:
     if wait is not None:
         raise ModsimError("--wait is for readers that connect to --to tcp://ADDRESS:PORT: leave it out")
     return None
-
-
-def _to_standard_output(scene: Scene, realtime: bool) -> None:
-    """Write the lines until there are no more, or nobody reads them."""
-    from modsim3d.runs.streaming.lines import header_line
-
-    if write_at_once(header_line(scene)):
-        _send_steps(scene, realtime, write_at_once)
 
 
 def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -> None:
@@ -124,19 +98,12 @@ def _to_readers(scene: Scene, realtime: bool, address: Address, wait_s: float) -
             try:
                 _send_steps(scene, realtime, send)
             except ModsimError:
-                _finish_what_came(server)
+                with suppress(NobodyReads):
+                    server.finish(come_back=False)  # readers who are there have the lines from before the error
                 raise
             server.finish()
         except NobodyReads:
             warn("the stream ends: its readers went away before they had all lines, and none has come back")
-
-
-def _finish_what_came(server: LineServer) -> None:
-    """Let readers who are there have the lines from before an error."""
-    from modsim3d.runs.streaming.server import NobodyReads
-
-    with suppress(NobodyReads):
-        server.finish(come_back=False)
 
 
 def _send_steps(scene: Scene, realtime: bool, send: Callable[[bytes], bool]) -> None:
@@ -154,14 +121,3 @@ def _send_steps(scene: Scene, realtime: bool, send: Callable[[bytes], bool]) -> 
                 started.enter_context(short_collections())
     if pace is not None:
         remark(f"latest: step {pace.latest} left {pace.late_s:.3f} s after its time")
-
-
-@contextmanager
-def _interruptible() -> Iterator[None]:
-    """End the command after Ctrl-C, or when the system tells it to stop."""
-    try:
-        with stoppable():
-            yield
-    except KeyboardInterrupt as stop:
-        say("\nmodsim3d: interrupted", err=True)
-        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None

@@ -58,17 +58,11 @@ def wrapped(text: str, width: int) -> list[str]:
 
 @dataclass
 class Asked:
-    """Amount of output that the command line asks for.
+    """Amount of output that the command line asks for."""
 
-    Attributes:
-        quiet: Nothing but warnings and errors.
-        verbose: Also what is read, by which programs, and how long each part takes.
-        json: The result as JSON on standard output, and no text there.
-    """
-
-    quiet: bool = False
-    verbose: bool = False
-    json: bool = False
+    quiet: bool = False  # nothing but warnings and errors
+    verbose: bool = False  # also what is read, by which programs, and how long each part takes
+    json: bool = False  # the result as JSON on standard output, and no text there
 
 
 _asked = Asked()
@@ -91,7 +85,11 @@ def ask_verbose(value: bool) -> bool:
     _asked.verbose = value
     _check_not_both()
     if value:
-        tell("versions", _versions())
+        from importlib.metadata import version
+
+        own, python = f"modsim3d {version('modsim3d')}", f"Python {'.'.join(map(str, sys.version_info[:3]))}"
+        libraries = (f"{name} {version(name)}" for name in ("numpy", "scipy", "shapely", "pyarrow", "PyOpenGL"))
+        tell("versions", ", ".join([own, python, *libraries]))
     return value
 
 
@@ -104,14 +102,6 @@ def ask_json(value: bool) -> bool:
     """Take `--json` from the command line."""
     _asked.json = value
     return value
-
-
-def _versions() -> str:
-    from importlib.metadata import version
-
-    python = ".".join(map(str, sys.version_info[:3]))
-    names = ("numpy", "scipy", "shapely", "pyarrow", "PyOpenGL")
-    return ", ".join([f"modsim3d {version('modsim3d')}", f"Python {python}", *(f"{n} {version(n)}" for n in names)])
 
 
 def say(text: str, *, err: bool = False) -> None:
@@ -194,10 +184,8 @@ def _say_prose(lines: Iterable[str], style: str = "") -> None:
 
 
 def open_console(**options: Any) -> Console:
-    """A console of rich that takes text as it is: no markup, no emoji, and control characters visible.
-
-    It writes nothing that is not asked for, and breaks no line in a file or a pipe, unless `COLUMNS` says where.
-    """
+    """A console of rich that takes text as it is: no markup, no emoji, and control characters visible. It writes
+    nothing that is not asked for, and breaks no line in a file or a pipe, unless `COLUMNS` says where."""
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.segment import Segment
 
@@ -217,13 +205,8 @@ def open_console(**options: Any) -> Console:
 
 
 def check_arguments(arguments: Iterable[str]) -> None:
-    """Refuse control characters in arguments, which messages about wrong arguments would repeat, and other than UTF-8.
-
-    Names of files stand in JSON and tables, which are UTF-8.
-
-    Raises:
-        ModsimError: An argument has one.
-    """
+    """Raise a `ModsimError` for control characters in arguments, which messages about wrong arguments would repeat, and
+    for other than UTF-8: names of files stand in JSON and tables, which are UTF-8."""
     for argument in arguments:
         if _BREAKS.search(argument):
             shown = _BREAKS.sub(_escaped, argument)[:200]
@@ -236,14 +219,9 @@ def check_arguments(arguments: Iterable[str]) -> None:
 
 
 class _Descriptor(io.FileIO):
-    """A descriptor to write to that raises nothing, so that no output decides how a command ends.
+    """A descriptor to write to that raises nothing, so that no output decides how a command ends."""
 
-    Attributes:
-        problem: Why something could not be written, other than that nobody reads it; None if nothing was lost.
-        unread: Nobody reads it any more.
-    """
-
-    problem: OSError | None = None
+    problem: OSError | None = None  # why something could not be written, other than that nobody reads it
     unread = False
 
     def write(self, data: object, /) -> int:
@@ -297,12 +275,8 @@ def lost_output() -> OSError | None:
 
 def write_at_once(data: bytes) -> bool:
     """Write bytes to standard output past its buffer; False if nobody reads it any more, or it cannot be written to.
-
-    Nothing is left for later, so a command whose reader has stopped reading can be interrupted.
-
-    Raises:
-        ModsimError: There is no standard output.
-    """
+    Nothing is left for later, so a command whose reader has stopped reading can be interrupted. Raises ModsimError if
+    there is no standard output."""
     if sys.stdout is None:
         raise ModsimError("there is no standard output to write to")
     sys.stdout.flush()

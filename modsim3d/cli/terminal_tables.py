@@ -11,7 +11,6 @@ from modsim3d.core.text import is_numeric
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.text import Text as Styled
 
 # ---- Tables and prose for the terminal ----
 
@@ -40,26 +39,19 @@ def print_table(
     breaks: Sequence[Callable[[str], str]] = (),
     at_edge: int | None = None,
 ) -> None:
-    """Print rows under a title: as a table, or where that is too wide, each row on lines of its own.
-
-    Args:
-        console: Where to.
-        title: Empty for none.
-        rows: Cells of equal number; nothing is printed if there are none.
-        header: Names of the columns; without it the first and the last are text that may be broken between words.
-        right: Columns whose cells stand on the right.
-        styles: Style of each column.
-        row_styles: Style of each row, in place of that of its cells.
-        breaks: Ways to break cells after the first into lines; the first that fits is taken.
-        at_edge: Column that stands at the right edge of a row that has lines of its own.
-    """
+    """Print rows under a title: as a table, or where that is too wide, each row on lines of its own. Nothing is printed
+    if there are no rows. Without a header the first and the last column are text that may be broken between words.
+    `right` are columns whose cells stand on the right, `at_edge` one that stands at the right edge of a row that has
+    lines of its own. A row's style takes the place of that of its cells. `breaks` are ways to break cells after the
+    first into lines; the first that fits is taken."""
     if not rows:
         return
     if title:
         console.print()
         print_prose(console, title, "bold")
     table = [[visible(cell) for cell in row] for row in ([header, *rows] if header else rows)]
-    for names, broken in [(_whole, _whole), *((_in_two, each) for each in (_whole, *breaks) if breaks)]:
+    whole: Callable[[str], str] = str
+    for names, broken in [(whole, whole), *((_in_two, each) for each in (whole, *breaks) if breaks)]:
         lines = [[[row[0]], *(broken(cell).split("\n") for cell in row[1:])] for row in table]
         if header:
             lines[0] = [names(cell).split("\n") for cell in table[0]]
@@ -70,10 +62,6 @@ def print_table(
     for place, row in enumerate(body):
         style = row_styles[place] if place < len(row_styles) else ""
         _print_stacked(console, row, header, at_edge, style or (styles[0] if styles else ""), style)
-
-
-def _whole(cell: str) -> str:
-    return cell
 
 
 def _in_two(cell: str) -> str:
@@ -93,7 +81,8 @@ def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -
         return widths
     if not wraps or len(widths) < 2:
         return []
-    least = [max([MIN_PROSE, *_word_lengths(columns[place])]) for place in (0, -1)]
+    words = [[word for cell in columns[place] for line in cell for word in line.split()] for place in (0, -1)]
+    least = [max([MIN_PROSE, *map(cell_len, texts)]) for texts in words]
     least_first, least_last = min(least[0], widths[0]), min(least[1], widths[-1])
     if widths[0] + room >= least_first:  # a long name before short values
         return [widths[0] + room, *widths[1:]]
@@ -101,12 +90,6 @@ def _widths(table: Sequence[Sequence[Sequence[str]]], width: int, wraps: bool) -
         return [*widths[:-1], widths[-1] + room]
     last = widths[-1] + room + widths[0] - least_first
     return [least_first, *widths[1:-1], last] if last >= least_last else []
-
-
-def _word_lengths(column: Sequence[Sequence[str]]) -> list[int]:
-    from rich.cells import cell_len
-
-    return [cell_len(word) for cell in column for line in cell for word in line.split()]
 
 
 def _print_aligned(
@@ -178,10 +161,6 @@ def _print_line(console: Console, line: Line) -> None:
 
     text = Styled.assemble(*line)
     text.rstrip()
-    _print_whole(console, text)
-
-
-def _print_whole(console: Console, text: Styled) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 

@@ -6,19 +6,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from modsim3d.cli.shared import (
-    FinishedRunArgument,
-    JsonOption,
-    OverwriteOption,
-    QuietOption,
-    VerboseOption,
-    complete_tracker,
-    print_line,
-    print_written,
-    progress,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
 from modsim3d.cli.terminal_tables import print_prose, print_table
 
@@ -30,24 +19,23 @@ HEADER = ("camera", "frames", "detections", "tracks", "boxes", "median track")
 
 
 def track_command(
-    run: FinishedRunArgument,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for tracks.parquet and tracks.json.")],
+    run: shared.FinishedRunArgument,
+    out: Annotated[Path, option("DIR", "Folder for tracks.parquet and tracks.json.")],
     tracker: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            help="Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, or one of a plug-in.",
-            autocompletion=complete_tracker,
+        option(
+            "NAME",
+            "Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, or one of a plug-in.",
+            autocompletion=shared.complete_tracker,
         ),
     ] = "reference",
     settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Set a setting of the tracker, in place of the chosen one."),
+        list[str] | None, option("KEY=VALUE", "Set a setting of the tracker, in place of the chosen one.", "--set")
     ] = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
-    json: JsonOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
+    json: shared.JsonOption = False,
 ) -> None:
     """Run a tracker over a run's detections, each camera by itself, and write its tracks.
 
@@ -64,7 +52,7 @@ def track_command(
         stored = open_run(run)
     tell_files(read_of_run(run))
     frames = None if stored.stored is None else stored.settings["counts"]["frames"]
-    with timed("tracks and files"), progress(tracker, frames) as advance:
+    with timed("tracks and files"), shared.progress(tracker, frames) as advance:
         result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)
     tell("tracker", ", ".join(f"{name} {version}" for name, version in result.origin.versions.items()))
     written = track_paths(out)
@@ -94,8 +82,8 @@ def _print_result(result: TrackResult, run: Path, written: list[Path]) -> None:
     print_prose(console, f"{result.name}: {result.origin.package}; settings: {result.origin.chosen}")
     rows = [_cells(name, counts) for name, counts in result.camera_counts.items()]
     print_table(console, "tracks", rows, header=HEADER, right=range(1, len(HEADER)))
-    print_written(console, written)
-    print_line(console, f"\nnext\n  modsim3d score {shlex.quote(str(run))} {shlex.quote(str(result.folder))}")
+    shared.print_written(console, written)
+    shared.print_line(console, f"\nnext\n  modsim3d score {shlex.quote(str(run))} {shlex.quote(str(result.folder))}")
 
 
 def _cells(name: str, counts: TrackCounts) -> tuple[str, ...]:

@@ -7,26 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
-import typer
-
-from modsim3d.cli.shared import (
-    INTERRUPTED,
-    EveryOption,
-    OverwriteOption,
-    QuietOption,
-    RunArgument,
-    SimilarityOption,
-    Stopped,
-    ThresholdOption,
-    TracksOption,
-    VerboseOption,
-    WorkersOption,
-    opened_tracks,
-    out_file,
-    print_line,
-    read_of_tracks,
-    stoppable,
-)
+from modsim3d.cli import shared
+from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.overwrite_guard import check_not_read, claimed, locked_file
@@ -41,102 +23,80 @@ if TYPE_CHECKING:
 
 MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
 FRAME_FILES = "frame_*.png"
-
-
 FilmKind = Literal["detections", "scene", "ids", "corners", "map", "all"]
 FrameKind = Literal["detections", "scene", "ids", "corners", "all", "id_buffer"]
 FilmFormat = Literal["mp4", "gif", "png"]
-
-
 CamerasOption = Annotated[
-    list[str] | None,
-    typer.Option("--camera", metavar="NAME", help="Camera to draw; repeatable.", show_default="all cameras"),
+    list[str] | None, option("NAME", "Camera to draw; repeatable.", "--camera", show_default="all cameras")
 ]
 LayersOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME,...", help="Layers to draw over the image (docs/pictures.md).", show_default="those of the kind"
-    ),
+    option("NAME,...", "Layers to draw over the image (docs/pictures.md).", show_default="those of the kind"),
 ]
 LookOption = Annotated[
     str | None,
-    typer.Option(
-        "--look",
-        metavar="LOOK,...",
-        help="How vessels and sea look: shaded or plain; night; fog:M, with the visibility in metres. It changes no "
+    option(
+        "LOOK,...",
+        "How vessels and sea look: shaded or plain; night; fog:M, with the visibility in metres. It changes no "
         "detection.",
+        "--look",
         show_default="shaded for scene, plain for detections",
     ),
 ]
 CropOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="X0,Y0,X1,Y1|vessels", help="Part of the image to draw, in pixels, or vessels: where vessels are."
-    ),
+    str | None, option("X0,Y0,X1,Y1|vessels", "Part of the image to draw, in pixels, or vessels: where vessels are.")
 ]
 WidthOption = Annotated[
     int | None,
-    typer.Option(
+    option(
+        "PX",
+        "Width of what is drawn, in pixels.",
         min=MIN_WIDTH_PX,
         max=MAX_WIDTH_PX,
-        metavar="PX",
-        help="Width of what is drawn, in pixels.",
         show_default="1280; several side by side: 1920",
     ),
 ]
-OutOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="in the run directory")
-]
+OutOption = Annotated[Path | None, option("FILE", "File to write.", show_default="in the run directory")]
 
 
 # ---- `modsim3d view film` ----
 
 
 def view_film_command(
-    run: RunArgument,
+    run: shared.RunArgument,
     kind: Annotated[
         FilmKind,
-        typer.Option(
-            "--kind",
-            metavar="KIND",
-            help="Kind of pictures: detections, scene, ids, corners, map, or all: three side by side.",
-        ),
+        option("KIND", "Kind of pictures: detections, scene, ids, corners, map, or all: three side by side.", "--kind"),
     ] = "detections",
     camera: CamerasOption = None,
-    start: Annotated[
-        float | None, typer.Option(metavar="TIME", help="Time of the first step that is shown, in seconds.")
-    ] = None,
-    end: Annotated[
-        float | None, typer.Option(metavar="TIME", help="Time of the last step that is shown, in seconds.")
-    ] = None,
-    every: EveryOption = 1,
+    start: Annotated[float | None, option("TIME", "Time of the first step that is shown, in seconds.")] = None,
+    end: Annotated[float | None, option("TIME", "Time of the last step that is shown, in seconds.")] = None,
+    every: shared.EveryOption = 1,
     only_with_vessels: Annotated[
-        bool, typer.Option("--only-with-vessels", help="Leave out steps with no vessel in an image.")
+        bool, flag("--only-with-vessels", "Leave out steps with no vessel in an image.")
     ] = False,
-    tracks: TracksOption = None,
-    similarity: SimilarityOption = None,
-    threshold: ThresholdOption = None,
+    tracks: shared.TracksOption = None,
+    similarity: shared.SimilarityOption = None,
+    threshold: shared.ThresholdOption = None,
     layers: LayersOption = None,
     look: LookOption = None,
     crop: CropOption = None,
     width: WidthOption = None,
     format_: Annotated[
         FilmFormat | None,
-        typer.Option(
+        option(
+            "FORMAT",
+            "Format to write: mp4, gif, or png for a folder of pictures.",
             "--format",
-            metavar="FORMAT",
-            help="Format to write: mp4, gif, or png for a folder of pictures.",
             show_default="by the name in --out, or mp4",
         ),
     ] = None,
-    speed: Annotated[
-        float, typer.Option(metavar="X", help="Seconds of the run that one second of a film shows.")
-    ] = 1.0,
-    workers: WorkersOption = 1,
+    speed: Annotated[float, option("X", "Seconds of the run that one second of a film shows.")] = 1.0,
+    workers: shared.WorkersOption = 1,
     out: OutOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Draw a film of a run.
 
@@ -149,7 +109,7 @@ def view_film_command(
     request = _request(kind, layers, crop, width, look, tracks)
     file_format = _film_format(format_, out)
     opened = _opened(run, tracks)
-    followed = opened_tracks(tracks, opened, similarity, threshold)
+    followed = shared.opened_tracks(tracks, opened, similarity, threshold)
     selection = select(
         opened,
         select_cameras(opened, camera or []),
@@ -165,11 +125,8 @@ def view_film_command(
 
 
 def _film_format(option: FilmFormat | None, out: Path | None) -> str:
-    """The format that `--format` asks for, or the ending of the file's name.
-
-    Raises:
-        ModsimError: The two differ, or no film has such an ending.
-    """
+    """The format that `--format` asks for, or the ending of the file's name. Raises ModsimError if the two differ, or
+    no film has such an ending."""
     ending = "" if out is None or out.is_dir() else out.suffix.lower().removeprefix(".")
     if option is None:
         if ending and ending not in ("mp4", "gif"):
@@ -192,58 +149,53 @@ def _draw_film(
     out: Path | None,
     overwrite: bool,
 ) -> None:
-    from modsim3d.cli.shared import progress
     from modsim3d.view.films.files import check_encoder
     from modsim3d.view.films.film import Showing, draw_film
 
     check_encoder(kind)
     folder = selection.run.folder
-    path = out or folder / name if kind == "png" else out_file(out, folder / f"{name}.{kind}")
+    path = out or folder / name if kind == "png" else shared.out_file(out, folder / f"{name}.{kind}")
     claim = (_claimed_folder if kind == "png" else _claimed_file)(path, selection.run, overwrite)
     showing = Showing.of(selection, kind, speed)
     pace = f"{len(showing.steps)} frames"
     if kind != "png":
         pace += f", {showing.timetable.duration_s:.1f} s at {float(showing.timetable.rate):g} pictures/s"
-    try:
-        with stoppable(), timed("film"), claim:
-            print_line(open_console(stderr=True), f"{path.name}: {pace}")
-            with progress("drawn", len(showing.steps)) as advance:
-                drawn = draw_film(selection, plan, kind, path, speed=speed, workers=workers, progress=advance)
-    except KeyboardInterrupt as stop:
-        say("\nmodsim3d: interrupted; no film was written", err=True)
-        raise typer.Exit(stop.status if isinstance(stop, Stopped) else INTERRUPTED) from None
+    with shared.interruptible("; no film was written"), shared.stoppable(), timed("film"), claim:
+        shared.print_line(open_console(stderr=True), f"{path.name}: {pace}")
+        with shared.progress("drawn", len(showing.steps)) as advance:
+            drawn = draw_film(selection, plan, kind, path, speed=speed, workers=workers, progress=advance)
     say(f"film  {drawn.path}\n      {drawn.size[0]} × {drawn.size[1]} px, {pace}")
 
 
 # ---- `modsim3d view frame`, `map` and `sheet` ----
 
-StepArgument = typer.Argument(metavar="STEP|TIME", help="Step to draw, such as 255, or time, such as 51.0 or 51s.")
+StepArgument = argument("STEP|TIME", "Step to draw, such as 255, or time, such as 51.0 or 51s.")
 
 
 def view_frame_command(
-    run: RunArgument,
+    run: shared.RunArgument,
     step: Annotated[str, StepArgument],
     kind: Annotated[
         FrameKind,
-        typer.Option(
-            "--kind",
-            metavar="KIND",
-            help="Kind of picture: detections, scene, ids, corners, all: three side by side, or id_buffer: the ID at "
+        option(
+            "KIND",
+            "Kind of picture: detections, scene, ids, corners, all: three side by side, or id_buffer: the ID at "
             "each pixel of a camera, as a PNG of 16 bits or, by --out, as .npy.",
+            "--kind",
         ),
     ] = "detections",
     camera: CamerasOption = None,
-    tracks: TracksOption = None,
-    similarity: SimilarityOption = None,
-    threshold: ThresholdOption = None,
+    tracks: shared.TracksOption = None,
+    similarity: shared.SimilarityOption = None,
+    threshold: shared.ThresholdOption = None,
     layers: LayersOption = None,
     look: LookOption = None,
     crop: CropOption = None,
     width: WidthOption = None,
     out: OutOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Draw one time step of a run as a PNG.
 
@@ -253,7 +205,7 @@ def view_frame_command(
 
     request = _request(kind, layers, crop, width, look, tracks)
     opened = _opened(run, tracks)
-    followed = opened_tracks(tracks, opened, similarity, threshold)
+    followed = shared.opened_tracks(tracks, opened, similarity, threshold)
     cameras = select_cameras(opened, camera or [])
     if kind == "id_buffer":
         _write_id_buffer(opened, cameras, step, out, overwrite)
@@ -267,14 +219,14 @@ def view_frame_command(
 
 
 def view_map_command(
-    run: RunArgument,
+    run: shared.RunArgument,
     step: Annotated[str | None, StepArgument] = None,
     camera: CamerasOption = None,
     width: WidthOption = None,
     out: OutOption = None,
-    overwrite: OverwriteOption = False,
-    quiet: QuietOption = False,
-    verbose: VerboseOption = False,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Draw the scene of a run from above, as PNG, SVG or PDF, at its last step unless another is given.
 
@@ -288,7 +240,7 @@ def view_map_command(
     opened = _opened(run, None)
     cameras = select_cameras(opened, camera or [])
     shown = len(times_of(opened)) - 1 if step is None else find_step(opened, step)
-    path = out_file(out, opened.folder / f"map_{shown:06d}.png")
+    path = shared.out_file(out, opened.folder / f"map_{shown:06d}.png")
     if path.suffix.lower() not in FORMATS:
         raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
     check_matplotlib()
@@ -298,7 +250,10 @@ def view_map_command(
 
 
 def view_sheet_command(
-    run: RunArgument, overwrite: OverwriteOption = False, quiet: QuietOption = False, verbose: VerboseOption = False
+    run: shared.RunArgument,
+    overwrite: shared.OverwriteOption = False,
+    quiet: shared.QuietOption = False,
+    verbose: shared.VerboseOption = False,
 ) -> None:
     """Draw contact_sheet.png of a finished run again.
 
@@ -324,7 +279,7 @@ def _write_id_buffer(run: StoredRun, cameras: tuple[int, ...], at: str, out: Pat
     if len(names) > 1:
         raise ModsimError(f"--kind id_buffer needs one camera: give --camera {' or --camera '.join(names)}")
     step = find_step(run, at)
-    path = out_file(out, run.folder / f"id_buffer_{names[0]}_{step:06d}.png")
+    path = shared.out_file(out, run.folder / f"id_buffer_{names[0]}_{step:06d}.png")
     if path.suffix.lower() not in (".png", ".npy"):
         raise ModsimError(f"{path}: the name of an ID buffer must end in .png or .npy")
     image = run.frame(names[0], step).id_image()
@@ -339,7 +294,7 @@ def _write_id_buffer(run: StoredRun, cameras: tuple[int, ...], at: str, out: Pat
 def _draw_picture(selection: Selection, plan: FilmPlan, name: str, out: Path | None, overwrite: bool) -> None:
     from modsim3d.view.films.film import draw_picture
 
-    path = out_file(out, selection.run.folder / f"{name}_{selection.steps[0]:06d}.png")
+    path = shared.out_file(out, selection.run.folder / f"{name}_{selection.steps[0]:06d}.png")
     if path.suffix.lower() != ".png":
         raise ModsimError(f"{path}: the name of a picture must end in .png")
     with _claimed_file(path, selection.run, overwrite), timed("picture"):
@@ -362,7 +317,7 @@ def _opened(run: Path, tracks: Path | None) -> StoredRun:
     from modsim3d.runs.stored_run import open_run
 
     opened = open_run(run)
-    tell_files(read_of_run(run) + read_of_tracks(tracks))
+    tell_files(read_of_run(run) + shared.read_of_tracks(tracks))
     return opened
 
 
@@ -376,11 +331,8 @@ def _say_what_there_is(run: StoredRun) -> None:
 
 @contextmanager
 def _claimed_file(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
-    """Check that a picture or a film of a run can be written to a file, and hold its lock.
-
-    Raises:
-        ModsimError: Its folder is missing, or it may not be written; see `claimed`.
-    """
+    """Check that a picture or a film of a run can be written to a file, and hold its lock. Raises ModsimError if its
+    folder is missing, or it may not be written; see `claimed`."""
     _check_parent(path)
     with claimed([path], overwrite=overwrite, inputs=read_of_run(run.folder)):
         yield
@@ -388,11 +340,8 @@ def _claimed_file(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]
 
 @contextmanager
 def _claimed_folder(path: Path, run: StoredRun, overwrite: bool) -> Iterator[None]:
-    """Check that the PNG files of a film of a run can be written to a folder, and hold its lock.
-
-    Raises:
-        ModsimError: It is a file, holds other files than a film's, or holds a film that is not to be overwritten.
-    """
+    """Check that the PNG files of a film of a run can be written to a folder, and hold its lock. Raises ModsimError if
+    it is a file, holds other files than a film's, or holds a film that is not to be overwritten."""
     _check_parent(path)
     check_not_read(path, read_of_run(run.folder))
     _check_free_folder(path, overwrite)

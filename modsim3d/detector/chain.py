@@ -11,42 +11,15 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes, unions
 from modsim3d.core.random_streams import Purpose, Streams
+from modsim3d.detector import draws, false_positives, records
 from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
 from modsim3d.detector.classification import ConfusionClassifier, PerformanceStates
 from modsim3d.detector.confidence import SCORES, Confidence
-from modsim3d.detector.draws import (
-    DUPLICATE_REDRAW_STREAMS,
-    DUPLICATE_STREAMS,
-    ERROR_DISTRIBUTIONS,
-    latent_normals,
-    select,
-    target_uniforms,
-)
 from modsim3d.detector.dropout import EFFECTS
-from modsim3d.detector.false_positives import (
-    FALSE_POSITIVE_MODELS,
-    FalsePositiveRates,
-    FalsePositives,
-    FalsePositiveSource,
-    FrameCounts,
-    Surroundings,
-)
 from modsim3d.detector.merges_and_splits import Events, PairNoise, halves
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock, VesselNoise
-from modsim3d.detector.records import (
-    DUPLICATE,
-    FALSE_POSITIVE,
-    FRAGMENT,
-    MERGED,
-    PERSISTENT,
-    SPLIT,
-    TRUE,
-    CameraFrames,
-    Detections,
-    Targets,
-    are_false,
-)
+from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.detector.target_statistics import TargetStatistics
 
 # ---- The whole detector ----
@@ -54,12 +27,7 @@ from modsim3d.detector.target_statistics import TargetStatistics
 
 @dataclass(frozen=True, eq=False)
 class _Unscored:
-    """Detections before they have a confidence: columns of `Detections`, and what confidence needs.
-
-    Attributes:
-        visible_fraction: Of the vessel, NaN where there is none, shape (m,).
-        uniforms: Uniform numbers for confidence and order, shape (m, 2).
-    """
+    """Detections before they have a confidence: columns of `Detections`, and what confidence needs."""
 
     frame: Indices
     target: Indices
@@ -69,8 +37,8 @@ class _Unscored:
     boxes_px: Array
     errors_px: Array
     redrawn: Mask
-    visible_fraction: Array
-    uniforms: Array
+    visible_fraction: Array  # of the vessel, NaN where there is none, shape (m,)
+    uniforms: Array  # for confidence and order, shape (m, 2)
 
     @classmethod
     def joined(cls, parts: Sequence[_Unscored]) -> _Unscored:
@@ -84,20 +52,13 @@ _KEPT_COLUMNS = tuple(name for name in _COLUMNS if name in Detections.__dataclas
 
 @dataclass(frozen=True, eq=False)
 class _DetectedVessels:
-    """Vessels that are neither missed nor merged into another's box.
+    """The n vessels that are neither missed nor merged into another's box."""
 
-    Attributes:
-        targets: The n vessels; a merged one has the box around both.
-        row: Row of the annotated target, shape (n,).
-        partner: Row of the smaller of two merged targets, else -1, shape (n,).
-        level: Probability of a smaller confidence where one score decides on misses and confidence, shape (n,).
-    """
-
-    targets: Targets
-    row: Indices
-    partner: Indices
+    targets: Targets  # a merged one has the box around both
+    row: Indices  # of the annotated target, shape (n,)
+    partner: Indices  # row of the smaller of two merged targets, else −1, shape (n,)
     label: Indices
-    level: Array | None
+    level: Array | None  # chance of a smaller confidence where one score decides on misses too, shape (n,)
 
     def unscored(
         self, rows: Indices | slice, kind: Indices, boxes_px: Array, errors_px: Array, redrawn: Mask, uniforms: Array
@@ -106,7 +67,7 @@ class _DetectedVessels:
         return _Unscored(
             frame=self.targets.frame[rows],
             target=self.row[rows],
-            partner=np.where(kind == MERGED, self.partner[rows], -1),
+            partner=np.where(kind == records.MERGED, self.partner[rows], -1),
             kind=kind,
             label=self.label[rows],
             boxes_px=boxes_px,
@@ -118,23 +79,15 @@ class _DetectedVessels:
 
 
 class Detector:
-    """A simulated detector (Jessen & Mohr (2023), section 7.6).
-
-    State, dropout and class, box error, false positives, confidence, in this order. The same frames give the
-    same detections, whatever was detected before and however a run is split into chunks.
-    """
+    """A simulated detector (Jessen & Mohr (2023), section 7.6): state, dropout and class, box error, false positives,
+    confidence, in this order. The same frames give the same detections, whatever was detected before and however a run
+    is split into chunks."""
 
     def __init__(self, model: DetectorModel, seed: int, statistics: TargetStatistics, clock: Clock) -> None:
-        """Build the parts that the model asks for.
-
-        Args:
-            seed: Key of all its random numbers.
-            statistics: Of the scene's targets, from `target_statistics`.
-            clock: Times of the scene's steps, such as `scene.times_s`: noise may persist from step to step.
-
-        Raises:
-            ModsimError: The sizes of false positives come from targets, and there are none.
-        """
+        """Build the parts that the model asks for; the seed is the key of all its random numbers. `statistics` of the
+        scene's targets come from `target_statistics`; the clock has the times of the scene's steps, as `scene.times_s`,
+        since noise may persist. Raises ModsimError if the sizes of false positives come from targets, and there are
+        none."""
         self.model = model
         self._streams = Streams(seed)
         self._states = PerformanceStates(model, self._streams)
@@ -146,11 +99,8 @@ class Detector:
         self._confidence = Confidence([state.confidence for state in model.states], model.confidence_threshold)
 
     def detect(self, frames: CameraFrames, targets: Targets) -> Detections:
-        """The detections in a run of frames of one camera.
-
-        Raises:
-            ModsimError: The box error of a state leaves nothing of a box, however often it is drawn.
-        """
+        """The detections in a run of frames of one camera. Raises ModsimError if the box error of a state leaves
+        nothing of a box, however often it is drawn."""
         states = self._states.at(frames)
         passed = self.model.gates.passed(frames, targets)
         detected = self._detected(frames, states, targets, np.flatnonzero(passed))
@@ -168,11 +118,11 @@ class Detector:
         return self._scored(states, parts, passed)
 
     def _detected(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _DetectedVessels:
-        candidates = targets if len(passed) == len(targets) else select(targets, passed)
+        candidates = targets if len(passed) == len(targets) else draws.select(targets, passed)
         label, level = self._classified(frames, states, candidates)
         detected = np.flatnonzero(label >= 0)
         rows, label, level = passed[detected], label[detected], None if level is None else level[detected]
-        kept = select(targets, rows)
+        kept = draws.select(targets, rows)
         boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
         pairs = self.model.merges_and_splits.merged_pairs(self._pair_noise, frames, kept)
         if not len(pairs):
@@ -183,7 +133,7 @@ class Detector:
         alone[smaller] = False
         rest = alone.nonzero()[0]
         level = None if level is None else level[rest]
-        vessels = select(replace(kept, boxes_px=boxes), rest)
+        vessels = draws.select(replace(kept, boxes_px=boxes), rest)
         return _DetectedVessels(vessels, rows[rest], partner[rest], label[rest], level)
 
     def _classified(self, frames: CameraFrames, states: Indices, targets: Targets) -> tuple[Indices, Array | None]:
@@ -199,10 +149,10 @@ class Detector:
     ) -> _Unscored:
         """One detection of each detected vessel; of a split one the larger part."""
         boxes = placed.boxes_px.copy()
-        kind = np.where(detected.partner >= 0, MERGED, TRUE)
+        kind = np.where(detected.partner >= 0, records.MERGED, records.TRUE)
         boxes[events.split], _ = halves(boxes[events.split], events.cut)
-        kind[events.split] = SPLIT
-        errors = np.where((kind == TRUE)[:, None], placed.errors_px, np.nan)
+        kind[events.split] = records.SPLIT
+        errors = np.where((kind == records.TRUE)[:, None], placed.errors_px, np.nan)
         uniforms = self._noise.score_uniforms(frames, detected.targets)
         if detected.level is not None:
             uniforms[:, 0] = detected.level
@@ -214,12 +164,13 @@ class Detector:
         """Second boxes, whose errors are drawn like those of the first."""
         if not len(events.doubled):
             return []
-        vessels = select(detected.targets, events.doubled)
-        latent = latent_normals(self._streams, DUPLICATE_STREAMS, frames, vessels, self._box_error.extra_normals)
+        vessels = draws.select(detected.targets, events.doubled)
+        extra = self._box_error.extra_normals
+        latent = draws.latent_normals(self._streams, draws.DUPLICATE_STREAMS, frames, vessels, extra)
         true = TrueBoxes.of(frames, states, vessels)
-        placed = self._box_error.misplace(self._streams, true, latent, DUPLICATE_REDRAW_STREAMS)
-        uniforms = self._score_uniforms(frames, vessels, Purpose.DUPLICATE_CONFIDENCE)
-        kind = np.full(len(vessels), DUPLICATE)
+        placed = self._box_error.misplace(self._streams, true, latent, draws.DUPLICATE_REDRAW_STREAMS)
+        uniforms = draws.target_uniforms(self._streams, Purpose.DUPLICATE_CONFIDENCE, frames, vessels)
+        kind = np.full(len(vessels), records.DUPLICATE)
         return [detected.unscored(events.doubled, kind, placed.boxes_px, placed.errors_px, placed.redrawn, uniforms)]
 
     def _fragments(
@@ -230,27 +181,28 @@ class Detector:
         if not count:
             return []
         _, smaller = halves(placed.boxes_px[events.split], events.cut)
-        kind, errors, redrawn = np.full(count, FRAGMENT), np.full((count, 4), np.nan), np.zeros(count, dtype=bool)
-        vessels = select(detected.targets, events.split)
-        uniforms = self._score_uniforms(frames, vessels, Purpose.FRAGMENT_CONFIDENCE)
-        return [detected.unscored(events.split, kind, smaller, errors, redrawn, uniforms)]
+        kind, errors = np.full(count, records.FRAGMENT), np.full((count, 4), np.nan)
+        vessels = draws.select(detected.targets, events.split)
+        uniforms = draws.target_uniforms(self._streams, Purpose.FRAGMENT_CONFIDENCE, frames, vessels)
+        return [detected.unscored(events.split, kind, smaller, errors, np.zeros(count, dtype=bool), uniforms)]
 
     def _false_positives(
         self, frames: CameraFrames, states: Indices, vessels: Targets, events: Events
     ) -> list[_Unscored]:
         """Detections of nothing."""
         n_true = np.bincount(vessels.frame, minlength=len(frames)).astype(np.int64)
-        counts = FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
-        around = Surroundings(self._streams, frames, counts, vessels)
+        counts = false_positives.FrameCounts(states, self.model.gates.due(frames), n_true, events.expected)
+        around = false_positives.Surroundings(self._streams, frames, counts, vessels)
         transient = self._false_positive_source.draw_transient(around)
-        parts = [self._of_false_positives(frames, transient, FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
+        parts = [self._of_false_positives(frames, transient, records.FALSE_POSITIVE, Purpose.CLUTTER_CONFIDENCE)]
         if self.model.false_positives.persistent_share:
             persistent = self._false_positive_source.draw_persistent(around)
-            parts.append(self._of_false_positives(frames, persistent, PERSISTENT, Purpose.PERSISTENT_CONFIDENCE))
+            kind, purpose = records.PERSISTENT, Purpose.PERSISTENT_CONFIDENCE
+            parts.append(self._of_false_positives(frames, persistent, kind, purpose))
         return parts
 
     def _of_false_positives(
-        self, frames: CameraFrames, drawn: FalsePositives, kind: int, purpose: Purpose
+        self, frames: CameraFrames, drawn: false_positives.FalsePositives, kind: int, purpose: Purpose
     ) -> _Unscored:
         count = len(drawn.frame)
         no_target = np.full(count, -1)
@@ -267,16 +219,12 @@ class Detector:
             uniforms=drawn.uniforms(self._streams, purpose, frames),
         )
 
-    def _score_uniforms(self, frames: CameraFrames, vessels: Targets, purpose: Purpose) -> Array:
-        """Uniform numbers for confidence and order, shape (n, 2)."""
-        return target_uniforms(self._streams, purpose, frames, vessels)
-
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""
         parts = [part for part in parts if len(part.frame)] or parts[:1]  # in a live step, most are empty
         every = parts[0] if len(parts) == 1 else _Unscored.joined(parts)
         width, height = sizes(every.boxes_px).T
-        false, (uniforms, ties) = are_false(every.kind), every.uniforms.T
+        false, (uniforms, ties) = records.are_false(every.kind), every.uniforms.T
         confidence = self._confidence.score(
             states[every.frame], false, every.visible_fraction, np.sqrt(width * height), uniforms
         )
@@ -292,35 +240,28 @@ class Detector:
         return Detections(states=states, confidence=confidence[order], gated=gated, **columns)
 
 
-def false_positive_source(model: DetectorModel, statistics: TargetStatistics) -> FalsePositiveSource:
-    """The false positives of a detector.
-
-    Raises:
-        ModsimError: Their sizes come from the scene's targets, and there are none.
-    """
-    return FalsePositiveSource.of(
+def false_positive_source(model: DetectorModel, statistics: TargetStatistics) -> false_positives.FalsePositiveSource:
+    """The false positives of a detector. Raises ModsimError if their sizes come from the scene's targets, and there are
+    none."""
+    return false_positives.FalsePositiveSource.of(
         model.false_positives, false_positive_rates(model), model.column("false_positive_labels"), statistics
     )
 
 
-def false_positive_rates(model: DetectorModel) -> FalsePositiveRates:
-    """How many false positives each state of a detector asks for."""
+def false_positive_rates(model: DetectorModel) -> false_positives.FalsePositiveRates:
+    """Rates of false positives that each state of a detector asks for."""
     discovery, per_image = model.column("false_discovery_rate"), model.column("false_positives_per_image")
-    return FalsePositiveRates(discovery, per_image, model.confidence_threshold)
+    return false_positives.FalsePositiveRates(discovery, per_image, model.confidence_threshold)
 
 
 def target_statistics(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetStatistics:
-    """Statistics that a detector needs of a scene: give the result to `Detector`, whatever the model.
-
-    Args:
-        model: The detector; only targets that pass its gates count.
-        parts: Frames and targets that together are the whole scene. They are not read if the model needs none;
-            the result is then empty.
-    """
+    """Statistics that a detector needs of a scene's targets that pass its gates: give the result to `Detector`,
+    whatever the model. `parts` together are the whole scene; they are not read if the model needs none, and the result
+    is then empty."""
     if not model.needs_target_statistics:
         return TargetStatistics()
     return TargetStatistics.total(
-        TargetStatistics.of(model.dropout, select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
+        TargetStatistics.of(model.dropout, draws.select(targets, np.flatnonzero(model.gates.passed(frames, targets))))
         for frames, targets in parts
     )
 
@@ -343,8 +284,8 @@ MARKOV_CHAIN, CONFUSION = "markov_chain", "confusion"
 MODELS: Mapping[DetectorPart, Mapping[str, object]] = {
     DetectorPart.STATE: {MARKOV_CHAIN: PerformanceStates},
     DetectorPart.CLASS: {CONFUSION: ConfusionClassifier, **EFFECTS},
-    DetectorPart.BOX_ERROR: ERROR_DISTRIBUTIONS,
-    DetectorPart.FALSE_POSITIVES: FALSE_POSITIVE_MODELS,
+    DetectorPart.BOX_ERROR: draws.ERROR_DISTRIBUTIONS,
+    DetectorPart.FALSE_POSITIVES: false_positives.FALSE_POSITIVE_MODELS,
     DetectorPart.CONFIDENCE: SCORES,
 }
 """What draws each part, by the name of the model."""
@@ -372,7 +313,7 @@ def used_models(model: DetectorModel) -> Iterator[UsedModel]:
             key = f"states.{name}.dropout.{effect.attribute}"
             yield UsedModel(DetectorPart.CLASS, model_name(EFFECTS, effect), key, name)
     for state in model.states:
-        name = model_name(ERROR_DISTRIBUTIONS, state.box_error.distribution)
+        name = model_name(draws.ERROR_DISTRIBUTIONS, state.box_error.distribution)
         yield UsedModel(DetectorPart.BOX_ERROR, name, f"states.{state.name}.box_error.law", state.name)
     yield UsedModel(DetectorPart.FALSE_POSITIVES, model.false_positives.model, "false_positives.model")
     for state in model.states:
@@ -384,11 +325,7 @@ def used_models(model: DetectorModel) -> Iterator[UsedModel]:
 
 
 def model_name(models: Mapping[str, type], value: object) -> str:
-    """The name under which the type of a value is registered.
-
-    Raises:
-        LookupError: It is not registered.
-    """
+    """The name under which the type of a value is registered. Raises LookupError if it is not."""
     for name, kind in models.items():
         if type(value) is kind:
             return name

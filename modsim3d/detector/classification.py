@@ -19,16 +19,11 @@ from modsim3d.detector.target_statistics import TargetStatistics, tallied
 
 @dataclass(frozen=True, eq=False)
 class ConfusionClassifier:
-    """Inverts the distribution of the target's label in the current state at a uniform number.
+    """Inverts the distribution of the target's label in the current state at a uniform number."""
 
-    Attributes:
-        distributions: Distribution function over labels and background, shape (states, labels, labels + 1).
-        intercepts: Log-odds added to all misses of a state and label, shape (states, labels).
-    """
-
-    distributions: Array
+    distributions: Array  # function over labels and background, shape (states, labels, labels + 1)
     dropout: Dropout
-    intercepts: Array
+    intercepts: Array  # log-odds added to all misses of a state and label, shape (states, labels)
 
     @classmethod
     def from_model(cls, model: DetectorModel, statistics: TargetStatistics) -> ConfusionClassifier:
@@ -51,10 +46,8 @@ class ConfusionClassifier:
         return shifted_rate(_miss_rates(self.distributions)[states, targets.label], added)
 
     def classify(self, frames: CameraFrames, states: Indices, targets: Targets, uniforms: Array) -> Indices:
-        """Detected label of each target from one uniform number each, −1 where it is missed, shapes (n,).
-
-        A changed rate of misses keeps the shares of the labels among detected targets.
-        """
+        """Detected label of each target from one uniform number each, −1 where it is missed, shapes (n,). A changed
+        rate of misses keeps the shares of the labels among detected targets."""
         state = states[targets.frame]
         if self.dropout.every_effect:
             seen = 1 - self.miss_rates(state, targets)
@@ -70,11 +63,10 @@ class ConfusionClassifier:
     def classify_scored(
         self, frames: CameraFrames, states: Indices, targets: Targets, uniforms: Array, scores: Array
     ) -> tuple[Indices, Array]:
-        """Detected label of each target, −1 where it is missed, and how sure the detector is of it, from 0 to 1.
-
-        A target is missed where its score, uniform in (0, 1), is below the chance of a miss p, and the detector is as
-        sure as (score − p) / (1 − p). The label comes from another number, with its share of the column. Shapes (n,).
-        """
+        """Detected label of each target, −1 where it is missed, and how sure the detector is of it, from 0 to 1. A
+        target is missed where its score, uniform in (0, 1), is below the chance of a miss p, and the detector is as
+        sure as (score − p) / (1 − p). The label comes from another number, with its share of the column. Shapes
+        (n,)."""
         state = states[targets.frame]
         missed = self.miss_rates(state, targets)
         usual = 1 - _miss_rates(self.distributions)[state, targets.label]
@@ -99,10 +91,8 @@ _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the transition
 
 
 class PerformanceStates:
-    """The states that a detector's cameras are in.
-
-    The chain goes on while the schedule forces a state, so the states after it are those of a run without a schedule.
-    """
+    """The states that a detector's cameras are in. The chain goes on while the schedule forces a state, so the states
+    after it are those of a run without a schedule."""
 
     def __init__(self, model: DetectorModel, streams: Streams) -> None:
         """Start in the model's initial state."""
@@ -110,11 +100,8 @@ class PerformanceStates:
         self._chains: dict[tuple[str, ...], StateSequence] = {}
 
     def at(self, frames: CameraFrames) -> Indices:
-        """Index of the state at each frame, shape (S,).
-
-        Raises:
-            ModsimError: The transition interval is so short that the transitions cannot be worked through.
-        """
+        """Index of the state at each frame, shape (S,). Raises ModsimError if the transition interval is so short that
+        the transitions cannot be worked through."""
         performance = self._model.performance
         owner = (frames.camera,) if performance.per_camera else ()
         if owner not in self._chains:
@@ -130,11 +117,8 @@ def transitions_before(interval_s: float | None, steps: Indices, times_s: Array)
 
 
 class StateSequence:
-    """The states of a run, one realisation of the chain.
-
-    Transition k uses the k-th number of one stream, so every camera that shares the chain has the same states at the
-    same time. States are kept once they have been computed.
-    """
+    """The states of a run, one realisation of the chain. Transition k uses the k-th number of one stream, so every
+    camera that shares the chain has the same states at the same time. States are kept once they have been computed."""
 
     def __init__(self, model: DetectorModel, streams: Streams, *owner: str) -> None:
         """Start in the model's initial state; `owner` is the camera that has the chain for itself, if one has."""

@@ -37,13 +37,9 @@ class NormalScores:
 
 @dataclass(frozen=True, eq=False)
 class QuantileScores:
-    """An empirical distribution, straight between its quantiles.
+    """An empirical distribution, straight between its quantiles."""
 
-    Attributes:
-        quantiles: At probabilities evenly spaced from 0 to 1, ascending, shape (at least 2,).
-    """
-
-    quantiles: Array
+    quantiles: Array  # at probabilities evenly spaced from 0 to 1, ascending, shape (at least 2,)
 
     def at(self, uniforms: Array) -> Array:
         """Interpolated between two quantiles, shape (n,)."""
@@ -60,10 +56,8 @@ SCORES: Mapping[str, type[ConfidenceLaw]] = {"normal": NormalScores, "quantiles"
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
-    """A precision-recall curve, straight between its points and level before the first.
-
-    Recall, ascending, and precision are above 0, shapes (n,).
-    """
+    """A precision-recall curve, straight between its points and level before the first. Recall, ascending, and
+    precision are above 0, shapes (n,)."""
 
     recall: Array
     precision: Array
@@ -91,12 +85,10 @@ class PrecisionRecall:
         return (float(recall[falling[0]]), float(recall[falling[0] + 1])) if len(falling) else None
 
     def scores(self, threshold: float) -> tuple[QuantileScores, QuantileScores]:
-        """Distributions of the confidence of true and of false detections that make this curve.
-
-        A true one is spread evenly over [threshold, 1], so the share q of the true ones is above the confidence
-        c(q) = 1 − q·(1 − threshold), and recall there is q times the last recall R. Precision is right if the
-        share of false ones above c(q) is F(q·R) / F(R) with F the false detections for each target.
-        """
+        """Distributions of the confidence of true and of false detections that make this curve. A true one is spread
+        evenly over [threshold, 1], so the share q of the true ones is above the confidence c(q) = 1 − q·(1 −
+        threshold), and recall there is q times the last recall R. Precision is right if the share of false ones above
+        c(q) is F(q·R) / F(R) with F the false detections for each target."""
         recall = np.linspace(0, self.recall[-1], CURVE_POINTS)
         false = np.maximum.accumulate(self.false_per_target(recall))
         confidence = 1 - (1 - threshold) * recall / recall[-1]
@@ -110,19 +102,13 @@ class PrecisionRecall:
 
 @dataclass(frozen=True, eq=False)
 class StateConfidence:
-    """The confidence of one performance state.
-
-    Attributes:
-        visibility_slope: Confidence that a wholly hidden vessel loses; others lose in proportion to the hidden share.
-        size_slope: Confidence that a box loses for each halving of its size below the reference.
-        size_reference_px: Reference size: the side of a square as large as the box.
-    """
+    """The confidence of one performance state."""
 
     true: ConfidenceLaw
     false: ConfidenceLaw
-    visibility_slope: float = 0.0
-    size_slope: float = 0.0
-    size_reference_px: float = 64.0
+    visibility_slope: float = 0.0  # loss of a wholly hidden vessel; others lose in proportion to the hidden share
+    size_slope: float = 0.0  # loss for each halving of a box's size below the reference
+    size_reference_px: float = 64.0  # side of a square as large as the box
 
     def score(self, uniforms: Array, false: Mask, visible_fraction: Array, size_px: Array) -> Array:
         """Confidence before clipping, shapes (n,)."""
@@ -139,20 +125,15 @@ class StateConfidence:
 
 @dataclass(frozen=True, eq=False)
 class Confidence:
-    """Scores by state, moved to the nearer end of [threshold, 1] where outside (Jessen & Mohr (2023), section 7.6.2).
-
-    So the threshold is the least confidence of an output detection, and drops none.
-    """
+    """Scores by state, moved to the nearer end of [threshold, 1] where outside (Jessen & Mohr (2023), section 7.6.2),
+    so the threshold is the least confidence of an output detection, and drops none."""
 
     states: Sequence[StateConfidence]
     threshold: float
 
     def score(self, state: Indices, false: Mask, visible_fraction: Array, size_px: Array, uniforms: Array) -> Array:
-        """Confidence of detections from one uniform number each, shapes (m,).
-
-        `visible_fraction` is NaN without a vessel or where unknown; `size_px` is the side of a square as large as the
-        box.
-        """
+        """Confidence of detections from one uniform number each, shapes (m,). `visible_fraction` is NaN without a
+        vessel or where unknown; `size_px` is the side of a square as large as the box."""
         score = np.empty(len(state))
         for index, confidence in enumerate(self.states):
             rows = (state == index).nonzero()[0]
@@ -199,20 +180,16 @@ def clipped_laws(means: Array, std: float, threshold: float) -> tuple[Array, Arr
 
 
 def clipped_sums(values: Array, low: float, high: float) -> Array:
-    """Each number's (n,) part of the sums that the fit needs, shape (n, 5).
-
-    Whether it is at the low end, at the high end and between; if between, its value and square, else 0.
-    """
+    """Each number's (n,) part of the sums that the fit needs, shape (n, 5): whether it is at the low end, at the high
+    end and between; if between, its value and square, else 0."""
     at_low, at_high = values <= low, values >= high
     inside = ~(at_low | at_high)
     return np.column_stack([at_low, at_high, inside, inside * values, inside * values**2]) * 1.0
 
 
 def fit_clipped(sums: Array, low: float, high: float) -> tuple[Array, Array]:
-    """Mean and standard deviation of maximum likelihood, by expectation and maximisation (Dempster et al. (1977)).
-
-    For each row of sums from `clipped_sums`, shape (rows, 5); results (rows,) are NaN where there are no numbers.
-    """
+    """Mean and standard deviation of maximum likelihood, by expectation and maximisation (Dempster et al. (1977)), for
+    each row of sums from `clipped_sums`, shape (rows, 5); results (rows,) are NaN where there are no numbers."""
     below, above, inside, first, second = sums.T
     number = below + above + inside
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -282,10 +259,8 @@ LEVELS: Mapping[str, Callable[..., Levels | None]] = {"normal": _normal, "quanti
 
 
 def drawn_levels(levels: Levels, confidence: Array, threshold: float, rng: np.random.Generator) -> Array:
-    """One level for each confidence, uniform if they follow their law, shape (n,).
-
-    Where several levels give one confidence, as at both ends of the range, one of them is drawn.
-    """
+    """One level for each confidence, uniform if they follow their law, shape (n,). Where several levels give one
+    confidence, as at both ends of the range, one of them is drawn."""
     low = np.where(confidence <= threshold, 0.0, levels[0])
     high = np.where(confidence >= 1, 1.0, levels[1])
     drawn: Array = low + rng.random(len(low)) * (high - low)

@@ -1,9 +1,7 @@
-"""From uniform numbers to draws: which number belongs to what, and inverse distribution functions.
-
-All of it works element by element. A matrix product may round differently with the number of rows, and how
-a run is split into chunks must not show in its output. What comes from a logarithm, an exponential or a quantile is
-rounded at once (`on_grid`), so that the processor does not show either.
-"""
+"""From uniform numbers to draws: which number belongs to what, and inverse distribution functions. All of it works
+element by element. A matrix product may round differently with the number of rows, and how a run is split into chunks
+must not show in its output. What comes from a logarithm, an exponential or a quantile is rounded at once (`on_grid`),
+so that the processor does not show either."""
 
 from __future__ import annotations
 
@@ -27,11 +25,8 @@ ErrorUnit = Literal["px", "relative", "mixed"]
 
 
 class ErrorDistribution(Protocol):
-    """A distribution of standardised errors: four independent standard normal numbers times random scales.
-
-    Its mean is zero and its covariance the identity. `keys` are its own keys in a detector file's `box_error`: its
-    fields.
-    """
+    """A distribution of standardised errors: four independent standard normal numbers times random scales. Its mean is
+    zero and its covariance the identity. `keys` are its own keys in a detector file's `box_error`: its fields."""
 
     keys: ClassVar[tuple[str, ...]]
 
@@ -57,10 +52,8 @@ class Normal:
 
 @dataclass(frozen=True)
 class StudentT:
-    """The multivariate t distribution of ν > 2 degrees of freedom, scaled to have the identity as covariance.
-
-    A normal number times √((ν − 2) / w), with w chi-square of ν degrees of freedom and common to the four components.
-    """
+    """The multivariate t distribution of ν > 2 degrees of freedom, scaled to have the identity as covariance: a normal
+    number times √((ν − 2) / w), with w chi-square of ν degrees of freedom and common to the four components."""
 
     degrees_of_freedom: float
 
@@ -124,35 +117,23 @@ ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {
 
 
 def size_factors(sizes_px: Array, relative: Mask | bool, growths: Array) -> tuple[Array, Array]:
-    """Factors on box errors and on their distance from the mean by the size of a box, shapes (..., 4).
-
-    Args:
-        sizes_px: Width and height of the true box, at least a pixel, shape (..., 2).
-        relative: Whether errors are in sides of the box; broadcast with shape (..., 4).
-        growths: k over σ₀ of `mixed` errors, whose standard deviation is σ₀ + k·side, in 1/px; 0 for others. Broadcast
-            with shape (..., 4).
-    """
+    """Factors on box errors and on their distance from the mean by the size (..., 2) of the true box, at least a pixel;
+    shapes (..., 4). Errors that are relative are in sides of the box. `growths` are k over σ₀ of `mixed` errors, whose
+    standard deviation is σ₀ + k·side, in 1/px; 0 for others. Both are broadcast with shape (..., 4)."""
     sides = np.concatenate([sizes_px, sizes_px], axis=-1)
     return np.where(relative, sides, 1.0), 1 + growths * sides
 
 
 @dataclass(frozen=True, eq=False)
 class BoxErrorLaw:
-    """The distribution of (e_x, e_y, e_w, e_h) before degenerate boxes are resampled.
+    """The distribution of (e_x, e_y, e_w, e_h) before degenerate boxes are resampled. The unit is `px`; `relative`, in
+    sides of the box; or `mixed`, in pixels with standard deviations that grow."""
 
-    Attributes:
-        mean: In pixels, or in sides of the box if relative, shape (4,).
-        covariance: In the square of the mean's unit, symmetric and positive semi-definite, shape (4, 4).
-        unit: `px`; `relative`, in sides of the box; or `mixed`, in pixels with standard deviations that grow.
-        growth: By how many pixels mixed standard deviations grow with each pixel of the side, shape (4,).
-        distribution: The distribution once mean and covariance are taken away.
-    """
-
-    mean: Array
-    covariance: Array
+    mean: Array  # in pixels, or in sides of the box if relative, shape (4,)
+    covariance: Array  # in the square of the mean's unit, symmetric, positive semi-definite, shape (4, 4)
     unit: ErrorUnit = "px"
-    growth: Array = field(default_factory=lambda: read_only(np.zeros(4)))
-    distribution: ErrorDistribution = field(default_factory=Normal)
+    growth: Array = field(default_factory=lambda: read_only(np.zeros(4)))  # of mixed spreads, px per px of the side
+    distribution: ErrorDistribution = field(default_factory=Normal)  # of standardised errors
 
     @property
     def relative(self) -> bool:
@@ -171,17 +152,10 @@ _MAX_COUNTED = 16
 
 
 def keyed_uniforms(
-    streams: Streams,
-    purpose: Purpose,
-    frames: CameraFrames,
-    frame: Indices,
-    owner: Indices,
-    owners: Sequence[str],
+    streams: Streams, purpose: Purpose, frames: CameraFrames, frame: Indices, owner: Indices, owners: Sequence[str]
 ) -> Array:
     """Uniform numbers that belong to a camera, an owner (a vessel, say) and a step, shape (n, width of the purpose).
-
-    `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,).
-    """
+    `frame` and `owner` are the index of each row into the frames and into `owners`, shapes (n,)."""
     if not len(frame):
         return np.empty((0, purpose.uniforms))
     steps = frames.steps[frame]
@@ -250,9 +224,7 @@ def low_uniforms(uniforms: Array) -> Array:
 
 def choose(distribution: Array, uniforms: Array) -> Indices:
     """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices, shape (n,).
-
-    What has probability zero is never chosen.
-    """
+    Indices of probability zero are never chosen."""
     chosen: Indices = (uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64)
     return chosen
 

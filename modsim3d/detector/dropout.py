@@ -55,7 +55,7 @@ ATTRIBUTES = {
 
 
 class Effect(Protocol):
-    """How an attribute of a vessel changes the odds of a miss."""
+    """Change of the odds of a miss by an attribute of a vessel."""
 
     @property
     def attribute(self) -> str:
@@ -83,10 +83,8 @@ class Slope:
 
 @dataclass(frozen=True)
 class FactorTable:
-    """Factors on the odds of a miss by ranges of an attribute, one factor more than edges.
-
-    Edges ascend; a value at an edge is in the range above it.
-    """
+    """Factors on the odds of a miss by ranges of an attribute, one factor more than edges. Edges ascend; a value at an
+    edge is in the range above it."""
 
     attribute: str
     edges: tuple[float, ...]
@@ -105,19 +103,12 @@ EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": FactorTable}
 
 @dataclass(frozen=True)
 class Dropout:
-    """How the rate of misses depends on what a vessel looks like.
+    """Rate of misses as it depends on what a vessel looks like. Keys of the mappings are indices of states."""
 
-    Attributes:
-        effects: Effects of the vessel's attributes; their log-odds add up.
-        anchored: Whether each state's rate is held as the average over the scene.
-        own: Effects of single states, by index of the state; each replaces the shared one of its attribute there.
-        intercepts: Log-odds added to all misses of each label, by index of the state; none where a state has none.
-    """
-
-    effects: tuple[Effect, ...] = ()
-    anchored: bool = False
-    own: Mapping[int, tuple[Effect, ...]] = field(default_factory=dict)
-    intercepts: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
+    effects: tuple[Effect, ...] = ()  # of the vessel's attributes; their log-odds add up
+    anchored: bool = False  # whether each state's rate is held as the average over the scene
+    own: Mapping[int, tuple[Effect, ...]] = field(default_factory=dict)  # each replaces the shared one of its attribute
+    intercepts: Mapping[int, tuple[float, ...]] = field(default_factory=dict)  # added to all misses of each label
 
     @property
     def every_effect(self) -> tuple[Effect, ...]:
@@ -150,10 +141,8 @@ def shifted_rate(rate: Array, log_odds: Array) -> Array:
 
 
 def anchor(rate: float, log_odds: Array, weights: Array) -> float:
-    """The log-odds to add to those of a sample (n,) so that the weighted mean of the changed rates is the rate.
-
-    Found by bisection to 1e-12; 0 if there is no sample or nothing can be changed. Weights have shape (n,).
-    """
+    """The log-odds to add to those of a sample (n,) so that the weighted mean of the changed rates is the rate; weights
+    (n,). Found by bisection to 1e-12; 0 if there is no sample or nothing can be changed."""
     if not len(weights) or rate in (0.0, 1.0):
         return 0.0
     low, high = -2 * MAX_LOG_ODDS, 2 * MAX_LOG_ODDS

@@ -27,50 +27,30 @@ RateKey = Literal["false_discovery_rate", "false_positives_per_image"]
 
 @dataclass(frozen=True, eq=False)
 class FalsePositiveRates:
-    """How many false positives each state asks for.
+    """Rates of false positives that each state asks for; arrays have shape (states,)."""
 
-    Attributes:
-        false_discovery: False positives over all detections, shape (states,).
-        per_image: False positives in an image, shape (states,).
-        confidence_threshold: The detector's threshold, which eq. 7.35 uses.
-    """
-
-    false_discovery: Array
-    per_image: Array
-    confidence_threshold: float
+    false_discovery: Array  # false positives over all detections
+    per_image: Array  # false positives in an image
+    confidence_threshold: float  # the detector's, which eq. 7.35 uses
 
 
 @dataclass(frozen=True, eq=False)
 class FrameCounts:
-    """Numbers that false positives may follow, frame by frame; shapes (S,).
+    """Numbers that false positives may follow, frame by frame; shapes (S,)."""
 
-    Attributes:
-        states: Performance state.
-        due: Whether the detector runs.
-        n_true: Detections of a vessel; two merged vessels are one.
-        extras: Expected number of second boxes of vessels.
-    """
-
-    states: Indices
-    due: Mask
-    n_true: Indices
-    extras: Array
+    states: Indices  # performance state
+    due: Mask  # whether the detector runs
+    n_true: Indices  # detections of a vessel; two merged vessels are one
+    extras: Array  # expected number of second boxes of vessels
 
 
 class FalsePositiveModel(ABC):
-    """A model of the number of false positives; Poisson numbers unless it says otherwise.
+    """A model of the number of false positives; Poisson numbers unless it says otherwise."""
 
-    Attributes:
-        rate_key: The key of a state that holds its rate.
-        empty_frames: Whether a frame without vessels may have false positives.
-        counts_second_boxes: Whether its rate includes second boxes of vessels.
-        side_px: Side of its square boxes; None if the detector file describes places and sizes.
-    """
-
-    rate_key: RateKey = "false_discovery_rate"
-    empty_frames: bool = False
-    counts_second_boxes: bool = False
-    side_px: float | None = None
+    rate_key: RateKey = "false_discovery_rate"  # key of a state that holds its rate
+    empty_frames: bool = False  # whether a frame without vessels may have false positives
+    counts_second_boxes: bool = False  # whether its rate includes second boxes of vessels
+    side_px: float | None = None  # of its square boxes; None if the detector file describes places and sizes
 
     @abstractmethod
     def means(self, rates: FalsePositiveRates, frames: FrameCounts) -> Array:
@@ -95,12 +75,10 @@ class FalsePositiveModel(ABC):
 
 
 class Calibrated(FalsePositiveModel):
-    """As many false positives as give the false discovery rate in the file.
-
-    With n detections of vessels in a frame and a Poisson number of mean n·FDR / (1 − FDR), the share of false
-    positives among all detections, summed over frames, is FDR. Second boxes of vessels are false as well, so the mean
-    number of others is reduced by theirs. The number at a step never falls when one more vessel is detected.
-    """
+    """As many false positives as give the false discovery rate in the file. With n detections of vessels in a frame and
+    a Poisson number of mean n·FDR / (1 − FDR), the share of false positives among all detections, summed over frames,
+    is FDR. Second boxes of vessels are false as well, so the mean number of others is reduced by theirs. The number at
+    a step never falls when one more vessel is detected."""
 
     counts_second_boxes = True
 
@@ -122,11 +100,9 @@ class PerImage(FalsePositiveModel):
 
 
 class Thesis(FalsePositiveModel):
-    """The original rule (Jessen & Mohr (2023), eq. 7.35): FDR·n − t trials of probability FDR, 100 × 100 px.
-
-    It does not give the false discovery rate in the file: with five vessels, FDR 0.1 and threshold 0.2 it never makes
-    a false positive. Rounding (half to even) and size are the original program's.
-    """
+    """The original rule (Jessen & Mohr (2023), eq. 7.35): FDR·n − t trials of probability FDR, 100 × 100 px. It does
+    not give the false discovery rate in the file: with five vessels, FDR 0.1 and threshold 0.2 it never makes a false
+    positive. Rounding (half to even) and size are the original program's."""
 
     side_px = 100.0
 
@@ -189,19 +165,12 @@ _WIDTH = 8  # birth, lifetime, height, place (3), size, label
 
 @dataclass(frozen=True, eq=False)
 class PersistentFalsePositives:
-    """Persistent false positives, a row for each frame that shows one.
+    """Persistent false positives, a row for each frame that shows one, m in all."""
 
-    Attributes:
-        frame: Index of the frame, non-decreasing, shape (m,).
-        age_s: Time since birth, shape (m,).
-        uniforms: Uniform numbers for place (3), size and label, the same in all frames of one, shape (m, 5).
-        sign: Direction in which it drifts, 1 or −1, shape (m,).
-    """
-
-    frame: Indices
-    age_s: Array
-    uniforms: Array
-    sign: Array
+    frame: Indices  # index of the frame, non-decreasing, shape (m,)
+    age_s: Array  # time since birth, shape (m,)
+    uniforms: Array  # for place (3), size and label, the same in all frames of one, shape (m, 5)
+    sign: Array  # direction in which it drifts, 1 or −1, shape (m,)
 
 
 def persistent_false_positives(
@@ -311,21 +280,14 @@ _MIN_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on th
 
 @dataclass(frozen=True, eq=False)
 class FalsePositiveOptions:
-    """Keys of a detector file about false positives.
-
-    Attributes:
-        size: How large they are; None for the sizes of vessels or for the model's own size.
-        lifetime_s: Mean lifetime of persistent ones.
-        drift_px_s: Speed at which persistent ones move along the horizon, to either side.
-        persistent_share: Share of the false positives that is persistent.
-    """
+    """Keys of a detector file about false positives."""
 
     model: str = "calibrated"
     placement: Placement = field(default_factory=Placement)
-    size: Sizes | None = None
-    lifetime_s: float = 1.0
-    drift_px_s: float = 0.0
-    persistent_share: float = 0.0
+    size: Sizes | None = None  # None for the sizes of vessels or for the model's own size
+    lifetime_s: float = 1.0  # mean lifetime of persistent ones
+    drift_px_s: float = 0.0  # at which persistent ones move along the horizon, to either side
+    persistent_share: float = 0.0  # of all false positives
 
     @property
     def numbers(self) -> FalsePositiveModel:
@@ -340,19 +302,12 @@ class FalsePositiveOptions:
 
 @dataclass(frozen=True, eq=False)
 class FalsePositives:
-    """False positives, rows ordered by frame.
+    """False positives, m rows ordered by frame."""
 
-    Attributes:
-        frame: Index into the run of frames, shape (m,).
-        ordinal: 0, 1, ... within a frame: what their random numbers are keyed by, shape (m,).
-        boxes_px: Inside the image, shape (m, 4).
-        label: Shape (m,).
-    """
-
-    frame: Indices
-    ordinal: Indices
-    boxes_px: Array
-    label: Indices
+    frame: Indices  # index into the run of frames, shape (m,)
+    ordinal: Indices  # 0, 1, ... within a frame: what their random numbers are keyed by, shape (m,)
+    boxes_px: Array  # inside the image, shape (m, 4)
+    label: Indices  # shape (m,)
 
     def uniforms(self, streams: Streams, purpose: Purpose, frames: CameraFrames) -> Array:
         """Uniform numbers of each false positive, shape (m, width)."""
@@ -371,17 +326,12 @@ class Surroundings:
 
 @dataclass(frozen=True, eq=False)
 class FalsePositiveSource:
-    """Makes the false positives of a detector.
-
-    Attributes:
-        label_distributions: Distribution function over labels of each state, shape (states, labels).
-        sizes: Distribution of their sizes; None for the sizes of vessels detected in the same frame.
-    """
+    """Makes the false positives of a detector."""
 
     options: FalsePositiveOptions
     rates: FalsePositiveRates
-    label_distributions: Array
-    sizes: Sizes | None
+    label_distributions: Array  # distribution function over labels of each state, shape (states, labels)
+    sizes: Sizes | None  # None for the sizes of vessels detected in the same frame
 
     @classmethod
     def of(
@@ -392,10 +342,7 @@ class FalsePositiveSource:
         statistics: TargetStatistics,
     ) -> FalsePositiveSource:
         """The false positives of a detector whose labels have a distribution in each state, shape (states, labels).
-
-        Raises:
-            ModsimError: Sizes come from the scene's targets, and there are none.
-        """
+        Raises ModsimError if sizes come from the scene's targets, and there are none."""
         sizes_ = options.size
         if options.needs_target_statistics:
             if not len(statistics.sides.counts) and options.numbers.empty_frames:
@@ -406,10 +353,8 @@ class FalsePositiveSource:
         return cls(options, rates, cumulative(false_positive_labels), sizes_)
 
     def draw_transient(self, around: Surroundings) -> FalsePositives:
-        """False positives of one frame only, centred on the sea in the image (on the image where it shows no sea).
-
-        A side is at least two pixels before clipping, so at least one after it.
-        """
+        """False positives of one frame only, centred on the sea in the image (on the image where it shows no sea). A
+        side is at least two pixels before clipping, so at least one after it."""
         streams, frames, share = around.streams, around.frames, 1 - self.options.persistent_share
         counts = self.options.numbers.draw(streams, frames, self.rates, around.counts, share)
         frame, ordinal = numbered_rows(counts)
@@ -437,14 +382,9 @@ class FalsePositiveSource:
     def boxes_px(
         self, frames: CameraFrames, detected: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None
     ) -> Array:
-        """Boxes of false positives, shape (m, 4).
-
-        Args:
-            detected: The vessels that were detected, ordered by frame.
-            frame: Frame of each false positive, shape (m,).
-            uniforms: Uniform numbers for place (3) and size, shape (m, 4).
-            drift_px: How far each has moved along the horizon, shape (m,); None for transient ones.
-        """
+        """Boxes of false positives, shape (m, 4), at a frame each, (m,), from uniform numbers for place (3) and size,
+        (m, 4). Detected vessels are ordered by frame. `drift_px` is how far each has moved along the horizon, (m,);
+        None for transient ones."""
         half_planes, image = frames.sea_half_planes[frame], frames.image_size_px
         centres = self.options.placement.places(half_planes, image, uniforms[:, :DRAWS], drift_px)
         halves = np.maximum(self._sizes_px(detected, len(frames), frame, uniforms[:, DRAWS]), _MIN_SIDE_PX) / 2

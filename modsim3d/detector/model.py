@@ -25,10 +25,8 @@ _EARLY_S = 1e-9  # a time read from text and one worked out may differ by roundi
 
 @dataclass(frozen=True)
 class Performance:
-    """Whether each camera has a chain of its own, and which states are forced.
-
-    The schedule has ascending times in seconds and the state forced from each on; −1 returns to the chain.
-    """
+    """Whether each camera has a chain of its own, and which states are forced. The schedule has ascending times in
+    seconds and the state forced from each on; −1 returns to the chain."""
 
     per_camera: bool = False
     schedule: tuple[tuple[float, int], ...] = ()
@@ -51,26 +49,15 @@ ERROR_PAIRS = tuple(itertools.combinations(range(len(ERROR_COMPONENTS)), 2))
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PerformanceState:
-    """How the detector behaves under one kind of conditions.
-
-    Attributes:
-        name: Its name in the file.
-        confusion: Pr(detected as i | label j), rows labels then background, shape (k + 1, k), columns sum
-            to one (Jessen & Mohr (2023), eq. 5.25).
-        false_positive_labels: Pr(label i | false positive), shape (k,), sums to one (eq. 5.26).
-        false_discovery_rate: False positives over all detections, in [0, 1); NaN if the file has another rate.
-        box_error: Law of the box errors.
-        confidence: Laws of the confidence of true and of false detections.
-        false_positives_per_image: Rate for the model of false positives that has such a one.
-    """
+    """Behaviour of the detector under one kind of conditions, with k labels; equations of Jessen & Mohr (2023)."""
 
     name: str
-    confusion: Array
-    false_positive_labels: Array
-    false_discovery_rate: float
+    confusion: Array  # (k + 1, k): Pr(detected as i | label j), background last; columns sum to one (eq. 5.25)
+    false_positive_labels: Array  # Pr(label i | false positive), shape (k,), sums to one (eq. 5.26)
+    false_discovery_rate: float  # false positives over all detections, in [0, 1); NaN if the file has another rate
     box_error: BoxErrorLaw
     confidence: StateConfidence
-    false_positives_per_image: float = 0.0
+    false_positives_per_image: float = 0.0  # for the model of false positives that has such a rate
 
     def __repr__(self) -> str:
         """Its name and its rate of false detections."""
@@ -148,9 +135,7 @@ class DetectorModel:
 
 def stationary_shares(transition_matrix: Array) -> Array:
     """The x with A x = x that sums to one, shape (states,), of a transition matrix A (Jessen & Mohr (2023), eq. 6.19).
-
-    Empty if there are several, as where no state is ever left.
-    """
+    Empty if there are several, as where no state is ever left."""
     states = len(transition_matrix)
     equations = np.vstack([transition_matrix - np.eye(states), np.ones(states)])
     shares, _, rank, _ = np.linalg.lstsq(equations, np.eye(states + 1)[-1])

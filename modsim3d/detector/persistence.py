@@ -1,9 +1,7 @@
-"""Noise that stays with a vessel for a while.
-
-Each kind runs over all steps of the scene from its first, whatever a camera saw: a vessel that was hidden comes back
-with the noise that it would have had. Fresh numbers are those that a detector without persistence would use, so with a
-vanishing correlation time the output is the same (confidence to its rounding).
-"""
+"""Noise that stays with a vessel for a while. Each kind runs over all steps of the scene from its first, whatever a
+camera saw: a vessel that was hidden comes back with the noise that it would have had. Fresh numbers are those that a
+detector without persistence would use, so with a vanishing correlation time the output is the same (confidence to its
+rounding)."""
 
 from __future__ import annotations
 
@@ -34,20 +32,13 @@ _MAX_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the 
 
 @dataclass(frozen=True)
 class LatentScore:
-    """A standard normal number of each vessel in each camera, behind its misses and its confidence.
+    """A standard normal number of each vessel in each camera, behind its misses and its confidence. A vessel is missed
+    where the number's probability is below the chance of a miss; above it the number says how sure the detector is. It
+    is a sum: a part that the vessel keeps, autoregressive parts, and white noise."""
 
-    A vessel is missed where the number's probability is below the chance of a miss; above it the number says how sure
-    the detector is. It is a sum: a part that the vessel keeps, autoregressive parts, and white noise.
-
-    Attributes:
-        vessel_share: Share of the variance that a vessel keeps.
-        shares: Share of the variance of each autoregressive part.
-        times_s: Its correlation time.
-    """
-
-    vessel_share: float
-    shares: tuple[float, ...] = ()
-    times_s: tuple[float, ...] = ()
+    vessel_share: float  # of the variance, which a vessel keeps
+    shares: tuple[float, ...] = ()  # of the variance, of each autoregressive part
+    times_s: tuple[float, ...] = ()  # correlation time of each
 
     @property
     def white_share(self) -> float:
@@ -103,27 +94,16 @@ class BoxMemory:
 
 @dataclass(frozen=True)
 class Persistence:
-    """How long misses, confusions, box errors, confidence and merges persist, and what a vessel keeps for a whole run.
+    """Correlation times in seconds, 0 for independent draws, and shares in [0, 1) of the variance of latent numbers
+    that each vessel keeps in each camera for a whole run. With a `score`, which is None if misses and confidence are
+    drawn apart, `class_s` and `class_vessel_share` are those of the label alone."""
 
-    Attributes:
-        class_s: Correlation time of misses and confusions in seconds; 0 means independent draws.
-        box_s: That of box errors.
-        confidence_s: That of confidence.
-        merge_s: That of whether two vessels that overlap come out as one box.
-        class_vessel_share: Share of the variance of the latent number of misses and confusions that each vessel keeps
-            in each camera, in [0, 1).
-        box_vessel_share: That of the latent numbers of box errors.
-        score: The number behind misses and confidence, None if they are drawn apart; `class_s` and
-            `class_vessel_share` are then those of the label alone.
-        box: Memory of each component of box errors, in place of `box_s` and `box_vessel_share`; None without.
-    """
-
-    class_s: float = 0.0
-    box_s: float = 0.0
+    class_s: float = 0.0  # misses and confusions
+    box_s: float = 0.0  # box errors
     confidence_s: float = 0.0
-    merge_s: float = 0.0
-    class_vessel_share: float = 0.0
-    box_vessel_share: float = 0.0
+    merge_s: float = 0.0  # whether two vessels that overlap come out as one box
+    class_vessel_share: float = 0.0  # misses and confusions
+    box_vessel_share: float = 0.0  # box errors
     score: LatentScore | None = None
     box: BoxMemory | None = None
 
@@ -173,11 +153,9 @@ class Process(Protocol):
 
 @dataclass(frozen=True)
 class KeptUniform:
-    """A uniform number that is kept with probability e^(−Δt/τ), and otherwise resampled.
-
-    It is uniform at every step, so inverting any distribution at it gives that distribution exactly, whatever
-    τ. Two of them Δt apart are the same number with probability e^(−Δt/τ), else independent.
-    """
+    """A uniform number that is kept with probability e^(−Δt/τ), and otherwise resampled. It is uniform at every step,
+    so inverting any distribution at it gives that distribution exactly, whatever τ. Two of them Δt apart are the same
+    number with probability e^(−Δt/τ), else independent."""
 
     correlation_s: float
     width: int = 1
@@ -195,11 +173,9 @@ class KeptUniform:
 
 @dataclass(frozen=True)
 class Autoregressive:
-    """Standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process.
-
-    z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ), which is exact for steps of any length (an Ornstein–Uhlenbeck process,
-    Gillespie (1996), "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9).
-    """
+    """Standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process, z ← ρ·z + √(1
+    − ρ²)·ε with ρ = e^(−Δt/τ). That is exact for steps of any length (an Ornstein–Uhlenbeck process, Gillespie (1996),
+    "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9)."""
 
     correlation_s: float
     width: int = ERROR_NORMALS

@@ -30,23 +30,14 @@ def are_false(kind: Indices) -> Mask:
 
 @dataclass(frozen=True, eq=False)
 class CameraFrames:
-    """A run of S frames of one camera, one after another; a camera need not take one at each of the scene's steps.
-
-    Attributes:
-        steps: Step of each frame, ascending, not necessarily consecutive, shape (S,).
-        times_s: Time of each frame since the scene's first step, shape (S,).
-        image_size_px: Width and height.
-        sea_half_planes: (a, b, c) for each frame, shape (S, 3): a·x + b·y + c >= 0 on the sea side of the
-            horizon, in pixels.
-        previous_s: Time of the camera's frame before these; −∞ if there is none.
-    """
+    """A run of S frames of one camera, one after another; a camera need not take one at each of the scene's steps."""
 
     camera: str
-    steps: Indices
-    times_s: Array
-    image_size_px: tuple[int, int]
-    sea_half_planes: Array
-    previous_s: float = -math.inf
+    steps: Indices  # step of each frame, ascending, not necessarily consecutive, shape (S,)
+    times_s: Array  # since the scene's first step, shape (S,)
+    image_size_px: tuple[int, int]  # width and height
+    sea_half_planes: Array  # (a, b, c) with a·x + b·y + c >= 0 on the sea side of the horizon, shape (S, 3)
+    previous_s: float = -math.inf  # time of the camera's frame before these; −∞ if there is none
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -55,23 +46,14 @@ class CameraFrames:
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """The annotated vessels of those frames, n rows ordered by frame.
+    """The annotated vessels of those frames, n rows ordered by frame."""
 
-    Attributes:
-        frame: Index into the run of frames, non-decreasing, shape (n,).
-        vessel: Index into `vessel_ids`, shape (n,).
-        label: Index into the detector's labels, shape (n,).
-        boxes_px: x_min, y_min, x_max, y_max of the annotated boxes, shape (n, 4).
-        visible_fraction: NaN where unknown, shape (n,).
-        depth_m: Shape (n,).
-    """
-
-    frame: Indices
-    vessel: Indices
-    label: Indices
-    boxes_px: Array
-    visible_fraction: Array
-    depth_m: Array
+    frame: Indices  # index into the run of frames, non-decreasing, shape (n,)
+    vessel: Indices  # index into `vessel_ids`, shape (n,)
+    label: Indices  # index into the detector's labels, shape (n,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max of the annotated boxes, shape (n, 4)
+    visible_fraction: Array  # NaN where unknown, shape (n,)
+    depth_m: Array  # shape (n,)
     vessel_ids: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -81,33 +63,19 @@ class Targets:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """The output of the simulated detector, m rows ordered by frame and shuffled within each.
+    """The output of the simulated detector, m rows ordered by frame and shuffled within each."""
 
-    Attributes:
-        states: Index of the performance state of each frame, shape (S,).
-        frame: Index into the run of frames, non-decreasing, shape (m,).
-        target: Row of `Targets` that a detection came from, -1 for a false positive, shape (m,).
-        partner: Row of the smaller vessel in a merged box, else -1, shape (m,).
-        kind: Index into `KINDS`, shape (m,).
-        label: Index into the detector's labels, shape (m,).
-        confidence: In [threshold, 1], shape (m,).
-        boxes_px: x_min, y_min, x_max, y_max, inside the image, shape (m, 4).
-        errors_px: e_x, e_y, e_w, e_h before clipping; NaN for what is not one box of one vessel, shape (m, 4).
-        redrawn: Whether the first draw of the box error was degenerate and was resampled, shape (m,).
-        gated: Whether a gate, not a draw, kept each of the n targets from being detected, shape (n,).
-    """
-
-    states: Indices
-    frame: Indices
-    target: Indices
-    partner: Indices
-    kind: Indices
-    label: Indices
-    confidence: Array
-    boxes_px: Array
-    errors_px: Array
-    redrawn: Mask
-    gated: Mask
+    states: Indices  # index of the performance state of each frame, shape (S,)
+    frame: Indices  # index into the run of frames, non-decreasing, shape (m,)
+    target: Indices  # row of `Targets` that a detection came from, −1 for a false positive, shape (m,)
+    partner: Indices  # row of the smaller vessel in a merged box, else −1, shape (m,)
+    kind: Indices  # index into `KINDS`, shape (m,)
+    label: Indices  # index into the detector's labels, shape (m,)
+    confidence: Array  # in [threshold, 1], shape (m,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, inside the image, shape (m, 4)
+    errors_px: Array  # e_x, e_y, e_w, e_h before clipping; NaN for what is not one box of one vessel, (m, 4)
+    redrawn: Mask  # whether the first draw of the box error was degenerate and was resampled, shape (m,)
+    gated: Mask  # whether a gate, not a draw, kept each of the n targets from being detected, shape (n,)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -125,21 +93,13 @@ _EARLY = 1e-6  # of an interval: 0.6 / 0.2 is a hair below 3, and the frame at 0
 
 @dataclass(frozen=True)
 class Gates:
-    """Rules before and after the draws; each is off unless given.
+    """Rules before and after the draws; each is off unless given."""
 
-    Attributes:
-        max_range_m: Vessels at a greater depth are never detected.
-        min_box_px: Vessels whose box is narrower or lower are never detected.
-        max_occlusion: Vessels of which a larger share is hidden are never detected; unknown shares pass.
-        update_interval_s: The detector runs at the first frame at or after each multiple of this.
-        max_detections: Only so many detections of each frame are output, the most confident ones.
-    """
-
-    max_range_m: float | None = None
-    min_box_px: float | None = None
-    max_occlusion: float | None = None
-    update_interval_s: float | None = None
-    max_detections: int | None = None
+    max_range_m: float | None = None  # vessels at a greater depth are never detected
+    min_box_px: float | None = None  # nor are those whose box is narrower or lower
+    max_occlusion: float | None = None  # nor those of which a larger share is hidden; unknown shares pass
+    update_interval_s: float | None = None  # the detector runs at the first frame at or after each multiple
+    max_detections: int | None = None  # in each frame only so many are output, the most confident ones
 
     def due(self, frames: CameraFrames) -> Mask:
         """At which frames the detector runs, shape (S,)."""

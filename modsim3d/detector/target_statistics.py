@@ -1,11 +1,7 @@
-"""Counts of what all targets of a scene look like.
-
-Two models need them before the first frame. A miss rate that is anchored to the scene is an average over all targets.
-False positives that are as large as the scene's vessels take their sizes from all targets.
-
-Only whole numbers are kept: how many targets fall in each narrow range. So the counts are the same however the
-scene was split into parts.
-"""
+"""Counts of what all targets of a scene look like. Two models need them before the first frame. A miss rate that is
+anchored to the scene is an average over all targets. False positives that are as large as the scene's vessels take
+their sizes from all targets. Only whole numbers are kept: how many targets fall in each narrow range. So the counts are
+the same however the scene was split into parts."""
 
 from __future__ import annotations
 
@@ -62,12 +58,9 @@ def tallied(dropout: Dropout, state: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class TargetStatistics:
-    """Counts of the targets of a scene that pass the detector's gates; `target_statistics` makes it.
-
-    Attributes:
-        log_odds: Counts of (`tallied` state, label, range of the log-odds that the target's look adds to a miss there).
-        sides: Counts of (range of the width, range of the height).
-    """
+    """Counts of the targets of a scene that pass the detector's gates, by `tallied` state, label and range of the
+    log-odds that a target's look adds to a miss there, and by ranges of width and height; `target_statistics` makes
+    it."""
 
     log_odds: Tally = field(default_factory=lambda: _nothing(3))
     sides: Tally = field(default_factory=lambda: _nothing(2))
@@ -94,10 +87,8 @@ class TargetStatistics:
         return self.log_odds.rows[rows, 2] * LOG_ODDS_STEP, self.log_odds.counts[rows].astype(np.float64)
 
     def sizes_px(self, uniforms: Array) -> Array:
-        """Width and height of one target for each uniform number of shape (m,), shape (m, 2).
-
-        They lie anywhere in their ranges: a few exact sizes would tell false positives from vessels.
-        """
+        """Width and height of one target for each uniform number of shape (m,), shape (m, 2). They lie anywhere in
+        their ranges: a few exact sizes would tell false positives from vessels."""
         distribution = cumulative(self.sides.counts.astype(np.float64))
         ranges = self.sides.rows[np.searchsorted(distribution, uniforms, side="right")]
         return on_grid(np.exp2((ranges + low_uniforms(uniforms) - 0.5) / SIZE_STEPS))

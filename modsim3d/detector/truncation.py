@@ -1,11 +1,9 @@
-"""Box errors as they come out: the law truncated to the errors that leave a box in the image, box by box.
-
-An error counts only if the box, moved and clipped to the image, is at least a pixel wide and high. Along each axis
-that is three linear conditions on shift and growth, so one at a time the four errors have plain bounds: growth in
-width and height, then shift in x and y given the growth. Genz (1992), "Numerical computation of multivariate normal
-probabilities", integrates a normal law over such bounds by drawing each error within its own; nothing is rejected, and
-every point has its weight. Distributions that are normal with a random scale are integrated over the scale as well.
-"""
+"""Box errors as they come out: the law truncated to the errors that leave a box in the image, box by box. An error
+counts only if the box, moved and clipped to the image, is at least a pixel wide and high. Along each axis that is three
+linear conditions on shift and growth, so one at a time the four errors have plain bounds: growth in width and height,
+then shift in x and y given the growth. Genz (1992), "Numerical computation of multivariate normal probabilities",
+integrates a normal law over such bounds by drawing each error within its own; nothing is rejected, and every point has
+its weight. Distributions that are normal with a random scale are integrated over the scale as well."""
 
 from __future__ import annotations
 
@@ -31,13 +29,9 @@ MAX_DIMENSIONS = 1 + len(_POLYNOMIALS)
 
 
 def sobol_points(dimensions: int, count: int, generator: np.random.Generator) -> Array:
-    """The first points of a scrambled sequence, in [0, 1), shape (count, dimensions).
-
-    Args:
-        dimensions: At most `MAX_DIMENSIONS`.
-        count: A power of two.
-        generator: Draws the scrambling, as `qmc.Sobol` does with the generator that it spawns from the one it is given.
-    """
+    """The first `count` points of a scrambled sequence, in [0, 1), shape (count, dimensions); `count` is a power of
+    two, `dimensions` at most `MAX_DIMENSIONS`. The generator draws the scrambling, as `qmc.Sobol` does with the
+    generator that it spawns from the one it is given."""
     powers = 2 ** np.arange(_BITS, dtype=np.uint32)
     shift = generator.integers(2, size=(dimensions, _BITS), dtype=np.uint32) @ powers
     matrices = np.tril(generator.integers(2, size=(dimensions, _BITS, _BITS), dtype=np.uint32), -1)
@@ -87,18 +81,12 @@ _NORMAL = Normal()
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """Points of the truncated law of some rows of boxes.
-
-    Attributes:
-        errors: In the order e_x, e_y, e_w, e_h, shape (rows, points, 4).
-        weights: Sum to one over the points, shape (rows, points).
-        acceptance: Probability that a first draw counts, shape (rows,).
-    """
+    """Points of the truncated law of some rows of boxes."""
 
     rows: slice
-    errors: Array
-    weights: Array
-    acceptance: Array
+    errors: Array  # in the order e_x, e_y, e_w, e_h, shape (rows, points, 4)
+    weights: Array  # sum to one over the points, shape (rows, points)
+    acceptance: Array  # probability that a first draw counts, shape (rows,)
 
     def mean(self, values: Array) -> Array:
         """Expectation of values of shape (rows, points, k), shape (rows, k)."""
@@ -115,16 +103,10 @@ def accepted_errors(
     points: int = POINTS,
     at_once: int = _POINTS_AT_ONCE,
 ) -> Iterator[Accepted]:
-    """Points of the truncated law of every box, some rows at a time.
-
-    Args:
-        boxes_px: What the errors are added to, at least a pixel wide and high, shape (n, 4).
-        images_px: Width and height of each box's image, shape (n, 2).
-        mean: Mean of e_x, e_y, e_w, e_h before truncation in pixels, shape (4,) or (n, 4).
-        covariance: Their covariance in px², shape (4, 4) or (n, 4, 4).
-        points: Number of points for each box, a power of two.
-        at_once: Number of points of all boxes at a time; the points do not depend on it, but sums over parts may.
-    """
+    """Points of the truncated law of every box, (n, 4), at least a pixel wide and high in images (n, 2), some rows at a
+    time. `mean` and `covariance` are those of e_x, e_y, e_w, e_h before truncation in pixels, (4,) or (n, 4), and px²,
+    (4, 4) or (n, 4, 4). `points` for each box is a power of two. `at_once` is the number of points of all boxes at a
+    time; the points do not depend on it, but sums over parts may."""
     if isinstance(distribution, ContaminatedNormal):
         yield from _contaminated(boxes_px, images_px, mean, covariance, distribution, points, at_once)
         return
@@ -201,10 +183,8 @@ def _sobol(width: int, points: int) -> Array:
 
 
 def ordered_root(covariance: Array) -> Array:
-    """Lower triangular L with L·Lᵀ the covariance of e_w, e_h, e_x, e_y, shapes (..., 4, 4).
-
-    A column is zero where an error is determined by those before it.
-    """
+    """Lower triangular L with L·Lᵀ the covariance of e_w, e_h, e_x, e_y, shapes (..., 4, 4). A column is zero where an
+    error is determined by those before it."""
     matrix = np.asarray(covariance)[..., _ORDER[:, None], _ORDER]
     root = np.zeros_like(matrix)
     scale = np.abs(np.diagonal(matrix, axis1=-2, axis2=-1))
@@ -229,11 +209,9 @@ def _draw(
     normals: Callable[[int], Array],
     scales: Array,
 ) -> Accepted:
-    """Draw one error after the other within its bounds, given those before it.
-
-    Uniforms have shape (4 or more, rows, points); `normals` gives the standard normal numbers of one of the first four.
-    Scales have shape (rows, points) or, if they are the same for all points, (rows, 1).
-    """
+    """Draw one error after the other within its bounds, given those before it. Uniforms have shape (4 or more, rows,
+    points); `normals` gives the standard normal numbers of one of the first four. Scales have shape (rows, points) or,
+    if they are the same for all points, (rows, 1)."""
     points = uniforms.shape[-1]
     standard: list[Array] = []
     errors = np.empty((4, len(means), points))
@@ -257,11 +235,8 @@ def _draw(
 
 
 def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array) -> tuple[Array, Array]:
-    """Least and greatest error of a component that leaves a pixel, less what is given; shapes (n, 1) or (n, points).
-
-    The growth along the component's axis bounds a shift; the growth itself has a lower bound only. Both arrays have one
-    of these shapes.
-    """
+    """Least and greatest error of a component that leaves a pixel, less what is given; both of shape (n, 1) or (n,
+    points). The growth along the component's axis bounds a shift; the growth itself has a lower bound only."""
     axis = component % 2
     first, last = boxes[:, axis, None], boxes[:, 2 + axis, None]
     if component >= 2:
@@ -271,10 +246,8 @@ def _bounds(component: int, boxes: Array, images: Array, growth: Array, given: A
 
 
 def _far_from_bounds(component: int, boxes: Array, images: Array, growth: Array, given: Array, spread: Array) -> Mask:
-    """Mask of the boxes so far from the bounds of a component that these do not count at any point, shape (n,).
-
-    Of growth, of what is given and of spread, (n, 1) or (n, points), only the extremes that come closest are looked at.
-    """
+    """Mask of the boxes so far from the bounds of a component that these do not count at any point, shape (n,). Of
+    growth, of what is given and of spread, (n, 1) or (n, points), only the extremes that come closest are looked at."""
     extremes = np.stack([given.min(axis=1), given.max(axis=1)], axis=1)
     low, high = _bounds(component, boxes, images, growth.min(axis=1, keepdims=True), extremes)
     most, least = spread.max(axis=1), spread.min(axis=1)
@@ -300,11 +273,9 @@ def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Ar
 
 
 def _probabilities(low: Array, high: Array) -> tuple[Array, Array]:
-    """Probabilities below standard normal numbers, each of shape (n, points), or (n, 1) if that says as much.
-
-    A row that lies wholly in a tail needs only one number: all are 1 in the upper tail; in the lower one all are too
-    small to count, neither in a sum with a uniform number nor in the difference from a probability that is not small.
-    """
+    """Probabilities below standard normal numbers, each of shape (n, points), or (n, 1) if that says as much. A row
+    that lies wholly in a tail needs only one number: all are 1 in the upper tail; in the lower one all are too small to
+    count, neither in a sum with a uniform number nor in the difference from a probability that is not small."""
     least = high.min(axis=1)
     far_below, far_above = (low.max(axis=1) < _LOWER_TAIL) & (least > _NOT_SMALL), least > _UPPER_TAIL
     return _probability(low, ~far_below), _probability(high, ~far_above)
@@ -323,17 +294,11 @@ def _probability(z: Array, rows: Mask) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TruncatedErrors:
-    """Distribution of the errors of n boxes after degenerate draws were resampled.
+    """Distribution of the errors of n boxes after degenerate draws were resampled."""
 
-    Attributes:
-        accepted: Share of first draws that count, shape (n,).
-        means: Shape (n, 4).
-        second_moments: Mean of e·eᵀ, shape (n, 4, 4).
-    """
-
-    accepted: Array
-    means: Array
-    second_moments: Array
+    accepted: Array  # share of first draws that count, shape (n,)
+    means: Array  # shape (n, 4)
+    second_moments: Array  # mean of e·eᵀ, shape (n, 4, 4)
 
     def covariances(self) -> Array:
         """Covariance of the errors of each box, shape (n, 4, 4)."""
@@ -349,10 +314,8 @@ def truncated_errors(
     in_file_units: bool = False,
     points: int = SINGLE_BOX_POINTS,
 ) -> TruncatedErrors:
-    """Errors of annotated boxes, shape (n, 4), in one state, without those that make degenerate boxes.
-
-    They are in pixels or, with `in_file_units`, in the units of the file. `points` is a power of two.
-    """
+    """Errors of annotated boxes, shape (n, 4), in one state, without those that make degenerate boxes. They are in
+    pixels or, with `in_file_units`, in the units of the file. `points` is a power of two."""
     accepted, means, seconds = np.empty(len(boxes_px)), np.empty((len(boxes_px), 4)), np.empty((len(boxes_px), 4, 4))
     truth = at_least_a_pixel(boxes_px, image_size_px)
     states: Indices = np.full(len(truth), state)

@@ -1,7 +1,5 @@
 """Runs that the tests of this folder share; no test writes into them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Frames: their time, classes and tables, and what `supervision` takes of them."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys
@@ -128,14 +126,11 @@ def test_a_frame_that_is_not_there_is_named(folder):
     assert (run.frame("quay", 1).camera, run.frame("quay", 1).step) == ("quay", 1)
 
 
-def without_rows(detections):
-    """The same with no detection at all."""
-    return replace(detections, **{field.name: getattr(detections, field.name)[:0] for field in fields(detections)})
-
-
 def test_detections_for_supervision(frames, supervision):
     assert any(len(frame.detections) > 2 for frame in frames)
-    empty = replace(frames[0], detections=without_rows(frames[0].detections))
+    one = frames[0].detections
+    nothing = replace(one, **{field.name: getattr(one, field.name)[:0] for field in fields(one)})
+    empty = replace(frames[0], detections=nothing)
     for frame in (*frames, empty):
         found = frame.to_supervision()
         assert isinstance(found, supervision.Detections)

@@ -1,7 +1,5 @@
 """Paths are text or path objects everywhere, and what is neither is refused by name."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -50,10 +48,8 @@ def test_every_kind_of_path_is_taken(kind, tmp_path):
     options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
     modsim3d.detect_truth(kind(tmp_path / "gt.txt"), kind(tmp_path / "c"), detector=kind("thesis"), **options)
     verified = modsim3d.verify_run(kind(tmp_path / "a"), detector=kind("thesis"))
-    assert verified.write(kind(tmp_path / "checked")) == (
-        tmp_path / "checked/verify.json",
-        tmp_path / "checked/verify.html",
-    )
+    written = verified.write(kind(tmp_path / "checked"))
+    assert written == (tmp_path / "checked/verify.json", tmp_path / "checked/verify.html")
     learned = modsim3d.learn_detector(run=kind(tmp_path / "a"), replicates=20)
     assert learned.write(kind(tmp_path / "learned.yaml"))[0].is_file()
     assert scene.copy.write(kind(tmp_path / "copy")).is_file()
@@ -62,27 +58,22 @@ def test_every_kind_of_path_is_taken(kind, tmp_path):
 def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
     """Calls with one wrong argument, and what the message must name."""
     scene = modsim3d.load_scene("simulation_1", steps=2, source="analytic")
+    detector, run = "detector: a path or the name of a shipped detector", "run: a run directory or a StoredRun"
     return {
         "load_scene": (modsim3d.load_scene, "scene: a path or the name of a shipped scene"),
-        "load_scene, detector": (
-            lambda wrong: modsim3d.load_scene("strait", detector=wrong),
-            "detector: a path or the name of a shipped detector",
-        ),
+        "load_scene, detector": (lambda wrong: modsim3d.load_scene("strait", detector=wrong), detector),
         "load_scene, state_from": (
             lambda wrong: modsim3d.load_scene("strait", state="haze", state_from=wrong),
             "state_from: a path",
         ),
-        "load_detector": (modsim3d.load_detector, "detector: a path or the name of a shipped detector"),
+        "load_detector": (modsim3d.load_detector, detector),
         "run_scene": (lambda wrong: modsim3d.run_scene(scene, wrong), "folder: a path"),
         "open_run": (modsim3d.open_run, "folder: a run directory"),
-        "detect_run": (lambda wrong: modsim3d.detect_run(wrong, "b"), "run: a run directory or a StoredRun"),
+        "detect_run": (lambda wrong: modsim3d.detect_run(wrong, "b"), run),
         "detect_truth": (lambda wrong: modsim3d.detect_truth(wrong, "b", detector="thesis"), "truth: a path"),
         "detect_truth, folder": (lambda wrong: modsim3d.detect_truth("a", wrong, detector="thesis"), "folder: a path"),
-        "detect_truth, detector": (
-            lambda wrong: modsim3d.detect_truth("a", "b", detector=wrong),
-            "detector: a path or the name of a shipped detector",
-        ),
-        "verify_run": (modsim3d.verify_run, "run: a run directory or a StoredRun"),
+        "detect_truth, detector": (lambda wrong: modsim3d.detect_truth("a", "b", detector=wrong), detector),
+        "verify_run": (modsim3d.verify_run, run),
         "learn_detector": (
             lambda wrong: modsim3d.learn_detector(truth=wrong, detections="dt.json"),
             "truth: a path or a list of paths",

@@ -1,7 +1,5 @@
 """The Python of docs/python.md runs from top to bottom in an empty folder."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

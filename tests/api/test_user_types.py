@@ -1,7 +1,5 @@
 """A user's own code that uses the package passes `mypy --strict`, and a misspelt name is found."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The maths around the network: letterbox, crops, and one box for each vessel. No weights are needed."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
@@ -9,15 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from benchmarks.stand_in.pixel_detector import (
-    BOAT,
-    INPUT_PX,
-    PixelDetector,
-    View,
-    open_session,
-    views_of,
-    without_repeats,
-)
+from benchmarks.stand_in import pixel_detector as network
 from modsim3d.core.boxes import iou
 from modsim3d.core.errors import ModsimError
 
@@ -35,7 +25,7 @@ class RedSession:
         if len(rows):
             low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()]) + 1
             output[0, :4, 1] = *((low + high) / 2), *(high - low)
-            output[0, 4 + BOAT, 1] = 0.8
+            output[0, 4 + network.BOAT, 1] = 0.8
         return [output]
 
 
@@ -55,8 +45,8 @@ def output_of(*boxes: tuple[float, float, float, float, float, int]) -> np.ndarr
 
 
 def test_an_image_that_is_not_square_has_grey_above_and_below():
-    given = View(0, 0, *SIZE_PX).input(Image.new("RGB", SIZE_PX, (255, 0, 51)))
-    assert given.shape == (1, 3, INPUT_PX, INPUT_PX)
+    given = network.View(0, 0, *SIZE_PX).input(Image.new("RGB", SIZE_PX, (255, 0, 51)))
+    assert given.shape == (1, 3, network.INPUT_PX, network.INPUT_PX)
     np.testing.assert_allclose(given[0, :, 139], 114 / 255, atol=1e-6)
     np.testing.assert_allclose(given[0, :, 500], 114 / 255, atol=1e-6)
     np.testing.assert_allclose(given[0, :, 140:500], np.broadcast_to([[[1]], [[0]], [[0.2]]], (3, 360, 640)), atol=1e-6)
@@ -64,37 +54,39 @@ def test_an_image_that_is_not_square_has_grey_above_and_below():
 
 def test_a_crop_of_the_networks_own_size_is_not_resampled():
     noise = np.random.default_rng(1).integers(0, 256, (720, 1280, 3), dtype=np.uint8)
-    given = View(320, 40, 640, 640).input(Image.fromarray(noise))
+    given = network.View(320, 40, 640, 640).input(Image.fromarray(noise))
     np.testing.assert_array_equal(np.rint(given[0] * 255).transpose(1, 2, 0), noise[40:680, 320:960])
 
 
 @pytest.mark.parametrize(
     ("view", "expected"),
-    [(View(0, 0, 1280, 720), [600, 120, 680, 160]), (View(320, 40, 640, 640), [620, 240, 660, 260])],
+    [(network.View(0, 0, 1280, 720), [600, 120, 680, 160]), (network.View(320, 40, 640, 640), [620, 240, 660, 260])],
 )
 def test_boxes_come_back_into_the_image(view, expected):
-    boxes, scores = view.boxes(output_of((320, 210, 40, 20, 0.6, BOAT), (100, 300, 40, 20, 0.9, BOAT + 1)))
+    boxes, scores = view.boxes(
+        output_of((320, 210, 40, 20, 0.6, network.BOAT), (100, 300, 40, 20, 0.9, network.BOAT + 1))
+    )
     np.testing.assert_allclose(boxes, [expected])
     np.testing.assert_allclose(scores, [0.6], rtol=1e-6)
 
 
 def test_a_box_beyond_the_crop_ends_at_its_edge_and_one_in_the_grey_is_none():
-    view = View(0, 0, *SIZE_PX)
-    boxes, _ = view.boxes(output_of((0, 320, 100, 40, 0.5, BOAT), (320, 60, 80, 40, 0.5, BOAT)))
+    view = network.View(0, 0, *SIZE_PX)
+    boxes, _ = view.boxes(output_of((0, 320, 100, 40, 0.5, network.BOAT), (320, 60, 80, 40, 0.5, network.BOAT)))
     np.testing.assert_allclose(boxes, [[0, 320, 100, 400]])
 
 
 def test_a_box_is_cut_only_by_an_edge_inside_the_image():
     box = np.array([[0.0, 300, 60, 340], [580, 300, 640, 340], [300, 300, 400, 340]])
-    assert View(0, 40, 640, 640).cut(box, SIZE_PX).tolist() == [False, True, False]
-    assert View(0, 0, 1280, 720).cut(np.array([[0.0, 0, 1280, 720]]), SIZE_PX).tolist() == [False]
+    assert network.View(0, 40, 640, 640).cut(box, SIZE_PX).tolist() == [False, True, False]
+    assert network.View(0, 0, 1280, 720).cut(np.array([[0.0, 0, 1280, 720]]), SIZE_PX).tolist() == [False]
 
 
 @pytest.mark.parametrize(("horizon_px", "y"), [(360.0, 40), (-500.0, 0), (300.0, 0), (5000.0, 80)])
 def test_crops_lie_at_the_horizon_and_inside_the_image(horizon_px, y):
-    whole, *crops = views_of(SIZE_PX, horizon_px, 3, 640)
-    assert whole == View(0, 0, *SIZE_PX)
-    assert crops == [View(x, y, 640, 640) for x in (0, 320, 640)]
+    whole, *crops = network.views_of(SIZE_PX, horizon_px, 3, 640)
+    assert whole == network.View(0, 0, *SIZE_PX)
+    assert crops == [network.View(x, y, 640, 640) for x in (0, 320, 640)]
 
 
 def test_a_whole_box_wins_against_a_cut_one_of_the_same_vessel_and_otherwise_the_most_confident_comes_first():
@@ -105,10 +97,10 @@ def test_a_whole_box_wins_against_a_cut_one_of_the_same_vessel_and_otherwise_the
         ([200.0, 120, 260, 200], False, [1, 0]),  # a whole one in front of a larger one
     ):
         boxes, confidence = np.array([large, other]), np.array([0.3, 0.9])
-        found = without_repeats(boxes, confidence, np.array([False, other_is_cut]))
+        found = network.without_repeats(boxes, confidence, np.array([False, other_is_cut]))
         np.testing.assert_array_equal(found.boxes_px, boxes[kept])
         np.testing.assert_array_equal(found.confidence, confidence[kept])
-    alone = without_repeats(boxes[1:], np.array([0.9]), np.array([True]))
+    alone = network.without_repeats(boxes[1:], np.array([0.9]), np.array([True]))
     np.testing.assert_array_equal(alone.boxes_px, boxes[1:])
 
 
@@ -117,9 +109,9 @@ def test_the_order_of_the_views_does_not_matter():
     corner = rng.uniform(0, 300, (60, 2))
     boxes = np.concatenate([corner, corner + rng.uniform(20, 200, (60, 2))], axis=1)
     confidence, cut = rng.integers(1, 6, 60) / 8, rng.random(60) < 0.3
-    found = without_repeats(boxes, confidence, cut)
+    found = network.without_repeats(boxes, confidence, cut)
     order = rng.permutation(60)
-    again = without_repeats(boxes[order], confidence[order], cut[order])
+    again = network.without_repeats(boxes[order], confidence[order], cut[order])
     np.testing.assert_array_equal(again.boxes_px, found.boxes_px)
     overlap = iou(found.boxes_px[:, None], found.boxes_px[None]) - np.eye(len(found.boxes_px))
     assert overlap.max() <= 0.5
@@ -127,18 +119,18 @@ def test_the_order_of_the_views_does_not_matter():
 
 @pytest.mark.parametrize("box", [(100, 330, 130, 350), (620, 340, 660, 360), (200, 300, 1100, 400), (0, 350, 50, 380)])
 def test_a_vessel_has_one_box_wherever_crops_cut_it(box):
-    found = PixelDetector(RedSession()).detect(sea_with(box), 360.0)
+    found = network.PixelDetector(RedSession()).detect(sea_with(box), 360.0)
     assert len(found.boxes_px) == 1
     np.testing.assert_allclose(found.boxes_px[0], box, atol=4)
     np.testing.assert_allclose(found.confidence, [0.8], rtol=1e-6)
 
 
 def test_a_sea_without_vessels_has_no_boxes():
-    found = PixelDetector(RedSession()).detect(Image.new("RGB", SIZE_PX, SEA), 360.0)
+    found = network.PixelDetector(RedSession()).detect(Image.new("RGB", SIZE_PX, SEA), 360.0)
     assert found.boxes_px.shape == (0, 4)
 
 
 def test_without_onnxruntime_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(ModsimError, match=r"needs onnxruntime: pip install"):
-        open_session(Path("weights.onnx"))
+        network.open_session(Path("weights.onnx"))

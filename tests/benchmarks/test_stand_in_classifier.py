@@ -1,7 +1,5 @@
 """Frames and tracks have the features that they are said to have; a classifier finds what differs, and only that."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -80,8 +78,7 @@ def test_rounding_order_and_threshold_of_a_file_leave_no_trace():
     a, b = (on_one_grid(each, 0.4).results for each in (exact, replace(exact, results=coarse.by_image())))
     np.testing.assert_array_equal(a.boxes_px, b.boxes_px)
     np.testing.assert_array_equal(a.confidence, b.confidence)
-    assert a.confidence.min() >= 0.4
-    assert len(a) < len(results)
+    assert a.confidence.min() >= 0.4 and len(a) < len(results)
 
 
 def test_boxes_are_cut_at_the_edge_of_the_image():
@@ -101,18 +98,14 @@ def test_a_track_tells_its_gaps_errors_and_confidence():
     table = track_features(Sighted.of(seen(film, rows, boxes_px, np.full(len(rows), 0.7)), 0.25))
     assert len(table.values) == VESSELS
     told = dict(zip(table.names, table.values[0], strict=True))
-    assert told["images"] == IMAGES
-    assert told["share of images detected"] == pytest.approx(19 / 24)
-    assert told["gaps for each image"] == pytest.approx(2 / 24)
-    assert told["mean gap"] == 2
-    assert told["longest gap"] == 3
-    assert told["longest stretch of sightings"] == 11
+    assert told["images"] == IMAGES and told["share of images detected"] == pytest.approx(19 / 24)
+    assert told["gaps for each image"] == pytest.approx(2 / 24) and told["mean gap"] == 2
+    assert told["longest gap"] == 3 and told["longest stretch of sightings"] == 11
     assert told["mean confidence"] == pytest.approx(0.7)
     assert column(table, "share of images detected")[1:].tolist() == [0, 0, 0]
     assert np.isnan(column(table, "mean confidence")[1:]).all()
     i = table.names.index("mean error of x")
-    assert table.values[0, i] == pytest.approx(0.05, abs=0.01)
-    assert table.groups[i] == "box errors"
+    assert table.values[0, i] == pytest.approx(0.05, abs=0.01) and table.groups[i] == "box errors"
     assert table.values[0, table.names.index("spread of the error of width")] == pytest.approx(0, abs=0.01)
 
 
@@ -141,8 +134,7 @@ def test_a_simulated_detector_cannot_be_told_from_itself(usual):
     assert told["tracks"]["auc"] == pytest.approx(0.5, abs=0.25)  # 24 tracks
     assert len(told["tracks"]["aucs"]) == 2
     told = tell_apart(FILMS, usual[2], simulated, 0.25, kinds=("frames",), importance=False)["frames"]
-    assert told["low"] < 0.5 < told["high"]
-    assert told["verdict"] != "told apart"
+    assert told["low"] < 0.5 < told["high"] and told["verdict"] != "told apart"
     assert told["rows"] == len(FILMS) * IMAGES
 
 
@@ -159,13 +151,10 @@ def test_larger_errors_are_told_and_named(usual):
     films = FILMS[:4]  # so large a difference needs no more
     simulated = {name: [usual[0][name]] for name in films}
     told = tell_apart(films, output(7, spread_px=2.5), simulated, 0.25, kinds=("frames",))["frames"]
-    assert told["auc"] > 0.9
-    assert told["low"] > GOAL_AUC
-    assert told["verdict"] == "told apart"
-    assert next(iter(told["groups"])) == "box errors"
+    assert told["auc"] > 0.9 and told["low"] > GOAL_AUC
+    assert told["verdict"] == "told apart" and next(iter(told["groups"])) == "box errors"
     first = told["features"][0]
-    assert first["group"] == "box errors"
-    assert abs(first["alone"] - 0.5) > 0.2
+    assert first["group"] == "box errors" and abs(first["alone"] - 0.5) > 0.2
     alone = {each["name"]: each["alone"] for each in told["features"]}
     assert alone["mean IoU"] < 0.1  # the real detector's are smaller
     assert told["groups"]["confidence"]["importance"] < 0.05

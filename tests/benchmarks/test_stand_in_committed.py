@@ -1,7 +1,5 @@
 """The committed comparison with a real detector, and a sample of it made again from the stored detections."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The list of films, what a film's folder holds, and where the weights come from."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import Counter

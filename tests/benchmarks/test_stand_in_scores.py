@@ -1,7 +1,5 @@
 """Scores on a small film whose real detections are those of a known detector and seed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,18 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from benchmarks.stand_in import scores as film_scores
 from benchmarks.stand_in.measure import measure
 from benchmarks.stand_in.page import page, write_page
-from benchmarks.stand_in.scores import (
-    bins_of,
-    found_vessels,
-    open_film,
-    real_detections,
-    recall_of_bins,
-    scored_tracks,
-    scores_of,
-    simulated_detections,
-)
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
@@ -60,8 +49,11 @@ def results(film: Film) -> dict:
 
 
 def test_the_same_detector_and_seed_give_the_real_detections(film: Film) -> None:
-    opened = open_film(film)
-    real, simulated = real_detections(opened, 0.3), simulated_detections(opened, DETECTOR, [SEED, SEED + 1], 0.3)
+    opened = film_scores.open_film(film)
+    real, simulated = (
+        film_scores.real_detections(opened, 0.3),
+        film_scores.simulated_detections(opened, DETECTOR, [SEED, SEED + 1], 0.3),
+    )
     for name, column in vars(real).items():
         # COCO has corner and size, so a corner may differ in its last digit.
         np.testing.assert_allclose(column, getattr(simulated[0], name), atol=0.0011)
@@ -70,28 +62,28 @@ def test_the_same_detector_and_seed_give_the_real_detections(film: Film) -> None
 
 
 def test_films_share_no_seed(film: Film) -> None:
-    opened = open_film(film)
+    opened = film_scores.open_film(film)
     other = replace(opened, film=replace(film, seed=1))
-    mine, theirs = (simulated_detections(each, DETECTOR, [SEED], 0.3)[0] for each in (opened, other))
+    mine, theirs = (film_scores.simulated_detections(each, DETECTOR, [SEED], 0.3)[0] for each in (opened, other))
     assert len(mine.confidence) and not np.array_equal(mine.confidence, theirs.confidence)
 
 
 def test_scores_are_those_of_the_command_score(film: Film) -> None:
-    opened = open_film(film)
-    scored = scored_tracks(opened, real_detections(opened, 0.25), "sort")
+    opened = film_scores.open_film(film)
+    scored = film_scores.scored_tracks(opened, film_scores.real_detections(opened, 0.25), "sort")
     whole = score_tracks(opened.rows, scored.following.tracks, scored.rules).flat()
-    found = scores_of(opened, scored)
+    found = film_scores.scores_of(opened, scored)
     assert found["track_s"] > 0 and found["tracks"] > 2
     for key in ("hota", "deta", "assa", "idf1", "mota", "gospa", "id_switches", "false_tracks"):
         assert found[key] == whole[key], key
-    again = scored_tracks(opened, real_detections(opened, 0.25), "sort")
-    assert scores_of(opened, again) == found
+    again = film_scores.scored_tracks(opened, film_scores.real_detections(opened, 0.25), "sort")
+    assert film_scores.scores_of(opened, again) == found
 
 
 def test_recall_of_all_bins_together_is_that_of_the_film(film: Film) -> None:
-    opened = open_film(film)
-    scored = scored_tracks(opened, real_detections(opened, 0.25), "sort")
-    bins, recall = bins_of(opened, scored.truth), recall_of_bins(opened, scored)
+    opened = film_scores.open_film(film)
+    scored = film_scores.scored_tracks(opened, film_scores.real_detections(opened, 0.25), "sort")
+    bins, recall = film_scores.bins_of(opened, scored.truth), film_scores.recall_of_bins(opened, scored)
     for names in (("visible", "hidden"), ("near", "middle", "far")):
         assert np.sum([bins[name] for name in names], axis=0).tolist() == [1] * len(scored.truth)
         followed = sum(recall[name]["recall"] * bins[name].sum() for name in names if bins[name].any())
@@ -100,8 +92,8 @@ def test_recall_of_all_bins_together_is_that_of_the_film(film: Film) -> None:
 
 
 def test_detections_on_vessels_are_matched_one_to_one(film: Film) -> None:
-    opened = open_film(film)
-    found, row = found_vessels(opened, real_detections(opened, 0.25))
+    opened = film_scores.open_film(film)
+    found, row = film_scores.found_vessels(opened, film_scores.real_detections(opened, 0.25))
     on_vessels = row[row >= 0]
     assert len(np.unique(on_vessels)) == len(on_vessels) == found.sum() > 20
     assert (row < 0).any()
@@ -161,7 +153,7 @@ def test_a_truth_of_other_frames_is_refused(film: Film, tmp_path: Path) -> None:
     short = tmp_path / "truth.json"
     short.write_text(json.dumps({**content, "images": content["images"][:-1]}), encoding="utf-8")
     with pytest.raises(ModsimError, match="has 23 images, and the run"):
-        real_detections(open_film(replace(film, truth=short)), 0.2)
+        film_scores.real_detections(film_scores.open_film(replace(film, truth=short)), 0.2)
 
 
 def test_a_comparison_needs_films() -> None:

@@ -1,7 +1,5 @@
 """A small finished run, and the command line with its two streams apart."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple

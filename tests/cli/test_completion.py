@@ -1,7 +1,5 @@
 """Shells complete commands, options, values and scenes; everything else they complete as files."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -36,12 +34,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
-    """What shells are told to offer, each for the last of some words, through the protocol of its script.
-
-    Args:
-        folder: Where the shells are.
-        *asked: A shell and the words after `modsim3d`.
-    """
+    """Words that shells in a folder offer for the last of each shell's words after `modsim3d`, as its script asks."""
     environments = [
         {
             "_MODSIM3D_COMPLETE": f"complete_{shell}",
@@ -64,14 +57,8 @@ def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
 
 def test_scene_completes_shipped_names_and_scene_files(folder: Path) -> None:
     (offered,) = completions(folder, ("bash", "run", "s"))
-    assert [word for word in offered if word] == [
-        "simulation_1",
-        "simulation_2",
-        "simulation_3",
-        "strait",
-        "simple.json",
-        "strange.yaml",
-    ]
+    shipped = ["simulation_1", "simulation_2", "simulation_3", "strait"]
+    assert [word for word in offered if word] == [*shipped, "simple.json", "strange.yaml"]
 
 
 def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
@@ -82,14 +69,8 @@ def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
 
 
 def test_commands_options_and_values_are_completed(folder: Path) -> None:
-    commands, options, values, zsh, fish = completions(
-        folder,
-        ("bash", ""),
-        ("bash", "run", "strait", "--det"),
-        ("bash", "run", "strait", "--source", "r"),
-        ("zsh", "run", "st"),
-        ("fish", "run", "st"),
-    )
+    in_bash = (("bash", ""), ("bash", "run", "strait", "--det"), ("bash", "run", "strait", "--source", "r"))
+    commands, options, values, zsh, fish = completions(folder, *in_bash, ("zsh", "run", "st"), ("fish", "run", "st"))
     assert {"run", "learn", "scenes"} <= set(commands)
     assert "--detector-seed" in options
     assert "rectangles" in values
@@ -117,15 +98,8 @@ def test_bash_completes_with_the_script_that_is_shown(folder: Path) -> None:
         echo "${COMPREPLY[@]}"
         complete -p modsim3d
     """
-    done = subprocess.run(
-        ["bash", "--norc", "-c", lines, str(program)],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=True,
-        cwd=folder,
-        env={**os.environ, **SHELL_IS_NAMED},
-    )
+    line, environment = ["bash", "--norc", "-c", lines, str(program)], {**os.environ, **SHELL_IS_NAMED}
+    done = subprocess.run(line, capture_output=True, text=True, timeout=240, check=True, cwd=folder, env=environment)
     offered, registered = done.stdout.strip().split("\n")
     assert offered == "simulation_1 simulation_2 simulation_3"
     assert registered == "complete -o default -F _modsim3d_completion modsim3d"
@@ -133,13 +107,9 @@ def test_bash_completes_with_the_script_that_is_shown(folder: Path) -> None:
 
 @pytest.mark.parametrize(("shell", "file"), [("bash", ".bashrc"), ("zsh", ".zshrc"), ("fish", ".config/fish")])
 def test_completion_is_installed_for_each_shell(tmp_path: Path, shell: str, file: str) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "modsim3d", "--install-completion", shell],
-        capture_output=True,
-        timeout=120,
-        check=True,
-        env={**os.environ, **SHELL_IS_NAMED, "HOME": str(tmp_path)},
-    )
+    line = [sys.executable, "-m", "modsim3d", "--install-completion", shell]
+    environment = {**os.environ, **SHELL_IS_NAMED, "HOME": str(tmp_path)}
+    subprocess.run(line, capture_output=True, timeout=120, check=True, env=environment)
     assert (tmp_path / file).exists()
     script = next(path for path in tmp_path.rglob("*modsim3d*") if path.is_file()).read_text()
     assert f"_MODSIM3D_COMPLETE=complete_{shell}" in script

@@ -1,7 +1,5 @@
 """`modsim3d detect --truth` on the command line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -17,19 +15,8 @@ from tests.formats.labelled_video.videos import coco, content, mot, write
 def test_in_fog_more_is_missed_and_one_option_says_so(tmp_path: Path, modsim3d: Modsim3d) -> None:
     truth, missed = mot(tmp_path / "bay", frames=200), {}
     for state in ("noon_clear", "foggy_cloudy"):
-        line = (
-            "--truth",
-            truth,
-            "--state",
-            state,
-            "--from",
-            "conditions",
-            "--detector-seed",
-            1,
-            "--out",
-            tmp_path / state,
-        )
-        found = parsed(modsim3d("detect", *line, "--json"))
+        line = ("--truth", truth, "--state", state, "--from", "conditions", "--detector-seed", 1)
+        found = parsed(modsim3d("detect", *line, "--out", tmp_path / state, "--json"))
         assert found["counts"]["annotated"] == 600
         missed[state] = found["counts"]["missed"]
         asked = package.load_detector(conditions_in()[state]).states[0].confusion[-1][0]

@@ -1,7 +1,5 @@
 """Help that can be read alone, everywhere, at 80 columns, and without loading what the work needs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -40,8 +38,7 @@ def test_every_command_and_group_has_help(modsim3d: Modsim3d, monkeypatch: pytes
     for name in ("", *GROUPS, *LEAVES):
         said = modsim3d(*name.split(), "-h")
         assert (said.status, said.err) == (0, ""), name
-        assert said == modsim3d(*name.split(), "--help")
-        assert "Usage: modsim3d" in said.out
+        assert said == modsim3d(*name.split(), "--help") and "Usage: modsim3d" in said.out
         assert "<bool>" not in said.out
         assert max(map(len, said.out.splitlines())) <= 80, name
 
@@ -49,8 +46,7 @@ def test_every_command_and_group_has_help(modsim3d: Modsim3d, monkeypatch: pytes
 def test_the_command_line_and_its_groups_alone_show_their_help(modsim3d: Modsim3d) -> None:
     for name in ("", *GROUPS):
         said = modsim3d(*name.split())
-        assert said.status == 2
-        assert "Usage: modsim3d" in said.out + said.err
+        assert said.status == 2 and "Usage: modsim3d" in said.out + said.err
         assert " -h " in said.out + said.err
 
 
@@ -61,9 +57,6 @@ def test_the_help_of_an_option_can_be_read_alone() -> None:
         assert len(words) >= 3, (name, parameter.name)
         strange = words[0] in ("Of", "For", "The", "May", "In", "When", "Also", "Added")
         assert not strange or parameter.name == "verbose", (name, parameter.name)
-
-
-# ---- How large the command line is ----
 
 
 def options_by_name() -> dict[str, dict[str, Any]]:
@@ -97,9 +90,6 @@ def test_an_option_means_the_same_in_every_command() -> None:
         assert (len(first), len(taken)) == (1, 1) or name == "--out", (name, first, taken)
 
 
-# ---- Old names ----
-
-
 def test_an_old_name_answers_with_the_new_one(modsim3d: Modsim3d) -> None:
     for old, new in OLD_NAMES.items():
         said = modsim3d(*old.split(" ")[:1], "x", *old.split(" ")[1:], "y")
@@ -117,10 +107,8 @@ def test_a_new_name_is_one_that_is_there() -> None:
 
 def test_a_new_command_does_not_take_the_old_options(modsim3d: Modsim3d) -> None:
     said = modsim3d("view", "film", "run", "--visibility=800")
-    assert (said.status, said.err) == (
-        2,
-        "modsim3d: modsim3d view --visibility is now: modsim3d view film --look fog:M\n",
-    )
+    new = "modsim3d: modsim3d view --visibility is now: modsim3d view film --look fog:M\n"
+    assert (said.status, said.err) == (2, new)
     said = modsim3d("campaign", "example", "--out", "folder")
     assert (said.status, said.err) == (2, "modsim3d: modsim3d campaign is now: modsim3d campaign run CAMPAIGN\n")
 
@@ -151,22 +139,12 @@ def test_options_that_are_called_as_what_they_take_say_their_name() -> None:
 def test_out_has_one_meaning() -> None:
     metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
     folders = ("run", "detect", "ais", "check truth", "check run", "export", "track", "score", "campaign run")
-    files = (
-        "learn",
-        "learn-voyage",
-        "report",
-        "view film",
-        "view frame",
-        "view map",
-        "campaign table",
-        "campaign report",
-    )
+    pages = ("report", "view film", "view frame", "view map", "campaign table", "campaign report")
+    files = ("learn", "learn-voyage", *pages)
     assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
 
 
-def test_the_root_help_has_every_command_on_one_line_of_80_columns(
-    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_root_help_has_every_command_on_one_line_of_80_columns(modsim3d, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = modsim3d("-h").out.splitlines()
     shown = [(panel, name, text) for panel, name, _, text in COMMANDS if " " not in name]
@@ -197,6 +175,5 @@ def test_python_dash_m_is_the_command_line(tmp_path: Path) -> None:
 
     assert "Usage: python -m modsim3d [OPTIONS]" in python_m("-h").stdout
     done = python_m("run")
-    assert done.returncode == 2
-    assert "Usage: python -m modsim3d run " in done.stderr
+    assert done.returncode == 2 and "Usage: python -m modsim3d run " in done.stderr
     assert "harbour" in python_m("scenes").stdout

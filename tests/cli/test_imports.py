@@ -1,7 +1,5 @@
 """What makes the command line start and end fast."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`--json`: one object on standard output and nothing else, with the keys that docs/json.md has."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -50,16 +48,13 @@ def documented(command: str) -> set[str]:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_standard_output_is_one_object_with_the_documented_keys(
-    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
-) -> None:
+def test_standard_output_is_one_object_with_the_documented_keys(modsim3d, lines, command):
     plain = modsim3d(*lines[command])
     overwrite = () if command in WITHOUT_OVERWRITE else ("--overwrite",)
     said = modsim3d(*lines[command], *overwrite, "--json")
     found = parsed(said)
     assert said.status == plain.status
-    assert found["command"] == command
-    assert found["format"] == 1
+    assert found["command"] == command and found["format"] == 1
     assert set(found) == documented(command)
     assert all(math.isfinite(number) for number in numbers(found))
     quiet = modsim3d(*lines[command], *overwrite, "--json", *(() if command == "scenes" else ("-q",)))
@@ -71,20 +66,12 @@ def test_standard_output_is_one_object_with_the_documented_keys(
 def test_an_error_is_text_on_standard_error(modsim3d: Modsim3d, tmp_path: Path, command: str) -> None:
     nowhere = tmp_path / "nowhere"
     out = {"run": nowhere, "detect": nowhere, "learn": nowhere, "track": tmp_path / "out"}
-    said = modsim3d(
-        *command.split(),
-        nowhere,
-        *((nowhere,) if command == "score" else ()),
-        *(("--out", out[command]) if command in out else ()),
-        "--json",
-    )
-    assert (said.status, said.out) == (2, "")
-    assert said.err.startswith("modsim3d: ")
+    more = (nowhere,) if command == "score" else ("--out", out[command]) if command in out else ()
+    said = modsim3d(*command.split(), nowhere, *more, "--json")
+    assert (said.status, said.out) == (2, "") and said.err.startswith("modsim3d: ")
 
 
-def test_what_a_run_counts_is_in_its_object_by_itself(
-    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], tmp_path: Path
-) -> None:
+def test_what_a_run_counts_is_in_its_object_by_itself(modsim3d, lines, tmp_path):
     found = parsed(modsim3d(*lines["run"], "--json"))
     assert {field.name for field in fields(RunResult)} <= set(found)
     assert {field.name for field in fields(Counts)} == set(found["counts"])
@@ -105,23 +92,18 @@ def test_a_line_of_a_detector_file_that_nothing_reads_is_warned_of(modsim3d: Mod
         ("run", "strait", "--detector", file, "--steps", 2, "--source", "analytic", "--out", tmp_path / "run"),
     ):
         said = modsim3d(*line, "--json")
-        assert said.status == 0
-        assert wanted in parsed(said)["warnings"]
+        assert said.status == 0 and wanted in parsed(said)["warnings"]
         assert "warning: nothing reads states.clear.false_discovery_rate" in said.err
 
 
-def test_warnings_are_in_the_object_and_on_standard_error(
-    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch, lines: dict[str, tuple[object, ...]]
-) -> None:
+def test_warnings_are_in_the_object_and_on_standard_error(modsim3d, monkeypatch, lines):
     monkeypatch.setattr("modsim3d.runs.counts.WORTH_A_WARNING_PX", 1e-9)
     said = modsim3d(*lines["run"], "--json", "-q")
     assert any("the sea is flat" in warning for warning in parsed(said)["warnings"])
     assert "warning: the sea is flat" in said.err
 
 
-def test_the_objects_say_what_the_text_says(
-    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], run: Path, tmp_path: Path
-) -> None:
+def test_the_objects_say_what_the_text_says(modsim3d, lines, run, tmp_path):
     verified = parsed(modsim3d(*lines["check run"], "--json"))
     stored = json.loads((tmp_path / "verify" / "verify.json").read_text())
     assert {key: verified[key] for key in stored} == stored
@@ -131,8 +113,7 @@ def test_the_objects_say_what_the_text_says(
     compared = parsed(modsim3d(*lines["check truth"], "--json"))
     assert compared["frames"] == 2 and compared["unexplained"] == 0
     checked = parsed(modsim3d(*lines["check scene"], "--json"))
-    assert checked["steps"] == 40
-    assert sum(checked["stationary_shares"].values()) == pytest.approx(1)
+    assert checked["steps"] == 40 and sum(checked["stationary_shares"].values()) == pytest.approx(1)
     scenes = {entry["name"]: entry["path"] for entry in parsed(modsim3d("scenes", "--json"))["scenes"]}
     assert Path(scenes["harbour"]).is_file()
 

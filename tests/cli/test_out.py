@@ -1,7 +1,5 @@
 """`--out` names what a command makes: a folder, or a file, which in a folder that is there has its usual name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -19,17 +17,14 @@ FILES = {
 
 @pytest.mark.parametrize(("name", "words"), FILES.items(), ids=FILES)
 @pytest.mark.parametrize("folder", ["pages", "run.2"])
-def test_a_file_is_put_into_a_folder_under_its_usual_name(
-    modsim3d: Modsim3d, run: Path, tmp_path: Path, name: str, words: tuple[str, ...], folder: str
-) -> None:
+def test_a_file_is_put_into_a_folder_under_its_usual_name(modsim3d, run, tmp_path, name, words, folder):
     (tmp_path / folder).mkdir()
     command, *options = words
     line = (*command.split(), run, *options, "--out", tmp_path / folder)
     assert modsim3d(*line).status == 0
     assert [path.name for path in (tmp_path / folder).iterdir()] == [name]
     said = modsim3d(*line)
-    assert said.status == 2
-    assert f"{tmp_path / folder / name} exists: use --overwrite" in said.err
+    assert said.status == 2 and f"{tmp_path / folder / name} exists: use --overwrite" in said.err
 
 
 def test_a_learned_detector_and_its_page_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
@@ -46,5 +41,4 @@ def test_export_writes_a_format_into_a_folder(modsim3d: Modsim3d, run: Path, tmp
         (("--format", "coco"), "--out"),
     ):
         said = modsim3d("export", run, *arguments)
-        assert said.status == 2
-        assert part in said.err
+        assert said.status == 2 and part in said.err

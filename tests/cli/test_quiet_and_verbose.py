@@ -1,7 +1,5 @@
 """`-q` leaves warnings and errors, `-v` tells more on standard error, and standard output stays the same."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -24,9 +22,7 @@ def test_every_command_with_something_to_tell_has_both_options() -> None:
 
 
 @pytest.mark.parametrize("command", TRIED)
-def test_verbose_tells_versions_files_and_times_and_quiet_prints_nothing_and_does_the_same(
-    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
-) -> None:
+def test_verbose_tells_versions_files_and_times_and_quiet_prints_nothing_and_does_the_same(modsim3d, lines, command):
     line = (*lines[command], *(() if command in WITHOUT_OVERWRITE else ("--overwrite",)))
     verbose = modsim3d(*line, "--verbose")
     first, *rest = verbose.err.splitlines()
@@ -44,9 +40,7 @@ def test_verbose_tells_versions_files_and_times_and_quiet_prints_nothing_and_doe
 
 
 @pytest.mark.parametrize("command", ["run", "check truth"])
-def test_verbose_names_the_opengl_that_draws(
-    modsim3d: Modsim3d, lines: dict[str, tuple[object, ...]], command: str
-) -> None:
+def test_verbose_names_the_opengl_that_draws(modsim3d, lines, command):
     arguments = [argument for argument in lines[command] if argument not in ("--source", "analytic")]
     assert "\nOpenGL    " in modsim3d(*arguments, "-v").err
 
@@ -60,5 +54,4 @@ def test_both_are_refused(modsim3d: Modsim3d, run: Path) -> None:
 
 def test_errors_are_not_silenced(modsim3d: Modsim3d) -> None:
     said = modsim3d("check", "scene", "nowhere.yaml", "-q")
-    assert (said.status, said.out) == (2, "")
-    assert "no such file" in said.err
+    assert (said.status, said.out) == (2, "") and "no such file" in said.err

@@ -1,7 +1,5 @@
 """`modsim3d score` prints trackers beside references, the rules, and where vessels are lost."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -29,9 +27,7 @@ def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsi
     assert not (run / "score.json").exists()
 
 
-def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(
-    modsim3d: Modsim3d, run: Path, tracks: Path, tmp_path: Path
-) -> None:
+def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(modsim3d, run, tracks, tmp_path):
     said = modsim3d("score", run, tracks, "--by-class", "--out", tmp_path / "out", "--json")
     found = json.loads(said.out)
     assert found.pop("written") == [str(tmp_path / "out" / name) for name in ("score.json", "score.html")]
@@ -40,9 +36,7 @@ def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(
     assert set(found["trackers"][0]) > {"hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "by_class"}
 
 
-def test_where_vessels_are_lost_is_a_table_at_80_columns(
-    modsim3d: Modsim3d, run: Path, tracks: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_vessels_are_lost_is_a_table_at_80_columns(modsim3d, run, tracks, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = modsim3d("score", run, tracks).out.splitlines()
     first = lines.index("Where reference loses vessels")
@@ -52,9 +46,7 @@ def test_where_vessels_are_lost_is_a_table_at_80_columns(
     assert table[0].split()[:3] == ["visible", "fraction", "1"] and all(len(line) <= 80 for line in table)
 
 
-def test_detector_seeds_are_a_table_at_80_columns(
-    modsim3d: Modsim3d, run: Path, tracks: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_detector_seeds_are_a_table_at_80_columns(modsim3d, run, tracks, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = modsim3d("score", run, tracks, "--seeds", 2).out.splitlines()
     first = lines.index("Detector seeds")
@@ -82,9 +74,7 @@ def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
         (("--seeds", 1), "--seeds must be from 2 to 1000 (got 1)"),
     ],
 )
-def test_a_rule_out_of_range_is_one_line(
-    modsim3d: Modsim3d, run: Path, tracks: Path, options: tuple[object, ...], said: str
-) -> None:
+def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks, options, said):
     found = modsim3d("score", run, tracks, *options)
     assert (found.status, found.out) == (2, "")
     assert said in found.err and found.err.count("\n") == 1

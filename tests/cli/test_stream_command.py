@@ -1,7 +1,5 @@
 """`modsim3d stream` as a process: poses in, lines out, over a pipe or the loopback, whatever its readers do."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -101,9 +99,7 @@ def stored(tmp_path: Path) -> Path:
     return scene_of(tmp_path, {"file": "poses.jsonl"})
 
 
-def test_one_step_in_one_step_out_and_a_garbled_line_ends_it_after_the_lines_before(
-    live: Path, tmp_path: Path, start: Start
-) -> None:
+def test_one_step_in_one_step_out_and_a_garbled_line_ends_it_after_the_lines_before(live, tmp_path, start):
     process = start(live, "-q")
     stdout = output(process)
     assert json.loads(stdout.readline())["steps"] is None

@@ -1,7 +1,5 @@
 """A reader that goes away changes nothing: no traceback, no other exit status, and the work is done."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -30,16 +28,13 @@ def other_detector(run: Path, folder: Path) -> Path:
 @pytest.mark.parametrize("options", ["", "--json"])
 @pytest.mark.parametrize("obeys", [True, False])
 @pytest.mark.parametrize("reader", ["head -1", "true"])
-def test_the_status_of_verify_is_its_verdict_whoever_reads(
-    run: Path, prepared: Path, tmp_path: Path, reader: str, obeys: bool, options: str
-) -> None:
+def test_the_status_of_verify_is_its_verdict_whoever_reads(run, prepared, tmp_path, reader, obeys, options):
     detector = next((run / "scene").glob("detector.*")) if obeys else other_detector(run, tmp_path)
     line = (
         f'MODSIM3D check run "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null; echo ${{PIPESTATUS[0]}}'
     )
     done = bash(line, run, detector, tmp_path / "out", program=prepared)
-    assert done.stdout == f"{0 if obeys else 1}\n"
-    assert done.stderr == ""
+    assert done.stdout == f"{0 if obeys else 1}\n" and done.stderr == ""
     assert json.loads((tmp_path / "out" / "verify.json").read_text())["obeys"] is obeys
 
 

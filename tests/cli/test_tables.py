@@ -1,7 +1,5 @@
 """Tables lose no column and break no word, at any width and in a pipe."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty
@@ -16,7 +14,6 @@ from hypothesis import strategies as st
 from modsim3d.cli.shared import print_path
 from modsim3d.cli.terminal import open_console
 from modsim3d.cli.terminal_tables import print_prose, print_table
-from tests.cli.conftest import Modsim3d
 
 WIDTHS = (40, 60, 80, 120, 200)
 CELLS = st.text("ab1/._-é漢 ", max_size=30).map(lambda text: " ".join(text.split()))
@@ -33,9 +30,7 @@ def printed(width: int, *arguments: object, **options: object) -> list[str]:
     st.integers(10, 120),
     st.booleans(),
 )
-def test_every_word_of_every_cell_is_printed_whole_and_in_order(
-    rows: list[tuple[str, ...]], width: int, with_header: bool
-) -> None:
+def test_every_word_of_every_cell_is_printed_whole_and_in_order(rows, width, with_header):
     header = tuple(f"n{place}" for place in range(len(rows[0]))) if with_header else ()
     lines = printed(width, "", rows, header=header)
     words = "\n".join(lines).split()
@@ -52,8 +47,7 @@ def test_a_file_name_and_a_number_are_never_broken(width: int) -> None:
     rows = [(name, "0.2111 … 1", "some words that explain what this is about, at length"), ("b", "2", "c")]
     for header in ((), ("file", "interval", "meaning")):
         text = "\n".join(printed(width, "title", rows, header=header))
-        assert name in text
-        assert "0.2111 … 1" in text
+        assert name in text and "0.2111 … 1" in text
 
 
 def test_a_table_that_fits_has_its_columns_one_below_the_other() -> None:
@@ -93,9 +87,7 @@ def test_prose_is_broken_between_words() -> None:
 
 
 @pytest.mark.parametrize("width", [60, 80, 120, None])
-def test_verify_has_every_number_at_any_width(
-    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch, run: object, tmp_path: object, width: int | None
-) -> None:
+def test_verify_has_every_number_at_any_width(modsim3d, monkeypatch, run, tmp_path, width):
     if width:
         monkeypatch.setenv("COLUMNS", str(width))
     out = modsim3d("check", "run", run, "--out", tmp_path).out
@@ -122,15 +114,12 @@ def test_an_error_on_a_terminal_is_broken_between_words(prepared: Path, width: i
     os.close(ours)
     assert done.returncode == 2
     lines = said.splitlines()
-    assert max(map(len, lines)) <= width
-    assert len(lines) > 2
+    assert max(map(len, lines)) <= width and len(lines) > 2
     for word in ("nowhere/at_all/in_this_folder.yaml:", "simulation_1,", "simulation_2,", "strait)"):
         assert word in said.split()
 
 
-def test_an_error_in_a_pipe_is_not_broken_whatever_columns_says(
-    modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_in_a_pipe_is_not_broken_whatever_columns_says(modsim3d, monkeypatch):
     monkeypatch.setenv("COLUMNS", "40")
     assert modsim3d("check", "scene", "nowhere.yaml").err.count("\n") == 2
 

@@ -1,7 +1,5 @@
 """`modsim3d track`: what it prints, and what it refuses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -10,9 +8,7 @@ from modsim3d.tracking.trackers.names import BUILT_IN
 from tests.cli.conftest import Modsim3d
 
 
-def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(
-    modsim3d: Modsim3d, run: Path, tmp_path: Path
-) -> None:
+def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(modsim3d, run, tmp_path):
     out = tmp_path / "my tracks"
     said = modsim3d("track", run, "--set", "confirm_hits=1", "--out", out)
     assert said.status == 0
@@ -36,9 +32,7 @@ def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(
         (("--set", "confirm_hits=[1"), "--set confirm_hits:"),
     ],
 )
-def test_wrong_options_are_one_message_and_leave_nothing(
-    modsim3d: Modsim3d, run: Path, tmp_path: Path, options: tuple[str, ...], part: str
-) -> None:
+def test_wrong_options_are_one_message_and_leave_nothing(modsim3d, run, tmp_path, options, part):
     said = modsim3d("track", run, *options, "--out", tmp_path / "out")
     assert (said.status, said.out) == (2, "")
     assert part in said.err and "Traceback" not in said.err

@@ -1,28 +1,26 @@
 """Small detectors, frames and targets for the tests."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 
 from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.draws import select
+from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Clock
-from modsim3d.detector.records import CameraFrames, Detections, Targets
+from modsim3d.detector.records import TRUE, CameraFrames, Detections, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
 
 IMAGE_PX = (3600, 2400)
 ALL_SEA = (0.0, 0.0, 1.0)
+ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
+"""A confusion matrix without misses and mistakes."""
 MEAN_PX = [4.3, 6.8, -8.1, -0.9]
-COVARIANCE_PX2 = [
-    [2354, 206, 1157, -169],
-    [206, 390, -227, -389],
-    [1157, -227, 5404, 115],
-    [-169, -389, 115, 1225],
-]
+COVARIANCE_PX2 = [[2354, 206, 1157, -169], [206, 390, -227, -389], [1157, -227, 5404, 115], [-169, -389, 115, 1225]]
 """The thesis's `excellent` state, Jessen & Mohr (2023), Table 9.3."""
 
 
@@ -35,11 +33,7 @@ def state_data(**changes: Any) -> dict[str, Any]:
         "confusion": [[0.7, 0.1], [0.1, 0.6], [0.2, 0.3]],
         "false_positive_labels": [0.25, 0.75],
         "false_discovery_rate": 0.2,
-        "box_error": {
-            "unit": "px",
-            "mean": list(MEAN_PX),
-            "covariance": [list(row) for row in COVARIANCE_PX2],
-        },
+        "box_error": {"unit": "px", "mean": list(MEAN_PX), "covariance": [list(row) for row in COVARIANCE_PX2]},
         "confidence": {"mean": 0.67, "std": 0.1},
     }
     return state | changes
@@ -104,6 +98,11 @@ def same_boxes(frames: int, vessels: int, box_px: Sequence[float]) -> np.ndarray
     return np.tile(np.asarray(box_px, dtype=float), (frames, vessels, 1))
 
 
+def steady_targets(frames: int, vessels: int, box_px: Sequence[float], *more: Any, **options: Any) -> Targets:
+    """The same box of each vessel in every frame; the rest is for `make_targets`."""
+    return make_targets(same_boxes(frames, vessels, box_px), *more, **options)
+
+
 def centred(width: float, height: float, image_px: tuple[int, int] = IMAGE_PX) -> list[float]:
     x, y = image_px[0] / 2, image_px[1] / 2
     return [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
@@ -112,28 +111,10 @@ def centred(width: float, height: float, image_px: tuple[int, int] = IMAGE_PX) -
 def chunk(frames: CameraFrames, targets: Targets, start: int, stop: int) -> tuple[CameraFrames, Targets, int]:
     """Some of the frames with their targets, and the row that the first of these targets has in the whole."""
     first, last = np.searchsorted(targets.frame, [start, stop])
-    rows = slice(first, last)
-    part = CameraFrames(
-        frames.camera,
-        frames.steps[start:stop],
-        frames.times_s[start:stop],
-        frames.image_size_px,
-        frames.sea_half_planes[start:stop],
-        float(frames.times_s[start - 1]) if start else frames.previous_s,
-    )
-    return (
-        part,
-        Targets(
-            targets.frame[rows] - start,
-            targets.vessel[rows],
-            targets.label[rows],
-            targets.boxes_px[rows],
-            targets.visible_fraction[rows],
-            targets.depth_m[rows],
-            targets.vessel_ids,
-        ),
-        int(first),
-    )
+    columns = {name: getattr(frames, name)[start:stop] for name in ("steps", "times_s", "sea_half_planes")}
+    previous_s = float(frames.times_s[start - 1]) if start else frames.previous_s
+    part = select(targets, np.arange(first, last))
+    return replace(frames, **columns, previous_s=previous_s), replace(part, frame=part.frame - start), int(first)
 
 
 def detect_in_chunks(detector: Detector, frames: CameraFrames, targets: Targets, borders: Sequence[int]) -> Detections:
@@ -151,9 +132,31 @@ def detect_in_chunks(detector: Detector, frames: CameraFrames, targets: Targets,
     return Detections(**{name: np.concatenate(values) for name, values in columns.items()})
 
 
+def by_frame(found: Detections, values: np.ndarray, frames: int, vessels: int, missed: float = np.nan) -> np.ndarray:
+    """Values of the true detections, shape (frames, vessels, ...), of targets that are in every frame."""
+    true = found.kind == TRUE
+    result = np.full((frames * vessels, *values.shape[1:]), missed)
+    result[found.target[true]] = values[true]
+    return result.reshape(frames, vessels, *values.shape[1:])
+
+
 def all_bytes(detections: Detections) -> dict[str, bytes]:
     return {field.name: getattr(detections, field.name).tobytes() for field in fields(Detections)}
 
 
-def run(model: DetectorModel, frames: CameraFrames, targets: Targets, seed: int = 1) -> Detections:
-    return Detector(model, seed, target_statistics(model, [(frames, targets)]), clock()).detect(frames, targets)
+Described = DetectorModel | dict[str, Any]
+"""A model, or the content of its file."""
+
+
+def model_of(described: Described) -> DetectorModel:
+    return described if isinstance(described, DetectorModel) else parse_detector(described)
+
+
+def detector(described: Described, seed: int = 1, step_s: float = 0.1) -> Detector:
+    """A detector that needs no statistics of its targets."""
+    return Detector(model_of(described), seed, TargetStatistics(), clock(step_s))
+
+
+def run(described: Described, frames: CameraFrames, targets: Targets, seed: int = 1, step_s: float = 0.1) -> Detections:
+    model = model_of(described)
+    return Detector(model, seed, target_statistics(model, [(frames, targets)]), clock(step_s)).detect(frames, targets)

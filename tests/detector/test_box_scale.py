@@ -1,7 +1,5 @@
 """Box errors that grow with the box, and what truncation does to them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -12,20 +10,9 @@ from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import Detections
 from modsim3d.detector.truncation import truncated_errors
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    IMAGE_PX,
-    MEAN_PX,
-    box_error,
-    centred,
-    make_frames,
-    make_targets,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
-SEEN = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
+SEEN = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
 RELATIVE = {
     "unit": "relative",
     "mean": [0.01, -0.02, 0.03, 0.0],
@@ -40,8 +27,8 @@ MIXED = {
 
 
 def errors_of(error: dict[str, Any], box_px: list[float], frames: int = 2000, vessels: int = 10) -> Detections:
-    model = parse_detector(one_state_data(**SEEN, box_error=error))
-    return run(model, make_frames(frames), make_targets(same_boxes(frames, vessels, box_px)))
+    model = parse_detector(build.one_state_data(**SEEN, box_error=error))
+    return build.run(model, build.make_frames(frames), build.steady_targets(frames, vessels, box_px))
 
 
 def assert_moments(errors: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> None:
@@ -52,7 +39,7 @@ def assert_moments(errors: np.ndarray, mean: np.ndarray, covariance: np.ndarray)
 
 @pytest.mark.parametrize(("width", "height"), [(100, 40), (900, 300)])
 def test_relative_errors_are_in_sides_of_the_box(width: float, height: float) -> None:
-    found = errors_of(RELATIVE, centred(width, height))
+    found = errors_of(RELATIVE, build.centred(width, height))
     sides = np.array([width, height, width, height])
     assert not found.redrawn.any()
     assert_moments(found.errors_px, RELATIVE["mean"] * sides, RELATIVE["covariance"] * np.outer(sides, sides))
@@ -60,7 +47,7 @@ def test_relative_errors_are_in_sides_of_the_box(width: float, height: float) ->
 
 @pytest.mark.parametrize(("width", "height"), [(100, 80), (900, 300)])
 def test_mixed_errors_have_a_standard_deviation_that_grows_with_the_side(width: float, height: float) -> None:
-    found = errors_of(MIXED, centred(width, height))
+    found = errors_of(MIXED, build.centred(width, height))
     asked = np.array(MIXED["covariance"], dtype=float)
     std = np.sqrt(np.diag(asked))
     grown = std + np.array(MIXED["growth"]) * [width, height, width, height]
@@ -68,14 +55,14 @@ def test_mixed_errors_have_a_standard_deviation_that_grows_with_the_side(width: 
 
 
 def test_states_may_have_different_units() -> None:
-    data = one_state_data(**SEEN)
+    data = build.one_state_data(**SEEN)
     only = data["states"]["only"]
     states = {"px": only, "relative": only | {"box_error": RELATIVE}}
     data |= {"states": states, "initial_state": "px", "transition_matrix": [[0.5, 0.5], [0.5, 0.5]]}
-    targets = make_targets(same_boxes(2000, 5, centred(900, 500)))
-    found = run(parse_detector(data), make_frames(2000), targets)
+    targets = build.steady_targets(2000, 5, build.centred(900, 500))
+    found = build.run(data, build.make_frames(2000), targets)
     relative = found.states[found.frame] == 1
-    assert_moments(found.errors_px[~relative], np.array(MEAN_PX), np.array(COVARIANCE_PX2, dtype=float))
+    assert_moments(found.errors_px[~relative], np.array(build.MEAN_PX), np.array(build.COVARIANCE_PX2, dtype=float))
     sides = np.array([900, 500, 900, 500])
     covariance = RELATIVE["covariance"] * np.outer(sides, sides)
     assert_moments(found.errors_px[relative], RELATIVE["mean"] * sides, covariance)
@@ -87,17 +74,23 @@ def test_thin_boxes_are_a_pixel_when_errors_are_relative() -> None:
 
 
 def model_of(error: dict[str, Any]) -> BoxErrorSource:
-    return BoxErrorSource.from_model(parse_detector(one_state_data(**SEEN, box_error=error)))
+    return BoxErrorSource.from_model(parse_detector(build.one_state_data(**SEEN, box_error=error)))
 
 
-BOXES = [centred(20, 20), centred(47, 67), [0, 1000, 60, 1040], [3590, 1000, 3600, 1100], [1800, 2395, 1900, 2400]]
-THESIS = box_error(MEAN_PX, COVARIANCE_PX2)
+BOXES = [
+    build.centred(20, 20),
+    build.centred(47, 67),
+    [0, 1000, 60, 1040],
+    [3590, 1000, 3600, 1100],
+    [1800, 2395, 1900, 2400],
+]
+THESIS = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)
 
 
 @pytest.mark.parametrize("box_px", BOXES)
 def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
     found = errors_of(THESIS, box_px)
-    asked = truncated_errors(model_of(THESIS), 0, np.array([box_px]), IMAGE_PX)
+    asked = truncated_errors(model_of(THESIS), 0, np.array([box_px]), build.IMAGE_PX)
     std = np.sqrt(np.diag(asked.covariances()[0]))
     sampling = 4 / np.sqrt(len(found))
     assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < (0.02 + sampling) * std)
@@ -106,8 +99,8 @@ def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[flo
 
 
 def test_truncated_moments_are_the_one_sided_normals() -> None:
-    error = box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
-    found = truncated_errors(model_of(error), 0, np.array([centred(11, 100)]), IMAGE_PX)
+    error = build.box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
+    found = truncated_errors(model_of(error), 0, np.array([build.centred(11, 100)]), build.IMAGE_PX)
     law = stats.truncnorm(-10 / 20, np.inf, scale=20)
     assert abs(found.means[0, 2] - law.mean()) < 0.02 * law.std()
     assert abs(np.sqrt(found.covariances()[0, 2, 2]) / law.std() - 1) < 0.02
@@ -115,16 +108,15 @@ def test_truncated_moments_are_the_one_sided_normals() -> None:
 
 
 def test_large_boxes_lose_nothing_to_truncation() -> None:
-    found = truncated_errors(model_of(THESIS), 0, np.array([centred(900, 900)]), IMAGE_PX)
-    std = np.sqrt(np.diag(COVARIANCE_PX2))
-    assert found.accepted[0] == 1
-    assert np.all(np.abs(found.means[0] - MEAN_PX) < 0.01 * std)
+    found = truncated_errors(model_of(THESIS), 0, np.array([build.centred(900, 900)]), build.IMAGE_PX)
+    std = np.sqrt(np.diag(build.COVARIANCE_PX2))
+    assert found.accepted[0] == 1 and np.all(np.abs(found.means[0] - build.MEAN_PX) < 0.01 * std)
 
 
 def test_moments_in_file_units_are_the_files_for_boxes_that_are_not_truncated() -> None:
     for error in (RELATIVE, MIXED):
-        boxes = np.array([centred(500, 400), centred(900, 300)])
-        found = truncated_errors(model_of(error), 0, boxes, IMAGE_PX, in_file_units=True)
+        boxes = np.array([build.centred(500, 400), build.centred(900, 300)])
+        found = truncated_errors(model_of(error), 0, boxes, build.IMAGE_PX, in_file_units=True)
         std = np.sqrt(np.diag(error["covariance"]))
         assert np.all(np.abs(found.means - error["mean"]) < 0.02 * std)
         assert np.all(np.abs(found.covariances() - error["covariance"]) < 0.03 * np.outer(std, std))

@@ -1,6 +1,4 @@
-from __future__ import annotations
-
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,28 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.core.boxes import sizes
-from modsim3d.detector.chain import Detector
+from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections, Targets
-from modsim3d.detector.target_statistics import TargetStatistics
-from tests.detector.detector_builders import (
-    IMAGE_PX,
-    all_bytes,
-    box_error,
-    clock,
-    detect_in_chunks,
-    detector_data,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-)
+from tests.detector import detector_builders as build
 
 STEPS, VESSELS = 120, 5
 
 
-def scattered_targets(seed: int = 0, image_px: tuple[int, int] = IMAGE_PX) -> Targets:
+def scattered_targets(seed: int = 0, image_px: tuple[int, int] = build.IMAGE_PX) -> Targets:
     """Boxes of all sizes, small ones at the edges too; each vessel is missing in a third of the frames."""
     random = np.random.default_rng(seed)
     corners = random.uniform(0, 1, (STEPS, VESSELS, 2, 2)) * image_px
@@ -38,94 +23,70 @@ def scattered_targets(seed: int = 0, image_px: tuple[int, int] = IMAGE_PX) -> Ta
     corners = np.clip(corners, 0, image_px)
     boxes = np.concatenate([corners.min(axis=2), corners.max(axis=2)], axis=-1)
     boxes[random.random((STEPS, VESSELS)) < 1 / 3] = np.nan
-    return make_targets(boxes, np.arange(VESSELS) % 2)
+    return build.make_targets(boxes, np.arange(VESSELS) % 2)
 
 
 @pytest.fixture(params=["calibrated", "thesis"])
 def detector_file(request: pytest.FixtureRequest) -> dict[str, Any]:
-    return detector_data(false_positives={"model": request.param}, confidence_threshold=0.1, transition_interval_s=0.7)
+    return build.detector_data(
+        false_positives={"model": request.param}, confidence_threshold=0.1, transition_interval_s=0.7
+    )
 
 
 @pytest.mark.parametrize("borders", [[0, 120], [0, 1, 2, 60, 60, 119, 120], list(range(121))])
 def test_chunk_borders_change_nothing(detector_file: dict[str, Any], borders: list[int]) -> None:
-    model, frames, targets = (
-        parse_detector(detector_file),
-        make_frames(STEPS, first_step=33),
-        scattered_targets(),
-    )
-    whole = run(model, frames, targets)
-    assert np.sum(whole.kind == FALSE_POSITIVE) > 10
-    assert whole.redrawn.sum() > 10
+    frames, targets = build.make_frames(STEPS, first_step=33), scattered_targets()
+    whole = build.run(detector_file, frames, targets)
+    assert np.sum(whole.kind == FALSE_POSITIVE) > 10 and whole.redrawn.sum() > 10
     assert len(set(whole.states)) == 2
-    assert all_bytes(
-        detect_in_chunks(Detector(model, 1, TargetStatistics(), clock()), frames, targets, borders)
-    ) == all_bytes(whole)
-
-
-def test_chunks_may_come_in_any_order() -> None:
-    model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    detector = Detector(model, 1, TargetStatistics(), clock())
-    late = detect_in_chunks(detector, frames, targets, [80, 120])
-    whole = detector.detect(frames, targets)
-    assert np.array_equal(late.boxes_px, whole.boxes_px[whole.frame >= 80])
+    split = build.detect_in_chunks(build.detector(detector_file), frames, targets, borders)
+    assert build.all_bytes(split) == build.all_bytes(whole)
 
 
 def rows_of(detections: Detections, targets: Targets) -> dict[tuple[int, str], tuple[Any, ...]]:
-    return {
-        (int(detections.frame[i]), targets.vessel_ids[targets.vessel[detections.target[i]]]): (
-            int(detections.label[i]),
-            float(detections.confidence[i]),
-            *detections.boxes_px[i].tolist(),
-        )
-        for i in np.flatnonzero(detections.kind == TRUE)
-    }
+    rows = np.flatnonzero(detections.kind == TRUE)
+    names = [targets.vessel_ids[vessel] for vessel in targets.vessel[detections.target[rows]]]
+    columns = np.column_stack([detections.label, detections.confidence, detections.boxes_px])[rows].tolist()
+    return dict(zip(zip(detections.frame[rows].tolist(), names, strict=True), map(tuple, columns), strict=True))
 
 
 def test_another_vessel_changes_nobody_elses_detections() -> None:
-    model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    all_rows = rows_of(run(model, frames, targets), targets)
+    model, frames, targets = parse_detector(build.detector_data()), build.make_frames(STEPS), scattered_targets()
+    all_rows = rows_of(build.run(model, frames, targets), targets)
     others = targets.vessel != 2
-    fewer = Targets(
-        *(getattr(targets, field.name)[others] for field in fields(Targets)[:-1]),
-        vessel_ids=targets.vessel_ids,
-    )
-    without = rows_of(run(model, frames, fewer), fewer)
+    fewer = select(targets, np.flatnonzero(others))
+    without = rows_of(build.run(model, frames, fewer), fewer)
     assert without == {key: row for key, row in all_rows.items() if key[1] != "vessel2"}
     assert any(key[1] == "vessel2" for key in all_rows)
 
 
 def test_noise_belongs_to_a_vessels_name_not_its_place_in_the_scene() -> None:
-    model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    renumbered = Targets(
-        targets.frame,
-        targets.vessel + 1,
-        *(getattr(targets, field.name) for field in fields(Targets)[2:-1]),
-        vessel_ids=("newcomer", *targets.vessel_ids),
-    )
-    assert all_bytes(run(model, frames, renumbered)) == all_bytes(run(model, frames, targets))
+    model, frames, targets = parse_detector(build.detector_data()), build.make_frames(STEPS), scattered_targets()
+    renumbered = replace(targets, vessel=targets.vessel + 1, vessel_ids=("newcomer", *targets.vessel_ids))
+    assert build.all_bytes(build.run(model, frames, renumbered)) == build.all_bytes(build.run(model, frames, targets))
 
 
 def test_the_same_seed_gives_the_same_and_another_seed_other_detections() -> None:
-    model, frames, targets = parse_detector(detector_data()), make_frames(STEPS), scattered_targets()
-    first = run(model, frames, targets, seed=7)
-    assert all_bytes(run(model, frames, targets, seed=7)) == all_bytes(first)
-    other = all_bytes(run(model, frames, targets, seed=8))
+    model, frames, targets = parse_detector(build.detector_data()), build.make_frames(STEPS), scattered_targets()
+    first = build.run(model, frames, targets, seed=7)
+    assert build.all_bytes(build.run(model, frames, targets, seed=7)) == build.all_bytes(first)
+    other = build.all_bytes(build.run(model, frames, targets, seed=8))
     plain = {"partner", "gated"}  # nothing is merged or gated
-    assert all(other[name] != value for name, value in all_bytes(first).items() if name not in plain)
+    assert all(other[name] != value for name, value in build.all_bytes(first).items() if name not in plain)
 
 
 def test_cameras_have_their_own_noise_and_one_state() -> None:
-    model, targets = parse_detector(detector_data()), scattered_targets()
-    one, two = (run(model, make_frames(STEPS, camera=name), targets) for name in ("C0", "C1"))
+    model, targets = parse_detector(build.detector_data()), scattered_targets()
+    one, two = (build.run(model, build.make_frames(STEPS, camera=name), targets) for name in ("C0", "C1"))
     assert np.array_equal(one.states, two.states)
     assert not np.intersect1d(one.boxes_px[:, 0], two.boxes_px[:, 0][two.boxes_px[:, 0] > 0]).size
     assert not np.intersect1d(one.confidence[one.confidence > 0.2], two.confidence[two.confidence < 1]).size
 
 
 def test_rows_are_ordered_by_frame_and_shuffled_within() -> None:
-    data = one_state_data(confusion=[[1, 0], [0, 1], [0, 0]], box_error=no_error())
+    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error())
     boxes = np.tile([1000.0, 1000, 1100, 1100], (3000, 4, 1))
-    found = run(parse_detector(data), make_frames(3000), make_targets(boxes))
+    found = build.run(data, build.make_frames(3000), build.make_targets(boxes))
     assert np.all(np.diff(found.frame) >= 0)
     first = np.flatnonzero(np.diff(found.frame, prepend=-1))
     # Each of four vessels and the one false positive a frame has on average come first about equally often.
@@ -140,40 +101,36 @@ def test_rows_are_ordered_by_frame_and_shuffled_within() -> None:
 
 def test_every_column_fits_the_others() -> None:
     targets = scattered_targets()
-    found = run(parse_detector(detector_data()), make_frames(STEPS), targets)
+    found = build.run(build.detector_data(), build.make_frames(STEPS), targets)
     false = found.kind == FALSE_POSITIVE
-    assert np.all(found.target[false] == -1)
-    assert np.all(np.isnan(found.errors_px[false]))
+    assert np.all(found.target[false] == -1) and np.all(np.isnan(found.errors_px[false]))
     assert not found.redrawn[false].any()
     assert np.array_equal(targets.frame[found.target[~false]], found.frame[~false])
     assert len(np.unique(found.target[~false])) == np.sum(~false)
-    assert not np.isnan(found.errors_px[~false]).any()
-    assert found.states.shape == (STEPS,)
+    assert not np.isnan(found.errors_px[~false]).any() and found.states.shape == (STEPS,)
 
 
 def test_states_differ_in_their_confidence() -> None:
-    found = run(parse_detector(detector_data()), make_frames(STEPS), scattered_targets())
+    found = build.run(build.detector_data(), build.make_frames(STEPS), scattered_targets())
     state = found.states[found.frame]
     assert found.confidence[state == 0].mean() > found.confidence[state == 1].mean() + 0.15
 
 
 def test_confidence_is_clipped_not_dropped() -> None:
-    data = one_state_data(confidence={"mean": 0.2, "std": 0.1}, confusion=[[1, 0], [0, 1], [0, 0]])
+    data = build.one_state_data(confidence={"mean": 0.2, "std": 0.1}, confusion=build.ALL_SEEN)
     targets = scattered_targets()
-    found = run(parse_detector(data), make_frames(STEPS), targets)
+    found = build.run(data, build.make_frames(STEPS), targets)
     assert np.sum(found.kind == TRUE) == len(targets)
     at_threshold = np.mean(found.confidence == 0.2)
-    assert abs(at_threshold - 0.5) < 4 * 0.5 / np.sqrt(len(found))
-    assert found.confidence.min() == 0.2
+    assert abs(at_threshold - 0.5) < 4 * 0.5 / np.sqrt(len(found)) and found.confidence.min() == 0.2
 
 
 def test_no_frames_and_no_targets_give_no_detections() -> None:
-    detector = Detector(parse_detector(detector_data()), 1, TargetStatistics(), clock())
-    nothing = make_targets(np.empty((0, 3, 4)))
-    assert len(detector.detect(make_frames(0), nothing)) == 0
-    empty_sea = detector.detect(make_frames(9), nothing)
-    assert len(empty_sea) == 0
-    assert len(empty_sea.states) == 9
+    detector = build.detector(build.detector_data())
+    nothing = build.make_targets(np.empty((0, 3, 4)))
+    assert len(detector.detect(build.make_frames(0), nothing)) == 0
+    empty_sea = detector.detect(build.make_frames(9), nothing)
+    assert len(empty_sea) == 0 and len(empty_sea.states) == 9
 
 
 @settings(max_examples=60, deadline=None, derandomize=True)
@@ -186,42 +143,28 @@ def test_no_frames_and_no_targets_give_no_detections() -> None:
     horizon=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3000, 3000)),
     clutter=st.sampled_from(["calibrated", "thesis"]),
 )
-def test_every_detection_is_in_the_image_and_at_least_a_pixel(
-    seed: int,
-    width: int,
-    height: int,
-    spread: float,
-    rate: float,
-    horizon: tuple[float, float, float],
-    clutter: str,
-) -> None:
+def test_every_detection_is_in_the_image_and_at_least_a_pixel(seed, width, height, spread, rate, horizon, clutter):
     root = np.random.default_rng(seed).normal(0, spread, (4, 4))
     covariance = root @ root.T + spread**2 * np.eye(4)  # else thin boxes may have no way to grow on both sides
-    error = box_error([0, 0, 0, 0], covariance)
-    data = one_state_data(false_discovery_rate=rate, box_error=error) | {"false_positives": {"model": clutter}}
-    frames = make_frames(STEPS, image_px=(width, height), sea=horizon)
-    found = run(parse_detector(data), frames, scattered_targets(seed, (width, height)), seed)
+    error = build.box_error([0, 0, 0, 0], covariance)
+    data = build.one_state_data(false_discovery_rate=rate, box_error=error) | {"false_positives": {"model": clutter}}
+    frames = build.make_frames(STEPS, image_px=(width, height), sea=horizon)
+    found = build.run(data, frames, scattered_targets(seed, (width, height)), seed)
     assert len(found) > 0
     assert sizes(found.boxes_px).min() >= 1 - 1e-9  # but for rounding
-    assert found.boxes_px.min() >= 0
-    assert np.all(found.boxes_px[:, 2:] <= [width, height])
+    assert found.boxes_px.min() >= 0 and np.all(found.boxes_px[:, 2:] <= [width, height])
     assert np.all((found.confidence >= 0.2) & (found.confidence <= 1))
 
 
 def test_a_camera_with_fewer_frames_sees_in_each_what_one_with_all_of_them_sees() -> None:
-    data = detector_data(transition_interval_s=0.7)
+    data = build.detector_data(transition_interval_s=0.7)
     model, targets = parse_detector(data), scattered_targets()
-    frames = make_frames(STEPS)
+    frames = build.make_frames(STEPS)
     every_third = np.arange(0, STEPS, 3)
-    fewer = replace(
-        frames, steps=frames.steps[::3], times_s=frames.times_s[::3], sea_half_planes=frames.sea_half_planes[::3]
-    )
-    rows = np.flatnonzero(targets.frame % 3 == 0)
-    part = replace(
-        targets,
-        **{f.name: getattr(targets, f.name)[rows] for f in fields(Targets)[1:-1]},
-        frame=targets.frame[rows] // 3,
-    )
-    whole, some = run(model, frames, targets), run(model, fewer, part)
+    columns = {name: getattr(frames, name)[::3] for name in ("steps", "times_s", "sea_half_planes")}
+    fewer = replace(frames, **columns)
+    part = select(targets, np.flatnonzero(targets.frame % 3 == 0))
+    part = replace(part, frame=part.frame // 3)
+    whole, some = build.run(model, frames, targets), build.run(model, fewer, part)
     assert np.array_equal(some.boxes_px, whole.boxes_px[np.isin(whole.frame, every_third)])
     assert np.array_equal(some.states, whole.states[::3])

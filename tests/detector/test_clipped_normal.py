@@ -25,8 +25,7 @@ def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, thres
 def test_law_whose_numbers_all_lie_beyond_an_end_is_that_end():
     for mean, end in ((-5.0, 0), (7.0, -1)):  # fifty standard deviations away
         (nodes,), (probabilities,) = clipped_laws(np.array([mean]), 0.1, 0.2)
-        assert len(nodes) == len(probabilities)
-        assert probabilities[end] == pytest.approx(1)
+        assert len(nodes) == len(probabilities) and probabilities[end] == pytest.approx(1)
         assert probabilities.sum() == pytest.approx(1)
         assert ((nodes >= 0.2) & (nodes <= 1)).all()
 

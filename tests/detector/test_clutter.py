@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -7,24 +5,17 @@ from modsim3d.core.boxes import sizes
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import FALSE_POSITIVE, Detections
-from tests.detector.detector_builders import (
-    IMAGE_PX,
-    centred,
-    detector_data,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-    same_boxes,
-)
-
-ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
+from tests.detector import detector_builders as build
 
 
-def model(kind: str, rate: float, confusion: list[list[float]] = ALL_SEEN) -> DetectorModel:
-    data = one_state_data(false_discovery_rate=rate, confusion=confusion, box_error=no_error())
+def model(kind: str, rate: float, confusion: list[list[float]] = build.ALL_SEEN) -> DetectorModel:
+    data = build.one_state_data(false_discovery_rate=rate, confusion=confusion, box_error=build.no_error())
     return parse_detector(data | {"false_positives": {"model": kind}})
+
+
+def detected(kind: str, rate: float, frames: int, vessels: int = 6) -> Detections:
+    targets = build.steady_targets(frames, vessels, build.centred(80, 40))
+    return build.run(model(kind, rate), build.make_frames(frames), targets)
 
 
 def false_boxes(detections: Detections) -> np.ndarray:
@@ -37,35 +28,34 @@ def count_per_frame(detections: Detections, frames: int) -> np.ndarray:
 
 def test_calibrated_counts_are_poisson() -> None:
     frames = 20_000
-    found = run(model("calibrated", 0.25), make_frames(frames), make_targets(same_boxes(frames, 6, centred(80, 40))))
-    counts = count_per_frame(found, frames)
+    counts = count_per_frame(detected("calibrated", 0.25, frames), frames)
     assert abs(counts.mean() - 2) < 4 * np.sqrt(2 / frames)
     assert abs(counts.var() - 2) < 4 * np.sqrt((2 + 2 * 4) / frames)  # fourth central moment 3λ² + λ, less λ²
 
 
 def test_calibrated_counts_only_what_was_detected() -> None:
     missed = [[0, 0], [0, 0], [1, 1]]
-    targets = make_targets(same_boxes(500, 6, centred(80, 40)))
-    assert len(run(model("calibrated", 0.9, missed), make_frames(500), targets)) == 0
+    targets = build.steady_targets(500, 6, build.centred(80, 40))
+    assert len(build.run(model("calibrated", 0.9, missed), build.make_frames(500), targets)) == 0
 
 
 def test_calibrated_counts_misclassified_vessels_as_detected() -> None:
     swapped = [[0, 1], [1, 0], [0, 0]]
-    targets = make_targets(same_boxes(500, 6, centred(80, 40)))
-    right = run(model("calibrated", 0.5), make_frames(500), targets)
-    wrong = run(model("calibrated", 0.5, swapped), make_frames(500), targets)
+    targets = build.steady_targets(500, 6, build.centred(80, 40))
+    right = detected("calibrated", 0.5, 500)
+    wrong = build.run(model("calibrated", 0.5, swapped), build.make_frames(500), targets)
     assert np.array_equal(count_per_frame(right, 500), count_per_frame(wrong, 500))
     assert count_per_frame(wrong, 500).sum() > 0
 
 
 def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame() -> None:
     frames = 600
-    boxes = same_boxes(frames, 3, centred(80, 40))
+    boxes = build.same_boxes(frames, 3, build.centred(80, 40))
     boxes[::2, :2] = [1000, 1000, 1100, 1010]  # even frames: two thirds 100 × 10
-    found = run(model("calibrated", 0.5), make_frames(frames), make_targets(boxes))
+    found = build.run(model("calibrated", 0.5), build.make_frames(frames), build.make_targets(boxes))
     false = found.kind == FALSE_POSITIVE
     size = sizes(found.boxes_px[false])
-    inside = np.all((found.boxes_px[false] > 0) & (found.boxes_px[false] < [*IMAGE_PX, *IMAGE_PX]), axis=1)
+    inside = np.all((found.boxes_px[false] > 0) & (found.boxes_px[false] < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)
     even = found.frame[false] % 2 == 0
     assert np.abs(size[inside & ~even] - [80, 40]).max() <= 0.5
     wide = (np.abs(size[inside & even] - [100, 10]) <= 0.5).all(axis=1)
@@ -75,44 +65,39 @@ def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame() -> None:
 
 def test_thesis_rule_never_makes_a_false_positive_for_five_vessels() -> None:
     # Jessen & Mohr (2023), eq. 7.35: 0.1 · 5 − 0.2 rounds to no trial at all.
-    targets = make_targets(same_boxes(2000, 5, centred(80, 40)))
-    found = run(model("thesis", 0.1), make_frames(2000), targets)
-    assert len(found) == 10_000
-    assert count_per_frame(found, 2000).sum() == 0
+    found = detected("thesis", 0.1, 2000, vessels=5)
+    assert len(found) == 10_000 and count_per_frame(found, 2000).sum() == 0
 
 
 @pytest.mark.parametrize(("n", "rate", "trials"), [(20, 0.5, 10), (28, 0.2, 5), (5, 0.4, 2), (1, 0.1, 0)])
 def test_thesis_counts_are_binomial_in_the_rounded_rule(n: int, rate: float, trials: int) -> None:
     frames = 3000
-    found = run(model("thesis", rate), make_frames(frames), make_targets(same_boxes(frames, n, centred(80, 40))))
-    counts = count_per_frame(found, frames)
+    counts = count_per_frame(detected("thesis", rate, frames, vessels=n), frames)
     assert counts.max() <= trials
     assert abs(counts.mean() - trials * rate) <= 4 * np.sqrt(trials * rate * (1 - rate) / frames)
 
 
 def test_thesis_boxes_are_a_hundred_pixels_where_not_clipped() -> None:
-    targets = make_targets(same_boxes(300, 20, centred(80, 40)))
-    boxes = false_boxes(run(model("thesis", 0.5), make_frames(300), targets))
-    inside = np.all((boxes > 0) & (boxes < [*IMAGE_PX, *IMAGE_PX]), axis=1)
+    boxes = false_boxes(detected("thesis", 0.5, 300, vessels=20))
+    inside = np.all((boxes > 0) & (boxes < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)
     np.testing.assert_allclose(sizes(boxes[inside]), 100)
     assert 0.9 < inside.mean() < 1
 
 
 @pytest.mark.parametrize("kind", ["calibrated", "thesis"])
 def test_false_positives_are_centred_below_the_horizon(kind: str) -> None:
-    frames = make_frames(300, sea=(0.0, 1.0, -1500.0))
-    boxes = false_boxes(run(model(kind, 0.5), frames, make_targets(same_boxes(300, 20, centred(80, 40)))))
-    inside = boxes[:, 3] < IMAGE_PX[1]
+    frames = build.make_frames(300, sea=(0.0, 1.0, -1500.0))
+    boxes = false_boxes(build.run(model(kind, 0.5), frames, build.steady_targets(300, 20, build.centred(80, 40))))
+    inside = boxes[:, 3] < build.IMAGE_PX[1]
     centre_y = (boxes[inside, 1] + boxes[inside, 3]) / 2
-    assert len(centre_y) > 1000
-    assert centre_y.min() >= 1500
+    assert len(centre_y) > 1000 and centre_y.min() >= 1500
     assert centre_y.min() < 1510
 
 
 def test_false_positives_have_the_rate_and_labels_of_the_frames_state() -> None:
-    data = detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
+    data = build.detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
     data["states"]["fog"]["false_positive_labels"] = [0.9, 0.1]
-    found = run(parse_detector(data), make_frames(4000), make_targets(same_boxes(4000, 6, centred(600, 600))))
+    found = build.run(data, build.make_frames(4000), build.steady_targets(4000, 6, build.centred(600, 600)))
     state, false = found.states[found.frame], found.kind == FALSE_POSITIVE
     for index, (rate, second_label) in enumerate([(0.2, 0.75), (0.4, 0.1)]):
         ours = false & (state == index)
@@ -124,9 +109,9 @@ def test_false_positives_have_the_rate_and_labels_of_the_frames_state() -> None:
 
 
 def test_label_of_a_false_positive_does_not_depend_on_its_size() -> None:
-    boxes = same_boxes(4000, 2, centred(80, 40))
-    boxes[:, 0] = centred(10, 10)
-    found = run(model("calibrated", 0.5), make_frames(4000), make_targets(boxes))
+    boxes = build.same_boxes(4000, 2, build.centred(80, 40))
+    boxes[:, 0] = build.centred(10, 10)
+    found = build.run(model("calibrated", 0.5), build.make_frames(4000), build.make_targets(boxes))
     false = found.kind == FALSE_POSITIVE
     wide = sizes(found.boxes_px[false])[:, 0] > 30
     for labels in (found.label[false][wide], found.label[false][~wide]):
@@ -134,29 +119,27 @@ def test_label_of_a_false_positive_does_not_depend_on_its_size() -> None:
 
 
 def test_a_vessel_named_like_a_number_shares_no_noise_with_false_positives() -> None:
-    targets = make_targets(same_boxes(500, 1, centred(80, 40)), vessel_ids=["0"])
-    found = run(model("calibrated", 0.5), make_frames(500), targets)
+    targets = build.steady_targets(500, 1, build.centred(80, 40), vessel_ids=["0"])
+    found = build.run(model("calibrated", 0.5), build.make_frames(500), targets)
     false = found.kind == FALSE_POSITIVE
     assert not np.intersect1d(found.confidence[false], found.confidence[~false & (found.confidence < 1)]).size
 
 
 def test_false_positives_of_tiny_vessels_keep_a_pixel() -> None:
-    frames = make_frames(2000, image_px=(8, 6))
-    targets = make_targets(same_boxes(2000, 3, [3.0, 3.0, 3.2, 3.1]))
-    boxes = false_boxes(run(model("calibrated", 0.7), frames, targets))
-    assert len(boxes) > 1000
-    assert sizes(boxes).min() >= 1
-    assert boxes.min() >= 0
-    assert np.all(boxes[:, 2:] <= [8, 6])
+    frames = build.make_frames(2000, image_px=(8, 6))
+    targets = build.steady_targets(2000, 3, [3.0, 3.0, 3.2, 3.1])
+    boxes = false_boxes(build.run(model("calibrated", 0.7), frames, targets))
+    assert len(boxes) > 1000 and sizes(boxes).min() >= 1
+    assert boxes.min() >= 0 and np.all(boxes[:, 2:] <= [8, 6])
 
 
 @pytest.mark.parametrize("kind", ["calibrated", "per_image"])
 def test_sides_of_false_positives_are_no_more_often_whole_pixels_or_equal_than_those_of_vessels(kind: str) -> None:
     """Boxes of rendered vessels have whole sides, detected ones have errors: sizes of vessels must not tell."""
-    data = one_state_data(false_discovery_rate=0.4, confusion=ALL_SEEN)
+    data = build.one_state_data(false_discovery_rate=0.4, confusion=build.ALL_SEEN)
     rate = {"rate": 4} if kind == "per_image" else {}
     detector = parse_detector(data | {"false_positives": {"model": kind, **rate}})
-    found = run(detector, make_frames(500), make_targets(same_boxes(500, 6, centred(80, 40))))
+    found = build.run(detector, build.make_frames(500), build.steady_targets(500, 6, build.centred(80, 40)))
     side = sizes(false_boxes(found)).ravel()
     assert len(side) > 2000
     whole = np.abs(side - side.round()) < 0.05
@@ -165,9 +148,9 @@ def test_sides_of_false_positives_are_no_more_often_whole_pixels_or_equal_than_t
 
 
 def test_one_more_detected_vessel_only_adds_false_positives() -> None:
-    boxes = same_boxes(500, 6, centred(80, 40))
-    more = run(model("calibrated", 0.4), make_frames(500), make_targets(boxes))
-    fewer = run(model("calibrated", 0.4), make_frames(500), make_targets(boxes[:, :5]))
+    boxes = build.same_boxes(500, 6, build.centred(80, 40))
+    more = build.run(model("calibrated", 0.4), build.make_frames(500), build.make_targets(boxes))
+    fewer = build.run(model("calibrated", 0.4), build.make_frames(500), build.make_targets(boxes[:, :5]))
     assert np.all(count_per_frame(fewer, 500) <= count_per_frame(more, 500))
     places = {tuple(box) for box in false_boxes(more).tolist()}
     assert {tuple(box) for box in false_boxes(fewer).tolist()} < places

@@ -1,7 +1,5 @@
 """Confidence: by state, by kind, by looks, and by the precision and recall that it has to give."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -10,18 +8,8 @@ import pytest
 from scipy import stats
 
 from modsim3d.detector.confidence import PrecisionRecall, QuantileScores
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import Detections, Targets
-from tests.detector.detector_builders import (
-    box_error,
-    centred,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 CURVES = {
     "detector": [[0.1, 1.0], [0.4, 0.98], [0.6, 0.95], [0.75, 0.9], [0.8, 0.8]],
@@ -32,11 +20,11 @@ CURVES = {
 
 
 def detect(confidence: dict[str, Any], frames: int = 5000, **changes: Any) -> tuple[Targets, Detections]:
-    targets = make_targets(same_boxes(frames, 6, centred(80, 40)))
+    targets = build.steady_targets(frames, 6, build.centred(80, 40))
     random = np.random.default_rng(2)
     targets = dataclasses.replace(targets, visible_fraction=random.uniform(0, 1, len(targets)))
-    data = one_state_data(**({"box_error": no_error(), "confidence": confidence} | changes))
-    return targets, run(parse_detector(data), make_frames(frames), targets)
+    data = build.one_state_data(**({"box_error": build.no_error(), "confidence": confidence} | changes))
+    return targets, build.run(data, build.make_frames(frames), targets)
 
 
 def precision_recall(found: Detections, targets: Targets) -> tuple[np.ndarray, np.ndarray]:
@@ -44,11 +32,6 @@ def precision_recall(found: Detections, targets: Targets) -> tuple[np.ndarray, n
     order = np.argsort(-found.confidence, kind="stable")
     true = np.cumsum(~found.false()[order])
     return true / len(targets), true / np.arange(1, len(order) + 1)
-
-
-def area_under(curve: PrecisionRecall) -> float:
-    recall = np.linspace(0, curve.recall[-1], 100_001)
-    return float(np.trapezoid(curve.at(recall), recall))
 
 
 @pytest.mark.parametrize("name", CURVES)
@@ -60,7 +43,8 @@ def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None
     recall, precision = precision_recall(found, targets)
     # Recall and precision end where the seed puts the rates; the shape before that is the confidence's.
     average = np.sum(precision * np.diff(recall, prepend=0) * (~found.false())[np.argsort(-found.confidence)])
-    assert abs(average - area_under(asked)) < 0.02
+    recalls = np.linspace(0, asked.recall[-1], 100_001)
+    assert abs(average - np.trapezoid(asked.at(recalls), recalls)) < 0.02
     for level in (0.2, 0.5, 0.7):
         assert abs(precision[np.searchsorted(recall, level)] - asked.at(np.array(level))) < 0.03
 
@@ -90,8 +74,7 @@ def test_confidence_falls_with_the_hidden_share() -> None:
     hidden = 1 - targets.visible_fraction[found.target[true]]
     slope, at_zero = np.polyfit(hidden, found.confidence[true], 1)
     error = 4 * 0.02 / np.sqrt(true.sum() / 12)
-    assert abs(slope + 0.5) < error
-    assert abs(at_zero - 0.9) < error
+    assert abs(slope + 0.5) < error and abs(at_zero - 0.9) < error
     assert abs(found.confidence[~true].mean() - 0.9) < 4 * 0.02 / np.sqrt(np.sum(~true))
 
 
@@ -107,7 +90,7 @@ def test_confidence_falls_with_each_halving_below_the_reference_size(reference_p
 
 def test_size_is_that_of_the_detectors_own_box() -> None:
     keys = {"mean": 0.9, "std": 0.0, "size_slope": 0.1, "size_reference_px": 1024}
-    _, found = detect(keys, box_error=box_error([0, 0, 40, 40], [[0] * 4] * 4), false_discovery_rate=0)
+    _, found = detect(keys, box_error=build.box_error([0, 0, 40, 40], [[0] * 4] * 4), false_discovery_rate=0)
     np.testing.assert_allclose(found.confidence, 0.9 - 0.1 * np.log2(1024 / np.sqrt(120 * 80)))
 
 

@@ -1,7 +1,5 @@
 """The page about detector files knows every key, and its examples are right."""
 
-from __future__ import annotations
-
 import re
 import typing
 from collections.abc import Iterator
@@ -48,8 +46,7 @@ def test_every_kind_of_detection_is_explained() -> None:
 def test_the_example_of_dropout_is_right() -> None:
     (block,) = re.findall(r"```yaml\n(dropout:\n.*?)```", PAGE, flags=re.DOTALL)
     model = parse_detector(detector_data(**yaml.safe_load(block)))
-    assert model.dropout.anchored
-    assert len(model.dropout.effects) == 2
+    assert model.dropout.anchored and len(model.dropout.effects) == 2
 
 
 def test_the_example_file_is_as_long_as_the_page_says() -> None:

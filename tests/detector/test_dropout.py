@@ -1,7 +1,5 @@
 """Misses that follow what a vessel looks like, and hard limits."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -9,20 +7,11 @@ import numpy as np
 import pytest
 from scipy import special
 
-from modsim3d.detector.chain import Detector, target_statistics
+from modsim3d.detector.chain import target_statistics
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.records import TRUE, CameraFrames, Detections, Gates, Targets
-from tests.detector.detector_builders import (
-    all_bytes,
-    clock,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from modsim3d.detector.records import TRUE, Detections, Gates, Targets
+from tests.detector import detector_builders as build
 
 FRAMES, VESSELS = 4000, 10
 LOGISTIC = {
@@ -38,25 +27,17 @@ def varied_targets(frames: int = FRAMES) -> Targets:
     random = np.random.default_rng(1)
     side = 2 ** random.uniform(2, 9, (frames, VESSELS, 1))
     boxes = np.concatenate([1000 - side, 1000 - side / 2, 1000 + side, 1000 + side / 2], axis=-1)
-    targets = make_targets(boxes, np.arange(VESSELS) % 2)
+    targets = build.make_targets(boxes, np.arange(VESSELS) % 2)
     depths, seen = 10 ** random.uniform(1, 3.3, len(targets)), random.uniform(0, 1, len(targets))
     return dataclasses.replace(targets, visible_fraction=seen, depth_m=depths)
 
 
 def model_data(**changes: Any) -> dict[str, Any]:
-    return one_state_data(box_error=no_error(), false_discovery_rate=0) | changes
-
-
-def detect(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detections:
-    model = parse_detector(data)
-    return Detector(model, 1, target_statistics(model, [(frames, targets)]), clock()).detect(frames, targets)
+    return build.one_state_data(box_error=build.no_error(), false_discovery_rate=0) | changes
 
 
 def labels_of(found: Detections, targets: Targets) -> np.ndarray:
-    labels = np.full(len(targets), -1)
-    true = found.kind == TRUE
-    labels[found.target[true]] = found.label[true]
-    return labels
+    return build.by_frame(found, found.label, 1, len(targets), -1)[0]
 
 
 def log_odds(targets: Targets) -> np.ndarray:
@@ -69,7 +50,7 @@ def log_odds(targets: Targets) -> np.ndarray:
 
 def test_logistic_misses_have_the_probability_of_their_looks() -> None:
     targets = varied_targets()
-    missed = labels_of(detect(model_data(dropout=LOGISTIC), make_frames(FRAMES), targets), targets) < 0
+    missed = labels_of(build.run(model_data(dropout=LOGISTIC), build.make_frames(FRAMES), targets), targets) < 0
     rate = special.expit(special.logit(np.where(targets.label == 0, 0.2, 0.3)) + log_odds(targets))
     for low in np.arange(0, 1, 0.1):
         rows = (rate >= low) & (rate < low + 0.1)
@@ -80,7 +61,7 @@ def test_logistic_misses_have_the_probability_of_their_looks() -> None:
 
 def test_table_multiplies_the_odds_in_each_range() -> None:
     targets = varied_targets()
-    missed = labels_of(detect(model_data(dropout=TABLE), make_frames(FRAMES), targets), targets) < 0
+    missed = labels_of(build.run(model_data(dropout=TABLE), build.make_frames(FRAMES), targets), targets) < 0
     width, height = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).T
     side = np.sqrt(width * height)
     for low, high, odds in ((0, 20, 4), (20, 60, 2), (60, 9999, 1)):
@@ -92,20 +73,20 @@ def test_table_multiplies_the_odds_in_each_range() -> None:
 
 @pytest.mark.parametrize("dropout", [LOGISTIC, TABLE], ids=["logistic", "table"])
 def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout: dict[str, Any]) -> None:
-    targets, frames = varied_targets(), make_frames(FRAMES)
+    targets, frames = varied_targets(), build.make_frames(FRAMES)
     model = parse_detector(model_data(dropout=dropout | {"anchor": "state_rate"}))
     classifier = ConfusionClassifier.from_model(model, target_statistics(model, [(frames, targets)]))
     rates = classifier.miss_rates(np.zeros(len(targets), dtype=np.int64), targets)
     for label, asked in ((0, 0.2), (1, 0.3)):
         assert abs(rates[targets.label == label].mean() - asked) < 3.1e-5
         assert rates[targets.label == label].std() > 0.05
-    missed = labels_of(detect(model_data(dropout=dropout | {"anchor": "state_rate"}), frames, targets), targets) < 0
+    missed = labels_of(build.run(model_data(dropout=dropout | {"anchor": "state_rate"}), frames, targets), targets) < 0
     assert abs(missed.mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / len(missed))
 
 
 def test_labels_of_what_is_detected_keep_their_shares() -> None:
     targets = varied_targets()
-    labels = labels_of(detect(model_data(dropout=LOGISTIC), make_frames(FRAMES), targets), targets)
+    labels = labels_of(build.run(model_data(dropout=LOGISTIC), build.make_frames(FRAMES), targets), targets)
     hard = log_odds(targets) > 1
     for rows in (hard, ~hard):
         for label, share in ((0, 1 / 8), (1, 1 / 7)):  # 0.1 of 0.1 + 0.7; 0.1 of 0.1 + 0.6
@@ -114,14 +95,14 @@ def test_labels_of_what_is_detected_keep_their_shares() -> None:
 
 
 def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is() -> None:
-    plain, frames = varied_targets(400), make_frames(400)
+    plain, frames = varied_targets(400), build.make_frames(400)
     unknown = dataclasses.replace(plain, visible_fraction=np.full(400 * VESSELS, np.nan))
     for targets, effect in (
         (plain, {"size_px": {"per_doubling": 0, "reference": 1}}),
         (unknown, {"visible_fraction": {"per_unit": -9, "reference": 1}}),
     ):
-        found = detect(model_data(dropout={"model": "logistic"} | effect), frames, targets)
-        assert np.array_equal(labels_of(found, targets), labels_of(detect(model_data(), frames, targets), targets))
+        found = build.run(model_data(dropout={"model": "logistic"} | effect), frames, targets)
+        assert np.array_equal(labels_of(found, targets), labels_of(build.run(model_data(), frames, targets), targets))
 
 
 def test_a_slope_may_start_at_nothing_seen() -> None:
@@ -132,7 +113,7 @@ def test_a_slope_may_start_at_nothing_seen() -> None:
 
 
 def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_target_statistics() -> None:
-    parts, model = iter([(make_frames(50), varied_targets(50))]), parse_detector(model_data(dropout=LOGISTIC))
+    parts, model = iter([(build.make_frames(50), varied_targets(50))]), parse_detector(model_data(dropout=LOGISTIC))
     assert not len(target_statistics(model, parts).sides.counts)
     assert len(list(parts)) == 1 and not model.needs_target_statistics
     assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_target_statistics
@@ -141,15 +122,14 @@ def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_target_statisti
 def gated(**gates: float) -> tuple[Targets, Detections]:
     targets = varied_targets(500)
     data = model_data(gates=gates, states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
-    return targets, run(parse_detector(data), make_frames(500), targets)
+    return targets, build.run(data, build.make_frames(500), targets)
 
 
 def test_gates_keep_out_what_is_far_small_or_hidden() -> None:
     targets, found = gated(max_range_m=500, min_box_px=12, max_occlusion=0.8)
     sides = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).min(axis=1)
     out = (targets.depth_m > 500) | (sides < 12) | (targets.visible_fraction < 0.2)
-    assert 0.3 < out.mean() < 0.9
-    assert np.array_equal(found.gated, out)
+    assert 0.3 < out.mean() < 0.9 and np.array_equal(found.gated, out)
     assert not out[found.target[found.kind == TRUE]].any()
 
 
@@ -157,14 +137,12 @@ def test_gates_keep_out_what_is_far_small_or_hidden() -> None:
     ("limit", "passes"),
     [({"min_box_px": 20.0}, [1, 1, 0]), ({"max_range_m": 100.0}, [1, 1, 0]), ({"max_occlusion": 0.25}, [1, 1, 0])],
 )
-def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too(
-    limit: dict[str, float], passes: list[int]
-) -> None:
+def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too(limit, passes):
     sides = [20.5, 20.0, 19.5]
-    targets = make_targets([[[0, 0, 50, side] for side in sides]])
+    targets = build.make_targets([[[0, 0, 50, side] for side in sides]])
     targets.depth_m[:] = [99.0, 100.0, 100.5]
     targets.visible_fraction[:] = [np.nan, 0.75, 0.7]
-    assert Gates(**limit).passed(make_frames(1), targets).tolist() == [bool(each) for each in passes]
+    assert Gates(**limit).passed(build.make_frames(1), targets).tolist() == [bool(each) for each in passes]
 
 
 def test_gates_change_nothing_in_what_passes() -> None:
@@ -187,16 +165,15 @@ def test_the_surest_detections_of_a_frame_are_put_out() -> None:
 
 @pytest.mark.parametrize(("first_step", "time_step_s"), [(0, 0.2), (7, 0.2), (3, 0.7), (0, 1.3)])
 def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each(first_step: int, time_step_s: float) -> None:
-    frames, targets = make_frames(200, first_step=first_step, time_step_s=time_step_s), varied_targets(200)
-    found = run(parse_detector(model_data(gates={"update_interval_s": 0.6})), frames, targets)
+    frames, targets = build.make_frames(200, first_step=first_step, time_step_s=time_step_s), varied_targets(200)
+    found = build.run(model_data(gates={"update_interval_s": 0.6}), frames, targets)
     before = -1 if frames.previous_s == -np.inf else int(frames.previous_s / 0.6 + 1e-6)
     due = []
     for frame, time_s in enumerate(frames.times_s):
         if int(time_s / 0.6 + 1e-6) > before:
             due.append(frame)
             before = int(time_s / 0.6 + 1e-6)
-    assert set(found.frame) <= set(due)
-    assert len(set(found.frame)) > 0.9 * len(due)
+    assert set(found.frame) <= set(due) and len(set(found.frame)) > 0.9 * len(due)
     assert np.array_equal(found.gated, ~np.isin(targets.frame, due))
 
 
@@ -204,10 +181,10 @@ def test_a_detector_without_gates_passes_everything() -> None:
     targets, found = gated()
     assert not found.gated.any()
     plain = model_data(states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
-    assert all_bytes(found) == all_bytes(run(parse_detector(plain), make_frames(500), targets))
+    assert build.all_bytes(found) == build.all_bytes(build.run(plain, build.make_frames(500), targets))
 
 
 def test_thin_and_near_targets_have_finite_odds() -> None:
-    targets = make_targets(same_boxes(5, 1, [10, 10, 10, 10.5]))
+    targets = build.steady_targets(5, 1, [10, 10, 10, 10.5])
     targets.depth_m[:] = -3
-    assert len(detect(model_data(dropout=LOGISTIC), make_frames(5), targets).gated) == 5
+    assert len(build.run(model_data(dropout=LOGISTIC), build.make_frames(5), targets).gated) == 5

@@ -1,7 +1,5 @@
 """Detector files: what a model has of them, and what is said of wrong ones."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any
@@ -13,18 +11,10 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.confidence import NormalScores
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.io.strict_text import load_yaml
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    all_bytes,
-    box_error,
-    detector_data,
-    make_frames,
-    run,
-    state_data,
-)
+from tests.detector import detector_builders as build
 from tests.detector.test_chain import scattered_targets
 
-SKEWED = [list(row) for row in COVARIANCE_PX2]
+SKEWED = [list(row) for row in build.COVARIANCE_PX2]
 SKEWED[0][2] = 1150
 DELETED = object()
 SLOPE = {"per_doubling": 1, "reference": 50}
@@ -34,23 +24,17 @@ INDEFINITE[2, 3] = INDEFINITE[3, 2] = 3.0  # eigenvalues 4 and −2
 
 
 OFF = {
-    "dropout": {"model": "confusion", "anchor": "state_rate"},
-    "gates": {},
-    "persistence": {"class_s": 0, "box_s": 0},
-    "performance": {"scope": "shared", "schedule": []},
+    **{"dropout": {"model": "confusion", "anchor": "state_rate"}, "gates": {}},
+    **{"persistence": {"class_s": 0, "box_s": 0}, "performance": {"scope": "shared", "schedule": []}},
 }
 CLUTTER_OFF = {
-    "model": "calibrated",
-    "placement": "uniform",
-    "size": {"model": "truth"},
-    "duplicates": 0,
-    "merges": 0,
-    "splits": 0,
+    **{"model": "calibrated", "placement": "uniform", "size": {"model": "truth"}},
+    **dict.fromkeys(("duplicates", "merges", "splits"), 0),
 }
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
-    data = copy.deepcopy(detector_data())
+    data = copy.deepcopy(build.detector_data())
     *sections, key = path.split(".")
     section = data
     for name in sections:
@@ -67,6 +51,8 @@ def problems(data: Any) -> tuple[str, ...]:
     return caught.value.problems
 
 
+CONFUSION, COVARIANCE = "states.fog.confusion", "states.fog.box_error.covariance"
+SCORES = "states.fog.confidence"
 BAD = [
     ("labels", [], "labels: is empty"),
     ("labels", ["sail", "sail"], "labels: label 'sail' appears twice"),
@@ -86,36 +72,16 @@ BAD = [
     ("false_positives", {"model": "calibratd"}, "unknown model 'calibratd' (did you mean 'calibrated'?)"),
     ("transition_matrix", [[0.9, 0.1], [0.2, 0.8]], "transition_matrix: its rows sum to one and its columns"),
     ("transition_matrix", [[0.9, 0.1], [0.2, 0.8]], "must be transposed"),
-    (
-        "transition_matrix",
-        [[0.9, 0.2], [0.1, 0.9]],
-        "transition_matrix: column 'fog' sums to 1.1, must sum to 1",
-    ),
+    ("transition_matrix", [[0.9, 0.2], [0.1, 0.9]], "transition_matrix: column 'fog' sums to 1.1, must sum to 1"),
     ("transition_matrix", [[0.9, 1.2], [0.1, -0.2]], "transition_matrix[0][1]: Input should be less than"),
     ("transition_matrix", [[1.0]], "transition_matrix: is 1 × 1, must be 2 × 2: one row and one column"),
     ("transition_matrix", [[1.0, 0.0], [1.0]], "transition_matrix: its rows have different lengths: 2, 1"),
     ("transition_matrix", [], "transition_matrix: is 0 × 0, must be 2 × 2"),
-    (
-        "states.fog.confusion",
-        [[0.5, 0.2], [0.1, 0.4], [0.4, 0.401]],
-        "states.fog.confusion: column 'motor' sums to 1.001",
-    ),
-    (
-        "states.fog.confusion",
-        [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]],
-        "states.fog.confusion: is 2 × 3, must be 3 × 2",
-    ),
-    (
-        "states.fog.confusion",
-        [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]],
-        "looks row-stochastic and must be transposed",
-    ),
-    (
-        "states.fog.confusion",
-        [[0.5, 0.2], [0.5, 0.8]],
-        "is 2 × 2, must be 3 × 2: rows sail, motor, background; columns",
-    ),
-    ("states.fog.confusion", [[0.5, 0.2], [0.1, 0.4], [float("nan"), 0.4]], "states.fog.confusion[2][0]"),
+    (CONFUSION, [[0.5, 0.2], [0.1, 0.4], [0.4, 0.401]], "states.fog.confusion: column 'motor' sums to 1.001"),
+    (CONFUSION, [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]], "states.fog.confusion: is 2 × 3, must be 3 × 2"),
+    (CONFUSION, [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]], "looks row-stochastic and must be transposed"),
+    (CONFUSION, [[0.5, 0.2], [0.5, 0.8]], "is 2 × 2, must be 3 × 2: rows sail, motor, background; columns"),
+    (CONFUSION, [[0.5, 0.2], [0.1, 0.4], [float("nan"), 0.4]], "states.fog.confusion[2][0]"),
     ("states.fog.false_positive_labels", [1.0], "states.fog.false_positive_labels: has 1 entries, must have"),
     ("states.fog.false_positive_labels", [0.5, 0.6], "states.fog.false_positive_labels: sums to 1.1"),
     ("states.fog.false_discovery_rate", 1, "states.fog.false_discovery_rate: is 1, must be below 1"),
@@ -127,19 +93,15 @@ BAD = [
         "states.fog.box_error.unit: Input should be 'px', 'relative' or 'mixed' (got 'm')",
     ),
     ("states.fog.box_error.mean", [1, 2, 3], "states.fog.box_error.mean: has 3 entries, must have 4: e_x"),
+    (COVARIANCE, SKEWED, "covariance: is not symmetric: row e_x, column e_w is 1150, row e_w, column e_x is 1157"),
     (
-        "states.fog.box_error.covariance",
-        SKEWED,
-        "covariance: is not symmetric: row e_x, column e_w is 1150, row e_w, column e_x is 1157",
-    ),
-    (
-        "states.fog.box_error.covariance",
+        COVARIANCE,
         INDEFINITE.tolist(),
         "covariance: is not positive semi-definite, so no errors can have it: its smallest eigenvalue is -2,",
     ),
-    ("states.fog.box_error.covariance", [[1.0]], "covariance: is 1 × 1, must be 4 × 4: rows and columns e_x"),
-    ("states.fog.confidence", {"mean": 0.6, "std": -0.1}, "states.fog.confidence.std: Input should be great"),
-    ("states.fog.confidence", {"mean": 67, "std": 0.1}, "states.fog.confidence.mean: Input should be less"),
+    (COVARIANCE, [[1.0]], "covariance: is 1 × 1, must be 4 × 4: rows and columns e_x"),
+    (SCORES, {"mean": 0.6, "std": -0.1}, "states.fog.confidence.std: Input should be great"),
+    (SCORES, {"mean": 67, "std": 0.1}, "states.fog.confidence.mean: Input should be less"),
     ("states.fog.drop_out", 0.3, "states.fog.drop_out: unknown key"),
     ("dropout", {"model": "logistc"}, "dropout.model: Input should be 'confusion', 'logistic' or 'table'"),
     ("dropout", {"model": "logistic"}, "needs at least one of visible_fraction, partly_hidden, size_px, distance_m"),
@@ -175,22 +137,14 @@ BAD = [
     ("states.fog.false_positives_per_image", 1, "model calibrated has none"),
     ("states.fog.box_error.unit", "mixed", "growth goes with unit mixed"),
     ("states.fog.box_error.growth", [1, 1, 1], "growth: has 3 entries, must have 4"),
-    ("states.fog.confidence", {"mean": 0.5}, "give mean and std, or true and false, or precision_recall"),
-    ("states.fog.confidence", {True: {"mean": 0.5, "std": 0}}, "give mean and std, or true and false"),
-    (
-        "states.fog.confidence",
-        {True: {"mean": 0.5}, False: {"mean": 0.5, "std": 0}},
-        "confidence.true: give either mean",
-    ),
-    ("states.fog.confidence", {True: {"quantiles": [0.5, 0.4]}, False: {}}, "must not fall: they are quantiles"),
-    ("states.fog.confidence", {"precision_recall": [[0.5, 0.6], [0.4, 0.6]]}, "recalls must ascend"),
-    ("states.fog.confidence", {"precision_recall": [[0.5, 0.1], [0.6, 0.9]]}, "no detector has such a curve"),
-    ("states.fog.confidence", {"precision_recall": [[0.9, 0.6]]}, "ends at recall 0.9, but the confusion matrix"),
-    (
-        "states.fog.confidence",
-        {"precision_recall": [[0.6, 0.8]]},
-        "ends at precision 0.8, but false_disc",
-    ),
+    (SCORES, {"mean": 0.5}, "give mean and std, or true and false, or precision_recall"),
+    (SCORES, {True: {"mean": 0.5, "std": 0}}, "give mean and std, or true and false"),
+    (SCORES, {True: {"mean": 0.5}, False: {"mean": 0.5, "std": 0}}, "confidence.true: give either mean"),
+    (SCORES, {True: {"quantiles": [0.5, 0.4]}, False: {}}, "must not fall: they are quantiles"),
+    (SCORES, {"precision_recall": [[0.5, 0.6], [0.4, 0.6]]}, "recalls must ascend"),
+    (SCORES, {"precision_recall": [[0.5, 0.1], [0.6, 0.9]]}, "no detector has such a curve"),
+    (SCORES, {"precision_recall": [[0.9, 0.6]]}, "ends at recall 0.9, but the confusion matrix"),
+    (SCORES, {"precision_recall": [[0.6, 0.8]]}, "ends at precision 0.8, but false_disc"),
     ("states.fog.box_error", GROWTH, "e_y can only grow from a variance above 0"),
     *((key, DELETED, f"{key}: missing") for key in ("labels", "states", "transition_matrix", "initial_state")),
     *(("states", value, "states") for value in (None, [1], "fog", {"fog": None})),
@@ -203,15 +157,14 @@ def test_a_bad_value_is_told_with_its_path_and_what_would_be_right() -> None:
 
 
 def test_every_problem_is_told_at_once() -> None:
-    data = detector_data(
+    data = build.detector_data(
         confidence_threshold=2,
         initial_state="storm",
         transition_matrix=[[0.9, 0.2], [0.2, 0.8]],
         states={
-            "clear": state_data(false_discovery_rate=1.0, confidence={"mean": 0.5, "std": -1}),
-            "fog": state_data(
-                confusion=[[0.5, 0.2], [0.1, 0.4], [0.5, 0.5]],
-                box_error=box_error([0, 0, 0], -np.eye(4)),
+            "clear": build.state_data(false_discovery_rate=1.0, confidence={"mean": 0.5, "std": -1}),
+            "fog": build.state_data(
+                confusion=[[0.5, 0.2], [0.1, 0.4], [0.5, 0.5]], box_error=build.box_error([0, 0, 0], -np.eye(4))
             ),
         },
     )
@@ -239,14 +192,13 @@ def test_enormous_covariances_are_judged_without_overflow_and_all_wrong_columns_
     data = changed("states.fog.box_error.covariance", (INDEFINITE * 1e8).tolist())
     assert "smallest eigenvalue is -2e+08" in problems(data)[0]
     (problem,) = problems(changed("transition_matrix", [[0.9, 0.2], [0.2, 0.9]]))
-    assert "column 'clear' sums to 1.1" in problem
-    assert "column 'fog' sums to 1.1" in problem
+    assert "column 'clear' sums to 1.1" in problem and "column 'fog' sums to 1.1" in problem
 
 
 def test_singular_and_zero_covariances_are_accepted() -> None:
     singular = np.outer([1, 2, 3, 4], [1, 2, 3, 4])
     for covariance in (singular, np.zeros((4, 4))):
-        data = changed("states.fog.box_error", box_error([0, 0, 0, 0], covariance))
+        data = changed("states.fog.box_error", build.box_error([0, 0, 0, 0], covariance))
         assert np.array_equal(parse_detector(data).states[1].box_error.covariance, covariance)
 
 
@@ -256,11 +208,10 @@ def test_columns_that_lack_a_few_digits_are_completed() -> None:
 
 
 def test_a_model_holds_what_the_mapping_says() -> None:
-    data = detector_data(initial_state="fog", transition_interval_s=5)
+    data = build.detector_data(initial_state="fog", transition_interval_s=5)
     del data["false_positives"]
     model = parse_detector(data)
-    assert model.labels == ("sail", "motor")
-    assert model.initial_state == 1
+    assert model.labels == ("sail", "motor") and model.initial_state == 1
     assert model.transition_interval_s == 5
     assert model.false_positives.model == "calibrated"  # by default
     assert [state.name for state in model.states] == ["clear", "fog"]
@@ -270,23 +221,21 @@ def test_a_model_holds_what_the_mapping_says() -> None:
 
 
 def test_arrays_of_a_model_cannot_be_written_to() -> None:
-    state = parse_detector(detector_data()).states[0]
+    state = parse_detector(build.detector_data()).states[0]
     for array in (state.confusion, state.box_error.mean, state.box_error.covariance):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 1
 
 
 def test_models_that_are_switched_off_leave_every_byte_of_the_plain_chain() -> None:
-    data = detector_data()
-    targets, frames = scattered_targets(), make_frames(120)
+    data = build.detector_data()
+    targets, frames = scattered_targets(), build.make_frames(120)
     apart = copy.deepcopy(data) | OFF | {"false_positives": CLUTTER_OFF}
     for state in apart["states"].values():
         normal = state["confidence"]
         state["confidence"] = {True: dict(normal), False: dict(normal), "visibility_slope": 0, "size_slope": 0}
     assert not parse_detector(apart).needs_target_statistics
-    assert all_bytes(run(parse_detector(apart), frames, targets)) == all_bytes(
-        run(parse_detector(data), frames, targets)
-    )
+    assert build.all_bytes(build.run(apart, frames, targets)) == build.all_bytes(build.run(data, frames, targets))
 
 
 def test_every_contradiction_between_sections_is_told_at_once() -> None:

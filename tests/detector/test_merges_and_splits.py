@@ -1,47 +1,29 @@
 """Duplicates, merged boxes and boxes in two parts."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 
 from modsim3d.core.boxes import sizes, unions
-from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector import records
 from modsim3d.detector.merges_and_splits import MergesAndSplits
-from modsim3d.detector.records import (
-    DUPLICATE,
-    FALSE_POSITIVE,
-    FRAGMENT,
-    KINDS,
-    MERGED,
-    SPLIT,
-    TRUE,
-    Detections,
-    Targets,
-)
-from tests.detector.detector_builders import (
-    centred,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
-ALL_SEEN = [[1, 0], [0, 1], [0, 0]]
 FRAMES = 4000
-LONG, SQUARE = centred(400, 40), [100.0, 1000.0, 200.0, 1080.0]
+LONG, SQUARE = build.centred(400, 40), [100.0, 1000.0, 200.0, 1080.0]
 PAIR = [[1000.0, 1000.0, 1100.0, 1050.0], [1050.0, 1000.0, 1250.0, 1060.0]]  # half of the smaller is in both
 
 
-def detect(boxes: list[list[float]], false_positives: dict[str, Any], **state: Any) -> tuple[Targets, Detections]:
-    data = one_state_data(**({"confusion": ALL_SEEN, "box_error": no_error(), "false_discovery_rate": 0.2} | state))
-    targets = make_targets(np.tile(np.array(boxes), (FRAMES, 1, 1)))
+def detect(
+    boxes: list[list[float]], false_positives: dict[str, Any], **state: Any
+) -> tuple[records.Targets, records.Detections]:
+    data = build.one_state_data(
+        **({"confusion": build.ALL_SEEN, "box_error": build.no_error(), "false_discovery_rate": 0.2} | state)
+    )
+    targets = build.make_targets(np.tile(np.array(boxes), (FRAMES, 1, 1)))
     data["false_positives"] = {"model": "calibrated"} | false_positives
-    return targets, run(parse_detector(data), make_frames(FRAMES), targets)
+    return targets, build.run(data, build.make_frames(FRAMES), targets)
 
 
 def near(count: int, trials: int, p: float) -> bool:
@@ -51,10 +33,10 @@ def near(count: int, trials: int, p: float) -> bool:
 def test_duplicates_come_as_often_as_asked_with_errors_of_their_own() -> None:
     covariance = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([9.0, 9, 4, 4]).tolist()}
     targets, found = detect([LONG, SQUARE], {"duplicates": 0.1}, box_error=covariance)
-    second = found.kind == DUPLICATE
+    second = found.kind == records.DUPLICATE
     assert near(int(second.sum()), len(targets), 0.1)
     own = np.full(len(targets), -1)
-    own[found.target[found.kind == TRUE]] = np.flatnonzero(found.kind == TRUE)
+    own[found.target[found.kind == records.TRUE]] = np.flatnonzero(found.kind == records.TRUE)
     pairs = own[found.target[second]]
     assert np.all(found.label[pairs] == found.label[second])
     assert np.all(np.abs(np.cov(found.errors_px[second].T) - covariance["covariance"]) < 2)
@@ -66,7 +48,7 @@ def test_duplicates_come_as_often_as_asked_with_errors_of_their_own() -> None:
 def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
     keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5}
     _, found = detect([LONG, SQUARE, *PAIR], keys, false_discovery_rate=rate)
-    assert {KINDS[kind] for kind in found.kind} == {
+    assert {records.KINDS[kind] for kind in found.kind} == {
         "true",
         "false_positive",
         "duplicate",
@@ -81,7 +63,7 @@ def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
 
 def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     targets, found = detect([LONG, SQUARE], {"splits": 0.2})
-    split, fragment = (np.flatnonzero(found.kind == kind) for kind in (SPLIT, FRAGMENT))
+    split, fragment = (np.flatnonzero(found.kind == kind) for kind in (records.SPLIT, records.FRAGMENT))
     assert near(len(split), FRAMES, 0.2)
     assert np.array_equal(np.sort(found.target[split]), np.sort(found.target[fragment]))
     assert np.all(targets.vessel[found.target[split]] == 0)
@@ -91,12 +73,12 @@ def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     width = sizes(larger)[:, 0]
     assert np.all((width >= 200 - 1e-9) & (width <= 0.7 * 400 + 1e-9))
     np.testing.assert_allclose(width + sizes(smaller)[:, 0], 400)
-    assert not np.any(found.kind[found.target == 1] == SPLIT)
+    assert not np.any(found.kind[found.target == 1] == records.SPLIT)
 
 
 def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
     targets, found = detect([*PAIR, SQUARE], {"merges": 0.3}, false_discovery_rate=0)
-    merged = found.kind == MERGED
+    merged = found.kind == records.MERGED
     assert near(int(merged.sum()), FRAMES, 0.3)
     np.testing.assert_allclose(found.boxes_px[merged], np.tile([1000, 1000, 1250, 1060], (merged.sum(), 1)))
     assert np.all(targets.vessel[found.target[merged]] == 1)  # the larger
@@ -108,37 +90,36 @@ def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
 
 def test_vessels_that_hardly_overlap_are_not_merged() -> None:
     _, found = detect(PAIR, {"merges": 1.0, "merge_overlap": 0.51})
-    assert not np.any(found.kind == MERGED)
+    assert not np.any(found.kind == records.MERGED)
     _, found = detect(PAIR, {"merges": 1.0, "merge_overlap": 0.49})
-    assert np.all(found.kind[found.kind != 1] == MERGED)
+    assert np.all(found.kind[found.kind != 1] == records.MERGED)
 
 
 def test_a_vessel_is_in_one_merged_box_only() -> None:
     three = [[0.0, 0, 100, 50], [20.0, 0, 120, 50], [40.0, 0, 140, 50]]
     targets, found = detect(three, {"merges": 1.0}, false_discovery_rate=0)
-    assert np.sum(found.kind == MERGED) == FRAMES
-    assert np.sum(found.kind == TRUE) == FRAMES
+    assert np.sum(found.kind == records.MERGED) == FRAMES and np.sum(found.kind == records.TRUE) == FRAMES
     sources = np.concatenate([found.target, found.partner[found.partner >= 0]])
     assert len(np.unique(sources)) == len(sources) == len(targets)
 
 
 def test_a_merge_belongs_to_two_vessels_whoever_is_larger() -> None:
-    boxes = same_boxes(200, 2, PAIR[0])
+    boxes = build.same_boxes(200, 2, PAIR[0])
     boxes[:, 1] = PAIR[1]
     swapped = boxes.copy()
     swapped[::2] = boxes[::2, ::-1]
-    data = one_state_data(confusion=ALL_SEEN, box_error=no_error()) | {
+    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error()) | {
         "false_positives": {"model": "calibrated", "merges": 0.5}
     }
-    one, two = (run(parse_detector(data), make_frames(200), make_targets(b)) for b in (boxes, swapped))
-    assert np.array_equal(one.frame[one.kind == MERGED], two.frame[two.kind == MERGED])
+    one, two = (build.run(data, build.make_frames(200), build.make_targets(b)) for b in (boxes, swapped))
+    assert np.array_equal(one.frame[one.kind == records.MERGED], two.frame[two.kind == records.MERGED])
 
 
 def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> None:
     keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5, "persistence": {"lifetime_s": 1, "share": 0.5}}
     apart = {"true": {"mean": 0.8, "std": 0}, "false": {"mean": 0.4, "std": 0}}
     _, found = detect([LONG, SQUARE, *PAIR], keys | {"size": {"model": "fixed", "px": [9, 9]}}, confidence=apart)
-    assert set(found.kind) == set(range(len(KINDS)))
+    assert set(found.kind) == set(range(len(records.KINDS)))
     assert np.array_equal(found.confidence == 0.4, found.false())
     assert np.array_equal(found.confidence == 0.8, ~found.false())
 
@@ -146,28 +127,28 @@ def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> No
 def test_merged_box_is_neither_split_nor_doubled_whichever_row_its_smaller_vessel_has() -> None:
     keys = {"merges": 1.0, "splits": 0.5, "duplicates": 0.4}
     for seed in range(20):
-        data = one_state_data(confusion=ALL_SEEN, box_error=no_error(), false_discovery_rate=0.5)
+        data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error(), false_discovery_rate=0.5)
         data["false_positives"] = {"model": "calibrated"} | keys
-        found = run(parse_detector(data), make_frames(1), make_targets([PAIR]), seed)
-        assert set(found.kind) <= {MERGED, FALSE_POSITIVE}
-        assert found.partner[found.kind == MERGED].tolist() == [0]
+        found = build.run(data, build.make_frames(1), build.make_targets([PAIR]), seed)
+        assert set(found.kind) <= {records.MERGED, records.FALSE_POSITIVE}
+        assert found.partner[found.kind == records.MERGED].tolist() == [0]
 
 
 def test_first_draws_of_parts_and_false_positives_do_not_count_as_resampled() -> None:
     wide = {"unit": "px", "mean": [0] * 4, "covariance": np.diag([1.0, 1.0, 150.0**2, 1.0]).tolist()}
     _, found = detect([LONG], {"splits": 0.5}, box_error=wide, false_discovery_rate=0.4)
-    assert found.redrawn[np.isin(found.kind, (TRUE, SPLIT))].any()
-    assert (found.kind == FRAGMENT).any()
-    assert not found.redrawn[~np.isin(found.kind, (TRUE, SPLIT))].any()
+    assert found.redrawn[np.isin(found.kind, (records.TRUE, records.SPLIT))].any()
+    assert (found.kind == records.FRAGMENT).any()
+    assert not found.redrawn[~np.isin(found.kind, (records.TRUE, records.SPLIT))].any()
 
 
 def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
-    data = one_state_data(confusion=ALL_SEEN, box_error=no_error(), false_discovery_rate=0)
+    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error(), false_discovery_rate=0)
     data |= {"false_positives": {"model": "calibrated", "merges": 1.0}, "gates": {"max_detections": 1}}
-    targets = make_targets(np.tile(np.array([*PAIR, SQUARE]), (50, 1, 1)))
-    found = run(parse_detector(data), make_frames(50), targets)
+    targets = build.make_targets(np.tile(np.array([*PAIR, SQUARE]), (50, 1, 1)))
+    found = build.run(data, build.make_frames(50), targets)
     assert len(found) == 50
-    merged = set(found.frame[found.kind == MERGED].tolist())
+    merged = set(found.frame[found.kind == records.MERGED].tolist())
     assert 0 < len(merged) < 50
     assert [set(targets.vessel[found.gated & (targets.frame == f)]) for f in range(50)] == [
         {2} if f in merged else {0, 1} for f in range(50)
@@ -176,10 +157,10 @@ def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
 
 def test_vessels_that_do_not_overlap_are_not_merged_however_little_is_asked() -> None:
     apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
-    assert not np.any(detect(apart, {"merges": 1.0, "merge_overlap": 1e-6})[1].kind == MERGED)
+    assert not np.any(detect(apart, {"merges": 1.0, "merge_overlap": 1e-6})[1].kind == records.MERGED)
     sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
-    assert np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.00499})[1].kind == MERGED)
-    assert not np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.0051})[1].kind == MERGED)
+    assert np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.00499})[1].kind == records.MERGED)
+    assert not np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.0051})[1].kind == records.MERGED)
 
 
 def test_of_two_merged_boxes_as_large_as_each_other_the_first_counts_as_the_larger() -> None:

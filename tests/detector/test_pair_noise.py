@@ -1,7 +1,5 @@
 """Merges that stay: as many as asked, whatever the correlation time, and the same however a run is split."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,14 +9,7 @@ from modsim3d.detector.chain import Detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import MERGED, Detections
 from modsim3d.detector.target_statistics import TargetStatistics
-from tests.detector.detector_builders import (
-    all_bytes,
-    clock,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-)
+from tests.detector.detector_builders import all_bytes, clock, make_frames, make_targets, no_error, one_state_data
 
 PAIRS, FRAMES, STEP_S, MERGES = 12, 3000, 0.1, 0.3
 
@@ -68,5 +59,4 @@ def test_a_vanishing_correlation_time_gives_the_plain_detectors_bytes() -> None:
     plain, zero, brief = (
         detector(asked(each)).detect(frames, targets) for each in ({}, {"merge_s": 0.0}, {"merge_s": 1e-4})
     )
-    assert (plain.kind == MERGED).any()
-    assert all_bytes(plain) == all_bytes(zero) == all_bytes(brief)
+    assert (plain.kind == MERGED).any() and all_bytes(plain) == all_bytes(zero) == all_bytes(brief)

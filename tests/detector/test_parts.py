@@ -1,9 +1,6 @@
 """Every model of every part is registered once; `verify` and `learn` treat it or say that they do not."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -13,13 +10,12 @@ from modsim3d.core.arrays import Array
 from modsim3d.detector.chain import MODELS, Detector, DetectorPart, model_name, used_models
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveRates, FrameCounts, PerImage
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.records import KINDS
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.learned import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
 from modsim3d.verify.verification import CHECKED, unchecked, verify_evidence
-from tests.detector.detector_builders import clock, make_frames, make_targets, one_state_data, same_boxes
+from tests.detector.detector_builders import clock, make_frames, one_state_data, steady_targets
 from tests.detector_variants import CHANGES, variant
 
 DRAWING = {
@@ -70,7 +66,7 @@ class EverySecondFrame(PerImage):
 
 
 def seen(model: Any) -> Evidence:
-    frames, targets = make_frames(200), make_targets(same_boxes(200, 2, [100, 100, 300, 200]))
+    frames, targets = make_frames(200), steady_targets(200, 2, [100, 100, 300, 200])
     return Evidence.of(
         [CameraEvidence(frames, targets, Detector(model, 1, TargetStatistics(), clock()).detect(frames, targets))]
     )
@@ -93,16 +89,9 @@ def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: py
 
 
 @pytest.mark.parametrize("part", [DetectorPart.BOX_ERROR, DetectorPart.CONFIDENCE])
-def test_parts_of_a_state_without_checks_are_listed_state_by_state(
-    part: DetectorPart, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_of_a_state_without_checks_are_listed_state_by_state(part, monkeypatch):
     monkeypatch.setitem(cast(dict[DetectorPart, Any], CHECKED), part, frozenset())
     model = parse_detector(variant("plain"))
     found = unchecked(model)
     assert [parameter.state for parameter in found] == [state.name for state in model.states]
     assert {parameter.group for parameter in found} == {part}
-
-
-def test_kinds_of_detections_are_those_of_the_page() -> None:
-    text = (Path(__file__).resolve().parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
-    assert [kind for kind in KINDS if f"`{kind}`" not in text] == []

@@ -1,49 +1,29 @@
 """Noise that stays: rates and covariances hold exactly, whatever the correlation time and the frame rate."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector.chain import Detector
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import TRUE, Detections, Targets
-from modsim3d.detector.target_statistics import TargetStatistics
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    MEAN_PX,
-    all_bytes,
-    centred,
-    chunk,
-    clock,
-    detector_data,
-    make_frames,
-    make_targets,
-    one_state_data,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 VESSELS, TAU_S = 40, 0.9
 
 
 def detect(data: dict[str, Any], targets: Targets, frames: int, step_s: float, seed: int = 1) -> Detections:
-    detector = Detector(parse_detector(data), seed, TargetStatistics(), clock(step_s))
-    return detector.detect(make_frames(frames, time_step_s=step_s), targets)
+    detector = build.detector(data, seed, step_s)
+    return detector.detect(build.make_frames(frames, time_step_s=step_s), targets)
 
 
 def labels_over_time(found: Detections, frames: int, vessels: int = VESSELS) -> np.ndarray:
     """Label of each vessel at each frame, −1 where it was missed."""
-    labels = np.full(frames * vessels, -1)
-    true = found.kind == TRUE
-    labels[found.target[true]] = found.label[true]
-    return labels.reshape(frames, vessels)
+    return build.by_frame(found, found.label, frames, vessels, -1)
 
 
 def all_seen(frames: int) -> Targets:
-    return make_targets(same_boxes(frames, VESSELS, centred(600, 600)))
+    return build.steady_targets(frames, VESSELS, build.centred(600, 600))
 
 
 @pytest.fixture(scope="module", params=[0.1, 0.3])
@@ -54,7 +34,7 @@ def step_s(request: pytest.FixtureRequest) -> float:
 @pytest.fixture(scope="module")
 def found(step_s: float) -> Detections:
     """One fixed state; rates of the first label: 0.7, 0.1, missed 0.2."""
-    data = one_state_data(false_discovery_rate=0) | {"persistence": {"class_s": TAU_S, "box_s": TAU_S}}
+    data = build.one_state_data(false_discovery_rate=0) | {"persistence": {"class_s": TAU_S, "box_s": TAU_S}}
     return detect(data, all_seen(3000), 3000, step_s)
 
 
@@ -96,18 +76,17 @@ def _complete_runs(values: np.ndarray) -> np.ndarray:
 
 
 def test_a_miss_in_a_state_without_misses_is_impossible_however_long_misses_persist() -> None:
-    states = detector_data()["states"]
-    states["clear"]["confusion"] = [[1, 0], [0, 1], [0, 0]]
+    states = build.detector_data()["states"]
+    states["clear"]["confusion"] = build.ALL_SEEN
     states["fog"]["confusion"] = [[0, 0], [0, 0], [1, 1]]
-    data = detector_data(states=states, persistence={"class_s": 100})
+    data = build.detector_data(states=states, persistence={"class_s": 100})
     result = detect(data, all_seen(300), 300, 0.1)
     missed = (labels_over_time(result, 300) < 0).mean(axis=1)
-    assert np.array_equal(missed, result.states)
-    assert 0 < missed.mean() < 1
+    assert np.array_equal(missed, result.states) and 0 < missed.mean() < 1
 
 
 def test_rates_hold_in_states_that_change_much_faster_than_misses_do() -> None:
-    data = detector_data(transition_matrix=[[0.3, 0.7], [0.7, 0.3]], persistence={"class_s": 2})
+    data = build.detector_data(transition_matrix=[[0.3, 0.7], [0.7, 0.3]], persistence={"class_s": 2})
     result = detect(data, all_seen(3000), 3000, 0.1)
     missed, kept = labels_over_time(result, 3000) < 0, np.exp(-0.1 / 2)
     for state, rate in ((0, 0.2), (1, 0.4)):
@@ -119,9 +98,9 @@ def test_rates_hold_in_states_that_change_much_faster_than_misses_do() -> None:
 def test_box_errors_keep_their_mean_and_covariance(found: Detections, step_s: float) -> None:
     errors, kept = found.errors_px[found.kind == TRUE], np.exp(-step_s / TAU_S)
     worth = len(errors) * (1 - kept) / (1 + kept)
-    c = np.array(COVARIANCE_PX2, dtype=float)
+    c = np.array(build.COVARIANCE_PX2, dtype=float)
     assert not found.redrawn.any()
-    assert np.all(np.abs(errors.mean(axis=0) - MEAN_PX) < 4 * np.sqrt(np.diag(c) / worth))
+    assert np.all(np.abs(errors.mean(axis=0) - build.MEAN_PX) < 4 * np.sqrt(np.diag(c) / worth))
     # Products of two correlated normal numbers are correlated by kept²: more of them are worth something.
     worth = len(errors) * (1 - kept**2) / (1 + kept**2)
     standard_error = np.sqrt((np.outer(np.diag(c), np.diag(c)) + c**2) / worth)
@@ -129,10 +108,8 @@ def test_box_errors_keep_their_mean_and_covariance(found: Detections, step_s: fl
 
 
 def test_box_errors_have_the_correlation_time_asked_for(found: Detections, step_s: float) -> None:
-    errors = np.full((3000 * VESSELS, 4), np.nan)
-    true = found.kind == TRUE
-    errors[found.target[true]] = (found.errors_px[true] - MEAN_PX) / np.sqrt(np.diag(COVARIANCE_PX2))
-    series = errors.reshape(3000, VESSELS, 4)
+    errors = (found.errors_px - build.MEAN_PX) / np.sqrt(np.diag(build.COVARIANCE_PX2))
+    series = build.by_frame(found, errors, 3000, VESSELS)
     for lag in (1, 3, 6):
         correlation = np.nanmean(series[lag:] * series[:-lag], axis=(0, 1))
         assert np.all(np.abs(correlation - np.exp(-lag * step_s / TAU_S)) < 0.04)
@@ -140,38 +117,29 @@ def test_box_errors_have_the_correlation_time_asked_for(found: Detections, step_
 
 def test_box_errors_are_jointly_normal_over_time(found: Detections, step_s: float) -> None:
     # Of a first-order autoregressive process, and not of a number that is kept: what is new is normal, too.
-    errors = np.full((3000 * VESSELS, 4), np.nan)
-    true = found.kind == TRUE
-    errors[found.target[true]] = (found.errors_px[true] - MEAN_PX)[:, [0] * 4] / np.sqrt(COVARIANCE_PX2[0][0])
-    series, kept = errors.reshape(3000, VESSELS, 4)[..., 0], np.exp(-step_s / TAU_S)
+    errors = (found.errors_px[:, 0] - build.MEAN_PX[0]) / np.sqrt(build.COVARIANCE_PX2[0][0])
+    series, kept = build.by_frame(found, errors, 3000, VESSELS), np.exp(-step_s / TAU_S)
     new = (series[1:] - kept * series[:-1]) / np.sqrt(1 - kept**2)
     assert stats.kstest(new[~np.isnan(new)][::7], "norm").pvalue > 1e-4
 
 
 def test_a_vessel_that_was_hidden_comes_back_with_the_noise_it_would_have_had() -> None:
-    data = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]])
+    data = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN)
     data |= {"persistence": {"class_s": 2, "box_s": 2}}
-    boxes = same_boxes(200, 3, centred(600, 600))
-    whole = detect(data, make_targets(boxes), 200, 0.1)
+    boxes = build.same_boxes(200, 3, build.centred(600, 600))
+    whole = detect(data, build.make_targets(boxes), 200, 0.1)
     boxes[50:120, 1] = np.nan
-    gap = detect(data, make_targets(boxes), 200, 0.1)
+    gap = detect(data, build.make_targets(boxes), 200, 0.1)
     late = whole.boxes_px[whole.frame >= 120]
     assert np.array_equal(gap.boxes_px[gap.frame >= 120], late)
-
-
-def confidences(found: Detections, frames: int) -> np.ndarray:
-    """Confidence of each vessel at each frame, NaN where it was missed."""
-    values = np.full(frames * VESSELS, np.nan)
-    true = found.kind == TRUE
-    values[found.target[true]] = found.confidence[true]
-    return values.reshape(frames, VESSELS)
 
 
 def test_confidence_keeps_its_distribution_and_has_the_correlation_time_asked_for(step_s: float) -> None:
     quantiles = [0.3, 0.5, 0.8, 0.95, 0.97, 0.98]
     scores = {"true": {"quantiles": quantiles}, "false": {"quantiles": quantiles}}
-    data = one_state_data(confidence=scores) | {"persistence": {"confidence_s": TAU_S}}
-    values = confidences(detect(data, all_seen(3000), 3000, step_s), 3000)
+    data = build.one_state_data(confidence=scores) | {"persistence": {"confidence_s": TAU_S}}
+    found = detect(data, all_seen(3000), 3000, step_s)
+    values = build.by_frame(found, found.confidence, 3000, VESSELS)
     kept = np.exp(-step_s / TAU_S)
     levels = np.interp(values, quantiles, np.linspace(0, 1, 6))
     worth = np.isfinite(levels).sum() * (1 - kept) / (1 + kept)
@@ -183,47 +151,47 @@ def test_confidence_keeps_its_distribution_and_has_the_correlation_time_asked_fo
 
 
 def test_confidence_that_persists_changes_no_confidence_of_a_false_positive_and_nothing_else() -> None:
-    plain, targets = one_state_data(), all_seen(200)
+    plain, targets = build.one_state_data(), all_seen(200)
     without = detect(plain, targets, 200, 0.1)
     with_it = detect(plain | {"persistence": {"confidence_s": 2.0}}, targets, 200, 0.1)
     true = without.kind == TRUE
     assert (with_it.confidence[true] != without.confidence[true]).mean() > 0.9
     assert np.array_equal(with_it.confidence[~true], without.confidence[~true]) and (~true).sum() > 100
-    columns = all_bytes(with_it).keys() - {"confidence"}
-    assert all(all_bytes(with_it)[name] == all_bytes(without)[name] for name in columns)
+    columns = build.all_bytes(with_it).keys() - {"confidence"}
+    assert all(build.all_bytes(with_it)[name] == build.all_bytes(without)[name] for name in columns)
 
 
 def test_confidence_with_a_vanishing_correlation_time_is_the_plain_one_to_its_rounding() -> None:
-    plain, targets = one_state_data(), all_seen(200)
+    plain, targets = build.one_state_data(), all_seen(200)
     brief = detect(plain | {"persistence": {"confidence_s": 1e-4}}, targets, 200, 0.1)
     np.testing.assert_allclose(brief.confidence, detect(plain, targets, 200, 0.1).confidence, atol=1e-6)
 
 
 def test_a_redraw_leaves_the_latent_numbers_alone() -> None:
-    data = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]]) | {"persistence": {"box_s": 2}}
-    boxes = same_boxes(300, 1, centred(600, 600))
-    large = detect(data, make_targets(boxes), 300, 0.1)
-    boxes[::2] = centred(5, 5)
-    mixed = detect(data, make_targets(boxes), 300, 0.1)
+    data = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN) | {"persistence": {"box_s": 2}}
+    boxes = build.same_boxes(300, 1, build.centred(600, 600))
+    large = detect(data, build.make_targets(boxes), 300, 0.1)
+    boxes[::2] = build.centred(5, 5)
+    mixed = detect(data, build.make_targets(boxes), 300, 0.1)
     assert mixed.redrawn[::2].mean() > 0.5
     assert np.array_equal(mixed.errors_px[1::2], large.errors_px[1::2])
 
 
 def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
-    plain = one_state_data()
+    plain = build.one_state_data()
     targets = all_seen(200)
     brief = detect(plain | {"persistence": {"class_s": 1e-4, "box_s": 1e-4}}, targets, 200, 0.1)
-    assert all_bytes(brief) == all_bytes(detect(plain, targets, 200, 0.1))
+    assert build.all_bytes(brief) == build.all_bytes(detect(plain, targets, 200, 0.1))
 
 
 @pytest.mark.parametrize("first", [1, 2, 40])
 def test_detector_that_begins_at_a_later_step_detects_what_one_from_the_start_does(first: int) -> None:
     times = {"class_s": TAU_S, "box_s": TAU_S, "confidence_s": TAU_S}
-    data = one_state_data(false_discovery_rate=0) | {"persistence": times}
-    frames, targets = make_frames(45), make_targets(same_boxes(45, 3, centred(600, 600)))
-    whole = Detector(parse_detector(data), 1, TargetStatistics(), clock()).detect(frames, targets)
-    part, part_targets, _ = chunk(frames, targets, first, 45)
-    later = Detector(parse_detector(data), 1, TargetStatistics(), clock()).detect(part, part_targets)
+    data = build.one_state_data(false_discovery_rate=0) | {"persistence": times}
+    frames, targets = build.make_frames(45), build.steady_targets(45, 3, build.centred(600, 600))
+    whole = build.detector(data).detect(frames, targets)
+    part, part_targets, _ = build.chunk(frames, targets, first, 45)
+    later = build.detector(data).detect(part, part_targets)
     rows = whole.frame >= first
     np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[rows])
     np.testing.assert_array_equal(later.label, whole.label[rows])

@@ -1,7 +1,5 @@
 """False positives that stay for a while: how many, how long, how fast."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -11,17 +9,8 @@ from scipy import stats
 
 from modsim3d.core.random_streams import Streams
 from modsim3d.detector.false_positives import PersistentFalsePositives, persistent_false_positives
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Detections
-from tests.detector.detector_builders import (
-    centred,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 FRAMES = 20_000
 
@@ -29,7 +18,7 @@ FRAMES = 20_000
 def watch(
     rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1
 ) -> PersistentFalsePositives:
-    seen = make_frames(frames, time_step_s=step_s)
+    seen = build.make_frames(frames, time_step_s=step_s)
     return persistent_false_positives(
         Streams(seed), seen, np.broadcast_to(np.asarray(rates, dtype=float), frames), lifetime_s
     )
@@ -102,14 +91,14 @@ def test_one_that_stays_keeps_its_numbers_and_grows_older() -> None:
 
 
 def detector_file(**persistence: float) -> dict[str, Any]:
-    data = one_state_data(false_discovery_rate=0.2, box_error=no_error())
+    data = build.one_state_data(false_discovery_rate=0.2, box_error=build.no_error())
     size = {"model": "fixed", "px": [40, 20]}
     return data | {"false_positives": {"model": "calibrated", "size": size, "persistence": persistence}}
 
 
 def detect(frames: int = 6000, **persistence: float) -> Detections:
-    targets = make_targets(same_boxes(frames, 6, centred(80, 40)))
-    return run(parse_detector(detector_file(**persistence)), make_frames(frames), targets)
+    targets = build.steady_targets(frames, 6, build.centred(80, 40))
+    return build.run(detector_file(**persistence), build.make_frames(frames), targets)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4])

@@ -1,7 +1,5 @@
 """Where and how large false positives are."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -15,18 +13,7 @@ from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.false_positive_placement import PLACE_STEP_PX, Placement, _inverse, _slice, sea_polygons
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, Detections
-from tests.detector.detector_builders import (
-    IMAGE_PX,
-    centred,
-    clock,
-    detector_data,
-    make_frames,
-    make_targets,
-    no_error,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 LEVEL = (0.0, 1.0, -800.0)  # the horizon at 800 px
 TILTED = (0.3, 1.0, -1300.0)
@@ -34,7 +21,7 @@ TILTED = (0.3, 1.0, -1300.0)
 
 def places(placement: Placement, sea: tuple[float, float, float], count: int = 6_000, **drift: Any) -> np.ndarray:
     uniforms = np.random.default_rng(4).random((count, 3))
-    return placement.places(np.tile(sea, (count, 1)), IMAGE_PX, uniforms, **drift)
+    return placement.places(np.tile(sea, (count, 1)), build.IMAGE_PX, uniforms, **drift)
 
 
 def below(points: np.ndarray, sea: tuple[float, float, float]) -> np.ndarray:
@@ -46,8 +33,7 @@ def below(points: np.ndarray, sea: tuple[float, float, float]) -> np.ndarray:
 def test_a_band_holds_all_of_them_and_evenly(sea: tuple[float, float, float]) -> None:
     found = places(Placement(band_px=120), sea)
     depth = below(found, sea)
-    assert depth.min() > -1e-6
-    assert depth.max() < 120 + 1e-6
+    assert depth.min() > -1e-6 and depth.max() < 120 + 1e-6
     assert stats.kstest(depth / 120, "uniform").pvalue > 1e-4
 
 
@@ -59,7 +45,7 @@ def test_the_density_halves_as_asked() -> None:
 
 def test_along_the_horizon_they_are_spread_evenly() -> None:
     found = places(Placement(far_half_px=90), LEVEL)
-    assert stats.kstest(found[:, 0] / IMAGE_PX[0], "uniform").pvalue > 1e-4
+    assert stats.kstest(found[:, 0] / build.IMAGE_PX[0], "uniform").pvalue > 1e-4
 
 
 def test_the_level_way_and_the_plain_way_spread_alike() -> None:
@@ -74,8 +60,7 @@ def test_the_level_way_and_the_plain_way_spread_alike() -> None:
 @pytest.mark.parametrize("sea", [(0.0, 1.0, 500.0), (0.0, 1.0, -9000.0), (0.0, 0.0, 1.0), (0.0, 1.0, -2400.0)])
 def test_a_band_that_is_not_in_the_image_is_no_place_outside_it(sea: tuple[float, float, float]) -> None:
     found = places(Placement(band_px=30, far_half_px=50), sea, 500)
-    assert np.all((found >= 0) & (found <= IMAGE_PX))
-    assert not np.isnan(found).any()
+    assert np.all((found >= 0) & (found <= build.IMAGE_PX)) and not np.isnan(found).any()
 
 
 def test_a_map_gives_each_cell_its_weight() -> None:
@@ -96,16 +81,16 @@ def test_drift_follows_the_horizon_and_turns_at_the_edge_of_the_image() -> None:
     moved = np.hypot(*(later - start).T)
     assert np.mean(np.abs(moved - 40) < 2 * PLACE_STEP_PX) > 0.95
     far = places(Placement(), TILTED, 300, drift_px=np.linspace(-1e5, 1e5, 300))
-    assert np.all((far >= 0) & (far <= IMAGE_PX))
+    assert np.all((far >= 0) & (far <= build.IMAGE_PX))
 
 
 def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6, **state: Any) -> Detections:
-    data = one_state_data(**({"box_error": no_error(), "false_discovery_rate": 0.4} | state))
-    boxes = same_boxes(frames, vessels, centred(80, 40))
+    data = build.one_state_data(**({"box_error": build.no_error(), "false_discovery_rate": 0.4} | state))
+    boxes = build.same_boxes(frames, vessels, build.centred(80, 40))
     boxes[:, :1] = [100, 100, 300, 150]
-    targets = make_targets(boxes)
-    model, seen = parse_detector(data | {"false_positives": false_positives}), make_frames(frames)
-    return Detector(model, 1, target_statistics(model, [(seen, targets)]), clock()).detect(seen, targets)
+    targets = build.make_targets(boxes)
+    model, seen = parse_detector(data | {"false_positives": false_positives}), build.make_frames(frames)
+    return Detector(model, 1, target_statistics(model, [(seen, targets)]), build.clock()).detect(seen, targets)
 
 
 FIXED = {"model": "fixed", "px": [30, 20]}
@@ -120,10 +105,10 @@ def test_an_empty_sea_has_false_alarms_at_their_rate_per_image() -> None:
 
 
 def test_a_state_may_have_its_own_rate_per_image() -> None:
-    data = detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
+    data = build.detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
     data["false_positives"] = {"model": "per_image", "rate": 0.2, "size": FIXED}
     data["states"]["fog"]["false_positives_per_image"] = 2.0
-    found = run(parse_detector(data), make_frames(5000), make_targets(same_boxes(5000, 2, centred(600, 600))))
+    found = build.run(data, build.make_frames(5000), build.steady_targets(5000, 2, build.centred(600, 600)))
     counts = np.bincount(found.frame[found.kind == FALSE_POSITIVE], minlength=5000)
     for state, rate in ((0, 0.2), (1, 2.0)):
         ours = counts[found.states == state]
@@ -132,7 +117,7 @@ def test_a_state_may_have_its_own_rate_per_image() -> None:
 
 def inner_sizes(found: Detections) -> np.ndarray:
     boxes = found.boxes_px[found.kind == FALSE_POSITIVE]
-    return sizes(boxes[np.all((boxes > 0) & (boxes < [*IMAGE_PX, *IMAGE_PX]), axis=1)])
+    return sizes(boxes[np.all((boxes > 0) & (boxes < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)])
 
 
 def test_sizes_are_fixed_or_lognormal_as_asked() -> None:
@@ -163,17 +148,13 @@ HORIZONS = [(0.0, 1.0, -500.0), (0.6, 0.8, -900.0), (-1.0, 0.0, 40.0), (0.0, -1.
 """Sea below row 500; below a slope; left of column 40; above row 300; nowhere."""
 
 
-def random_uniforms(count: int) -> np.ndarray:
-    return np.random.default_rng(8).random((count, 3))
-
-
 @pytest.mark.parametrize(
     "placement",
     [Placement(), Placement(band_px=100.0), Placement(far_half_px=60.0), Placement(band_px=80.0, far_half_px=30.0)],
 )
 @pytest.mark.parametrize("drift", [None, 300.0])
 def test_many_places_at_once_are_those_of_each(placement: Placement, drift: float | None) -> None:
-    planes, uniforms = np.tile(HORIZONS, (4, 1)), random_uniforms(20)
+    planes, uniforms = np.tile(HORIZONS, (4, 1)), np.random.default_rng(8).random((20, 3))
     moved = None if drift is None else np.full(20, drift)
     together = placement.places(planes, (800, 600), uniforms, moved)
     for row in range(20):

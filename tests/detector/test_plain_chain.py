@@ -1,7 +1,5 @@
 """The plain chain, without any of the models that a detector file may add: its output stays what it was."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 
@@ -9,7 +7,7 @@ import numpy as np
 
 import modsim3d
 from modsim3d.detector.file.reading import load_detector
-from modsim3d.detector.records import Detections, Targets
+from modsim3d.detector.records import Targets
 from tests.detector.detector_builders import make_frames, make_targets, run
 
 THREE_LABELS = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "three_labels.yaml"
@@ -25,10 +23,6 @@ def three_label_targets() -> Targets:
     boxes = np.concatenate([corners[:, :, 0], corners[:, :, 1]], axis=-1)
     boxes[random.random((STEPS, 6)) < 1 / 4] = np.nan
     return make_targets(boxes, np.arange(6) % 3)
-
-
-def three_label_detections() -> Detections:
-    return run(load_detector(THREE_LABELS), make_frames(STEPS), three_label_targets(), seed=11)
 
 
 def digest(*columns: np.ndarray) -> str:
@@ -48,7 +42,7 @@ def test_simulation_1_is_detected_as_it_was() -> None:
 
 
 def test_three_labels_are_detected_as_they_were() -> None:
-    found = three_label_detections()
+    found = run(load_detector(THREE_LABELS), make_frames(STEPS), three_label_targets(), seed=11)
     columns = (found.states, found.frame, found.target, found.kind, found.label)
     columns += (found.boxes_px, found.confidence, found.errors_px, found.redrawn)
     assert digest(*columns) == THREE_LABELS_SHA256

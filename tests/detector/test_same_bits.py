@@ -1,7 +1,5 @@
 """Detections are the same to the last bit where the functions of libraries are not."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -16,19 +14,7 @@ from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Detections, Targets
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    IMAGE_PX,
-    MEAN_PX,
-    all_bytes,
-    box_error,
-    centred,
-    make_frames,
-    make_targets,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 from tests.detector.test_rich import RICH, rich_frames, rich_targets
 from tests.detector_variants import CHANGES, variant
 
@@ -63,7 +49,7 @@ def other_processor(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
 
 def many_kinds() -> dict[str, tuple[DetectorModel, CameraFrames, Targets]]:
     """Every model of a detector, over boxes of which many errors are drawn again."""
-    frames, targets = make_frames(150, sea=(0.02, 0.9998, -800.0)), make_targets(same_boxes(150, 8, SMALL))
+    frames, targets = (build.make_frames(150, sea=(0.02, 0.9998, -800.0)), build.steady_targets(150, 8, SMALL))
     thesis = {name: parse_detector(variant(name)) for name in CHANGES}
     small = {name: (model, frames, replace(targets, label=0 * targets.label)) for name, model in thesis.items()}
     return {**small, "rich": (load_detector(RICH), rich_frames(), rich_targets())}
@@ -75,11 +61,10 @@ KINDS = many_kinds()
 @pytest.mark.parametrize("name", KINDS)
 def test_the_last_bits_of_functions_do_not_reach_the_detections(name: str, other_processor: pytest.MonkeyPatch) -> None:
     model, frames, targets = KINDS[name]
-    there = run(model, replace(frames, sea_half_planes=frames.sea_half_planes * (1 + 2.0**-50)), targets)
+    there = build.run(model, replace(frames, sea_half_planes=frames.sea_half_planes * (1 + 2.0**-50)), targets)
     other_processor.undo()
-    here = run(model, frames, targets)
-    assert len(here) > 200
-    assert all_bytes(there) == all_bytes(here)
+    here = build.run(model, frames, targets)
+    assert len(here) > 200 and build.all_bytes(there) == build.all_bytes(here)
 
 
 def test_drawn_normal_numbers_are_on_the_grid_and_half_a_step_from_the_exact_ones() -> None:
@@ -106,16 +91,16 @@ def test_the_root_of_a_covariance_is_as_good_as_lapacks() -> None:
 
 
 def redrawn_errors() -> Detections:
-    seen = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
-    model = parse_detector(one_state_data(**seen, box_error=box_error(MEAN_PX, COVARIANCE_PX2)))
-    return run(model, make_frames(1500), make_targets(same_boxes(1500, 10, centred(20, 20))))
+    seen = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
+    model = parse_detector(build.one_state_data(**seen, box_error=build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)))
+    return build.run(model, build.make_frames(1500), build.steady_targets(1500, 10, build.centred(20, 20)))
 
 
 def test_redrawn_errors_are_those_of_plain_rejection() -> None:
     found = redrawn_errors()
     errors, random = found.errors_px[found.redrawn], np.random.default_rng(5)
-    plain = random.multivariate_normal(MEAN_PX, COVARIANCE_PX2, 200_000)
-    plain = plain[inside_image(move(np.array(centred(20, 20)), plain), IMAGE_PX)]
+    plain = random.multivariate_normal(build.MEAN_PX, build.COVARIANCE_PX2, 200_000)
+    plain = plain[inside_image(move(np.array(build.centred(20, 20)), plain), build.IMAGE_PX)]
     assert len(errors) > 5000
     for component in range(4):
         assert stats.ks_2samp(errors[:, component], plain[:, component]).pvalue > 1e-4

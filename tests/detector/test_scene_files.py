@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -45,8 +43,7 @@ def test_the_script_reproduces_the_file_byte_for_byte(written: Path, name: str) 
 
 def test_thesis_detector_holds_tables_9_2_and_9_3() -> None:
     model = load("thesis")
-    assert model.labels == ("Vessel",)
-    assert model.false_positives.model == "calibrated"
+    assert model.labels == ("Vessel",) and model.false_positives.model == "calibrated"
     assert [state.name for state in model.states] == ["excellent", "good", "bad", "terrible"]
     np.testing.assert_allclose([state.confusion[1, 0] for state in model.states], [0.133, 0.151, 0.245, 0.381])
     assert [state.false_discovery_rate for state in model.states] == [0.089, 0.113, 0.115, 0.255]

@@ -1,7 +1,5 @@
 """One score behind misses and confidence: chances and levels hold exactly, and its memory is the one that was asked."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -10,47 +8,33 @@ from scipy import special, stats
 
 from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import Detector
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import TRUE, Detections, Targets
-from modsim3d.detector.target_statistics import TargetStatistics
-from tests.detector.detector_builders import (
-    all_bytes,
-    centred,
-    clock,
-    detect_in_chunks,
-    make_frames,
-    make_targets,
-    one_state_data,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 VESSELS, FRAMES, STEP_S, MISS_RATE = 3000, 40, 0.5, 0.25
 SCORE = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1, 6]}
 
 
 def seen(vessels: int = VESSELS) -> Targets:
-    return make_targets(same_boxes(FRAMES, vessels, centred(600, 600)), [0] * vessels)
+    return build.steady_targets(FRAMES, vessels, build.centred(600, 600), [0] * vessels)
 
 
 def detector(score: dict[str, Any] = SCORE, **persistence: Any) -> Detector:
     confusion = [[0.6, 0.1], [0.15, 0.6], [MISS_RATE, 0.3]]
     quantiles = {"quantiles": [0.25, 0.95]}
     confidence = {"true": quantiles, "false": quantiles}
-    data = one_state_data(false_discovery_rate=0, confusion=confusion, confidence=confidence)
+    data = build.one_state_data(false_discovery_rate=0, confusion=confusion, confidence=confidence)
     data |= {"persistence": {"score": score, **persistence}}
-    return Detector(parse_detector(data), 5, TargetStatistics(), clock(STEP_S))
+    return build.detector(data, 5, STEP_S)
 
 
 def by_frame(found: Detections, values: np.ndarray, fill: float) -> np.ndarray:
-    true = found.kind == TRUE
-    result = np.full(FRAMES * VESSELS, fill)
-    result[found.target[true]] = values[true]
-    return result.reshape(FRAMES, VESSELS)
+    return build.by_frame(found, values, FRAMES, VESSELS, fill)
 
 
 @pytest.fixture(scope="module")
 def found() -> Detections:
-    return detector().detect(make_frames(FRAMES, time_step_s=STEP_S), seen())
+    return detector().detect(build.make_frames(FRAMES, time_step_s=STEP_S), seen())
 
 
 def test_at_any_time_misses_labels_and_confidences_have_their_chances(found: Detections) -> None:
@@ -85,9 +69,9 @@ def test_a_vessel_grows_unsure_before_it_is_lost(found: Detections) -> None:
 
 
 def test_the_frames_before_and_other_vessels_change_nothing() -> None:
-    frames, few = make_frames(FRAMES, time_step_s=STEP_S), seen(20)
+    frames, few = build.make_frames(FRAMES, time_step_s=STEP_S), seen(20)
     whole = detector().detect(frames, few)
-    assert all_bytes(detect_in_chunks(detector(), frames, few, [0, 17, FRAMES])) == all_bytes(whole)
+    assert build.all_bytes(build.detect_in_chunks(detector(), frames, few, [0, 17, FRAMES])) == build.all_bytes(whole)
     alone = detector().detect(frames, seen(1))
     ours = (whole.kind == TRUE) & (whole.target % 20 == 0)
     np.testing.assert_array_equal(whole.confidence[ours], alone.confidence[alone.kind == TRUE])

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely
@@ -33,8 +31,7 @@ def test_sea_polygon_is_the_image_cut_by_the_half_plane(angle_rad: float, offset
     assume(sea.area > 1e-6)
     polygon = sea_polygons(plane, IMAGE_PX)[0]
     assert area(polygon) == pytest.approx(sea.area, rel=1e-9, abs=1e-9)
-    assert np.all(polygon @ [a, b] + c >= -1e-9)
-    assert np.all((polygon >= 0) & (polygon <= IMAGE_PX))
+    assert np.all(polygon @ [a, b] + c >= -1e-9) and np.all((polygon >= 0) & (polygon <= IMAGE_PX))
 
 
 @pytest.mark.parametrize("plane", [[0, 0, -1], [0, 1, -100], [1, 0, -40]])
@@ -59,5 +56,4 @@ def test_places_are_spread_evenly_over_the_sea(angle_rad: float, offset_px: floa
 def test_sea_along_an_edge_only_puts_all_places_on_the_edge() -> None:
     planes = np.repeat([[0.0, 1.0, -24.0]], 50, axis=0)
     places = uniform_places(planes, IMAGE_PX, np.random.default_rng(5).random((50, 3)))
-    assert np.all(places[:, 1] == 24)
-    assert np.all((places[:, 0] >= 0) & (places[:, 0] <= 36))
+    assert np.all(places[:, 1] == 24) and np.all((places[:, 0] >= 0) & (places[:, 0] <= 36))

@@ -1,7 +1,5 @@
 """Misses that follow what a vessel looks like otherwise in one state than in another."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -10,7 +8,7 @@ import pytest
 from scipy import special
 
 from modsim3d.core.errors import InputError
-from modsim3d.detector.chain import Detector, target_statistics, used_models
+from modsim3d.detector.chain import target_statistics, used_models
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import parse_detector
@@ -20,7 +18,7 @@ from modsim3d.formats.labelled_video.detect_truth import check_needs
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import judge
-from tests.detector.detector_builders import all_bytes, clock, detector_data, make_frames, make_targets
+from tests.detector.detector_builders import all_bytes, detector_data, make_frames, make_targets, run
 
 FRAMES, VESSELS = 3000, 6
 SHARED = {"per_unit": 0.002, "reference": 200}
@@ -47,14 +45,9 @@ def scene(frames: int = FRAMES) -> tuple[CameraFrames, Targets]:
     return make_frames(frames), dataclasses.replace(targets, depth_m=random.uniform(50, 400, len(targets)))
 
 
-def detector(data: dict[str, Any], frames: CameraFrames, targets: Targets) -> Detector:
-    model = parse_detector(data)
-    return Detector(model, 1, target_statistics(model, [(frames, targets)]), clock())
-
-
 def test_misses_follow_the_distance_as_each_state_says() -> None:
     frames, targets = scene()
-    found = detector(own_data(), frames, targets).detect(frames, targets)
+    found = run(own_data(), frames, targets)
     missed = np.ones(len(targets), dtype=bool)
     missed[found.target[found.kind == TRUE]] = False
     state = found.states[targets.frame]
@@ -66,8 +59,7 @@ def test_misses_follow_the_distance_as_each_state_says() -> None:
         for low in range(50, 400, 50):
             rows = (state == number) & (targets.depth_m >= low) & (targets.depth_m < low + 50)
             error = np.sqrt(np.mean(rate[rows] * (1 - rate[rows])) / rows.sum())
-            assert rows.sum() > 300
-            assert abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
+            assert rows.sum() > 300 and abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
 
 
 def test_anchored_misses_have_the_rate_of_each_state_on_average_over_the_scene() -> None:
@@ -132,20 +124,18 @@ def test_an_own_effect_that_equals_the_shared_one_changes_nothing(anchor: str) -
     frames, targets = scene(500)
     shared = data_with({"distance_m": SHARED, "anchor": anchor}, {})
     same = data_with({"distance_m": SHARED, "anchor": anchor}, {"distance_m": SHARED})
-    found = [all_bytes(detector(data, frames, targets).detect(frames, targets)) for data in (shared, same)]
+    found = [all_bytes(run(data, frames, targets)) for data in (shared, same)]
     assert found[0] == found[1]
 
 
 def test_a_state_may_be_the_only_one_with_effects() -> None:
     model = parse_detector(data_with({"anchor": "state_rate"}, {"distance_m": FOG}))
-    assert model.dropout.anchored
-    assert model.dropout.effects_of(0) == ()
+    assert model.dropout.anchored and model.dropout.effects_of(0) == ()
     used = {each.key: each for each in used_models(model)}["states.fog.dropout.distance_m"]
     assert (used.name, used.state) == ("logistic", "fog")
     frames, targets = scene(100)
     plain, own = (
-        all_bytes(detector(data, frames, targets).detect(frames, targets))
-        for data in (detector_data(), data_with({}, {"distance_m": FOG}))
+        all_bytes(run(data, frames, targets)) for data in (detector_data(), data_with({}, {"distance_m": FOG}))
     )
     assert plain != own
 
@@ -169,18 +159,15 @@ def test_a_state_may_be_the_only_one_with_effects() -> None:
         ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, partly_hidden"),
     ],
 )
-def test_a_bad_effect_of_a_state_is_told_with_its_path(
-    dropout: dict[str, Any], fog: dict[str, Any], message: str
-) -> None:
+def test_a_bad_effect_of_a_state_is_told_with_its_path(dropout, fog, message):
     with pytest.raises(InputError) as error:
         parse_detector(data_with({"size_px": SIZE, **dropout}, fog))
-    assert message in str(error.value)
-    assert len(str(error.value).splitlines()) <= 2
+    assert message in str(error.value) and len(str(error.value).splitlines()) <= 2
 
 
 def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere() -> None:
     frames, targets = scene()
-    drawn = detector(own_data(anchor="state_rate"), frames, targets).detect(frames, targets)
+    drawn = run(own_data(anchor="state_rate"), frames, targets)
     evidence = Evidence.of([CameraEvidence(frames, targets, drawn)])
     honest = judge(class_checks(parse_detector(own_data(anchor="state_rate")), evidence))
     assert [each.parameter.name for each in honest.failed] == []
@@ -192,8 +179,7 @@ def test_verify_tests_the_effect_of_a_state_there_and_the_shared_one_elsewhere()
     wrong = own_data(anchor="state_rate")
     wrong["states"]["fog"]["dropout"]["distance_m"] = FOG | {"per_unit": 0.02}
     failed = {each.parameter.name for each in judge(class_checks(parse_detector(wrong), evidence)).failed}
-    assert fogs in failed
-    assert "dropout.distance_m.per_unit" not in failed
+    assert fogs in failed and "dropout.distance_m.per_unit" not in failed
 
 
 def test_boxes_without_a_distance_are_refused_with_what_leaves_out_the_effect_of_the_state() -> None:

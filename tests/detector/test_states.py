@@ -1,7 +1,5 @@
 """Performance states: their chain, the share of time in each, forced states and chains of cameras of their own."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -79,17 +77,13 @@ def test_transition_k_uses_the_kth_number_of_the_stream() -> None:
 def test_the_frame_rate_does_not_change_the_weather() -> None:
     fine = sequence(model(transition_interval_s=1.0)).at(make_frames(2000, time_step_s=0.05))
     coarse = sequence(model(transition_interval_s=1.0)).at(make_frames(200, time_step_s=0.5))
-    assert np.array_equal(fine[::10], coarse)
-    assert 0 < coarse.mean() < 1
+    assert np.array_equal(fine[::10], coarse) and 0 < coarse.mean() < 1
 
 
 def test_an_interval_far_too_short_is_refused_and_no_frames_have_no_states() -> None:
     with pytest.raises(ModsimError, match="longer transition_interval_s than 1e-09"):
         sequence(model(transition_interval_s=1e-9)).at(make_frames(100))
     assert sequence(model()).at(make_frames(0)).shape == (0,)
-
-
-# ---- forced states, and chains of cameras of their own ------------------------------------------------------
 
 
 def states_of(camera: str = "C0", frames: int = 3000, **changes: object) -> np.ndarray:
@@ -130,9 +124,6 @@ def test_a_forced_state_is_due_in_spite_of_rounding() -> None:
     assert frames.times_s[3] < 2.1
     forced = model(performance={"schedule": [[0, "clear"], [2.1, "fog"]]})
     assert PerformanceStates(forced, Streams(1)).at(frames).tolist() == [0, 0, 0, 1, 1]
-
-
-# ---- shares of the time in the long run -----------------------------------------------------------------------
 
 
 def test_two_states_are_shared_as_their_rates_of_leaving():

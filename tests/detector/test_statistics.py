@@ -1,24 +1,12 @@
 """What comes out of the detector has the statistics that went in, over 200,000 untruncated boxes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections, Targets
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    MEAN_PX,
-    centred,
-    make_frames,
-    make_targets,
-    one_state_data,
-    run,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 FRAMES, VESSELS = 10_000, 20
 CONFUSION = np.array([[0.7, 0.1], [0.1, 0.6], [0.2, 0.3]])
@@ -37,13 +25,12 @@ class Sample:
 @pytest.fixture(scope="module")
 def sample() -> Sample:
     label = np.arange(VESSELS) % 2
-    targets = make_targets(same_boxes(FRAMES, VESSELS, centred(600, 600)), label)
-    return Sample(targets, run(parse_detector(one_state_data()), make_frames(FRAMES), targets, seed=20))
+    targets = build.steady_targets(FRAMES, VESSELS, build.centred(600, 600), label)
+    return Sample(targets, build.run(build.one_state_data(), build.make_frames(FRAMES), targets, seed=20))
 
 
 def test_no_box_of_the_sample_is_truncated(sample: Sample) -> None:
-    assert len(sample.targets) == 200_000
-    assert not sample.detections.redrawn.any()
+    assert len(sample.targets) == 200_000 and not sample.detections.redrawn.any()
 
 
 @pytest.mark.parametrize("label", [0, 1])
@@ -68,13 +55,13 @@ def test_class_rates_are_the_confusion_matrix(sample: Sample, label: int, detect
 @pytest.mark.parametrize("component", range(4))
 def test_box_error_mean_is_the_one_asked_for(sample: Sample, component: int) -> None:
     errors = sample.errors_px[:, component]
-    standard_error = np.sqrt(COVARIANCE_PX2[component][component] / len(errors))
-    assert abs(errors.mean() - MEAN_PX[component]) < 4 * standard_error
+    standard_error = np.sqrt(build.COVARIANCE_PX2[component][component] / len(errors))
+    assert abs(errors.mean() - build.MEAN_PX[component]) < 4 * standard_error
 
 
 @pytest.mark.parametrize(("i", "j"), [(i, j) for i in range(4) for j in range(i, 4)])
 def test_box_error_covariance_is_the_one_asked_for(sample: Sample, i: int, j: int) -> None:
-    c, errors = np.array(COVARIANCE_PX2, dtype=float), sample.errors_px
+    c, errors = np.array(build.COVARIANCE_PX2, dtype=float), sample.errors_px
     # Of a normal sample: var(s_ij) = (c_ii c_jj + c_ij²) / (n − 1)
     standard_error = np.sqrt((c[i, i] * c[j, j] + c[i, j] ** 2) / (len(errors) - 1))
     assert abs(np.cov(errors.T)[i, j] - c[i, j]) < 4 * standard_error
@@ -82,7 +69,7 @@ def test_box_error_covariance_is_the_one_asked_for(sample: Sample, i: int, j: in
 
 def test_boxes_are_the_truth_with_these_errors(sample: Sample) -> None:
     true = sample.detections.kind == TRUE
-    boxes, truth = sample.detections.boxes_px[true], np.array(centred(600, 600))
+    boxes, truth = sample.detections.boxes_px[true], np.array(build.centred(600, 600))
     centre_error = (boxes[:, :2] + boxes[:, 2:]) / 2 - (truth[:2] + truth[2:]) / 2
     size_error = boxes[:, 2:] - boxes[:, :2] - 600
     np.testing.assert_allclose(np.hstack([centre_error, size_error]), sample.errors_px, atol=1e-9)
@@ -110,10 +97,7 @@ def test_confidence_has_the_mean_and_spread_asked_for(sample: Sample, kind: int)
 
 
 def test_noise_of_a_vessel_at_consecutive_steps_is_uncorrelated(sample: Sample) -> None:
-    true = sample.detections.kind == TRUE
-    errors = np.full(len(sample.targets), np.nan)
-    errors[sample.detections.target[true]] = sample.errors_px[:, 0]
-    series = errors.reshape(FRAMES, VESSELS)
+    series = build.by_frame(sample.detections, sample.detections.errors_px[:, 0], FRAMES, VESSELS)
     for one, other in [(series[:-1], series[1:]), (series[:, :-1], series[:, 1:])]:
         both = ~np.isnan(one) & ~np.isnan(other)
         assert abs(np.corrcoef(one[both], other[both])[0, 1]) < 4 / np.sqrt(both.sum())

@@ -1,7 +1,5 @@
 """Box errors of Student's t law: mean and covariance are the law's own, tails are heavier, and `verify` holds it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -11,48 +9,39 @@ from scipy import special, stats
 from modsim3d.core.boxes import inside_image, move
 from modsim3d.core.errors import InputError
 from modsim3d.detector.box_error import BoxErrorSource
-from modsim3d.detector.chain import Detector
 from modsim3d.detector.draws import StudentT, standardised
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.records import TRUE, Detections
-from modsim3d.detector.target_statistics import TargetStatistics
+from modsim3d.detector.records import Detections
 from modsim3d.detector.truncation import truncated_errors
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step
 from modsim3d.verify.error_parameters import ErrorParameters
 from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.verification import verify_evidence
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    IMAGE_PX,
-    MEAN_PX,
-    centred,
-    clock,
-    detector_data,
-    make_frames,
-    make_targets,
-    one_state_data,
-    run,
-    same_boxes,
-    state_data,
-)
+from tests.detector import detector_builders as build
 from tests.detector_variants import variant
 
 NU = 6.0
-SEEN = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
-C = np.array(COVARIANCE_PX2, dtype=float)
-LARGE = centred(2400, 1800)
+SEEN = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
+C = np.array(build.COVARIANCE_PX2, dtype=float)
+LARGE = build.centred(2400, 1800)
 
 
 def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
-    error = {"law": "student_t", "degrees_of_freedom": nu, "unit": "px", "mean": MEAN_PX, "covariance": COVARIANCE_PX2}
+    error = {
+        "law": "student_t",
+        "degrees_of_freedom": nu,
+        "unit": "px",
+        "mean": build.MEAN_PX,
+        "covariance": build.COVARIANCE_PX2,
+    }
     return error | changes
 
 
 def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
-    model = parse_detector(one_state_data(**SEEN, box_error=error) | sections)
-    detector = Detector(model, 1, TargetStatistics(), clock())
-    return detector.detect(make_frames(frames), make_targets(same_boxes(frames, 20, box_px)))
+    model = parse_detector(build.one_state_data(**SEEN, box_error=error) | sections)
+    detector = build.detector(model)
+    return detector.detect(build.make_frames(frames), build.steady_targets(frames, 20, box_px))
 
 
 @pytest.fixture(scope="module", params=[{}, {"persistence": {"box_s": 0.05}}], ids=["independent", "persistent"])
@@ -64,14 +53,14 @@ def errors(request: pytest.FixtureRequest) -> np.ndarray:
 
 def test_errors_have_the_mean_and_the_covariance_of_the_file(errors: np.ndarray) -> None:
     worth = len(errors) / 1.4  # those that persist for 0.05 s count for fewer
-    assert np.all(np.abs(errors.mean(axis=0) - MEAN_PX) < 4 * np.sqrt(np.diag(C) / worth))
+    assert np.all(np.abs(errors.mean(axis=0) - build.MEAN_PX) < 4 * np.sqrt(np.diag(C) / worth))
     fourth = (NU - 2) / (NU - 4)  # of a t law over that of a normal one
     variance = fourth * (2 * C**2 + np.outer(np.diag(C), np.diag(C))) - C**2
     assert np.all(np.abs(np.cov(errors.T) - C) < 4 * np.sqrt(variance / worth))
 
 
 def test_squared_lengths_have_the_law_of_a_t_variate(errors: np.ndarray) -> None:
-    moved = errors - MEAN_PX
+    moved = errors - build.MEAN_PX
     q = np.einsum("ni,ij,nj->n", moved, np.linalg.inv(C * (NU - 2) / NU), moved)
     sample = q[::401]  # of other vessels and far from each other in time
     assert stats.kstest(q[::7] / 4, stats.f(4, NU).cdf).statistic < 0.02
@@ -79,7 +68,7 @@ def test_squared_lengths_have_the_law_of_a_t_variate(errors: np.ndarray) -> None
 
 
 def test_each_component_has_the_kurtosis_of_its_law() -> None:
-    nu, moved = 20.0, drawn(t_error(nu=20.0)).errors_px - MEAN_PX
+    nu, moved = 20.0, drawn(t_error(nu=20.0)).errors_px - build.MEAN_PX
     eighth = 105 * (nu - 2) ** 3 / ((nu - 4) * (nu - 6) * (nu - 8))  # moment of a t number with variance one
     standard_error = np.sqrt(eighth / len(moved))
     for j in range(4):
@@ -100,7 +89,7 @@ def test_scales_are_those_of_a_chi_square_number() -> None:
 def test_the_normal_numbers_are_those_of_a_normal_law() -> None:
     normal = drawn(t_error() | {"law": "normal", "degrees_of_freedom": None}, frames=200).errors_px
     heavy = drawn(t_error(), frames=200).errors_px
-    scale = (heavy - MEAN_PX) / (normal - MEAN_PX)
+    scale = (heavy - build.MEAN_PX) / (normal - build.MEAN_PX)
     np.testing.assert_allclose(scale, scale[:, :1] * np.ones(4), rtol=1e-6)
     latent = np.random.default_rng(0).standard_normal((4000, 5))
     almost = standardised(StudentT(degrees_of_freedom=1e7), latent)
@@ -108,12 +97,12 @@ def test_the_normal_numbers_are_those_of_a_normal_law() -> None:
 
 
 def test_a_t_law_in_one_state_leaves_the_bytes_of_another_state_alone() -> None:
-    small = {"unit": "px", "mean": MEAN_PX, "covariance": COVARIANCE_PX2}
-    data = detector_data()
-    both = data | {"states": {"clear": state_data(), "fog": state_data(box_error=t_error())}}
-    data = data | {"states": {"clear": state_data(), "fog": state_data(box_error=small)}}
-    frames, targets = make_frames(300), make_targets(same_boxes(300, 3, centred(30, 20)))
-    plain, mixed = run(parse_detector(data), frames, targets), run(parse_detector(both), frames, targets)
+    small = {"unit": "px", "mean": build.MEAN_PX, "covariance": build.COVARIANCE_PX2}
+    data = build.detector_data()
+    both = data | {"states": {"clear": build.state_data(), "fog": build.state_data(box_error=t_error())}}
+    data = data | {"states": {"clear": build.state_data(), "fog": build.state_data(box_error=small)}}
+    frames, targets = build.make_frames(300), build.steady_targets(300, 3, build.centred(30, 20))
+    plain, mixed = build.run(data, frames, targets), build.run(both, frames, targets)
     clear = plain.states[plain.frame] == 0
     assert np.array_equal(plain.errors_px[clear], mixed.errors_px[clear], equal_nan=True)
     assert plain.redrawn[clear].any()
@@ -122,21 +111,19 @@ def test_a_t_law_in_one_state_leaves_the_bytes_of_another_state_alone() -> None:
 
 def test_scales_persist_like_the_errors_do() -> None:
     found = drawn(t_error(), frames=1500, persistence={"box_s": 1.0})
-    moved = np.full((1500 * 20, 4), np.nan)
-    true = found.kind == TRUE
-    moved[found.target[true]] = found.errors_px[true] - MEAN_PX
-    lengths = np.log(np.einsum("ni,ij,nj->n", moved, np.linalg.inv(C), moved)).reshape(1500, 20)
+    moved = build.by_frame(found, found.errors_px - build.MEAN_PX, 1500, 20)
+    lengths = np.log(np.einsum("tvi,ij,tvj->tv", moved, np.linalg.inv(C), moved))
     near = np.corrcoef(lengths[1:].ravel(), lengths[:-1].ravel())[0, 1]
     far = np.corrcoef(lengths[60:].ravel(), lengths[:-60].ravel())[0, 1]
     assert near > 0.8
     assert abs(far) < 0.1
 
 
-@pytest.mark.parametrize("box_px", [centred(20, 20), [0, 1000, 60, 1040]])
+@pytest.mark.parametrize("box_px", [build.centred(20, 20), [0, 1000, 60, 1040]])
 def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
     found = drawn(t_error(), box_px, frames=2000)
-    source = BoxErrorSource.from_model(parse_detector(one_state_data(**SEEN, box_error=t_error())))
-    asked = truncated_errors(source, 0, np.array([box_px]), IMAGE_PX)
+    source = BoxErrorSource.from_model(parse_detector(build.one_state_data(**SEEN, box_error=t_error())))
+    asked = truncated_errors(source, 0, np.array([box_px]), build.IMAGE_PX)
     std = np.sqrt(np.diag(asked.covariances()[0]))
     assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < 0.04 * std)
     assert np.all(np.abs(found.errors_px.std(axis=0) / std - 1) < 0.08)  # of heavy tails, which stray farther
@@ -155,14 +142,14 @@ def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[flo
 )
 def test_a_law_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        parse_detector(one_state_data(box_error=t_error(**changes)))
+        parse_detector(build.one_state_data(box_error=t_error(**changes)))
 
 
 BOXES = np.array([[1800.0, 1200, 1840, 1212], [1800.0, 1200, 2200, 1500], [0.0, 700, 15, 790]])
 
 
 def law_of(nu: float) -> ErrorParameters:
-    state = parse_detector(one_state_data(box_error=t_error(nu))).states[0]
+    state = parse_detector(build.one_state_data(box_error=t_error(nu))).states[0]
     return ErrorParameters.of(state.box_error)
 
 
@@ -188,12 +175,12 @@ def test_scores_are_derivatives_of_the_t_density(parameter: int) -> None:
 def samples_of(law: ErrorParameters, copies: int, count: int) -> list[StateErrors]:
     """Truncated errors of three boxes, so many of each, so many times over."""
     boxes = np.repeat(BOXES, copies, axis=0)
-    images, rng, pools = np.tile(np.array(IMAGE_PX, float), (len(boxes), 1)), np.random.default_rng(3), []
+    images, rng, pools = np.tile(np.array(build.IMAGE_PX, float), (len(boxes), 1)), np.random.default_rng(3), []
     nu = law.numbers()[-1]
     for box in BOXES:
         shape = law.correlation * np.outer(law.std, law.std) * (nu - 2) / nu
         draws = stats.multivariate_t(law.mean, shape, df=nu).rvs(12 * copies * count, random_state=rng)
-        pools.append(draws[inside_image(move(box, draws), IMAGE_PX)])
+        pools.append(draws[inside_image(move(box, draws), build.IMAGE_PX)])
     return [
         StateErrors(
             np.concatenate([pool[k * copies : (k + 1) * copies] for pool in pools]),
@@ -235,9 +222,7 @@ def t_data(nu: float = 4.0, spread: float = 1.0, **sections: Any) -> dict[str, A
     return data
 
 
-def test_honest_seeds_obey_and_their_statistics_have_the_spread_of_a_normal_number(
-    many: ManyDetections, table: MomentTable
-) -> None:
+def test_honest_seeds_obey_and_their_statistics_have_the_spread_of_a_normal_number(many, table):
     """Standard errors that are a quarter too small are found by their spread, and hardly by whether seeds obey."""
     model, z = parse_detector(t_data()), []
     for seed in range(6):
@@ -245,8 +230,7 @@ def test_honest_seeds_obey_and_their_statistics_have_the_spread_of_a_normal_numb
         assert found.obeys, (seed, [(verdict.parameter.name, verdict.p_value) for verdict in found.failed])
         of_law = (v.parameter.measure for v in found.verdicts if ".box_error." in v.parameter.name)
         z += [measure.z for measure in of_law if measure is not None]
-    assert len(z) > 150
-    assert abs(np.mean(z)) < 4 / np.sqrt(len(z))
+    assert len(z) > 150 and abs(np.mean(z)) < 4 / np.sqrt(len(z))
     assert abs(np.std(z) - 1) < 4 / np.sqrt(2 * len(z))
 
 
@@ -264,9 +248,7 @@ def test_honest_errors_that_persist_obey(many: ManyDetections, table: MomentTabl
 @pytest.mark.parametrize(
     ("changes", "named"), [({"nu": 60.0}, "degrees_of_freedom"), ({"spread": 2.0}, "std")], ids=["nu", "covariance"]
 )
-def test_a_wrong_law_is_noticed_and_named(
-    many: ManyDetections, table: MomentTable, changes: dict[str, float], named: str
-) -> None:
+def test_a_wrong_law_is_noticed_and_named(many, table, changes, named):
     asked, made_with = parse_detector(t_data()), parse_detector(t_data(**changes))
     found = verify_evidence(asked, many.detect(made_with, 1), table)
     assert found.failed

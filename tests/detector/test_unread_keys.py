@@ -1,7 +1,5 @@
 """A key of a detector file changes the detections, or nothing reads it and that is said."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,79 +24,32 @@ from tests.detector_variants import CHANGES, variant
 
 SKEWED = [[0.002, 0, 0, 0], [0, 0.001, 0, 0], [0, 0, 0.003, 0], [0, 0, 0, 0.001]]
 OTHERS: dict[str, list[Any]] = {
-    "labels": [["x"], ["x", "y"], ["x", "y", "z"]],
-    "confidence_threshold": [0.25],
-    "operating_threshold": [0.65],
+    **{"labels": [["x"], ["x", "y"], ["x", "y", "z"]], "confidence_threshold": [0.25], "operating_threshold": [0.65]},
     "initial_state": ["haze", "fog", "terrible"],
     "transition_matrix": [[[0.5, 0.5], [0.5, 0.5]], [[0.25] * 4] * 4, [[1]]],
-    "transition_interval_s": [0.7],
-    "scope": ["per_camera"],
-    "schedule": [[[1, "haze"]], [[1, "terrible"]]],
+    **{"transition_interval_s": [0.7], "scope": ["per_camera"], "schedule": [[[1, "haze"]], [[1, "terrible"]]]},
     "anchor": ["none", "state_rate"],
     "visible_fraction": [{"per_unit": -3, "reference": 0.5}, {"edges": [0.5], "odds": [1, 5]}],
     "partly_hidden": [{"per_unit": 1.5, "reference": 0}, {"edges": [0.5], "odds": [1, 5]}],
     "size_px": [{"per_doubling": -0.9, "reference": 20}, {"edges": [50], "odds": [1, 5]}],
     "distance_m": [{"per_doubling": 0.9, "reference": 20}, {"edges": [900], "odds": [1, 5]}],
-    "intercept": [[0.5], [0.5] * 2, [0.5] * 3],
-    "learned_log_odds": [[[0.5]], [[0.5]] * 2, [[0.5]] * 3],
-    "per_unit": [-2.5],
-    "per_doubling": [-0.4],
-    "reference": [0.3],
-    "edges": [[700, 2000]],
-    "odds": [[2.0, 0.5, 1.0]],
-    "max_range_m": [500],
-    "min_box_px": [30],
-    "max_occlusion": [0.5],
-    "update_interval_s": [0.5],
-    "max_detections": [2],
-    "class_s": [2.5],
-    "box_s": [2.5],
-    "confidence_s": [2.5],
-    "merge_s": [2.5],
-    "class_vessel_share": [0.4],
-    "box_vessel_share": [0.4],
-    "score": [{"vessel_share": 0.4}],
-    "vessel_share": [0.2],
-    "shares": [[0.3]],
-    "times_s": [[3.5]],
-    "rate": [0.9],
-    "placement": ["uniform", "horizon_band", "density"],
-    "band_px": [50],
-    "density": [[[1, 0], [0, 1]]],
-    "far_half_px": [30],
-    "size": [{"model": "fixed", "px": [30, 40]}],
-    "px": [[30, 40]],
-    "log_std": [0.9],
-    "persistence": [{"lifetime_s": 3, "share": 0.9}],
-    "lifetime_s": [9.5],
-    "drift_px_s": [99],
-    "share": [0.3],
-    "duplicates": [0.04],
-    "merges": [0.95],
-    "merge_overlap": [0.01],
-    "splits": [0.04],
-    "split_aspect": [1.1],
-    "confusion": [
-        [[0.5], [0.5]],
-        [[0.5, 0.1, 0.1], [0.1, 0.5, 0.1], [0.1, 0.1, 0.5], [0.3, 0.3, 0.3]],
-    ],
-    "false_positive_labels": [[0.1, 0.2, 0.7]],
-    "false_discovery_rate": [0.5],
-    "false_positives_per_image": [3.5],
+    **{"intercept": [[0.5], [0.5] * 2, [0.5] * 3], "learned_log_odds": [[[0.5]], [[0.5]] * 2, [[0.5]] * 3]},
+    **{"per_unit": [-2.5], "per_doubling": [-0.4], "reference": [0.3], "edges": [[700, 2000]]},
+    **{"odds": [[2.0, 0.5, 1.0]], "max_range_m": [500], "min_box_px": [30], "max_occlusion": [0.5]},
+    **{"update_interval_s": [0.5], "max_detections": [2], "class_s": [2.5], "box_s": [2.5], "confidence_s": [2.5]},
+    **{"merge_s": [2.5], "class_vessel_share": [0.4], "box_vessel_share": [0.4], "score": [{"vessel_share": 0.4}]},
+    **{"vessel_share": [0.2], "shares": [[0.3]], "times_s": [[3.5]], "rate": [0.9]},
+    **{"placement": ["uniform", "horizon_band", "density"], "band_px": [50], "density": [[[1, 0], [0, 1]]]},
+    **{"far_half_px": [30], "size": [{"model": "fixed", "px": [30, 40]}], "px": [[30, 40]], "log_std": [0.9]},
+    **{"persistence": [{"lifetime_s": 3, "share": 0.9}], "lifetime_s": [9.5], "drift_px_s": [99], "share": [0.3]},
+    **{"duplicates": [0.04], "merges": [0.95], "merge_overlap": [0.01], "splits": [0.04], "split_aspect": [1.1]},
+    "confusion": [[[0.5], [0.5]], [[0.5, 0.1, 0.1], [0.1, 0.5, 0.1], [0.1, 0.1, 0.5], [0.3, 0.3, 0.3]]],
+    **{"false_positive_labels": [[0.1, 0.2, 0.7]], "false_discovery_rate": [0.5], "false_positives_per_image": [3.5]},
     "box_error": [{"unit": "relative", "mean": [0, 0, 0, 0], "covariance": SKEWED}],
-    "unit": ["px", "relative"],
-    "mean": [0.51, [0.1, 0.1, 0.1, 0.1]],
-    "std": [0.2],
-    "covariance": [SKEWED],
-    "degrees_of_freedom": [3],
-    "law": ["normal"],
-    "growth": [[0.1, 0.1, 0.1, 0.1]],
-    "true": [{"mean": 0.5, "std": 0.2}],
-    "false": [{"mean": 0.5, "std": 0.2}],
-    "quantiles": [[0.3, 0.5, 0.9]],
-    "precision_recall": [[[0.4, 0.99], [0.7, 0.8]]],
-    "visibility_slope": [0.15],
-    "size_slope": [0.15],
+    **{"unit": ["px", "relative"], "mean": [0.51, [0.1, 0.1, 0.1, 0.1]], "std": [0.2], "covariance": [SKEWED]},
+    **{"degrees_of_freedom": [3], "law": ["normal"], "growth": [[0.1, 0.1, 0.1, 0.1]]},
+    **{"true": [{"mean": 0.5, "std": 0.2}], "false": [{"mean": 0.5, "std": 0.2}], "quantiles": [[0.3, 0.5, 0.9]]},
+    **{"precision_recall": [[[0.4, 0.99], [0.7, 0.8]]], "visibility_slope": [0.15], "size_slope": [0.15]},
     "size_reference_px": [500.0],
 }
 """Name of a key → values of which at least one is another one than the file's and fits it."""
@@ -110,12 +61,6 @@ MODELS = {
 STEPS = 400
 FRAMES, TARGETS = rich_frames(STEPS), chunk(rich_frames(), rich_targets(), 0, STEPS)[1]
 LAST_S = float(FRAMES.times_s[-1])
-
-
-def data_of(name: str) -> dict[str, Any]:
-    if name in CHANGES:
-        return variant(name)
-    return load_yaml(shipped_detectors()[name], "detector")
 
 
 def paths(model: Any, data: dict[str, Any], *before: str) -> Iterator[tuple[str, ...]]:
@@ -174,7 +119,7 @@ def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
     ],
 )
 def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
-    plain = data_of(name)
+    plain = variant(name) if name in CHANGES else load_yaml(shipped_detectors()[name], "detector")
     moving = in_every_state(plain)
     unchanged = {id(base): (output(base), meaning(parse_detector(base))) for base in (plain, moving)}
     silent, read = [], 0
@@ -276,9 +221,6 @@ def test_a_model_that_reads_the_false_discovery_rate_needs_it() -> None:
     model = parse_detector(two_states(**PER_IMAGE))
     assert np.isnan(model.states[0].false_discovery_rate)
     assert repr(model.states[0]) == "<PerformanceState clear: 0.4 false positives an image>"
-
-
-# ---- the operating threshold -------------------------------------------------------------------------------------
 
 
 def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else() -> None:

@@ -1,7 +1,5 @@
 """Noise that vessels keep: rates and covariances hold over many vessels, and a part of every correlation stays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,23 +7,10 @@ import pytest
 from pydantic import ValidationError
 from scipy import special
 
-from modsim3d.detector.chain import Detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.schema_models import PersistenceSection
 from modsim3d.detector.records import TRUE, Detections, Targets
-from modsim3d.detector.target_statistics import TargetStatistics
-from tests.detector.detector_builders import (
-    COVARIANCE_PX2,
-    all_bytes,
-    centred,
-    clock,
-    detect_in_chunks,
-    detector_data,
-    make_frames,
-    make_targets,
-    one_state_data,
-    same_boxes,
-)
+from tests.detector import detector_builders as build
 
 VESSELS, FRAMES, STEP_S = 600, 60, 0.5
 TAU_S, CLASS_SHARE, BOX_SHARE = 0.8, 0.4, 0.3
@@ -33,13 +18,13 @@ SHARES = {"class_vessel_share": CLASS_SHARE, "box_vessel_share": BOX_SHARE}
 
 
 def seen(vessels: int = VESSELS, frames: int = FRAMES) -> Targets:
-    return make_targets(same_boxes(frames, vessels, centred(600, 600)))
+    return build.steady_targets(frames, vessels, build.centred(600, 600))
 
 
 def detect(persistence: dict[str, float], targets: Targets, data: dict[str, Any] | None = None) -> Detections:
-    data = (data or one_state_data(false_discovery_rate=0)) | {"persistence": persistence}
-    detector = Detector(parse_detector(data), 3, TargetStatistics(), clock(STEP_S))
-    return detector.detect(make_frames(FRAMES, time_step_s=STEP_S), targets)
+    data = (data or build.one_state_data(false_discovery_rate=0)) | {"persistence": persistence}
+    detector = build.detector(data, 3, STEP_S)
+    return detector.detect(build.make_frames(FRAMES, time_step_s=STEP_S), targets)
 
 
 @pytest.fixture(scope="module", params=[0.0, TAU_S], ids=["independent", "persistent"])
@@ -53,11 +38,7 @@ def found(tau_s: float) -> Detections:
 
 
 def by_vessel(values: np.ndarray, found: Detections) -> np.ndarray:
-    """Values of true detections by frame and vessel, NaN where missed."""
-    true = found.kind == TRUE
-    result = np.full((FRAMES * VESSELS, *values.shape[1:]), np.nan)
-    result[found.target[true]] = values[true]
-    return result.reshape(FRAMES, VESSELS, *values.shape[1:])
+    return build.by_frame(found, values, FRAMES, VESSELS)
 
 
 def test_rates_hold_over_vessels_although_each_has_its_own(found: Detections) -> None:
@@ -82,32 +63,32 @@ def test_misses_far_apart_in_time_are_as_alike_as_the_share_says(found: Detectio
 def test_errors_have_their_covariance_and_a_correlation_that_stays(found: Detections, tau_s: float) -> None:
     error = by_vessel(found.errors_px, found) - np.array([4, 7, -8, -1])
     covariance = np.nanmean(error[..., :, None] * error[..., None, :], axis=(0, 1))
-    spread = np.sqrt(np.outer(np.diag(COVARIANCE_PX2), np.diag(COVARIANCE_PX2)))
-    assert np.abs((covariance - COVARIANCE_PX2) / spread).max() < 0.12
+    spread = np.sqrt(np.outer(np.diag(build.COVARIANCE_PX2), np.diag(build.COVARIANCE_PX2)))
+    assert np.abs((covariance - build.COVARIANCE_PX2) / spread).max() < 0.12
     for lag in (1, 30):
         kept = np.exp(-lag * STEP_S / tau_s) if tau_s else 0.0
-        products = np.nanmean(error[lag:] * error[:-lag], axis=(0, 1)) / np.diag(COVARIANCE_PX2)
+        products = np.nanmean(error[lag:] * error[:-lag], axis=(0, 1)) / np.diag(build.COVARIANCE_PX2)
         assert np.abs(products - (BOX_SHARE + (1 - BOX_SHARE) * kept)).max() < 0.1
 
 
 def test_what_a_vessel_keeps_is_its_own_whoever_else_is_there_and_however_a_run_is_split() -> None:
-    model = parse_detector(detector_data(persistence={"class_s": TAU_S, **SHARES}))
-    frames, targets = make_frames(FRAMES, time_step_s=STEP_S), seen(20, FRAMES)
-    detector = Detector(model, 3, TargetStatistics(), clock(STEP_S))
+    model = parse_detector(build.detector_data(persistence={"class_s": TAU_S, **SHARES}))
+    frames, targets = build.make_frames(FRAMES, time_step_s=STEP_S), seen(20, FRAMES)
+    detector = build.detector(model, 3, STEP_S)
     whole = detector.detect(frames, targets)
-    assert all_bytes(detect_in_chunks(detector, frames, targets, [0, 17, FRAMES])) == all_bytes(whole)
+    assert build.all_bytes(build.detect_in_chunks(detector, frames, targets, [0, 17, FRAMES])) == build.all_bytes(whole)
     alone = detector.detect(frames, seen(1, FRAMES))
     ours = (whole.kind == TRUE) & (whole.target % 20 == 0)
     np.testing.assert_array_equal(whole.errors_px[ours], alone.errors_px[alone.kind == TRUE])
 
 
 def test_what_is_never_missed_stays_so_and_without_shares_nothing_changes() -> None:
-    sure = one_state_data(false_discovery_rate=0, confusion=[[1, 0], [0, 1], [0, 0]])
+    sure = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN)
     found = detect({"class_vessel_share": 0.9}, seen(40), sure)
     assert (found.kind == TRUE).sum() == 40 * FRAMES
     plain = detect({"class_s": TAU_S, "box_s": TAU_S}, seen(40))
     off = detect({"class_s": TAU_S, "box_s": TAU_S, "class_vessel_share": 0.0, "box_vessel_share": 0.0}, seen(40))
-    assert all_bytes(plain) == all_bytes(off)
+    assert build.all_bytes(plain) == build.all_bytes(off)
 
 
 @pytest.mark.parametrize("share", [1.0, -0.1, "half"])

@@ -1,7 +1,5 @@
 """Changes to binary files that know their form: meshes, images, NumPy archives, and sentences with a checksum."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import random

@@ -1,21 +1,12 @@
 """A case: the files that a reader's name and a number stand for."""
 
-from __future__ import annotations
-
 import gzip
 import random
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import PurePosixPath
 
-from tests.fuzz.binaries import (
-    change_after_header,
-    change_archive,
-    change_binary_stl,
-    change_glb,
-    change_image,
-    change_sentence,
-)
+from tests.fuzz import binaries
 from tests.fuzz.corpora import Files
 from tests.fuzz.readers import READERS
 from tests.fuzz.structures import change_json, change_json_line, change_yaml
@@ -29,13 +20,13 @@ _BY_ENDING: dict[str, tuple[Change, ...]] = {
     ".json": (*[change_json] * 6, change_bytes, change_line, change_cell),
     ".yaml": (*[change_yaml] * 6, change_bytes, change_line, change_cell),
     ".jsonl": (*[change_json_line] * 5, change_bytes, change_line, change_line, change_cell),
-    ".glb": (*[change_glb] * 5, change_bytes),
-    ".stl": (change_binary_stl, change_binary_stl, change_bytes, change_cell),
-    ".ply": (change_after_header, change_cell, change_cell, change_line, change_bytes),
-    ".nmea": (*[change_sentence] * 4, change_cell, change_line, change_bytes),
+    ".glb": (*[binaries.change_glb] * 5, change_bytes),
+    ".stl": (binaries.change_binary_stl, binaries.change_binary_stl, change_bytes, change_cell),
+    ".ply": (binaries.change_after_header, change_cell, change_cell, change_line, change_bytes),
+    ".nmea": (*[binaries.change_sentence] * 4, change_cell, change_line, change_bytes),
     ".parquet": (*[change_table] * 8, change_bytes),
-    ".npz": (*[change_archive] * 5, change_bytes),
-    **dict.fromkeys((".png", ".jpeg", ".bmp", ".webp", ".tiff"), (change_image,)),
+    ".npz": (*[binaries.change_archive] * 5, change_bytes),
+    **dict.fromkeys((".png", ".jpeg", ".bmp", ".webp", ".tiff"), (binaries.change_image,)),
 }
 _SPOILS_ALL, _FINISHED = 0.05, 0.75
 _LARGEST, _LARGEST_PACKED = 2_000_000, 30_000

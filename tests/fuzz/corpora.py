@@ -1,7 +1,5 @@
 """Good files of every kind that is read, as they lie in a folder: name → content."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json
@@ -31,8 +29,6 @@ def _json(content: Any) -> bytes:
 def _shipped(name: str) -> bytes:
     return (data_folder("scenes") / name).read_bytes()
 
-
-# ---- meshes -------------------------------------------------------------------------------------------------------
 
 _CORNERS = np.array([(-1, -1, 0), (3, -1, 0), (3, 1, 0), (-1, 1, 0), (0, 0, 2)], dtype="<f4")
 _FACES = np.array([(0, 2, 1), (0, 3, 2), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)], dtype="<u2")
@@ -91,9 +87,6 @@ def meshes(ending: str) -> tuple[Files, ...]:
     return tuple({f"hull.{ending}": content} for content in found)
 
 
-# ---- scenes -------------------------------------------------------------------------------------------------------
-
-
 def _small_scene(changes: dict[str, Any], ending: str = "yaml") -> Files:
     """The small scene of the tests for bad input with some sections replaced; None removes one."""
     scene = {key: value for key, value in {**GOOD["scene"], **changes}.items() if value is not None}
@@ -112,14 +105,13 @@ def scenes() -> tuple[Files, ...]:
     """Scenes that have every section between them, in YAML and JSON, and shipped ones."""
     lines = b"".join(_json({time: entries}) + b"\n" for time, entries in GOOD["poses"].items())
     generated = {"steps": 5, "time_step_s": 0.5}
+    ashore = {"cameras": FORM["cameras_ashore"], "waves": FORM["process"]}
     named = [
         _small_scene({}),
         _small_scene({}, "json"),
         _small_scene({**FORM["everything"]}, "json"),
         _small_scene({**FORM["everything"]}),
-        _small_scene(
-            {**generated, "poses": CIRCULAR, "cameras": FORM["cameras_ashore"], "waves": FORM["process"]}, "json"
-        ),
+        _small_scene({**generated, "poses": CIRCULAR, **ashore}, "json"),
         _small_scene({**generated, "poses": {"agents": FORM["agents"]}, "waves": {"level": "large"}}, "json"),
         {**_small_scene({"poses": {"stream": {"file": "live.jsonl", "timeout_s": 0}}}, "json"), "live.jsonl": lines},
         {**_small_scene({"poses": {"file": "poses.jsonl.gz"}}), "poses.jsonl.gz": gzip.compress(lines, mtime=0)},
@@ -169,9 +161,6 @@ def detectors() -> tuple[Files, ...]:
     shipped = [_shipped(f"detectors/{name}.yaml") for name in ("rich", "three_labels", "conditions/noon_clear")]
     small = [_json(variant(name)) for name in sorted(CHANGES)]
     return tuple({"detector.yaml": content} for content in (*shipped, _json(GOOD["detector"]), *small))
-
-
-# ---- labelled sets ------------------------------------------------------------------------------------------------
 
 
 @cache
@@ -225,9 +214,6 @@ def yolo() -> tuple[Files, ...]:
         {**labels, **found, **images[0], "set/data.yaml": data},
         {**labels, **found, **images[1], "set/labels/classes.txt": b"kayak\nferry\n"},
     )
-
-
-# ---- AIS ----------------------------------------------------------------------------------------------------------
 
 
 @cache

@@ -1,7 +1,5 @@
 """Inputs that failed once, kept in `kept/READER.json`: what differs from a good input, and why it failed."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import json
@@ -38,8 +36,8 @@ def keep(reader: str, cause: str, numbers: list[int]) -> None:
     if _size(found[0]) > LARGEST or any(entry["cause"] == cause for entry in entries):
         return
     FOLDER.mkdir(exist_ok=True)
-    text = json.dumps([*entries, found[0]], indent=1)
-    (FOLDER / f"{reader}.json").write_text(text + "\n", encoding="utf-8")
+    lines = ",\n".join(map(json.dumps, [*entries, found[0]]))  # an input a line
+    (FOLDER / f"{reader}.json").write_text(f"[\n{lines}\n]\n", encoding="utf-8")
 
 
 def _entry(reader: str, number: int, cause: str) -> dict[str, Any]:

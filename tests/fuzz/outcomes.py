@@ -1,7 +1,5 @@
 """What a reader did with an input: it accepted it, refused it with a clear error, or failed."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import sys
@@ -23,24 +21,16 @@ _TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an input.
+    """What became of an input."""
 
-    Attributes:
-        verdict: `accepted`, `refused` or `failed`.
-        said: The message of a refusal, or what went wrong.
-        place: For a failure, its kind and where in modsim3d it arose: equal for failures of one cause.
-    """
-
-    verdict: str
-    said: str = ""
-    place: str = ""
+    verdict: str  # `accepted`, `refused` or `failed`
+    said: str = ""  # the message of a refusal, or what went wrong
+    place: str = ""  # of a failure: its kind and where in modsim3d it arose, equal for failures of one cause
 
 
 def outcome_of(read: Callable[[Path], None], folder: Path, also_names: Collection[str] = ()) -> Outcome:
-    """Read what lies in a folder and judge what happens.
-
-    An error must name the folder or one of `also_names`. Warnings must be errors when this is called.
-    """
+    """Read what lies in a folder and judge what happens: an error must name the folder or one of `also_names`.
+    Warnings must be errors when this is called."""
     late: list[str] = []
     before, sys.unraisablehook = sys.unraisablehook, lambda found: late.append(repr(found.exc_value))
     try:

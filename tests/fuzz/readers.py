@@ -1,13 +1,12 @@
 """Every reader: good files to spoil, what reads them, and what is then done with what was read."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -43,23 +42,14 @@ NAMES = tuple(GOOD["vessels"])
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader.
-
-    Attributes:
-        name: What the campaign calls it.
-        cases: Cases of the recorded campaign.
-        bases: Good inputs.
-        read: Reads what lies in a folder, and uses it a little.
-        also_names: What errors may name in place of a file of the folder.
-        finish: Makes checksums right again that stand in other files; done for most cases.
-    """
+    """A reader under the name that the campaign calls it by."""
 
     name: str
-    cases: int
-    bases: Callable[[], tuple[Files, ...]]
-    read: Callable[[Path], None]
-    also_names: tuple[str, ...] = ()
-    finish: Callable[[Files], None] = lambda files: None
+    cases: int  # of the recorded campaign
+    bases: Callable[[], tuple[Files, ...]]  # good inputs
+    read: Callable[[Path], None]  # what lies in a folder, to use it a little
+    also_names: tuple[str, ...] = ()  # which errors may name in place of a file of the folder
+    finish: Callable[[Files], None] = lambda files: None  # makes checksums in other files right, in most cases
 
 
 def _only_file(folder: Path, pattern: str) -> Path:
@@ -76,14 +66,9 @@ def _read_scene(folder: Path) -> None:
         steps = min(STEPS, scene.steps)
     if steps:
         scene.at(0)
-        _simulate(scene, steps)
-
-
-def _simulate(scene: Scene, steps: int) -> None:
-    """Truth and detections of the first steps, from the exact geometry."""
-    scene = replace(scene, annotation=replace(scene.annotation, source="analytic"))
-    truth = truth_block(scene, 0, steps, None)
-    Simulation(scene, scene_statistics(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
+        scene = replace(scene, annotation=replace(scene.annotation, source="analytic"))
+        truth = truth_block(scene, 0, steps, None)
+        Simulation(scene, scene_statistics(scene, [(truth, 0, steps)])).detect(truth, 0, steps)
 
 
 @cache
@@ -134,20 +119,8 @@ def _match(labelled: LabelledSet) -> None:
         match(labelled, Rule(method))
 
 
-def _read_coco(folder: Path) -> None:
-    _match(read_pair(CONDITION, folder / "gt.json", folder / "dt.json", ReadOptions(frame_rate_hz=10.0)))
-
-
-def _read_coco_leniently(folder: Path) -> None:
-    _match(read_pair(CONDITION, folder / "gt.json", folder / "dt.json", ReadOptions(skip_bad=True)))
-
-
-def _read_mot(folder: Path) -> None:
-    _match(read_pair(CONDITION, folder / "gt" / "gt.txt", folder / "det" / "det.txt", ReadOptions()))
-
-
-def _read_yolo(folder: Path) -> None:
-    _match(read_pair(CONDITION, folder / "set", folder / "found", ReadOptions()))
+def _pair_reader(truth: str, detections: str, **options: Any) -> Callable[[Path], None]:
+    return lambda folder: _match(read_pair(CONDITION, folder / truth, folder / detections, ReadOptions(**options)))
 
 
 def _read_ais(folder: Path) -> None:
@@ -169,34 +142,26 @@ def _read_run(folder: Path) -> None:
     _match(labelled_run(folder / "run")[0])
 
 
-def _mesh_reader(ending: str) -> Reader:
-    return Reader(ending, 8000, partial(corpora.meshes, ending), partial(_read_mesh, ending))
-
-
 def _ais_reader(name: str, sample: str) -> Reader:
     return Reader(name, 5000, partial(corpora.ais, sample), _read_ais, ("AIS files",))
 
 
+_MESHES = ("glb", "obj", "stl", "ply")
+_KEYS = ("of the box error of state", "transition_interval_s")
 _LABELS = ("labels of ", f"labels and conditions of {CONDITION}")
 READERS = {
     reader.name: reader
     for reader in (
         Reader("scene", 6_000, corpora.scenes, _read_scene),
-        Reader(
-            "detector",
-            10_000,
-            corpora.detectors,
-            _read_detector,
-            ("of the box error of state", "transition_interval_s"),
-        ),
+        Reader("detector", 10_000, corpora.detectors, _read_detector, _KEYS),
         Reader("vessels", 25_000, corpora.vessels, _read_vessels),
         Reader("poses", 20_000, corpora.poses, _read_poses),
         Reader("stream", 30_000, corpora.stream, _read_stream),
-        *map(_mesh_reader, ("glb", "obj", "stl", "ply")),
-        Reader("coco", 22_000, corpora.coco, _read_coco, _LABELS),
-        Reader("coco_skip_bad", 13_000, corpora.coco, _read_coco_leniently, _LABELS),
-        Reader("mot", 16_000, corpora.mot, _read_mot, _LABELS),
-        Reader("yolo", 12_000, corpora.yolo, _read_yolo, _LABELS),
+        *(Reader(kind, 8000, partial(corpora.meshes, kind), partial(_read_mesh, kind)) for kind in _MESHES),
+        Reader("coco", 22_000, corpora.coco, _pair_reader("gt.json", "dt.json", frame_rate_hz=10.0), _LABELS),
+        Reader("coco_skip_bad", 13_000, corpora.coco, _pair_reader("gt.json", "dt.json", skip_bad=True), _LABELS),
+        Reader("mot", 16_000, corpora.mot, _pair_reader("gt/gt.txt", "det/det.txt"), _LABELS),
+        Reader("yolo", 12_000, corpora.yolo, _pair_reader("set", "found"), _LABELS),
         _ais_reader("ais_danish", "danish.csv"),
         _ais_reader("ais_marinecadastre", "marinecadastre.csv"),
         _ais_reader("ais_marinecadastre_2025", "marinecadastre_2025.csv"),

@@ -1,7 +1,5 @@
 """A small finished run and an interrupted one, as the files in their folders."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

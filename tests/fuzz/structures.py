@@ -1,12 +1,11 @@
 """Changes to what JSON and YAML files hold: one value, one key or one entry becomes another."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json
 import random
 import re
+from collections.abc import Callable
 from typing import Any
 
 import yaml
@@ -120,31 +119,10 @@ def _rename(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> 
 
 def _raw_key(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> Any:
     keys = (
-        "1",
-        "null",
-        "~",
-        "[1]",
-        "{a: 1}",
-        "<<",
-        "? x",
-        "!!int 1",
-        "*a",
-        "&a b",
-        "1.5",
-        "true",
-        ".nan",
-        "2024-01-01",
+        *("1", "null", "~", "[1]", "{a: 1}", "<<", "? x", "!!int 1", "*a", "&a b", "1.5", "true", ".nan", "2024-01-01"),
     )
     key = Literal(rng.choice(keys) if form == YAML else rng.choice(("1", "null", "'a'", "a", "")))
     return {**node, key: node[place]}
-
-
-def _many_keys(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> Any:
-    return {**node, **{f"{place}{number}": node[place] for number in range(rng.choice(REPEATS))}}
-
-
-def _extra_key(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> Any:
-    return {**node, rng.choice(TEXTS): odd_value(rng, node[place], form)}
 
 
 def _swap(rng: random.Random, node: Any, place: Any, form: str) -> Any:
@@ -153,31 +131,27 @@ def _swap(rng: random.Random, node: Any, place: Any, form: str) -> Any:
     return copy
 
 
-def _backwards(rng: random.Random, node: Any, place: Any, form: str) -> Any:
-    return dict(reversed(node.items())) if isinstance(node, dict) else node[::-1]
-
-
-def _as_list(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> Any:
-    return list(node.values())
-
-
-def _as_mapping(rng: random.Random, node: list[Any], place: Any, form: str) -> Any:
-    return {str(index): value for index, value in enumerate(node)}
-
-
-def _repeat(rng: random.Random, node: list[Any], place: Any, form: str) -> Any:
-    return node[:place] + [node[place]] * rng.choice(REPEATS) + node[place + 1 :]
-
-
-def _insert(rng: random.Random, node: list[Any], place: Any, form: str) -> Any:
-    return [*node[:place], odd_value(rng, node[place], form), *node[place:]]
-
-
 def _nest(rng: random.Random, node: list[Any], place: Any, form: str) -> Any:
     copy = node.copy()
     copy[place] = node
     return copy
 
 
-_OF_MAPPINGS = (_remove, _remove, _twice, _rename, _raw_key, _many_keys, _extra_key, _swap, _backwards, _as_list)
-_OF_LISTS = (_remove, _remove, _repeat, _insert, _swap, _nest, _backwards, _as_mapping)
+Change = Callable[[random.Random, Any, Any, str], Any]
+"""Another mapping or list, from one, the place of a value in it, and the form of its file."""
+_OF_MAPPINGS: tuple[Change, ...] = (
+    *(_remove, _remove, _twice, _rename, _raw_key),
+    lambda rng, node, place, _: {**node, **{f"{place}{n}": node[place] for n in range(rng.choice(REPEATS))}},
+    lambda rng, node, place, form: {**node, rng.choice(TEXTS): odd_value(rng, node[place], form)},
+    _swap,
+    lambda rng, node, place, form: dict(reversed(node.items())),
+    lambda rng, node, place, form: list(node.values()),
+)
+_OF_LISTS: tuple[Change, ...] = (
+    *(_remove, _remove),
+    lambda rng, node, place, form: node[:place] + [node[place]] * rng.choice(REPEATS) + node[place + 1 :],
+    lambda rng, node, place, form: [*node[:place], odd_value(rng, node[place], form), *node[place:]],
+    *(_swap, _nest),
+    lambda rng, node, place, form: node[::-1],
+    lambda rng, node, place, form: {str(index): value for index, value in enumerate(node)},
+)

@@ -1,7 +1,5 @@
 """A sample of the campaign's cases and every input that failed once: accepted, or refused with a clear error."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -41,9 +39,6 @@ def test_an_input_that_failed_once_is_accepted_or_refused(name: str, entry: dict
     assert outcome.verdict != FAILED, outcome
 
 
-# ---- the campaign itself ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["scene", "yolo", "ais_nmea", "run"])
 def test_a_case_has_the_same_files_each_time(name: str) -> None:
     assert all(files_of(name, number) == files_of(name, number) for number in range(10))
@@ -73,9 +68,7 @@ def _raises(error: Exception) -> Any:
         (ModsimError(""), FAILED),
     ],
 )
-def test_only_a_short_clear_error_that_names_the_source_is_a_refusal(
-    tmp_path: Path, error: Exception, verdict: str
-) -> None:
+def test_only_a_short_clear_error_that_names_the_source_is_a_refusal(tmp_path, error, verdict):
     if isinstance(error, InputError):
         error = InputError(error.source.replace("{folder}", str(tmp_path)), error.problems)
     elif isinstance(error, ModsimError):

@@ -1,7 +1,5 @@
 """Changes to lines of text and to the cells in them, and to bytes without a look at what they mean."""
 
-from __future__ import annotations
-
 import gzip
 import random
 import re

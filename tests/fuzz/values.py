@@ -1,7 +1,5 @@
 """Values that no reader expects where they stand, from `odd_values.json`."""
 
-from __future__ import annotations
-
 import json
 import random
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cases in forked processes, so that one that crashes, hangs or takes too much is one result and not the end."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import mmap
@@ -144,11 +142,7 @@ def _work(reader: str, numbers: Sequence[int], clock: mmap.mmap, results: Connec
 
 
 def warm_up(reader: str, folder: Path) -> None:
-    """Read the good files, which must be accepted.
-
-    Raises:
-        RuntimeError: One is not.
-    """
+    """Read the good files; raise a `RuntimeError` if one is not accepted."""
     for number, files in enumerate(READERS[reader].bases()):
         write_files(files, folder / f"good_{number}")
         outcome = outcome_of(READERS[reader].read, folder / f"good_{number}", READERS[reader].also_names)
@@ -158,15 +152,8 @@ def warm_up(reader: str, folder: Path) -> None:
 
 def preload() -> None:
     """Import what readers import when they need it, once for all forked processes."""
-    for module in (
-        "PIL.Image",
-        "pyais",
-        "scipy.optimize",
-        "scipy.spatial",
-        "trimesh",
-        "trimesh.exchange.load",
-        "zipfile",
-    ):
+    ours = ("PIL.Image", "pyais", "zipfile")
+    for module in (*ours, "scipy.optimize", "scipy.spatial", "trimesh", "trimesh.exchange.load"):
         importlib.import_module(module)
     gc.freeze()
 
@@ -176,11 +163,7 @@ def _fast_folder() -> str | None:
 
 
 def tried(reader: str, numbers: Sequence[int], processes: int, slice_cases: int = 1000) -> Iterator[Result]:
-    """The results of cases, as they come; not in order.
-
-    Raises:
-        RuntimeError: A process ends before its first case.
-    """
+    """The results of cases, as they come, not in order; raises RuntimeError if a process ends before its first case."""
     slices = [_Slice(reader, numbers[first : first + slice_cases]) for first in range(0, len(numbers), slice_cases)]
     waiting, running = slices[::-1], list[_Slice]()
     while waiting or running:

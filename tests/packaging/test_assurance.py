@@ -1,7 +1,5 @@
 """The page for assessors promises nothing that is not there: commands, scripts, files, tests and pages exist."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The scenes that are timed are what they are said to be, and the bench runs."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 
@@ -39,15 +37,12 @@ def test_scene_file_is_what_the_script_writes(name):
 def test_scene_has_50_vessels_of_the_sizes_and_at_the_distances_promised(name, least_m, most_m):
     scene = load_scene(HERE / f"{name}.yaml")
     lengths = np.array([vessel.length_m for vessel in scene.vessels])
-    assert len(lengths) == 50
-    assert lengths.min() >= least_m
-    assert lengths.max() <= most_m
-    assert lengths.max() / lengths.min() > 0.5 * most_m / least_m
+    assert len(lengths) == 50 and lengths.min() >= least_m
+    assert lengths.max() <= most_m and lengths.max() / lengths.min() > 0.5 * most_m / least_m
     poses = scene.poses.poses(0, scene.steps)
     assert poses.present.all()
     distances = np.hypot(poses.positions_m[..., 0], poses.positions_m[..., 1])
-    assert distances.min() >= 299.9
-    assert distances.max() <= 2500.1
+    assert distances.min() >= 299.9 and distances.max() <= 2500.1
     assert scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
 
 
@@ -64,8 +59,7 @@ def test_waterlines_are_in_the_image(name):
     for sign in signs:
         corners = poses.positions_m + (turn @ (size * sign)[..., None])[..., 0]
         pixels = camera.intrinsics.project(camera_poses.to_camera(corners[:, :, None, :]))
-        assert (pixels > 0).all()
-        assert (pixels < camera.intrinsics.image_size_px).all()
+        assert (pixels > 0).all() and (pixels < camera.intrinsics.image_size_px).all()
 
 
 def test_vessels_never_touch():
@@ -88,15 +82,13 @@ def test_vessels_never_touch():
 def test_share_of_overlapping_boats_stays_as_they_become_more(renderer, tmp_path):
     found = {count: looked_at(f"small{count}", scenes.small(count), tmp_path) for count in COUNTS}
     for count, shares in found.items():
-        assert shares["in_image"] == count
-        assert 0.10 < shares["overlapping"] < 0.15
+        assert shares["in_image"] == count and 0.10 < shares["overlapping"] < 0.15
         assert 0.04 < shares["hidden"] < 0.08
 
 
 def test_most_vessels_of_the_dense_scene_are_hidden_in_part_or_wholly(renderer, tmp_path):
     shares = looked_at("dense", scenes.dense(), tmp_path)
-    assert shares["in_image"] == 50
-    assert shares["overlapping"] > 0.8
+    assert shares["in_image"] == 50 and shares["overlapping"] > 0.8
     assert shares["hidden"] > 0.65
     assert (shares["hidden"] - shares["wholly_hidden"]) / (1 - shares["wholly_hidden"]) > 0.5  # of those seen
 
@@ -111,8 +103,7 @@ def test_boxes_in_an_id_image_are_half_open_and_none_where_an_id_is_not():
 
 def test_times_the_limit_is_the_time_over_that_of_filling_what_was_drawn(tmp_path):
     trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1e9)
-    assert trial.times_limit(3.0, 2e9) == "1.50"
-    assert trial.times_limit(3.0, 0) == "nothing is drawn"
+    assert trial.times_limit(3.0, 2e9) == "1.50" and trial.times_limit(3.0, 0) == "nothing is drawn"
 
 
 def test_files_that_differ_or_are_missing_are_found(tmp_path):
@@ -140,7 +131,6 @@ def test_a_quick_trial_prints_a_row_and_writes_nothing(monkeypatch, capsys):
     bench.main()
     said = capsys.readouterr().out
     rows = [line.split(" | ") for line in said.splitlines() if "≤ 1.5 ms; ≤ 3 ms" in line]
-    assert len(rows) == 1
-    assert rows[0][2].endswith(" steps")
+    assert len(rows) == 1 and rows[0][2].endswith(" steps")
     assert "A quick trial" in said
     assert (bench.RESULTS.read_bytes() if bench.RESULTS.exists() else None) == before

@@ -1,7 +1,5 @@
 """The script that makes the pictures of the documents."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

@@ -1,7 +1,5 @@
 """The scripts for the checkout: they set it up, check it, and run what takes long."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -48,14 +46,8 @@ def test_test_runs_all_checks_and_lists_at_the_end_which_passed(tmp_path: Path) 
     assert finished.returncode == 1
     said = finished.stdout.splitlines()
     assert said[said.index("== mypy") + 1] == "mypy ran"
-    assert said[-6:] == [
-        "passed  ruff check",
-        "passed  ruff format",
-        "passed  import-linter",
-        "passed  pytest",
-        "FAILED  mypy",
-        "passed  docs",
-    ]
+    passed = [f"passed  {name}" for name in ("ruff check", "ruff format", "import-linter", "pytest")]
+    assert said[-6:] == [*passed, "FAILED  mypy", "passed  docs"]
 
 
 def test_campaign_lists_the_campaigns_and_refuses_any_other() -> None:
@@ -85,28 +77,22 @@ def test_campaign_sets_up_and_runs_the_one_that_is_named(tmp_path: Path) -> None
 
 def test_setup_refuses_an_unknown_purpose(tmp_path: Path) -> None:
     finished = subprocess.run([copy_of_setup(tmp_path), "everything"], capture_output=True, text=True)
-    assert finished.returncode == 2
-    assert finished.stderr == "usage: script/setup [demo|test]\n"
+    assert finished.returncode == 2 and finished.stderr == "usage: script/setup [demo|test]\n"
 
 
 def test_setup_refuses_an_unusable_python_in_one_line_and_leaves_nothing_behind(tmp_path: Path) -> None:
-    finished = subprocess.run(
-        [copy_of_setup(tmp_path)], env={**os.environ, "PYTHON": "/bin/false"}, capture_output=True, text=True
-    )
+    environment = {**os.environ, "PYTHON": "/bin/false"}
+    finished = subprocess.run([copy_of_setup(tmp_path)], env=environment, capture_output=True, text=True)
     assert finished.returncode == 1
     assert finished.stderr == ("script/setup: PYTHON=/bin/false does not run or is not Python 3.11 or newer\n")
     assert not (tmp_path / ".venv").exists()
 
 
-def test_setup_accepts_the_pythons_that_the_package_does() -> None:
-    asked = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["requires-python"]
-    lowest = asked.removeprefix(">=")
+def test_setup_accepts_the_pythons_that_the_package_and_its_classifiers_do() -> None:
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    lowest, classifiers = project["requires-python"].removeprefix(">="), project["classifiers"]
     assert f"sys.version_info < ({lowest.replace('.', ', ')})" in SETUP.read_text()
     assert lowest == KNOWN_PYTHONS[-1]
-
-
-def test_the_classifiers_are_the_pythons_that_setup_knows() -> None:
-    classifiers = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["classifiers"]
     named = [text.rpartition(" ")[2] for text in classifiers if text.startswith("Programming Language :: Python :: 3.")]
     assert named == KNOWN_PYTHONS[::-1]
 

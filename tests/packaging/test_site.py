@@ -1,7 +1,5 @@
 """script/docs refuses what a reader of the site would stumble over."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The wheel carries all it needs: it runs a shipped scene in an environment that never saw the repository."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

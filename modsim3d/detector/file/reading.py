@@ -17,27 +17,14 @@ from pydantic import ValidationError
 from modsim3d.core.arrays import Array, read_only
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
+from modsim3d.detector import false_positives
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, PrecisionRecall, QuantileScores, StateConfidence
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, BoxErrorLaw
 from modsim3d.detector.dropout import ATTRIBUTES, Dropout, Effect, FactorTable, Slope
 from modsim3d.detector.false_positive_placement import Placement
-from modsim3d.detector.false_positives import (
-    FALSE_POSITIVE_MODELS,
-    FalsePositiveOptions,
-    FixedSize,
-    LognormalSize,
-    Sizes,
-)
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveOptions
+from modsim3d.detector.file import schema_models
 from modsim3d.detector.file.schema import BoxErrorSection, DetectorFile, FalsePositivesSection, StateSection
-from modsim3d.detector.file.schema_models import (
-    BoxMemorySection,
-    ConfidenceKeys,
-    EffectsSection,
-    PerformanceSection,
-    PersistenceSection,
-    ScoreSection,
-    SizeSection,
-)
 from modsim3d.detector.merges_and_splits import MergesAndSplits
 from modsim3d.detector.model import DetectorModel, Performance, PerformanceState
 from modsim3d.detector.persistence import BoxMemory, LatentScore, Persistence
@@ -57,14 +44,9 @@ def shipped_detectors() -> dict[str, Path]:
 
 
 def find_detector(detector: StrPath) -> Path:
-    """The detector file that a path or the name of a shipped detector stands for.
-
-    A file comes before a name. What has an ending is a path, also where there is no such file.
-
-    Raises:
-        InputError: It is neither a file nor a name.
-        TypeError: It is neither text nor a path.
-    """
+    """The detector file that a path or the name of a shipped detector stands for. A file comes before a name. A name
+    with an ending is a path, also where there is no such file. Raises InputError if it is neither, TypeError if it is
+    neither text nor a path."""
     path = as_path(detector, "detector", "a path or the name of a shipped detector")
     name, shipped = os.fspath(detector), shipped_detectors()
     try:
@@ -111,7 +93,7 @@ def _dropout_problems(file: DetectorFile) -> list[str]:
     ]
 
 
-def _own_dropout(file: DetectorFile) -> dict[str, EffectsSection]:
+def _own_dropout(file: DetectorFile) -> dict[str, schema_models.EffectsSection]:
     return {name: state.dropout for name, state in file.states.items()}
 
 
@@ -211,15 +193,8 @@ def load_detector(path: StrPath) -> DetectorModel:
 
 
 def parse_detector(data: Any, source: str = "detector") -> DetectorModel:
-    """The detector that a mapping with the keys of a detector file describes.
-
-    Args:
-        data: What the file holds.
-        source: What to call it in messages.
-
-    Raises:
-        InputError: Something is wrong; every problem has its own line with its path.
-    """
+    """The detector that a mapping with the keys of a detector file describes; messages call it `source`. Raises
+    InputError if something is wrong; every problem has its own line with its path."""
     if not isinstance(data, Mapping):
         keys = ", ".join(DetectorFile.model_fields)
         raise InputError(source, [f"must be a mapping with the keys {keys} (got {kind_of(data)})"])
@@ -242,10 +217,7 @@ _CONTENTS: WeakKeyDictionary[DetectorModel, bytes] = WeakKeyDictionary()
 def content_of(model: DetectorModel) -> dict[str, Any] | None:
     """The content of a file that gives this detector; None for one that was made or changed in another way."""
     content = _CONTENTS.get(model)
-    if content is None:
-        return None
-    loaded: dict[str, Any] = pickle.loads(content)
-    return loaded
+    return None if content is None else dict(pickle.loads(content))
 
 
 def file_of(model: DetectorModel) -> DetectorFile | None:
@@ -270,11 +242,13 @@ def _normalised(columns: Any) -> Array:
 
 
 def _model(content: DetectorFile) -> DetectorModel:
+    states, performance = list(content.states), content.performance
+    schedule = tuple((time_s, -1 if state is None else states.index(state)) for time_s, state in performance.schedule)
     return DetectorModel(
         labels=tuple(content.labels),
         confidence_threshold=content.confidence_threshold,
         operating_threshold=content.operating_threshold,
-        initial_state=list(content.states).index(content.initial_state),
+        initial_state=states.index(content.initial_state),
         transition_matrix=_normalised(content.transition_matrix),
         states=tuple(_state(name, section, content) for name, section in content.states.items()),
         transition_interval_s=content.transition_interval_s,
@@ -285,7 +259,7 @@ def _model(content: DetectorFile) -> DetectorModel:
         merges_and_splits=MergesAndSplits(
             **{field.name: getattr(content.false_positives, field.name) for field in fields(MergesAndSplits)}
         ),
-        performance=_performance(content.performance, list(content.states)),
+        performance=Performance(performance.scope == "per_camera", schedule),
     )
 
 
@@ -317,7 +291,7 @@ def _value(value: float | list[float]) -> float | tuple[float, ...]:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _confidence(keys: ConfidenceKeys, threshold: float) -> StateConfidence:
+def _confidence(keys: schema_models.ConfidenceKeys, threshold: float) -> StateConfidence:
     true: ConfidenceLaw
     false: ConfidenceLaw
     if keys.precision_recall is not None:
@@ -325,11 +299,11 @@ def _confidence(keys: ConfidenceKeys, threshold: float) -> StateConfidence:
     elif keys.true is not None and keys.false is not None:
         true, false = _scores(keys.true), _scores(keys.false)
     else:
-        true = false = _scores(ScoreSection(mean=keys.mean, std=keys.std))
+        true = false = _scores(schema_models.ScoreSection(mean=keys.mean, std=keys.std))
     return StateConfidence(true, false, keys.visibility_slope, keys.size_slope, keys.size_reference_px)
 
 
-def _scores(section: ScoreSection) -> ConfidenceLaw:
+def _scores(section: schema_models.ScoreSection) -> ConfidenceLaw:
     if section.mean is not None and section.std is not None:
         return NormalScores(section.mean, section.std)
     return QuantileScores(read_only(section.quantiles or []))
@@ -346,7 +320,7 @@ def _dropout(content: DetectorFile) -> Dropout:
     return replace(dropout, anchored=bool(dropout.every_effect) and content.dropout.anchor == "state_rate")
 
 
-def _effects(section: EffectsSection) -> tuple[Effect, ...]:
+def _effects(section: schema_models.EffectsSection) -> tuple[Effect, ...]:
     effects: list[Effect] = []
     for name, keys in section.effects().items():
         if keys.edges is not None and keys.odds is not None:
@@ -370,13 +344,15 @@ def _false_positives(section: FalsePositivesSection) -> FalsePositiveOptions:
     )
 
 
-def _sizes(section: SizeSection) -> Sizes | None:
+def _sizes(section: schema_models.SizeSection) -> false_positives.Sizes | None:
     if section.px is None:
         return None
-    return FixedSize(*section.px) if section.log_std is None else LognormalSize(*section.px, section.log_std)
+    if section.log_std is None:
+        return false_positives.FixedSize(*section.px)
+    return false_positives.LognormalSize(*section.px, section.log_std)
 
 
-def _persistence(section: PersistenceSection) -> Persistence:
+def _persistence(section: schema_models.PersistenceSection) -> Persistence:
     score, box = section.score, section.box
     return Persistence(
         **section.model_dump(exclude={"score", "box"}),
@@ -385,13 +361,8 @@ def _persistence(section: PersistenceSection) -> Persistence:
     )
 
 
-def _box_memory(section: BoxMemorySection) -> BoxMemory:
+def _box_memory(section: schema_models.BoxMemorySection) -> BoxMemory:
     """Memory with a scale that is new at every step where the section says nothing of it."""
     columns = np.zeros((1 + len(section.shares), ERROR_NORMALS + 1))
     columns[:, : len(section.vessel_share)] = [section.vessel_share, *section.shares]
     return BoxMemory(read_only(columns[0]), read_only(columns[1:]), read_only(section.times_s))
-
-
-def _performance(section: PerformanceSection, states: list[str]) -> Performance:
-    schedule = tuple((time_s, -1 if state is None else states.index(state)) for time_s, state in section.schedule)
-    return Performance(section.scope == "per_camera", schedule)

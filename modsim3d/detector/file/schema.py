@@ -13,16 +13,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from modsim3d.core.arrays import Array
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS
-from modsim3d.detector.file.schema_models import (
-    ConfidenceSection,
-    DropoutSection,
-    EffectsSection,
-    FalsePositiveKeys,
-    GatesSection,
-    PerformanceSection,
-    PerImage,
-    PersistenceSection,
-)
+from modsim3d.detector.file import schema_models
 from modsim3d.detector.model import ERROR_COMPONENTS
 from modsim3d.io.validation import NotNegative, Number, Positive, Probability, Strict, nearest
 
@@ -276,12 +267,12 @@ class StateSection(Strict):
     false_positive_labels: LabelDistribution
     false_discovery_rate: FalseDiscoveryRate | None = None
     box_error: BoxErrorSection
-    confidence: ConfidenceSection
-    false_positives_per_image: PerImage | None = None
-    dropout: EffectsSection = EffectsSection()
+    confidence: schema_models.ConfidenceSection
+    false_positives_per_image: schema_models.PerImage | None = None
+    dropout: schema_models.EffectsSection = schema_models.EffectsSection()
 
 
-class FalsePositivesSection(FalsePositiveKeys):
+class FalsePositivesSection(schema_models.FalsePositiveKeys):
     """Model of false positives and their properties."""
 
     model: FalsePositiveModelName = "calibrated"
@@ -297,8 +288,8 @@ class DetectorFile(Strict):
     transition_matrix: Transition
     transition_interval_s: Positive | None = None
     false_positives: FalsePositivesSection = FalsePositivesSection(model="calibrated")
-    dropout: DropoutSection = DropoutSection()
-    gates: GatesSection = GatesSection()
-    persistence: PersistenceSection = PersistenceSection()
-    performance: PerformanceSection = PerformanceSection()
+    dropout: schema_models.DropoutSection = schema_models.DropoutSection()
+    gates: schema_models.GatesSection = schema_models.GatesSection()
+    persistence: schema_models.PersistenceSection = schema_models.PersistenceSection()
+    performance: schema_models.PerformanceSection = schema_models.PerformanceSection()
     states: Annotated[dict[Name, StateSection], _checked_by(_state_problems)]

@@ -20,19 +20,12 @@ _PLACES = ("placement", "band_px", "density", "far_half_px", "size", "persistenc
 
 @dataclass(frozen=True)
 class UnreadKey:
-    """A key that nothing reads, with all below it.
+    """A key that nothing reads, with all below it."""
 
-    Attributes:
-        path: The keys that lead to it, with dots between them.
-        reason: Why nothing reads it, and the key that would work.
-        switches: Keys one of which makes it read.
-        is_dead: Whether the file has it in vain, whatever states a run forces.
-    """
-
-    path: str
-    reason: str
-    switches: tuple[str, ...] = ()
-    is_dead: bool = False
+    path: str  # keys that lead to it, with dots between them
+    reason: str  # why nothing reads it, and the key that would work
+    switches: tuple[str, ...] = ()  # keys one of which makes it read
+    is_dead: bool = False  # whether the file has it in vain, whatever states a run forces
 
 
 def dead_lines(model: DetectorModel) -> list[str]:
@@ -41,10 +34,8 @@ def dead_lines(model: DetectorModel) -> list[str]:
 
 
 def unread_settings(model: DetectorModel, paths: Collection[str], named: Collection[str] = ()) -> dict[str, str]:
-    """Keys among `paths` that nothing reads in a detector with them, each with its reason.
-
-    A key beside the one that switches it off or on, in `paths` or `named`, is left out.
-    """
+    """Keys among `paths` that nothing reads in a detector with them, each with its reason. A key beside the one that
+    switches it off or on, in `paths` or `named`, is left out."""
     reasons: dict[str, str] = {}
     for key in _keys_of(model):
         if any(_is_within(path, switch) for path in (*paths, *named) for switch in key.switches):

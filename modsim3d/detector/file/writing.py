@@ -43,20 +43,11 @@ def is_miss_rate(parts: tuple[str, ...]) -> bool:
 
 
 def with_miss_rate(content: Mapping[str, Any], rate: object, state: str | None, option: str) -> dict[str, Any]:
-    """The content of a detector file in which every label is missed at one rate.
-
-    The other rows of the confusion matrix keep their proportions in each column. Where misses follow what vessels look
-    like and the file has the log-odds that this added in its learning set, the rate is that of the learning set again.
-
-    Args:
-        content: The content; what is wrong with it is left to its own checks.
-        rate: The rate, from 0 to below 1.
-        state: The performance state that it is for; None: all states.
-        option: What errors call the setting.
-
-    Raises:
-        InputError: It is no such rate, there is no such state, or a label is never found.
-    """
+    """The content of a detector file in which every label is missed at one rate, from 0 to below 1, in a state or, with
+    None, in all. The other rows of the confusion matrix keep their proportions in each column. Where misses follow what
+    vessels look like and the file has the log-odds that this added in its learning set, the rate is that of the
+    learning set again. Errors of the content are left to its own checks. Raises InputError, which calls the setting
+    `option`, if it is no such rate, there is no such state, or a label is never found."""
     if isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 <= rate < 1:
         raise InputError(option, [f"a miss rate is a number from 0 to below 1 (got {shown(rate)})"])
     states = content.get("states")

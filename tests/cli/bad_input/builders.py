@@ -1,9 +1,7 @@
 """A good scene of four files, for tests to spoil."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -100,3 +98,28 @@ class Inputs:
 
 Call = Callable[..., tuple[int, str]]
 Refused = Callable[..., str]
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Paths of all values in nested mappings and lists."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in entries:
+        yield (*path, key)
+        yield from places(inner, (*path, key))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """The bytes of all files below a folder, by their path in it."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def refusal(call: Call, line: Iterable[object], *parts: str, kept: Path | None = None) -> str:
+    """Words of a refused command: exit status 2, no traceback, and some parts; files of `kept` stay as they are."""
+    before = None if kept is None else content(kept)
+    status, said = call(*line)
+    assert status == 2, said
+    assert "Traceback" not in said
+    for part in parts:
+        assert part in said, f"{part!r} not in:\n{said}"
+    assert kept is None or content(kept) == before
+    return said

@@ -1,28 +1,14 @@
 """Whatever a scene's files hold, they are read or refused."""
 
-from __future__ import annotations
-
 import copy
 import re
-from collections.abc import Iterator
-from typing import Any
 
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modsim3d.core.errors import InputError
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import CIRCULAR, DELETED, FILES, GOOD, Inputs
-
-
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Paths of all values in nested mappings and lists."""
-    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, inner in entries:
-        yield (*path, key)
-        yield from places(inner, (*path, key))
-
+from tests.cli.bad_input.builders import CIRCULAR, DELETED, FILES, GOOD, Inputs, places
 
 PLACES = [(file, *path) for file in FILES for path in places(GOOD[file])]
 SPOILERS = st.one_of(
@@ -37,9 +23,7 @@ SPOILERS = st.one_of(
 
 @settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.tuples(st.sampled_from(PLACES), SPOILERS), min_size=1, max_size=3), st.booleans())
-def test_any_mapping_is_read_or_refused_with_an_input_error(
-    tmp_path_factory: pytest.TempPathFactory, changes: list[tuple[tuple[Any, ...], Any]], circular: bool
-) -> None:
+def test_any_mapping_is_read_or_refused_with_an_input_error(tmp_path_factory, changes, circular):
     data = copy.deepcopy(GOOD)
     if circular:
         data["scene"].update(copy.deepcopy({"poses": CIRCULAR, "steps": 5, "time_step_s": 0.5}))

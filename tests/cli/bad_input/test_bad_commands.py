@@ -1,7 +1,5 @@
 """Wrong arguments, folders that cannot be written to and a missing renderer: one clear error, and nothing is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -16,9 +14,7 @@ import pytest
 from modsim3d.render import context
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs
-
-# ---- the command line -------------------------------------------------------------------------------------------
+from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs, content, refusal
 
 
 @pytest.mark.parametrize(
@@ -39,31 +35,18 @@ from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs
     ],
     ids=lambda value: "-".join(value)[:40] if isinstance(value, list) else "",
 )
-def test_wrong_arguments_exit_with_two(
-    call: Call, arguments: list[str], part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_wrong_arguments_exit_with_two(call, arguments, part, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
-    status, said = call(*arguments)
-    assert status == 2
+    said = refusal(call, arguments)
     assert part in re.sub(r"\x1b\[[0-9;]*m", "", said)
-    assert "Traceback" not in said
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_with_a_shipped_scenes_name_does_not_hide_it(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_with_a_shipped_scenes_name_does_not_hide_it(call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "simulation_1").mkdir()
     assert call("check", "scene", "simulation_1")[0] == 0
-
-
-# ---- output folders ---------------------------------------------------------------------------------------------
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture
@@ -77,10 +60,8 @@ def finished(inputs: Inputs, call: Call, tmp_path: Path) -> Path:
 @pytest.mark.parametrize("place", ["file/run", "file", "/proc/modsim3d/run", "x" * 300])
 def test_folder_that_cannot_be_written_to_is_told(inputs: Inputs, call: Call, tmp_path: Path, place: str) -> None:
     (tmp_path / "file").write_text("mine")
-    status, said = call("run", inputs.write(), "--out", tmp_path / place)
-    assert status == 2
+    said = refusal(call, ("run", inputs.write(), "--out", tmp_path / place))
     assert "cannot be written to" in said or "is not a run directory" in said
-    assert "Traceback" not in said
     assert (tmp_path / "file").read_text() == "mine"
 
 
@@ -88,39 +69,27 @@ def test_folder_that_cannot_be_written_to_is_told(inputs: Inputs, call: Call, tm
 @pytest.mark.parametrize(
     "name", ["notes.txt", "run.json", "unfinished/settings.json", "unfinished/chapter.txt", "truth.parquet"]
 )
-def test_a_folder_that_is_no_run_directory_keeps_all_it_holds(
-    inputs: Inputs, call: Call, tmp_path: Path, options: tuple[str, ...], name: str
-) -> None:
+def test_a_folder_that_is_no_run_directory_keeps_all_it_holds(inputs, call, tmp_path, options, name):
     precious = tmp_path / "precious"
     (precious / name).parent.mkdir(parents=True)
     (precious / name).write_text('{"mine": true}')
     (precious / "photo.jpg").write_text("mine too")
-    before = content(precious)
-    status, said = call("run", inputs.write(), "--out", precious, *options)
-    assert status == 2
-    assert f"{precious} exists and is not a run directory: choose another folder" in said
-    assert content(precious) == before
+    said = f"{precious} exists and is not a run directory: choose another folder"
+    refusal(call, ("run", inputs.write(), "--out", precious, *options), said, kept=precious)
 
 
 @pytest.mark.parametrize("options", [(), ("--resume",)])
 def test_a_run_is_not_replaced_unasked(inputs: Inputs, finished: Path, call: Call, options: tuple[str, ...]) -> None:
-    before = content(finished)
-    status, said = call("run", inputs.path("scene"), "--out", finished, *options)
-    assert status == 2
-    assert "holds a run: use --overwrite" in said
-    assert content(finished) == before
+    line = ("run", inputs.path("scene"), "--out", finished, *options)
+    refusal(call, line, "holds a run: use --overwrite", kept=finished)
 
 
 def test_bad_input_with_overwrite_keeps_the_run_that_is_there(inputs: Inputs, finished: Path, call: Call) -> None:
-    before = content(finished)
     inputs.set("poses", "2.0/vehicle1", DELETED)
-    assert call("run", inputs.write(), "--out", finished, "--overwrite")[0] == 2
-    assert content(finished) == before
+    refusal(call, ("run", inputs.write(), "--out", finished, "--overwrite"), kept=finished)
 
 
-def test_a_run_that_is_replaced_stays_until_the_new_one_is_finished(
-    inputs: Inputs, finished: Path, call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_is_replaced_stays_until_the_new_one_is_finished(inputs, finished, call, monkeypatch):
     before = content(finished)
     inputs.data["scene"]["cameras"].pop("shore")
 
@@ -138,9 +107,7 @@ def test_a_run_that_is_replaced_stays_until_the_new_one_is_finished(
 
 
 @pytest.mark.parametrize("leftover", ["settings.json.partial", ""])
-def test_a_run_killed_at_its_very_start_can_be_begun_again(
-    inputs: Inputs, call: Call, tmp_path: Path, leftover: str
-) -> None:
+def test_a_run_killed_at_its_very_start_can_be_begun_again(inputs, call, tmp_path, leftover):
     work = tmp_path / "killed" / "unfinished"
     work.mkdir(parents=True)
     if leftover:
@@ -149,23 +116,13 @@ def test_a_run_killed_at_its_very_start_can_be_begun_again(
     assert status == 0, said
 
 
-# ---- no renderer ------------------------------------------------------------------------------------------------
-
-
-def test_without_an_opengl_library_the_package_to_install_is_named(
-    inputs: Inputs, call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_an_opengl_library_the_package_to_install_is_named(inputs, call, tmp_path, monkeypatch):
     monkeypatch.delenv("MODSIM3D_GL", raising=False)
     monkeypatch.setattr(context, "_open_here", None)  # another test's context must not serve here
     monkeypatch.setattr(context, "library_found", lambda backend: False)
-    status, said = call("run", inputs.write(), "--out", tmp_path / "out")
-    assert status == 2
-    for part in ("no OpenGL software renderer was found", "libosmesa6", "mesa-libEGL", "--source analytic"):
-        assert part in said
+    parts = ("no OpenGL software renderer was found", "libosmesa6", "mesa-libEGL", "--source analytic")
+    refusal(call, ("run", inputs.write(), "--out", tmp_path / "out"), *parts)
     assert not (tmp_path / "out").exists()
-
-
-# ---- as its own process -----------------------------------------------------------------------------------------
 
 
 def process(*arguments: object, program: Path | None = None, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -185,12 +142,9 @@ def process(*arguments: object, program: Path | None = None, **options: Any) -> 
     ],
     ids=["backend", "device", "no driver"],
 )
-def test_unknown_renderers_are_told_by_a_real_process(
-    inputs: Inputs, tmp_path: Path, asked: dict[str, str], told: str
-) -> None:
+def test_unknown_renderers_are_told_by_a_real_process(inputs, tmp_path, asked, told):
     done = process("run", inputs.write(), "--out", tmp_path / "out", env={**os.environ, **asked})
-    assert done.returncode == 2
-    assert told in done.stderr
+    assert done.returncode == 2 and told in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
@@ -199,12 +153,9 @@ def test_a_real_process_says_it_on_standard_error_only(inputs: Inputs, prepared:
     inputs.set("vessels", "\ud800", GOOD["vessels"]["vehicle2"])
     inputs.set("scene", "sed", 1)
     done = process("check", "scene", inputs.write(), program=prepared)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.startswith("modsim3d: scene ")
-    assert "sed: unknown key" in done.stderr
-    assert "printable" in done.stderr
-    assert "Traceback" not in done.stderr
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("modsim3d: scene ") and "sed: unknown key" in done.stderr
+    assert "printable" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_a_full_disk_is_told_and_the_run_can_go_on(inputs: Inputs, prepared: Path, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """What an export cannot do is told in a line, and nothing is written or lost."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -54,9 +52,7 @@ def test_masks_need_the_pixels_of_the_image(modsim3d: Modsim3d, tmp_path: Path) 
         ("images/deep/a.png", ("images holds other files than *.png (deep)",) * 2),
     ],
 )
-def test_a_folder_that_is_there_is_replaced_only_if_it_holds_nothing_else(
-    modsim3d: Modsim3d, run: Path, tmp_path: Path, name: str, parts: tuple[str, str | None]
-) -> None:
+def test_a_folder_that_is_there_is_replaced_only_if_it_holds_nothing_else(modsim3d, run, tmp_path, name, parts):
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_text("mine")
     for part, more in zip(parts, ((), ("--overwrite",)), strict=True):
@@ -69,9 +65,7 @@ def test_a_folder_that_is_there_is_replaced_only_if_it_holds_nothing_else(
 
 
 @pytest.mark.parametrize("set_", ["modsim3d-all", "modsim3d-class"])
-def test_sequences_of_another_export_are_not_left_among_the_new_ones(
-    modsim3d: Modsim3d, run: Path, tmp_path: Path, set_: str
-) -> None:
+def test_sequences_of_another_export_are_not_left_among_the_new_ones(modsim3d, run, tmp_path, set_):
     """A tracker or an evaluator that goes through the folders would take them for this run's."""
     assert modsim3d("export", run, "--out", tmp_path, "--format", "mot").status == 0
     old = tmp_path / set_ / "old" / "gt" / "gt.txt"

@@ -1,25 +1,12 @@
 """Mistakes in a scene's files get one clear error with their place, exit status 2 and no traceback."""
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any
 
 import pytest
 
-from tests.cli.bad_input.builders import (
-    ASHORE,
-    CIRCULAR,
-    COVARIANCE,
-    DELETED,
-    GOOD,
-    Call,
-    Inputs,
-    Refused,
-    at,
-    lens,
-)
+from tests.cli.bad_input.builders import ASHORE, CIRCULAR, COVARIANCE, DELETED, GOOD, Call, Inputs, Refused, at, lens
 
 
 def test_the_scene_that_these_tests_spoil_is_good(inputs: Inputs, call: Call) -> None:
@@ -27,194 +14,183 @@ def test_the_scene_that_these_tests_spoil_is_good(inputs: Inputs, call: Call) ->
     assert (status, "no problems found" in said) == (0, True), said
 
 
-# ---- one wrong value --------------------------------------------------------------------------------------------
-
-
-def state(path: str) -> str:
-    return f"states/clear/{path}"
-
-
-WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
+CONFUSION, ERRORS = "states/clear/confusion", "states/clear/box_error/covariance"
+WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     # unknown, missing and misspelt
-    ("scene", "sed", 3, ("sed: unknown key (did you mean 'seed'?)",)),
-    ("scene", "annotation/mod", 3, ("annotation.mod: unknown key (did you mean 'mode'?)",)),
+    ("scene", "sed", 3, "sed: unknown key (did you mean 'seed'?)"),
+    ("scene", "annotation/mod", 3, "annotation.mod: unknown key (did you mean 'mode'?)"),
     (
         "scene",
         "cameras/C0/focal_lenght_m",
         1,
         ("cameras.C0.focal_lenght_m: unknown key", "did you mean 'focal_length_m'?"),
     ),
-    ("scene", "cameras/C0/mount/pitch", 1, ("cameras.C0.mount.pitch: unknown key (did you mean 'pitch_rad'?)",)),
-    ("scene", "detector", DELETED, ("detector: missing",)),
-    ("scene", "cameras/shore/image_size_px", DELETED, ("cameras.shore.image_size_px: missing",)),
-    ("vessels", "vehicle2/beam_m", DELETED, ("vessels.json: vehicle2.beam_m: missing",)),
-    ("vessels", "vehicle2/lenght_m", 4, ("vessels.json: vehicle2.lenght_m: unknown key (did you mean 'length_m'?)",)),
+    ("scene", "cameras/C0/mount/pitch", 1, "cameras.C0.mount.pitch: unknown key (did you mean 'pitch_rad'?)"),
+    ("scene", "detector", DELETED, "detector: missing"),
+    ("scene", "cameras/shore/image_size_px", DELETED, "cameras.shore.image_size_px: missing"),
+    ("vessels", "vehicle2/beam_m", DELETED, "vessels.json: vehicle2.beam_m: missing"),
+    ("vessels", "vehicle2/lenght_m", 4, "vessels.json: vehicle2.lenght_m: unknown key (did you mean 'length_m'?)"),
     ("vessels", "vehicle2/label", "Vesel", ("vehicle2.label: 'Vesel' is not one of", "did you mean 'Vessel'?")),
-    ("poses", "1.0/vehicle9", at(0, 0), ("poses.json: 1.0.vehicle9: no vessel 'vehicle9' (did you mean 'vehicle",)),
-    ("poses", "1.0/vehicle2/heading_rad", DELETED, ("1.0.vehicle2.heading_rad: missing",)),
-    ("poses", "1.0/vehicle2/heading", 1, ("1.0.vehicle2.heading: unknown key (did you mean 'heading_rad'?)",)),
+    ("poses", "1.0/vehicle9", at(0, 0), "poses.json: 1.0.vehicle9: no vessel 'vehicle9' (did you mean 'vehicle"),
+    ("poses", "1.0/vehicle2/heading_rad", DELETED, "1.0.vehicle2.heading_rad: missing"),
+    ("poses", "1.0/vehicle2/heading", 1, "1.0.vehicle2.heading: unknown key (did you mean 'heading_rad'?)"),
     ("scene", "cameras/C0/mount/vessel", "vehicle9", ("cameras.C0.mount.vessel: no vessel 'vehicle9'", "did you mean")),
     ("scene", "ais", {"vessels": {"vehicle9": "A"}}, ("ais.vessels.vehicle9: no vessel 'vehicle9'", "did you mean")),
     ("scene", "ais", {"vessels": {"vehicle2": "C"}}, ("ais.vessels.vehicle2: ", "'A', 'B' or 'none'", "(got 'C')")),
     ("scene", "ais", {"drop_out": 1.5}, ("ais.drop_out: ", "(got 1.5)")),
     ("scene", "ais", {"position_noise_m": -1}, ("ais.position_noise_m: ", "(got -1)")),
-    ("scene", "ais", {"noise": 1}, ("ais.noise: unknown key",)),
-    ("scene", "origin", {"latitude_deg": 56}, ("origin.longitude_deg: missing",)),
+    ("scene", "ais", {"noise": 1}, "ais.noise: unknown key"),
+    ("scene", "origin", {"latitude_deg": 56}, "origin.longitude_deg: missing"),
     ("scene", "origin", {"latitude_deg": 91, "longitude_deg": 0}, ("origin.latitude_deg: ", "(got 91)")),
-    ("scene", "origin", [56, 12], ("origin: a mapping of keys is needed",)),
+    ("scene", "origin", [56, 12], "origin: a mapping of keys is needed"),
     ("detector", "initial_state", "claer", ("detector.yaml: initial_state: unknown state 'claer'", "'clear'?")),
     ("detector", "false_positives/model", "thesys", ("false_positives.model: unknown model 'thesys'", "'thesis'?")),
     # not numbers
     ("poses", "2.0/vehicle2/heading_rad", float("nan"), ("2.0.vehicle2.heading_rad: a finite number", "(got nan)")),
-    ("poses", "2.0/vehicle2/center_position_m/1", float("inf"), ("2.0.vehicle2.center_position_m: three finite",)),
-    ("poses", "2.0/vehicle2/center_position_m/0", 10**400, ("2.0.vehicle2.center_position_m: three finite",)),
+    ("poses", "2.0/vehicle2/center_position_m/1", float("inf"), "2.0.vehicle2.center_position_m: three finite"),
+    ("poses", "2.0/vehicle2/center_position_m/0", 10**400, "2.0.vehicle2.center_position_m: three finite"),
     ("poses", "2.0/vehicle2/center_position_m/0", 1e300, ("is farther than 1e+09 m", "1e+300")),
-    ("poses", "2.0/vehicle2/center_position_m", [1, 2], ("three finite numbers in metres are needed (got [1, 2])",)),
+    ("poses", "2.0/vehicle2/center_position_m", [1, 2], "three finite numbers in metres are needed (got [1, 2])"),
     ("poses", "2.0/vehicle2/heading_rad", True, ("2.0.vehicle2.heading_rad: a finite number", "(got true)")),
-    ("poses", "2.0/vehicle2", None, ("2.0.vehicle2: a mapping with center_position_m and heading_rad is needed",)),
-    ("poses", "2.0", [], ("2.0: a mapping of vessel ID to pose is needed (got [])",)),
-    ("vessels", "vehicle2/beam_m", float("nan"), ("vehicle2.beam_m: a finite number is needed (got nan)",)),
+    ("poses", "2.0/vehicle2", None, "2.0.vehicle2: a mapping with center_position_m and heading_rad is needed"),
+    ("poses", "2.0", [], "2.0: a mapping of vessel ID to pose is needed (got [])"),
+    ("vessels", "vehicle2/beam_m", float("nan"), "vehicle2.beam_m: a finite number is needed (got nan)"),
     ("vessels", "vehicle2/beam_m", 0, ("vehicle2.beam_m: Input should be greater than", "(got 0)")),
     ("vessels", "vehicle2/length_m", -4.5, ("vehicle2.length_m: Input should be greater than", "(got -4.5)")),
     ("vessels", "vehicle2/air_draft_m", 1e200, ("vehicle2.air_draft_m: Input should be less than", "(got 1e+200)")),
-    ("vessels", "vehicle2/length_m", "8", ("vehicle2.length_m: Input should be a valid number (got '8')",)),
-    ("vessels", "vehicle2/length_m", True, ("vehicle2.length_m: Input should be a valid number (got true)",)),
-    ("vessels", "vehicle2", 5, ("vehicle2: a mapping of keys is needed (got 5)",)),
-    ("scene", "seed", "1", ("seed: Input should be a valid integer (got '1')",)),
-    ("scene", "seed", True, ("seed: Input should be a valid integer (got true)",)),
-    ("scene", "seed", -1, ("seed: Input should be greater than or equal to 0 (got -1)",)),
+    ("vessels", "vehicle2/length_m", "8", "vehicle2.length_m: Input should be a valid number (got '8')"),
+    ("vessels", "vehicle2/length_m", True, "vehicle2.length_m: Input should be a valid number (got true)"),
+    ("vessels", "vehicle2", 5, "vehicle2: a mapping of keys is needed (got 5)"),
+    ("scene", "seed", "1", "seed: Input should be a valid integer (got '1')"),
+    ("scene", "seed", True, "seed: Input should be a valid integer (got true)"),
+    ("scene", "seed", -1, "seed: Input should be greater than or equal to 0 (got -1)"),
     ("scene", "seed", 2**70, ("seed: Input should be less than", "(got 1180591620717411303424)")),
-    ("scene", "steps", 0, ("steps: Input should be greater than 0 (got 0)",)),
+    ("scene", "steps", 0, "steps: Input should be greater than 0 (got 0)"),
     ("scene", "steps", 2.5, ("steps: Input should be a valid integer", "(got 2.5)")),
     ("scene", "steps", 10**15, ("steps: Input should be less than or equal to", "(got 1000000000000000)")),
-    ("scene", "annotation/mode", 3, ("annotation.mode: Input should be less than or equal to 2 (got 3)",)),
-    ("scene", "annotation/mode", True, ("annotation.mode: Input should be a valid integer (got true)",)),
+    ("scene", "annotation/mode", 3, "annotation.mode: Input should be less than or equal to 2 (got 3)"),
+    ("scene", "annotation/mode", True, "annotation.mode: Input should be a valid integer (got true)"),
     ("scene", "annotation/source", "renderd", ("annotation.source: Input should be 'rendered'", "(got 'renderd')")),
-    ("scene", "annotation/min_visible_fraction", 1.5, ("annotation.min_visible_fraction: Input should be less",)),
-    ("scene", "annotation", None, ("annotation: a mapping of keys is needed (got null)",)),
-    ("scene", "cameras/C0", None, ("cameras.C0: a mapping of keys is needed (got null)",)),
-    ("scene", "cameras/C0/image_size_px", [640, 0], ("cameras.C0.image_size_px[1]: Input should be greater than 0",)),
-    ("scene", "cameras/C0/image_size_px", [640], ("cameras.C0.image_size_px[1]: missing",)),
-    ("scene", "cameras/C0/image_size_px", [1, 2, 3], ("cameras.C0.image_size_px: a list of 2 is needed",)),
-    ("scene", "cameras/C0/image_size_px", 640, ("cameras.C0.image_size_px: a list is needed (got 640)",)),
+    ("scene", "annotation/min_visible_fraction", 1.5, "annotation.min_visible_fraction: Input should be less"),
+    ("scene", "annotation", None, "annotation: a mapping of keys is needed (got null)"),
+    ("scene", "cameras/C0", None, "cameras.C0: a mapping of keys is needed (got null)"),
+    ("scene", "cameras/C0/image_size_px", [640, 0], "cameras.C0.image_size_px[1]: Input should be greater than 0"),
+    ("scene", "cameras/C0/image_size_px", [640], "cameras.C0.image_size_px[1]: missing"),
+    ("scene", "cameras/C0/image_size_px", [1, 2, 3], "cameras.C0.image_size_px: a list of 2 is needed"),
+    ("scene", "cameras/C0/image_size_px", 640, "cameras.C0.image_size_px: a list is needed (got 640)"),
     ("scene", "cameras/C0/image_size_px", [10**6, 480], ("image_size_px[0]: Input should be less than", "12000")),
-    ("scene", "cameras/C0/focal_length_m", "0.05 m", ("cameras.C0.focal_length_m: Input should be a valid number",)),
-    ("scene", "cameras/C0/focal_length_m", 0, ("cameras.C0.focal_length_m: Input should be greater than",)),
-    ("scene", "cameras/C0/focal_length_m", float("inf"), ("focal_length_m: a finite number is needed (got inf)",)),
-    ("scene", "cameras/C0/pixel_size_m", [-1e-5, 1e-5], ("cameras.C0.pixel_size_m[0]: Input should be greater",)),
-    ("scene", "cameras/C0/near_clip_m", 0, ("cameras.C0.near_clip_m: Input should be greater than",)),
-    ("scene", "cameras/C0/skew", True, ("cameras.C0.skew: Input should be a valid number (got true)",)),
-    ("scene", "vessels", [1], ("vessels: a file or a mapping of vessel ID to vessel is needed (got [1])",)),
-    ("scene", "vessels", {1: GOOD["vessels"]["vehicle1"]}, ("vessels: a vessel's ID must be text: put 1 in quotes",)),
-    ("scene", "cameras", {7: lens(pose=ASHORE)}, ("cameras.7: a name must be text: put it in quotes",)),
+    ("scene", "cameras/C0/focal_length_m", "0.05 m", "cameras.C0.focal_length_m: Input should be a valid number"),
+    ("scene", "cameras/C0/focal_length_m", 0, "cameras.C0.focal_length_m: Input should be greater than"),
+    ("scene", "cameras/C0/focal_length_m", float("inf"), "focal_length_m: a finite number is needed (got inf)"),
+    ("scene", "cameras/C0/pixel_size_m", [-1e-5, 1e-5], "cameras.C0.pixel_size_m[0]: Input should be greater"),
+    ("scene", "cameras/C0/near_clip_m", 0, "cameras.C0.near_clip_m: Input should be greater than"),
+    ("scene", "cameras/C0/skew", True, "cameras.C0.skew: Input should be a valid number (got true)"),
+    ("scene", "vessels", [1], "vessels: a file or a mapping of vessel ID to vessel is needed (got [1])"),
+    ("scene", "vessels", {1: GOOD["vessels"]["vehicle1"]}, "vessels: a vessel's ID must be text: put 1 in quotes"),
+    ("scene", "cameras", {7: lens(pose=ASHORE)}, "cameras.7: a name must be text: put it in quotes"),
     # probabilities
-    ("detector", "confidence_threshold", 1.2, ("confidence_threshold: Input should be less than or equal to 1",)),
+    ("detector", "confidence_threshold", 1.2, "confidence_threshold: Input should be less than or equal to 1"),
     ("detector", "confidence_threshold", float("nan"), ("confidence_threshold:", "(got nan)")),
     (
         "detector",
-        state("confusion"),
+        CONFUSION,
         [[0.9], [0.2]],
-        ("detector.yaml: states.clear.confusion: column 'Vessel' sums to 1.1, must sum to 1",),
+        "detector.yaml: states.clear.confusion: column 'Vessel' sums to 1.1, must sum to 1",
     ),
     (
         "detector",
-        state("confusion"),
+        CONFUSION,
         [[1.5], [-0.5]],
         ("states.clear.confusion[0][0]: Input should be less than or equal to 1 (got 1.5)", "confusion[1][0]"),
     ),
-    ("detector", state("confusion"), [[0.9, 0.1]], ("confusion: is 1 × 2, must be 2 × 1", "must be transposed")),
+    ("detector", CONFUSION, [[0.9, 0.1]], ("confusion: is 1 × 2, must be 2 × 1", "must be transposed")),
     (
         "detector",
         "transition_matrix",
         [[0.9, 0.1], [0.2, 0.8]],
         ("transition_matrix: its rows sum to one and its columns do not", "must be transposed"),
     ),
-    ("detector", "transition_matrix", [[0.9, 0.3], [0.1, 0.8]], ("column 'fog' sums to 1.1, must sum to 1",)),
-    ("detector", state("false_discovery_rate"), 1, ("states.clear.false_discovery_rate: is 1, must be below 1",)),
-    ("detector", state("false_discovery_rate"), -0.1, ("false_discovery_rate: is -0.1, must be from 0 to 0.99",)),
-    ("detector", state("false_positive_labels"), [0.7], ("states.clear.false_positive_labels: sums to 0.7",)),
+    ("detector", "transition_matrix", [[0.9, 0.3], [0.1, 0.8]], "column 'fog' sums to 1.1, must sum to 1"),
+    ("detector", "states/clear/false_discovery_rate", 1, "states.clear.false_discovery_rate: is 1, must be below 1"),
+    ("detector", "states/clear/false_discovery_rate", -0.1, "false_discovery_rate: is -0.1, must be from 0 to 0.99"),
+    ("detector", "states/clear/false_positive_labels", [0.7], "states.clear.false_positive_labels: sums to 0.7"),
     # covariance
     (
         "detector",
-        state("box_error/covariance"),
+        ERRORS,
         [[100.0, 7, 0, 0], *COVARIANCE[1:]],
-        ("states.clear.box_error.covariance: is not symmetric: row e_x, column e_y is 7, row e_y, column e_x is 5",),
+        "states.clear.box_error.covariance: is not symmetric: row e_x, column e_y is 7, row e_y, column e_x is 5",
     ),
     (
         "detector",
-        state("box_error/covariance"),
+        ERRORS,
         [[4.0, 5, 0, 0], [5, 4, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
         ("covariance: is not positive semi-definite", "its smallest eigenvalue is -1, must be at least 0"),
     ),
     # names
-    ("vessels", "vehicle#2", GOOD["vessels"]["vehicle2"], ("vehicle#2: a vessel's ID must not hold '#'",)),
+    ("vessels", "vehicle#2", GOOD["vessels"]["vehicle2"], "vehicle#2: a vessel's ID must not hold '#'"),
     (
         "vessels",
         "false_positive_1",
         GOOD["vessels"]["vehicle2"],
-        ("false_positive_1: a vessel's ID must not begin with 'false_positive_'",),
+        "false_positive_1: a vessel's ID must not begin with 'false_positive_'",
     ),
-    ("vessels", "obstacle:quay", GOOD["vessels"]["vehicle2"], ("must not begin with 'obstacle:'",)),
-    ("vessels", "", GOOD["vessels"]["vehicle2"], ("a vessel's ID must not be empty",)),
-    ("vessels", "a\nb", GOOD["vessels"]["vehicle2"], ("a vessel's ID must be printable text (got 'a\\nb')",)),
-    ("scene", "cameras/a\\b", lens(pose=ASHORE), ("cameras.a\\b: a camera's name goes into file names",)),
-    ("scene", "cameras/..", lens(pose=ASHORE), ("a camera's name goes into file names",)),
-    ("scene", "cameras/" + "x" * 300, lens(pose=ASHORE), ("at most 100 letters",)),
+    ("vessels", "obstacle:quay", GOOD["vessels"]["vehicle2"], "must not begin with 'obstacle:'"),
+    ("vessels", "", GOOD["vessels"]["vehicle2"], "a vessel's ID must not be empty"),
+    ("vessels", "a\nb", GOOD["vessels"]["vehicle2"], "a vessel's ID must be printable text (got 'a\\nb')"),
+    ("scene", "cameras/a\\b", lens(pose=ASHORE), "cameras.a\\b: a camera's name goes into file names"),
+    ("scene", "cameras/..", lens(pose=ASHORE), "a camera's name goes into file names"),
+    ("scene", "cameras/" + "x" * 300, lens(pose=ASHORE), "at most 100 letters"),
     # degrees
-    ("scene", "cameras/C0/mount/pitch_rad", 10, ("pitch_rad: 10 is more than a whole turn: angles are in radians",)),
-    ("scene", "cameras/shore/pose/yaw_rad", -180, ("cameras.shore.pose.yaw_rad: -180 is more than a whole turn",)),
-    ("scene", "waves", {"spectrum": "jonswap", "direction_rad": 90}, ("waves.direction_rad: 90 is more than",)),
-    ("scene", "obstacles", {"a": {"mesh": "ferry", "heading_rad": 45}}, ("obstacles.a.heading_rad: 45 is more than",)),
+    ("scene", "cameras/C0/mount/pitch_rad", 10, "pitch_rad: 10 is more than a whole turn: angles are in radians"),
+    ("scene", "cameras/shore/pose/yaw_rad", -180, "cameras.shore.pose.yaw_rad: -180 is more than a whole turn"),
+    ("scene", "waves", {"spectrum": "jonswap", "direction_rad": 90}, "waves.direction_rad: 90 is more than"),
+    ("scene", "obstacles", {"a": {"mesh": "ferry", "heading_rad": 45}}, "obstacles.a.heading_rad: 45 is more than"),
     (
         "scene",
         "cameras/C0/mount/roll_rad",
         2,
-        ("cameras.C0.mount.roll_rad: 2 is more than a right angle: in degrees that is 115; for 2° give 0.03491",),
+        "cameras.C0.mount.roll_rad: 2 is more than a right angle: in degrees that is 115; for 2° give 0.03491",
     ),
-    ("scene", "cameras/C0/mount/pitch_rad", -3.14159, ("pitch_rad: -3.14159 is more than a right angle",)),
-    (
-        "scene",
-        "cameras/shore/pose/pitch_rad",
-        1.6,
-        ("pitch_rad: 1.6 is more than a right angle: in degrees that is 92",),
-    ),
-    ("scene", "cameras/shore/pose/roll_rad", 3, ("roll_rad: 3 is more than a right angle: in degrees that is 172",)),
-    ("scene", "imu", {"attitude_noise_rad": 2}, ("imu.attitude_noise_rad: 2 is more than a right angle",)),
-    ("scene", "imu", {"heading_bias_rad": 5}, ("imu.heading_bias_rad: 5 is more than a right angle",)),
-    ("scene", "waves", {"roll": {"start_rad": [0, 3]}}, ("waves.roll.start_rad[1]: 3 is more than a right angle",)),
+    ("scene", "cameras/C0/mount/pitch_rad", -3.14159, "pitch_rad: -3.14159 is more than a right angle"),
+    ("scene", "cameras/shore/pose/pitch_rad", 1.6, "pitch_rad: 1.6 is more than a right angle: in degrees that is 92"),
+    ("scene", "cameras/shore/pose/roll_rad", 3, "roll_rad: 3 is more than a right angle: in degrees that is 172"),
+    ("scene", "imu", {"attitude_noise_rad": 2}, "imu.attitude_noise_rad: 2 is more than a right angle"),
+    ("scene", "imu", {"heading_bias_rad": 5}, "imu.heading_bias_rad: 5 is more than a right angle"),
+    ("scene", "waves", {"roll": {"start_rad": [0, 3]}}, "waves.roll.start_rad[1]: 3 is more than a right angle"),
     # what belongs together
-    ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], ("cameras.shore.mount: give exactly",)),
-    ("scene", "cameras/shore/pose", DELETED, ("cameras.shore.mount: give exactly one of pose (ashore) and mount",)),
-    ("scene", "poses", CIRCULAR, ("poses: circular has no times of its own: give steps and time_step_s",)),
+    ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], "cameras.shore.mount: give exactly"),
+    ("scene", "cameras/shore/pose", DELETED, "cameras.shore.mount: give exactly one of pose (ashore) and mount"),
+    ("scene", "poses", CIRCULAR, "poses: circular has no times of its own: give steps and time_step_s"),
     (
         "scene",
         "poses",
         {"file": "poses.json", **CIRCULAR},
-        ("poses: give exactly one of file, circular, tracks, agents, traffic, stream (got circular, file)",),
+        "poses: give exactly one of file, circular, tracks, agents, traffic, stream (got circular, file)",
     ),
-    ("scene", "poses", {}, ("poses: give exactly one of file, circular, tracks, agents, traffic, stream",)),
-    ("scene", "poses", {"file": None}, ("poses: give exactly one of file, circular, tracks, agents, traffic, stream",)),
+    ("scene", "poses", {}, "poses: give exactly one of file, circular, tracks, agents, traffic, stream"),
+    ("scene", "poses", {"file": None}, "poses: give exactly one of file, circular, tracks, agents, traffic, stream"),
     ("scene", "poses", {"circlar": {}}, ("poses.circlar: nothing is called", "did you mean 'circular'?")),
-    ("scene", "poses", {"file": 5}, ("poses.file: text is needed (got 5)",)),
-    ("scene", "poses", [], ("poses: a mapping of keys is needed (got [])",)),
-    ("scene", "poses", {"agents": {"size_m": [150, 0]}}, ("poses.agents.size_m[1]: Input should be greater than 0",)),
-    ("scene", "poses", {"agents": {"size_m": [9, 9], "speed_m_s": [3, 2]}}, ("is [least, greatest], but 3.0 > 2.0",)),
-    ("scene", "poses", {"agents": {"size_m": [9, 9], "speed": [3, 2]}}, ("poses.agents.speed: unknown key (did you",)),
-    ("scene", "steps", 5, ("steps: 5 asked for, but the pose file has 4",)),
+    ("scene", "poses", {"file": 5}, "poses.file: text is needed (got 5)"),
+    ("scene", "poses", [], "poses: a mapping of keys is needed (got [])"),
+    ("scene", "poses", {"agents": {"size_m": [150, 0]}}, "poses.agents.size_m[1]: Input should be greater than 0"),
+    ("scene", "poses", {"agents": {"size_m": [9, 9], "speed_m_s": [3, 2]}}, "is [least, greatest], but 3.0 > 2.0"),
+    ("scene", "poses", {"agents": {"size_m": [9, 9], "speed": [3, 2]}}, "poses.agents.speed: unknown key (did you"),
+    ("scene", "steps", 5, "steps: 5 asked for, but the pose file has 4"),
     # nothing there
-    ("scene", "cameras", {}, ("cameras: no cameras; a scene needs at least one",)),
-    ("scene", "vessels", {}, ("vessels: no vessels; a scene needs at least one",)),
+    ("scene", "cameras", {}, "cameras: no cameras; a scene needs at least one"),
+    ("scene", "vessels", {}, "vessels: no vessels; a scene needs at least one"),
     # files
-    ("scene", "vessels", "no/such.json", ("no/such.json: no such file",)),
-    ("scene", "poses/file", "nothing.json", ("nothing.json: no such file",)),
+    ("scene", "vessels", "no/such.json", "no/such.json: no such file"),
+    ("scene", "poses/file", "nothing.json", "nothing.json: no such file"),
     ("scene", "detector", "thesis.yaml", ("detector", "thesis.yaml: no such file")),
-    ("scene", "vessels", ".", ("this is a folder, a file was expected",)),
-    ("scene", "poses/file", ".", ("this is a folder, a file was expected",)),
-    ("scene", "detector", ".", ("this is a folder, a file was expected",)),
-    ("scene", "detector", "a\0b", ("is no valid file name",)),
-    ("scene", "detector", "x" * 5000, ("cannot be read: File name too long",)),
+    ("scene", "vessels", ".", "this is a folder, a file was expected"),
+    ("scene", "poses/file", ".", "this is a folder, a file was expected"),
+    ("scene", "detector", ".", "this is a folder, a file was expected"),
+    ("scene", "detector", "a\0b", "is no valid file name"),
+    ("scene", "detector", "x" * 5000, "cannot be read: File name too long"),
     # places
-    ("poses", "2.0/vehicle1", DELETED, ("cameras.C0.mount.vessel: 'vehicle1' has no pose at time 2.0 s",)),
+    ("poses", "2.0/vehicle1", DELETED, "cameras.C0.mount.vessel: 'vehicle1' has no pose at time 2.0 s"),
 ]
 
 
@@ -223,11 +199,9 @@ WRONG_VALUES: list[tuple[str, str, Any, tuple[str, ...]]] = [
     WRONG_VALUES,
     ids=[f"{i}-{file}-{path[:40]!a}" for i, (file, path, _, _) in enumerate(WRONG_VALUES)],
 )
-def test_wrong_value_is_told_with_its_place_and_what_would_be_right(
-    inputs: Inputs, refused: Refused, file: str, path: str, value: Any, parts: tuple[str, ...]
-) -> None:
+def test_wrong_value_is_told_with_its_place_and_what_would_be_right(inputs, refused, file, path, value, parts):
     inputs.set(file, path, value)
-    refused(inputs.write(), *parts)
+    refused(inputs.write(), *([parts] if isinstance(parts, str) else parts))
 
 
 def test_camera_inside_a_vessel_names_both_and_the_time(inputs: Inputs, refused: Refused, call: Call) -> None:
@@ -247,9 +221,6 @@ def test_rings_that_do_not_fit_name_the_vessel_and_its_size(inputs: Inputs, refu
     inputs.data["scene"].update(poses={"circular": {"radius_m": [5, 9], "rotation_rate_rad_s": [0, 1]}}, time_step_s=1)
     inputs.data["scene"].update(steps=5)
     refused(inputs.write(), "poses.circular: no free ring for vessel 'vehicle2' (8.0 m × 4.0 m) between radii 5.0 and")
-
-
-# ---- times ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -290,60 +261,55 @@ def test_more_steps_than_the_pose_file_has_are_told(inputs: Inputs, refused: Ref
     refused(inputs.write(), "steps: 9 asked for, but the pose file has 4", options=("--steps", 9))
 
 
-# ---- texts ------------------------------------------------------------------------------------------------------
-
-WRONG_TEXTS: list[tuple[str, bytes, tuple[str, ...]]] = [
+WRONG_TEXTS: list[tuple[str, bytes, str | tuple[str, ...]]] = [
     ("scene", b"", ("scene.yaml:", "the file is empty")),
-    ("scene", b"# nothing but a comment\n", ("the file is empty",)),
-    ("scene", b"- 1\n- 2\n", ("a mapping of keys is needed",)),
+    ("scene", b"# nothing but a comment\n", "the file is empty"),
+    ("scene", b"- 1\n- 2\n", "a mapping of keys is needed"),
     ("scene", b"seed: 1\ncameras: {C0: [1, 2}\n", ("line 2, column 20:", "expected ',' or ']', but got '}'")),
-    ("scene", b"seed: 1\n\tsteps: 2\n", ("line 2, column 1:",)),
-    ("scene", b"seed: 1\nseed: 2\n", ("line 2, column 1: key 'seed' appears twice",)),
-    ("scene", b"seed: 1\n---\nseed: 2\n", ("line 2, column 1: expected a single document",)),
-    ("scene", b"seed: !!bool x\n", ("line 1, column 7: 'x' cannot be read as bool",)),
-    ("scene", b"seed: !!timestamp x\n", ("line 1, column 7: the tag !!timestamp is not read",)),
+    ("scene", b"seed: 1\n\tsteps: 2\n", "line 2, column 1:"),
+    ("scene", b"seed: 1\nseed: 2\n", "line 2, column 1: key 'seed' appears twice"),
+    ("scene", b"seed: 1\n---\nseed: 2\n", "line 2, column 1: expected a single document"),
+    ("scene", b"seed: !!bool x\n", "line 1, column 7: 'x' cannot be read as bool"),
+    ("scene", b"seed: !!timestamp x\n", "line 1, column 7: the tag !!timestamp is not read"),
     ("scene", b"seed: " + b"1" * 5000, ("line 1, column 7:", "cannot be read as int")),
     ("scene", b"seed: &a [*a]\n", ("line 1, column 7:", "recursive")),
-    ("scene", b"seed: " + b"[" * 700, ("is nested too deeply",)),
-    ("scene", b"seed: 1\nx: \x00\n", ("line 2, column 4: character '\\x00' is not allowed in YAML",)),
-    ("scene", b"seed: 1\n# \xff\n", ("is not UTF-8 text (byte 10)",)),
-    ("scene", b"[1]: 2\n", ("line 1, column 1: a key must be plain text",)),
-    ("detector", b"", ("detector.yaml: must be a mapping with the keys labels",)),
-    ("detector", b"labels: [Vessel\nstates: {}", ("detector.yaml: line 2, column 7:",)),
-    ("detector", "labels: [Båt]".encode("latin-1"), ("detector.yaml: is not UTF-8 text (byte 10)",)),
-    ("vessels", b"", ("vessels.json: the file is empty",)),
-    ("vessels", b"{}", ("vessels.json: top level: no vessels; a scene needs at least one",)),
-    ("vessels", b"[]", ("vessels.json: top level: a mapping of vessel ID to vessel is needed",)),
-    ("vessels", b"null", ("vessels.json: top level: a mapping of vessel ID to vessel is needed",)),
+    ("scene", b"seed: " + b"[" * 700, "is nested too deeply"),
+    ("scene", b"seed: 1\nx: \x00\n", "line 2, column 4: character '\\x00' is not allowed in YAML"),
+    ("scene", b"seed: 1\n# \xff\n", "is not UTF-8 text (byte 10)"),
+    ("scene", b"[1]: 2\n", "line 1, column 1: a key must be plain text"),
+    ("detector", b"", "detector.yaml: must be a mapping with the keys labels"),
+    ("detector", b"labels: [Vessel\nstates: {}", "detector.yaml: line 2, column 7:"),
+    ("detector", "labels: [Båt]".encode("latin-1"), "detector.yaml: is not UTF-8 text (byte 10)"),
+    ("vessels", b"", "vessels.json: the file is empty"),
+    ("vessels", b"{}", "vessels.json: top level: no vessels; a scene needs at least one"),
+    ("vessels", b"[]", "vessels.json: top level: a mapping of vessel ID to vessel is needed"),
+    ("vessels", b"null", "vessels.json: top level: a mapping of vessel ID to vessel is needed"),
     ("vessels", b'{"vehicle1": {"beam_m" 4}}', ("vessels.json: line 1, column 24:", "Expecting ':' delimiter")),
-    ("vessels", b"\xfe{", ("vessels.json: is not UTF-8 text (byte 0)",)),
-    ("vessels", b"\xff\xfe{", ("vessels.json: is UTF-16 text, must be UTF-8",)),
-    ("poses", b"", ("poses.json: the file is empty",)),
-    ("poses", b"{}", ("poses.json: a mapping of timestamp to vessels is needed, with at least one timestamp",)),
-    ("poses", b'{"0.0": {"vehicle1": {"center_pos', ("poses.json: line 1, column 23: Unterminated string",)),
+    ("vessels", b"\xfe{", "vessels.json: is not UTF-8 text (byte 0)"),
+    ("vessels", b"\xff\xfe{", "vessels.json: is UTF-16 text, must be UTF-8"),
+    ("poses", b"", "poses.json: the file is empty"),
+    ("poses", b"{}", "poses.json: a mapping of timestamp to vessels is needed, with at least one timestamp"),
+    ("poses", b'{"0.0": {"vehicle1": {"center_pos', "poses.json: line 1, column 23: Unterminated string"),
     ("poses", b'{"0.0": {"vehicle1":\n {}}', ("poses.json: line 2, column 5:", "the file ends here: is it cut off?")),
-    ("poses", b"[" * 100_000, ("poses.json: is nested too deeply",)),
-    ("poses", b'{"0.0": ' + b"1" * 5000 + b"}", ("poses.json: a value cannot be read:",)),
+    ("poses", b"[" * 100_000, "poses.json: is nested too deeply"),
+    ("poses", b'{"0.0": ' + b"1" * 5000 + b"}", "poses.json: a value cannot be read:"),
 ]
 
 
 @pytest.mark.parametrize(
     ("file", "text", "parts"), WRONG_TEXTS, ids=[f"{i}-{file}" for i, (file, _, _) in enumerate(WRONG_TEXTS)]
 )
-def test_text_that_cannot_be_read_is_told_with_its_place(
-    inputs: Inputs, refused: Refused, file: str, text: bytes, parts: tuple[str, ...]
-) -> None:
+def test_text_that_cannot_be_read_is_told_with_its_place(inputs, refused, file, text, parts):
     scene = inputs.write()
     inputs.path(file).write_bytes(text)
-    refused(scene, *parts)
+    refused(scene, *([parts] if isinstance(parts, str) else parts))
 
 
 def test_numbers_and_booleans_are_those_of_yaml_1_2(inputs: Inputs, call: Call, refused: Refused) -> None:
     scene = inputs.write()
     text = scene.read_text()
     scene.write_text(re.sub(r"1\.0e-05", "1e-5", text))
-    assert "1e-5" in scene.read_text()
-    assert call("check", "scene", scene)[0] == 0
+    assert "1e-5" in scene.read_text() and call("check", "scene", scene)[0] == 0
     scene.write_text(text.replace("annotation:", "annotation:\n  allow_camera_inside: no"))
     refused(scene, "annotation.allow_camera_inside: true or false is needed (got 'no')")
 
@@ -354,9 +320,6 @@ def test_enormous_aliases_are_told_without_being_written_out(inputs: Inputs, ref
     scene = inputs.write()
     scene.write_text("\n".join([*lines, "seed: *a29", "vessels: *a29"]))
     assert len(refused(scene, "more than 200,000 values once its aliases (*) and merge keys (<<)")) < 1000
-
-
-# ---- all at once ------------------------------------------------------------------------------------------------
 
 
 def test_mistakes_in_every_file_are_told_at_once(inputs: Inputs, refused: Refused) -> None:

@@ -1,7 +1,5 @@
 """Labelled sets that are broken or made to fill the memory get one clear error, and no traceback."""
 
-from __future__ import annotations
-
 import copy
 import gzip
 import io
@@ -9,7 +7,7 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,7 @@ from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import Call, Inputs
+from tests.cli.bad_input.builders import Call, places, refusal
 
 TRUTH: dict[str, Any] = {
     "images": [
@@ -49,13 +47,8 @@ def refuse(call: Call, tmp_path: Path) -> Refuse:
 
     def look(truth: Path, detections: Path, *parts: str, options: tuple[str, ...] = ()) -> str:
         out = tmp_path / "out" / "detector.yaml"
-        status, said = call("learn", "--truth", truth, "--detections", detections, "--out", out, *options)
-        assert status == 2, said
-        assert "Traceback" not in said
-        for part in parts:
-            assert part in said, f"{part!r} not in:\n{said}"
-        assert len(said) < 10_000
-        assert said.replace("\n", "").isprintable()
+        said = refusal(call, ("learn", "--truth", truth, "--detections", detections, "--out", out, *options), *parts)
+        assert len(said) < 10_000 and said.replace("\n", "").isprintable()
         assert not out.parent.exists()
         return said
 
@@ -84,9 +77,6 @@ def yolo(folder: Path, truth: str = BOX, found: str = SEEN) -> tuple[Path, Path]
 SIZE = ("--image-size", "640,480")
 
 
-# ---- what a few bytes may span ------------------------------------------------------------------------------------
-
-
 def test_a_frame_far_beyond_the_lines_is_refused_with_what_raises_the_budget(tmp_path: Path, refuse: Refuse) -> None:
     pair = mot(tmp_path, LINE + LINE.replace("1,3", "10000000,3", 1))
     said = "gt.txt line 2: frame must be a whole number from 1 to 103000 (got 10000000)"
@@ -110,9 +100,7 @@ def test_a_sparse_night_is_read_where_seq_length_says_how_long_it_is(tmp_path: P
     ],
     ids=["identity", "class", "long line", "control characters", "all wrong"],
 )
-def test_lines_of_mot_that_are_none_are_refused(
-    tmp_path: Path, refuse: Refuse, truth: str, found: str, part: str
-) -> None:
+def test_lines_of_mot_that_are_none_are_refused(tmp_path, refuse, truth, found, part):
     refuse(*mot(tmp_path, truth, found), part, options=SIZE)
 
 
@@ -134,8 +122,7 @@ def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse, text:
 def test_a_class_far_beyond_the_others_costs_one_class(tmp_path: Path) -> None:
     labelled = read_pair("day", *yolo(tmp_path, BOX + "9999 .5 .5 .1 .1\n"), ReadOptions(image_size_px=(640, 480)))
     assert labelled.labels == ("class_0", "class_9999")
-    assert labelled.annotations.label.tolist() == [0, 1]
-    assert labelled.results.label.tolist() == [0]
+    assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [0]
 
 
 def test_more_classes_than_the_tables_have_room_for_are_refused(tmp_path: Path, refuse: Refuse) -> None:
@@ -152,18 +139,9 @@ def test_many_boxes_on_one_place_are_refused(tmp_path: Path, refuse: Refuse, mon
     refuse(*yolo(tmp_path, BOX * 40, SEEN * 40), "image 'a'", "more than 1,000 pairs of boxes", options=SIZE)
 
 
-# ---- values -------------------------------------------------------------------------------------------------------
-
 HUGE = 10**400
 WRONG = [None, True, "", "x", "\x1b[31m", "\ud800", [], {}, [[None]], {"x": 1}, -1, 0, 1.5, 10**25, HUGE]
 WRONG += [1e300, -1e308, float("nan"), float("inf"), "9" * 5000, [1, 2, 3, 4], [HUGE] * 4, "x" * 100_000]
-
-
-def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, inner in entries:
-        yield (*path, key)
-        yield from places(inner, (*path, key))
 
 
 @pytest.mark.parametrize("path", [("gt", *p) for p in places(TRUTH)] + [("dt", *p) for p in places(RESULTS)], ids=str)
@@ -179,8 +157,7 @@ def test_any_value_anywhere_in_coco_is_read_or_refused(tmp_path: Path, path: tup
             try:
                 read_pair("day", *pair, ReadOptions(frame_rate_hz=rate_hz))
             except ModsimError as error:
-                assert len(str(error)) < 5000
-                assert str(error).replace("\n", "").isprintable()
+                assert len(str(error)) < 5000 and str(error).replace("\n", "").isprintable()
 
 
 @pytest.mark.parametrize(
@@ -193,9 +170,7 @@ def test_any_value_anywhere_in_coco_is_read_or_refused(tmp_path: Path, path: tup
         ("track_id", "x" * 10_000, ""),
     ],
 )
-def test_numbers_of_400_digits_are_refused_with_their_place(
-    tmp_path: Path, refuse: Refuse, name: str, value: Any, part: str
-) -> None:
+def test_numbers_of_400_digits_are_refused_with_their_place(tmp_path, refuse, name, value, part):
     truth = copy.deepcopy(TRUTH)
     entry = truth["images"][0] if name in ("width", "time_s") else truth["annotations"][0]
     entry[name] = value
@@ -213,9 +188,6 @@ def test_a_file_name_of_5000_digits_and_a_class_that_no_file_can_hold(tmp_path: 
 
 def test_a_name_that_is_unknown_is_not_written_out(tmp_path: Path, refuse: Refuse) -> None:
     refuse(*coco(tmp_path, TRUTH, [{**RESULTS[0], "image_id": "x" * 1_000_000}]), "[0]: unknown image_id 'xxx")
-
-
-# ---- files --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("form", [coco, mot])
@@ -302,11 +274,8 @@ def test_many_problems_are_counted_and_not_kept() -> None:
     ],
     ids=" ".join,
 )
-def test_a_matching_rule_that_is_not_clear_is_refused(
-    inputs: Inputs, call: Call, tmp_path: Path, options: tuple[str, ...], part: str
-) -> None:
+def test_a_matching_rule_that_is_not_clear_is_refused(inputs, call, tmp_path, options, part):
     run_scene(load_scene(inputs.write()), tmp_path / "run")
-    status, said = call("learn", tmp_path / "run", *options, "--out", tmp_path / "d.yaml")
-    assert status == 2 and "Traceback" not in said
-    assert part in said and len(said.splitlines()) == 1
+    said = refusal(call, ("learn", tmp_path / "run", *options, "--out", tmp_path / "d.yaml"), part)
+    assert len(said.splitlines()) == 1
     assert not (tmp_path / "d.yaml").exists()

@@ -1,12 +1,10 @@
 """--set, --state and --from: what cannot be set is one error that names the option, and nothing is written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
-from tests.cli.bad_input.builders import Call, Inputs
+from tests.cli.bad_input.builders import Call, Inputs, refusal
 
 
 @pytest.mark.parametrize(
@@ -31,23 +29,18 @@ from tests.cli.bad_input.builders import Call, Inputs
     ],
     ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
 )
-def test_a_wrong_setting_is_one_error(
-    inputs: Inputs, call: Call, options: list[str], part: str, tmp_path: Path
-) -> None:
+def test_a_wrong_setting_is_one_error(inputs, call, options, part, tmp_path):
     scene, out = inputs.write(), tmp_path / "out"
     for command in (["check", "scene", str(scene)], ["run", str(scene), "--out", str(out)]):
-        status, said = call(*command, *options)
-        assert status == 2
+        said = refusal(call, (*command, *options))
         assert part in " ".join(said.split())
-        assert "Traceback" not in said
         assert not out.exists()
 
 
 def test_a_detector_and_a_condition_in_its_place_are_refused(inputs: Inputs, call: Call, tmp_path: Path) -> None:
     scene = inputs.write()
     options = ("--state", "noon_clear", "--from", "conditions", "--detector", str(inputs.path("detector")))
-    status, said = call("run", str(scene), "--out", str(tmp_path / "out"), *options)
-    assert status == 2
+    said = refusal(call, ("run", str(scene), "--out", str(tmp_path / "out"), *options))
     assert "is a detector in place of the scene's: so is --detector" in " ".join(said.split())
 
 
@@ -61,8 +54,7 @@ def test_a_truth_that_is_kept_cannot_be_set(inputs: Inputs, call: Call, tmp_path
     run, other = str(tmp_path / "run"), tmp_path / "other"
     scene = str(inputs.write())
     assert call("run", scene, "--source", "analytic", "--no-sheet", "--out", run)[0] == 0
-    status, said = call("detect", run, "--out", str(other), "--set", "waves.level=small")
-    assert status == 2
+    said = refusal(call, ("detect", run, "--out", str(other), "--set", "waves.level=small"))
     assert "a finished run keeps its truth: set keys of the detector only" in " ".join(said.split())
     assert not other.exists()
     assert call("detect", run, "--out", str(other), "--set", "detector.states.fog.false_discovery_rate=0.3")[0] == 0

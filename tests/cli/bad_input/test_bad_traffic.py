@@ -1,8 +1,5 @@
 """Drawn traffic that cannot be: one error that names the key in the traffic section, and nothing is written."""
 
-from __future__ import annotations
-
-import copy
 import json
 from pathlib import Path
 from typing import Any
@@ -27,71 +24,53 @@ SCENE: dict[str, Any] = {
     "detector": "detector.yaml",
 }
 ISLAND = {"polygon_m": [[50, -20], [90, -20], [90, 20]], "height_m": 5}
+CROWDED = {"polygon_m": [[0, 0], [1e5, 0], [0, 1e5]], "per_km2": 9e3, "kinds": ["kayak"]}
+NAMES = ["own", *(f"west_{i}" for i in range(1, 60))]
+ON_BOARD = lens(mount={"vessel": "west_1", "position_m": [2.0, 0.0, 2.0]})
+
+
+def _traffic(**sections: Any) -> dict[str, Any]:
+    return {"poses": {"traffic": sections}}
+
+
+def written(folder: Path, **changes: Any) -> Path:
+    scene = folder / "scene.json"
+    scene.write_text(json.dumps(SCENE | changes), encoding="utf-8")
+    (folder / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
+    return scene
+
+
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "labels": (
-        {"poses": {"traffic": {"lanes": {"west": LANE}}}},
-        "poses.traffic: draws vessels with the label 'boat' (",
-    ),
-    "how to label": ({"poses": {"traffic": {"lanes": {"west": LANE}}}}, "set poses.traffic.labels"),
-    "name": (
-        {"vessels": dict.fromkeys(["own", *(f"west_{i}" for i in range(1, 60))], SCENE["vessels"]["own"])},
-        "poses.traffic: draws a vessel 'west_",
-    ),
-    "kind": ({"poses": {"traffic": {"lanes": {"west": LANE | {"kinds": ["motorbaot"]}}}}}, "did you mean 'motorboat'?"),
-    "key": ({"poses": {"traffic": {"lane": {}}}}, "poses.traffic.lane: unknown key (did you mean 'lanes'?)"),
+    "labels": (_traffic(lanes={"west": LANE}), "poses.traffic: draws vessels with the label 'boat' ("),
+    "how to label": (_traffic(lanes={"west": LANE}), "set poses.traffic.labels"),
+    "name": ({"vessels": dict.fromkeys(NAMES, SCENE["vessels"]["own"])}, "poses.traffic: draws a vessel 'west_"),
+    "kind": (_traffic(lanes={"west": LANE | {"kinds": ["motorbaot"]}}), "did you mean 'motorboat'?"),
+    "key": (_traffic(lane={}), "poses.traffic.lane: unknown key (did you mean 'lanes'?)"),
     "land": ({"obstacles": {"island": ISLAND}}, "poses.traffic.lanes.west.waypoints_m: leads over an obstacle"),
     "no own ship": ({"vessels": {}}, "poses.traffic.own.own: no vessel 'own'"),
     "no times": ({"steps": None}, "poses: traffic has no times of its own: give steps beside it"),
-    "mount": (
-        {"cameras": {"bow": lens(mount={"vessel": "west_1", "position_m": [2.0, 0.0, 2.0]})}},
-        "cameras.bow.mount.vessel: no vessel 'west_1'",
-    ),
-    "too many": (
-        {
-            "poses": {
-                "traffic": {
-                    "leisure": {"sea": {"polygon_m": [[0, 0], [1e5, 0], [0, 1e5]], "per_km2": 9e3, "kinds": ["kayak"]}}
-                }
-            }
-        },
-        "poses.traffic.leisure.sea.per_km2: means",
-    ),
+    "mount": ({"cameras": {"bow": ON_BOARD}}, "cameras.bow.mount.vessel: no vessel 'west_1'"),
+    "too many": (_traffic(leisure={"sea": CROWDED}), "poses.traffic.leisure.sea.per_km2: means"),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_traffic_is_one_error_that_names_its_key(tmp_path: Path, refused: Refused, case: str) -> None:
     changes, message = WRONG[case]
-    scene = tmp_path / "scene.json"
-    scene.write_text(json.dumps(copy.deepcopy(SCENE) | changes), encoding="utf-8")
-    (tmp_path / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
-    refused(scene, message)
+    refused(written(tmp_path, **changes), message)
 
 
 def test_a_wrong_setting_of_the_section_names_the_option(tmp_path: Path, refused: Refused) -> None:
-    scene = tmp_path / "scene.json"
-    scene.write_text(json.dumps(SCENE), encoding="utf-8")
-    (tmp_path / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
-    refused(
-        scene,
-        "--set poses.traffic.lanes.west.per_hour: Input should be",
-        options=("--set", "poses.traffic.lanes.west.per_hour=-1"),
-    )
-    refused(
-        scene,
-        "--set poses.traffic.lanes.est.per_hour: poses.traffic.lanes has no 'est' (did you mean 'west'?)",
-        options=("--set", "poses.traffic.lanes.est.per_hour=1"),
-    )
+    for key, value, said in (
+        ("poses.traffic.lanes.west.per_hour", -1, "Input should be"),
+        ("poses.traffic.lanes.est.per_hour", 1, "poses.traffic.lanes has no 'est' (did you mean 'west'?)"),
+    ):
+        refused(written(tmp_path), f"--set {key}: {said}", options=("--set", f"{key}={value}"))
 
 
-def test_vessels_without_room_are_warned_of(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_vessels_without_room_are_warned_of(tmp_path, monkeypatch, capsys):
     pond = {"polygon_m": [[-30, 30], [30, 30], [30, 90], [-30, 90]], "per_km2": 5000, "kinds": "kayak"}
-    traffic = {"own": OWN, "leisure": {"pond": pond}, "labels": "Vessel"}
-    scene = tmp_path / "scene.json"
-    scene.write_text(json.dumps(SCENE | {"poses": {"traffic": traffic}}), encoding="utf-8")
-    (tmp_path / "detector.yaml").write_text(json.dumps(GOOD["detector"]), encoding="utf-8")
+    scene = written(tmp_path, **_traffic(own=OWN, leisure={"pond": pond}, labels="Vessel"))
     loaded = load_scene(scene)
     left_out = loaded.poses.left_out["leisure.pond"]  # type: ignore[attr-defined]
     said = f"poses.traffic: {left_out} of the vessels that were drawn found no room and are left out: {left_out} of"

@@ -1,7 +1,5 @@
 """Every budget of the files of a scene refuses small files that stand for enormous values, before the values exist."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import os
@@ -18,7 +16,7 @@ from modsim3d.io import input_files
 from modsim3d.io.input_files import open_input, read_text
 from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.world.poses.replay import load_poses, read_steps
-from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused, at
+from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused, at, refusal
 
 ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 30)
@@ -80,8 +78,7 @@ def test_repetitive_poses_that_are_packed_twenty_fold_are_read(tmp_path: Path) -
     steps = {f"{t}.0": {f"v{k}": at(k + t / 8, 2.0 * k) for k in range(200)} for t in range(600)}
     content = json.dumps(steps).encode()
     path.write_bytes(gzip.compress(content))
-    assert path.stat().st_size < len(content) / 15
-    assert len(load_poses(path, None).timestamps) == 600
+    assert path.stat().st_size < len(content) / 15 and len(load_poses(path, None).timestamps) == 600
 
 
 def test_a_scene_of_a_thousand_vessels_and_a_hundred_thousand_poses_is_within_the_budgets(tmp_path: Path) -> None:
@@ -101,9 +98,6 @@ def test_a_line_of_a_stream_has_a_budget_of_values() -> None:
     line = b'{"0.0": [' + b"[]," * 1_000_000 + b"[]]}\n"
     with pytest.raises(InputError, match=r"line 1: has 2,000,003 values \(commas and brackets\)"):
         list(read_steps([line], "poses from standard input", ["v"]))
-
-
-# ---- what is no file --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("file", ["scene", "vessels", "poses", "detector"])
@@ -129,9 +123,6 @@ def test_devices_and_sockets_are_refused(tmp_path: Path) -> None:
                 read_text(Path(path), "file")
 
 
-# ---- values that YAML and JSON allow ----------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "part"),
     [
@@ -145,9 +136,7 @@ def test_devices_and_sockets_are_refused(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("file", ["scene", "detector"])
-def test_yaml_has_the_types_of_its_core_schema_only(
-    inputs: Inputs, refused: Refused, file: str, text: str, part: str
-) -> None:
+def test_yaml_has_the_types_of_its_core_schema_only(inputs, refused, file, text, part):
     scene = inputs.write()
     inputs.path(file).write_text(f"a: 1\nlabel: {text}\n")
     refused(scene, part)
@@ -168,11 +157,7 @@ def test_numbers_beyond_all_floats_are_told(inputs: Inputs, refused: Refused, nu
 def test_a_wrong_mesh_is_told_once_and_without_words_of_python(inputs: Inputs, refused: Refused) -> None:
     inputs.set("vessels", "vehicle2/mesh", {"file": 5})
     said = refused(inputs.write(), "vehicle2.mesh: the name of a shipped mesh, a file, or a mapping of file")
-    assert "dict" not in said
-    assert said.count("vehicle2.mesh") == 1
-
-
-# ---- many mistakes ----------------------------------------------------------------------------------------------
+    assert "dict" not in said and said.count("vehicle2.mesh") == 1
 
 
 def test_mistakes_in_thousands_of_entries_are_not_all_told(inputs: Inputs, refused: Refused) -> None:
@@ -190,9 +175,6 @@ def test_long_names_lose_their_middle(inputs: Inputs, refused: Refused) -> None:
     assert len(refused(inputs.write(), ": unknown key", "is not one of the detector's labels (known: Vessel)")) < 20_000
 
 
-# ---- secrets ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("file", ["scene", "vessels", "poses", "detector"])
 @pytest.mark.parametrize("text", ["root:secret:0:0\nother:secret", '"secret"', "- secret", "secret", "[secret]"])
 def test_a_file_of_another_kind_is_not_repeated(inputs: Inputs, refused: Refused, file: str, text: str) -> None:
@@ -205,7 +187,9 @@ def test_a_file_of_another_kind_is_not_repeated_as_a_sequence(call: Call, inputs
     run, out = tmp_path / "run", tmp_path / "out.yaml"
     call("run", inputs.write(), "--out", run, "--no-sheet")
     (tmp_path / "file").write_text("root:secret:0:0\nother:secret\n")
-    status, said = call("learn", run, "--out", out, "--sequence", tmp_path / "file", "--interval", 1)
-    assert status == 2
-    assert "--sequence:\n  names no state in any line" in said
+    said = refusal(
+        call,
+        ("learn", run, "--out", out, "--sequence", tmp_path / "file", "--interval", 1),
+        "--sequence:\n  names no state in any line",
+    )
     assert "secret" not in said

@@ -1,7 +1,5 @@
 """One rule for all commands: what exists is refused without --overwrite, and what is read is never written over."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import os
@@ -21,17 +19,14 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.campaign.small_campaign import small_campaign
 from tests.cli.bad_input import writers
-from tests.cli.bad_input.builders import Call, Inputs
+from tests.cli.bad_input.builders import Call, Inputs, content, refusal
+from tests.run_folders import interrupt
 from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
 
 COMMANDS = {
     name: list(inspect.signature(function, eval_str=True).parameters.values()) for _, name, function, _ in main.COMMANDS
 }
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -74,27 +69,19 @@ def test_the_tables_of_these_tests_have_every_command_and_every_path_that_one_is
 
 
 @pytest.mark.parametrize(("names", "line"), writers.DEFAULTS.values(), ids=writers.DEFAULTS)
-def test_what_a_command_writes_into_a_run_it_writes_again_only_with_overwrite(
-    run: Path, call: Call, names, line
-) -> None:
+def test_what_a_command_writes_into_a_run_it_writes_again_only_with_overwrite(run, call, names, line):
     assert call(*line(run))[0] in (0, 1)
     for name in names:
         (run / name).write_bytes(b"mine")
-    before = content(run)
-    status, said = call(*line(run))
-    assert status == 2
-    assert " exists: use --overwrite" in said and len(said.splitlines()) == 1
-    assert content(run) == before
+    said = refusal(call, line(run), " exists: use --overwrite", kept=run)
+    assert len(said.splitlines()) == 1
     assert call(*line(run), "--overwrite")[0] in (0, 1)
     assert all((run / name).read_bytes() != b"mine" for name in names)
 
 
 HOW: dict[str, Callable[[Path, Path], None]] = {
     "link": lambda out, read: out.symlink_to(read),
-    "link to a link": lambda out, read: (
-        out.with_name("between").symlink_to(read),
-        out.symlink_to("between"),
-    ),
+    "link to a link": lambda out, read: (out.with_name("between").symlink_to(read), out.symlink_to("between")),
     "hard link": lambda out, read: os.link(read, out),
 }
 
@@ -104,26 +91,17 @@ HOW: dict[str, Callable[[Path, Path], None]] = {
 def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, tmp_path, name: str, how) -> None:
     file, line = writers.WRITERS[name]
     read = writers.INPUTS[name](run) if name in writers.INPUTS else run / "truth.parquet"
-    (tmp_path / "out").mkdir()
-    how(tmp_path / "out" / file, read)
-    before = content(tmp_path)
-    status, said = call(*line(run, tmp_path / "out" / file), "--overwrite")
-    assert status == 2
-    assert f"{tmp_path / 'out' / file} is read by this command" in said
-    assert content(tmp_path) == before
+    out = tmp_path / "out" / file
+    out.parent.mkdir()
+    how(out, read)
+    refusal(call, (*line(run, out), "--overwrite"), f"{out} is read by this command", kept=tmp_path)
 
 
 @pytest.mark.parametrize("spelled", ["run/../run/truth.parquet", "./run//truth.parquet", "folder/truth.parquet"])
-def test_what_a_command_reads_stays_however_it_is_spelled(
-    run: Path, call: Call, tmp_path, monkeypatch, spelled
-) -> None:
+def test_what_a_command_reads_stays_however_it_is_spelled(run, call, tmp_path, monkeypatch, spelled):
     monkeypatch.chdir(tmp_path)
     Path("folder").symlink_to(run)
-    before = content(tmp_path)
-    status, said = call("report", "run", "--out", spelled, "--overwrite")
-    assert status == 2
-    assert "is read by this command" in said
-    assert content(tmp_path) == before
+    refusal(call, ("report", "run", "--out", spelled, "--overwrite"), "is read by this command", kept=tmp_path)
 
 
 def test_files_are_the_same_by_what_they_are_and_not_by_their_names(tmp_path, monkeypatch) -> None:
@@ -138,9 +116,7 @@ def test_files_are_the_same_by_what_they_are_and_not_by_their_names(tmp_path, mo
 def test_what_lies_beside_an_output_while_it_is_written_is_no_input(run: Path, call: Call, tmp_path, name) -> None:
     (tmp_path / name).write_text("usual\n")
     line = ("learn", run, "--sequence", tmp_path / name, "--interval", 1, "--out", tmp_path / "d.yaml")
-    status, said = call(*line, "--overwrite")
-    assert status == 2
-    assert str(tmp_path / name) in said
+    refusal(call, (*line, "--overwrite"), str(tmp_path / name))
     assert (tmp_path / name).read_text() == "usual\n"
 
 
@@ -166,12 +142,8 @@ def mot(folder: Path) -> tuple[object, ...]:
 
 @pytest.mark.parametrize(("make", "name"), [(yolo, "data.yaml"), (mot, "seqinfo.ini")])
 def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path, make, name) -> None:
-    line = make(tmp_path)
-    before = content(tmp_path)
-    status, said = call(*line, "--out", tmp_path / name, "--overwrite")
-    assert status == 2
-    assert f"{tmp_path / name} is read by this command" in said
-    assert content(tmp_path) == before
+    line, out = make(tmp_path), tmp_path / name
+    refusal(call, (*line, "--out", out, "--overwrite"), f"{out} is read by this command", kept=tmp_path)
     assert call(*line, "--out", tmp_path / "labels.yaml")[0] == 0
 
 
@@ -205,33 +177,22 @@ def test_nothing_is_written_among_the_unfinished_files_of_the_run_that_is_read(r
     out = run / "unfinished" / "new" / file
     if name.startswith("view"):
         out.parent.mkdir(parents=True)
-    before = content(run)
-    status, said = call(*line(run, out), "--overwrite")
-    assert status == 2
-    assert f" is inside {run / 'unfinished'}, which this command reads" in said
-    assert content(run) == before
+    said = f" is inside {run / 'unfinished'}, which this command reads"
+    refusal(call, (*line(run, out), "--overwrite"), said, kept=run)
 
 
 def test_frames_of_a_film_are_not_written_among_them_either(run: Path, call: Call) -> None:
     (run / "unfinished").mkdir()
-    status, said = call("view", "film", run, "--kind", "ids", "--format", "png", "--out", run / "unfinished" / "ids")
-    assert status == 2
-    assert "which this command reads" in said
-    assert not (run / "unfinished" / "ids").exists()
-
-
-def interrupted(scene: Path, out: Path) -> None:
-    def stop(_: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(load_scene(scene), out, progress=stop)
+    out = run / "unfinished" / "ids"
+    line = ("view", "film", run, "--kind", "ids", "--format", "png", "--out", out)
+    refusal(call, line, "which this command reads")
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("how", ["there", "link", "hard link"])
 def test_a_vessels_file_among_the_files_that_a_run_replaces_stays(inputs: Inputs, call: Call, tmp_path, how) -> None:
     out = tmp_path / "run"
-    interrupted(inputs.write(), out)
+    interrupt(load_scene(inputs.write()), out)
     inside, given = out / "unfinished" / "vessels.json", inputs.path("vessels")
     shutil.move(given, inside)
     if how == "there":
@@ -260,11 +221,7 @@ def test_the_poses_of_a_live_run_are_not_lost_by_running_them_again(inputs: Inpu
     (out / name).parent.mkdir(exist_ok=True)
     (out / name).write_text(line + "\n")
     inputs.data["scene"]["poses"] = {"stream": {"file": str(out / name), "timeout_s": 0}}
-    before = content(out)
-    status, said = call("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet")
-    assert status == 2
-    assert "this run reads it" in said
-    assert content(out) == before
+    refusal(call, ("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet"), "this run reads it", kept=out)
 
 
 def test_a_run_does_not_replace_a_file_that_a_hard_link_leads_to(inputs: Inputs, call: Call, tmp_path) -> None:
@@ -273,11 +230,8 @@ def test_a_run_does_not_replace_a_file_that_a_hard_link_leads_to(inputs: Inputs,
     inputs.path("poses").unlink()
     inputs.data.pop("poses")
     os.link(tmp_path / "run" / "scene" / "poses.json", inputs.path("poses"))
-    before = content(tmp_path)
-    status, said = call("run", inputs.path("scene"), "--out", tmp_path / "run", "--overwrite", "--no-sheet")
-    assert status == 2
-    assert "this run reads it" in said
-    assert content(tmp_path) == before
+    line = ("run", inputs.path("scene"), "--out", tmp_path / "run", "--overwrite", "--no-sheet")
+    refusal(call, line, "this run reads it", kept=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -291,11 +245,8 @@ def test_a_folder_that_holds_something_is_refused_without_overwrite(run: Path, c
     }
     out = tmp_path / "new"
     assert call(*lines[name], "--out", out)[0] == 0
-    before = content(out)
-    status, said = call(*lines[name], "--out", out)
-    assert status == 2
-    assert "--overwrite" in said and len(said.splitlines()) == 1
-    assert content(out) == before
+    said = refusal(call, (*lines[name], "--out", out), "--overwrite", kept=out)
+    assert len(said.splitlines()) == 1
     assert call(*lines[name], "--out", out, "--overwrite")[0] == 0
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
@@ -310,11 +261,7 @@ def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path, how) -> Non
     assert call("ais", log, "--out", out)[0] == 0
     (out / "vessels.json").unlink()
     how(out / "vessels.json", log)
-    before = content(tmp_path)
-    status, said = call("ais", log, "--out", out, "--overwrite")
-    assert status == 2
-    assert "is read by this command" in said
-    assert content(tmp_path) == before
+    refusal(call, ("ais", log, "--out", out, "--overwrite"), "is read by this command", kept=tmp_path)
 
 
 @pytest.mark.parametrize("name", writers.NO_WRITERS)

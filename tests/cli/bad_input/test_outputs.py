@@ -1,7 +1,5 @@
 """No command loses a file: none that it reads, none that it has not been told to replace, none by failing halfway."""
 
-from __future__ import annotations
-
 import hashlib
 import resource
 import subprocess
@@ -14,15 +12,11 @@ from modsim3d.formats.writing.coco import write_coco
 from modsim3d.io.overwrite_guard import locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs
+from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs, refusal
 from tests.cli.bad_input.writers import TRACKS, WRITERS, Line
+from tests.run_folders import run_files
 from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +36,8 @@ def test_a_file_that_is_there_is_replaced_only_with_overwrite(run, call: Call, t
     out = tmp_path / "out" / name
     out.parent.mkdir()
     out.write_text("mine")
-    status, said = call(*line(run, out))
-    assert status == 2
-    assert f"{out} exists: use --overwrite" in said
-    assert content(out.parent) == {name: b"mine"}
+    refusal(call, line(run, out), f"{out} exists: use --overwrite")
+    assert run_files(out.parent) == {name: b"mine"}
     status, said = call(*line(run, out), "--overwrite")
     assert status in (0, 1), said
     assert out.read_bytes() != b"mine"
@@ -56,21 +48,16 @@ def test_a_file_that_is_there_is_replaced_only_with_overwrite(run, call: Call, t
 def test_while_another_process_writes_a_file_it_is_refused(run, call: Call, tmp_path, name: str, line: Line) -> None:
     out = tmp_path / "out" / name
     with locked_file(out):
-        status, said = call(*line(run, out), "--overwrite")
-    assert status == 2
-    assert f"{out} is being written by " in said
-    assert content(out.parent) == {}
+        refusal(call, (*line(run, out), "--overwrite"), f"{out} is being written by ")
+    assert run_files(out.parent) == {}
 
 
 @EACH
 def test_a_folder_that_cannot_be_made_is_told(run, call: Call, tmp_path, name: str, line: Line) -> None:
     (tmp_path / "file").write_text("mine")
-    status, said = call(*line(run, tmp_path / "file" / name))
-    assert status == 2
-    assert "Traceback" not in said
-    assert str(tmp_path / "file") in said
+    said = refusal(call, line(run, tmp_path / "file" / name), str(tmp_path / "file"))
     assert ".partial" not in said and ".lock" not in said
-    assert content(tmp_path) == {"file": b"mine"}
+    assert run_files(tmp_path) == {"file": b"mine"}
 
 
 @pytest.mark.parametrize(
@@ -82,15 +69,7 @@ def test_a_folder_that_cannot_be_made_is_told(run, call: Call, tmp_path, name: s
         lambda run: ("learn", run, "--out", run / "run.json"),
         lambda run: ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
         lambda run: ("learn", *pair(run), "--out", run.parent / "link" / "dt.json"),
-        lambda run: (
-            "check",
-            "run",
-            run,
-            "--detector",
-            run.parent / "coco" / "verify.json",
-            "--out",
-            run.parent / "coco",
-        ),
+        lambda run: ("check", "run", run, "--detector", run.parent / "coco/verify.json", "--out", run.parent / "coco"),
     ],
 )
 def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, line) -> None:
@@ -103,12 +82,12 @@ def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, cal
     )
     if not (run.parent / "link").exists():
         (run.parent / "link").symlink_to(run.parent / "coco")
-    before = content(run.parent)
+    before = run_files(run.parent)
     status, said = call(*line(run), "--overwrite")
     (run / "run.json").write_text(listed)
     assert status == 2
     assert "is read by this command, so it is not written over" in said
-    assert content(run.parent) == {**before, "run/run.json": listed.encode()}
+    assert run_files(run.parent) == {**before, "run/run.json": listed.encode()}
 
 
 def pair(run: Path) -> tuple[object, ...]:
@@ -119,24 +98,18 @@ def test_an_ais_log_in_the_scene_folder_is_not_written_over(call: Call, tmp_path
     out, log = tmp_path / "scene", SAMPLES / "danish.csv"
     assert call("ais", log, "--out", out)[0] == 0
     (out / "report.json").write_bytes(log.read_bytes())
-    before = content(out)
-    status, said = call("ais", out / "report.json", "--out", out, "--overwrite")
-    assert status == 2
-    assert "is read by this command" in said
+    before = run_files(out)
+    refusal(call, ("ais", out / "report.json", "--out", out, "--overwrite"), "is read by this command")
     with locked_folder(out):
-        status, said = call("ais", log, "--out", out, "--overwrite")
-    assert status == 2
-    assert "is being written by" in said
-    assert content(out) == before
+        refusal(call, ("ais", log, "--out", out, "--overwrite"), "is being written by")
+    assert run_files(out) == before
 
 
 @pytest.mark.parametrize("name", ["device", "folder"])
 def test_only_regular_files_are_written(run, call: Call, tmp_path, name: str) -> None:
     (tmp_path / "device").symlink_to("/dev/null")
     (tmp_path / "folder" / "report.html").mkdir(parents=True)
-    status, said = call("report", run, "--out", tmp_path / name, "--overwrite")
-    assert status == 2
-    assert "choose another name" in said
+    refusal(call, ("report", run, "--out", tmp_path / name, "--overwrite"), "choose another name")
     assert Path("/dev/null").is_char_device()
 
 
@@ -165,7 +138,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_n
     if name == "film":
         out.mkdir()
     (out / "frame_000000.png" if name == "film" else out).write_bytes(b"before")
-    before = content(tmp_path)
+    before = run_files(tmp_path)
     command, *options = words
     done = subprocess.run(
         [prepared, *command.split(), str(run), *options, "--out", str(out), "--overwrite"],
@@ -179,7 +152,7 @@ def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_n
     assert "Traceback" not in done.stderr
     assert f"modsim3d: {out} c" in done.stderr  # cannot be written to, could not be encoded
     assert ".partial" not in done.stderr
-    assert content(tmp_path) == before
+    assert run_files(tmp_path) == before
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -188,7 +161,7 @@ def test_an_interrupted_film_leaves_what_was_there(run, call: Call, tmp_path, mo
     out = tmp_path / ("film" if kind == "png" else f"film.{kind}")
     line = ("view", "film", run, "--kind", "ids", "--width", 160, "--every", 5, "--format", kind, "--out", out)
     assert call(*line)[0] == 0
-    before = content(tmp_path)
+    before = run_files(tmp_path)
     drawn = []
 
     def interrupt(*_: object, **__: object) -> None:
@@ -200,7 +173,7 @@ def test_an_interrupted_film_leaves_what_was_there(run, call: Call, tmp_path, mo
     status, said = call(*line, "--overwrite")
     assert status == 130
     assert "no film was written" in said
-    assert content(tmp_path) == before
+    assert run_files(tmp_path) == before
 
 
 def test_a_film_killed_between_its_last_two_renames_is_found_again(tmp_path):
@@ -210,18 +183,16 @@ def test_a_film_killed_between_its_last_two_renames_is_found_again(tmp_path):
     (tmp_path / ".film.replaced" / "frame_000001.png").write_text("old")
     with pytest.raises(KeyboardInterrupt), put_folder_in_place(tmp_path / "film", "frame_*.png"):
         raise KeyboardInterrupt
-    assert content(tmp_path) == {"film/frame_000001.png": b"old"}
+    assert run_files(tmp_path) == {"film/frame_000001.png": b"old"}
     with put_folder_in_place(tmp_path / "film", "frame_*.png") as partial:
         (partial / "frame_000002.png").write_text("new")
-    assert content(tmp_path) == {"film/frame_000002.png": b"new"}
+    assert run_files(tmp_path) == {"film/frame_000002.png": b"new"}
 
 
 def test_a_run_is_refused_with_exit_status_two_while_its_folder_is_written(inputs: Inputs, call: Call, tmp_path):
     inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 3, "time_step_s": 0.5}
     with locked_folder(tmp_path / "run"):
-        status, said = call("run", inputs.write(), "--out", tmp_path / "run")
-    assert status == 2
-    assert "is being written by" in said
+        refusal(call, ("run", inputs.write(), "--out", tmp_path / "run"), "is being written by")
     assert not (tmp_path / "run").exists()
 
 
@@ -237,7 +208,5 @@ def test_an_output_that_is_a_link_in_a_circle_is_no_traceback(run, call: Call, t
 
 def test_a_page_that_is_the_detector_file_by_another_path_is_refused_as_such(run, call: Call, tmp_path) -> None:
     (tmp_path / "d.html").symlink_to("d.yaml")
-    status, said = call("learn", run, "--out", tmp_path / "d.yaml")
-    assert status == 2
-    assert "the page would be written over the detector file" in said
-    assert content(tmp_path) == {}
+    refusal(call, ("learn", run, "--out", tmp_path / "d.yaml"), "the page would be written over the detector file")
+    assert run_files(tmp_path) == {}

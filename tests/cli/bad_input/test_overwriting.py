@@ -14,8 +14,9 @@ from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources import compare
-from tests.cli.bad_input.builders import Call, Inputs
+from tests.cli.bad_input.builders import Call, Inputs, refusal
 from tests.cli.bad_input.writers import scene_file
+from tests.run_folders import interrupt, run_files
 
 SMALL = ("--camera", "C0", "--width", "160")
 NOTES = {
@@ -24,11 +25,6 @@ NOTES = {
     "mine/frame_000001.png": "no film",
     "report_parts/a": "mine",
 }
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def write(folder: Path, files: dict[str, str]) -> dict[str, bytes]:
@@ -51,12 +47,11 @@ def project(inputs: Inputs, call: Call) -> Path:
 
 def test_what_no_run_has_written_stays_the_scene_that_is_run_included(project, call):
     notes = write(project, NOTES)
-    before = content(project)
+    before = run_files(project)
     status, said = call("run", project / "scene.yaml", "--out", project, "--overwrite", "--seed", 7, "--no-sheet")
     assert status == 0, said
-    after = content(project)
-    assert after.keys() == before.keys()
-    assert notes.items() <= after.items()
+    after = run_files(project)
+    assert after.keys() == before.keys() and notes.items() <= after.items()
     run = json.loads(after["run.json"])
     assert run["seed"] == 7
     changed = {name for name in after if after[name] != before[name]}
@@ -82,17 +77,22 @@ def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path,
     inputs.data["scene"]["cameras"].pop("shore")
     assert call("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet")[0] == 0
     run_scene(load_scene(scene), tmp_path / "new")
-    assert content(out) == content(tmp_path / "new") | notes
+    assert run_files(out) == run_files(tmp_path / "new") | notes
 
 
-def test_a_run_of_a_version_without_a_list_of_files_is_replaced_too(inputs, tmp_path):
-    out, scene = tmp_path / "run", inputs.write()
+def run_without_a_list(scene: Path, out: Path) -> None:
+    """A run as a version that did not list the files in `run.json` has written it."""
     run_scene(load_scene(scene), out)
     run = json.loads((out / "run.json").read_text())
     del run["files"]
     for later in out.glob("tracker_input_*"):
         later.unlink()
     (out / "run.json").write_text(json.dumps(run))
+
+
+def test_a_run_of_a_version_without_a_list_of_files_is_replaced_too(inputs, tmp_path):
+    out, scene = tmp_path / "run", inputs.write()
+    run_without_a_list(scene, out)
     notes = write(out, {"notes.txt": "mine"})
     assert open_run(out).finished
     inputs.data["scene"]["cameras"].pop("shore")
@@ -100,7 +100,7 @@ def test_a_run_of_a_version_without_a_list_of_files_is_replaced_too(inputs, tmp_
     inputs.data["scene"]["detector"] = "detector.yml"
     run_scene(load_scene(inputs.write()), out, overwrite=True)
     run_scene(load_scene(scene), tmp_path / "new")
-    assert content(out) == content(tmp_path / "new") | notes
+    assert run_files(out) == run_files(tmp_path / "new") | notes
 
 
 @pytest.mark.parametrize("file", ["scene", "poses.json", "detector.yaml"])
@@ -116,52 +116,38 @@ def test_a_run_does_not_replace_what_it_reads(inputs, tmp_path, call, file):
         inputs.data.pop("detector")
     scene = scene_file(out) if file == "scene" else inputs.write()
     file = scene.name if file == "scene" else file
-    before = content(out)
-    status, said = call("run", scene, "--out", out, "--overwrite")
-    assert status == 2
-    assert str(inputs.folder / "link.yaml" if file == "detector.yaml" else file) in said
-    assert "this run reads it" in said
-    assert content(out) == before
-
-
-def interrupted(scene: Path, out: Path) -> None:
-    def stop(_: int) -> None:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_scene(load_scene(scene), out, progress=stop)
+    named = str(inputs.folder / "link.yaml" if file == "detector.yaml" else file)
+    refusal(call, ("run", scene, "--out", out, "--overwrite"), named, "this run reads it", kept=out)
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
 def test_an_interrupted_run_is_not_replaced_by_a_run_of_its_own_copy(inputs, tmp_path, call, option):
-    interrupted(inputs.write(), tmp_path / "run")
-    before = content(tmp_path / "run")
-    scene = scene_file(tmp_path / "run" / "unfinished")
-    status, said = call("run", scene, "--out", tmp_path / "run", option)
-    assert status == 2
-    assert f"{scene} belongs to the run in" in said
-    assert content(tmp_path / "run") == before
+    out = tmp_path / "run"
+    interrupt(load_scene(inputs.write()), out)
+    scene = scene_file(out / "unfinished")
+    refusal(call, ("run", scene, "--out", out, option), f"{scene} belongs to the run in", kept=out)
 
 
 @pytest.mark.parametrize("name", ["truth.parquet", "scene/detector.yaml", "scene"])
 def test_a_file_in_the_way_that_no_run_has_written_is_named_and_stays(inputs, tmp_path, call, name):
-    interrupted(inputs.write(), tmp_path / "run")
+    interrupt(load_scene(inputs.write()), tmp_path / "run")
     write(tmp_path / "run", {name: "mine"})
-    before = content(tmp_path / "run")
-    status, said = call("run", inputs.path("scene"), "--out", tmp_path / "run", "--resume")
-    assert status == 2
-    assert f"{tmp_path / 'run' / name} is in the way" in said
-    assert content(tmp_path / "run") == before
+    refusal(
+        call,
+        ("run", inputs.path("scene"), "--out", tmp_path / "run", "--resume"),
+        f"{tmp_path / 'run' / name} is in the way",
+        kept=tmp_path / "run",
+    )
 
 
 @pytest.mark.parametrize("inside", ["", "second", "scene/second"])
 def test_detect_does_not_write_into_the_run_that_it_reads(inputs, tmp_path, inside):
     run_scene(load_scene(inputs.write()), tmp_path / "run")
-    before = content(tmp_path / "run")
+    before = run_files(tmp_path / "run")
     (tmp_path / "link").symlink_to(tmp_path / "run")
     with pytest.raises(RunDirectoryError, match="the truth is read from"):
         detect_run(open_run(tmp_path / "run"), tmp_path / "link" / inside, overwrite=True)
-    assert content(tmp_path / "run") == before
+    assert run_files(tmp_path / "run") == before
 
 
 @pytest.mark.parametrize("calls", range(1, 11))
@@ -188,11 +174,11 @@ def test_killed_anywhere_while_files_are_put_in_place_it_becomes_the_new_run_or_
     shutil.copytree(tmp_path / "run", tmp_path / "other")
     run_scene(load_scene(scene), tmp_path / "run", resume=True)
     run_scene(load_scene(scene), tmp_path / "new")
-    assert content(tmp_path / "run") == content(tmp_path / "new") | notes
+    assert run_files(tmp_path / "run") == run_files(tmp_path / "new") | notes
     inputs.data["scene"]["cameras"] = {"third": inputs.data["scene"]["cameras"]["shore"]}
     run_scene(load_scene(inputs.write()), tmp_path / "other", overwrite=True)
     run_scene(load_scene(scene), tmp_path / "new", overwrite=True)
-    assert content(tmp_path / "other") == content(tmp_path / "new") | notes
+    assert run_files(tmp_path / "other") == run_files(tmp_path / "new") | notes
 
 
 def test_no_file_outside_a_folder_is_removed_whatever_a_list_names(tmp_path):
@@ -207,19 +193,19 @@ def test_no_file_outside_a_folder_is_removed_whatever_a_list_names(tmp_path):
         "link/../../outside.json",
     ]
     remove_files(tmp_path / "in", names)
-    assert content(tmp_path).keys() == {"outside.json", "elsewhere/linked.json"}
+    assert run_files(tmp_path).keys() == {"outside.json", "elsewhere/linked.json"}
 
 
 @pytest.mark.parametrize("name", ["a\0b/c", "unfinished/truth.parquet", "a" * 300])
 def test_a_list_of_files_that_no_run_has_written_does_not_hinder_the_new_run(inputs, tmp_path, name):
     out, scene = tmp_path / "run", inputs.write()
     run_scene(load_scene(scene), out)
-    before = content(out)
+    before = run_files(out)
     run = json.loads((out / "run.json").read_text())
     run["files"][name] = {"bytes": 0, "sha256": "0" * 64}
     (out / "run.json").write_text(json.dumps(run))
     run_scene(load_scene(scene), out, overwrite=True)
-    assert content(out) == before
+    assert run_files(out) == before
 
 
 def test_a_run_whose_scene_folder_also_holds_other_files_is_opened_and_replaced(inputs, tmp_path, call):
@@ -229,20 +215,15 @@ def test_a_run_whose_scene_folder_also_holds_other_files_is_opened_and_replaced(
     for arguments in (("check", "repeat", out), ("run", scene, "--out", out, "--overwrite"), ("report", out)):
         status, said = call(*arguments)
         assert status == 0, said
-    assert notes.items() <= content(out).items()
+    assert notes.items() <= run_files(out).items()
 
 
 def test_of_a_run_without_a_list_the_files_beside_the_copy_of_its_scene_stay(inputs, tmp_path):
     out, scene = tmp_path / "run", inputs.write()
-    run_scene(load_scene(scene), out)
-    run = json.loads((out / "run.json").read_text())
-    del run["files"]
-    for later in out.glob("tracker_input_*"):
-        later.unlink()
-    (out / "run.json").write_text(json.dumps(run))
+    run_without_a_list(scene, out)
     notes = write(out, {"scene/vessels.json": "mine", "scene/notes.txt": "mine"})
     run_scene(load_scene(scene), out, overwrite=True)
-    assert notes.items() <= content(out).items()
+    assert notes.items() <= run_files(out).items()
 
 
 @pytest.mark.parametrize("name", ["run.json", "unfinished/settings.json"])
@@ -252,5 +233,4 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(inputs, prepared, tmp_path,
     os.mkfifo(out / name)
     command = (prepared, "run", scene, "--out", out, "--overwrite")
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert "is not a run directory" in done.stderr
+    assert done.returncode == 2 and "is not a run directory" in done.stderr

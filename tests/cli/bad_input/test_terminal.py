@@ -1,7 +1,5 @@
 """What inputs hold reaches a terminal as plain text, whatever the terminal's encoding, and whatever memory is left."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
@@ -12,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from modsim3d.cli import terminal
-from modsim3d.cli.shared import print_line, print_rows
-from tests.cli.bad_input.builders import Call, Inputs
+from modsim3d.cli.shared import print_line
+from modsim3d.cli.terminal_tables import print_table
+from tests.cli.bad_input.builders import Call, Inputs, refusal
 
 HOSTILE = "a\x1b[2J\r\x07\x9b1m\u202eb[/bold] :smile: [red]c"
 SHOWN = r"a\x1b[2J\r\x07\x9b1m\u202eb[/bold] :smile: [red]c"
@@ -29,8 +28,7 @@ def test_control_characters_of_names_and_values_are_shown_and_not_obeyed(inputs:
     ]:
         inputs.set(file, path, value)
     inputs.data["scene"][HOSTILE] = 1
-    status, said = call("check", "scene", inputs.write())
-    assert status == 2
+    said = refusal(call, ("check", "scene", inputs.write()))
     assert not CONTROL.search(said)
     for part in (f"{SHOWN}: unknown key", f"{SHOWN}.json: no such file", f"{SHOWN}.yaml: no such", rf"{SHOWN}\nx.json"):
         assert part in said
@@ -38,8 +36,7 @@ def test_control_characters_of_names_and_values_are_shown_and_not_obeyed(inputs:
 
 def test_control_characters_of_arguments_are_not_obeyed(call: Call) -> None:
     for arguments in (("check", "scene", HOSTILE), ("check", "scene", "x", HOSTILE), ("run", "x", f"--{HOSTILE}")):
-        status, said = call(*arguments)
-        assert status == 2
+        said = refusal(call, arguments)
         assert not CONTROL.search(said)
 
 
@@ -49,9 +46,7 @@ def test_an_argument_that_is_not_utf_8_is_refused(call: Call, tmp_path: Path) ->
         ("check", "scene", tmp_path / f"{name}.yaml"),
         ("run", "harbour", "--steps", 2, "--out", tmp_path / name),
     ):
-        status, said = call(*line)
-        assert status == 2
-        assert r"x\udcff" in said and "is not UTF-8" in said
+        refusal(call, line, r"x\udcff", "is not UTF-8")
     assert not list(tmp_path.iterdir())
 
 
@@ -59,10 +54,9 @@ def test_lines_and_tables_show_text_as_it_is() -> None:
     file = io.StringIO()
     console = terminal.open_console(file=file, width=200, force_terminal=False)
     print_line(console, HOSTILE)
-    print_rows(console, HOSTILE, [(HOSTILE, "1")])
+    print_table(console, HOSTILE, [(HOSTILE, "1")])
     said = file.getvalue()
-    assert not CONTROL.search(said)
-    assert said.count(SHOWN) == 3
+    assert not CONTROL.search(said) and said.count(SHOWN) == 3
 
 
 def test_colours_of_the_commands_stay_on_a_terminal() -> None:
@@ -79,11 +73,7 @@ def test_a_bar_shows_its_description_as_it_is(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(sys, "stderr", err)
     with progress(HOSTILE, 1) as advance:
         advance(1)
-    assert not CONTROL.search(err.getvalue())
-    assert "[/bold]" in err.getvalue()
-
-
-# ---- as its own process -----------------------------------------------------------------------------------------
+    assert not CONTROL.search(err.getvalue()) and "[/bold]" in err.getvalue()
 
 
 def process(*arguments: object, prefix: str = "", **environment: str) -> subprocess.CompletedProcess[bytes]:
@@ -93,17 +83,14 @@ def process(*arguments: object, prefix: str = "", **environment: str) -> subproc
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "ascii", "cp437"])
-def test_any_encoding_of_the_output_will_do(
-    inputs: Inputs, call: Call, prepared: Path, tmp_path: Path, encoding: str
-) -> None:
+def test_any_encoding_of_the_output_will_do(inputs, call, prepared, tmp_path, encoding):
     run = tmp_path / "rün"
     assert call("run", inputs.write(), "--out", run, "--no-sheet")[0] == 0
     environment = {**os.environ, "PYTHONIOENCODING": encoding}
     done = subprocess.run(
         [prepared, "check", "run", run], capture_output=True, timeout=120, env=environment, check=False
     )
-    assert done.returncode in (0, 1)
-    assert b"Traceback" not in done.stderr
+    assert done.returncode in (0, 1) and b"Traceback" not in done.stderr
     assert b"Performance state" in done.stdout
     assert process("scenes", PYTHONIOENCODING=encoding).returncode == 0
 
@@ -126,14 +113,10 @@ def test_too_little_address_space_is_one_line(megabytes: int) -> None:
         (ImportError("libx.so: failed to map segment"), "modsim3d: a library cannot be loaded: libx.so: failed to map"),
     ],
 )
-def test_lack_of_memory_and_of_libraries_is_one_line(
-    call: Call, monkeypatch: pytest.MonkeyPatch, error: Exception, part: str
-) -> None:
+def test_lack_of_memory_and_of_libraries_is_one_line(call, monkeypatch, error, part):
     def fail(*_: object, **__: object) -> None:
         raise error
 
     monkeypatch.setattr("modsim3d.scene.reading.load_scene", fail)
-    status, said = call("check", "scene", "simulation_1")
-    assert status == 2
-    assert said.startswith(part)
-    assert said.count("\n") == 1
+    said = refusal(call, ("check", "scene", "simulation_1"))
+    assert said.startswith(part) and said.count("\n") == 1

@@ -1,7 +1,5 @@
 """Every command that writes, so that what holds for all of them is tested for all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,8 +12,15 @@ def scene_file(run: Path) -> Path:
     return path
 
 
+SHORT = ("--kind", "ids", "--end", 1)
 QUICK = ("--replicates", 20, "--without", "persistence")
 """Options of `learn` for tests of what becomes of files, not of what is learned."""
+
+
+def voyage(run: Path) -> tuple[object, ...]:
+    return ("learn-voyage", scene_file(run), "--detections", run, "--match", "centre", *QUICK, "--fixed", "all")
+
+
 Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
 WRITERS: dict[str, tuple[str, Line]] = {
@@ -39,19 +44,10 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "campaign table": ("means.csv", lambda run, out: ("campaign", "table", small_campaign(run.parent), "--out", out)),
     "campaign report": ("page.html", lambda run, out: ("campaign", "report", small_campaign(run.parent), "--out", out)),
     "learn": ("detector.yaml", lambda run, out: ("learn", run, *QUICK, "--out", out)),
-    "learn-voyage": (
-        "detector.yaml",
-        lambda run, out: (
-            *("learn-voyage", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
-            *("--fixed", "all", "--out", out),
-        ),
-    ),
+    "learn-voyage": ("detector.yaml", lambda run, out: (*voyage(run), "--out", out)),
     "learn-voyage: written scene": (
         "detector.yaml",
-        lambda run, out: (
-            *("learn-voyage", scene_file(run), "--detections", run, "--match", "centre", *QUICK),
-            *("--fixed", "all", "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
-        ),
+        lambda run, out: (*voyage(run), "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
     ),
     "learn: page": ("d.html", lambda run, out: ("learn", run, *QUICK, "--out", out.with_name("d.yaml"))),
     "learn: guess": (
@@ -63,10 +59,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
     "view frame": ("picture.png", lambda run, out: ("view", "frame", run, 3, "--width", 160, "--out", out)),
     "view map": ("map.png", lambda run, out: ("view", "map", run, "--width", 160, "--out", out)),
-    "view film": (
-        "film.gif",
-        lambda run, out: ("view", "film", run, "--kind", "ids", "--end", 1, "--width", 160, "--out", out),
-    ),
+    "view film": ("film.gif", lambda run, out: ("view", "film", run, *SHORT, "--width", 160, "--out", out)),
 }
 """Those that write files, by the command: the name of a file that it writes, and its command line."""
 TRACKS = "step,track,x_min_px,y_min_px,x_max_px,y_max_px\n5,1,100,100,120,110\n"
@@ -93,7 +86,7 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
     "check run: out": (("verify.json", "verify.html"), lambda run: ("check", "run", run, "--out", run)),
     "view frame": (("ids_000003.png",), lambda run: ("view", "frame", run, 3, "--kind", "ids")),
     "view map": (("map_000039.png",), lambda run: ("view", "map", run)),
-    "view film": (("ids.gif",), lambda run: ("view", "film", run, "--kind", "ids", "--end", 1, "--format", "gif")),
+    "view film": (("ids.gif",), lambda run: ("view", "film", run, *SHORT, "--format", "gif")),
     "view film: frames": (
         ("corners/frame_000000.png",),
         lambda run: ("view", "film", run, "--kind", "corners", "--end", 1, "--format", "png"),
