@@ -21,13 +21,8 @@ _CHANCES = 50
 
 
 def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
-    """Products of the residuals of misses at all times between.
-
-    Args:
-        observed: The misses.
-        chance: Fitted chance of each to be missed, shape (n,).
-        slopes: Number of slopes that were fitted beside the rates of each state and label.
-    """
+    """Products of the residuals of misses at all times between, given the fitted chance of each to be missed (n,), and
+    the number of slopes that were fitted beside the rates of each state and label."""
     residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
     size = residual**2 / variance
 
@@ -42,11 +37,9 @@ def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
 
 
 def latent_share(chance: Array) -> Callable[[Array], Array]:
-    """Function from the correlation of misses to the share of the latent normal number that things keep.
-
-    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
-    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
-    """
+    """Function from the correlation of misses to the share of the latent normal number that things keep. With a share s
+    two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal number of p and T
+    the function of Owen (1956), "Tables for computing bivariate normal probabilities"."""
     level = _level_of(chance)
     return lambda found: np.interp(found, level, _SHARES)
 
@@ -73,13 +66,8 @@ _NODES = (np.arange(400) + 0.5) / 400
 
 
 def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) -> bool:
-    """Whether detections before a miss are unsure as one score makes them, and not as sure as any other.
-
-    Args:
-        observed: The misses and confidences.
-        chance: Fitted chance of each annotation to be missed, shape (n,).
-        notes: Why there is no score is added to them.
-    """
+    """Whether detections before a miss are unsure as one score makes them, and not as sure as any other. Each
+    annotation had a fitted chance to be missed (n,). Why there is no score is added to the notes."""
     if not observed.labelled.scored or {"score", "confidence"} & observed.without:
         return False
     level = np.full(len(observed.rows), np.nan)
@@ -130,18 +118,13 @@ _GREATEST_SHARE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class LearnedScore:
-    """Shares of the score that things keep and that are forgotten in some times.
-
-    Attributes:
-        level: Correlation of residuals of misses that stays.
-        label_s: Correlation time of labels, which the score does not draw; 0 if they do not persist.
-    """
+    """Shares of the score that things keep and that are forgotten in some times."""
 
     vessel_share: Entry
     shares: Entry
     times_s: tuple[float, ...]
-    level: float
-    label_s: float
+    level: float  # correlation of residuals of misses that stays
+    label_s: float  # correlation time of labels, which the score does not draw; 0 if they do not persist
 
     def section(self) -> dict[str, Any]:
         """The score in a detector file."""
@@ -153,12 +136,10 @@ class LearnedScore:
 
 
 def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Resampling) -> LearnedScore:
-    """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag.
-
-    Times of the autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory
-    that only fades, and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need
-    no test of whether they are there.
-    """
+    """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag. Times of the
+    autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory that only fades,
+    and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test of
+    whether they are there."""
     table = miss_lags(observed, chance, slopes)
     first = float(table.lag_s[0])
     parts = 1 + int(np.log(max(table.lag_s[-1] / _LONGEST / first, 1.0)) / np.log(_TIMES_APART))
@@ -183,11 +164,9 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
 
 
 def label_memory_s(observed: Observed) -> float:
-    """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance.
-
-    A label is kept with probability κ = e^(−Δt/τ) and else drawn anew, so that a share κ + (1 − κ)·Σ p² of consecutive
-    ones agrees.
-    """
+    """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance. A
+    label is kept with probability κ = e^(−Δt/τ) and else drawn anew, so that a share κ + (1 − κ)·Σ p² of consecutive
+    ones agrees."""
     earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s
     seen_as, labels = observed.seen_as, len(observed.labelled.labels)
     both = (seen_as[earlier] < labels) & (seen_as[later] < labels)
@@ -207,17 +186,13 @@ def label_memory_s(observed: Observed) -> float:
 
 def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
     """Shares that are kept, then those of each time, from correlations of scores (rows, b), shape (rows, 1 + parts).
-
-    The rest of the variance is white noise, so all shares sum to one.
-    """
+    The rest of the variance is white noise, so all shares sum to one."""
     decays = np.exp(-table.lag_s[:, None] / times_s)
     design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
     weight = np.sqrt(table.weight / table.weight.max())[:, None]
     system = np.vstack([weight * design, np.full((1, design.shape[1]), _EXACT)])
     found = [optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation]
-    shares = np.stack(found)
-    over = np.maximum(shares.sum(axis=1), 1.0)[:, None]
-    shares = shares / over
+    shares: Array = np.stack(found)
+    shares = shares / np.maximum(shares.sum(axis=1), 1.0)[:, None]
     shares[:, 0] = np.minimum(shares[:, 0], _GREATEST_SHARE)
-    result: Array = shares
-    return result
+    return shares
