@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.simulated_results import simulated
-from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import detector_file, learned_in, observed_in
+from tests.formats.labelled_sets import images, truth
+from tests.learn import one_state
+from tests.learn.one_state import detector_file, learned_in, observed_in, of_boats
 
 SIZE = (640.0, 480.0)
 _CORRELATION = np.array([[1, 0.2, 0.3, 0], [0.2, 1, 0, -0.2], [0.3, 0, 1, 0.4], [0, -0.2, 0.4, 1]])
@@ -39,15 +38,12 @@ def boats(count: int, seed: int) -> LabelledSet:
     middle = np.hstack([np.array(SIZE) / 2 - side / 2, np.array(SIZE) / 2 + side / 2])
     boxes = np.where(np.all(boxes[:, 2:] - boxes[:, :2] >= 4, axis=1)[:, None], boxes, middle)
     image = np.arange(count)
-    return LabelledSet(
-        ("boat",), ("usual",), images(count, SIZE), truth(image, image * 0, boxes), found([], [], [], [])
-    )
+    return of_boats(images(count, SIZE), truth(image, image * 0, boxes))
 
 
 def detected(law: dict[str, Any], count: int, seed: int) -> LabelledSet:
     """Boats with detections of a simulated detector, of which it is not told what they are of."""
-    model = parse_detector(detector(law))
-    return simulated(boats(count, seed), np.zeros(count, dtype=np.int64), model, seed)
+    return one_state.detected(boats(count, seed), detector(law), seed)
 
 
 def learn_from(labelled: LabelledSet, rule: Rule, replicates: int = 100, seed: int = 0) -> Learned:

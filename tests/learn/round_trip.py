@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import yaml
+from typer.testing import CliRunner, Result
 
+from modsim3d.cli.main import app
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import run_scene
@@ -18,6 +20,11 @@ ROOT = Path(__file__).resolve().parents[2]
 DETECTOR = ROOT / "tests" / "data" / "learn" / "round_trip.yaml"
 SETTINGS = {"reference", "merge_overlap", "split_aspect", "edges", "rate"}
 """Numbers of a detector file that stand beside those that are learned."""
+
+
+def command(*words: object) -> Result:
+    """What a command says on a wide terminal; its errors are raised."""
+    return CliRunner().invoke(app, [*map(str, words)], catch_exceptions=False, env={"COLUMNS": "300"})
 
 
 def simulate(
@@ -60,9 +67,8 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
     if "false_positives.density" in asked:
         density = np.array(asked["false_positives.density"], dtype=float)
         asked["false_positives.density"] = density / density.sum()
-    number = (
-        "false_positives_per_image" if content["false_positives"]["model"] == "per_image" else "false_discovery_rate"
-    )
+    per_image = content["false_positives"]["model"] == "per_image"
+    number = "false_positives_per_image" if per_image else "false_discovery_rate"
     for name, state in content["states"].items():
         covariance = np.array(state["box_error"]["covariance"])
         std = np.sqrt(np.diag(covariance))
@@ -74,9 +80,8 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
             f"states.{name}.box_error_std": std,
             f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS],
         }
-        for key in ("degrees_of_freedom", "growth"):
-            if key in state["box_error"]:
-                asked[f"states.{name}.box_error_{key}"] = state["box_error"][key]
+        law, prefix = state["box_error"], f"states.{name}.box_error"
+        asked |= {f"{prefix}_{key}": law[key] for key in ("degrees_of_freedom", "growth") if key in law}
         asked |= _numbers_below(f"states.{name}.confidence", state["confidence"])
         asked |= _numbers_below(f"states.{name}.dropout", state.get("dropout", {}))
     return {path: np.array(value, dtype=float) for path, value in asked.items()}
@@ -95,15 +100,9 @@ def _numbers_below(path: str, section: dict[str, Any]) -> dict[str, Any]:
 
 
 def outside(asked, intervals) -> dict[str, int]:
-    """How many numbers of each path lie outside their intervals; a path that was not learned has all outside."""
-    intervals = {each.key.path: (each.low, each.high) for each in intervals}
-    found = {}
+    intervals, found = {each.key.path: (each.low, each.high) for each in intervals}, {}
     for path, value in asked.items():
-        if path not in intervals:
-            found[path] = value.size
-            continue
-        low, high = intervals[path]
+        low, high = intervals.get(path, (np.inf, np.inf))
         wrong = int(np.sum((value < low - 1e-9) | (value > high + 1e-9)))
-        if wrong:
-            found[path] = wrong
+        found |= {path: wrong} if wrong else {}
     return found

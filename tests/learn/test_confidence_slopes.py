@@ -13,7 +13,8 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
 from modsim3d.learn.learned import Learned, uncertainty_text
-from tests.learn.scored_sets import detected, detector, learned_from, truth_of
+from tests.learn.one_state import detected
+from tests.learn.scored_sets import detector, learned_from, truth_of
 
 SLOPES = {"visibility_slope": 0.4, "size_slope": 0.06, "size_reference_px": 64}
 NORMAL = {"true": {"mean": 0.8, "std": 0.1}, "false": {"mean": 0.45, "std": 0.12}}
@@ -28,14 +29,13 @@ def outside(learned: Learned, asked: dict[str, Any]) -> list[str]:
     flat |= {f"{kind}.{key}": asked[kind][key] for kind in ("true", "false") for key in asked[kind]}
     wrong = []
     for key, value in flat.items():
-        if key.endswith("quantiles"):
-            value = np.interp(np.linspace(0, 1, 21), np.linspace(0, 1, len(value)), value)[2:-2]
-            low, high = (intervals[key].low[2:-2], intervals[key].high[2:-2])
-        elif key in intervals:
-            low, high = intervals[key].low, intervals[key].high
-        else:
+        if key not in intervals:
             wrong.append(f"{key}: not learned")
             continue
+        low, high = intervals[key].low, intervals[key].high
+        if key.endswith("quantiles"):
+            value = np.interp(np.linspace(0, 1, 21), np.linspace(0, 1, len(value)), value)[2:-2]
+            low, high = low[2:-2], high[2:-2]
         if np.any((value < low) | (value > high)):
             wrong.append(f"{key}: {value} not in {low} to {high}")
     return wrong

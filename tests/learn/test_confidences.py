@@ -7,18 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from modsim3d.cli.main import app
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.reading import load_detector
-from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn.learning import learn_detector
 from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn import round_trip
+from tests.learn.one_state import of_boats
 
 FRAMES = 60
 
@@ -49,10 +48,8 @@ def _lines(frame, identity, boxes, last) -> str:
 
 
 def command(truth: Path, detections: Path, folder: Path, *parts):
-    words = ["learn", "--truth", truth, "--detections", detections, "--out", folder / "d.yaml", "--replicates", 20]
-    return CliRunner().invoke(
-        app, [*map(str, words), *map(str, parts), "--overwrite"], catch_exceptions=False, env={"COLUMNS": "300"}
-    )
+    words = ("learn", "--truth", truth, "--detections", detections, "--out", folder / "d.yaml", "--replicates", 20)
+    return round_trip.command(*words, *parts, "--overwrite")
 
 
 def test_detections_without_confidences_give_all_but_what_needs_them(mot, tmp_path):
@@ -121,9 +118,8 @@ def test_a_range_that_is_not_from_0_to_1_is_named_with_the_option_that_maps_it(l
     for said in (result.output, (tmp_path / "d.yaml").read_text()):
         assert f"confidences from {ends[0]:g} to {ends[1]:g} were mapped onto 0 to 1" in said
     labelled = read_pair("usual", gt, path, ReadOptions(confidence_scale=tuple(ends)))
-    np.testing.assert_allclose(
-        labelled.results.confidence, (np.round(scores, 5) - ends[0]) / (ends[1] - ends[0]), atol=1e-5
-    )
+    expected = (np.round(scores, 5) - ends[0]) / (ends[1] - ends[0])
+    np.testing.assert_allclose(labelled.results.confidence, expected, atol=1e-5)
 
 
 def test_a_scale_that_is_none_is_refused(mot, tmp_path):
@@ -138,6 +134,6 @@ def test_a_scale_that_is_none_is_refused(mot, tmp_path):
 def test_without_confidences_the_nearest_centres_match_first():
     boxes = [[100.0, 100, 160, 160], [130.0, 100, 190, 160]]
     first = [[120.0, 100, 180, 160], [131.0, 100, 191, 160]]  # the first is nearer to the second boat too
-    labelled = LabelledSet(("boat",), ("usual",), images(1), truth([0, 0], [0, 0], boxes),
-                           found([0, 0], [0, 0], first, [np.nan, np.nan]))  # fmt: skip
+    seen = found([0, 0], [0, 0], first, [np.nan, np.nan])
+    labelled = of_boats(images(1), truth([0, 0], [0, 0], boxes), seen)
     assert match(labelled, Rule("centre"), 0.5).annotation.tolist() == [0, 1]

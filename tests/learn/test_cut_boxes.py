@@ -33,17 +33,16 @@ def on_the_border(labelled: LabelledSet) -> LabelledSet:
     return replace(labelled, results=replace(results, boxes_px=np.where(cut, true, results.boxes_px)))
 
 
-@pytest.mark.parametrize(
-    ("law", "method", "real"),
-    [
-        (PX, "provenance", False),
-        (PX, "provenance", True),
-        (RELATIVE, "confidence", False),
-        (MIXED, "confidence", False),
-        (HEAVY, "provenance", False),
-    ],
-    ids=["edge", "on the border", "gate", "mixed", "tails"],
-)
+CASES = {
+    "edge": (PX, "provenance", False),
+    "on the border": (PX, "provenance", True),
+    "gate": (RELATIVE, "confidence", False),
+    "mixed": (MIXED, "confidence", False),
+    "tails": (HEAVY, "provenance", False),
+}
+
+
+@pytest.mark.parametrize(("law", "method", "real"), CASES.values(), ids=CASES)
 def test_errors_come_back_from_boats_that_the_edge_and_the_matching_cut(
     law: dict[str, Any], method: str, real: bool
 ) -> None:
@@ -103,11 +102,8 @@ def test_the_report_says_how_many_matches_count() -> None:
     assert results.origin is not None
     found = results.boxes_px.copy()
     found[results.origin < 5] = [0, 0, *SIZE]
-    labelled = replace(
-        labelled,
-        annotations=replace(annotations, boxes_px=boxes),
-        results=replace(results, boxes_px=found),
-    )
+    annotations, results = replace(annotations, boxes_px=boxes), replace(results, boxes_px=found)
+    labelled = replace(labelled, annotations=annotations, results=results)
     report = learn_detector(labelled, LearnSettings(Rule("provenance"), replicates=20), LearnOptions())
     (table,) = (each for each in tables(report) if each.title == TITLE)
     assert table.rows[0][:3] == ("usual", "60", "55")
@@ -182,13 +178,10 @@ def test_the_likelihood_of_a_censored_edge_is_the_probability_beyond_it(freedom:
     assert edges.censored.tolist() == [[True, False, False, False]]
     model = ErrorModel.of_moments(np.zeros(4), 400 * np.eye(4) + 100, "px", freedom)
     beyond = np.linspace(39.5, 2500, 60_000)
-    many = MatchedEdges.of(
-        np.tile(truth, (len(beyond), 1)),
-        np.column_stack([40 - beyond, np.tile(found[:, 1:], (len(beyond), 1))]),
-        np.full((len(beyond), 2), np.nan),
-        np.arange(len(beyond)),
-        Rule("provenance"),
-    )
+    count = len(beyond)
+    found = np.column_stack([40 - beyond, np.tile(found[:, 1:], (count, 1))])
+    nowhere = np.full((count, 2), np.nan)
+    many = MatchedEdges.of(np.tile(truth, (count, 1)), found, nowhere, np.arange(count), Rule("provenance"))
     (part,) = completed(model, many)
     density = np.exp(part.log_likelihood)
     asked = np.log(np.trapezoid(density, beyond))

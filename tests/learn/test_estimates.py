@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,23 +17,20 @@ from modsim3d.learn.confidence_laws import LearnedNormal
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
-from modsim3d.learn.learned import LearnSettings, learn
-from modsim3d.learn.matches import ErrorSource, Observed, _regular
+from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive
 from modsim3d.learn.states import Transitions, count_transitions, transitions_of
 from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.learn.one_state import learned_in, observed_as, observed_in, of_boats
 
 FLAT = {"mean": 0.99, "std": 8e-12}
 
 
-def figures_of(labelled, replicates=50, threshold=0.0, beta=2.0):
-    matched = match(labelled, Rule(), threshold)
-    by_label = match(labelled, Rule(by_label=True))
-    everything = np.ones(len(labelled.images), dtype=bool)
-    return Matches(labelled, matched, by_label, resample(labelled.images, replicates, 1), beta).figures(
-        "all", everything
-    )
+def figures_of(labelled, replicates=50):
+    by_label, everything = match(labelled, Rule(by_label=True)), np.ones(len(labelled.images), dtype=bool)
+    matches = Matches(labelled, match(labelled, Rule()), by_label, resample(labelled.images, replicates, 1))
+    return matches.figures("all", everything)
 
 
 def sailboats_and_kayaks():
@@ -40,14 +39,10 @@ def sailboats_and_kayaks():
     boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(len(cells))]
     seen = [(box, label) for box, (_, label) in zip(boxes, cells, strict=True) if label is not None]
     seen += [([100.0 * k, 500, 100.0 * k + 50, 550], k // 2) for k in range(4)]
-    count, scores = len(cells), np.linspace(0.9, 0.5, len(seen)).tolist()
-    return LabelledSet(
-        ("sailboat", "kayak"),
-        ("all",),
-        images(1, (9000, 900)),
-        truth([0] * count, [label for label, _ in cells], boxes),
-        found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores),
-    )
+    annotations = truth([0] * len(cells), [label for label, _ in cells], boxes)
+    scores = np.linspace(0.9, 0.5, len(seen)).tolist()
+    results = found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores)
+    return LabelledSet(("sailboat", "kayak"), ("all",), images(1, (9000, 900)), annotations, results)
 
 
 def test_confusion_matrix_is_tables_5_4_and_5_5():
@@ -90,7 +85,7 @@ def test_error_moments_are_those_of_numpy():
     image = np.repeat(np.arange(60), 5)
     boxes[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
     moved[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
-    labelled = LabelledSet(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
+    labelled = of_boats(images(60, (5000, 5000)), truth(image, image * 0, boxes),
                         found(image, image * 0, moved, np.full(300, 0.9)))  # fmt: skip
     got = figures_of(labelled, 200)
     change = moved - boxes
@@ -98,8 +93,7 @@ def test_error_moments_are_those_of_numpy():
     np.testing.assert_allclose(got.errors.mean.estimate, errors.mean(axis=0))
     whole = covariance(got.errors.std.estimate, got.errors.correlation.estimate)
     np.testing.assert_allclose(whole, np.cov(errors.T), rtol=1e-9)
-    upper = np.triu_indices(4)
-    np.testing.assert_allclose(got.error_covariance.estimate, np.cov(errors.T)[upper], rtol=1e-9)
+    np.testing.assert_allclose(got.error_covariance.estimate, np.cov(errors.T)[np.triu_indices(4)], rtol=1e-9)
     np.testing.assert_allclose(got.errors_of_labels[0].mean.estimate, errors.mean(axis=0))
     np.testing.assert_allclose(got.errors_of_labels[0].std.estimate, errors.std(axis=0, ddof=1))
     low, high = got.errors.mean.interval(0.95, got.units)
@@ -195,8 +189,7 @@ def missed_by_size(seed, slope=-1.0, count=6000, by_units=False):
     image = np.arange(count) // 10
     labelled = LabelledSet(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
                         found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9)))  # fmt: skip
-    state = np.zeros(count // 10, dtype=np.int64)
-    return Observed(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
+    return replace(observed_in(labelled), matched=match(labelled, Rule())), chance
 
 
 def test_misses_follow_size_as_they_were_made_to():
@@ -259,13 +252,11 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     np.testing.assert_allclose(chain.matrix, [[2 / 4, 2 / 5], [2 / 4, 3 / 5]])
     np.testing.assert_allclose(chain.matrix.sum(axis=0), 1)
     interval = chain.interval(0.9, ("a", "b"))
-    low, high = interval.low, interval.high
-    assert np.all((low < chain.matrix) & (chain.matrix < high))
+    assert np.all((interval.low < chain.matrix) & (chain.matrix < interval.high))
     alone = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
     assert alone.low == alone.high == 1  # the only state surely stays
     nothing = count_transitions([], 2)
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
-    assert isinstance(chain, Transitions)
 
 
 def test_cameras_that_share_a_chain_count_once():
@@ -321,15 +312,12 @@ def test_transitions_are_all_there_where_times_are_rounded(rate_hz):
 
 def at_the_edge(inner, outer, seed=2):
     """Boats in the middle and at the left edge of images, found with errors of 3 px."""
-    rng = np.random.default_rng(seed)
-    count = inner + outer
-    boxes = np.tile([300.0, 300, 380, 360], (count, 1))
-    boxes[inner:] = [0.0, 300, 80, 360]
+    rng, image = np.random.default_rng(seed), np.arange(inner + outer)
+    boxes = np.where((image < inner)[:, None], [300.0, 300, 380, 360], [0.0, 300, 80, 360])
     moved = boxes + rng.normal(0, 3, boxes.shape)
     moved[inner:, 0] = np.maximum(moved[inner:, 0], 0)
-    image = np.arange(count)
-    return LabelledSet(("a",), ("all",), images(count), truth(image, image * 0, boxes),
-                    found(image, image * 0, moved, np.full(count, 0.9)))  # fmt: skip
+    seen = found(image, image * 0, moved, np.full(len(image), 0.9))
+    return of_boats(images(len(image)), truth(image, image * 0, boxes), seen, "all")
 
 
 @pytest.mark.parametrize(
@@ -339,13 +327,11 @@ def at_the_edge(inner, outer, seed=2):
 )  # fmt: skip
 def test_box_errors_are_learned_from_sides_that_the_edge_has_not_cut_as_far_as_there_are_enough(inner, source, whose):
     labelled = at_the_edge(inner, 40)
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    names = ("usual",)
+    observed = observed_in(labelled)
     if source is ErrorSource.ALL_STATES:  # the other state has enough
         labelled = joined([labelled, at_the_edge(30, 0, seed=3)])
-        state, names = np.repeat([0, 1], [42, 30]), ("usual", "other")
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), names, state, 0.2)
-    learned = learn(observed, Transitions(np.zeros((len(names), len(names)))), LearnSettings(replicates=20))
+        observed = observed_as(labelled, ("usual", "other"), np.repeat([0, 1], [42, 30]))
+    learned = learned_in(observed)
     assert learned.form.box_errors.states[0].source is source
     stated = [note for note in learned.notes if note.startswith("states.usual.box_error")]
     assert len(stated) == (whose is not None) and all(whose in note for note in stated)

@@ -8,20 +8,16 @@ import numpy as np
 import pytest
 
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.bootstrap import entries_of, resample
-from modsim3d.learn.learned import LearnSettings, learn
-from modsim3d.learn.simulated_results import simulated
-from modsim3d.learn.states import Transitions
-from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import detector_file, observed_in
+from tests.formats.labelled_sets import images, truth
+from tests.learn.one_state import detected, detector_file, learned_in, observed_in, of_boats
 
 FRAMES, RATE_HZ = 1200, 4.0
 SIZE = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
 STAYS = {"lifetime_s": 5.0, "drift_px_s": 8.0, "share": 0.6}
 BAND = {"placement": "horizon_band", "band_px": 60.0, "persistence": STAYS}
-PROVENANCE = LearnSettings(Rule("provenance"), replicates=60)
+PROVENANCE = Rule("provenance")
 
 
 def on_a_rolling_camera(seed=0, **clutter):
@@ -32,19 +28,13 @@ def on_a_rolling_camera(seed=0, **clutter):
     image = np.repeat(frame, 2)
     boxes = np.tile([[100.0, 350, 200, 400], [1000, 350, 1100, 400]], (FRAMES, 1))
     there = truth(image, 0 * image, boxes, identity=np.tile([0, 1], FRAMES))
-    shown = images(FRAMES, (1200.0, 900.0), frame / RATE_HZ, half_planes)
-    labelled = LabelledSet(("boat",), ("day",), shown, there, found([], [], [], []))
+    labelled = of_boats(images(FRAMES, (1200.0, 900.0), frame / RATE_HZ, half_planes), there, name="day")
     clutter = {"model": "per_image", "rate": 1.2, "size": SIZE, **clutter}
-    model = parse_detector(detector_file("day", false=0.3) | {"false_positives": clutter})
-    return simulated(labelled, np.zeros(FRAMES, dtype=np.int64), model, seed)
-
-
-def observed(labelled, without=frozenset()):
-    return observed_in(labelled, PROVENANCE.rule, without, "day")
+    return detected(labelled, detector_file("day", false=0.3) | {"false_positives": clutter}, seed)
 
 
 def learned_from(labelled, without=frozenset()):
-    return learn(observed(labelled, without), Transitions(np.zeros((1, 1)), 0, None, ()), PROVENANCE)
+    return learned_in(observed_in(labelled, PROVENANCE, without, "day"), PROVENANCE, replicates=60)
 
 
 def inside(learned, **asked):
@@ -118,8 +108,7 @@ def test_models_that_are_left_out_are_not_learned(staying):
 
 
 def test_what_was_learned_is_learned_again_with_the_same_numbers(staying, learned_staying):
-    model = parse_detector(learned_staying.detector())
-    again = learned_from(simulated(staying, np.zeros(FRAMES, dtype=np.int64), model, seed=1))
+    again = learned_from(detected(staying, learned_staying.detector(), seed=1))
     numbers = {each.key.names[-1]: each.estimate for each in entries_of(again.numbers)}
     assert numbers["band_px"] == pytest.approx(60, rel=0.03)
     assert numbers["drift_px_s"] == pytest.approx(8, rel=0.02)
@@ -130,7 +119,7 @@ def test_of_data_without_false_positives_the_same_numbers_are_learned(staying, l
     results = staying.results
     true = results.origin >= 0
     kept = {name: None if column is None else column[true] for name, column in vars(results).items()}
-    nothing = observed(replace(staying, results=type(results)(**kept)))
+    nothing = observed_in(replace(staying, results=type(results)(**kept)), PROVENANCE, name="day")
     again = learned_staying.form.estimate(nothing, resample(staying.images, 0, 0))
     assert again.false_positives.persistence.share.estimate == 0
     assert len([*entries_of(again)]) == len([*entries_of(learned_staying.numbers)])

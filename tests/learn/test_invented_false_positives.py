@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.matches import FalseSightings, Observed
+from modsim3d.learn.matches import FalseSightings
 from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import observed_in, of_boats
 
 FRAMES, SETS = 300, 200
 
@@ -28,8 +27,7 @@ def learned(rate: float, seed: int, stays: int = 0) -> bool:
     side = rng.uniform(15, 30, (len(image), 1))
     detections = found(image, 0 * image, np.hstack([centre - side, centre + side]), np.full(len(image), 0.5))
     frames = images(FRAMES, time_s=np.arange(FRAMES) * 0.25)
-    labelled = LabelledSet(("boat",), ("usual",), frames, truth([], [], []), detections)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), np.zeros(FRAMES, dtype=np.int64), 0.2)
+    observed = observed_in(of_boats(frames, truth([], [], []), detections))
     sightings = FalseSightings.of(observed)
     return isinstance(find_lasting(observed, sightings, np.full(FRAMES, len(image) / FRAMES)), Lasting)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,40 +13,29 @@ import yaml
 from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import LatentScore
-from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
-from modsim3d.learn.matches import Observed
-from modsim3d.learn.simulated_results import simulated
-from modsim3d.learn.states import Transitions
+from modsim3d.learn.learned import Learned, uncertainty_text
 from modsim3d.scene.settings import choose_detector
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_sets import images, truth
+from tests.learn.one_state import detected, learned_in, observed_in, of_boats
 from tests.learn.scored_sets import detector
 
 FRAMES, BOATS, STEP_S, MISS_RATE = 500, 40, 0.5, 0.3
 ASKED = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1.0, 6.0]}
 
 
-def learned_again(
-    persistence: dict[str, Any],
-    seed: int,
-    without: frozenset[str] = frozenset(),
-    confusion: tuple[tuple[float, ...], ...] = ((1 - MISS_RATE,), (MISS_RATE,)),
-) -> Learned:
+def learned_again(persistence: dict[str, Any], seed: int, without: frozenset[str] = frozenset(),
+                  confusion: tuple[tuple[float, ...], ...] = ((1 - MISS_RATE,), (MISS_RATE,))) -> Learned:  # fmt: skip
     image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
     corner = np.column_stack([100 + 250.0 * (boat % 8), 200 + 250.0 * (boat // 8)])
     names = ("boat", "ship")[: len(confusion[0])]
     annotations = truth(image, boat % len(names), np.hstack([corner, corner + 60]), identity=boat)
     frames = images(FRAMES, (2200.0, 1600.0), np.arange(FRAMES) * STEP_S)
-    labelled = LabelledSet(names, ("usual",), frames, annotations, found([], [], [], []))
+    labelled = replace(of_boats(frames, annotations), labels=names)
     data = detector({"mean": 0.6, "std": 0.15}) | {"persistence": persistence, "labels": list(names)}
     of_false = [1 / len(names)] * len(names)
     usual = {"confusion": [list(row) for row in confusion], "false_discovery_rate": 0.05}
     data["states"]["usual"] |= usual | {"false_positive_labels": of_false}
-    state = np.zeros(FRAMES, dtype=np.int64)
-    labelled = simulated(labelled, state, parse_detector(data), seed)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
-    return learn(observed, Transitions(np.zeros((1, 1))), LearnSettings(replicates=40, without=without))
+    return learned_in(observed_in(detected(labelled, data, seed), without=without), replicates=40)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +58,8 @@ def test_the_memory_of_a_score_is_learned_again(learned: Learned) -> None:
 
 def test_labels_that_persist_do_so_beside_a_score() -> None:
     two = ((0.5, 0.2), (0.2, 0.5), (0.3, 0.3))
-    persistence = parse_detector(
-        learned_again({"score": ASKED, "class_s": 5.0}, 3, confusion=two).detector()
-    ).persistence
+    learned = learned_again({"score": ASKED, "class_s": 5.0}, 3, confusion=two)
+    persistence = parse_detector(learned.detector()).persistence
     assert persistence.score is not None and persistence.class_s == pytest.approx(5, rel=0.3)
     assert parse_detector(learned_again({"score": ASKED}, 3, confusion=two).detector()).persistence.class_s == 0
 

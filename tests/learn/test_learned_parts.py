@@ -10,20 +10,19 @@ import pytest
 from modsim3d.detector.chain import MODELS, DetectorPart
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, PerImage
 from modsim3d.detector.file.schema_models import DropoutSection
-from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LEARNERS, LearnSettings
 from modsim3d.learn.report_page import tables
 from tests.detector.test_parts import WITHOUT_LEARNER
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import of_boats
 
 
 def estimates() -> dict[tuple[str, str], str]:
     """What the report says of each part and model."""
     image = np.arange(30)
     boxes = np.tile([100.0, 100, 160, 160], (30, 1))
-    labelled = LabelledSet(("boat",), ("day",), images(30), truth(image, 0 * image, boxes),
-                           found(image, 0 * image, boxes, np.full(30, 0.9)))  # fmt: skip
+    labelled = of_boats(images(30), truth(image, 0 * image, boxes), found(image, 0 * image, boxes, np.full(30, 0.9)))
     report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
     (table,) = (each for each in tables(report) if each.title == "Models that can be learned")
     return {(row[0], row[1]): row[2] for row in table.rows}

@@ -13,18 +13,16 @@ from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.target_statistics import TargetStatistics
-from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
-from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
+from modsim3d.learn.learned import Learned, uncertainty_text
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.misses import own_effects
 from modsim3d.learn.simulated_results import simulated
-from modsim3d.learn.states import Transitions
 from modsim3d.scene.settings import choose_detector
 from tests.detector.detector_builders import make_targets
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_sets import images, truth
+from tests.learn.one_state import learned_in, observed_as, of_boats
 from tests.learn.scored_sets import detector
 
 FRAMES, BOATS, STATES = 900, 3, ("clear", "fog")
@@ -44,31 +42,23 @@ def content(slopes: dict[str, float], anchor: str = "state_rate"):
     }
 
 
-def observed_in(
-    slopes: dict[str, float],
-    seed: int,
-    without: frozenset[str] = frozenset(),
-    far_m: float = 400,
-    anchor: str = "state_rate",
-) -> Observed:
+def observed_in(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset(), far_m: float = 400,
+                anchor: str = "state_rate") -> Observed:  # fmt: skip
     """A simulated run of 900 images, two thirds of them in clear air, of boats up to a distance."""
     rng = np.random.default_rng(seed)
     image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
     corner = np.column_stack([100 + 250.0 * boat, np.full(len(boat), 300.0)])
     annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
     annotations = dataclasses.replace(annotations, depth_m=rng.uniform(50, far_m, len(image)))
-    labelled = LabelledSet(
-        ("boat",), STATES, images(FRAMES, (1000.0, 800.0), np.arange(FRAMES) / 2.0), annotations, found([], [], [], [])
-    )
+    labelled = of_boats(images(FRAMES, (1000.0, 800.0), np.arange(FRAMES) / 2.0), annotations)
+    labelled = dataclasses.replace(labelled, conditions=STATES)
     state = (np.arange(FRAMES) >= FRAMES * 2 // 3).astype(np.int64)
     labelled = simulated(labelled, state, parse_detector(content(slopes, anchor)), seed)
-    return Observed(labelled, match(labelled, Rule(), 0.2), STATES, state, 0.2, without)
+    return observed_as(labelled, STATES, state, without=without)
 
 
 def learned_again(slopes: dict[str, float], seed: int, without: frozenset[str] = frozenset()) -> Learned:
-    """What is learned from it."""
-    observed = observed_in(slopes, seed, without)
-    return learn(observed, Transitions(np.zeros((2, 2))), LearnSettings(replicates=60, without=without))
+    return learned_in(observed_in(slopes, seed, without), replicates=60)
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +84,10 @@ def test_slopes_that_differ_are_those_of_the_states_again(learned) -> None:
 
 def test_a_learned_detector_misses_as_much_as_the_true_one_in_a_scene_of_other_distances() -> None:
     near = observed_in(SLOPES, 5, far_m=280, anchor="none")
-    learned = learn(near, Transitions(np.zeros((2, 2))), LearnSettings(replicates=60))
+    learned = learned_in(near, replicates=60)
     far = observed_in(SLOPES, 6, anchor="none")
     annotations = far.labelled.annotations
-    targets = make_targets(annotations.boxes_px[:, None], [0])
-    targets = dataclasses.replace(targets, depth_m=annotations.depth_m)
+    targets = dataclasses.replace(make_targets(annotations.boxes_px[:, None], [0]), depth_m=annotations.depth_m)
     rates = [
         ConfusionClassifier.from_model(model, TargetStatistics()).miss_rates(far.state, targets)
         for model in (parse_detector(content(SLOPES, "none")), parse_detector(learned.detector()))

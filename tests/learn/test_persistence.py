@@ -14,7 +14,7 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.persistence import Consecutive, SightingStretches
 from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import learned_in, observed_in
+from tests.learn.one_state import learned_in, observed_in, of_boats
 
 RATE_HZ = 5.0
 
@@ -33,13 +33,9 @@ def two_boats(frames: int, errors_px: np.ndarray, missed: np.ndarray | None = No
     boxes = np.tile([[200.0, 200, 260, 260], [400.0, 400, 460, 460]], (frames, 1))
     seen = np.ones(2 * frames, dtype=bool) if missed is None else ~missed.ravel()
     moved = boxes + errors_px.reshape(-1, 4)
-    return LabelledSet(
-        ("boat",),
-        ("usual",),
-        images(frames, time_s=np.arange(frames) / RATE_HZ),
-        truth(image, 0 * image, boxes, identity=identity),
-        found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9)),
-    )
+    pictures = images(frames, time_s=np.arange(frames) / RATE_HZ)
+    results = found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9))
+    return of_boats(pictures, truth(image, 0 * image, boxes, identity=identity), results)
 
 
 def learned_from(labelled: LabelledSet) -> Learned:

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy import optimize, stats
-from typer.testing import CliRunner
 
-from modsim3d.cli.main import app
 from modsim3d.core.boxes import move
 from modsim3d.detector.draws import StudentT, standardised
 from modsim3d.detector.file.reading import load_detector
@@ -29,7 +27,7 @@ from modsim3d.learn.report import LearnReport
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import images
-from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
+from tests.learn.round_trip import DETECTOR, asked_of, command, outside, simulate
 
 MEAN = np.array([1.0, -2.0, 0.5, 3.0])
 ROOT = np.array([[4.0, 0, 0, 0], [1, 3, 0, 0], [2, 0, 5, 0], [0, -1, 1, 2]])
@@ -192,8 +190,7 @@ def test_every_number_of_a_t_law_comes_back_inside_its_interval(round_trip: Roun
 
 def test_a_run_with_the_learned_t_law_passes_verify_against_the_original(round_trip: RoundTrip, tmp_path: Path) -> None:
     out = tmp_path / "learned.yaml"
-    words = ["learn", str(round_trip.run), "--match", "provenance", "--out", str(out), "--replicates", "20"]
-    result = CliRunner().invoke(app, words, catch_exceptions=False, env={"COLUMNS": "300"})
+    result = command("learn", round_trip.run, "--match", "provenance", "--out", out, "--replicates", 20)
     page, text = out.with_suffix(".html").read_text(), out.read_text()
     for each in (result.output, page, text):
         assert "states.clear.box_error: student_t, for tails are heavier than normal ones" in each

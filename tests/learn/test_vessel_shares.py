@@ -16,7 +16,7 @@ from modsim3d.learn.learned import Learned
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import LagTable
 from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import learned_in, observed_in
+from tests.learn.one_state import learned_in, observed_in, of_boats
 from tests.learn.test_persistence import RATE_HZ, chain
 
 BOATS, FRAMES, CLASS_S, BOX_S = 40, 120, 1.0, 0.7
@@ -39,13 +39,9 @@ def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
     boxes = np.column_stack([x, 0 * x + 300, x + 60, 0 * x + 360])
     centre, side = errors.reshape(-1, 4)[:, :2] * 2, errors.reshape(-1, 4)[:, 2:] * 2
     moved = boxes + np.concatenate([centre - side / 2, centre + side / 2], axis=1)
-    return LabelledSet(
-        ("boat",),
-        ("usual",),
-        images(FRAMES, (200.0 + 150 * BOATS, 800.0), np.arange(FRAMES) / RATE_HZ),
-        truth(image, 0 * image, boxes, identity=identity),
-        found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9)),
-    )
+    pictures = images(FRAMES, (200.0 + 150 * BOATS, 800.0), np.arange(FRAMES) / RATE_HZ)
+    results = found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9))
+    return of_boats(pictures, truth(image, 0 * image, boxes, identity=identity), results)
 
 
 def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> Learned:
@@ -107,7 +103,6 @@ def test_vessels_that_are_harder_by_themselves_give_no_slope() -> None:
 
 
 def test_shares_can_be_left_out() -> None:
-    labelled = boats(1, 0.4, 0.3)
-    learned = learned_from(labelled, frozenset({"vessels"}))
+    learned = learned_from(boats(1, 0.4, 0.3), frozenset({"vessels"}))
     assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
     assert not [note for note in learned.notes if "vessel_share" in note]
