@@ -40,12 +40,6 @@ def test_numbers_are_those_of_numpy(drawn: list[tuple[tuple[int, int], int, int]
     st.integers(1, 9).flatmap(lambda width: st.lists(st.tuples(*[HALF_WORD] * width), min_size=1, max_size=4)),
 )
 def test_seeded_keys_are_those_of_numpy(seed: int, spawn_keys: list[tuple[int, ...]]) -> None:
+    ours = random_streams.seeded_keys(seed, np.array(spawn_keys, dtype=np.uint32).T)
     numpys = [np.random.SeedSequence(seed, spawn_key=key).generate_state(2, np.uint64) for key in spawn_keys]
-    assert random_streams.seeded_keys(seed, np.array(spawn_keys, dtype=np.uint32).T).tolist() == [
-        key.tolist() for key in numpys
-    ]
-
-
-def test_no_rows_give_no_numbers() -> None:
-    none = np.empty(0, dtype=np.uint64)
-    assert random_streams.uniforms(none.reshape(0, 2), none, none, 3, 5).shape == (0, 5)
+    np.testing.assert_array_equal(ours, numpys)

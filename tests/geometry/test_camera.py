@@ -58,17 +58,13 @@ def test_focal_lengths_of_pixels_that_are_not_square_are_in_their_own_sides():
 
 @pytest.mark.parametrize("kind", [np.float32, np.int64])
 def test_numbers_of_any_kind_are_computed_with_in_double_precision(kind):
-    given = np.array([[412, 305], [3, 7]]).astype(kind)
-    depth, points = np.array([3, 7]).astype(kind), np.array([[1, 2, 3], [4, 5, 7]]).astype(kind)
-    lens = replace(SKEWED, distortion=Distortion(k1=-0.1))
-    for camera in (SKEWED, lens):
-        for found, exact in (
-            (camera.project(points), camera.project(points.astype(np.float64))),
-            (camera.unproject(given, depth), camera.unproject(given.astype(np.float64), depth.astype(np.float64))),
-            (camera.through_lens(given), camera.through_lens(given.astype(np.float64))),
-        ):
+    pixels, depth, points = [[412, 305], [3, 7]], [3, 7], [[1, 2, 3], [4, 5, 7]]
+    for camera in (SKEWED, replace(SKEWED, distortion=Distortion(k1=-0.1))):
+        inputs = {camera.project: (points,), camera.unproject: (pixels, depth), camera.through_lens: (pixels,)}
+        for compute, arrays in inputs.items():
+            found = compute(*(np.array(each).astype(kind) for each in arrays))
             assert found.dtype == np.float64
-            np.testing.assert_array_equal(found, exact)
+            np.testing.assert_array_equal(found, compute(*(np.array(each, dtype=np.float64) for each in arrays)))
 
 
 def test_points_behind_the_camera_or_before_the_near_plane_have_no_image():
@@ -126,7 +122,7 @@ def test_clipping_leaves_what_is_inside_and_drops_what_is_outside():
 
 @pytest.mark.parametrize("depths", [(2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)])
 def test_triangle_that_touches_the_plane_is_left_as_it_is(depths):
-    triangle = np.array([[[0.0, 0.0, depths[0]], [0.1, 0.1, depths[1]], [0.0, 0.1, depths[2]]]])
+    triangle = np.column_stack([[0.0, 0.1, 0.0], [0.0, 0.1, 0.1], depths])[None]
     np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY))[0], triangle)
 
 

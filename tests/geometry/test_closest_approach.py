@@ -16,9 +16,8 @@ from modsim3d.geometry.kinematics import HullTracks, closest_approach
 def polygon(rectangles: Rectangles, index: int) -> shapely.Polygon:
     length, beam = rectangles.half_sizes_m[index]
     hull, heading = shapely.box(-length, -beam, length, beam), float(rectangles.headings_rad[index])
-    return shapely.affinity.translate(
-        shapely.affinity.rotate(hull, heading, (0, 0), True), *rectangles.centres_m[index]
-    )
+    turned = shapely.affinity.rotate(hull, heading, (0, 0), True)
+    return shapely.affinity.translate(turned, *rectangles.centres_m[index])
 
 
 def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_track_is() -> None:
@@ -53,10 +52,10 @@ def test_closest_approach_is_that_of_a_densely_sampled_track(seed: int) -> None:
 
 
 def test_distances_of_rectangles_are_those_of_polygons() -> None:
-    rng = np.random.default_rng(1)
-    n = 2000
-    ones = Rectangles(rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2)))
-    others = Rectangles(rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2)))
+    rng, n = np.random.default_rng(1), 2000
+    ones, others = (
+        Rectangles(rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2))) for _ in range(2)
+    )
     expected = [polygon(ones, i).distance(polygon(others, i)) for i in range(n)]
     found = rectangle_distances(ones, others)
     np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -64,29 +63,23 @@ def test_distances_of_rectangles_are_those_of_polygons() -> None:
 
 
 def test_crossed_hulls_touch_though_no_corner_lies_in_the_other() -> None:
-    halves = np.array([[20.0, 1.0]])
-    place = np.zeros((1, 2))
-    crossed = Rectangles(place, np.array([0.0]), halves), Rectangles(place, np.array([np.pi / 2]), halves)
+    halves, place = np.array([[20.0, 1.0]]), np.zeros((1, 2))
+    crossed = (Rectangles(place, np.array([heading]), halves) for heading in (0.0, np.pi / 2))
     assert rectangle_distances(*crossed).tolist() == [0.0]
 
 
 def test_hulls_that_meet_between_two_steps_touch() -> None:
     """Two boats of 10 m that pass head-on 4 m apart with beams of 5 m, a step before and a step after."""
-    tracks = HullTracks(
-        times_s=np.array([0.0, 10.0]),
-        centres_m=np.array([[[-50.0, 0.0], [50.0, 4.0]], [[50.0, 0.0], [-50.0, 4.0]]]),
-        headings_rad=np.array([[0.0, np.pi], [0.0, -np.pi]]),
-        half_sizes_m=np.array([[5.0, 2.5], [5.0, 2.5]]),
-    )
-    distance, when = least_hull_distance(tracks, 0, 1)
+    centres = np.array([[[-50.0, 0.0], [50.0, 4.0]], [[50.0, 0.0], [-50.0, 4.0]]])
+    places = np.array([0.0, 10.0]), centres, np.array([[0.0, np.pi], [0.0, -np.pi]])
+    wide, narrow = (HullTracks(*places, np.full((2, 2), [5.0, half])) for half in (2.5, 1.5))
+    distance, when = least_hull_distance(wide, 0, 1)
     assert distance == 0 and 4.0 < when < 6.0
-    wider = HullTracks(**{**vars(tracks), "half_sizes_m": np.array([[5.0, 1.5], [5.0, 1.5]])})
-    assert least_hull_distance(wider, 0, 1)[0] == pytest.approx(1.0, abs=TOLERANCE_M)
+    assert least_hull_distance(narrow, 0, 1)[0] == pytest.approx(1.0, abs=TOLERANCE_M)
 
 
 def test_least_hull_distance_is_that_of_dense_sampling() -> None:
-    rng = np.random.default_rng(2)
-    times = np.arange(0.0, 6.0)
+    rng, times = np.random.default_rng(2), np.arange(0.0, 6.0)
     for _ in range(40):
         centres = np.cumsum(rng.normal(0, 12, (6, 2, 2)), axis=0) + np.array([[0, 0], [60, 0]])
         headings = rng.uniform(-4, 4, (1, 2)) + np.cumsum(rng.uniform(-1, 1, (6, 2)), axis=0)
@@ -111,6 +104,5 @@ def test_least_hull_distance_is_that_of_dense_sampling() -> None:
         if not len(sampled):
             assert found == np.inf
             continue
-        assert found <= sampled.min() + TOLERANCE_M
-        assert found >= sampled.min() - 0.5  # what may lie between two samples
+        assert sampled.min() - 0.5 <= found <= sampled.min() + TOLERANCE_M  # what may lie between two samples
         assert 0 <= when <= 5

@@ -18,9 +18,7 @@ STEP_PX = 0.5
 def test_slivers_have_a_union() -> None:
     triangles = np.load(SLIVERS)
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-    x, y = (
-        axis.reshape(-1) for axis in np.meshgrid(*(np.arange(a, b, STEP_PX) for a, b in zip(low, high, strict=True)))
-    )
+    x, y = (np.stack(np.meshgrid(*map(np.arange, low, high, [STEP_PX] * 2)))).reshape(2, -1)
     faces = shapely.polygons(triangles)
     covered = np.any([shapely.contains_xy(face, x, y) for face in faces], axis=0)
     union = union_of(faces)

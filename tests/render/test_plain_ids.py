@@ -11,8 +11,7 @@ from tests.scenes import INTRINSICS, outlines_of, random_places
 
 @pytest.mark.parametrize("seed", range(4))
 def test_ids_differ_from_the_renderers_only_on_edges(renderer, seed):
-    rng = np.random.default_rng(seed)
-    outlines = outlines_of(random_places(rng, 12, far_m=400.0))
+    outlines = outlines_of(random_places(np.random.default_rng(seed), 12, far_m=400.0))
     triangles = triangles_of(outlines, INTRINSICS)
     arguments = (triangles.corners_px, triangles.inverse_depth, outlines.occluder[triangles.row] + 1)
     region = Region(100, 50, 600, 500)
