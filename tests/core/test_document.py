@@ -1,7 +1,5 @@
 """Documents: what is empty is shown nowhere, and each place shows what is for it."""
 
-from __future__ import annotations
-
 import io
 
 from modsim3d.cli.terminal import open_console
@@ -11,7 +9,6 @@ from modsim3d.core.document import Cell, Document, Heading, Table, Text, Where, 
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance
 
-RESTS_ON = Provenance("a page", "a test", ())
 ROWS = [("sort", "0.5 [0.4, 0.6]"), ("other", "0.25 [0.1, 0.4]")]
 DOCUMENT = Document(
     "Two <trackers>",
@@ -32,7 +29,7 @@ DOCUMENT = Document(
 
 
 def test_a_page_has_all_that_is_for_it_and_no_heading_of_nothing():
-    page = document_page(DOCUMENT, RESTS_ON)
+    page = document_page(DOCUMENT, Provenance("a page", "a test", ()))
     for part in ("Two &lt;trackers&gt;", "<h2>Scores</h2>", "<h2>Curves</h2>", "<svg>", "lost &amp; never found",
                  "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
         assert part in page

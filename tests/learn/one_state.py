@@ -1,7 +1,5 @@
 """A detector of one state and one label, labelled sets with its detections, and what is learned from them."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from typing import Any
 
@@ -49,15 +47,11 @@ def detected(labelled: LabelledSet, content: dict[str, Any], seed: int) -> Label
     return simulated(labelled, np.zeros(len(labelled.images), dtype=np.int64), parse_detector(content), seed)
 
 
-def observed_as(
-    labelled: LabelledSet, states: tuple[str, ...], state: Indices, rule: Rule = IOU, without: Collection[str] = ()
-) -> Observed:
+def observed_as(labelled: LabelledSet, states, state: Indices, rule: Rule = IOU, without=()) -> Observed:
     return Observed(labelled, match(labelled, rule, 0.2), states, state, 0.2, frozenset(without))
 
 
-def observed_in(
-    labelled: LabelledSet, rule: Rule = IOU, without: Collection[str] = (), name: str = "usual"
-) -> Observed:
+def observed_in(labelled: LabelledSet, rule: Rule = IOU, without: Collection[str] = (), name="usual") -> Observed:
     return observed_as(labelled, (name,), np.zeros(len(labelled.images), dtype=np.int64), rule, without)
 
 

@@ -1,7 +1,5 @@
 """A detector that is simulated and learned again, and what was asked of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -27,19 +25,9 @@ def command(*words: object) -> Result:
     return CliRunner().invoke(app, [*map(str, words)], catch_exceptions=False, env={"COLUMNS": "300"})
 
 
-def simulate(
-    name: str,
-    folder: Path,
-    mode: int,
-    steps: int | None = None,
-    seed: int = 0,
-    detector: Path = DETECTOR,
-    image_size_px: tuple[int, int] | None = None,
-) -> Path:
-    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory.
-
-    With a size, images are the middles of the cameras' images, of that size.
-    """
+def simulate(name: str, folder: Path, mode: int, steps=None, seed=0, detector=DETECTOR, image_size_px=None) -> Path:
+    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory. With a size,
+    images are the middles of the cameras' images, of that size."""
     scene = yaml.safe_load((data_folder("scenes") / f"{name}.yaml").read_text())
     labels = yaml.safe_load(Path(detector).read_text())["labels"]
     for number, vessel in enumerate(scene["vessels"].values()):

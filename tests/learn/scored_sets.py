@@ -1,7 +1,5 @@
 """Labelled sets with the confidences of a simulated detector."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Slopes of confidence, and how long it persists: what was asked of a detector is what is learned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -116,16 +114,13 @@ def test_models_that_are_to_be_left_out_are(sloped: LabelledSet) -> None:
 
 
 @pytest.mark.parametrize("scores", [NORMAL | SLOPES, CLIPPED, SKEW], ids=["normal", "many are 1", "quantiles"])
-def test_how_long_confidence_persists_comes_back(
-    boats: LabelledSet, learned_lasting: Learned, scores: dict[str, Any]
-) -> None:
+def test_how_long_confidence_persists_comes_back(boats: LabelledSet, learned_lasting: Learned, scores) -> None:
     learned = learned_lasting
     if scores in (CLIPPED, SKEW):
         learned = learned_from(detected(boats, detector(scores, persistence={"confidence_s": 1.0}), 4))
     (interval,) = (each for each in learned.intervals(0.999) if each.key.path == "persistence.confidence_s")
     assert interval.low < 1.0 < interval.high < 2.0
-    assert learned.detector()["persistence"].keys() == {"confidence_s"}
-    assert learned.run_s > 3
+    assert learned.detector()["persistence"].keys() == {"confidence_s"} and learned.run_s > 3
     assert outside(learned, scores) == []
 
 

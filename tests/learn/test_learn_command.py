@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -50,7 +48,6 @@ def short(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def short_files(short):
-    """Options that learn from its files."""
     truth, detections = write_coco(labelled_run(short)[0], short.parent / "coco")
     return ["--truth", truth, "--detections", detections, "--interval", 1]
 
@@ -85,8 +82,7 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     learned = one_state.learned_by_condition(labelled, Rule(method), replicates=150)
     asked = asked_of()
     total = sum(value.size for value in asked.values())
-    assert total == 90
-    assert outside(asked, learned.intervals(1 - 0.01 / total)) == {}
+    assert total == 90 and outside(asked, learned.intervals(1 - 0.01 / total)) == {}
     model = parse_detector(learned.detector())
     assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and not model.needs_target_statistics
     # And not because they are as wide as can be.
@@ -108,14 +104,12 @@ def test_the_command_writes_a_file_and_a_page(short_files, tmp_path):
     result = command(*short_files, "--out", out, "--replicates", 40)
     assert result.exit_code == 0
     model = load_detector(out)
-    assert {state.name for state in model.states} == {"clear", "haze"}
-    assert model.transition_interval_s == 1
+    assert {state.name for state in model.states} == {"clear", "haze"} and model.transition_interval_s == 1
     for state, share in model.stationary_shares.items():
         table = result.output.partition("States in the long run")[2].splitlines()
         row = next(line.split() for line in table if line.startswith(state))
         assert float(row[-1].rstrip("%")) == pytest.approx(100 * share, abs=0.1)
-    text = out.read_text()
-    assert text.startswith("# Learned by modsim3d learn. 200 images, ")
+    assert out.read_text().startswith("# Learned by modsim3d learn. 200 images, ")
     for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
                   "points gained if corrected", "Left simple", "Never learned"):  # fmt: skip
         assert title in result.output
@@ -135,21 +129,27 @@ def test_the_same_data_give_the_same_bytes(short_files, tmp_path):
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
 
 
+BOATS_PX = [[100.0, 100, 180, 160], [300.0, 300, 400, 380]]
+
+
 def pairs_of_conditions(tmp_path, count):
     """Conditions with ever more misses."""
-    rng = np.random.default_rng(8)
-    arguments = []
+    rng, image, arguments = np.random.default_rng(8), np.repeat(np.arange(60), 2), []
+    boxes = np.tile(BOATS_PX, (60, 1))
     for number in range(count):
-        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (60, 1))
-        image = np.repeat(np.arange(60), 2)
         seen = rng.random(120) > 0.05 + 0.1 * number
         moved = boxes + rng.normal(0, 2, boxes.shape)
-        sure = 0.5 + rng.random(sum(seen)) / 2
-        labelled = LabelledSet(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
-                            found(image[seen], image[seen] * 0, moved[seen], sure))  # fmt: skip
-        gt, dt = write_coco(labelled, tmp_path / f"c{number}")
-        arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
+        results = found(image[seen], image[seen] * 0, moved[seen], 0.5 + rng.random(sum(seen)) / 2)
+        labelled = one_state.of_boats(images(60), truth(image, image * 0, boxes), results, f"c{number}")
+        arguments += options_of(labelled, tmp_path)
     return arguments
+
+
+def options_of(labelled, folder):
+    """Options that learn from a set of one condition."""
+    (name,) = labelled.conditions
+    truth, detections = write_coco(labelled, folder / name)
+    return ["--condition", name, "--truth", truth, "--detections", detections]
 
 
 def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
@@ -168,8 +168,7 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
     assert "States: good = c0, c1" in out.read_text()
     model = load_detector(out)
     assert [state.name for state in model.states] == ["good", "bad"]
-    assert model.transition_matrix.tolist() == [[1, 0], [0, 1]]
-    assert "had 0 transitions" in named.output
+    assert model.transition_matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in named.output
     assert "persistence: none; frames have no times" in named.output
     (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
     command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
@@ -189,16 +188,13 @@ def test_conditions_that_no_image_has_make_no_state():
 
 
 def test_intervals_rest_on_the_images_of_their_own_state_whatever_its_name():
-    labelled = random_set(4, image_count=40)
-    states = np.repeat([0, 1], [30, 10])
-    named = [
-        one_state.learned_in(one_state.observed_as(labelled, names, states)).intervals(0.95)
-        for names in (("day", "night"), ("all", "all.night"))
-    ]
-    for first, second in zip(*named, strict=True):
+    labelled, states = random_set(4, image_count=40), np.repeat([0, 1], [30, 10])
+    observed = (one_state.observed_as(labelled, names, states) for names in (("day", "night"), ("all", "all.night")))
+    plain, dotted = (one_state.learned_in(each).intervals(0.95) for each in observed)
+    for first, second in zip(plain, dotted, strict=True):
         assert first.key.names == second.key.names
         np.testing.assert_array_equal((first.low, first.high), (second.low, second.high))
-    assert {each.key.state for each in named[1]} == {"all", "all.night", None}
+    assert {each.key.state for each in dotted} == {"all", "all.night", None}
 
 
 def test_what_does_not_fit_together_is_refused(tmp_path):
@@ -232,10 +228,8 @@ def blank(count=1500, side=60.0):
 
 
 def px_detector(std_px):
-    covariance = (std_px**2 * np.eye(4)).tolist()
-    return one_state.detector_file(
-        missed=0.15, false=0.1, box_error={"unit": "px", "mean": [0] * 4, "covariance": covariance}
-    )
+    box_error = {"unit": "px", "mean": [0] * 4, "covariance": (std_px**2 * np.eye(4)).tolist()}
+    return one_state.detector_file(missed=0.15, false=0.1, box_error=box_error)
 
 
 def test_a_gate_makes_misses_and_false_detections_of_large_errors_and_leaves_the_box_errors():
@@ -277,8 +271,7 @@ def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(r
     # Shorter than what was learned from: verify counts the noise of the run alone, not that of learning.
     again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=tmp_path / "learned.yaml")
     verified = verify_run(open_run(again), DETECTOR).verification
-    assert [verdict.parameter.name for verdict in verified.failed] == []
-    assert len(verified.verdicts) > 80
+    assert [verdict.parameter.name for verdict in verified.failed] == [] and len(verified.verdicts) > 80
 
 
 TRUTH = {
@@ -335,14 +328,12 @@ def test_tables_fit_the_terminal_and_lose_nothing(width, tmp_path):
 
 def test_the_page_has_the_labels_of_every_condition(tmp_path):
     rng, arguments = np.random.default_rng(3), []
+    image, label, boxes = np.repeat(np.arange(40), 2), np.tile([0, 1], 40), np.tile(BOATS_PX, (40, 1))
     for name in ("day", "fog"):
-        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (40, 1))
-        image, label = np.repeat(np.arange(40), 2), np.tile([0, 1], 40)
-        moved = boxes + rng.normal(0, [1, 1, 1, 1], boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
-        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
-                            found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
-        gt, dt = write_coco(labelled, tmp_path / name)
-        arguments += ["--condition", name, "--truth", gt, "--detections", dt]
+        moved = boxes + rng.normal(0, 1, boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
+        results = found(image, label, moved, np.full(80, 0.9))
+        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes), results)
+        arguments += options_of(labelled, tmp_path)
     result = command(*arguments, "--states", "all=day,fog", "--out", tmp_path / "d.yaml", "--replicates", 20)
     page = (tmp_path / "d.html").read_text()
     for group in ("day", "fog", "state all"):
@@ -376,10 +367,8 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     haze = np.arange(200) >= 188
     boxes = np.tile([[100.0, 100, 160, 160], [300.0, 300, 360, 360]], (200, 1))
     moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
-    labelled = LabelledSet(
-        ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
-        truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
-    )  # fmt: skip
+    pictures, results = replace(images(200), condition=haze.astype(int)), found(image, 0 * image, moved, [0.9] * 400)
+    labelled = LabelledSet(("boat",), ("clear", "haze"), pictures, truth(image, 0 * image, boxes), results)
     settings = LearnSettings(replicates=20, clutter="calibrated")
     (remark,) = learn_detector(labelled, settings, LearnOptions()).remarks
     assert "of the matches in haze have an IoU of less than 0.6" in remark

@@ -1,7 +1,5 @@
 """Which rule matches what is learned from, that average precision follows it, and what is said where it loses most."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -32,9 +30,8 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def far_off(tmp_path_factory):
     """A run whose boxes hardly touch their vessels."""
-    folder = tmp_path_factory.mktemp("far") / "run"
-    run_scene(load_scene("simulation_1", steps=60, source="analytic"), folder)
-    return folder
+    scene = load_scene("simulation_1", steps=60, source="analytic")
+    return run_scene(scene, tmp_path_factory.mktemp("far") / "run").folder
 
 
 def learn(tmp_path, *parts):
@@ -86,11 +83,10 @@ def slow_average_precision(labelled, rule, label, of_image):
 @pytest.mark.parametrize("rule", [Rule("provenance"), Rule("centre", most_distance_px=9), Rule(least_iou=0.6)], ids=str)
 def test_average_precision_follows_the_rule_as_a_slow_count_has_it(rule, near, run, far_off):
     labelled, _ = labelled_run(run if near else far_off)
-    labels = range(len(labelled.labels))
     report = learn_detector(labelled, LearnSettings(rule, replicates=20, without=WITHOUT), LearnOptions())
     for figures in report.states:
         of_image = labelled.images.condition == labelled.conditions.index(figures.name)
-        slow = [slow_average_precision(labelled, rule, k, of_image) for k in labels]
+        slow = [slow_average_precision(labelled, rule, k, of_image) for k in range(len(labelled.labels))]
         ours = figures.average_precision.all_points.estimate
         assert ours == pytest.approx([np.nan if each is None else each for each in slow], abs=1e-12, nan_ok=True)
         assert (np.nanmean(ours) > 0.1) == (near or rule.method == "provenance")
@@ -138,8 +134,7 @@ def test_by_centres_an_error_is_well_placed_where_the_centres_are_near():
 
 def test_a_run_is_matched_by_provenance_unless_asked_otherwise(far_off, tmp_path):
     usual, asked = (learn(tmp_path, far_off, *options) for options in ((), ("--match", "provenance")))
-    assert usual == asked
-    assert "matched by provenance" in usual and "warning" not in usual
+    assert usual == asked and "matched by provenance" in usual and "warning" not in usual
     page = (tmp_path / "d.html").read_text()
     assert "Precision against recall, matched by provenance" in page
     assert "IoU at least" in learn(tmp_path, far_off, "--match", "confidence")
@@ -169,8 +164,7 @@ def test_the_last_line_says_so_of_files_too_which_are_learned_together_with_runs
              for name in ("far", "near")}  # fmt: skip
     last = learn(tmp_path, *files["far"]).splitlines()[-1]
     assert last.startswith("warning: ") and "missed annotations overlap a false detection, and only" in last
-    assert "Use --match centre" in last
-    assert "warning" not in learn(tmp_path, *files["near"])
+    assert "Use --match centre" in last and "warning" not in learn(tmp_path, *files["near"])
     both = learn(tmp_path, far_off, *files["far"], "--match", "confidence")  # a rule that both know
     assert both.startswith("120 images")
 
@@ -181,5 +175,4 @@ def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(t
     annotations, results = truth([0] * 20, [0] * 20, boxes), found([0] * 12, [0] * 12, seen, [0.9] * 12)
     labelled = of_boats(images(1, (9999, 999)), annotations, results)
     report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
-    assert report.states[0].any_label.recall.estimate == pytest.approx(0.1)
-    assert report.warning is None
+    assert report.states[0].any_label.recall.estimate == pytest.approx(0.1) and report.warning is None

@@ -1,7 +1,5 @@
 """Second boxes, vessels in two parts and two vessels in one box."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -76,9 +74,8 @@ def test_merges_that_do_not_persist_have_no_correlation_time(many):
 
 
 def test_persistence_of_merges_can_be_left_out(many):
-    with_it, without = (
-        choose_multiple_boxes(observed_in(many, "provenance", frozenset(names))) for names in ((), ("persistence",))
-    )
+    observed = (observed_in(many, "provenance", frozenset(names)) for names in ((), ("persistence",)))
+    with_it, without = map(choose_multiple_boxes, observed)
     assert with_it.merge_s > 0 and without == replace(with_it, merge_s=0.0)
 
 
@@ -92,14 +89,15 @@ def test_what_is_left_out_counts_as_before(many):
 
 
 def test_a_run_and_its_boxes_tell_the_same(many):
-    says = kinds_of(many, match(many, Rule("provenance"), 0.2), np.ones(len(many.images), dtype=bool))
-    looks = kinds_of(many, match(many, Rule(), 0.2), np.ones(len(many.images), dtype=bool))
-    for name, share in (("doubled", 0.9), ("fragments", 0.95)):
-        real, seen = set(getattr(says, name).tolist()), set(getattr(looks, name).tolist())
+    every = np.ones(len(many.images), dtype=bool)
+    kinds = [kinds_of(many, match(many, rule, 0.2), every) for rule in (Rule("provenance"), Rule())]
+    for share, columns in (
+        (0.9, lambda each: (each.doubled,)),
+        (0.95, lambda each: (each.fragments,)),
+        (0.8, lambda each: (each.merged.smaller, each.merged.box)),
+    ):
+        real, seen = (set(zip(*(column.tolist() for column in columns(each)), strict=True)) for each in kinds)
         assert len(real & seen) >= share * max(len(real), len(seen))
-    merged = (says.merged, looks.merged)
-    real, seen = (set(zip(each.smaller.tolist(), each.box.tolist(), strict=True)) for each in merged)
-    assert len(real & seen) >= 0.8 * max(len(real), len(seen))
 
 
 def kinds_of_boxes(truth_px, found_px):

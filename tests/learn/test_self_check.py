@@ -1,7 +1,5 @@
 """A learned detector is compared with the real one where it was not learned."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -28,13 +26,6 @@ FRAMES, BOATS, STEP_S, SEEDS = 400, 20, 0.5, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
 
 
-@pytest.fixture(scope="module")
-def short_run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("short") / "run"
-    run_scene(load_scene("simulation_1", steps=150), folder)
-    return folder
-
-
 def compared(without: frozenset[str] = frozenset(), frames: int = FRAMES) -> dict[str, RealityComparison]:
     """Comparisons of a simulated detector in place of a real one, in two films, by name."""
     image, boat = np.repeat(np.arange(frames), BOATS), np.tile(np.arange(BOATS), frames)
@@ -50,7 +41,6 @@ def compared(without: frozenset[str] = frozenset(), frames: int = FRAMES) -> dic
 
 
 def pictures(frames: int) -> Images:
-    """Images of two films."""
     film = (np.arange(frames) >= frames // 2).astype(np.int64)
     return dataclasses.replace(images(frames, (1400.0, 1100.0), np.arange(frames) * STEP_S), sequence=film)
 
@@ -81,7 +71,8 @@ def test_half_of_next_to_nothing_is_an_error() -> None:
         compared(frames=1)
 
 
-def test_the_command_says_what_differs_first_and_can_leave_the_check_out(short_run, tmp_path) -> None:
+def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_path) -> None:
+    short_run = run_scene(load_scene("simulation_1", steps=150), tmp_path / "run").folder
     result = learn_detector(run=short_run, replicates=20)
     check = result.report.check
     assert check is not None and len(check.comparisons) > 10 and result.report.remarks[0] == check.sentence

@@ -69,27 +69,22 @@ print(json.dumps(answers))
 """
 
 
-def answers(backend: str, settings: list[str]) -> dict[str, str]:
-    """What opening a context says with each variable set, each in a process of its own."""
+@pytest.mark.parametrize(("backend", "ways"), [("osmesa", OSMESA_WAYS), ("egl", EGL_WAYS)], ids=["osmesa", "egl"])
+def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(backend, ways) -> None:
+    ways = ways if library_found(backend) else {}  # Mesa 25.1 and later have no OSMesa
+    settings = [*ways, *HARMLESS]  # each in a process of its own
     names = {setting.split("=")[0] for setting in settings}
     environment = {name: value for name, value in os.environ.items() if name not in names} | {"MODSIM3D_GL": backend}
     words = [sys.executable, "-c", ATTEMPTS, *settings]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    return dict(json.loads(done.stdout))
-
-
-@pytest.mark.parametrize(("backend", "ways"), [("osmesa", OSMESA_WAYS), ("egl", EGL_WAYS)], ids=["osmesa", "egl"])
-def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(backend, ways) -> None:
-    ways = ways if library_found(backend) else {}  # Mesa 25.1 and later have no OSMesa
-    said = answers(backend, [*ways, *HARMLESS])
+    said = json.loads(done.stdout)
     for way, part in ways.items():
         name, value = way.split("=", 1)
         if said[way] == "drawn" and name == "LIBGL_DRIVERS_PATH":
             continue  # Mesa 24.3 and later have all drivers in one library
         assert part in said[way], (way, said[way])
-        assert f"{name}={value!r}" in said[way]
-        assert "Traceback" not in said[way] and "\n" not in said[way]
+        assert f"{name}={value!r}" in said[way] and "Traceback" not in said[way] and "\n" not in said[way]
     if ways:
         assert {said[way] for way in HARMLESS} == {"drawn"}
 
