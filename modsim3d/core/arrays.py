@@ -50,8 +50,7 @@ def read_only(values: ArrayLike) -> Array:
 def ranges(first: Indices, count: Indices) -> Indices:
     """The numbers first, first + 1, … of each of k ranges with `count` numbers, joined, shape (sum of counts,)."""
     before = count.cumsum() - count  # methods: a live step calls this too often for functions that look for them
-    numbers: Indices = np.arange(int(count.sum())) + (first - before).repeat(count)
-    return numbers
+    return np.arange(int(count.sum())) + (first - before).repeat(count)
 
 
 def run_starts(*columns: Indices) -> Indices:
@@ -73,10 +72,8 @@ def row_before(keys: Indices) -> Indices:
 
 
 def distinct(values: Indices) -> Indices:
-    """The distinct values of an array (n,), ascending, (k,).
-
-    `np.unique` gives the same by a hash table, which is slower: ten times for a thousand values.
-    """
+    """The distinct values of an array (n,), ascending, (k,). `np.unique` gives the same by a hash table, which is
+    slower: ten times for a thousand values."""
     ordered = np.sort(values)
     return ordered[run_starts(ordered)]
 
@@ -89,9 +86,8 @@ def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:
 
 def occurring(indices: Indices, count: int) -> tuple[Indices, Indices]:
     """Indices below `count` that occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
-
-    What `np.unique` gives, but faster for few indices; and that loads `numpy.ma` at its first call, which takes 15 ms.
-    """
+    What `np.unique` gives, but faster for few indices; and that loads `numpy.ma` at its first call, which takes
+    15 ms."""
     occurs = np.zeros(count, dtype=bool)
     occurs[indices] = True
     return occurs.nonzero()[0], (occurs.cumsum() - 1)[indices]

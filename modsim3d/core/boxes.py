@@ -14,8 +14,7 @@ def sizes(boxes_px: Array) -> Array:
 
 def centres(boxes_px: Array) -> Array:
     """Centres of boxes (..., 4), shape (..., 2)."""
-    result: Array = (boxes_px[..., :2] + boxes_px[..., 2:]) / 2
-    return result
+    return (boxes_px[..., :2] + boxes_px[..., 2:]) / 2
 
 
 def centre_form(boxes_px: Array) -> Array:
@@ -56,10 +55,8 @@ def errors_between(found_px: Array, truth_px: Array) -> Array:
 
 
 def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int] | Array) -> Array:
-    """Boxes (..., 4) with each side below one pixel replaced by the pixel that contains its middle, same shape.
-
-    The image is that of all, or each box has its own of a size (..., 2).
-    """
+    """Boxes (..., 4) with each side below one pixel replaced by the pixel that contains its middle, same shape. The
+    image is that of all, or each box has its own of a size (..., 2)."""
     low, high = boxes_px[..., :2], boxes_px[..., 2:]
     thin = high - low < 1
     if not thin.any():
@@ -71,8 +68,7 @@ def at_least_a_pixel(boxes_px: Array, image_size_px: tuple[int, int] | Array) ->
 def areas(boxes_px: Array) -> Array:
     """Areas of boxes (..., 4) in square pixels, shape (...)."""
     width_height = sizes(boxes_px)
-    area: Array = width_height[..., 0] * width_height[..., 1]
-    return area
+    return width_height[..., 0] * width_height[..., 1]
 
 
 def intersections(a_px: Array, b_px: Array) -> Array:
@@ -87,8 +83,7 @@ def iou(a_px: Array, b_px: Array) -> Array:
     """Intersection over union of boxes (..., 4), pair by pair, shape (...) (Jessen & Mohr (2023), section 5.6.1)."""
     common = intersections(a_px, b_px)
     together = areas(a_px) + areas(b_px) - common
-    result: Array = common / np.where(together > 0, together, 1.0)
-    return result
+    return common / np.where(together > 0, together, 1.0)
 
 
 def unions(a_px: Array, b_px: Array) -> Array:

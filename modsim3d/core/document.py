@@ -1,8 +1,6 @@
 """Results as documents: each result fills one, and the terminal, pages and notebooks show it.
-
 What is empty is shown nowhere, and neither is a heading with nothing below it; so a result fills in all that it may
-have.
-"""
+have."""
 
 from __future__ import annotations
 
@@ -66,19 +64,12 @@ class Tiles:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table that a page shows with more than its text.
+    """A cell of a table that a page shows with more than its text."""
 
-    Attributes:
-        text: Its text, which is all that a terminal shows.
-        share: From 0 to 1: how dark the cell is, or how long the bar behind the text; None for neither.
-        bar: Whether the share is a bar.
-        draw: Makes SVG that stands in place of the text.
-    """
-
-    text: str
-    share: float | None = None
-    bar: bool = False
-    draw: Callable[[], str] | None = None
+    text: str  # all that a terminal shows
+    share: float | None = None  # from 0 to 1: darkness of the cell, or length of the bar behind the text
+    bar: bool = False  # whether the share is a bar
+    draw: Callable[[], str] | None = None  # makes SVG that stands in place of the text
 
 
 Row = Sequence[str | Cell]
@@ -86,25 +77,15 @@ Row = Sequence[str | Cell]
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes:
-        title: Stands above; empty for none.
-        header: Names of the columns; without it each row is a name and what is said of it.
-        rows: Cells.
-        bad: Rows that stand out.
-        soft: Rows that stand back.
-        notes: What is said below a row, by its number.
-        about: What is said between the title and the rows.
-    """
+    """A table; nothing stands above it if the title is empty."""
 
     title: str
-    header: Sequence[str]
+    header: Sequence[str]  # names of the columns; without it each row is a name and what is said of it
     rows: Sequence[Row]
-    bad: Container[int] = ()
-    soft: Container[int] = ()
-    notes: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))
-    about: str = ""
+    bad: Container[int] = ()  # rows that stand out
+    soft: Container[int] = ()  # rows that stand back
+    notes: Mapping[int, str] = field(default_factory=lambda: MappingProxyType({}))  # said below a row, by its number
+    about: str = ""  # said between the title and the rows
     where: Where = Where.TEXT
 
     @property
@@ -145,17 +126,11 @@ Block = Heading | Text | Items | Tiles | Table | Figure | Fold | Beside
 
 @dataclass(frozen=True)
 class Document:
-    """A result to be read.
+    """A result to be read."""
 
-    Attributes:
-        title: Title of its page.
-        lead: The outcome: first on a page, last on a terminal.
-        blocks: All else, in the order of a page.
-    """
-
-    title: str
-    lead: Sequence[Text]
-    blocks: Sequence[Block]
+    title: str  # of its page
+    lead: Sequence[Text]  # the outcome: first on a page, last on a terminal
+    blocks: Sequence[Block]  # all else, in the order of a page
 
     def notebook(self) -> str:
         """HTML for a notebook: the outcome and the blocks that are for one."""
@@ -170,10 +145,8 @@ def shown(blocks: Iterable[Block], where: Where) -> list[Block]:
             block = replace(block, blocks=shown(block.blocks, where))
         if where not in block.where or not _content(block):
             continue
-        below = kept[-1] if kept else None
-        if isinstance(block, Heading) and (
-            below is None or (isinstance(below, Heading) and below.level <= block.level)
-        ):
+        headings = [each for each in kept[-1:] if isinstance(each, Heading)]
+        if isinstance(block, Heading) and (not kept or any(each.level <= block.level for each in headings)):
             continue
         kept.append(block)
     return kept[::-1]

@@ -11,25 +11,16 @@ VERSION = "__version__"
 
 
 class LazyNames:
-    """The names of a package, by the modules that they are in."""
+    """The names of a package, by the modules that they are in: module → its names, with spaces between."""
 
     def __init__(self, package: str, homes: Mapping[str, str]) -> None:
-        """Keep where the names are.
-
-        Args:
-            package: Name of the package.
-            homes: Module → its names, with spaces between.
-        """
+        """Keep where the names are."""
         self._package = package
         self._homes = {name: module for module, names in homes.items() for name in names.split()}
         self.names = sorted(self._homes)
 
     def __getitem__(self, name: str) -> Any:
-        """Object of a name, as a module's `__getattr__`.
-
-        Raises:
-            AttributeError: There is no such name.
-        """
+        """Object of a name, as a module's `__getattr__`. Raises AttributeError if there is no such name."""
         if name == VERSION:
             return version(self._package)
         if name not in self._homes:

@@ -13,17 +13,8 @@ StrPath: TypeAlias = str | os.PathLike[str]
 
 
 def as_path(value: object, name: str, needed: str = "a path") -> Path:
-    """The path that an argument stands for.
-
-    Args:
-        value: What was given for the argument.
-        name: Name of the argument, for messages.
-        needed: What the argument may be, for messages.
-
-    Raises:
-        TypeError: It is not a path.
-        ModsimError: It cannot be the name of a file.
-    """
+    """The path that an argument of a name stands for; `needed` is what it may be, for messages. Raises TypeError if it
+    is not a path, and ModsimError if it cannot be the name of a file."""
     text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str):  # a path of bytes is no path here
         raise TypeError(f"{name}: {needed} is needed (got {type(value).__name__})")

@@ -34,15 +34,8 @@ _BITS_BELOW_A_DOUBLE, _DOUBLE_STEP = np.uint64(11), np.float64(2**-53)
 
 
 def philox(keys: Words, counters: Words) -> Words:
-    """The four words of each of n blocks, in the generator's order.
-
-    Args:
-        keys: Shape (2, n).
-        counters: Words 0 to 3, the least first, shape (4, n). NumPy's generator counts up before its first block.
-
-    Returns:
-        Shape (4, n).
-    """
+    """The four words of each of n blocks, in the generator's order, shape (4, n), from keys (2, n) and words 0 to 3 of
+    counters, the least first (4, n). NumPy's generator counts up before its first block."""
     multiplied, others = counters[::2], counters[1::2]
     for _ in range(_ROUNDS):
         # The high word of a product of 64-bit words, from products of their halves.
@@ -56,15 +49,9 @@ def philox(keys: Words, counters: Words) -> Words:
 
 
 def uniforms(keys: Words, low: Words, high: Words, first: int, count: int) -> Array:
-    """Uniform numbers in [0, 1) that `np.random.Generator(np.random.Philox(...)).random` gives, shape (n, count).
-
-    Args:
-        keys: Key of each of n generators, shape (n, 2).
-        low: Word 0 of the counter at which each starts; it must not overflow, shape (n,).
-        high: Word 3, shape (n,); words 1 and 2 are 0.
-        first: How many numbers of each are left out.
-        count: How many numbers of each are given.
-    """
+    """Uniform numbers in [0, 1) that `np.random.Generator(np.random.Philox(...)).random` gives, shape (n, count). n
+    generators have keys (n, 2), and start at word 0 of the counter `low`, which must not overflow, and word 3 `high`,
+    shapes (n,); words 1 and 2 are 0. The `first` numbers of each are left out."""
     skipped, stop = first // NUMBERS_PER_BLOCK, -(-(first + count) // NUMBERS_PER_BLOCK)
     blocks = stop - skipped
     counters = np.zeros((4, len(keys) * blocks), dtype=np.uint64)
@@ -72,17 +59,12 @@ def uniforms(keys: Words, low: Words, high: Words, first: int, count: int) -> Ar
     counters[3] = np.repeat(high, blocks)
     words = philox(np.repeat(keys.T, blocks, axis=1), counters).T.reshape(len(keys), blocks * NUMBERS_PER_BLOCK)
     start = first - skipped * NUMBERS_PER_BLOCK
-    result: Array = (words[:, start : start + count] >> _BITS_BELOW_A_DOUBLE) * _DOUBLE_STEP
-    return result
+    return (words[:, start : start + count] >> _BITS_BELOW_A_DOUBLE) * _DOUBLE_STEP
 
 
 def seeded_keys(seed: int, spawn_keys: HalfWords) -> Words:
-    """Keys that `np.random.SeedSequence(seed, spawn_key=...).generate_state(2, np.uint64)` gives, shape (n, 2).
-
-    Args:
-        seed: Not negative.
-        spawn_keys: The w words of each of n spawn keys, shape (w, n).
-    """
+    """Keys that `np.random.SeedSequence(seed, spawn_key=...).generate_state(2, np.uint64)` gives, shape (n, 2), for a
+    seed that is not negative and the w words of each of n spawn keys, shape (w, n)."""
     count = max(_POOL, -(-seed.bit_length() // 32))
     of_seed = np.array([seed >> 32 * place & 0xFFFF_FFFF for place in range(count)], dtype=np.uint32)[:, None]
     constants = _hash_constants(_HASH, _HASH_FACTOR, _POOL * (count + len(spawn_keys)))
@@ -225,13 +207,10 @@ class Purpose(Enum):
 
 
 class Streams:
-    """All random numbers of a run, made from one seed.
-
-    A stream is keyed by a purpose and by names, such as those of a camera and a vessel. Within it each step has its own
-    range of the counter of Philox (Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3"). The noise of a
-    vessel at a step therefore does not depend on the other vessels, on how a run is split, or on the order of calls.
-    An instance must not be shared between threads.
-    """
+    """All random numbers of a run, made from one seed. A stream is keyed by a purpose and by names, such as those of a
+    camera and a vessel. Within it each step has its own range of the counter of Philox (Salmon et al. (2011), "Parallel
+    random numbers: as easy as 1, 2, 3"). The noise of a vessel at a step therefore does not depend on the other
+    vessels, on how a run is split, or on the order of calls. An instance must not be shared between threads."""
 
     def __init__(self, seed: int) -> None:
         """Start from a seed.
@@ -389,15 +368,12 @@ def normals(uniforms: Array) -> Array:
 
 
 def on_grid(values: Array, step: float = GRID) -> Array:
-    """Values rounded to multiples of a step, a power of two, same shape.
-
-    The last bits of logarithms, exponentials and quantiles depend on the processor and on the versions of libraries;
-    those of sums, products, quotients and square roots do not (IEEE 754). So each number that comes from such a
-    function is rounded before anything is made of it. Another processor then gives another number only where the exact
-    value lies within about 1e-16 of the middle between two multiples: one normal number in 10⁹.
-    """
-    result: Array = np.rint(values / step) * step
-    return result
+    """Values rounded to multiples of a step, a power of two, same shape. The last bits of logarithms, exponentials and
+    quantiles depend on the processor and on the versions of libraries; those of sums, products, quotients and square
+    roots do not (IEEE 754). So each number that comes from such a function is rounded before anything is made of it.
+    Another processor then gives another number only where the exact value lies within about 1e-16 of the middle between
+    two multiples: one normal number in 10⁹."""
+    return np.rint(values / step) * step
 
 
 def grid_normals(uniforms: Array) -> Array:

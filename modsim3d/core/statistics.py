@@ -16,31 +16,19 @@ much."""
 
 
 def half_widths(mean: ArrayLike, deviation: ArrayLike, count: ArrayLike, alpha: float) -> Array:
-    """Distances of bounds from means, by Student's t; NaN with fewer than two values, or if all are the same.
-
-    Values that are all the same say nothing of how far the next one may be off: an interval of no width would claim
-    that none ever differs.
-
-    Args:
-        mean: Means, all of one shape.
-        deviation: Standard deviations of the values, with n − 1.
-        count: Numbers of values.
-        alpha: The probability of error, of each bound; exact for normal values, an approximation for others.
-    """
+    """Distances of bounds from means, by Student's t; NaN with fewer than two values, or if all are the same. Values
+    that are all the same say nothing of how far the next one may be off: an interval of no width would claim that none
+    ever differs. `deviation` is the standard deviation with n − 1; all shapes broadcast. `alpha` is the probability of
+    error of each bound; exact for normal values, an approximation for others."""
     mean, deviation, count = (np.asarray(each, dtype=np.float64) for each in (mean, deviation, count))
     differ = (count > 1) & (deviation > _SAME * np.maximum(1.0, np.abs(mean)))
     half = special.stdtrit(np.maximum(count - 1, 1), 1 - alpha) * deviation / np.sqrt(np.maximum(count, 1))
-    widths: Array = np.where(differ, half, np.nan)
-    return widths
+    return np.where(differ, half, np.nan)
 
 
 def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
     """Bounds of a mean by Student's t; None of fewer than two values, if all are the same, or if one is not finite.
-
-    Args:
-        values: A value for each seed, shape (n,).
-        alpha: The probability of error of each bound, as in `half_widths`.
-    """
+    There is a value for each seed, shape (n,); `alpha` is as in `half_widths`."""
     if len(values) < 2 or not np.all(np.isfinite(values)):
         return None
     mean = float(values.mean())
@@ -49,13 +37,9 @@ def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
 
 
 def exact_bounds(count: float, trials: float, alpha: float) -> tuple[float, float]:
-    """Bounds of a share for a number of trials that was fixed beforehand, by Clopper & Pearson (1934).
-
-    Args:
-        count: Number of successes; it need not be whole, as effective counts are not.
-        trials: Number of all trials.
-        alpha: Greatest probability of error, of each bound.
-    """
+    """Bounds of a share for a number of trials that was fixed beforehand, by Clopper & Pearson (1934). The number of
+    successes need not be whole, as effective counts are not. `alpha` is the greatest probability of error of each
+    bound."""
     failures = trials - count
     low = float(special.betaincinv(count, failures + 1, alpha)) if count > 0 else 0.0
     high = float(special.betainccinv(count + 1, failures, alpha)) if failures > 0 else 1.0

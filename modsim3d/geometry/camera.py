@@ -1,7 +1,6 @@
 """A camera: intrinsics with skew and non-square pixels, projection, lens distortion, horizon.
-
-Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left
-pixel, so the image is [0, width] × [0, height]."""
+Image: pixel (row i, column j) covers [j, j + 1) × [i, i + 1); the origin is the top-left corner of the top-left pixel,
+so the image is [0, width] × [0, height]."""
 
 from __future__ import annotations
 
@@ -14,8 +13,6 @@ from numpy.typing import ArrayLike
 
 from modsim3d.core.arrays import Array, Indices, read_only
 from modsim3d.geometry.camera_poses import Mount
-
-# ---- A camera ----
 
 # ---- Lens distortion by the model of Brown ----
 
@@ -37,13 +34,9 @@ class Distortion:
         x, y = np.moveaxis(ideal, -1, 0)
         r2 = x * x + y * y
         radial = 1 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
-        return np.stack(
-            [
-                x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x),
-                y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y,
-            ],
-            axis=-1,
-        )
+        across = x * radial + 2 * self.p1 * x * y + self.p2 * (r2 + 2 * x * x)
+        down = y * radial + self.p1 * (r2 + 2 * y * y) + 2 * self.p2 * x * y
+        return np.stack([across, down], axis=-1)
 
     def jacobian(self, ideal: Array) -> Array:
         """Derivatives of `distort` at points of the ideal plane, shape (..., 2) to (..., 2, 2)."""
@@ -91,23 +84,14 @@ MAX_WINDOW = 10
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """The map from camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13).
+    """The map from camera coordinates to pixels (Jessen & Mohr (2023), eq. 4.8–4.13)."""
 
-    Attributes:
-        focal_px: f1 = f / Δp1 and f2 = f / Δp2.
-        principal_point_px: (a1, a2), from the top-left corner of the image.
-        image_size_px: Width and height.
-        skew: s, in pixels.
-        near_clip_m: Distance of the near plane along c3; nothing nearer is drawn or projected.
-        distortion: Distortion of the lens; None for a pinhole.
-    """
-
-    focal_px: tuple[float, float]
-    principal_point_px: tuple[float, float]
-    image_size_px: tuple[int, int]
-    skew: float = 0.0
-    near_clip_m: float = DEFAULT_NEAR_CLIP_M
-    distortion: Distortion | None = None
+    focal_px: tuple[float, float]  # f1 = f / Δp1 and f2 = f / Δp2
+    principal_point_px: tuple[float, float]  # (a1, a2), from the top-left corner of the image
+    image_size_px: tuple[int, int]  # width and height
+    skew: float = 0.0  # s, in pixels
+    near_clip_m: float = DEFAULT_NEAR_CLIP_M  # near plane along c3; nothing nearer is drawn or projected
+    distortion: Distortion | None = None  # None for a pinhole
 
     @classmethod
     def from_lens(
@@ -136,10 +120,8 @@ class Intrinsics:
         return read_only(np.linalg.inv(self.matrix))
 
     def project(self, points_camera: ArrayLike) -> Array:
-        """Columns and rows of points in CCF, in metres, shape (..., 3) to (..., 2) (eq. 4.18).
-
-        They are NaN for points nearer than the near plane, which have no image.
-        """
+        """Columns and rows of points in CCF, in metres, shape (..., 3) to (..., 2) (eq. 4.18). They are NaN for points
+        nearer than the near plane, which have no image."""
         points = np.asarray(points_camera, dtype=np.float64)
         depth = points[..., 2]
         seen = np.where(depth >= self.near_clip_m, depth, np.nan)
@@ -151,9 +133,7 @@ class Intrinsics:
 
     def unproject(self, pixels: ArrayLike, depth_m: ArrayLike) -> Array:
         """Points in CCF, in metres, shape (..., 3), that pixels, shape (..., 2), show at depths along c3, shape (...).
-
-        This is the inverse of `project`.
-        """
+        This is the inverse of `project`."""
         pixel, depth = np.asarray(pixels, dtype=np.float64), np.asarray(depth_m, dtype=np.float64)
         (f1, f2), (a1, a2) = self.focal_px, self.principal_point_px
         c2 = (pixel[..., 1] - a2) / f2
@@ -165,9 +145,7 @@ class Intrinsics:
     @cached_property
     def pinhole(self) -> Intrinsics:
         """The camera without distortion, with an image so large that it contains the field of view of the lens.
-
-        Straight lines stay straight in its image. A camera without distortion is its own pinhole.
-        """
+        Straight lines stay straight in its image. A camera without distortion is its own pinhole."""
         if self.distortion is None:
             return self
         low, high = self._window()
@@ -184,11 +162,9 @@ class Intrinsics:
 
     @cached_property
     def chord_px(self) -> float:
-        """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`.
-
-        A chord of length s is at most κ s² / 8 from a curve of curvature κ. κ is measured at the edge of the image,
-        where the lens bends most.
-        """
+        """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`. A chord of
+        length s is at most κ s² / 8 from a curve of curvature κ. κ is measured at the edge of the image, where the lens
+        bends most."""
         if self.distortion is None:
             return math.inf
         border = self.pinhole.image_border()
@@ -204,8 +180,7 @@ class Intrinsics:
         along = np.arange(BORDER_POINTS) / BORDER_POINTS
         corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float64)
         sides = corners[:, None] + along[:, None] * (np.roll(corners, -1, axis=0) - corners)[:, None]
-        border: Array = sides.reshape(-1, 2) * self.image_size_px
-        return border
+        return sides.reshape(-1, 2) * self.image_size_px
 
     def _window(self) -> tuple[Array, Array]:
         """Least and greatest column and row, each of shape (2,), of the field of view in a pinhole's image."""
@@ -227,18 +202,11 @@ class Intrinsics:
         return None
 
     def sea_half_plane(self, camera_R_world: ArrayLike) -> Array:
-        """The half-plane of the image that shows the sea, for any roll and pitch.
-
-        The sea is flat, and the horizon is a straight line: distortion is left out. A pixel's ray K⁻¹ (x, y, 1) meets
-        the sea where it points below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes.
-
-        Args:
-            camera_R_world: Rotations WCF to CCF, shape (..., 3, 3).
-
-        Returns:
-            (a, b, c) with a·x + b·y + c >= 0 on the sea, shape (..., 3), scaled so that the value is the distance
-            from the horizon in pixels. (0, 0, ±1) if the camera looks straight down or up.
-        """
+        """The half-plane of the image that shows the sea, for any roll and pitch, from rotations WCF to CCF
+        (..., 3, 3): (a, b, c) with a·x + b·y + c >= 0 on the sea, shape (..., 3), scaled so that the value is the
+        distance from the horizon in pixels. (0, 0, ±1) if the camera looks straight down or up. The sea is flat, and
+        the horizon is a straight line: distortion is left out. A pixel's ray K⁻¹ (x, y, 1) meets the sea where it
+        points below the horizontal plane: n · ray <= 0 with n the world's vertical in camera axes."""
         up = np.asarray(camera_R_world, dtype=np.float64)[..., :, 2]
         line = (-up[..., None, :] @ self.inverse_matrix)[..., 0, :]  # one by one: many at once round otherwise
         length = np.hypot(line[..., 0], line[..., 1])
@@ -251,19 +219,13 @@ class Intrinsics:
 
 @dataclass(frozen=True)
 class Camera:
-    """A virtual camera.
-
-    Attributes:
-        mount: Place in the world or on a vessel.
-        frame_rate_hz: Frames a second; None for one at every step of the scene.
-        start_offset_s: Time from the scene's first step to the first frame.
-    """
+    """A virtual camera."""
 
     name: str
     intrinsics: Intrinsics
     mount: Mount
-    frame_rate_hz: float | None = None
-    start_offset_s: float = 0.0
+    frame_rate_hz: float | None = None  # None for a frame at every step of the scene
+    start_offset_s: float = 0.0  # time from the scene's first step to the first frame
 
 
 # ---- Half-spaces that bound what a camera shows, and triangles cut by them ----
@@ -276,33 +238,19 @@ def near_plane(intrinsics: Intrinsics) -> Array:
 
 @lru_cache(maxsize=64)
 def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
-    """The half-spaces that project to the image and a band of `guard_px` around it, shape (4, 4).
-
-    Each row is (n, d) with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera
-    coordinates; the others follow alike.
-    """
+    """The half-spaces that project to the image and a band of `guard_px` around it, shape (4, 4). Each row is (n, d)
+    with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera coordinates; the
+    others follow alike."""
     matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
-    depth = matrix[2]
-    normals = [
-        matrix[0] + guard_px * depth,
-        (width + guard_px) * depth - matrix[0],
-        matrix[1] + guard_px * depth,
-        (height + guard_px) * depth - matrix[1],
-    ]
-    return read_only(np.column_stack([np.array(normals), np.zeros(4)]))
+    first, second = matrix[0] + guard_px * matrix[2], matrix[1] + guard_px * matrix[2]
+    last, lowest = (width + guard_px) * matrix[2] - matrix[0], (height + guard_px) * matrix[2] - matrix[1]
+    return read_only(np.column_stack([np.array([first, last, second, lowest]), np.zeros(4)]))
 
 
 def clip_triangles(triangles_camera: Array, half_spaces: Array) -> tuple[Array, Indices]:
-    """The parts of triangles that lie inside half-spaces, as triangles (Sutherland & Hodgman, 1974).
-
-    Args:
-        triangles_camera: In CCF, shape (T, 3, 3).
-        half_spaces: Rows (n, d), shape (P, 4): inside is n · p >= d.
-
-    Returns:
-        The parts, in the order and with the orientation of the triangles, shape (T', 3, 3); the triangle that each is a
-        part of, shape (T',).
-    """
+    """The parts of triangles (T, 3, 3) in CCF that lie inside half-spaces, rows (n, d) with n · p >= d inside, (P, 4),
+    as triangles (Sutherland & Hodgman, 1974), in the order and with the orientation of the triangles, (T', 3, 3); and
+    the triangle that each is a part of, (T',)."""
     kept, source = triangles_camera, np.arange(len(triangles_camera))
     for plane in half_spaces:
         height = kept @ plane[:3] - plane[3]
@@ -313,10 +261,8 @@ def clip_triangles(triangles_camera: Array, half_spaces: Array) -> tuple[Array, 
 
 
 def _clip_by(triangles: Array, height: Array) -> tuple[Array, Indices]:
-    """The parts of triangles (T, 3, 3) where a linear function, `height` (T, 3) at the corners, is not negative.
-
-    With the parts comes the triangle of each.
-    """
+    """The parts of triangles (T, 3, 3) where a linear function, `height` (T, 3) at the corners, is not negative. With
+    the parts comes the triangle of each."""
     inside = height >= 0
     count = inside.sum(axis=1)
     whole, one, two = (np.flatnonzero(count == k) for k in (3, 1, 2))
@@ -339,9 +285,7 @@ def _turned(triangles: Array, height: Array, rows: Indices, first: Indices) -> t
 
 
 def _crossing(corners: list[Array], heights: list[Array], inner: int, outer: int) -> Array:
-    """Points where edges leave the half-space, shape (k, 3).
-
-    Computed from the inner corner, so that two triangles with a common edge get exactly the same point.
-    """
+    """Points where edges leave the half-space, shape (k, 3). Computed from the inner corner, so that two triangles with
+    a common edge get exactly the same point."""
     share = heights[inner] / (heights[inner] - heights[outer])
     return corners[inner] + share * (corners[outer] - corners[inner])

@@ -30,11 +30,9 @@ def rotation(axis: int, angle_rad: ArrayLike) -> Array:
 
 
 def attitude(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> Array:
-    """Rotation in camera-base axes, Rz(roll) · Rx(pitch) · Ry(yaw), shape (...) to (..., 3, 3) (eq. 7.15, 7.25).
-
-    Roll is about c3, pitch about c1, yaw about c2. Passive: it maps coordinates before the rotation to coordinates in
-    the rotated frame. Positive yaw turns to port, positive pitch bow down, positive roll port side down.
-    """
+    """Rotation in camera-base axes, Rz(roll) · Rx(pitch) · Ry(yaw), shape (...) to (..., 3, 3) (eq. 7.15, 7.25). Roll
+    is about c3, pitch about c1, yaw about c2. Passive: it maps coordinates before the rotation to coordinates in the
+    rotated frame. Positive yaw turns to port, positive pitch bow down, positive roll port side down."""
     return rotation(2, roll_rad) @ rotation(0, pitch_rad) @ rotation(1, yaw_rad)
 
 
@@ -44,28 +42,22 @@ def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLik
 
 
 def world_R_vehicle(heading_rad: ArrayLike) -> Array:
-    """Rotation from the nominal vehicle frame to the world, shape (...) to (..., 3, 3) (eq. 7.2).
-
-    `heading_rad` is counter-clockwise from w1.
-    """
+    """Rotation from the nominal vehicle frame to the world, shape (...) to (..., 3, 3) (eq. 7.2). `heading_rad` is
+    counter-clockwise from w1."""
     return rotation(2, heading_rad)
 
 
 def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
-    """Rotation from the nominal vehicle frame to the one that waves have turned, shape (..., 3) to (..., 3, 3).
-
-    It is eq. 7.25 in vehicle axes. The angles are roll, pitch and yaw of a camera that looks forward: positive roll
-    lowers the port side, positive pitch the bow, positive yaw turns to port.
-    """
+    """Rotation from the nominal vehicle frame to the one that waves have turned, shape (..., 3) to (..., 3, 3). It is
+    eq. 7.25 in vehicle axes. The angles are roll, pitch and yaw of a camera that looks forward: positive roll lowers
+    the port side, positive pitch the bow, positive yaw turns to port."""
     angles = np.asarray(angles_rad, dtype=np.float64)
     return BASE_R_WORLD.T @ attitude(angles[..., 0], angles[..., 1], angles[..., 2]) @ BASE_R_WORLD
 
 
 def rotation_vector(matrix: ArrayLike) -> Array:
-    """Axis times angle, in [0, π], of right-handed active rotations, shape (..., 3, 3) to (..., 3).
-
-    It is the inverse of the exponential map.
-    """
+    """Axis times angle, in [0, π], of right-handed active rotations, shape (..., 3, 3) to (..., 3). It is the inverse
+    of the exponential map."""
     turn = np.asarray(matrix, dtype=np.float64)
     odd = turn - np.swapaxes(turn, -1, -2)
     sine_axis = np.stack([odd[..., 2, 1], odd[..., 0, 2], odd[..., 1, 0]], axis=-1) / 2
@@ -83,30 +75,20 @@ def rotation_vector(matrix: ArrayLike) -> Array:
 
 
 def heading_of(direction: ArrayLike) -> Array:
-    """Headings in (−π, π] of world vectors, shape (..., 2) or (..., 3) to (...).
-
-    By atan2, because the arccos of eq. 7.3 loses the sign.
-    """
+    """Headings in (−π, π] of world vectors, shape (..., 2) or (..., 3) to (...). By atan2, because the arccos of
+    eq. 7.3 loses the sign."""
     vector = np.asarray(direction, dtype=np.float64)
     return np.arctan2(vector[..., 1], vector[..., 0])
 
 
 @dataclass(frozen=True)
 class Mount:
-    """A camera's place in the world (`vessel` None) or in the VCF of a vessel.
+    """A camera's place in the world (`vessel` None) or in the VCF of a vessel, by its ID."""
 
-    Attributes:
-        position_m: Camera centre in that frame.
-        roll_rad: Angle about c3.
-        pitch_rad: Angle about c1.
-        yaw_rad: Angle about c2.
-        vessel: ID of the vessel that carries the camera.
-    """
-
-    position_m: tuple[float, float, float]
-    roll_rad: float = 0.0
-    pitch_rad: float = 0.0
-    yaw_rad: float = 0.0
+    position_m: tuple[float, float, float]  # camera centre in that frame
+    roll_rad: float = 0.0  # about c3
+    pitch_rad: float = 0.0  # about c1
+    yaw_rad: float = 0.0  # about c2
     vessel: str | None = None
 
     @cached_property
@@ -117,15 +99,10 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class CameraPoses:
-    """Poses of a camera at S steps.
+    """Poses of a camera at S steps."""
 
-    Attributes:
-        camera_R_world: Rotations WCF to CCF, shape (S, 3, 3).
-        positions_m: Camera centres in WCF, shape (S, 3).
-    """
-
-    camera_R_world: Array
-    positions_m: Array
+    camera_R_world: Array  # rotations WCF to CCF, shape (S, 3, 3)
+    positions_m: Array  # camera centres in WCF, shape (S, 3)
 
     def at(self, steps: slice) -> CameraPoses:
         """The poses at some of the steps."""
@@ -147,19 +124,11 @@ def poses_ashore(mount: Mount, steps: int) -> CameraPoses:
 def poses_on_board(
     mount: Mount, positions_m: Array, headings_rad: Array, waves_rad: Array, composition: str = "rigid"
 ) -> CameraPoses:
-    """Poses of a camera on board a vessel in waves, at S steps.
-
-    `rigid`: camera = mount ∘ wave ∘ heading, lever arm included, so that a camera that looks abeam sees its vessel's
-    roll as pitch. `additive` is the source's rule (eq. 7.32–7.34): it adds the wave's angles to the camera's own and
-    leaves out the lever arm, which is right only for a camera that looks forward.
-
-    Args:
-        mount: Place in VCF.
-        positions_m: Origins of the vessel in WCF, shape (S, 3).
-        headings_rad: Counter-clockwise from w1, shape (S,).
-        waves_rad: Roll, pitch and yaw of the vessel in waves, shape (S, 3).
-        composition: `rigid` or `additive`.
-    """
+    """Poses of a camera with a place in VCF on board a vessel in waves, at S steps. The vessel has its origin in WCF
+    (S, 3), a heading counter-clockwise from w1 (S,), and roll, pitch and yaw (S, 3). `rigid`: camera = mount ∘ wave ∘
+    heading, lever arm included, so that a camera that looks abeam sees its vessel's roll as pitch. `additive` is the
+    source's rule (eq. 7.32–7.34): it adds the wave's angles to the camera's own and leaves out the lever arm, which is
+    right only for a camera that looks forward."""
     place = np.array(mount.position_m, dtype=np.float64)
     nominal = world_R_vehicle(headings_rad)
     if composition == "additive":

@@ -1,9 +1,7 @@
 """Velocities, accelerations and angular rates from poses at a sequence of times, by central differences.
-
 A motion has a slope between neighbouring times. In the middle of the sequence the two slopes are weighted so that a
 parabola through three points gets its exact derivative, for any intervals. At an end the derivative is the one slope,
-and the acceleration is that of the neighbouring time.
-"""
+and the acceleration is that of the neighbouring time."""
 
 from __future__ import annotations
 
@@ -27,10 +25,8 @@ def slopes(times_s: Array, values: Array) -> Array:
 
 
 def first_derivative(times_s: Array, between: Array) -> Array:
-    """The derivative at n ascending times, shape (n,), from the slopes between them, shape (n − 1, ...) to (n, ...).
-
-    It has the unit of the slopes, and is zero if there is only one time.
-    """
+    """The derivative at n ascending times, shape (n,), from the slopes between them, shape (n − 1, ...) to (n, ...). It
+    has the unit of the slopes, and is zero if there is only one time."""
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between):
         derivative[0], derivative[-1] = between[0], between[-1]
@@ -41,9 +37,7 @@ def first_derivative(times_s: Array, between: Array) -> Array:
 
 def second_derivative(times_s: Array, between: Array) -> Array:
     """The second derivative at n ascending times, shape (n,), from the slopes between, shape (n − 1, ...) to (n, ...).
-
-    It has the unit of the slopes a second, and is zero if there are fewer than three times.
-    """
+    It has the unit of the slopes a second, and is zero if there are fewer than three times."""
     derivative = np.zeros((len(times_s), *between.shape[1:]))
     if len(between) < 2:
         return derivative
@@ -54,16 +48,9 @@ def second_derivative(times_s: Array, between: Array) -> Array:
 
 
 def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
-    """Velocities of V vessels that come and go. A vessel that appears or leaves is at an end of its sequence.
-
-    Args:
-        times_s: Ascending, shape (n,).
-        positions_m: Shape (n, V, 3).
-        present: Whether each vessel is present, shape (n, V).
-
-    Returns:
-        Metres per second, shape (n, V, 3); zero where a vessel is absent, or present at one time only.
-    """
+    """Velocities of V vessels that come and go, in metres per second, from positions; both of shape (n, V, 3). A vessel
+    that appears or leaves is at an end of its sequence. Zero where a vessel is absent, a mask (n, V), or present at one
+    time only. Times ascend (n,)."""
     between = slopes(times_s, positions_m)
     known = present[:-1] & present[1:]
     central = first_derivative(times_s, between)
@@ -76,15 +63,8 @@ def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
 
 
 def turning(times_s: Array, world_R_body: Array) -> Array:
-    """Angular velocity of the smallest turn from each time to the next, right-handed, in body axes.
-
-    Args:
-        times_s: Ascending, shape (n,).
-        world_R_body: Rotations to WCF, shape (n, ..., 3, 3).
-
-    Returns:
-        Radians per second, shape (n − 1, ..., 3).
-    """
+    """Angular velocity of the smallest turn from each time (n,), ascending, to the next, right-handed, in body axes.
+    Rotations to WCF of shape (n, ..., 3, 3) give radians per second of shape (n − 1, ..., 3)."""
     vectors = rotation_vector(np.swapaxes(world_R_body[:-1], -1, -2) @ world_R_body[1:])
     return vectors / _along(np.diff(times_s), vectors.ndim)
 
@@ -104,19 +84,12 @@ def _along(values: Array, dimensions: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HullTracks:
-    """Rectangles under way: n vessels at the same S times, straight and evenly turning between them.
+    """Rectangles under way: n vessels at the same S times, straight and evenly turning between them."""
 
-    Attributes:
-        times_s: Ascending, shape (S,).
-        centres_m: In WCF, w1 and w2, shape (S, n, 2); NaN where a vessel is absent.
-        headings_rad: Counter-clockwise from w1, shape (S, n); NaN where a vessel is absent.
-        half_sizes_m: Half lengths and half beams, shape (n, 2).
-    """
-
-    times_s: Array
-    centres_m: Array
-    headings_rad: Array
-    half_sizes_m: Array
+    times_s: Array  # ascending, shape (S,)
+    centres_m: Array  # in WCF, w1 and w2, shape (S, n, 2); NaN where a vessel is absent
+    headings_rad: Array  # counter-clockwise from w1, shape (S, n); NaN where a vessel is absent
+    half_sizes_m: Array  # half lengths and half beams, shape (n, 2)
 
 
 def closest_approach(times_s: Array, one_m: Array, other_m: Array) -> tuple[float, float]:
@@ -153,11 +126,8 @@ SNAPPED = 1e-9
 
 
 def union_of(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:
-    """The region that polygons cover together.
-
-    Slivers among hundreds of triangles can defeat the overlay of GEOS in floating point ("side location conflict").
-    The overlay on a grid cannot fail so, but it is slower.
-    """
+    """The region that polygons cover together. Slivers among hundreds of triangles can defeat the overlay of GEOS in
+    floating point ("side location conflict"). The overlay on a grid cannot fail so, but it is slower."""
     try:
         return shapely.union_all(polygons)
     except shapely.GEOSException:

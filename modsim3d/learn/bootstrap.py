@@ -1,9 +1,7 @@
 """Bootstrap over images: how well a number is known.
-
 Images are drawn with replacement (Efron (1979)). Where they are consecutive frames, noise persists from one to the
 next, so runs of frames are drawn that are long against the time that noise persists. Every estimator takes weights of
-images. Their first row, one for each image, gives the estimate, and the other rows give its replicates.
-"""
+images. Their first row, one for each image, gives the estimate, and the other rows give its replicates."""
 
 from __future__ import annotations
 
@@ -29,10 +27,8 @@ Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """How often each image was drawn, in the first row once each, shape (1 + replicates, I).
-
-    `unit` is the index of what was drawn with each image, itself or a run of frames, shape (I,).
-    """
+    """How often each image was drawn, in the first row once each, shape (1 + replicates, I). `unit` is the index of
+    what was drawn with each image, itself or a run of frames, shape (I,)."""
 
     weights: Array
     unit: Indices
@@ -44,14 +40,8 @@ class Resampling:
         return self.counts(np.repeat(image, cells), cell, values.shape[1:], values.ravel())
 
     def counts(self, image: Indices, cell: Indices, shape: tuple[int, ...], amount: Array | None = None) -> Array:
-        """Weighted counts in the cells of a table.
-
-        Args:
-            image: Image of each thing that is counted, shape (n,).
-            cell: Its cell in the flattened table, shape (n,).
-            shape: Of the table; that of the result is (1 + replicates, *shape).
-            amount: How much each counts, one if None, shape (n,).
-        """
+        """Weighted counts in the cells of a table, shape (1 + replicates, *shape), given the image of each thing that
+        is counted (n,), its cell in the flattened table (n,), and how much it counts (n,), one if None."""
         from scipy.sparse import csr_array  # slow to import, and reading what was learned needs none
 
         size = int(np.prod(shape))
@@ -88,19 +78,13 @@ def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """An estimate with its replicates.
+    """An estimate with its replicates."""
 
-    Attributes:
-        values: The estimate, then its replicates, shape (1 + replicates, ...).
-        kind: Kind of number, which decides the scale on which the estimate is nearly normal.
-        counts: Observations that the estimate rests on, of the shape of one row; of a `rate`, the number of images.
-        inflation: Factor by which noise that persists raises the variance of a share at least. Replicates cannot tell
-            it for what happened once or never.
-    """
-
-    values: Array
-    kind: Kind
-    counts: Array
+    values: Array  # the estimate, then its replicates, shape (1 + replicates, ...)
+    kind: Kind  # decides the scale on which the estimate is nearly normal
+    counts: Array  # observations that the estimate rests on, of the shape of one row; of a `rate`, the number of images
+    # Factor by which noise that persists raises the variance of a share at least. Replicates cannot tell it for what
+    # happened once or never.
     inflation: float | Array = 1.0
 
     @property
@@ -116,14 +100,11 @@ class Column:
         alone = value / count if self.kind == "rate" else value * (1 - value) / count
         found = spread(self.values[1:]) ** 2
         inflation = np.where(alone > 0, np.maximum(found / np.maximum(alone, 1e-300), 1.0), 1.0)
-        independent: Array = count / np.maximum(inflation, self.inflation)
-        return independent
+        return count / np.maximum(inflation, self.inflation)
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
-        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row.
-
-        With few units, images or runs that were drawn, the spread itself is uncertain, hence Student's distribution.
-        """
+        """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row. With few units,
+        images or runs that were drawn, the spread itself is uncertain, hence Student's distribution."""
         wide = float(special.stdtrit(max(units - 1, 1), (1 + level) / 2))
         widen, tail = (wide / float(special.ndtri((1 + level) / 2))) ** 2, (1 - level) / 2
         if self.kind in ("share", "rate"):
@@ -169,15 +150,12 @@ def spread(replicates: Array) -> Array:
     filled = np.where(finite, replicates, 0.0)
     mean = filled.sum(axis=0) / np.maximum(number, 1)
     squares = np.where(finite, (replicates - mean) ** 2, 0.0).sum(axis=0)
-    result: Array = np.where(number > 1, np.sqrt(squares / np.maximum(number - 1, 1)), np.inf)
-    return result
+    return np.where(number > 1, np.sqrt(squares / np.maximum(number - 1, 1)), np.inf)
 
 
 def widened(values: Array, least: Array) -> Array:
-    """Replicates of shape (1 + replicates, ...) that spread at least as a standard error (...) from theory does.
-
-    With few runs of frames, or few things that decide a number, replicates alone spread too little on average.
-    """
+    """Replicates of shape (1 + replicates, ...) that spread at least as a standard error (...) from theory does. With
+    few runs of frames, or few things that decide a number, replicates alone spread too little on average."""
     if len(values) == 1:
         return values
     found = spread(values[1:])
@@ -223,21 +201,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Key:
-    """Where an entry stands in a detector file.
+    """Where an entry stands in a detector file."""
 
-    Attributes:
-        names: Keys of the file, outermost first; within the section of the state if there is one.
-        state: Name of the performance state; None for an entry that all states share.
-        axes: Names of the places along each axis; places are numbered if empty.
-        remark: What a reader of the number must know, such as its unit.
-        own_table: Whether reports show the entry in a table of its own.
-    """
-
-    names: tuple[str, ...]
-    state: str | None = None
-    axes: tuple[tuple[str, ...], ...] = ()
-    remark: str = ""
-    own_table: bool = False
+    names: tuple[str, ...]  # keys of the file, outermost first; within the section of the state if there is one
+    state: str | None = None  # name of the performance state; None for an entry that all states share
+    axes: tuple[tuple[str, ...], ...] = ()  # names of the places along each axis; places are numbered if empty
+    remark: str = ""  # what a reader of the number must know, such as its unit
+    own_table: bool = False  # whether reports show the entry in a table of its own
 
     @property
     def path(self) -> str:

@@ -11,30 +11,10 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 from modsim3d.detector.confidence import clipped_sums, fit_clipped
+from modsim3d.learn import confidence_fit, confidence_laws
 from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, resample, spread
-from modsim3d.learn.confidence_fit import (
-    KINDS,
-    Kind,
-    ObservedConfidences,
-    SlopeFit,
-    SlopeForm,
-    fit_slopes,
-    likeliest_reference,
-)
-from modsim3d.learn.confidence_laws import (
-    ConsecutiveScores,
-    Inflation,
-    LatentScores,
-    LawKeys,
-    LearnedConfidence,
-    LearnedConfidenceOfAll,
-    LearnedScores,
-    LearnedSlopes,
-    Sloped,
-    SureOfEverything,
-    normal_scores,
-    quantile_scores,
-)
+from modsim3d.learn.confidence_fit import KINDS, Kind, ObservedConfidences, SlopeFit, SlopeForm
+from modsim3d.learn.confidence_laws import ConsecutiveScores, Inflation, LatentScores, LawKeys, LearnedConfidence
 from modsim3d.learn.matches import Observed, usual_run_s
 from modsim3d.learn.model_selection import LearnedPart
 from modsim3d.learn.persistence import inflation, steps_between
@@ -62,12 +42,9 @@ def with_enough(samples: Mapping[Kind, ObservedConfidences]) -> dict[Kind, Obser
 def choose_slopes(
     observed: Observed, state: str, samples: Mapping[Kind, ObservedConfidences], notes: list[str]
 ) -> SlopeForm | None:
-    """The slopes of a state that are surely above 0; None if there are none.
-
-    Whether confidence follows size is tested with the median size as the reference: of a slope that is none, every
-    reference is as good as any other, and the best of many would look significant too often. Where there is a slope,
-    the likeliest reference is taken.
-    """
+    """The slopes of a state that are surely above 0; None if there are none. Whether confidence follows size is tested
+    with the median size as the reference: of a slope that is none, every reference is as good as any other, and the
+    best of many would look significant too often. Where there is a slope, the likeliest reference is taken."""
     if "slopes" in observed.without:
         return None
     path = f"states.{state}.confidence"
@@ -84,7 +61,9 @@ def choose_slopes(
     form = _significant(observed, path, samples, SlopeForm(not visibility, not size, float(np.log2(median))), notes)
     if not form.names:
         return None
-    return likeliest_reference(list(samples.values()), form, observed.threshold, SCORES_NEEDED) if form.size else form
+    if not form.size:
+        return form
+    return confidence_fit.likeliest_reference(list(samples.values()), form, observed.threshold, SCORES_NEEDED)
 
 
 def _why_not_visibility(scores: ObservedConfidences) -> str:
@@ -103,7 +82,7 @@ def _significant(
     runs = resample(observed.labelled.images, _TRIALS, 0, usual_run_s(observed))
     scores = list(samples.values())
     while form.names:
-        fit = fit_slopes(scores, [False] * len(scores), form, observed.threshold, runs)
+        fit = confidence_fit.fit_slopes(scores, [False] * len(scores), form, observed.threshold, runs)
         if fit is None:
             notes.append(f"{path}: no slopes; {sum(map(len, scores))} detections do not determine them")
             return SlopeForm(False, False)
@@ -134,9 +113,7 @@ ScoreForm = Literal["normal", "quantiles", "shared"]
 @dataclass(frozen=True)
 class ConfidenceForm:
     """The distributions of confidence of true and of false detections in each state, and its slopes, None without.
-
-    `scored` says that confidence persists with the score behind misses, and has no correlation time of its own.
-    """
+    `scored` says that confidence persists with the score behind misses, and has no correlation time of its own."""
 
     true: tuple[ScoreForm, ...]
     false: tuple[ScoreForm, ...]
@@ -157,25 +134,26 @@ class ConfidenceForm:
         """All but the correlation time."""
         persistent = self._inflation(observed)
         every = {kind: ObservedConfidences.of(observed, kind) for kind in KINDS}
-        learned: dict[Kind, list[LearnedScores]] = {"true": [], "false": []}
-        slopes: list[LearnedSlopes | None] = []
+        learned: dict[Kind, list[confidence_laws.LearnedScores]] = {"true": [], "false": []}
+        slopes: list[confidence_laws.LearnedSlopes | None] = []
         for index, (state, form) in enumerate(zip(observed.states, self.slopes, strict=True)):
             forms: dict[Kind, ScoreForm] = {"true": self.true[index], "false": self.false[index]}
             chosen = {kind: every[kind] if forms[kind] == "shared" else every[kind].of_state(index) for kind in KINDS}
-            sloped: dict[Kind, Sloped] = {}
+            sloped: dict[Kind, confidence_laws.Sloped] = {}
             fit = None
             if form is not None:
                 samples = with_enough(chosen)
-                quantiles = [forms[kind] == "quantiles" for kind in samples]
-                fit = fit_slopes(list(samples.values()), quantiles, form, observed.threshold, resampling)
+                kinds, quantiles = list(samples.values()), [forms[kind] == "quantiles" for kind in samples]
+                fit = confidence_fit.fit_slopes(kinds, quantiles, form, observed.threshold, resampling)
                 if fit is not None:
                     sloped = {kind: (fit, place) for place, kind in enumerate(samples)}
-            slopes.append(LearnedSlopes.of(fit, state, chosen["true"], persistent) if fit is not None else None)
+            of_state = None if fit is None else confidence_laws.LearnedSlopes.of(fit, state, chosen["true"], persistent)
+            slopes.append(of_state)
             for kind in KINDS:
-                keys = LawKeys(
-                    ("confidence", kind), state, observed.threshold, persistent if kind == "true" else Inflation()
-                )
-                estimate = quantile_scores if forms[kind] == "quantiles" else normal_scores
+                persists = persistent if kind == "true" else Inflation()
+                keys = LawKeys(("confidence", kind), state, observed.threshold, persists)
+                quantile = forms[kind] == "quantiles"
+                estimate = confidence_laws.quantile_scores if quantile else confidence_laws.normal_scores
                 learned[kind].append(estimate(chosen[kind], keys, sloped.get(kind), resampling))
         return LearnedConfidence(tuple(learned["true"]), tuple(learned["false"]), tuple(slopes))
 
@@ -201,8 +179,9 @@ class OneConfidenceForm:
         for index, state in enumerate(observed.states):
             ours = every.of_state(index)
             ours = ours if len(ours) >= SCORES_NEEDED else every
-            learned.append(normal_scores(ours, LawKeys(("confidence",), state, observed.threshold), None, resampling))
-        return LearnedConfidenceOfAll(tuple(learned))
+            keys = LawKeys(("confidence",), state, observed.threshold)
+            learned.append(confidence_laws.normal_scores(ours, keys, None, resampling))
+        return confidence_laws.LearnedConfidenceOfAll(tuple(learned))
 
 
 @dataclass(frozen=True)
@@ -214,16 +193,14 @@ class NoConfidenceForm:
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """Nothing to estimate."""
-        return SureOfEverything()
+        return confidence_laws.SureOfEverything()
 
 
 def choose_confidence(
     observed: Observed, scored: bool = False
 ) -> ConfidenceForm | OneConfidenceForm | NoConfidenceForm:
-    """Choose the distribution of confidences of each state and kind, and their slopes.
-
-    `scored` says that the score behind misses stands behind them too.
-    """
+    """Choose the distribution of confidences of each state and kind, and their slopes. `scored` says that the score
+    behind misses stands behind them too."""
     if not observed.labelled.scored:
         return NoConfidenceForm()
     if "confidence" in observed.without:
@@ -296,15 +273,13 @@ def _normal_fit(
         return None
     form = replace(form, reference_fitted=False)
     sloped, once = list(with_enough(samples).values()), resample(observed.labelled.images, 0, 0)
-    return fit_slopes(sloped, [False] * len(sloped), form, observed.threshold, once)
+    return confidence_fit.fit_slopes(sloped, [False] * len(sloped), form, observed.threshold, once)
 
 
 def _sloped_distance(scores: ObservedConfidences, fit: SlopeFit, kind: int, threshold: float) -> float:
     """Largest difference between the distribution function of the levels of confidences (n,) and that of uniform ones.
-
     A level is the probability of a smaller confidence in the fit. That of a clipped one is anywhere below or above that
-    of its bound.
-    """
+    of its bound."""
     means, std = fit.means[0, kind] - fit.shift(scores), fit.stds[0, kind]
     level = special.ndtr((scores.values - means) / std)
     low = np.where(scores.values <= threshold, 0.0, level)

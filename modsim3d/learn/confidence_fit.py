@@ -1,11 +1,9 @@
 """Fit of confidences that fall with what is hidden of a vessel and with the size of its box, then are clipped.
-
 Before it is clipped, a confidence is B − v·h − s·max(r − log₂ size, 0): B from the distribution of its kind (true or
 false), h the hidden share, v and s the slopes and r the logarithm of the reference size. Normal kinds are fitted by
 maximum likelihood of the clipped normal distribution (Tobin (1958)). Of kinds with quantiles, B is at most 1 and only
 the threshold clips: a clipped one counts with its expectation under the product-limit distribution of B (Buckley &
-James (1979), "Linear regression with censored data").
-"""
+James (1979), "Linear regression with censored data")."""
 
 from __future__ import annotations
 
@@ -30,18 +28,13 @@ KINDS: tuple[Kind, Kind] = ("true", "false")
 
 @dataclass(frozen=True, eq=False)
 class ObservedConfidences:
-    """Confidences of some detections: values, images and states, shapes (n,).
-
-    Attributes:
-        visible_fraction: Of the detected vessel, NaN where there is none or where it is unknown, shape (n,).
-        log_size: Logarithm to base two of the side of a square as large as the detected box, in pixels, shape (n,).
-    """
+    """Confidences of some detections: values, images and states, shapes (n,)."""
 
     values: Array
     image: Indices
     state: Indices
-    visible_fraction: Array
-    log_size: Array
+    visible_fraction: Array  # of the detected vessel, NaN where there is none or where it is unknown, shape (n,)
+    log_size: Array  # log₂ of the side of a square as large as the detected box, in pixels, shape (n,)
 
     @classmethod
     def of(cls, observed: Observed, kind: Kind) -> ObservedConfidences:
@@ -66,8 +59,7 @@ class ObservedConfidences:
     @property
     def hidden(self) -> Array:
         """Hidden share of the vessel, 0 where unknown, shape (n,)."""
-        hidden: Array = 1 - np.where(np.isfinite(self.visible_fraction), self.visible_fraction, 1.0)
-        return hidden
+        return 1 - np.where(np.isfinite(self.visible_fraction), self.visible_fraction, 1.0)
 
     def of_state(self, state: int) -> ObservedConfidences:
         """Confidences of one state."""
@@ -106,11 +98,9 @@ class SlopeForm:
 
 @dataclass(frozen=True, eq=False)
 class SlopeFit:
-    """Means and standard deviations of each kind, shapes (1 + replicates, kinds), and slopes (1 + replicates, q).
-
-    The reference size is among the slopes as a logarithm to base two. The standard errors of all of them, by theory,
-    are in the order mean and standard deviation of each kind, then slopes, shape (2 * kinds + q,).
-    """
+    """Means and standard deviations of each kind, shapes (1 + replicates, kinds), and slopes (1 + replicates, q). The
+    reference size is among the slopes as a logarithm to base two. The standard errors of all of them, by theory, are in
+    the order mean and standard deviation of each kind, then slopes, shape (2 * kinds + q,)."""
 
     form: SlopeForm
     means: Array
@@ -165,16 +155,9 @@ def _normal_terms(values: Array, means: Array, std: float, threshold: float) -> 
 
 def product_limit(base: Array, clipped: Mask, weights: Array) -> tuple[Array, Array]:
     """The likeliest distribution of numbers of which some are only known not to be larger (Kaplan & Meier (1958)).
-
-    Args:
-        base: The numbers, or the bounds of those that are `clipped`, shape (n,).
-        clipped: Which are not known, shape (n,).
-        weights: How often each counts, shape (n,).
-
-    Returns:
-        Values, ascending, and their probabilities, up to a factor. What lies below every known number is at the lowest
-        bound.
-    """
+    `base` has the numbers, or the bounds of those that are `clipped` (n,), and `weights` how often each counts (n,).
+    Gives values, ascending, and their probabilities, up to a factor. What lies below every known number is at the
+    lowest bound."""
     if not clipped.any():
         order = np.argsort(base, kind="stable")
         return base[order], weights[order]
@@ -273,18 +256,9 @@ def fit_slopes(
     threshold: float,
     resampling: Resampling,
 ) -> SlopeFit | None:
-    """Fit the distributions of some kinds with slopes that they share; replicates by one Newton step each.
-
-    Args:
-        samples: Confidences of each kind.
-        quantiles: Whether each kind's distribution is one of quantiles.
-        form: Which slopes.
-        threshold: Least confidence.
-        resampling: Weights of the images.
-
-    Returns:
-        The fit, None where the confidences do not determine it.
-    """
+    """Fit the distributions of some kinds with slopes that they share; replicates by one Newton step each. Each kind
+    has its confidences, and may have a distribution of quantiles; `threshold` is the least confidence. None where the
+    confidences do not determine the fit."""
     point = _settled(_started(samples, replace(form, reference_fitted=False), threshold))
     if point is not None and form.reference_fitted:
         point = _refined(point)
@@ -391,11 +365,9 @@ def _solved(curvature: Array, gradient: Array, inverse: Array) -> Array:
 def likeliest_reference(
     samples: Sequence[ObservedConfidences], form: SlopeForm, threshold: float, needed: int
 ) -> SlopeForm:
-    """The form with the reference size beyond which confidence does not rise any more.
-
-    It is fitted if so many detections are larger and as many smaller, else it is the largest size, rounded up: the
-    confidence then rises over all sizes.
-    """
+    """The form with the reference size beyond which confidence does not rise any more. It is fitted if so many
+    detections are larger and as many smaller, else it is the largest size, rounded up: the confidence then rises over
+    all sizes."""
     sizes = np.sort(np.concatenate([scores.log_size for scores in samples]))
     largest = np.log2(float(f"{2 ** (sizes[-1] + 0.02):.2g}"))
     every = max(1, len(sizes) // _SCAN_ROWS)

@@ -97,8 +97,7 @@ class LearnedQuantiles:
 
     @property
     def _rising(self) -> Array:
-        rising: Array = np.maximum.accumulate(np.clip(self.quantiles.estimate, self.threshold, 1))
-        return rising
+        return np.maximum.accumulate(np.clip(self.quantiles.estimate, self.threshold, 1))
 
 
 LearnedScores = LearnedNormal | LearnedQuantiles
@@ -137,15 +136,12 @@ class LearnedSlopes:
 
 @dataclass(frozen=True, eq=False)
 class LearnedConfidence:
-    """Distributions of confidence, of true and of false detections of each state, and the slopes, None without.
-
-    `confidence_s` is the correlation time of a vessel's confidence, None if it does not persist.
-    """
+    """Distributions of confidence, of true and of false detections of each state, and the slopes."""
 
     true: tuple[LearnedScores, ...]
     false: tuple[LearnedScores, ...]
     slopes: tuple[LearnedSlopes | None, ...]
-    confidence_s: Entry | None = None
+    confidence_s: Entry | None = None  # correlation time of a vessel's confidence; None if it does not persist
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """The persistence of confidence."""
@@ -188,28 +184,18 @@ def normal_scores(scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, re
         fit, kind = sloped
         mean, std = fit.means[:, kind], fit.stds[:, kind]
         errors = fit.errors[2 * kind], fit.errors[2 * kind + 1]
-    stretch = np.sqrt(keys.inflation.mean), np.sqrt(keys.inflation.std)
-    return LearnedNormal(
-        Entry(
-            Key((*keys.names, "mean"), keys.state),
-            Column(widened(mean, errors[0] * stretch[0]), "mean", np.array(count)),
-        ),
-        Entry(
-            Key((*keys.names, "std"), keys.state),
-            Column(widened(std, errors[1] * stretch[1]), "positive", np.array(count)),
-        ),
-        keys.threshold,
-    )
+    mean_column = Column(widened(mean, errors[0] * np.sqrt(keys.inflation.mean)), "mean", np.array(count))
+    std_column = Column(widened(std, errors[1] * np.sqrt(keys.inflation.std)), "positive", np.array(count))
+    mean_key, std_key = (Key((*keys.names, name), keys.state) for name in ("mean", "std"))
+    return LearnedNormal(Entry(mean_key, mean_column), Entry(std_key, std_column), keys.threshold)
 
 
 def quantile_scores(
     scores: ObservedConfidences, keys: LawKeys, sloped: Sloped, resampling: Resampling
 ) -> LearnedQuantiles:
     """Quantiles of confidences under each row of weights; with slopes, of what they are without them."""
-    rows, scores = (
-        resampling.weights[: 1 + _QUANTILE_REPLICATES],
-        scores.chosen(np.argsort(scores.values, kind="stable")),
-    )
+    rows = resampling.weights[: 1 + _QUANTILE_REPLICATES]
+    scores = scores.chosen(np.argsort(scores.values, kind="stable"))
     values, levels = np.full((len(rows), QUANTILES), np.nan), np.linspace(0, 1, QUANTILES)
     clipped = np.zeros(len(scores), dtype=bool) if sloped is None else scores.values <= keys.threshold
     for row, of_images in enumerate(rows):
@@ -266,8 +252,7 @@ class LatentScores:
         """The numbers; those that are open by their expectation, shape (n,)."""
         chance = np.maximum(special.ndtr(self.high) - special.ndtr(self.low), 1e-12)
         density = [np.exp(-(edge**2) / 2) / np.sqrt(2 * np.pi) for edge in (self.low, self.high)]
-        found: Array = np.where(self.known, self.low, (density[0] - density[1]) / chance)
-        return found
+        return np.where(self.known, self.low, (density[0] - density[1]) / chance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,15 +281,12 @@ class ConsecutiveScores:
         return Steps(self.steps.earlier[known], self.steps.later[known], self.steps.apart_s[known])
 
     def _likelihood(self, steps: Steps, at: Array) -> Array:
-        """Log-likelihood of each later sighting given the earlier one, shape (m,).
-
-        At the logarithms of a correlation time and of a factor of all numbers, which a wrong spread makes.
-        """
+        """Log-likelihood of each later sighting given the earlier one, shape (m,). At the logarithms of a correlation
+        time and of a factor of all numbers, which a wrong spread makes."""
         a, b = steps.earlier, steps.later
         correlation = np.minimum(np.exp(-steps.apart_s / np.exp(at[0])), 1 - 1e-9)
-        return pair_likelihood(
-            self.latent.low[a], self.latent.low[b], self.latent.high[b], correlation, float(np.exp(at[1]))
-        )
+        low, high = self.latent.low[b], self.latent.high[b]
+        return pair_likelihood(self.latent.low[a], low, high, correlation, float(np.exp(at[1])))
 
     def _derivatives(self, steps: Steps, at: Array) -> tuple[Array, Array]:
         """Gradient (m, 2) and curvature (m, 2, 2) of each log-likelihood, by differences."""

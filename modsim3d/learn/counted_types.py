@@ -34,45 +34,21 @@ _TRIALS, _RUNS = 200, 24
 
 @dataclass(frozen=True, eq=False)
 class CountedAs:
-    """Type that each detection counts as: types that the data do not clearly show count as if they did not exist.
+    """Type that each detection counts as: types that the data do not clearly show count as if they did not exist."""
 
-    Attributes:
-        detection: Row of the result that detects each annotation, −1 where none does, shape (T,).
-        in_merged_box: Whether an annotation is in the box of another one, and so detected, shape (T,).
-        ambiguous: Whether boxes do not tell if an annotation without a box of its own would be missed or in another's,
-            shape (T,).
-        false: Rows of false detections, second boxes and smaller parts included, shape (f,).
-        false_positives: Rows of those that are neither, shape (g,).
-        one_vessel: Whether a detection is surely one whole box of one vessel if it detects one, shape (D,).
-        thresholds: The threshold of each kind that is shown and has one.
-        trials: Of the kinds that are shown, above their threshold.
-    """
-
-    detection: Indices
-    in_merged_box: Mask
-    ambiguous: Mask
-    false: Indices
-    false_positives: Indices
-    one_vessel: Mask
-    thresholds: dict[str, float]
-    trials: dict[str, Trials]
+    detection: Indices  # row of the result that detects each annotation, −1 where none does, shape (T,)
+    in_merged_box: Mask  # whether an annotation is in the box of another one, and so detected, shape (T,)
+    ambiguous: Mask  # boxes do not tell if an annotation without one is missed or in another's, shape (T,)
+    false: Indices  # rows of false detections, second boxes and smaller parts included, shape (f,)
+    false_positives: Indices  # rows of those that are neither, shape (g,)
+    one_vessel: Mask  # whether a detection is surely one whole box of one vessel if it detects one, shape (D,)
+    thresholds: dict[str, float]  # of each kind that is shown and has one
+    trials: dict[str, Trials]  # of the kinds that are shown, above their threshold
     notes: tuple[str, ...]
 
 
-def counted_as(
-    labelled: LabelledSet,
-    matched: Matched,
-    used: Mask,
-    without: frozenset[str] = frozenset(),
-) -> CountedAs:
-    """Types that the detections of the images that are used (I,) count as.
-
-    Args:
-        labelled: The set.
-        matched: Its matches.
-        used: Which images take part, shape (I,).
-        without: Kinds that are left out.
-    """
+def counted_as(labelled: LabelledSet, matched: Matched, used: Mask, without: frozenset[str] = frozenset()) -> CountedAs:
+    """Types that the detections of the images that are used (I,) count as; kinds in `without` are left out."""
     false = matched.false[used[labelled.results.image[matched.false]]]
     one_vessel = np.ones(len(labelled.results), dtype=bool)
     in_merged_box, ambiguous = np.zeros((2, len(labelled.annotations)), dtype=bool)
@@ -114,9 +90,8 @@ def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str
         least, remark = _least(name, trials)
         above = _above(trials, least)
         seen, chance = float((above.hits + above.chance).sum()), float(above.chance.sum())
-        needed, strength = _needed(chance), 0.0
-        if seen >= needed:
-            strength = _strength(above, images)
+        needed = _needed(chance)
+        strength = _strength(above, images) if seen >= needed else 0.0
         if strength >= SIGNIFICANT:
             shown[name] = least
             notes += remark
@@ -125,9 +100,8 @@ def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str
             notes.append(f"false_positives.{name}: none; {why}")
         else:
             by_chance = f", of which {chance:.1f} by chance" if chance >= 0.05 else ""
-            notes.append(
-                f"false_positives.{name}: none; had {counted(round(seen), *_WHAT[name])}{by_chance}, needs {needed}"
-            )
+            found = f"had {counted(round(seen), *_WHAT[name])}{by_chance}, needs {needed}"
+            notes.append(f"false_positives.{name}: none; {found}")
     return shown
 
 

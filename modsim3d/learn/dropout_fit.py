@@ -25,10 +25,8 @@ _STEPS = 60
 @dataclass(frozen=True)
 class EffectTerm:
     """An attribute that changes the odds of a miss, by its key in the file; at its reference they are the state's.
-
     Sizes and distances change them by doublings, or by units where that fits better. An effect of a single state, by
-    its index, replaces the shared one of its attribute there.
-    """
+    its index, replaces the shared one of its attribute there."""
 
     attribute: str
     reference: float
@@ -55,8 +53,7 @@ class EffectTerm:
         """In which of some states it holds beside other effects, shape (states,)."""
         others = [each.state for each in effects if each.attribute == self.attribute and each.state is not None]
         numbers = np.arange(states)
-        held: Mask = ~np.isin(numbers, others) if self.state is None else numbers == self.state
-        return held
+        return ~np.isin(numbers, others) if self.state is None else numbers == self.state
 
 
 def attribute_values(observed: Observed) -> dict[str, Array]:
@@ -73,27 +70,18 @@ def attribute_values(observed: Observed) -> dict[str, Array]:
 
 @dataclass(frozen=True, eq=False)
 class MissFit:
-    """A regression of misses.
+    """A regression of misses."""
 
-    Attributes:
-        slopes: Log-odds for each unit or doubling, the estimate first, shape (1 + replicates, effects).
-        errors: Standard errors of the estimate, shape (effects,).
-        errors_of_things: Those of things that are missed or seen together, shape (effects,); 0 with few things.
-        rates: Miss rate of each state and label, shape (1 + replicates, states, k), NaN where there was nothing. A mean
-            over all annotations of the label, whatever their state.
-        intercepts: Log-odds of a miss at the references less those of the rate, of the same shape, 0 where all or
-            nothing was missed.
-        log_odds: Quantiles of what the effects add, over all annotations of the label, shape (states, k, quantiles).
-        chance: Probability of a miss of each annotation in its own state, shape (n,).
-    """
-
-    slopes: Array
-    errors: Array
-    errors_of_things: Array
+    slopes: Array  # log-odds for each unit or doubling, the estimate first, shape (1 + replicates, effects)
+    errors: Array  # standard errors of the estimate, shape (effects,)
+    errors_of_things: Array  # those of things that are missed or seen together, shape (effects,); 0 with few things
+    # Miss rate of each state and label, a mean over all annotations of the label, whatever their state; shape
+    # (1 + replicates, states, k), NaN where there was nothing.
     rates: Array
+    # Log-odds of a miss at the references less those of the rate, of the same shape, 0 where all or nothing was missed.
     intercepts: Array
-    log_odds: Array
-    chance: Array
+    log_odds: Array  # quantiles of what the effects add, over all annotations of the label, (states, k, quantiles)
+    chance: Array  # probability of a miss of each annotation in its own state, shape (n,)
 
     def log_likelihood(self, missed: Mask) -> float:
         """That of the misses, shape (n,)."""
@@ -102,10 +90,8 @@ class MissFit:
 
 
 def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: Resampling) -> MissFit | None:
-    """Fit intercepts and slopes by maximum likelihood, replicates by one Newton step from the estimate.
-
-    Gives None where the misses do not determine the parameters. There may be no effects.
-    """
+    """Fit intercepts and slopes by maximum likelihood, replicates by one Newton step from the estimate. Gives None
+    where the misses do not determine the parameters. There may be no effects."""
     states, k = len(observed.states), len(observed.labelled.labels)
     values = attribute_values(observed)
     amounts, holds = np.empty((len(observed.rows), len(effects))), np.empty((states, len(effects)), dtype=bool)
@@ -150,16 +136,10 @@ def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: 
 
 
 def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Array:
-    """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things.
-
-    The sandwich estimate over clusters (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear
-    models"), with things as clusters.
-
-    Args:
-        observed: What was seen.
-        fitted: Which annotations count, shape (n,), m of them.
-        influence: By how much each moves the parameters, shape (m, p).
-    """
+    """Standard errors (p,) where what befalls a thing in one frame may befall it in all, 0 with too few things. The
+    sandwich estimate over clusters (Liang and Zeger (1986), "Longitudinal data analysis using generalized linear
+    models"), with things as clusters. m annotations count, a mask (n,); `influence` is by how much each moves the
+    parameters, shape (m, p)."""
     thing = observed.thing[fitted]
     if len(np.unique(thing[thing >= 0])) < THINGS_NEEDED:
         return np.zeros(influence.shape[1])
@@ -172,13 +152,8 @@ def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Arr
 
 def _maximum(missed: Array, group: Indices, x: Array, intercepts: Array) -> tuple[Array, Array, Array] | None:
     """Likeliest parameters (p,), chances of a miss (n,) and information (p, p), by Newton's method; None without one.
-
-    Args:
-        missed: One for a miss, else 0, shape (n,).
-        group: Index of the intercept of each, shape (n,).
-        x: Values of the effects, shape (n, effects).
-        intercepts: Those to begin with; slopes begin at 0.
-    """
+    `missed` is one for a miss, else 0 (n,), `group` the index of the intercept of each (n,), `x` has the values of the
+    effects (n, effects). It begins at these intercepts, and at slopes of 0."""
     count = len(intercepts)
     theta = np.concatenate([intercepts, np.zeros(x.shape[1])])
     for _ in range(_STEPS):
@@ -223,12 +198,10 @@ def _weighted_information(
 
 
 def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
-    """One Newton step (rows, p) under each row of weights, from information (rows, p, p) and gradients (rows, p).
-
-    Each row has its own curvature: with that of the estimate, effects that few images decide would look better known
-    than they are. Where that of a row is singular, because it has no misses of some kind, the inverse information of
-    the estimate (p, p) is used. The first row is at the maximum already, so its step is zero.
-    """
+    """One Newton step (rows, p) under each row of weights, from information (rows, p, p) and gradients (rows, p). Each
+    row has its own curvature: with that of the estimate, effects that few images decide would look better known than
+    they are. Where that of a row is singular, because it has no misses of some kind, the inverse information of the
+    estimate (p, p) is used. The first row is at the maximum already, so its step is zero."""
     ridge = 1e-6 * np.eye(len(inverse)) * np.trace(curvature[0]) / len(inverse)
     steps = np.linalg.solve(curvature + ridge, scores[..., None])[..., 0]
     sound = np.linalg.cond(curvature + ridge) < 1e6
@@ -237,18 +210,10 @@ def _steps(curvature: Array, scores: Array, inverse: Array) -> Array:
 
 
 def _mean_rates(
-    observed: Observed,
-    amounts: Array,
-    holds: Mask,
-    thetas: Array,
-    usable: Mask,
-    every: Array,
-    resampling: Resampling,
+    observed: Observed, amounts: Array, holds: Mask, thetas: Array, usable: Mask, every: Array, resampling: Resampling
 ) -> Array:
-    """Mean probability of a miss in each state over all annotations of a label; replicates to first order.
-
-    Amounts of the effects have shape (n, effects); in which states each holds, (states, effects).
-    """
+    """Mean probability of a miss in each state over all annotations of a label; replicates to first order. Amounts of
+    the effects have shape (n, effects); in which states each holds, (states, effects)."""
     states, k = len(observed.states), len(observed.labelled.labels)
     rates = np.full((len(thetas), states, k), np.nan)
     count = int(usable.sum())

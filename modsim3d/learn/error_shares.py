@@ -1,13 +1,10 @@
 """Losses of average precision, one kind of error at a time (after Bolya et al. (2020), "TIDE").
-
 A false detection is classed by the annotation that it fits best: `classification` (well placed, another label),
 `localisation` (right label, badly placed), `both`, `duplicate` (of what a more confident one has detected) or
 `background`. An annotation that no detection comes near is `missed`. The gain of a kind is how much mean average
 precision would rise if errors of that kind alone were corrected.
-
 Well placed is what the matching rule lets match. By provenance every detection of a vessel is well placed, wherever its
-box is; a second box of a vessel counts as `background`.
-"""
+box is; a second box of a vessel counts as `background`."""
 
 from __future__ import annotations
 
@@ -59,10 +56,8 @@ _FAR, _NEAR, _FITS = range(3)
 
 @dataclass(frozen=True, eq=False)
 class _Nearest:
-    """The best annotation of the same and of another label for each of n detections, −1 for none, shapes (n,).
-
-    Beside each stands whether it fits by the rule, is only near or is far: `_FITS`, `_NEAR` or `_FAR`.
-    """
+    """The best annotation of the same and of another label for each of n detections, −1 for none, shapes (n,). Beside
+    each stands whether it fits by the rule, is only near or is far: `_FITS`, `_NEAR` or `_FAR`."""
 
     same: Indices
     same_place: Indices
@@ -129,8 +124,7 @@ def _is_near(labelled: LabelledSet, detection: Indices, annotation: Indices, rul
         return np.zeros(len(detection), dtype=bool)
     annotations = labelled.annotations
     a_px, b_px = labelled.results.boxes_px[detection], annotations.boxes_px[annotation]
-    near: Mask = overlap(a_px, b_px, annotations.crowd[annotation]) >= BACKGROUND_IOU
-    return near
+    return overlap(a_px, b_px, annotations.crowd[annotation]) >= BACKGROUND_IOU
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,14 +158,8 @@ class _State:
         return replace(self, counts=counts)
 
     def corrected(self, rows: Indices, annotations: Indices, taken: Mask) -> _State:
-        """Make some detections right.
-
-        Args:
-            rows: The detections, shape (n,).
-            annotations: The annotation of each, shape (n,). The most confident detection of one counts, if nothing else
-                has detected it; the other rows are left out.
-            taken: Which annotations have been detected, shape (T,).
-        """
+        """Make some detections (n,) right, of an annotation each (n,), given which annotations have been detected (T,).
+        The most confident detection of one counts, if nothing else has detected it; the others are left out."""
         free = ~taken[annotations]
         order = np.argsort(-self.labelled.results.confidence[rows[free]], kind="stable")
         rows_free, annotations_free = rows[free][order], annotations[free][order]

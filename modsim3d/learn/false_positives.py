@@ -24,21 +24,14 @@ _ALMOST_ANY = 0.99
 
 @dataclass(frozen=True)
 class FalsePositiveForm:
-    """The model of false positives.
-
-    Attributes:
-        sizes: Whether they have sizes of their own; those of vessels if not.
-        placing: Where they are.
-        lifetime_s: Mean lifetime of those that stay; 0 where none do.
-        drifts: Whether those drift.
-    """
+    """The model of false positives."""
 
     model: str
-    sizes: bool
+    sizes: bool  # whether they have sizes of their own; those of vessels if not
     placing: Placing
     notes: tuple[str, ...]
-    lifetime_s: float = 0.0
-    drifts: bool = False
+    lifetime_s: float = 0.0  # mean lifetime of those that stay; 0 where none do
+    drifts: bool = False  # whether those drift
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
@@ -57,12 +50,9 @@ class FalsePositiveForm:
 
     def _persistence(self, lasting: Lasting | None, resampling: Resampling) -> LearnedPersistence:
         """Lifetime, speed and share; of data without two frames, in which nothing can stay, a share of 0."""
-        rows = len(resampling.weights)
-        lifetime, share = (
-            Column(np.full(rows, self.lifetime_s), "positive", np.array(0.0)),
-            Column(np.zeros(rows), "capped", np.array(0.0)),
-        )
-        drift = Column(np.zeros(rows), "positive", np.array(0.0))
+        rows, none = len(resampling.weights), np.array(0.0)
+        lifetime = Column(np.full(rows, self.lifetime_s), "positive", none)
+        share, drift = Column(np.zeros(rows), "capped", none), Column(np.zeros(rows), "positive", none)
         if lasting is not None:
             (lifetime, share), drift = lasting.columns(resampling), lasting.drift.column(resampling)
         section = ("false_positives", "persistence")
@@ -101,20 +91,13 @@ class LearnedPersistence:
 
 @dataclass(frozen=True, eq=False)
 class LearnedFalsePositives:
-    """Numbers of false positives.
-
-    Attributes:
-        states: Rates and labels of each state.
-        size: None for the sizes of vessels.
-        place: Parameter of the placement; of a map the share of each cell, in the grid's shape; None without any.
-        persistence: None where none stay.
-    """
+    """Numbers of false positives."""
 
     form: FalsePositiveForm
-    states: tuple[StateFalsePositives, ...]
-    size: LearnedSize | None
-    place: Entry | None
-    persistence: LearnedPersistence | None
+    states: tuple[StateFalsePositives, ...]  # rates and labels of each state
+    size: LearnedSize | None  # None for the sizes of vessels
+    place: Entry | None  # parameter of the placement; of a map the share of each cell, in the grid's shape
+    persistence: LearnedPersistence | None  # None where none stay
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """Model, map and sizes."""
@@ -186,9 +169,8 @@ def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, 
     if not sightings.known.all():
         said = "the horizon of some images is not known (--horizon)"
         if false < needed:
-            notes.append(
-                f"{where} uniform below the horizon; {said}, and a map needs {needed} false detections, had {false}"
-            )
+            said = f"{said}, and a map needs {needed} false detections, had {false}"
+            notes.append(f"{where} uniform below the horizon; {said}")
             return "uniform"
         notes.append(f"{where} a map; {said}")
         return "density"
@@ -267,22 +249,17 @@ def _of_states(
         share = np.nan_to_num(ratio(number, number + true[:, index]))
         rate = np.nan_to_num(ratio(lonely, images[:, index]))
         share_remark, rate_remark = (NOT_WRITTEN, "") if model == "per_image" else ("", NOT_WRITTEN)
-        learned.append(
-            StateFalsePositives(
-                Entry(
-                    Key(("false_positive_labels",), name, (names,), own_table=True),
-                    Column(table, "share", np.full(k, lonely[0]), inflation),
-                ),
-                Entry(
-                    Key(("false_discovery_rate",), name, remark=share_remark),
-                    Column(share, "share", number[0] + true[0, index], inflation),
-                ),
-                Entry(
-                    Key(("false_positives_per_image",), name, remark=rate_remark),
-                    Column(rate, "rate", images[0, index], inflation),
-                ),
-            )
+        keys = (
+            Key(("false_positive_labels",), name, (names,), own_table=True),
+            Key(("false_discovery_rate",), name, remark=share_remark),
+            Key(("false_positives_per_image",), name, remark=rate_remark),
         )
+        columns = (
+            Column(table, "share", np.full(k, lonely[0]), inflation),
+            Column(share, "share", number[0] + true[0, index], inflation),
+            Column(rate, "rate", images[0, index], inflation),
+        )
+        learned.append(StateFalsePositives(*map(Entry, keys, columns)))
     return tuple(learned)
 
 
@@ -305,10 +282,8 @@ def _place(
 
 
 def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -> LearnedSize:
-    """One shape, scaled by a number whose logarithm is normal.
-
-    The image's edge cuts boxes, so only those count whose centres are farther from it than half of almost any box.
-    """
+    """One shape, scaled by a number whose logarithm is normal. The image's edge cuts boxes, so only those count whose
+    centres are farther from it than half of almost any box."""
     image, boxes_px, sizes_px = sightings.image, sightings.boxes_px, sightings.image_px
     half = np.quantile(sizes(boxes_px), _ALMOST_ANY, axis=0) / 2 if len(boxes_px) else np.zeros(2)
     centre = centres(boxes_px)
@@ -324,13 +299,7 @@ def _size(sightings: FalseSightings, resampling: Resampling, inflation: float) -
     std = np.sqrt(np.maximum(variance, 0))
     count = max(float(len(sides)) / inflation, 1.0)
     root = np.sqrt(count)
-    return LearnedSize(
-        Entry(
-            Key(("false_positives", "size", "px"), axes=(("width", "height"),)),
-            Column(widened(px, px[0] * std[0] / root), "positive", np.full(2, count)),
-        ),
-        Entry(
-            Key(("false_positives", "size", "log_std")),
-            Column(widened(std, std[0] / root / np.sqrt(2)), "positive", np.array(count)),
-        ),
-    )
+    px_column = Column(widened(px, px[0] * std[0] / root), "positive", np.full(2, count))
+    std_column = Column(widened(std, std[0] / root / np.sqrt(2)), "positive", np.array(count))
+    px_key = Key(("false_positives", "size", "px"), axes=(("width", "height"),))
+    return LearnedSize(Entry(px_key, px_column), Entry(Key(("false_positives", "size", "log_std")), std_column))

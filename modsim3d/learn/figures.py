@@ -30,8 +30,7 @@ class Curve:
     @property
     def interpolated(self) -> Array:
         """Largest precision at this recall or a larger one (eq. 5.45), shape (m,)."""
-        highest: Array = np.maximum.accumulate(self.precision[::-1])[::-1]
-        return highest
+        return np.maximum.accumulate(self.precision[::-1])[::-1]
 
     def at_points(self, points: int) -> float:
         """Mean interpolated precision at evenly spaced levels of recall (eq. 5.43 with 11 points)."""
@@ -56,19 +55,12 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Ranking:
-    """Detections of one label, the most confident first.
+    """Detections of one label, the most confident first."""
 
-    Attributes:
-        image: Image of each detection, shape (m,).
-        right: Whether each matches an annotation, shape (m,).
-        confidence: Non-increasing, shape (m,).
-        annotation_image: Image of each annotation that is to be detected, shape (T,).
-    """
-
-    image: Indices
-    right: Mask
-    confidence: Array
-    annotation_image: Indices
+    image: Indices  # of each detection, shape (m,)
+    right: Mask  # whether each matches an annotation, shape (m,)
+    confidence: Array  # non-increasing, shape (m,)
+    annotation_image: Indices  # image of each annotation that is to be detected, shape (T,)
 
     @classmethod
     def of(cls, labelled: LabelledSet, matched: Matched, label: int, images: Mask) -> Ranking:
@@ -77,9 +69,8 @@ class Ranking:
         rows = np.flatnonzero(matched.counts & (results.label == label) & images[results.image])
         rows = rows[np.argsort(-results.confidence[rows], kind="stable")]
         sought = matched.sought & (annotations.label == label) & images[annotations.image]
-        return cls(
-            results.image[rows], matched.annotation[rows] >= 0, results.confidence[rows], annotations.image[sought]
-        )
+        right = matched.annotation[rows] >= 0
+        return cls(results.image[rows], right, results.confidence[rows], annotations.image[sought])
 
     def curve(self, weights: Array | None = None) -> Curve | None:
         """The curve under weights of images, shape (I,), all one if None; None if there is nothing to detect."""
@@ -149,58 +140,39 @@ class AveragePrecisions(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Figures:
-    """The figures of one condition or state, in so many images, which so many resampled runs or images hold.
-
-    Attributes:
-        counts: Confusion matrix, rows what was detected, columns what was there, both labels then background; its last
-            entry is undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
-        of_labels: Rates of each label, shape (k,); their means, also weighted by annotations, are beside them.
-        confusion: Probabilities, shape (k + 1, k) (eq. 5.25).
-        false_labels: Share of each label among false detections, shape (k,) (eq. 5.26).
-        errors: Moments of the box errors in pixels (eq. 5.36 to 5.41), also of each label.
-        error_covariance: Of the `CELLS`, in px², shape (10,).
-        average_precision: Of each label, shape (k,); None without confidences, as are the next two.
-        mean_average_precision: Over labels that are there (eq. 5.46).
-        confidence_entropy: Cross-entropy of confidence, as the probability of being right.
-        label_entropy: Cross-entropy of labels; None if no probabilities are given.
-    """
+    """The figures of one condition or state, in so many images, which so many resampled runs or images hold."""
 
     name: str
     images: int
     units: int
+    # Confusion matrix, rows what was detected, columns what was there, both labels then background; its last entry is
+    # undefined and 0; shape (k + 1, k + 1) (section 5.6.2).
     counts: Array
     any_label: Rates
-    of_labels: Rates
-    mean: Rates
-    weighted: Rates
-    confusion: Column
-    false_labels: Column
-    errors: ErrorMoments
-    error_covariance: Column
+    of_labels: Rates  # of each label, shape (k,)
+    mean: Rates  # over labels
+    weighted: Rates  # mean over labels, weighted by annotations
+    confusion: Column  # probabilities, shape (k + 1, k) (eq. 5.25)
+    false_labels: Column  # share of each label among false detections, shape (k,) (eq. 5.26)
+    errors: ErrorMoments  # of the box errors in pixels (eq. 5.36 to 5.41)
+    error_covariance: Column  # of the `CELLS`, in px², shape (10,)
     errors_of_labels: tuple[ErrorMoments, ...]
-    average_precision: AveragePrecisions | None
-    mean_average_precision: AveragePrecisions | None
-    confidence_entropy: Column | None
-    label_entropy: Column | None
+    average_precision: AveragePrecisions | None  # of each label, shape (k,); None without confidences, as the next two
+    mean_average_precision: AveragePrecisions | None  # over labels that are there (eq. 5.46)
+    confidence_entropy: Column | None  # cross-entropy of confidence, as the probability of being right
+    label_entropy: Column | None  # cross-entropy of labels; None if no probabilities are given
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """A labelled set with its matches, and how its images are resampled.
-
-    Attributes:
-        matched: Matches with labels left aside, above the confidence threshold.
-        by_label: Matches label by label, at any confidence: for average precision. None without confidences.
-        beta: How many times more recall weighs than precision in F-beta.
-        inflation: Factor by which persistent misses raise variances at least. Replicates cannot tell it for what
-            happened once.
-    """
+    """A labelled set with its matches, and how its images are resampled."""
 
     labelled: LabelledSet
-    matched: Matched
-    by_label: Matched | None
+    matched: Matched  # with labels left aside, above the confidence threshold
+    by_label: Matched | None  # label by label, at any confidence: for average precision. None without confidences
     resampling: Resampling
-    beta: float = 2.0
+    beta: float = 2.0  # how many times more recall weighs than precision in F-beta
+    # Factor by which persistent misses raise variances at least. Replicates cannot tell it for what happened once.
     inflation: float = 1.0
 
     def figures(self, name: str, images: Mask) -> Figures:
@@ -213,7 +185,7 @@ class Matches:
         any_right = counts[:, :k, :k].sum(axis=(1, 2))
         clutter = counts[:, :k, k]
         total = clutter.sum(axis=1, keepdims=True)
-        average_precision = self._average_precision(images)
+        by_label = self._average_precision(images)
         found_in, label, errors = self._errors(images)
         moments = ErrorMoments.of(self.resampling, found_in, errors)
         return Figures(
@@ -234,8 +206,8 @@ class Matches:
             errors_of_labels=tuple(
                 ErrorMoments.of(self.resampling, found_in[label == each], errors[label == each]) for each in range(k)
             ),
-            average_precision=average_precision,
-            mean_average_precision=average_precision and _mean_average_precision(average_precision),
+            average_precision=by_label,
+            mean_average_precision=by_label and AveragePrecisions(*map(_mean_over_labels, by_label)),
             confidence_entropy=self._confidence_entropy(images),
             label_entropy=self._label_entropy(images),
         )
@@ -275,9 +247,8 @@ class Matches:
         rows, annotation = self.matched.pairs
         given = images[results.image[rows]] & np.isfinite(results.probabilities[rows, 0])
         rows, annotation = rows[given], annotation[given]
-        return self._entropy(
-            results.image[rows], results.probabilities[rows, self.labelled.annotations.label[annotation]]
-        )
+        chance = results.probabilities[rows, self.labelled.annotations.label[annotation]]
+        return self._entropy(results.image[rows], chance)
 
     def _entropy(self, image: Indices, chance: Array) -> Column:
         """Mean of −log p, given images (n,) and probabilities p (n,)."""
@@ -307,7 +278,5 @@ def _average(column: Column, weights: Array, count: float) -> Column:
     return Column(values, "fraction", np.array(count))
 
 
-def _mean_average_precision(of_labels: AveragePrecisions) -> AveragePrecisions:
-    return AveragePrecisions(
-        *(_average(column, np.ones_like(column.values), column.counts.sum()) for column in of_labels)
-    )
+def _mean_over_labels(column: Column) -> Column:
+    return _average(column, np.ones_like(column.values), column.counts.sum())

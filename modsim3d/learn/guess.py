@@ -18,29 +18,18 @@ from modsim3d.learn.bootstrap import columns_of_one, digits, nested
 
 @dataclass(frozen=True, eq=False)
 class ConditionChange:
-    """How a detector changed from one condition to another.
+    """Change of a detector from one condition to another."""
 
-    Attributes:
-        miss_odds: Ratio of the odds of a miss.
-        false_odds: Ratio of the odds that a detection is false.
-        false_per_image: Ratio of the numbers of false positives per image, over the same vessels.
-        spread: Ratios of the standard deviations of e_x, e_y, e_w, e_h, shape (4,).
-        confidence: Differences of the log-odds of the mean confidence of true and of false detections.
-    """
-
-    miss_odds: float
-    false_odds: float
-    false_per_image: float
-    spread: Array
-    confidence: tuple[float, float]
+    miss_odds: float  # ratio of the odds of a miss
+    false_odds: float  # ratio of the odds that a detection is false
+    false_per_image: float  # ratio of the numbers of false positives per image, over the same vessels
+    spread: Array  # ratios of the standard deviations of e_x, e_y, e_w, e_h, shape (4,)
+    confidence: tuple[float, float]  # differences of the log-odds of mean confidence, of true and false detections
 
     @classmethod
     def between(cls, before: tuple[str, DetectorModel], after: tuple[str, DetectorModel]) -> ConditionChange:
-        """The change between two conditions, each a name and a detector of one label and one state.
-
-        Raises:
-            InputError: A condition is none, or has a rate that no ratio can be taken of.
-        """
+        """The change between two conditions, each a name and a detector of one label and one state. Raises InputError
+        if a condition is none, or has a rate that no ratio can be taken of."""
         for name, model in (before, after):
             _check_condition(name, model)
         first, second = before[1].states[0], after[1].states[0]
@@ -62,20 +51,11 @@ class ConditionChange:
 
 
 def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "detector") -> dict[str, Any]:
-    """The content of a detector file after a change of condition, with every state changed by it.
-
-    Of a probability p the odds p/(1 − p) are multiplied, so that it stays below 1; the classes of what is detected keep
-    their shares. Standard deviations of box errors are multiplied, and their means and correlations stay. Confidence
-    is shifted by its log-odds. Everything else stays.
-
-    Args:
-        content: A detector file's content.
-        change: The change.
-        source: What to call the detector in messages.
-
-    Raises:
-        InputError: The detector is wrong before or after the change, or its confidence cannot be shifted.
-    """
+    """The content of a detector file after a change of condition, with every state changed by it. Of a probability p
+    the odds p/(1 − p) are multiplied, so that it stays below 1; the classes of what is detected keep their shares.
+    Standard deviations of box errors are multiplied, and their means and correlations stay. Confidence is shifted by
+    its log-odds. Everything else stays. `source` is what messages call the detector. Raises InputError if the detector
+    is wrong before or after the change, or its confidence cannot be shifted."""
     parse_detector(content, source)
     states = {name: _state(state, change, f"{source}: states.{name}") for name, state in content["states"].items()}
     result = {**content, "states": states}
@@ -87,7 +67,7 @@ def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "
 
 
 def _check_condition(name: str, model: DetectorModel) -> None:
-    """Refuse a condition that no ratio can be taken of."""
+    """Raise InputError for a condition that no ratio can be taken of."""
     if len(model.states) != 1 or len(model.labels) != 1:
         found = f"{len(model.states)} states and {len(model.labels)} labels"
         raise InputError(f"condition {name}", [f"a condition is a detector with one state and one label (got {found})"])
@@ -155,9 +135,8 @@ def _shifted(section: Mapping[Any, Any], shift: float, where: str) -> dict[Any, 
     if section.get("quantiles") is not None:
         return {**section, "quantiles": nested(_with_odds(section["quantiles"], np.exp(shift)))}
     if not 0 < section["mean"] < 1:
-        raise InputError(
-            where, [f"confidence: its mean is {section['mean']:g}: only one between 0 and 1 can be shifted"]
-        )
+        problem = f"confidence: its mean is {section['mean']:g}: only one between 0 and 1 can be shifted"
+        raise InputError(where, [problem])
     return {**section, "mean": digits(_with_odds(section["mean"], np.exp(shift)))}
 
 

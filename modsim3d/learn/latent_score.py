@@ -27,13 +27,8 @@ from modsim3d.learn.persistence import (
 
 
 def miss_lags(observed: Observed, chance: Array, slopes: int) -> LagTable:
-    """Products of the residuals of misses at all times between.
-
-    Args:
-        observed: The misses.
-        chance: Fitted chance of each to be missed, shape (n,).
-        slopes: Number of slopes that were fitted beside the rates of each state and label.
-    """
+    """Products of the residuals of misses at all times between, given the fitted chance of each to be missed (n,), and
+    the number of slopes that were fitted beside the rates of each state and label."""
     residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
     size = residual**2 / variance
 
@@ -55,13 +50,8 @@ _NODES = (np.arange(400) + 0.5) / 400
 
 
 def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) -> bool:
-    """Whether detections before a miss are unsure as one score makes them, and not as sure as any other.
-
-    Args:
-        observed: The misses and confidences.
-        chance: Fitted chance of each annotation to be missed, shape (n,).
-        notes: Why there is no score is added to them.
-    """
+    """Whether detections before a miss are unsure as one score makes them, and not as sure as any other. Each
+    annotation had a fitted chance to be missed (n,). Why there is no score is added to the notes."""
     if not observed.labelled.scored or {"score", "confidence"} & observed.without:
         return False
     level = np.full(len(observed.rows), np.nan)
@@ -105,18 +95,13 @@ def _mean_level_before_a_miss(p: float, correlation: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class LearnedScore:
-    """Shares of the score that things keep and that are forgotten in some times.
-
-    Attributes:
-        level: Correlation of residuals of misses that stays.
-        label_s: Correlation time of labels, which the score does not draw; 0 if they do not persist.
-    """
+    """Shares of the score that things keep and that are forgotten in some times."""
 
     vessel_share: Entry
     shares: Entry
     times_s: tuple[float, ...]
-    level: float
-    label_s: float
+    level: float  # correlation of residuals of misses that stays
+    label_s: float  # correlation time of labels, which the score does not draw; 0 if they do not persist
 
     def section(self) -> dict[str, Any]:
         """The score in a detector file."""
@@ -128,12 +113,10 @@ class LearnedScore:
 
 
 def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Resampling) -> LearnedScore:
-    """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag.
-
-    Times of the autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory
-    that only fades, and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need
-    no test of whether they are there.
-    """
+    """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag. Times of the
+    autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory that only fades,
+    and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test of
+    whether they are there."""
     table = miss_lags(observed, chance, slopes)
     times_s, found = memory_shares(table, latent_share(chance), resampling)
     path = ("persistence", "score")
@@ -149,11 +132,9 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
 
 
 def label_memory_s(observed: Observed) -> float:
-    """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance.
-
-    A label is kept with probability κ = e^(−Δt/τ) and else drawn anew, so that a share κ + (1 − κ)·Σ p² of consecutive
-    ones agrees.
-    """
+    """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance. A
+    label is kept with probability κ = e^(−Δt/τ) and else drawn anew, so that a share κ + (1 − κ)·Σ p² of consecutive
+    ones agrees."""
     earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s
     seen_as, labels = observed.seen_as, len(observed.labelled.labels)
     both = (seen_as[earlier] < labels) & (seen_as[later] < labels)

@@ -12,22 +12,14 @@ from modsim3d.core.boxes import iou
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, fits, image_pairs, match, overlap
+from modsim3d.learn import states as state_maps
 from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.figures import Figures, Matches
 from modsim3d.learn.learned import LearnSettings, check_size, learn
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.report import LearnReport, NearGate
 from modsim3d.learn.self_check import SelfCheck
-from modsim3d.learn.states import (
-    StateMap,
-    Transitions,
-    cluster,
-    count_transitions,
-    each_its_own,
-    parse_sequence,
-    parse_states,
-    transitions_of,
-)
+from modsim3d.learn.states import StateMap, Transitions
 
 # ---- True detections that are lost because their boxes lie too far off ----
 
@@ -35,11 +27,9 @@ _MOST = 0.5
 
 
 def gate_warning(labelled: LabelledSet, matched: Matched, rule: Rule) -> str | None:
-    """Warning, with figures, if the rule does not match most of what could be a match; None if it does.
-
-    Where the set says what each detection is of, those are counted that the rule does not let match their own vessel.
-    Elsewhere missed annotations are counted that a false detection overlaps.
-    """
+    """Warning, with figures, if the rule does not match most of what could be a match; None if it does. Where the set
+    says what each detection is of, those are counted that the rule does not let match their own vessel. Elsewhere
+    missed annotations are counted that a false detection overlaps."""
     if rule.method == "provenance" or not matched.sought.any():
         return None
     recall = f"recall {len(matched.pairs[0]) / np.count_nonzero(matched.sought):.3f}"
@@ -85,34 +75,20 @@ MIN_CONFIDENCE = 0.2
 
 @dataclass(frozen=True)
 class LearnOptions:
-    """Options besides the settings of learning.
+    """Options besides the settings of learning."""
 
-    Attributes:
-        states: Texts such as `good=day,cloudy`.
-        clusters: Number of states to make by F1.
-        sequence: Text with the name of a state on each line.
-        interval_s: Time between transitions.
-        level: Level of the confidence intervals.
-        beta: How many times more recall weighs than precision in F-beta.
-        check: Whether to compare with the real results where it was not learned.
-    """
-
-    states: tuple[str, ...] = ()
-    clusters: int | None = None
-    sequence: str | None = None
-    interval_s: float | None = None
-    level: float = 0.95
-    beta: float = 2.0
-    check: bool = False
+    states: tuple[str, ...] = ()  # texts such as `good=day,cloudy`
+    clusters: int | None = None  # number of states to make by F1
+    sequence: str | None = None  # text with the name of a state on each line
+    interval_s: float | None = None  # time between transitions
+    level: float = 0.95  # of the confidence intervals
+    beta: float = 2.0  # how many times more recall weighs than precision in F-beta
+    check: bool = False  # whether to compare with the real results where it was not learned
 
 
 def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: LearnOptions) -> LearnReport:
-    """Learn and report.
-
-    Raises:
-        ModsimError: There are no annotations, no detection matches any, the states do not fit the conditions, or some
-            conditions have confidences and others have none.
-    """
+    """Learn and report. Raises ModsimError if there are no annotations, no detection matches any, the states do not fit
+    the conditions, or some conditions have confidences and others have none."""
     _check_scores(labelled)
     check_size(len(labelled.labels), 1, settings.replicates)  # before boxes are matched, which takes longer
     matched = match(labelled, settings.rule, settings.threshold)
@@ -152,13 +128,9 @@ def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: Lear
 
 
 def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
-    """The least confidence of a detection that counts: the one that was asked for, or 0.2; 0 without confidences.
-
-    It is not below a run's operating threshold, under which detections were dropped.
-
-    Raises:
-        ModsimError: One was asked for, and the detections have no confidences.
-    """
+    """The least confidence of a detection that counts: the one that was asked for, or 0.2; 0 without confidences. It is
+    not below a run's operating threshold, under which detections were dropped. Raises ModsimError if one was asked for,
+    and the detections have no confidences."""
     if labelled.scored:
         return max(MIN_CONFIDENCE if asked is None else asked, labelled.dropped_below)
     if asked is not None:
@@ -167,7 +139,7 @@ def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
 
 
 def _check_scores(labelled: LabelledSet) -> None:
-    """Refuse conditions with confidences beside conditions without."""
+    """Raise ModsimError for conditions with confidences beside conditions without."""
     missing, condition = np.isnan(labelled.results.confidence), labelled.images.condition[labelled.results.image]
     if not labelled.scored or not missing.any():
         return
@@ -184,13 +156,13 @@ def _state_map(labelled: LabelledSet, matched: Matched, options: LearnOptions) -
     if options.states and options.clusters:
         raise ModsimError("give the conditions of each state, or a number of states to be found: not both")
     if options.states:
-        state_map = parse_states(options.states, labelled.conditions)
+        state_map = state_maps.parse_states(options.states, labelled.conditions)
     elif options.clusters:
         seen = np.unique(labelled.images.condition)
         f1 = {labelled.conditions[k]: _f1(labelled, matched, labelled.images.condition == k) for k in seen}
-        state_map = cluster(f1, options.clusters)
+        state_map = state_maps.cluster(f1, options.clusters)
     else:
-        state_map = each_its_own(labelled.conditions)
+        state_map = state_maps.each_its_own(labelled.conditions)
     used = np.unique(state_map.of_images(labelled.images, labelled.conditions))
     return StateMap({name: given for k, (name, given) in enumerate(state_map.states.items()) if k in used})
 
@@ -205,12 +177,8 @@ def _f1(labelled: LabelledSet, matched: Matched, images: Mask) -> float:
 
 def _figures_of_conditions(matches: Matches) -> list[Figures]:
     """The figures of conditions that have images, the largest F1 first."""
-    condition = matches.labelled.images.condition
-    found = [
-        matches.figures(name, condition == k)
-        for k, name in enumerate(matches.labelled.conditions)
-        if np.any(condition == k)
-    ]
+    condition, names = matches.labelled.images.condition, matches.labelled.conditions
+    found = [matches.figures(name, condition == k) for k, name in enumerate(names) if np.any(condition == k)]
     return sorted(found, key=lambda each: -float(np.nan_to_num(each.any_label.f1.estimate)))
 
 
@@ -220,8 +188,9 @@ def _transitions(observed: Observed, options: LearnOptions) -> Transitions:
     if interval_s is not None and not interval_s > 0:
         raise InputError("--interval", [f"must be above 0 (got {interval_s:g})"])
     if options.sequence is None:
-        return transitions_of(observed.labelled.images, observed.image_state, count, interval_s)
-    return count_transitions([parse_sequence(options.sequence, observed.states, "--sequence")], count, interval_s)
+        return state_maps.transitions_of(observed.labelled.images, observed.image_state, count, interval_s)
+    sequence = state_maps.parse_sequence(options.sequence, observed.states, "--sequence")
+    return state_maps.count_transitions([sequence], count, interval_s)
 
 
 _NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
@@ -229,7 +198,7 @@ _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
 def _remarks(observed: Observed) -> Iterator[str]:
-    """Remarks on what the data lack, and on what speaks against the matches."""
+    """Remarks on what the data lack, and on what speaks against the matches: labels that are nearly all one off."""
     if not observed.labelled.scored:
         yield (
             "the detections have no confidences (-1): all of them count, average precision and the other figures that "
@@ -241,11 +210,7 @@ def _remarks(observed: Observed) -> Iterator[str]:
             f"the run's operating_threshold dropped detections below {observed.threshold:g}: the rates are those from "
             "there on, and it is the detector file's confidence_threshold"
         )
-    yield from _remarks_on_labels(labelled.results.label[found] - labelled.annotations.label[annotation])
-
-
-def _remarks_on_labels(shift: Indices) -> Iterator[str]:
-    """A remark if detected labels (m,) are nearly all one off the true ones."""
+    shift = labelled.results.label[found] - labelled.annotations.label[annotation]
     for step, where in ((1, "after"), (-1, "before")):
         if (shift == 0).mean() < _HARDLY_ANY and (shift == step).mean() > _ALMOST_ALL:
             yield (
@@ -266,10 +231,8 @@ def _near_gate(observed: Observed, rule: Rule) -> NearGate:
     other = "--match provenance cuts off none"
     if labelled.results.origin is None:
         other = "--match centre:PX, with a distance that is large against the errors, cuts off less"
-    shares = ((name, _share(near[state == k])) for k, name in enumerate(observed.states))
+    shares = [
+        (name, float(np.sum(near[state == k]) / max(np.sum(state == k), 1))) for k, name in enumerate(observed.states)
+    ]
     many = tuple((name, share) for name, share in shares if share > _MANY_NEAR)
     return NearGate(many, gate, other, several=len(observed.states) > 1)
-
-
-def _share(chosen: Mask) -> float:
-    return float(chosen.mean()) if len(chosen) else 0.0

@@ -39,35 +39,21 @@ _RUN_TIMES = 12.0
 _MIN_RUNS = 24
 _SECTIONS = ("dropout", "persistence", "false_positives")
 _STATE_KEYS = (
-    "confusion",
-    "dropout",
-    "false_positive_labels",
-    "false_discovery_rate",
-    "false_positives_per_image",
-    "box_error",
-    "confidence",
+    *("confusion", "dropout", "false_positive_labels", "false_discovery_rate", "false_positives_per_image"),
+    *("box_error", "confidence"),
 )
 
 
 @dataclass(frozen=True)
 class LearnSettings:
-    """How a detector is learned.
-
-    Attributes:
-        rule: How boxes are matched.
-        threshold: Least confidence of a detection that counts.
-        replicates: Number of replicates of the bootstrap.
-        seed: Seed of all random numbers.
-        clutter: Model of the number of false positives; `auto` for the likelier of `calibrated` and `per_image`.
-        without: Models of `model_selection.RICHER` that are left out whatever the data carry.
-    """
+    """Settings of the learning of a detector."""
 
     rule: Rule = field(default_factory=Rule)
-    threshold: float = 0.2
-    replicates: int = 300
-    seed: int = 0
-    clutter: str = "auto"
-    without: frozenset[str] = frozenset()
+    threshold: float = 0.2  # least confidence of a detection that counts
+    replicates: int = 300  # of the bootstrap
+    seed: int = 0  # of all random numbers
+    clutter: str = "auto"  # `calibrated` or `per_image` number of false positives; `auto` for the likelier one
+    without: frozenset[str] = frozenset()  # of `model_selection.RICHER`, left out whatever the data carry
 
 
 @dataclass(frozen=True)
@@ -83,14 +69,7 @@ class DetectorForm:
     @property
     def notes(self) -> tuple[str, ...]:
         """Why the models are not richer ones."""
-        parts: tuple[PartForm, ...] = (
-            self.classes,
-            self.box_errors,
-            self.false_positives,
-            self.confidence,
-            self.multiple_boxes,
-        )
-        return tuple(note for part in parts for note in part.notes)
+        return tuple(note for part in vars(self).values() for note in part.notes)
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedDetector:
         """The numbers of every part, with replicates for the weights of the resampling."""
@@ -151,20 +130,15 @@ class LearnedDetector:
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """Learned numbers, and the data behind them.
-
-    Attributes:
-        run_s: Length of the runs of frames that were resampled; 0 if single images were.
-        units: How many runs or images were resampled that hold images of each state; of None, of any state.
-    """
+    """Learned numbers, and the data behind them."""
 
     observed: Observed
     form: DetectorForm
     numbers: LearnedDetector
     transitions: Transitions
     resampling: Resampling
-    run_s: float
-    units: Mapping[str | None, int]
+    run_s: float  # length of the runs of frames that were resampled; 0 if single images were
+    units: Mapping[str | None, int]  # how many of these hold images of each state; of None, of any state
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -192,11 +166,8 @@ class Learned:
 
 
 def learn(observed: Observed, transitions: Transitions, settings: LearnSettings) -> Learned:
-    """Learn a detector from data that were matched by the rule and at the threshold of the settings.
-
-    Raises:
-        InputError: There are too many classes for the memory.
-    """
+    """Learn a detector from data that were matched by the rule and at the threshold of the settings. Raises InputError
+    if there are too many classes for the memory."""
     check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
     run_s = _run_s(observed, form)
@@ -209,20 +180,13 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
 
 
 def check_size(classes: int, states: int, replicates: int) -> None:
-    """Refuse so many classes that the tables of the replicates would fill the memory.
-
-    Raises:
-        InputError: There are too many.
-    """
+    """Raise InputError for so many classes that the tables of the replicates would fill the memory."""
     cells = (1 + replicates) * states * classes * (classes + 1)
     if cells > MAX_TABLE_CELLS:
-        needed = (
-            f"{classes:,} classes in {states:,} states with {replicates:,} replicates need tables of {cells:,} cells"
-        )
-        problem = (
-            f"{needed}, more than {MAX_TABLE_CELLS:,}: give fewer classes, fewer states (--states) or --replicates"
-        )
-        raise InputError("labelled set", [problem])
+        sizes = f"{classes:,} classes in {states:,} states with {replicates:,} replicates"
+        limit = f"tables of {cells:,} cells, more than {MAX_TABLE_CELLS:,}"
+        advice = "give fewer classes, fewer states (--states) or --replicates"
+        raise InputError("labelled set", [f"{sizes} need {limit}: {advice}"])
 
 
 def _run_s(observed: Observed, form: DetectorForm) -> float:
@@ -277,12 +241,7 @@ def uncertainty_file(detector: Path) -> Path:
 
 
 def uncertainty_text(learned: Learned, detector: str) -> bytes:
-    """The content of the file.
-
-    Args:
-        learned: What was learned.
-        detector: The text of the detector file that it belongs to.
-    """
+    """The content of the file, given the text of the detector file that it belongs to."""
     written = [_filled(entry) for entry in entries_of(learned.numbers) if _is_written(entry)]
     transitions = learned.transitions
     content = {
@@ -320,12 +279,8 @@ def _group(state: str | None, units: int, entries: Sequence[Entry]) -> dict[str,
         "state": state,
         "units": units,
         "numbers": [
-            {
-                "key": list(entry.key.names),
-                "kind": entry.column.kind,
-                "estimate": nested(entry.estimate),
-                **_width(entry),
-            }
+            {"key": list(entry.key.names), "kind": entry.column.kind, "estimate": nested(entry.estimate)}
+            | _width(entry)
             for entry in entries
         ],
         "correlations": _correlations(entries),
@@ -342,25 +297,20 @@ def _width(entry: Entry) -> dict[str, Any]:
 
 
 def _without_outliers(scaled: Array) -> Array:
-    """Replicates (replicates, ...), each held within four standard deviations of the median.
-
-    The standard deviation is that of the inner two thirds. A few replicates in which all errors are equal, with a
-    logarithm of nearly −∞, would make the spread many times as large.
-    """
+    """Replicates (replicates, ...), each held within four standard deviations of the median. The standard deviation is
+    that of the inner two thirds. A few replicates in which all errors are equal, with a logarithm of nearly −∞, would
+    make the spread many times as large."""
     finite = np.where(np.isfinite(scaled), scaled, np.nan)
     if not np.isfinite(finite).any(axis=0).all():
         return scaled
     low, middle, high = np.nanquantile(finite, [0.1587, 0.5, 0.8413], axis=0)
     reach = _MAX_SPREADS * (high - low) / 2
-    held: Array = np.clip(finite, middle - reach, middle + reach)
-    return held
+    return np.clip(finite, middle - reach, middle + reach)
 
 
 def correlated(names: Sequence[str], shape: tuple[int, ...]) -> Mask:
-    """Mask of the places of an entry that have correlations, of its shape.
-
-    Of a confusion matrix, whose columns sum to one, the misses; of a distribution over labels or cells, none.
-    """
+    """Mask of the places of an entry that have correlations, of its shape. Of a confusion matrix, whose columns sum to
+    one, the misses; of a distribution over labels or cells, none."""
     places: Mask = np.ones(shape, dtype=bool)
     if names[-1] == "confusion":
         places[:-1] = False

@@ -97,17 +97,13 @@ def learned_files(result: LearnResult, out: Path) -> dict[Path, bytes | str]:
     """Content of the files that are written: the detector, its page, and how well the numbers are known."""
     detector = detector_text(result.content, comments(result.report))
     text = page_text(result.report, out, detector, result.sources, result.sections)
-    return dict(
-        zip(detector_files(out), (detector, text, uncertainty_text(result.report.learned, detector)), strict=True)
-    )
+    texts = detector, text, uncertainty_text(result.report.learned, detector)
+    return dict(zip(detector_files(out), texts, strict=True))
 
 
 def detector_files(out: Path) -> list[Path]:
-    """The detector file, its page, and what says how well its numbers are known.
-
-    Raises:
-        InputError: The page would be the detector file itself.
-    """
+    """The detector file, its page, and what says how well its numbers are known. Raises InputError if the page would be
+    the detector file itself."""
     page = out.parent / f"{out.stem}.html"
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
@@ -128,21 +124,13 @@ def comments(report: LearnReport) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class LearnInputs:
-    """Labelled sets that are learned from, as one, and where they came from.
+    """Labelled sets that are learned from, as one, and where they came from."""
 
-    Attributes:
-        labelled: All sets and runs together.
-        truth: Ground truth of each pair, as it was given.
-        detections: The results on each.
-        runs: The runs.
-        read: Every file that was opened, but those of runs.
-    """
-
-    labelled: LabelledSet
-    truth: tuple[Path, ...]
+    labelled: LabelledSet  # all sets and runs together
+    truth: tuple[Path, ...]  # of each pair, as it was given
     detections: tuple[Path, ...]
     runs: tuple[StoredRun, ...]
-    read: tuple[Path, ...]
+    read: tuple[Path, ...]  # every file that was opened, but those of runs
 
     @classmethod
     def of(
@@ -152,11 +140,8 @@ class LearnInputs:
         detections: Sequence[Path],
         runs: Sequence[StoredRun | StrPath],
     ) -> LearnInputs:
-        """Read pairs of truth and detections, and runs.
-
-        Raises:
-            ModsimError: There is nothing, not one of both for each condition, or a file cannot be read.
-        """
+        """Read pairs of truth and detections, and runs. Raises ModsimError if there is nothing, not one of both for
+        each condition, or a file cannot be read."""
         names = request.conditions
         if len(truth) != len(detections):
             counts = f"{len(truth)} of truth and {len(detections)} of detections are given"
@@ -184,22 +169,14 @@ class LearnInputs:
         return (*self.read, *(path for run in self.runs for path in read_of_run(run.folder)))
 
     def learn(self, request: LearnRequest, call: str) -> LearnResult:
-        """Learn a detector.
-
-        Args:
-            request: Models, matching rule, intervals and whether to compare with the real results.
-            call: The command, or the call from Python, for the page.
-
-        Raises:
-            ModsimError: Nothing can be learned from this.
-        """
+        """Learn a detector. `call` is the command, or the call from Python, for the page. Raises ModsimError if nothing
+        can be learned from this."""
         interval_s = self.runs[-1].scene.detector.transition_interval_s if self.runs else None
         settings = request.settings(self.labelled)
         options = replace(request.options(interval_s), check=request.check)
         report = labelled_sets.learn_detector(self.labelled, settings, options)
-        return LearnResult(
-            report, self.files, Sources(self.truth, self.detections, self.runs, self.read, settings, call)
-        )
+        sources = Sources(self.truth, self.detections, self.runs, self.read, settings, call)
+        return LearnResult(report, self.files, sources)
 
 
 def learn_detector(

@@ -1,5 +1,4 @@
 """Boxes that look like a second box of a vessel, one of its two parts, or one box around two vessels.
-
 Files do not say what a detection is. These rules read it from the boxes, in this order:
 
 - Two parts: two boxes side by side on an annotation, of which one may be its match, that together fit it better than
@@ -8,13 +7,12 @@ Files do not say what a detection is. These rules read it from the boxes, in thi
   least that IoU, and no other detection matches either of them.
 - A second box: a false detection that the matching rule would let match an annotation which has a match already.
 
-A false positive that lies on a vessel by chance looks like one of these as well: `match_types` counts how many do.
-"""
+A false positive that lies on a vessel by chance looks like one of these as well: `match_types` counts how many do."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,17 +34,12 @@ _MAX_OF_WIDTH = 0.9
 
 @dataclass(frozen=True, eq=False)
 class SoughtBoxes:
-    """Annotations that are to be detected, ordered by image: image (n,), box (n, 4) and matched detection.
+    """Annotations that are to be detected, ordered by image."""
 
-    Attributes:
-        row: Row of the match in the results, −1 without one, shape (n,).
-        match_px: Its box, NaN without one, shape (n, 4).
-    """
-
-    image: Indices
-    boxes_px: Array
-    row: Indices
-    match_px: Array
+    image: Indices  # shape (n,)
+    boxes_px: Array  # shape (n, 4)
+    row: Indices  # of the match in the results, −1 without one, shape (n,)
+    match_px: Array  # its box, NaN without one, shape (n, 4)
 
     def __len__(self) -> int:
         """Number of annotations."""
@@ -55,8 +48,7 @@ class SoughtBoxes:
     @property
     def found(self) -> Mask:
         """Mask of the boxes with a match, shape (n,)."""
-        found: Mask = self.row >= 0
-        return found
+        return self.row >= 0
 
     @property
     def aspect(self) -> Array:
@@ -114,18 +106,10 @@ def two_parts(sought: SoughtBoxes, loose: Loose) -> Parts:
     own = sought.found[place] & _looks_part(sought.match_px[place], sought.boxes_px[place])
     a, b = _twos(np.where(sought.found[place], NOBODY, place))
     where = np.concatenate([place[own], place[a]])
-    rows = np.stack(
-        [
-            np.concatenate([sought.row[place[own]], loose.row[first[a]]]),
-            np.concatenate([loose.row[first[own]], loose.row[first[b]]]),
-        ]
-    )
-    boxes = np.stack(
-        [
-            np.concatenate([sought.match_px[place[own]], loose.boxes_px[first[a]]]),
-            np.concatenate([loose.boxes_px[first[own]], loose.boxes_px[first[b]]]),
-        ]
-    )
+    loose_row, loose_px = loose.row[first], loose.boxes_px[first]
+    own_row, own_px = sought.row[place[own]], sought.match_px[place[own]]
+    rows = np.concatenate([[own_row, loose_row[own]], [loose_row[a], loose_row[b]]], axis=1)
+    boxes = np.concatenate([[own_px, loose_px[own]], [loose_px[a], loose_px[b]]], axis=1)
     true_px, together = sought.boxes_px[where], iou(unions(*boxes), sought.boxes_px[where])
     apart = intersections(*boxes) <= _MAX_COMMON * np.minimum(*areas(boxes))
     level = _common_height(*boxes) >= _SAME_HEIGHT
@@ -140,8 +124,7 @@ def _looks_part(boxes_px: Array, true_px: Array) -> Mask:
     """Mask of the boxes (m, 4) that lie on part of the width of annotations (m, 4)."""
     inside = intersections(boxes_px, true_px) >= _MIN_INSIDE * np.maximum(areas(boxes_px), 1e-9)
     narrow = sizes(boxes_px)[:, 0] <= _MAX_OF_WIDTH * sizes(true_px)[:, 0]
-    part: Mask = inside & narrow & (_common_height(boxes_px, true_px) >= _MIN_INSIDE)
-    return part
+    return inside & narrow & (_common_height(boxes_px, true_px) >= _MIN_INSIDE)
 
 
 def _common_height(a_px: Array, b_px: Array) -> Array:
@@ -181,9 +164,7 @@ def second_boxes(sought: SoughtBoxes, loose: Loose, single: Mask, rule: Rule) ->
 
 def best_of(quality: Array, *taken: Indices) -> Indices:
     """Places of the best candidates (m,), in order of quality, none of which takes what a better one took, shape (k,).
-
-    Each takes a number of each column (m,), and a number means the same in all columns.
-    """
+    Each takes a number of each column (m,), and a number means the same in all columns."""
     gone, chosen = set[int](), []
     for place in np.argsort(-quality, kind="stable").tolist():
         wanted = {int(column[place]) for column in taken}
@@ -195,16 +176,12 @@ def best_of(quality: Array, *taken: Indices) -> Indices:
 
 @dataclass(frozen=True, eq=False)
 class Overlapping:
-    """Pairs of annotations that overlap: places of the larger and the smaller, share of the smaller, shapes (p,).
+    """Pairs of annotations that overlap, shapes (p,)."""
 
-    Attributes:
-        union_px: The box around both, shape (p, 4).
-    """
-
-    larger: Indices
+    larger: Indices  # place of the larger one
     smaller: Indices
-    share: Array
-    union_px: Array
+    share: Array  # of the smaller that lies in the larger
+    union_px: Array  # the box around both, shape (p, 4)
 
     def __len__(self) -> int:
         """Number of pairs."""
@@ -235,17 +212,11 @@ class Overlapping:
 
 @dataclass(frozen=True, eq=False)
 class CommonBoxes:
-    """One box for two vessels: index of the pair, row of the box; and pairs of which one vessel alone has a match.
+    """One box for two vessels, and pairs of which one vessel alone has a match."""
 
-    Attributes:
-        pair: Index of the pair, shape (k,).
-        row: Row of its box in the results, shape (k,).
-        one_box: Which pairs have one box, be it around both or around one, shape (p,).
-    """
-
-    pair: Indices
-    row: Indices
-    one_box: Mask
+    pair: Indices  # index of the pair, shape (k,)
+    row: Indices  # row of its box in the results, shape (k,)
+    one_box: Mask  # pairs that have one box, be it around both or around one, shape (p,)
 
 
 def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Mask) -> CommonBoxes:
@@ -257,16 +228,11 @@ def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Ma
     owner = np.where(found[0], pairs.larger, pairs.smaller)[alone]
     fits, quality = pairs.fits(sought, alone, sought.match_px[owner])
     neither = np.flatnonzero(~found.any(axis=0) & both_free)
-    around = SoughtBoxes(
-        sought.image[pairs.larger[neither]],
-        pairs.union_px[neither],
-        np.full(len(neither), NOBODY),
-        pairs.union_px[neither],
-    )
-    order = np.argsort(around.image, kind="stable")
-    around = replace(around, image=around.image[order], boxes_px=around.boxes_px[order])
+    order = neither[np.argsort(sought.image[pairs.larger[neither]], kind="stable")]
+    union_px = pairs.union_px[order]
+    around = SoughtBoxes(sought.image[pairs.larger[order]], union_px, np.full(len(order), NOBODY), union_px)
     first, place = loose.pairs(around)
-    empty = neither[order][place]
+    empty = order[place]
     free_fits, free_quality = pairs.fits(sought, empty, loose.boxes_px[first])
     pair = np.concatenate([alone[fits], empty[free_fits]])
     row = np.concatenate([sought.row[owner[fits]], loose.row[first[free_fits]]])
@@ -281,23 +247,14 @@ def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Ma
 
 @dataclass(frozen=True, eq=False)
 class Trials:
-    """Vessels, or pairs of vessels, that could have come out as too many boxes or too few; shapes (n,).
-
-    Attributes:
-        image: Image of each.
-        value: What it depends on: width over height, or the share of the smaller vessel in the larger.
-        hits: Whether it did; what chance does is taken off, so it may be below 0 or above 1.
-        weight: How much it counts as a trial.
-        chance: How many look so by chance.
-        vessels: The two annotations of a pair, `NOBODY` for a vessel, shape (n, 2).
-    """
+    """Vessels, or pairs of vessels, that could have come out as too many boxes or too few; shapes (n,)."""
 
     image: Indices
-    value: Array
-    hits: Array
-    weight: Array
-    chance: Array
-    vessels: Indices
+    value: Array  # on which it depends: width over height, or the share of the smaller vessel in the larger
+    hits: Array  # whether it did; what chance does is taken off, so it may be below 0 or above 1
+    weight: Array  # how much it counts as a trial
+    chance: Array  # how many look so by chance
+    vessels: Indices  # the two annotations of a pair, `NOBODY` for a vessel, shape (n, 2)
 
     def where(self, chosen: Mask) -> Trials:
         """Some of them, shape (n,)."""
@@ -333,11 +290,9 @@ def pair_trials(
     unambiguous: Mask,
     one_box: Mask,
 ) -> Trials:
-    """Pairs of detected vessels, and pairs with one box that may be around both.
-
-    Of pairs with a vessel in common the one that overlaps most comes first, so another that came out as one box says
-    that it did not, and after it the others had no chance. After one that perhaps did, the others tell nothing.
-    """
+    """Pairs of detected vessels, and pairs with one box that may be around both. Of pairs with a vessel in common the
+    one that overlaps most comes first, so another that came out as one box says that it did not, and after it the
+    others had no chance. After one that perhaps did, the others tell nothing."""
     free = pairs.share > _most(sought, pairs, is_merged)
     detected = sought.found.copy()
     detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True

@@ -1,12 +1,10 @@
 """Type of each detection, and how often vessels could have come out as two boxes or two vessels as one.
-
 A run says it. In files the boxes say it (`match_shapes`), and what chance does is taken off:
 
 - False positives lie on vessels by chance. Those that are left as such are put into other frames of their state, half
   of them at another place across the image too, and what looks like a second box or a part there is counted.
 - Where one of two overlapping vessels was missed, the box of the other may look like one around both. The errors of
-  boxes of vessels that overlap none, about as large, say how often. Pairs whose boxes do not tell are no trials.
-"""
+  boxes of vessels that overlap none, about as large, say how often. Pairs whose boxes do not tell are no trials."""
 
 from __future__ import annotations
 
@@ -20,20 +18,8 @@ from modsim3d.core.boxes import errors_between, move, sizes
 from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
 from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
-from modsim3d.learn.match_shapes import (
-    MIN_ASPECT,
-    MIN_WIDTH_PX,
-    CommonBoxes,
-    Loose,
-    Overlapping,
-    SoughtBoxes,
-    Trials,
-    common_boxes,
-    pair_trials,
-    second_boxes,
-    two_parts,
-    vessel_trials,
-)
+from modsim3d.learn import match_shapes
+from modsim3d.learn.match_shapes import CommonBoxes, Loose, Overlapping, SoughtBoxes, Trials
 
 # ---- How surely a box says whether it is around one ----
 
@@ -46,15 +32,10 @@ _MIN_RECOGNIZED = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """How often boxes of p pairs look like one around both vessels.
+    """How often boxes of p pairs look like one around both vessels."""
 
-    Attributes:
-        mistaken: Of boxes of the larger and of the smaller vessel alone, shape (2, p).
-        recognized: Of boxes around both, shape (p,).
-    """
-
-    mistaken: Array
-    recognized: Array
+    mistaken: Array  # of boxes of the larger and of the smaller vessel alone, shape (2, p)
+    recognized: Array  # of boxes around both, shape (p,)
 
     @property
     def unambiguous(self) -> Mask:
@@ -64,10 +45,8 @@ class Recognition:
 
     @classmethod
     def of(cls, sought: SoughtBoxes, pairs: Overlapping, whole: Mask) -> Recognition:
-        """Find it from the errors of vessels that overlap none, are about as large and are not in two parts (n,).
-
-        Where too few of those are known, all boxes of one vessel alone are mistaken and none around both is recognized.
-        """
+        """Find it from the errors of vessels that overlap none, are about as large and are not in two parts (n,). Where
+        too few of those are known, all boxes of one vessel alone are mistaken and none around both is recognized."""
         lonely = sought.found & whole
         touching = Overlapping.of(sought, 1e-9)
         lonely[touching.larger] = lonely[touching.smaller] = False
@@ -103,17 +82,10 @@ SHUFFLES = 8
 
 def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
     """False detections in other frames of the same state; every other time moved across the image as well."""
-    timed = np.isfinite(images.time_s)
-    keys = np.column_stack(
-        [
-            images.condition,
-            images.source,
-            np.where(timed, images.sequence, -1),
-            np.nan_to_num(images.sizes_px, nan=-1.0).astype(np.int64),
-        ]
-    )
-    _, group = np.unique(keys, axis=0, return_inverse=True)
-    group = group.ravel()
+    sequence = np.where(np.isfinite(images.time_s), images.sequence, -1)
+    sizes_px = np.nan_to_num(images.sizes_px, nan=-1.0).astype(np.int64)
+    keys = np.column_stack([images.condition, images.source, sequence, sizes_px])
+    group = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(group, kind="stable")
     first = np.searchsorted(group[order], group)
     number = np.bincount(group)[group]
@@ -127,10 +99,8 @@ def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
         boxes = loose.boxes_px
         if k % 2:
             room = width - sizes(boxes)[:, 0]
-            x = np.where(
-                room > 0, (boxes[:, 0] + room * (k + 1) / (SHUFFLES + 2)) % np.maximum(room, 1e-9), boxes[:, 0]
-            )
-            shift = np.where(np.isfinite(x), x - boxes[:, 0], 0.0)
+            x = (boxes[:, 0] + room * (k + 1) / (SHUFFLES + 2)) % np.maximum(room, 1e-9)
+            shift = np.where((room > 0) & np.isfinite(x), x - boxes[:, 0], 0.0)
             boxes = boxes + shift[:, None] * [1, 0, 1, 0]
         there = other[loose.image]
         kept = np.flatnonzero(~stays[loose.image])
@@ -144,16 +114,12 @@ MIN_OVERLAP = 0.05
 
 @dataclass(frozen=True, eq=False)
 class VesselPairs:
-    """Pairs of annotations, the larger and the smaller, and a box, as rows; shapes (p,).
-
-    Attributes:
-        overlap: Share of the smaller that lies in the larger, shape (p,).
-    """
+    """Pairs of annotations, the larger and the smaller, and a box, as rows; shapes (p,)."""
 
     larger: Indices
     smaller: Indices
     box: Indices
-    overlap: Array
+    overlap: Array  # share of the smaller that lies in the larger
 
     def at_least(self, overlap: float) -> VesselPairs:
         """Pairs that overlap so much."""
@@ -163,28 +129,17 @@ class VesselPairs:
 
 @dataclass(frozen=True, eq=False)
 class MatchTypes:
-    """Types of detections, as rows of results and annotations.
+    """Types of detections, as rows of results and annotations."""
 
-    Attributes:
-        doubled: Second boxes, shape (d,).
-        split: Annotations in two parts, and the larger parts, shape (2, k).
-        fragments: The smaller parts, shape (f,).
-        perhaps_parts: Matches of other annotations that look like parts of one that has no whole box, shape (q,).
-        merged: Pairs with one box around both.
-        one_box: Pairs of which one alone has a match, which may be around both.
-        ambiguous: Pairs whose boxes do not tell whether that of the larger is around both. Also the other way round,
-            where one is hardly larger.
-        trials: By the name in `model_selection.RICHER`.
-    """
-
-    doubled: Indices
-    split: Indices
-    fragments: Indices
-    perhaps_parts: Indices
-    merged: VesselPairs
-    one_box: VesselPairs
+    doubled: Indices  # second boxes, shape (d,)
+    split: Indices  # annotations in two parts, and the larger parts, shape (2, k)
+    fragments: Indices  # the smaller parts, shape (f,)
+    perhaps_parts: Indices  # matches of other annotations that look like parts of one with no whole box, shape (q,)
+    merged: VesselPairs  # pairs with one box around both
+    one_box: VesselPairs  # pairs of which one alone has a match, which may be around both
+    # Pairs whose boxes do not tell whether that of the larger is around both; either way round where it hardly is.
     ambiguous: VesselPairs
-    trials: dict[str, Trials]
+    trials: dict[str, Trials]  # by the name in `model_selection.RICHER`
 
 
 _NO_ROWS = np.empty(0, dtype=np.int64)
@@ -221,12 +176,11 @@ def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, 
     single, split = own & (kind_of_match != MERGED), np.flatnonzero(kind_of_match == SPLIT)
     doubled = false[kind[false] == DUPLICATE]
     nothing, none = np.zeros(len(rows)), np.zeros(len(pairs), dtype=bool)
+    hits = is_merged.astype(np.float64)
     trials = {
-        "merges": pair_trials(
-            sought, rows, pairs, is_merged, is_merged.astype(np.float64), np.zeros(len(pairs)), ~none, none
-        ),
-        "splits": vessel_trials(sought, _long(sought, single), split, nothing),
-        "duplicates": vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
+        "merges": match_shapes.pair_trials(sought, rows, pairs, is_merged, hits, np.zeros(len(pairs)), ~none, none),
+        "splits": match_shapes.vessel_trials(sought, _long(sought, single), split, nothing),
+        "duplicates": match_shapes.vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
     }
     return MatchTypes(
         doubled=doubled,
@@ -241,7 +195,7 @@ def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, 
 
 
 def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Loose, rule: Rule) -> MatchTypes:
-    parts = two_parts(sought, loose)
+    parts = match_shapes.two_parts(sought, loose)
     whole = np.ones(len(rows), dtype=bool)
     whole[parts.place] = False
     row = sought.row.copy()
@@ -249,13 +203,13 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
     detected = replace(sought, row=row)  # a vessel in two parts is not missed
     left = loose.without(np.concatenate([parts.larger, parts.smaller]))
     pairs = Overlapping.of(sought, MIN_OVERLAP)
-    common = common_boxes(sought, left, pairs, whole)
+    common = match_shapes.common_boxes(sought, left, pairs, whole)
     left = left.without(common.row)
     single = sought.found.copy()
     single[parts.place] = True
     for each in (pairs.larger, pairs.smaller):
         single[each[common.pair]] = False
-    place, doubled = second_boxes(sought, left, single & whole, rule)
+    place, doubled = match_shapes.second_boxes(sought, left, single & whole, rule)
     left = left.without(doubled)
     chance = _by_chance(sought, left, pairs, single & whole, whole, images, rule)
     recognition = Recognition.of(sought, pairs, whole)
@@ -275,8 +229,8 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
         ambiguous=replace(ambiguous, larger=rows[ambiguous.larger], smaller=rows[ambiguous.smaller]),
         trials={
             "merges": merges,
-            "splits": vessel_trials(sought, _long(sought, single), parts.place, chance["splits"]),
-            "duplicates": vessel_trials(sought, single, place, chance["duplicates"]),
+            "splits": match_shapes.vessel_trials(sought, _long(sought, single), parts.place, chance["splits"]),
+            "duplicates": match_shapes.vessel_trials(sought, single, place, chance["duplicates"]),
         },
     )
 
@@ -288,10 +242,10 @@ def _by_chance(
     chance = {name: np.zeros(len(sought)) for name in ("duplicates", "splits")}
     chance["merges"] = np.zeros(len(pairs))
     for moved in shuffled(left, images):
-        parts = two_parts(sought, moved).place
+        parts = match_shapes.two_parts(sought, moved).place
         np.add.at(chance["splits"], parts[tried[parts]], 1 / SHUFFLES)
-        np.add.at(chance["duplicates"], second_boxes(sought, moved, tried, rule)[0], 1 / SHUFFLES)
-        common = common_boxes(sought, moved, pairs, whole)
+        np.add.at(chance["duplicates"], match_shapes.second_boxes(sought, moved, tried, rule)[0], 1 / SHUFFLES)
+        common = match_shapes.common_boxes(sought, moved, pairs, whole)
         np.add.at(chance["merges"], common.pair[np.isin(common.row, moved.row)], 1 / SHUFFLES)
     return chance
 
@@ -312,7 +266,8 @@ def _merge_trials(
     told = np.maximum(recognition.recognized - by_error, 0.5)
     probable = np.where(common.one_box, (is_merged - by_error) / told, 1.0 * is_merged)
     chance, unambiguous = by_error + by_pair, recognition.unambiguous
-    return pair_trials(detected, rows, pairs, is_merged, probable - by_pair, chance, unambiguous, common.one_box)
+    hits, one_box = probable - by_pair, common.one_box
+    return match_shapes.pair_trials(detected, rows, pairs, is_merged, hits, chance, unambiguous, one_box)
 
 
 def _ambiguous_pairs(detected: SoughtBoxes, pairs: Overlapping, recognition: Recognition) -> VesselPairs:
@@ -336,7 +291,7 @@ def _perhaps_parts(sought: SoughtBoxes, loose: Loose) -> Indices:
         np.concatenate([loose.boxes_px, sought.match_px[own]]),
     )
     order = np.argsort(every.image, kind="stable")
-    parts = two_parts(replace(sought, row=np.full(len(sought), NOBODY)), every.at(order))
+    parts = match_shapes.two_parts(replace(sought, row=np.full(len(sought), NOBODY)), every.at(order))
     match = sought.row[parts.place]
     alone = (match < 0) | (match == parts.larger) | (match == parts.smaller)
     return np.concatenate([parts.larger[alone], parts.smaller[alone]])
@@ -344,8 +299,8 @@ def _perhaps_parts(sought: SoughtBoxes, loose: Loose) -> Indices:
 
 def _long(sought: SoughtBoxes, single: Mask) -> Mask:
     """Mask of the single vessels that may come out in two parts, shape (n,)."""
-    wide = sizes(sought.boxes_px)[:, 0] >= MIN_WIDTH_PX
-    return single & wide & (sought.aspect >= MIN_ASPECT)
+    wide = sizes(sought.boxes_px)[:, 0] >= match_shapes.MIN_WIDTH_PX
+    return single & wide & (sought.aspect >= match_shapes.MIN_ASPECT)
 
 
 def _unordered(a: Indices, b: Indices, number: int) -> Indices:

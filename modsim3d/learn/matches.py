@@ -35,10 +35,8 @@ class ErrorFits:
     _found: dict[tuple[Unit, bool], ErrorFit | None] = field(default_factory=dict)
 
     def fit(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> ErrorFit | None:
-        """The likeliest distribution of a kind; None where the errors determine none.
-
-        One that will surely not reach the least log-likelihood that is asked of it is not fitted to the end.
-        """
+        """The likeliest distribution of a kind; None where the errors determine none. One that will surely not reach
+        the least log-likelihood that is asked of it is not fitted to the end."""
         if (unit, heavy) not in self._found:
             start = self._start(unit, heavy) if len(self.edges) else None
             self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges, least)
@@ -80,8 +78,7 @@ class ErrorFits:
     def unclipped(self, relative: bool) -> Array:
         """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
         edges, chosen = self.edges, self.edges.unclipped
-        errors: Array = edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
-        return errors
+        return edges.errors_px[chosen] / (edges.sides_px[chosen] if relative else 1.0)
 
     def _start(self, unit: Unit, heavy: bool) -> ErrorModel | None:
         """A distribution near the likeliest one; None where errors are too few or determine each other."""
@@ -93,11 +90,9 @@ class ErrorFits:
         if not heavy:
             return ErrorModel.of_moments(errors.mean(axis=0), np.cov(errors.T, bias=True), unit)
         found = fit_student_t(errors)
-        return (
-            None
-            if found is None
-            else ErrorModel.of_moments(found.mean, found.covariance, unit, found.degrees_of_freedom)
-        )
+        if found is None:
+            return None
+        return ErrorModel.of_moments(found.mean, found.covariance, unit, found.degrees_of_freedom)
 
     def _start_of_mixed(self, heavy: bool) -> ErrorModel | None:
         """From that in pixels, with standard deviations that follow the mean size of errors over the sides."""
@@ -129,8 +124,7 @@ class ErrorFits:
     def over_spread(self, model: ErrorModel) -> Array:
         """Errors of `unclipped` boxes less their mean over their standard deviation by a distribution, shape (m, 4)."""
         mean, std = model.at(self.edges.sides_px[self.edges.unclipped])
-        errors: Array = (self.edges.errors_px[self.edges.unclipped] - mean) / std
-        return errors
+        return (self.edges.errors_px[self.edges.unclipped] - mean) / std
 
     def log_spread(self, model: ErrorModel) -> float:
         """Logarithm of the determinant of the root of the covariance of `unclipped` errors, summed over them."""
@@ -162,25 +156,17 @@ class ErrorSource(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Annotations that were detected: their rows, images, states and confidences, shapes (m,).
-
-    Attributes:
-        annotated_px: The annotated box, x_min, y_min, x_max, y_max, shape (m, 4).
-        error_px: e_x, e_y, e_w, e_h of the detected box, shape (m, 4).
-        image_px: Width and height of the image, NaN where unknown, shape (m, 2).
-        rule: The rule by which they match.
-        unsure: Whether the annotated box tells nothing of box errors, shape (m,); None if that is so of none.
-    """
+    """Annotations that were detected: their rows, images, states and confidences, shapes (m,)."""
 
     rows: Indices
     image: Indices
     state: Indices
     confidence: Array
-    annotated_px: Array
-    error_px: Array
-    image_px: Array
-    rule: Rule
-    unsure: Mask | None = None
+    annotated_px: Array  # annotated box, x_min, y_min, x_max, y_max, shape (m, 4)
+    error_px: Array  # e_x, e_y, e_w, e_h of the detected box, shape (m, 4)
+    image_px: Array  # width and height of the image, NaN where unknown, shape (m, 2)
+    rule: Rule  # by which they match
+    unsure: Mask | None = None  # whether the annotated box tells nothing of box errors; None if that is so of none
     _fits: dict[tuple[ErrorSource, int], ErrorFits] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -207,30 +193,26 @@ class Pairs:
 
     def errors(self, chosen: Mask, relative: bool) -> Array:
         """Errors of some rows in pixels, or in sides of the box, shape (chosen, 4)."""
-        result: Array = self.error_px[chosen] / (self.sides_px[chosen] if relative else 1.0)
-        return result
+        return self.error_px[chosen] / (self.sides_px[chosen] if relative else 1.0)
 
     def fits(self, source: ErrorSource, state: int) -> ErrorFits:
         """Distributions of the errors that those of a state are learned from."""
         key = (source, state if source is ErrorSource.OWN_STATE else -1)
         if key not in self._fits:
-            self._fits[key] = ErrorFits(self._edges_of(source, state))
+            usable = self.edges.usable
+            if source is ErrorSource.ALL_PAIRS:
+                edges = self.edges[self.sure].as_measured()
+            else:
+                edges = self.edges[usable & (self.state == state) if source is ErrorSource.OWN_STATE else usable]
+            self._fits[key] = ErrorFits(edges)
         return self._fits[key]
-
-    def _edges_of(self, source: ErrorSource, state: int) -> MatchedEdges:
-        if source is ErrorSource.ALL_PAIRS:
-            return self.edges[self.sure].as_measured()
-        ours = self.edges.usable
-        return self.edges[ours & (self.state == state) if source is ErrorSource.OWN_STATE else ours]
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Annotations that are to be detected, and what became of each at a least confidence.
-
-    Each image has the index of a state, −1 where it takes no part, shape (I,). `without` are the models of
-    `model_selection.RICHER` that are left out whatever the data carry.
-    """
+    """Annotations that are to be detected, and what became of each at a least confidence. Each image has the index of a
+    state, −1 where it takes no part, shape (I,). `without` are the models of `model_selection.RICHER` that are left out
+    whatever the data carry."""
 
     labelled: LabelledSet
     matched: Matched
@@ -281,16 +263,13 @@ class Observed:
 
     @cached_property
     def unambiguous(self) -> Mask:
-        """Whether each annotation would be known to be missed if it were, shape (n,).
-
-        One that overlaps a larger one may be in its box without a trace, where boxes merge.
-        """
+        """Whether each annotation would be known to be missed if it were, shape (n,). One that overlaps a larger one
+        may be in its box without a trace, where boxes merge."""
         return ~self.kinds.ambiguous[self.rows]
 
     @cached_property
     def false_sightings(self) -> FalseSightings:
         """The false positives with their places relative to the horizon."""
-
         return FalseSightings.of(self)
 
     @cached_property
@@ -380,21 +359,13 @@ _EDGE_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class FalseSightings:
-    """The n false positives of a labelled set, ordered by image.
+    """The n false positives of a labelled set, ordered by image."""
 
-    Attributes:
-        image: Image of each, shape (n,).
-        boxes_px: x_min, y_min, x_max, y_max, shape (n, 4).
-        image_px: Width and height of its image, NaN where unknown, shape (n, 2).
-        half_planes: The sea's side of the horizon in its image; everywhere where unknown, shape (n, 3).
-        known: Whether the horizon of its image is known, shape (n,).
-    """
-
-    image: Indices
-    boxes_px: Array
-    image_px: Array
-    half_planes: Array
-    known: Mask
+    image: Indices  # shape (n,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, shape (n, 4)
+    image_px: Array  # width and height of the image, NaN where unknown, shape (n, 2)
+    half_planes: Array  # the sea's side of the horizon in the image, everywhere where unknown, shape (n, 3)
+    known: Mask  # whether the horizon of the image is known, shape (n,)
 
     @classmethod
     def of(cls, observed: Observed) -> FalseSightings:
@@ -419,8 +390,7 @@ class FalseSightings:
     @cached_property
     def sizes_px(self) -> Array:
         """Width and height, at least a pixel, shape (n, 2)."""
-        sides: Array = np.maximum(sizes(self.boxes_px), 1.0)
-        return sides
+        return np.maximum(sizes(self.boxes_px), 1.0)
 
     @cached_property
     def depth_px(self) -> Array:
@@ -432,8 +402,7 @@ class FalseSightings:
         """Distance of the centre from the left edge along the horizon, shape (n,)."""
         flat = np.hypot(self.half_planes[:, 0], self.half_planes[:, 1])
         cosine = np.abs(self.half_planes[:, 1]) / np.where(flat > 0, flat, 1.0)
-        result: Array = self.centres_px[:, 0] / np.where(cosine > 0, cosine, 1.0)
-        return result
+        return self.centres_px[:, 0] / np.where(cosine > 0, cosine, 1.0)
 
     @cached_property
     def places_px(self) -> tuple[Array, Array]:
@@ -463,9 +432,7 @@ class FalseSightings:
     @cached_property
     def levels(self) -> tuple[Array, Array, Indices]:
         """Depths and widths of the sea in each distinct image, shapes (k, nodes), and which is that of each row (n,).
-
-        Only for images whose size is known.
-        """
+        Only for images whose size is known."""
         keys = np.column_stack([self.half_planes, self.image_px])
         distinct, row = np.unique(keys, axis=0, return_inverse=True)
         depth, width = np.empty((len(distinct), 0)), np.empty((len(distinct), 0))

@@ -11,20 +11,8 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted
-from modsim3d.learn.bootstrap import (
-    SIGNIFICANT,
-    Column,
-    Entry,
-    Key,
-    Resampling,
-    columns_of_one,
-    digits,
-    nested,
-    ratio,
-    resample,
-    spread,
-    widened,
-)
+from modsim3d.learn import bootstrap
+from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, resample, widened
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, REFERENCES, EffectTerm, MissFit, attribute_values, fit_misses
 from modsim3d.learn.latent_score import LearnedScore, behaves_like_a_score, learned_score, miss_lags
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
@@ -49,19 +37,11 @@ class SplitEffects:
 def own_effects(
     observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit]:
-    """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit.
-
-    The attribute that gains most comes first. Twice the gain in log-likelihood must exceed the logarithm of the number
-    of annotations for each slope more (Bayesian information criterion), and what chance exceeds as rarely as one slope
-    exceeds `SIGNIFICANT` standard errors.
-
-    Args:
-        observed: What was seen.
-        effects: Effects that all states share.
-        fit: The fit with them.
-        inflation: Variance of the slope of each attribute over that of independent misses, by which gains are divided.
-        notes: What was decided is added to them.
-    """
+    """Effects of which some have a slope for each state where misses are clearly likelier so, and the fit. The
+    attribute that gains most comes first. Twice the gain in log-likelihood must exceed the logarithm of the number of
+    annotations for each slope more (Bayesian information criterion), and what chance exceeds as rarely as one slope
+    exceeds `SIGNIFICANT` standard errors. Gains are divided by `inflation`, the variance of the slope of each attribute
+    over that of independent misses. What was decided is added to `notes`."""
     enough = _states_with_enough(observed, len(effects))
     left = [name for name in OWN_ATTRIBUTES if any(effect.attribute == name for effect in effects)]
     if left and len(observed.states) > 1 and len(enough) < 2:
@@ -98,28 +78,23 @@ def _states_with_enough(observed: Observed, effects: int) -> list[int]:
 
 
 def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enough: list[int]) -> list[SplitEffects]:
-    """Fits in which states have a slope of an attribute for themselves, by doublings and by units.
-
-    If some of all the states have too little, they share the slope of the state that has most. The gain counts from the
-    likelier of both forms with one slope for all states, so that it is not the gain of another form.
-    """
+    """Fits in which states have a slope of an attribute for themselves, by doublings and by units. If some of all the
+    states have too little, they share the slope of the state that has most. The gain counts from the likelier of both
+    forms with one slope for all states, so that it is not the gain of another form."""
     once = resample(observed.labelled.images, 0, 0)
     place = next(k for k, effect in enumerate(effects) if effect.attribute == name)
     before, after, splits, shared_fits = effects[:place], effects[place + 1 :], [], []
     for by_units in (False, True):
         shared = replace(effects[place], by_units=by_units)
         shared_fits.append(fit_misses(observed, (*before, shared, *after), once))
-        own = (*before, *_of_each(shared, enough, len(observed.states)), *after)
+        common = [] if len(enough) == len(observed.states) else [shared]
+        of_states = [replace(shared, state=state) for state in sorted(enough[len(common) :])]
+        own = (*before, *common, *of_states, *after)
         fit = fit_misses(observed, own, once)
         if fit is not None:
             splits.append(SplitEffects(name, by_units, own, fit, 2 * fit.log_likelihood(observed.missed)))
     most = max((2 * fit.log_likelihood(observed.missed) for fit in shared_fits if fit is not None), default=-np.inf)
     return [replace(split, gain=split.gain - most) for split in splits]
-
-
-def _of_each(shared: EffectTerm, enough: list[int], states: int) -> list[EffectTerm]:
-    common = [] if len(enough) == states else [shared]
-    return [*common, *(replace(shared, state=state) for state in sorted(enough[len(common) :]))]
 
 
 def crowds(observed: Observed, labels: int) -> Array:
@@ -129,8 +104,7 @@ def crowds(observed: Observed, labels: int) -> Array:
     keys, count = np.unique(np.column_stack([cell, thing]), axis=0, return_counts=True)
     size = len(observed.states) * labels
     squares, whole = (np.bincount(keys[:, 0], count**power, minlength=size) for power in (2, 1))
-    result: Array = (squares / np.maximum(whole, 1)).reshape(len(observed.states), labels)
-    return result
+    return (squares / np.maximum(whole, 1)).reshape(len(observed.states), labels)
 
 
 _TRIALS = 200
@@ -138,11 +112,9 @@ _TRIALS = 200
 
 @dataclass(frozen=True)
 class ClassForm:
-    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist.
-
-    `things_keep` says whether each thing keeps a share of the noise for as long as it is seen, `scored` whether one
-    score stands behind misses and confidence.
-    """
+    """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist. `things_keep`
+    says whether each thing keeps a share of the noise for as long as it is seen, `scored` whether one score stands
+    behind misses and confidence."""
 
     effects: tuple[EffectTerm, ...]
     class_s: float
@@ -188,26 +160,16 @@ class LearnedEffect:
 
 @dataclass(frozen=True, eq=False)
 class LearnedClasses:
-    """Numbers of dropout and class; `class_s` is the correlation time of misses, None if they do not persist.
-
-    Attributes:
-        class_vessel_share: Share of the latent noise that each thing keeps; None if there is none.
-        score: The score behind misses and confidence; None if they are drawn apart.
-        intercepts: Log-odds of a miss at the references less those of the mean rate, of each state, shape (k,).
-        confusion: Of each state, shape (k + 1, k); NaN in columns of labels that were never there.
-        inflation: Variance of the number of frames in which a thing is missed or confused, over that of independent
-            frames.
-        log_odds: Quantiles of what the effects add in the learning set, shape (states, k, quantiles).
-    """
+    """Numbers of dropout and class."""
 
     effects: tuple[LearnedEffect, ...]
-    class_s: Entry | None
-    class_vessel_share: Entry | None
-    score: LearnedScore | None
-    intercepts: tuple[Entry, ...]
-    confusion: tuple[Entry, ...]
-    inflation: float
-    log_odds: Array | None
+    class_s: Entry | None  # correlation time of misses; None if they do not persist
+    class_vessel_share: Entry | None  # share of the latent noise that each thing keeps; None if there is none
+    score: LearnedScore | None  # behind misses and confidence; None if they are drawn apart
+    intercepts: tuple[Entry, ...]  # log-odds of a miss at the references less those of the mean rate, by state, (k,)
+    confusion: tuple[Entry, ...]  # of each state, shape (k + 1, k); NaN in columns of labels that were never there
+    inflation: float  # variance of the number of frames with a miss or confusion of a thing, over independent frames
+    log_odds: Array | None  # quantiles of what the effects add in the learning set, shape (states, k, quantiles)
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """Dropout and the persistence of misses."""
@@ -231,7 +193,7 @@ class LearnedClasses:
                 "intercept": nested(self.intercepts[state].estimate),
                 "learned_log_odds": [[round(float(each), 3) for each in row] for row in self.log_odds[state]],
             }
-        confusion = {"confusion": columns_of_one(filled(self.confusion[state].estimate))}
+        confusion = {"confusion": bootstrap.columns_of_one(filled(self.confusion[state].estimate))}
         return confusion | ({"dropout": own} if own else {})
 
     def _effects_of(self, state: int | None) -> dict[str, Any]:
@@ -296,7 +258,7 @@ def _significant(
             count = len(observed.rows)
             notes.append(f"dropout: as in the confusion matrix; {count} annotations do not determine the effects")
             break
-        errors = np.maximum(spread(fit.slopes[1:]), fit.errors_of_things)
+        errors = np.maximum(bootstrap.spread(fit.slopes[1:]), fit.errors_of_things)
         strength = np.abs(fit.slopes[0]) / np.maximum(fit.errors, errors)
         weakest = int(strength.argmin())
         if strength[weakest] >= SIGNIFICANT:
@@ -314,10 +276,8 @@ def _significant(
 def _in_units(
     observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit, inflation: Mapping[str, float], notes: list[str]
 ) -> tuple[tuple[EffectTerm, ...], MissFit]:
-    """Effects by units instead of doublings where misses are clearly likelier with them, and the fit.
-
-    Misses that persist count for less: gains in log-likelihood are divided by the inflation of the slope's variance.
-    """
+    """Effects by units instead of doublings where misses are clearly likelier with them, and the fit. Misses that
+    persist count for less: gains in log-likelihood are divided by the inflation of the slope's variance."""
     once = resample(observed.labelled.images, 0, 0)
     for place, effect in enumerate(effects):
         if not effect.doublings:
@@ -380,12 +340,10 @@ def _plain_fit(observed: Observed) -> MissFit | None:
 
 
 def consecutive_misses(observed: Observed, fit: MissFit | None) -> Consecutive:
-    """Residuals of misses in consecutive frames from fitted chances of a miss, or one chance for all if None.
-
-    A pair's expected product is that of two misses read from the same draw, scaled by how large the earlier squared
-    residual was. Runs of frames with more misses than others then have larger products and larger expected products
-    alike, and do not change the correlation time.
-    """
+    """Residuals of misses in consecutive frames from fitted chances of a miss, or one chance for all if None. A pair's
+    expected product is that of two misses read from the same draw, scaled by how large the earlier squared residual
+    was. Runs of frames with more misses than others then have larger products and larger expected products alike, and
+    do not change the correlation time."""
     rate = np.full(len(observed.rows), observed.missed[observed.unambiguous].mean()) if fit is None else fit.chance
     residual = observed.missed - rate
     a, b = observed.steps.earlier, observed.steps.later
@@ -417,9 +375,7 @@ def _intercepts(observed: Observed, fit: MissFit) -> tuple[Entry, ...]:
 
 def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, inflation: Array) -> tuple[Entry, ...]:
     """Confusion matrix of each state; where effects were fitted, misses have the rates that the effects leave.
-
-    `inflation` is that of the variance of a count of each state and label, shape (states, labels).
-    """
+    `inflation` is that of the variance of a count of each state and label, shape (states, labels)."""
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
     cell = (observed.state * (k + 2) + observed.seen_as) * k + observed.label
@@ -430,13 +386,13 @@ def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, 
     own = counts[:, :, :k].sum(axis=2)
     counts[:, :, :k] *= np.where(own > 0, 1 + in_merged_box / np.maximum(own, 1), 1.0)[:, :, None]
     whole = counts.sum(axis=2, keepdims=True)
-    rates = ratio(counts, whole)
+    rates = bootstrap.ratio(counts, whole)
     if fit is not None:
         detected = np.maximum(1 - rates[:, :, k], 1e-12)
         held = np.where(np.isfinite(fit.rates), fit.rates, rates[:, :, k])
         rates[:, :, :k] *= ((1 - held) / detected)[:, :, None]
         rates[:, :, k] = held
-    everywhere = ratio(counts.sum(axis=1), whole.sum(axis=1))
+    everywhere = bootstrap.ratio(counts.sum(axis=1), whole.sum(axis=1))
     entries = []
     for index, name in enumerate(observed.states):
         table = np.where(np.isfinite(rates[:, index]), rates[:, index], everywhere)

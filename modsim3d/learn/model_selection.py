@@ -11,31 +11,14 @@ from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 
 RICHER = (
-    "relative",
-    "mixed",
-    "student_t",
-    "gross",
-    "effects",
-    "persistence",
-    "score",
-    "vessels",
-    "components",
-    "sizes",
-    "places",
-    "lasting",
-    "confidence",
-    "slopes",
-    "duplicates",
-    "merges",
-    "splits",
+    *("relative", "mixed", "student_t", "gross", "effects", "persistence", "score", "vessels", "components", "sizes"),
+    *("places", "lasting", "confidence", "slopes", "duplicates", "merges", "splits"),
 )
-"""What learning may add to the plain model, and can be told to leave out.
-
-Box errors that grow with the box, or partly do; heavy tails, or gross errors; effects on misses; persistence of misses,
-box errors, confidence and merges; one score behind misses and confidence; the share of misses and box errors that each
-vessel keeps; sizes and places of false positives, and how long they last; confidence of true and false
-detections apart; its slopes; duplicates, merges and splits.
-"""
+"""What learning may add to the plain model, and can be told to leave out. Box errors that grow with the box, or partly
+do; heavy tails, or gross errors; effects on misses; persistence of misses, box errors, confidence and merges; one score
+behind misses and confidence; the share of misses and box errors that each vessel keeps; a memory of each component of
+box errors; sizes and places of false positives, and how long they last; confidence of true and false detections apart;
+its slopes; duplicates, merges and splits."""
 
 
 class LearnedPart(Protocol):
@@ -60,11 +43,8 @@ class PartForm(Protocol):
 
 
 def left_out(names: Iterable[str], where: str) -> frozenset[str]:
-    """The models of `RICHER` that are to be left out, by their names; `where` is the option or argument.
-
-    Raises:
-        InputError: One is not known.
-    """
+    """The models of `RICHER` that are to be left out, by their names; `where` is the option or argument. Raises
+    InputError if one is not known."""
     chosen = frozenset(names)
     unknown = sorted(chosen - set(RICHER))
     if unknown:

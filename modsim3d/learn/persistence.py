@@ -29,36 +29,22 @@ Compare = Callable[[Indices, Indices], tuple[Array, Array]]
 
 @dataclass(frozen=True, eq=False)
 class LagTable:
-    """Products of the residuals of pairs of sightings, at so many sightings apart.
+    """Products of the residuals of pairs of sightings, at so many sightings apart."""
 
-    Attributes:
-        products: Shape (m,).
-        same: What the products would be if the noise were the same in both, shape (m,).
-        apart_s: Time between the two, shape (m,).
-        lag: Which of the lags, shape (m,).
-        thing: Whose sightings, shape (m,).
-        image: Image of the later one, shape (m,).
-        lag_s: Usual time between, of each lag, shape (b,).
-        things: Number of things.
-        crowding: Part that fitted numbers take of a share that things keep: with a mean of n equal things, 1/n.
-    """
-
-    products: Array
-    same: Array
-    apart_s: Array
-    lag: Indices
-    thing: Indices
-    image: Indices
-    lag_s: Array
+    products: Array  # shape (m,)
+    same: Array  # what the products would be if the noise were the same in both, shape (m,)
+    apart_s: Array  # time between the two, shape (m,)
+    lag: Indices  # which of the lags, shape (m,)
+    thing: Indices  # whose sightings, shape (m,)
+    image: Indices  # image of the later one, shape (m,)
+    lag_s: Array  # usual time between, of each lag, shape (b,)
     things: int
-    crowding: float
+    crowding: float  # part that fitted numbers take of a share that things keep: with a mean of n equal things, 1/n
 
     @classmethod
     def of(cls, labelled: LabelledSet, rows: Indices, group: Indices, compare: Compare, fitted: int = 0) -> LagTable:
-        """Pairs of annotations (n,) of things with identities in frames with times, neighbours first.
-
-        Residuals are from a mean of each group, shape (n,), and from so many other numbers that were `fitted`.
-        """
+        """Pairs of annotations (n,) of things with identities in frames with times, neighbours first. Residuals are
+        from a mean of each group, shape (n,), and from so many other numbers that were `fitted`."""
         image, identity = labelled.annotations.image[rows], labelled.annotations.identity[rows]
         time_s, sequence = labelled.images.time_s[image], labelled.images.sequence[image]
         known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))
@@ -115,15 +101,12 @@ class LagTable:
         return weight
 
     def uncrowded(self, ratios: Array) -> Array:
-        """Ratios (rows, b) to which what the mean of all sightings took of them is added.
-
-        It took its part of the level at which they stay, which is that of the longest third of the lags.
-        """
+        """Ratios (rows, b) to which what the mean of all sightings took of them is added. It took its part of the level
+        at which they stay, which is that of the longest third of the lags."""
         late = slice(-max(len(self.lag_s) // 3, 1), None)
         level = np.clip(np.average(ratios[:, late], axis=1, weights=self.weight[late]), 0, _LARGEST)
         taken = (self.crowding * level / (1 - self.crowding * (1 - level)))[:, None]
-        added: Array = ratios * (1 - taken) + taken
-        return added
+        return ratios * (1 - taken) + taken
 
     def _fits(self, found: Array) -> Fits:
         """Least squares over the lags, weighed by how many things have each; ratios have shape (rows, b)."""
@@ -160,8 +143,7 @@ class LagTable:
 
 
 def _ratios(sums: Array) -> Array:
-    ratios: Array = sums[..., 0] / np.where(sums[..., 1] > 0, sums[..., 1], np.inf)
-    return ratios
+    return sums[..., 0] / np.where(sums[..., 1] > 0, sums[..., 1], np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,9 +157,7 @@ class Fits:
 @dataclass(frozen=True, eq=False)
 class LearnedVesselNoise:
     """Columns of a correlation time and of the share of the latent noise that things keep, and the share's level.
-
-    `level` is the correlation of residuals that stays for ever.
-    """
+    `level` is the correlation of residuals that stays for ever."""
 
     time_s: Column
     share: Column
@@ -185,10 +165,8 @@ class LearnedVesselNoise:
 
 
 def vessel_noise(table: LagTable, resampling: Resampling, latent: Callable[[Array], Array]) -> LearnedVesselNoise:
-    """The two numbers with replicates, given the share of the latent noise that leaves a level of correlation.
-
-    They spread at least as they do when single things are left out: runs of frames have the same things.
-    """
+    """The two numbers with replicates, given the share of the latent noise that leaves a level of correlation. They
+    spread at least as they do when single things are left out: runs of frames have the same things."""
     fits, without = table.fit(resampling), table.without_each()
     count = np.array(float(table.things))
 
@@ -239,9 +217,8 @@ GREATEST_SHARE = 0.95
 
 
 def latent_share(chance: Array) -> Callable[[Array], Array]:
-    """Function from the correlation of misses to the share of the latent normal number that things keep.
-
-    With a share s two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
+    """Function from the correlation of misses to the share of the latent normal number that things keep. With a share s
+    two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
     number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
     """
     level = level_of(chance)
@@ -320,12 +297,10 @@ class SightingStretches:
 
     def correlation_left(self, times_s: Array) -> Array:
         """Correlation of consecutive deviations from the mean, over that of the noise itself, for times τ, shape (m,).
-
         The mean of a state is that of all its sightings. With ρ_ij = e^(−|t_i − t_j|/τ) within a thing, C_i the
-        correlation of sighting i with the mean and V the variance of the mean, consecutive deviations have the
-        expected product ρ_ij − C_i − C_j + V and squares have 1 − 2·C_i + V: for one thing this is the bias of
-        Kendall (1954), "Note on bias in the estimation of autocorrelation". Sightings are taken as evenly spaced.
-        """
+        correlation of sighting i with the mean and V the variance of the mean, consecutive deviations have the expected
+        product ρ_ij − C_i − C_j + V and squares have 1 − 2·C_i + V: for one thing this is the bias of Kendall (1954),
+        "Note on bias in the estimation of autocorrelation". Sightings are taken as evenly spaced."""
         several = self.count > 1
         if not several.any():
             return np.ones(len(times_s))
@@ -410,34 +385,24 @@ class Correlation:
 
 @dataclass(frozen=True, eq=False)
 class Consecutive:
-    """Products of the residuals of consecutive sightings.
+    """Products of the residuals of consecutive sightings."""
 
-    Attributes:
-        products: Of the earlier and the later residual, shape (m,).
-        expected: Their expectation if the noise were the same in both, shape (m,).
-        apart_s: Time between the two, shape (m,).
-        image: Image of the later one, shape (m,).
-        stretches: The sightings whose mean was taken off, if their number is small enough to matter.
-    """
-
-    products: Array
-    expected: Array
-    apart_s: Array
-    image: Indices
-    stretches: SightingStretches | None = None
+    products: Array  # of the earlier and the later residual, shape (m,)
+    expected: Array  # their expectation if the noise were the same in both, shape (m,)
+    apart_s: Array  # time between the two, shape (m,)
+    image: Indices  # image of the later one, shape (m,)
+    stretches: SightingStretches | None = None  # sightings whose mean was taken off, if few enough to matter
 
     def __len__(self) -> int:
         """Number of pairs."""
         return len(self.products)
 
     def correlation(self) -> Correlation:
-        """The correlation with its interval.
-
-        Products of noise that does not persist are independent with mean 0, and their squares say how far the
-        correlation strays from 0. A correlation ρ above 0 strays further: its variance is larger by that of a share ρ
-        of so many trials as the expected products are worth, of rare misses as many as there are. Without it, two
-        misses among a thousand finds, which are hardly ever neighbours, would seem to show that misses do not persist.
-        """
+        """The correlation with its interval. Products of noise that does not persist are independent with mean 0, and
+        their squares say how far the correlation strays from 0. A correlation ρ above 0 strays further: its variance is
+        larger by that of a share ρ of so many trials as the expected products are worth, of rare misses as many as
+        there are. Without it, two misses among a thousand finds, which are hardly ever neighbours, would seem to show
+        that misses do not persist."""
         whole, pairs = float(self.expected.sum()), len(self)
         if whole <= 0:
             return Correlation(-1.0, 1.0, pairs)
@@ -465,10 +430,8 @@ class Consecutive:
         return Column(times, "positive", np.array(float(len(self))))
 
     def times_s(self, resampling: Resampling) -> Array:
-        """Correlation times τ for which the products sum to the expected ones times e^(−Δt/τ), shape (rows,).
-
-        They are 0 where there is no correlation, and at most a thousand times the median Δt.
-        """
+        """Correlation times τ for which the products sum to the expected ones times e^(−Δt/τ), shape (rows,). They are
+        0 where there is no correlation, and at most a thousand times the median Δt."""
         gap = float(np.median(self.apart_s))
         grid = gap * np.geomspace(0.05, 1000, _TIME_GRID)
         left = np.ones(_TIME_GRID) if self.stretches is None else self.stretches.correlation_left(grid)
@@ -485,15 +448,12 @@ class Consecutive:
         if len(apart) > _TIME_GRID:  # frames at any times
             return resampling.sums(self.image, self.expected[:, None] * np.exp(-self.apart_s[:, None] / grid_s))
         of_kind = resampling.counts(self.image, kind.ravel(), (len(apart),), self.expected)
-        decayed: Array = of_kind @ np.exp(-gap_s * apart[:, None] / grid_s)
-        return decayed
+        return of_kind @ np.exp(-gap_s * apart[:, None] / grid_s)
 
     def relative_error(self, time_s: float) -> float:
-        """Relative standard error of a correlation time τ, from the deviation of each pair's product.
-
-        Given the earlier residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from
-        that are independent of each other whatever persists, and there are many more pairs than runs of frames.
-        """
+        """Relative standard error of a correlation time τ, from the deviation of each pair's product. Given the earlier
+        residual, a product is expected to be e^(−Δt/τ) times the residual's square. Deviations from that are
+        independent of each other whatever persists, and there are many more pairs than runs of frames."""
         near = time_s * np.array([0.99, 1.0, 1.01])
         left = np.ones(3) if self.stretches is None else self.stretches.correlation_left(near)
         below, now, above = (self.expected * np.exp(-self.apart_s / t) * k for t, k in zip(near, left, strict=True))
@@ -537,10 +497,8 @@ def frame_interval_s(labelled: LabelledSet) -> float:
 
 
 def inflation(steps: Steps, count: int, correlation_s: float) -> float:
-    """Variance of the mean of so many numbers with a correlation time, over that of independent ones.
-
-    The steps are in order of time within each track.
-    """
+    """Variance of the mean of so many numbers with a correlation time, over that of independent ones. The steps are in
+    order of time within each track."""
     if correlation_s <= 0 or count == 0:
         return 1.0
     kept, held, total = np.exp(-steps.apart_s / correlation_s).tolist(), dict[int, float](), 0.0

@@ -1,9 +1,7 @@
 """How long false positives stay, and which share of them does.
-
 One that stays is seen again, near its place, in later frames. So of all pairs of false positives in frames a time Δ
 apart more lie near each other than by chance: share · min(m, m′) · e^(−Δ/τ) pairs for two frames whose mean numbers of
-false positives are m and m′, since one fades where the rate falls. How many do by chance is seen far apart in time.
-"""
+false positives are m and m′, since one fades where the rate falls. How many do by chance is seen far apart in time."""
 
 from __future__ import annotations
 
@@ -33,17 +31,11 @@ _ROBUST = float(np.pi / 2)
 
 @dataclass(frozen=True, eq=False)
 class DriftSpeeds:
-    """Speeds of the s false positives that were seen in at least four frames on end.
+    """Speeds of the s false positives that were seen in at least four frames on end."""
 
-    Attributes:
-        image: Image in which each was first seen, shape (s,).
-        square: Squared speed along the horizon less its error, px²/s², shape (s,).
-        weight: In how many frames it was seen, less where its speed is not known well, shape (s,).
-    """
-
-    image: Indices
-    square: Array
-    weight: Array
+    image: Indices  # image in which each was first seen, shape (s,)
+    square: Array  # squared speed along the horizon less its error, px²/s², shape (s,)
+    weight: Array  # in how many frames it was seen, less where its speed is not known well, shape (s,)
 
     @classmethod
     def of(cls, sightings: FalseSightings, times_s: Array, next_frame: Lag) -> DriftSpeeds:
@@ -124,46 +116,28 @@ _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 @dataclass(frozen=True, eq=False)
 class CountedPairs:
-    """Pairs of false positives that lie near each other, at K lags, by the earlier of both images.
+    """Pairs of false positives that lie near each other, at K lags, by the earlier of both images."""
 
-    Attributes:
-        apart_s: Time of each lag, shape (K,).
-        found: Near pairs in each image at each lag, shape (I, K).
-        chance: How many would lie near each other by chance, shape (I, K).
-        pairs: Pairs of false positives, near or not, shape (I, K).
-        seen_twice: How many would if all stayed for ever, shape (I, K).
-        false: False positives in each image, shape (I,).
-        expected: Their mean number, shape (I,).
-    """
-
-    apart_s: Array
-    found: Array
-    chance: Array
-    pairs: Array
-    seen_twice: Array
-    false: Array
-    expected: Array
+    apart_s: Array  # time of each lag, shape (K,)
+    found: Array  # near pairs in each image at each lag, shape (I, K)
+    chance: Array  # how many would lie near each other by chance, shape (I, K)
+    pairs: Array  # pairs of false positives, near or not, shape (I, K)
+    seen_twice: Array  # how many would lie near each other if all stayed for ever, shape (I, K)
+    false: Array  # false positives in each image, shape (I,)
+    expected: Array  # their mean number, shape (I,)
 
     def some(self, most_s: float) -> CountedPairs:
         """The lags up to a time, and the first few in any case."""
         kept = (self.apart_s <= most_s) | (np.arange(len(self.apart_s)) < _FIRST_LAGS)
-        return CountedPairs(
-            self.apart_s[kept],
-            self.found[:, kept],
-            self.chance[:, kept],
-            self.pairs[:, kept],
-            self.seen_twice[:, kept],
-            self.false,
-            self.expected,
-        )
+        of_lags = (self.found, self.chance, self.pairs, self.seen_twice)
+        found, chance, pairs, seen_twice = (each[:, kept] for each in of_lags)
+        return CountedPairs(self.apart_s[kept], found, chance, pairs, seen_twice, self.false, self.expected)
 
     def beyond_chance(self, far: Displacements) -> bool:
-        """Whether so many pairs in neighbouring frames come by chance once in two thousand sets at most.
-
-        If none stays, pairs in neighbouring frames are near each other as often as those far apart: of all near ones,
-        those in neighbouring frames are a binomial number (Przyborowski and Wilenski (1940), "Homogeneity of results in
-        testing samples from Poisson series").
-        """
+        """Whether so many pairs in neighbouring frames come by chance once in two thousand sets at most. If none stays,
+        pairs in neighbouring frames are near each other as often as those far apart: of all near ones, those in
+        neighbouring frames are a binomial number (Przyborowski and Wilenski (1940), "Homogeneity of results in testing
+        samples from Poisson series")."""
         found, near = float(self.found[:, 0].sum()), float(far.near(0.0).sum())
         pairs = float(self.pairs[:, 0].sum())
         if found == 0 or not len(far.alike):
@@ -210,22 +184,14 @@ def _peak(places: Array, values: Array, top: int) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Lasting:
-    """False positives that stay: their lifetime, the share of all that does, and the speed at which they drift.
+    """False positives that stay: their lifetime, the share of all that does, and the speed at which they drift."""
 
-    Attributes:
-        counted: Pairs at lags up to a few lifetimes.
-        drift: Speeds.
-        lifetime_s, share: The estimates.
-        frame_s: Time between frames.
-        frames: How many of them the longest sequence has.
-    """
-
-    counted: CountedPairs
+    counted: CountedPairs  # at lags up to a few lifetimes
     drift: DriftSpeeds
     lifetime_s: float
     share: float
-    frame_s: float
-    frames: int
+    frame_s: float  # time between frames
+    frames: int  # how many of them the longest sequence has
 
     @cached_property
     def inflation(self) -> float:
@@ -276,10 +242,8 @@ class NotLasting:
 def find_lasting(
     observed: Observed, sightings: FalseSightings, expected: Array, known: bool = False
 ) -> Lasting | NotLasting:
-    """Persistent false positives, given their mean number in each image, shape (I,).
-
-    Where it is `known` that some stay, pairs need not be more than chance would bring.
-    """
+    """Persistent false positives, given their mean number in each image, shape (I,). Where it is `known` that some
+    stay, pairs need not be more than chance would bring."""
     ordered = OrderedFrames.of(observed)
     if ordered is None:
         return NotLasting("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
@@ -305,10 +269,9 @@ def find_lasting(
         used = counted.some(most_s)
         life, share = used.fit(every, grid)
         most_s = _LIFETIMES * float(life[0])
-    lifetime = float(life[0])
-    return Lasting(
-        used, drift, lifetime, min(float(share[0]), 1.0), ordered.gap_s, round(ordered.span_s / ordered.gap_s) + 1
-    )
+    lifetime_s, share_of_all = float(life[0]), min(float(share[0]), 1.0)
+    frames = round(ordered.span_s / ordered.gap_s) + 1
+    return Lasting(used, drift, lifetime_s, share_of_all, ordered.gap_s, frames)
 
 
 _NONE = "no two frames of a sequence have times"

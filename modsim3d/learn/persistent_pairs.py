@@ -24,17 +24,11 @@ _FAR_PAIRS = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Displacements:
-    """Pairs of false positives, compared; arrays of shape (m,).
+    """Pairs of false positives, compared; shapes (m,)."""
 
-    Attributes:
-        along_px: How far apart they lie along the horizon.
-        near_px: How far apart along it two sightings of the same thing that does not move may seem.
-        alike: Whether they lie as deep below the horizon and are as large as two sightings of the same thing.
-    """
-
-    along_px: Array
-    near_px: Array
-    alike: Mask
+    along_px: Array  # how far apart they lie along the horizon
+    near_px: Array  # how far apart along it two sightings of the same thing that does not move may seem
+    alike: Mask  # whether they lie as deep below the horizon and are as large as two sightings of the same thing
 
     @classmethod
     def between(cls, sightings: FalseSightings, first: Indices, second: Indices) -> Displacements:
@@ -53,42 +47,27 @@ class Displacements:
     def near(self, way_px: float) -> Mask:
         """Mask of those that may be the same thing, moved so far along the horizon to either side, shape (m,)."""
         reach = self.near_px + _OF_THE_WAY * way_px
-        near: Mask = self.alike & (np.abs(self.along_px - way_px) <= reach)
-        return near
+        return self.alike & (np.abs(self.along_px - way_px) <= reach)
 
 
 @dataclass(frozen=True, eq=False)
 class Lag:
-    """Pairs of frames some time apart, and the pairs of false positives in them.
+    """Pairs of frames some time apart, and the pairs of false positives in them."""
 
-    Attributes:
-        apart_s: The mean time.
-        frames: Earlier and later image of each pair of frames, shape (2, p).
-        rows: Earlier and later false positive of each pair of them, shape (2, m).
-        moves: How they lie to each other.
-    """
-
-    apart_s: float
-    frames: Indices
-    rows: Indices
+    apart_s: float  # the mean time
+    frames: Indices  # earlier and later image of each pair of frames, shape (2, p)
+    rows: Indices  # earlier and later false positive of each pair of them, shape (2, m)
     moves: Displacements
 
 
 @dataclass(frozen=True, eq=False)
 class OrderedFrames:
-    """Images in order of sequence and time: those that have times and a state.
+    """Images in order of sequence and time: those that have times and a state."""
 
-    Attributes:
-        images: Shape (f,).
-        sequence: Of each, shape (f,).
-        time_s: Shape (f,).
-        gap_s: Median time between consecutive frames.
-    """
-
-    images: Indices
-    sequence: Indices
-    time_s: Array
-    gap_s: float
+    images: Indices  # shape (f,)
+    sequence: Indices  # shape (f,)
+    time_s: Array  # shape (f,)
+    gap_s: float  # median time between consecutive frames
 
     @classmethod
     def of(cls, observed: Observed) -> OrderedFrames | None:
@@ -133,11 +112,9 @@ def lags_of(ordered: OrderedFrames, sightings: FalseSightings, most_s: float) ->
 
 
 def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
-    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time.
-
-    All of them, or so many that are drawn: of few false positives every pair counts, since a chance that is estimated
-    as 0 would make one pair of neighbours look like one that stays.
-    """
+    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time. All
+    of them, or so many that are drawn: of few false positives every pair counts, since a chance that is estimated as 0
+    would make one pair of neighbours look like one that stays."""
     images, count = observed.labelled.images, len(sightings)
     if count * (count - 1) // 2 <= _FAR_PAIRS:
         first, second = np.triu_indices(count, 1)
@@ -156,10 +133,9 @@ def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSighti
 
 def _row_pairs(image: Indices, first: Indices, second: Indices) -> Indices:
     """All pairs of rows of the first and of the second image of each pair, shape (2, m); `image` ascends."""
-    begin, count = (np.searchsorted(image, first, side) for side in ("left", "right"))
-    count = count - begin
-    begin_2, count_2 = (np.searchsorted(image, second, side) for side in ("left", "right"))
-    count_2 = count_2 - begin_2
+    begin, begin_2 = (np.searchsorted(image, each, "left") for each in (first, second))
+    count = np.searchsorted(image, first, "right") - begin
+    count_2 = np.searchsorted(image, second, "right") - begin_2
     number = count * count_2
     pair = np.repeat(np.arange(len(first)), number)
     place = np.arange(len(pair)) - np.repeat(np.cumsum(number) - number, number)
@@ -186,23 +162,15 @@ _ROUNDING_PX = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PlaceFit:
-    """Placements of false positives in images whose horizon and size are known.
-
-    Attributes:
-        sightings: The false positives.
-        inflation: Factor by which those that stay raise the variance of a mean over all.
-        repeats: How many are seen of each different one.
-    """
+    """Placements of false positives in images whose horizon and size are known."""
 
     sightings: FalseSightings
-    inflation: float = 1.0
-    repeats: float = 1.0
+    inflation: float = 1.0  # factor by which those that stay raise the variance of a mean over all
+    repeats: float = 1.0  # how many are seen of each different one
 
     def choose(self) -> tuple[Placing, float]:
-        """The likeliest placement, uniform unless another is clearly likelier, and its gain in log-likelihood.
-
-        Each parameter costs as much as the Bayesian information criterion says.
-        """
+        """The likeliest placement, uniform unless another is clearly likelier, and its gain in log-likelihood. Each
+        parameter costs as much as the Bayesian information criterion says."""
         level = self._likelihood(self._density())
         cells = GRID[0] * GRID[1]
         found: list[tuple[Placing, int, float]] = [

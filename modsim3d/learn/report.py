@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
@@ -22,19 +21,12 @@ from modsim3d.learn.states import StateMap
 
 @dataclass(frozen=True)
 class NearGate:
-    """States of which many matches lie near the least IoU, so that larger errors were cut off.
+    """States of which many matches lie near the least IoU, so that larger errors were cut off."""
 
-    Attributes:
-        shares: Share of the matches that lie near it, by state; only of states with many.
-        gate: The IoU below which a match lies near it.
-        other: Which rule cuts off less.
-        several: Whether there are several states.
-    """
-
-    shares: tuple[tuple[str, float], ...] = ()
-    gate: float = 0.0
-    other: str = ""
-    several: bool = False
+    shares: tuple[tuple[str, float], ...] = ()  # of the matches that lie near it, by state; only of states with many
+    gate: float = 0.0  # IoU below which a match lies near it
+    other: str = ""  # which rule cuts off less
+    several: bool = False  # whether there are several states
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -60,37 +52,23 @@ class NearGate:
 
 @dataclass(frozen=True, eq=False)
 class LearnReport:
-    """Everything that is reported.
-
-    Attributes:
-        by_label: Matches label by label, for average precision and its curves; None without confidences.
-        conditions: Figures of each condition, the largest F1 first.
-        shares: What average precision is lost to; None without confidences.
-        level: Level of the confidence intervals.
-        beta: How many times more recall weighs than precision in F-beta.
-        matched_by: The matching rule in words.
-        curves_matched_by: The rule of average precision in words.
-        remarks_on_data: What the numbers have to be read with: entries left out, labels that are off.
-        near_gate: What matching by IoU cuts off.
-        warning: That most matches are lost to the rule, so that the numbers mean little; None where they are not.
-        check: Comparison with the real results where it was not learned; None where that was not asked for.
-    """
+    """Everything that is reported."""
 
     labelled: LabelledSet
-    by_label: Matched | None
-    conditions: Sequence[Figures]
+    by_label: Matched | None  # label by label, for average precision and its curves; None without confidences
+    conditions: Sequence[Figures]  # the largest F1 first
     states: Sequence[Figures]
     state_map: StateMap
     learned: Learned
-    shares: ErrorShares | None
-    level: float
-    beta: float
-    matched_by: str
-    curves_matched_by: str
-    remarks_on_data: tuple[str, ...] = ()
-    near_gate: NearGate = NearGate()
-    warning: str | None = None
-    check: SelfCheck | None = None
+    shares: ErrorShares | None  # what average precision is lost to; None without confidences
+    level: float  # of the confidence intervals
+    beta: float  # how many times more recall weighs than precision in F-beta
+    matched_by: str  # the matching rule in words
+    curves_matched_by: str  # the rule of average precision in words
+    remarks_on_data: tuple[str, ...] = ()  # what to read the numbers with: entries left out, labels that are off
+    near_gate: NearGate = NearGate()  # what matching by IoU cuts off
+    warning: str | None = None  # that most matches are lost to the rule, so that the numbers mean little
+    check: SelfCheck | None = None  # comparison with real results where it was not learned; None if not asked for
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -129,13 +107,8 @@ def lead(report: LearnReport) -> str:
 
 
 def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
-    """How many numbers of a detector file were learned, and from what.
-
-    Args:
-        report: What was learned.
-        name: Name of the detector file.
-        sources: The labelled sets, as they were given.
-    """
+    """Number of numbers of a detector file that were learned, and from what. `name` is that of the detector file,
+    `sources` are the labelled sets as given."""
     labelled, learned = report.labelled, report.learned
     numbers = sum(np.size(each.estimate) for each in learned.intervals(report.level) if each.key.remark != NOT_WRITTEN)
     matches = len(learned.observed.matched.pairs[0])
@@ -168,16 +141,13 @@ def _widest(report: LearnReport, columns: Sequence[tuple[Figures, Column]], rela
     found = []
     for figures, column in columns:
         low, high = column.interval(report.level, figures.units)
-        half = (np.asarray(high, dtype=float) - np.asarray(low, dtype=float)) / 2
-        found.append(_share_of(half, np.abs(column.estimate)) if relative else half)
+        half, size = (np.asarray(high, dtype=float) - np.asarray(low, dtype=float)) / 2, np.abs(column.estimate)
+        if relative:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                half = np.where((half == 0) & (size == 0), 0.0, half / size)
+        found.append(half)
     widest = float(np.max([np.max(each) for each in found]))
     return widest if np.isfinite(widest) else None
-
-
-def _share_of(half: Array, size: Array) -> Array:
-    """Half a width over a size; 0 where both are 0."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where((half == 0) & (size == 0), 0.0, half / size)
 
 
 def results(report: LearnReport) -> list[tuple[str, str, str]]:
@@ -185,7 +155,9 @@ def results(report: LearnReport) -> list[tuple[str, str, str]]:
     observed = report.learned.observed
     matched, found = observed.matched, len(observed.matched.pairs[0])
     sought, counts = int(np.count_nonzero(matched.sought)), int(np.count_nonzero(matched.counts))
-    wrong = _wrong_class(report)
+    detections, annotations = matched.pairs
+    labelled = report.labelled
+    wrong = int(np.sum(labelled.results.label[detections] != labelled.annotations.label[annotations]))
     precise = []
     if report.shares is not None:
         points = f"{100 * report.shares.average_precision:.1f}"
@@ -198,9 +170,3 @@ def results(report: LearnReport) -> list[tuple[str, str, str]]:
         *precise,
         ("Left simple", f"{len(report.learned.notes):,}", "parts of which the data say too little; listed below"),
     ]
-
-
-def _wrong_class(report: LearnReport) -> int:
-    detections, annotations = report.learned.observed.matched.pairs
-    labelled = report.labelled
-    return int(np.count_nonzero(labelled.results.label[detections] != labelled.annotations.label[annotations]))

@@ -20,16 +20,7 @@ from modsim3d.learn.figures import Curve, Figures, Ranking, Rates
 from modsim3d.learn.learned import LearnSettings, models_and_learners
 from modsim3d.learn.report import LearnReport, how_well, lead, learned_from, results
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.view.pages import charts, page
-from modsim3d.view.pages.provenance import (
-    Input,
-    Provenance,
-    file_input,
-    folder_input,
-    run_inputs,
-    run_seeds,
-    run_versions,
-)
+from modsim3d.view.pages import charts, page, provenance
 
 # ---- What was learned, as tables ----
 
@@ -50,29 +41,36 @@ def _row(figures: Figures, level: float, digits: int, columns: Sequence[Column],
 
 
 def tables(report: LearnReport) -> list[Table]:
-    """All tables in the order of the thesis's chapter 8.
-
-    A terminal has no room for labels of each condition, errors of labels and covariances.
-    """
+    """All tables in the order of the thesis's chapter 8. A terminal has no room for labels of each condition, errors of
+    labels and covariances."""
     groups = [*report.conditions, *report.states] if report.states_differ else list(report.states)
-    several = len(report.labelled.labels) > 1
+    of_labels = groups if len(report.labelled.labels) > 1 else []
+    errors = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
+    title = "Correlation coefficients of the box errors"
+    correlations = _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, ERROR_PAIRS)
+    title = "Covariances of the box errors in square pixels"
+    covariances = _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
+    used = tuple(each.cells for each in report.learned.numbers.box_errors.used)
+    models = tuple(
+        (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
+    )
 
-    def detail(make: Callable[[LearnReport, Figures], Table], wanted: bool = True) -> list[Table]:
-        places = [
-            (each, Where.TEXT if any(each is state for state in report.states) else Where.PAGE) for each in groups
-        ]
-        return [replace(make(report, each), where=where) for each, where in places if wanted]
+    def detail(make: Callable[[LearnReport, Figures], Table], figures: Figures) -> Table:
+        return replace(make(report, figures), where=Where.TEXT if figures in report.states else Where.PAGE)
 
     return [
         *([_state_table(report)] if report.states_differ else []),
-        *(_rates(report, groups), _errors(report, groups), _correlations(report, groups), _used(report)),
-        _covariances(report, groups),
+        _rates(report, groups),
+        Table("Box errors in pixels: expected value and standard deviation", ("condition", *_ERROR_COLUMNS), errors),
+        correlations,
+        Table(estimate.TITLE, estimate.HEADER, used),
+        replace(covariances, where=Where.PAGE),
         *_curves(report, groups),
-        *detail(_labels, several),
-        *(replace(each, where=Where.PAGE) for each in detail(_label_errors, several)),
-        *detail(_confusion),
+        *(detail(_labels, each) for each in of_labels),
+        *(replace(_label_errors(report, each), where=Where.PAGE) for each in of_labels),
+        *(detail(_confusion, each) for each in groups),
         *(*_shares(report), _parameters(report), *_long_run(report)),
-        _models(),
+        Table("Models that can be learned", ("part", "model", "estimate"), models),
     ]
 
 
@@ -118,22 +116,6 @@ def _labels(report: LearnReport, figures: Figures) -> Table:
 def _error_cells(report: LearnReport, figures: Figures, moments: ErrorMoments) -> list[str]:
     columns = (moments.mean, moments.std)
     return [cell for k in range(4) for cell in _row(figures, report.level, 1, columns, k)]
-
-
-def _errors(report: LearnReport, groups: Sequence[Figures]) -> Table:
-    rows = tuple((report.name(each), *_error_cells(report, each, each.errors)) for each in groups)
-    return Table("Box errors in pixels: expected value and standard deviation", ("condition", *_ERROR_COLUMNS), rows)
-
-
-def _correlations(report: LearnReport, groups: Sequence[Figures]) -> Table:
-    title = "Correlation coefficients of the box errors"
-    return _by_pair(title, report, groups, lambda figures: figures.errors.correlation, 2, ERROR_PAIRS)
-
-
-def _covariances(report: LearnReport, groups: Sequence[Figures]) -> Table:
-    title = "Covariances of the box errors in square pixels"
-    table = _by_pair(title, report, groups, lambda figures: figures.error_covariance, 1, CELLS)
-    return replace(table, where=Where.PAGE)
 
 
 def _by_pair(
@@ -211,7 +193,9 @@ def _parameters(report: LearnReport) -> Table:
     for each in sorted(intervals, key=lambda each: (each.key.state is not None, each.key.path)):
         for place in np.ndindex(*each.estimate.shape):
             value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
-            rows.append((each.key.at(place), *_number(value, low, high)))
+            told = np.isfinite([value, low, high]).all()
+            interval = f"{low:.4g} to {high:.4g}" if told else UNKNOWN
+            rows.append((each.key.at(place), f"{value:.4g}" if np.isfinite(value) else UNKNOWN, interval))
     return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
 
 
@@ -223,24 +207,6 @@ def _long_run(report: LearnReport) -> list[Table]:
     shares = stationary_shares(transitions.matrix)  # every state follows every other, so there are such
     rows = tuple((state, f"{share:.1%}") for state, share in zip(states, shares, strict=True))
     return [Table("States in the long run, by the learned transition matrix", ("state", "share of time"), rows)]
-
-
-def _number(value: float, low: float, high: float) -> tuple[str, str]:
-    """A number and its interval; a dash for what the data do not tell."""
-    told = np.isfinite([value, low, high]).all()
-    return f"{value:.4g}" if np.isfinite(value) else UNKNOWN, f"{low:.4g} to {high:.4g}" if told else UNKNOWN
-
-
-def _used(report: LearnReport) -> Table:
-    rows = tuple(each.cells for each in report.learned.numbers.box_errors.used)
-    return Table(estimate.TITLE, estimate.HEADER, rows)
-
-
-def _models() -> Table:
-    rows = tuple(
-        (part, name, "not learned" if learner is None else "learned") for part, name, learner in models_and_learners()
-    )
-    return Table("Models that can be learned", ("part", "model", "estimate"), rows)
 
 
 NEVER_LEARNED = (
@@ -258,23 +224,14 @@ _IMAGES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Files and runs that were learned from.
+    """Files and runs that were learned from."""
 
-    Attributes:
-        truth: Ground truth, as it was given: a file or a folder for each condition.
-        detections: The results on each.
-        runs: Runs in place of both, or beside them.
-        read: Every file that was opened; also those that are not named, such as `data.yaml`.
-        settings: How was learned.
-        made_by: The command, or the call from Python.
-    """
-
-    truth: tuple[Path, ...]
-    detections: tuple[Path, ...]
-    runs: tuple[StoredRun, ...]
-    read: tuple[Path, ...]
+    truth: tuple[Path, ...]  # as given: a file or a folder for each condition
+    detections: tuple[Path, ...]  # the results on each
+    runs: tuple[StoredRun, ...]  # in place of both, or beside them
+    read: tuple[Path, ...]  # every file that was opened, also those that are not named, such as `data.yaml`
     settings: LearnSettings
-    made_by: str
+    made_by: str  # the command, or the call from Python
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -282,41 +239,35 @@ class Sources:
         return tuple(str(path) for path in (*self.truth, *(run.folder for run in self.runs)))
 
     @property
-    def inputs(self) -> tuple[Input, ...]:
-        """All files with their checksums.
-
-        Raises:
-            InputError: A file cannot be read.
-        """
-        return (*self._files(), *(found for run in self.runs for found in run_inputs(run)))
+    def inputs(self) -> tuple[provenance.Input, ...]:
+        """All files with their checksums. Raises InputError where a file cannot be read."""
+        return (*self._files(), *(found for run in self.runs for found in provenance.run_inputs(run)))
 
     @property
     def seeds(self) -> tuple[tuple[str, str], ...]:
         """The seed of the bootstrap, and those of the runs."""
-        of_runs = ((f"{name} of {run.folder}", seed) for run in self.runs for name, seed in run_seeds(run))
+        of_runs = ((f"{name} of {run.folder}", seed) for run in self.runs for name, seed in provenance.run_seeds(run))
         return ("bootstrap", str(self.settings.seed)), *of_runs
 
     @property
     def made_before(self) -> tuple[tuple[str, str], ...]:
         """By which versions the runs were made."""
-        return tuple(dict.fromkeys(found for run in self.runs for found in run_versions(run)))
+        return tuple(dict.fromkeys(found for run in self.runs for found in provenance.run_versions(run)))
 
-    def _files(self) -> Iterator[Input]:
+    def _files(self) -> Iterator[provenance.Input]:
         files_of, rest = self._sorted()
         for place, pair in enumerate(zip(self.truth, self.detections, strict=True)):
             number = f" {place + 1}" if len(self.truth) > 1 else ""
             for what, given in zip((f"ground truth{number}", f"detections{number}"), pair, strict=True):
                 if given.is_dir():
-                    yield folder_input(what, given, files_of.get(given.absolute(), []))
+                    yield provenance.folder_input(what, given, files_of.get(given.absolute(), []))
                 else:
-                    yield file_input(what, given)
-        yield from (file_input("also read", path) for path in rest)
+                    yield provenance.file_input(what, given)
+        yield from (provenance.file_input("also read", path) for path in rest)
 
     def _sorted(self) -> tuple[dict[Path, list[Path]], list[Path]]:
-        """The files that were read by the path that they belong to, which is absolute, and those of none.
-
-        A file belongs to the innermost of the given paths that it lies in. What is read of a run is listed with it.
-        """
+        """The files that were read by the path that they belong to, which is absolute, and those of none. A file
+        belongs to the innermost of the given paths that it lies in. What is read of a run is listed with it."""
         given = {path.absolute() for path in (*self.truth, *self.detections)}
         runs = [run.folder.resolve() for run in self.runs]
         found: dict[Path, list[Path]] = {}
@@ -336,19 +287,10 @@ class Sources:
 def document(
     report: LearnReport, name: str = "detector", sources: Sequence[str] = (), sections: Sequence[Block] = ()
 ) -> Document:
-    """Document of what was learned.
-
-    Args:
-        report: What was learned.
-        name: Name of the detector file.
-        sources: The labelled sets, as they were given.
-        sections: Further sections, which come before the figures.
-    """
-    cautions = [
-        *report.remarks_on_check,
-        *report.remarks_on_data,
-        *([report.near_gate.remark] if report.near_gate.shares else []),
-    ]
+    """Document of what was learned. `name` is that of the detector file, `sources` are the labelled sets as given,
+    `sections` come before the figures."""
+    near_gate = [report.near_gate.remark] if report.near_gate.shares else []
+    cautions = [*report.remarks_on_check, *report.remarks_on_data, *near_gate]
     return Document(
         f"{name}: a detector learned from {counted(len(report.labelled.images), 'image')}",
         [
@@ -378,24 +320,16 @@ def document(
 
 
 def page_text(report: LearnReport, out: Path, detector: str, sources: Sources, sections: Sequence[Block] = ()) -> str:
-    """The page, in one file.
-
-    Args:
-        report: What was learned.
-        out: The detector file.
-        detector: Its content.
-        sources: What it was learned from.
-        sections: Further sections.
-    """
+    """The page, in one file, given the detector file, its content and what it was learned from."""
     found = document(report, out.name, sources.names, sections)
     return page.document_page(found, _provenance(report, out, detector, sources))
 
 
-def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources) -> Provenance:
-    settings = sources.settings
+def _provenance(report: LearnReport, out: Path, detector: str, sources: Sources) -> provenance.Provenance:
+    settings, checksum = sources.settings, sha256(detector.encode()).hexdigest()
     states = "; ".join(f"{name} = {', '.join(names)}" for name, names in report.state_map.states.items())
-    written = Input("detector file that was learned", out.name, sha256(detector.encode()).hexdigest(), "as written")
-    return Provenance(
+    written = provenance.Input("detector file that was learned", out.name, checksum, "as written")
+    return provenance.Provenance(
         page="a detector learned from its results on labelled images",
         made_by=sources.made_by,
         inputs=(written, *sources.inputs),

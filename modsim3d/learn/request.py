@@ -20,54 +20,36 @@ Method = Literal["confidence", "optimal", "centre", "provenance"]
 
 
 class LearnRequest(Strict):
-    """Choices of learning from whatever labelled set; what is not listed is as for `modsim3d.learn_detector`.
+    """Choices of learning from whatever labelled set; what is not explained is as for `modsim3d.learn_detector`."""
 
-    Attributes:
-        caller: What messages call the request.
-        states: Performance states as texts such as `good=day,cloudy`; a state for each condition if there are none.
-        clusters: Number of states to be found by F1 instead.
-        sequence: Text with the name of a state on each line, in time order.
-        interval_s: Time between two states of the sequence, or between two transitions.
-        clutter: Model of the number of false positives.
-        level: Confidence level of the intervals.
-        beta: How many times more recall weighs than precision in F-beta.
-        category_offset: Number to add to the category IDs of COCO results.
-        skip_bad: Whether wrong entries of the files are left out.
-        check: Whether to compare with the real results where it was not learned; voyages have no such check.
-    """
-
-    caller: str
+    caller: str  # what messages call the request
     conditions: tuple[str, ...] = ()
-    states: tuple[str, ...] = ()
-    clusters: Annotated[int, Field(strict=True, ge=1)] | None = None
-    sequence: str | None = None
-    interval_s: Positive | None = None
+    states: tuple[str, ...] = ()  # texts such as `good=day,cloudy`; a state for each condition if there are none
+    clusters: Annotated[int, Field(strict=True, ge=1)] | None = None  # number of states to be found by F1 instead
+    sequence: str | None = None  # text with the name of a state on each line, in time order
+    interval_s: Positive | None = None  # time between two states of the sequence, or between two transitions
     match: Method | None = None
     least_iou: Annotated[float, Field(strict=True, gt=0, le=1)] = 0.5
     most_distance_px: Positive = 50.0
     confidence: Probability | None = None
     confidence_scale: tuple[Number, Number] | None = None
-    clutter: Literal["auto", "calibrated", "per_image"] = "auto"
+    clutter: Literal["auto", "calibrated", "per_image"] = "auto"  # model of the number of false positives
     replicates: Annotated[int, Field(strict=True, ge=20)] = 300
     seed: Count = 0
-    level: Annotated[float, Field(ge=0.5, le=0.9999)] = 0.95
-    beta: Annotated[float, Field(ge=0.01, le=100)] = 2.0
+    level: Annotated[float, Field(ge=0.5, le=0.9999)] = 0.95  # of the confidence intervals
+    beta: Annotated[float, Field(ge=0.01, le=100)] = 2.0  # how many times more recall weighs than precision in F-beta
     without: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
     image_size_px: tuple[Positive, Positive] | None = None
     frame_rate_hz: Positive | None = None
     horizon: Number | tuple[Number, Number, Number, Number] | None = None
-    category_offset: int = 0
-    skip_bad: bool = False
-    check: bool = True
+    category_offset: int = 0  # added to the category IDs of COCO results
+    skip_bad: bool = False  # whether wrong entries of the files are left out
+    check: bool = True  # whether to compare with the real results where it was not learned; not for voyages
 
     @classmethod
     def of(cls, caller: str, **given: Any) -> Self:
-        """A request of what was given.
-
-        Raises:
-            InputError: A value is none of those that its key takes.
-        """
+        """A request of what was given. Raises InputError for a value that its key does not take."""
         try:
             request = cls(caller=caller, **given)
         except ValidationError as error:
@@ -93,15 +75,8 @@ class LearnRequest(Strict):
         )
 
     def settings(self, labelled: LabelledSet, position_m: float = 0.0) -> LearnSettings:
-        """Settings of learning from a labelled set.
-
-        Args:
-            labelled: The set.
-            position_m: Standard deviation of each coordinate of true positions.
-
-        Raises:
-            ModsimError: A least confidence is asked for, and the detections have no confidences.
-        """
+        """Settings of learning from a labelled set whose true positions have a standard deviation in each coordinate.
+        Raises ModsimError if a least confidence is asked for, and the detections have no confidences."""
         method = self.match or usual_method(labelled, position_m)
         return LearnSettings(
             Rule(method, self.least_iou, self.most_distance_px),
@@ -120,10 +95,7 @@ class LearnRequest(Strict):
 
 def parse_match(text: str | None) -> dict[str, Any]:
     """Method and limit of matches, from a text such as `optimal`, `confidence:0.4` or `centre:30`; none without one.
-
-    Raises:
-        ModsimError: There is no such method, or no such limit.
-    """
+    Raises ModsimError if there is no such method, or no such limit."""
     if text is None:
         return {}
     method, colon, limit = text.partition(":")
@@ -139,11 +111,8 @@ def parse_match(text: str | None) -> dict[str, Any]:
 
 
 def parse_states(given: int | Mapping[str, Sequence[str]] | Sequence[str] | None, caller: str) -> dict[str, Any]:
-    """States as `LearnRequest` has them: from a mapping, from texts such as `good=day,cloudy`, or their number.
-
-    Raises:
-        InputError: What was given is none of these.
-    """
+    """States as `LearnRequest` has them: from a mapping, from texts such as `good=day,cloudy`, or their number. Raises
+    InputError for anything else."""
     if given is None:
         return {}
     if isinstance(given, list) and len(given) == 1 and given[0].isdecimal() and int(given[0]):

@@ -17,10 +17,8 @@ from modsim3d.formats.labelled import EVERYWHERE, LabelledSet, Results
 
 @dataclass(frozen=True, eq=False)
 class SequencePart:
-    """Images of one sequence and size, as the detector takes them: frames and targets.
-
-    With the rows of the images (S,), of the annotations in them that count (n,), and the state in each frame (S,).
-    """
+    """Images of one sequence and size, as the detector takes them: frames and targets. With the rows of the images
+    (S,), of the annotations in them that count (n,), and the state in each frame (S,)."""
 
     images: Indices
     rows: Indices
@@ -30,11 +28,8 @@ class SequencePart:
 
 
 def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[SequencePart]:
-    """Split all images that have a state, shape (I,), by sequence and size.
-
-    Raises:
-        ModsimError: The size of an image is not known.
-    """
+    """Split all images that have a state, shape (I,), by sequence and size. Raises ModsimError if the size of an image
+    is not known."""
     images, annotations = labelled.images, labelled.annotations
     used = np.flatnonzero(image_state >= 0)
     if not np.isfinite(images.sizes_px[used]).all():

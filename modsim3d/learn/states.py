@@ -20,19 +20,12 @@ from modsim3d.learn.bootstrap import Interval, Key, columns_of_one, digits
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """A Markov chain of performance states.
+    """A Markov chain of performance states."""
 
-    Attributes:
-        counts: Transitions to state i from state j, shape (n, n).
-        initial: Index of the state at the first step.
-        interval_s: Time between transitions; None for one at each step.
-        notes: Why the chain is not learned.
-    """
-
-    counts: Array
-    initial: int = 0
-    interval_s: float | None = None
-    notes: tuple[str, ...] = ()
+    counts: Array  # transitions to state i from state j, shape (n, n)
+    initial: int = 0  # index of the state at the first step
+    interval_s: float | None = None  # time between transitions; None for one at each step
+    notes: tuple[str, ...] = ()  # why the chain is not learned
 
     @property
     def observed(self) -> bool:
@@ -41,11 +34,9 @@ class Transitions:
 
     @property
     def matrix(self) -> Array:
-        """(N_ij + 1) / (Σ_i N_ij + n), shape (n, n): one transition of each kind is added, as in eq. 6.21.
-
-        Columns sum to one. Those of eq. 6.21 do not, because it divides by the length of the whole sequence. Without
-        a sequence, every state stays as it is.
-        """
+        """(N_ij + 1) / (Σ_i N_ij + n), shape (n, n): one transition of each kind is added, as in eq. 6.21. Columns sum
+        to one. Those of eq. 6.21 do not, because it divides by the length of the whole sequence. Without a sequence,
+        every state stays as it is."""
         n = len(self.counts)
         if not self.observed:
             return np.eye(n)
@@ -111,11 +102,8 @@ class StateMap:
 
 
 def parse_states(given: Sequence[str], conditions: Sequence[str]) -> StateMap:
-    """States from texts such as `good=day,cloudy`; conditions that no text names take no part.
-
-    Raises:
-        InputError: A text has another form, or its conditions are unknown or in another state already.
-    """
+    """States from texts such as `good=day,cloudy`; conditions that no text names take no part. Raises InputError if a
+    text has another form, or its conditions are unknown or in another state already."""
     problems: list[str] = []
     states: dict[str, tuple[str, ...]] = {}
     used: dict[str, str] = {}
@@ -145,14 +133,9 @@ def each_its_own(conditions: Sequence[str]) -> StateMap:
 
 
 def cluster(f1: Mapping[str, float], count: int) -> StateMap:
-    """Cluster conditions by their F1 into so many intervals with the least sum of squares within.
-
-    On a line the best clusters are intervals. Dynamic programming tries all of them (Fisher (1958)), so the answer is
-    always the same, unlike that of k-means from random starts.
-
-    Raises:
-        InputError: There are fewer conditions than states.
-    """
+    """Cluster conditions by their F1 into so many intervals with the least sum of squares within. On a line the best
+    clusters are intervals. Dynamic programming tries all of them (Fisher (1958)), so the answer is always the same,
+    unlike that of k-means from random starts. Raises InputError if there are fewer conditions than states."""
     if count > len(f1):
         raise InputError("states", [f"--states {count}: there are only {len(f1)} conditions"])
     names = sorted(f1, key=lambda name: (-f1[name], name))
@@ -183,16 +166,9 @@ def _best_split(values: Array, count: int) -> list[tuple[int, int]]:
 
 
 def transitions_of(images: Images, image_state: Indices, states: int, interval_s: float | None = None) -> Transitions:
-    """The chain that frames show whose condition changes while they run; sets of one condition show none.
-
-    Cameras that had the same states at the same times share a chain and count once.
-
-    Args:
-        images: Images with their times.
-        image_state: State of each image, −1 for none, shape (I,).
-        states: Number of states.
-        interval_s: Time between transitions; if None, one at each frame, and the usual time between frames.
-    """
+    """The chain that frames show whose condition changes while they run; sets of one condition show none. Cameras that
+    had the same states at the same times share a chain and count once. Images are in a state (I,), −1 for none.
+    `interval_s` is the time between transitions; if None, one at each frame, and the usual time between frames."""
     changing = [s for s in np.unique(images.source) if len(np.unique(image_state[images.source == s])) > 1]
     frames = []
     for sequence in np.unique(images.sequence):
@@ -222,18 +198,14 @@ def _usual_gap_s(times_s: Sequence[Array]) -> float:
 
 
 def parse_sequence(text: str, states: Sequence[str], source: str) -> Indices:
-    """Indices of the states that a text names, one on each line, shape (lines,).
-
-    Raises:
-        InputError: A name is unknown; each problem names its line.
-    """
+    """Indices of the states that a text names, one on each line, shape (lines,). Raises InputError if a name is
+    unknown; each problem names its line."""
     lines = [line.strip() for line in text.splitlines()]
     places = {name: index for index, name in enumerate(states)}
     if not any(line in places for line in lines):
         raise InputError(source, [f"names no state in any line: one of {', '.join(states)} is needed on each"])
     wrong = [(k, line) for k, line in enumerate(lines, start=1) if line and line not in places]
     if wrong:
-        raise InputError(
-            source, [f"line {k}: unknown state '{line}' ({nearest(line, states)})" for k, line in wrong[:20]]
-        )
+        problems = [f"line {k}: unknown state '{line}' ({nearest(line, states)})" for k, line in wrong[:20]]
+        raise InputError(source, problems)
     return np.array([places[line] for line in lines if line], dtype=np.int64)

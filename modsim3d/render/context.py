@@ -26,11 +26,8 @@ _MAX_DEVICES = 64
 
 @contextmanager
 def egl_context() -> Iterator[GetAddress]:
-    """Make a context current; `MODSIM3D_GL=egl` asks for that of a device, `MODSIM3D_EGL_DEVICE` says which.
-
-    Raises:
-        RendererError: There is no such device, no display or no OpenGL 4.5.
-    """
+    """Make a context current; `MODSIM3D_GL=egl` asks for that of a device, `MODSIM3D_EGL_DEVICE` says which. Raises
+    RendererError if there is no such device, no display or no OpenGL 4.5."""
     from OpenGL import EGL
     from OpenGL.EGL.EXT.platform_base import eglGetPlatformDisplayEXT as get_display
     from OpenGL.platform import PLATFORM
@@ -94,11 +91,7 @@ def _is_software(device: Any) -> bool:
 
 
 def _number(devices: list[Any]) -> int:
-    """Place of the device that is asked for.
-
-    Raises:
-        RendererError: There is none with this number.
-    """
+    """Place of the device that is asked for. Raises RendererError if there is none with this number."""
     text = os.environ.get("MODSIM3D_EGL_DEVICE", "0")
     if text.isdecimal() and int(text) < len(devices):
         return int(text)
@@ -147,11 +140,8 @@ def _wanted() -> str:
 
 
 def choose_backend() -> str:
-    """The backend that `MODSIM3D_GL` names, or the first whose library is there.
-
-    Raises:
-        RendererError: The variable has another value, or no library is there; the message says what to install.
-    """
+    """The backend that `MODSIM3D_GL` names, or the first whose library is there. Raises RendererError if the variable
+    has another value, or no library is there; the message says what to install."""
     wanted = _wanted()
     if wanted not in ("auto", *BACKENDS):
         raise RendererError(f"MODSIM3D_GL={wanted!r}: use one of osmesa, egl, auto")
@@ -163,13 +153,9 @@ def choose_backend() -> str:
 
 @dataclass(frozen=True, eq=False)
 class GLContext:
-    """A current OpenGL context.
+    """A current OpenGL context."""
 
-    Attributes:
-        description: Backend, renderer and version, for run.json.
-    """
-
-    description: str
+    description: str  # backend, renderer and version, for run.json
 
     @cached_property
     def gl(self) -> ModuleType:
@@ -184,13 +170,8 @@ _open_here: GLContext | None = None
 
 @contextmanager
 def open_context() -> Iterator[GLContext]:
-    """Make the process's one OpenGL context and destroy it at the end.
-
-    Inside another `open_context` of the same process this gives the same context.
-
-    Raises:
-        RendererError: No library, no context, or an OpenGL older than 4.5.
-    """
+    """Make the process's one OpenGL context and destroy it at the end. Inside another `open_context` of the same
+    process this gives the same context. Raises RendererError without a library, a context or OpenGL 4.5."""
     global _open_here
     if _open_here is not None:
         yield _open_here
@@ -224,24 +205,20 @@ def _make_context(backend: str, stack: ExitStack) -> GLContext:
 
 
 def _check_functions(backend: str) -> None:
-    """Refuse EGL without the library of OpenGL's functions now: they are loaded at the first drawing only."""
+    """Raise RendererError for EGL without the library of OpenGL's functions, which are loaded at the first drawing."""
     from OpenGL.platform import PLATFORM
 
     if not hasattr(PLATFORM.GL, "glClearDepth"):  # it may be that of OpenGL ES
-        raise RendererError(
-            f"the {backend} renderer cannot be used: the library libOpenGL is missing "
-            "(Debian, Ubuntu: apt install libopengl0)"
-        )
+        missing = "the library libOpenGL is missing (Debian, Ubuntu: apt install libopengl0)"
+        raise RendererError(f"the {backend} renderer cannot be used: {missing}")
 
 
 def prepare_environment(backend: str) -> None:
     """Set what must be set before OpenGL is imported and Mesa is loaded."""
     platform = sys.modules.get("OpenGL.platform")
     if platform is not None and os.environ.get("PYOPENGL_PLATFORM") != backend:
-        raise RendererError(
-            f"OpenGL was imported before with PYOPENGL_PLATFORM={os.environ.get('PYOPENGL_PLATFORM')!r}; "
-            f"{backend} needs a process of its own"
-        )
+        used = f"OpenGL was imported before with PYOPENGL_PLATFORM={os.environ.get('PYOPENGL_PLATFORM')!r}"
+        raise RendererError(f"{used}; {backend} needs a process of its own")
     _refuse_crashes(backend)
     os.environ["PYOPENGL_PLATFORM"] = backend
     if _wanted() != "egl":
@@ -251,7 +228,7 @@ def prepare_environment(backend: str) -> None:
 
 
 def _refuse_crashes(backend: str) -> None:
-    """Refuse variables of the environment with which Mesa ends the process instead of reporting an error."""
+    """Raise RendererError for variables of the environment with which Mesa ends the process without an error."""
     names = ("GALLIUM_DRIVER", "MESA_GLSL_VERSION_OVERRIDE", "MESA_EXTENSION_OVERRIDE")
     driver, language, extensions = (os.environ.get(name, "") for name in names)
     if driver not in ("", "llvmpipe") and backend == "osmesa":
@@ -297,20 +274,9 @@ def _osmesa_context() -> Iterator[GetAddress]:
 
 
 def make_framebuffer(gl: Any, size: tuple[int, int], colour_format: int, what: str) -> tuple[Any, Any]:
-    """Make and bind a framebuffer of a width and height with a colour buffer and a float depth buffer.
-
-    Args:
-        gl: The module of OpenGL functions.
-        size: Width and height.
-        colour_format: OpenGL's number for the format of the colour buffer.
-        what: What is drawn into it, for the error.
-
-    Returns:
-        The framebuffer, and the storages of its colours and its depth.
-
-    Raises:
-        RendererError: The renderer cannot draw into such a buffer.
-    """
+    """Make and bind a framebuffer of a width and height with a colour buffer and a float depth buffer. `colour_format`
+    is OpenGL's number, `what` is drawn into it, for the error. Gives the framebuffer, and the storages of its colours
+    and its depth. Raises RendererError if the renderer cannot draw into such a buffer."""
     framebuffer, storages = gl.glGenFramebuffers(1), gl.glGenRenderbuffers(2)
     gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, framebuffer)
     kinds = (colour_format, gl.GL_COLOR_ATTACHMENT0), (gl.GL_DEPTH_COMPONENT32F, gl.GL_DEPTH_ATTACHMENT)

@@ -1,10 +1,8 @@
 """ID buffers: which solid is front-most at each pixel centre.
-
 Solids are projected in double precision before they get here. OpenGL is only a rasteriser with a depth buffer: it gets
 corners in pixels and the plane of each triangle. Corners are rounded to 1/256 px, the precision of Mesa's rasteriser.
 An offset by whole pixels then changes nothing, so a region of the image holds exactly the pixels that the whole image
 would hold there.
-
 The reciprocal of depth is linear in the image, so each triangle has three coefficients, and a pixel's depth is a sum of
 their products with its column and row. Triangles in one plane, as the decks of two rafted boats, have the same
 coefficients when these are rounded, and therefore the same depth at every pixel, in any buffer: the first is in front.
@@ -77,13 +75,8 @@ class Region:
 
     @classmethod
     def around(cls, box_px: Array, image_size_px: tuple[int, int], margin_px: int = 1) -> Region:
-        """The pixels of an image that a box x_min, y_min, x_max, y_max, shape (4,), touches; empty if there are none.
-
-        Args:
-            box_px: Shape (4,).
-            image_size_px: Width and height.
-            margin_px: Added on each side, within the image.
-        """
+        """The pixels of an image that a box x_min, y_min, x_max, y_max, shape (4,), touches; empty if there are none. A
+        margin is added on each side, within the image."""
         low = np.clip(np.floor(box_px[:2]) - margin_px, 0, image_size_px)
         high = np.clip(np.ceil(box_px[2:]) + margin_px, 0, image_size_px)
         width, height = np.maximum(high - low, 0)
@@ -99,17 +92,11 @@ class Region:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Regions of an image that are drawn side by side in one buffer.
-
-    Attributes:
-        regions: The k regions.
-        places: Column and row of the top left corner of each in the buffer, shape (k, 2). No two overlap there.
-        size: Width and height of the buffer.
-    """
+    """Regions of an image that are drawn side by side in one buffer."""
 
     regions: list[Region]
-    places: NDArray[np.int64]
-    size: tuple[int, int]
+    places: NDArray[np.int64]  # column and row of the top left corner of each in the buffer, (k, 2); no two overlap
+    size: tuple[int, int]  # width and height of the buffer
 
     @property
     def corners(self) -> NDArray[np.int64]:
@@ -118,12 +105,9 @@ class Sheet:
 
 
 class IdRenderer:
-    """Draws triangles into ID buffers of 32-bit integers with a float depth buffer.
-
-    Integer buffers are never blended, dithered or converted, and 32 bits hold more IDs than a scene can have. The depth
-    is near/c3, greatest at the front. Its precision is therefore relative: two boxes a metre apart are drawn in the
-    right order at any distance.
-    """
+    """Draws triangles into ID buffers of 32-bit integers with a float depth buffer. Integer buffers are never blended,
+    dithered or converted, and 32 bits hold more IDs than a scene can have. The depth is near/c3, greatest at the front.
+    Its precision is therefore relative: two boxes a metre apart are drawn in the right order at any distance."""
 
     def __init__(self, context: GLContext) -> None:
         """Draw in a context."""
@@ -156,48 +140,25 @@ class IdRenderer:
         self.draw(whole, np.ones((1, 3)), np.ones(1, dtype=np.int64), corner)
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
-        """The ID at each pixel of a region, shape (region.height, region.width); zero where nothing is.
-
-        Args:
-            corners_px: Columns and rows of triangles in image pixels, shape (T, 3, 2).
-            inverse_depth: near / c3 of the corners, in (0, 1], shape (T, 3).
-            ids: Positive ID of each triangle's solid, shape (T,).
-            region: Part of the image to draw.
-
-        Raises:
-            RendererError: The region is larger than a buffer may be.
-        """
+        """The ID at each pixel of a region, shape (region.height, region.width); zero where nothing is. Triangles have
+        corners at columns and rows of the image in pixels (T, 3, 2), near / c3 of these in (0, 1] (T, 3), and a
+        positive ID of their solid (T,). Raises RendererError if the region is larger than a buffer."""
         sheet = Sheet([region], np.zeros((1, 2), dtype=np.int64), (region.width, region.height))
         return self.draw_sheet(corners_px, inverse_depth, ids, np.array([len(ids)]), sheet)
 
     def draw_sheet(
-        self,
-        corners_px: Array,
-        inverse_depth: Array,
-        ids: NDArray[np.integer],
-        counts: NDArray[np.int64],
-        sheet: Sheet,
+        self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], counts: NDArray[np.int64], sheet: Sheet
     ) -> Ids:
         """The ID at each pixel of a buffer with several regions, shape (height, width); zero where nothing is.
-
-        Args:
-            corners_px: As for `draw`; the triangles of the first region come first.
-            inverse_depth: As for `draw`.
-            ids: As for `draw`.
-            counts: How many triangles are drawn in each of the k regions, shape (k,).
-            sheet: Where the regions lie.
-
-        Raises:
-            RendererError: The buffer is larger than one may be.
-        """
+        Triangles are given as for `draw`, those of the first region first; `counts` says how many are drawn in each of
+        the k regions (k,). Raises RendererError if the buffer is larger than one may be."""
         width, height = sheet.size
         out = np.zeros((height, width), dtype=np.uint32)
         if not len(ids) or not out.size:
             return out
         if max(sheet.size) > MAX_REGION_PX:
-            raise RendererError(
-                f"an ID buffer of {width} × {height} px is too large: at most {MAX_REGION_PX} px a side"
-            )
+            problem = f"an ID buffer of {width} × {height} px is too large"
+            raise RendererError(f"{problem}: at most {MAX_REGION_PX} px a side")
         vertices, origins = _vertices(corners_px, inverse_depth, ids, counts, sheet)
         gl = self._gl
         self._bind_buffer(width, height)
@@ -205,11 +166,9 @@ class IdRenderer:
         gl.glClear(gl.GL_DEPTH_BUFFER_BIT)
         gl.glBufferData(gl.GL_ARRAY_BUFFER, vertices.nbytes, vertices, gl.GL_STREAM_DRAW)
         gl.glEnable(gl.GL_SCISSOR_TEST)
-        firsts = np.cumsum(counts) - counts
-        places = zip(
-            sheet.places.tolist(), sheet.regions, origins.tolist(), firsts.tolist(), counts.tolist(), strict=True
-        )
-        for (x, y), region, (left, top), first, count in places:
+        columns = sheet.places, origins, np.cumsum(counts) - counts, counts
+        places = zip(sheet.regions, *(column.tolist() for column in columns), strict=True)
+        for region, (x, y), (left, top), first, count in places:
             gl.glViewport(x + left, y + top, VIEWPORT_PX, VIEWPORT_PX)
             gl.glScissor(x, y, region.width, region.height)
             gl.glUniform2f(self._to_image, region.x - x, region.y - y)
@@ -253,10 +212,8 @@ def _vertices(
 
 
 def _planes(corners_px: Array, inverse_depth: Array) -> Array:
-    """Coefficients of column, row and 1 whose sum is the inverse depth of each triangle, shape (T, 3).
-
-    Of a triangle without area in the image it is that of its corners' mean.
-    """
+    """Coefficients of column, row and 1 whose sum is the inverse depth of each triangle, shape (T, 3). Of a triangle
+    without area in the image it is that of its corners' mean."""
     (ax, ay), (bx, by) = (corners_px[:, 1:] - corners_px[:, :1]).transpose(1, 2, 0)
     a, b = (inverse_depth[:, 1:] - inverse_depth[:, :1]).T
     area = ax * by - bx * ay
@@ -292,10 +249,8 @@ class AnyIdRenderer(Protocol):
 
 
 class PlainIds:
-    """Draws triangle by triangle with a depth buffer, in NumPy.
-
-    A pixel whose centre is exactly on an edge belongs to the triangles on both sides; OpenGL gives it to one of them.
-    """
+    """Draws triangle by triangle with a depth buffer, in NumPy. A pixel whose centre is exactly on an edge belongs to
+    the triangles on both sides; OpenGL gives it to one of them."""
 
     def draw(self, corners_px: Array, inverse_depth: Array, ids: NDArray[np.integer], region: Region) -> Ids:
         """The ID at each pixel of a region, shape (height, width); zero where nothing is. See `IdRenderer.draw`."""

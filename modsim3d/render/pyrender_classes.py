@@ -1,7 +1,5 @@
 """pyrender's camera and renderer, adapted to the projection and the depth of the ID pass.
-
-Import this module after `import_pyrender`, which loads pyrender so that it needs no screen.
-"""
+Import this module after `import_pyrender`, which loads pyrender so that it needs no screen."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """Solids in the light of lamps, drawn by pyrender in the process's one OpenGL context.
-
 pyrender's own cameras have no skew, and its buffers blend the edges of solids. Therefore pyrender gets what the ID pass
 gets: triangles that are already clipped, the projection of the camera itself, and a buffer without multisampling whose
 depth is floating-point and reversed. A pixel then shows the solid that the ID pass finds there, except where single
-precision puts a pixel centre on the other side of an edge.
-"""
+precision puts a pixel centre on the other side of an edge."""
 
 from __future__ import annotations
 
@@ -29,13 +27,8 @@ GAMMA = 2.2
 
 def import_pyrender() -> Any:
     """The pyrender module for offscreen rendering, imported in the one way that works without a screen.
-
     `import pyrender` also imports its window. The window needs pyglet, which needs libGL and an X library that servers
-    do not have. An empty module replaces the window.
-
-    Raises:
-        RendererError: There is no OpenGL library.
-    """
+    do not have. An empty module replaces the window. Raises RendererError if there is no OpenGL library."""
     prepare_environment(choose_backend())
     if "pyrender" not in sys.modules:
         window = ModuleType("pyrender.viewer")
@@ -48,45 +41,28 @@ def import_pyrender() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class LitFaces:
-    """Triangles of T faces in camera coordinates.
+    """Triangles of T faces in camera coordinates."""
 
-    Attributes:
-        corners_camera: In CCF, none nearer than the near plane, shape (T, 3, 3).
-        normals_camera: Unit vectors in CCF towards the side that is seen, shape (T, 3).
-        colours: Red, green and blue as a screen has them (sRGB), from 0 to 1, shape (T, 3).
-    """
-
-    corners_camera: Array
-    normals_camera: Array
-    colours: Array
+    corners_camera: Array  # in CCF, none nearer than the near plane, shape (T, 3, 3)
+    normals_camera: Array  # unit vectors in CCF towards the side that is seen, shape (T, 3)
+    colours: Array  # red, green and blue as a screen has them (sRGB), from 0 to 1, shape (T, 3)
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """Light from far away.
+    """Light from far away."""
 
-    Attributes:
-        towards_camera: Direction to the lamp in CCF.
-        colour: Red, green and blue.
-        strength: 3 makes a white face that is turned to it about white.
-    """
-
-    towards_camera: tuple[float, float, float]
-    colour: tuple[float, float, float]
-    strength: float
+    towards_camera: tuple[float, float, float]  # direction to the lamp in CCF
+    colour: tuple[float, float, float]  # red, green and blue
+    strength: float  # 3 makes a white face that is turned to it about white
 
 
 @dataclass(frozen=True, eq=False)
 class Lit:
-    """A picture of w × h pixels.
+    """A picture of w × h pixels."""
 
-    Attributes:
-        colour: sRGB, zero where nothing is, shape (h, w, 3).
-        depth_m: Distance c3 along the viewing direction, infinite where nothing is, shape (h, w).
-    """
-
-    colour: NDArray[np.uint8]
-    depth_m: NDArray[np.float32]
+    colour: NDArray[np.uint8]  # sRGB, zero where nothing is, shape (h, w, 3)
+    depth_m: NDArray[np.float32]  # distance c3 along the viewing direction, infinite where nothing is, shape (h, w)
 
     @property
     def drawn(self) -> Mask:
@@ -103,9 +79,8 @@ class ShadedRenderer:
         self._pyrender = import_pyrender()
         from modsim3d.render.pyrender_classes import ProjectionCamera, SharpRenderer  # they need pyrender
 
-        self._material = self._pyrender.MetallicRoughnessMaterial(
-            baseColorFactor=[1.0, 1.0, 1.0, 1.0], doubleSided=True
-        )
+        white = [1.0, 1.0, 1.0, 1.0]
+        self._material = self._pyrender.MetallicRoughnessMaterial(baseColorFactor=white, doubleSided=True)
         self._camera_type = ProjectionCamera
         self._drawer = SharpRenderer(1, 1)
 
@@ -118,27 +93,15 @@ class ShadedRenderer:
         lamps: Sequence[Lamp],
         ambient: tuple[float, float, float],
     ) -> Lit:
-        """Draw T faces.
-
-        Args:
-            faces: None may be nearer than the near plane.
-            pixels: From CCF to homogeneous columns and rows of the picture, shape (3, 3): K, scaled and shifted to the
-                window that the picture shows.
-            near_m: Depth of the near plane.
-            size: Width and height of the picture.
-            lamps: Directed light.
-            ambient: Red, green and blue of the light from all directions, as shares of a face's colour.
-
-        Raises:
-            RendererError: The picture is larger than a buffer may be.
-        """
+        """Draw T faces in a picture of a width and height, with directed light and light from all directions. `pixels`
+        maps CCF to homogeneous columns and rows of the picture, shape (3, 3): K, scaled and shifted to the window that
+        the picture shows. No face may be nearer than the near plane. `ambient` is red, green and blue, as shares of a
+        face's colour. Raises RendererError if the picture is larger than a buffer may be."""
+        width, height = size
         if not len(faces.colours) or not min(size):
-            shape = (size[1], size[0])
-            return Lit(np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32))
+            return Lit(np.zeros((height, width, 3), np.uint8), np.full((height, width), np.inf, np.float32))
         if max(size) > MAX_REGION_PX:
-            raise RendererError(
-                f"a picture of {size[0]} × {size[1]} px is too large: at most {MAX_REGION_PX} px a side"
-            )
+            raise RendererError(f"a picture of {width} × {height} px is too large: at most {MAX_REGION_PX} px a side")
         scene = self._pyrender.Scene(bg_color=[0.0, 0.0, 0.0, 0.0])
         scene.add(self._camera_type(_clip(pixels, near_m, size)))
         scene.add(self._mesh(faces, lit_colours(faces, lamps, ambient)))
@@ -177,27 +140,22 @@ def _clip(pixels: Array, near_m: float, size: tuple[int, int]) -> Array:
 
 
 def lit_colours(faces: LitFaces, lamps: Sequence[Lamp], ambient: tuple[float, float, float]) -> Array:
-    """The sRGB colour of each face in the light of lamps, by Lambert's law, shape (T, 3).
-
-    In light from far away a flat face has one colour. It is computed here once per face, because computing it at each
-    pixel took most of the time of a picture (benchmarks/drawing.py).
-    """
+    """The sRGB colour of each face in the light of lamps, by Lambert's law, shape (T, 3). In light from far away a flat
+    face has one colour. It is computed here once per face, because computing it at each pixel took most of the time of
+    a picture (benchmarks/drawing.py)."""
     light = np.tile(np.array(ambient, dtype=np.float64), (len(faces.colours), 1))
     for lamp in lamps:
         towards = np.array(lamp.towards_camera) / np.linalg.norm(lamp.towards_camera)
         turned = np.maximum(faces.normals_camera @ towards, 0.0)
         light += turned[:, None] * np.array(lamp.colour) * lamp.strength / np.pi
-    colours: Array = np.clip(faces.colours**GAMMA * light, 0.0, 1.0) ** (1 / GAMMA)
-    return colours
+    return np.clip(faces.colours**GAMMA * light, 0.0, 1.0) ** (1 / GAMMA)
 
 
 @contextmanager
 def _kept_state(gl: Any) -> Iterator[None]:
     """Restore the state that the ID pass sets once for all of its pictures."""
-    program, vertices, buffer = (
-        int(gl.glGetIntegerv(name))
-        for name in (gl.GL_CURRENT_PROGRAM, gl.GL_VERTEX_ARRAY_BINDING, gl.GL_ARRAY_BUFFER_BINDING)
-    )
+    names = gl.GL_CURRENT_PROGRAM, gl.GL_VERTEX_ARRAY_BINDING, gl.GL_ARRAY_BUFFER_BINDING
+    program, vertices, buffer = (int(gl.glGetIntegerv(name)) for name in names)
     try:
         yield
     finally:

@@ -1,7 +1,5 @@
 """Functions on arrays, against a loop over their rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,50 +1,35 @@
 """Documents: what is empty is shown nowhere, and each place shows what is for it."""
 
-from __future__ import annotations
-
 import io
 
 from modsim3d.cli.terminal import open_console
 from modsim3d.cli.terminal_tables import print_document
-from modsim3d.core.document import (
-    Beside,
-    Cell,
-    Document,
-    Figure,
-    Fold,
-    Heading,
-    Items,
-    Table,
-    Text,
-    Tiles,
-    Where,
-    shown,
-)
+from modsim3d.core import document as blocks_of
+from modsim3d.core.document import Cell, Document, Heading, Table, Text, Where, shown
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance
 
-RESTS_ON = Provenance("a page", "a test", ())
 ROWS = [("sort", "0.5 [0.4, 0.6]"), ("other", "0.25 [0.1, 0.4]")]
 DOCUMENT = Document(
     "Two <trackers>",
     [Text("Sort is best.", "lead", Where.EVERYWHERE)],
     [
-        Tiles([("HOTA", "0.5", "of sort")]),
+        blocks_of.Tiles([("HOTA", "0.5", "of sort")]),
         Heading("Scores"),
         Table("", ("tracker", "HOTA"), ROWS, bad={1}, notes={1: "lost & never found"}, where=Where.EVERYWHERE),
         Heading("Curves"),
-        Figure(lambda: "<svg></svg>", "A curve."),
+        blocks_of.Figure(lambda: "<svg></svg>", "A curve."),
         Heading("Nothing here"),
         Text(""),
         Heading("Cells"),
-        Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=Where.PAGE)]),
-        Beside([Items(["only printed"], Where.TERMINAL)]),
+        blocks_of.Fold("pressed", [Table("", ("", "share"), [("a", Cell("30 %", 0.3))], where=Where.PAGE)]),
+        blocks_of.Beside([blocks_of.Items(["only printed"], Where.TERMINAL)]),
     ],
 )
 
 
 def test_a_page_has_all_that_is_for_it_and_no_heading_of_nothing():
-    page = document_page(DOCUMENT, RESTS_ON)
+    page = document_page(DOCUMENT, Provenance("a page", "a test", ()))
     for part in ("Two &lt;trackers&gt;", "<h2>Scores</h2>", "<h2>Curves</h2>", "<svg>", "lost &amp; never found",
                  "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
         assert part in page
@@ -52,23 +37,28 @@ def test_a_page_has_all_that_is_for_it_and_no_heading_of_nothing():
     assert page.index("Sort is best.") < page.index("Scores")
 
 
-def test_a_terminal_shows_the_outcome_last_and_neither_charts_nor_their_headings():
+def printed(document: Document) -> str:
     file = io.StringIO()
-    print_document(open_console(file=file, width=80), DOCUMENT)
-    assert file.getvalue().split("\n") == [
-        "",
-        "Scores",
-        "tracker             HOTA",
-        "sort      0.5 [0.4, 0.6]",
-        "other    0.25 [0.1, 0.4]",
-        "  other, 0.25 [0.1, 0.4]: lost & never found",
-        "",
-        "Cells",
-        "  only printed",
-        "",
-        "Sort is best.",
-        "",
-    ]
+    print_document(open_console(file=file, width=80), document)
+    return file.getvalue()
+
+
+PRINTED = """
+Scores
+tracker             HOTA
+sort      0.5 [0.4, 0.6]
+other    0.25 [0.1, 0.4]
+  other, 0.25 [0.1, 0.4]: lost & never found
+
+Cells
+  only printed
+
+Sort is best.
+"""
+
+
+def test_a_terminal_shows_the_outcome_last_and_neither_charts_nor_their_headings():
+    assert printed(DOCUMENT) == PRINTED
 
 
 def test_a_notebook_has_the_outcome_and_the_tables_that_are_for_it():
@@ -87,6 +77,4 @@ def test_a_column_of_drawings_alone_is_not_printed_and_rows_without_names_of_col
         Table("drawn", ("a", "axis", "b"), [("1", Cell("", draw=lambda: "<svg></svg>"), "2")]),
         Table("named", (), [("name", "value")]),
     ]
-    file = io.StringIO()
-    print_document(open_console(file=file, width=80), Document("", [], blocks))
-    assert file.getvalue().split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]
+    assert printed(Document("", [], blocks)).split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ast
 import itertools
 import tracemalloc
@@ -20,24 +18,18 @@ from modsim3d.core.random_streams import Purpose, Streams, normals
 UNIFORM = [purpose for purpose in Purpose if purpose.width is not None]
 
 
-def uses() -> dict[Purpose, set[str]]:
-    """The modules of the package that name each purpose."""
-    package, found = Path(modsim3d.__file__).parent, defaultdict(set)
-    texts = {path: path.read_text(encoding="utf-8") for path in package.rglob("*.py")}
-    for path, text in texts.items():
+def test_every_purpose_is_used_in_exactly_one_module() -> None:
+    package, modules = Path(modsim3d.__file__).parent, defaultdict(set)
+    for path in package.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
         for node in ast.walk(ast.parse(text)) if "Purpose" in text else ():  # to parse the others takes seconds
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "Purpose":
-                found[Purpose[node.attr]].add(path.relative_to(package).as_posix())
-    return found
-
-
-def test_every_purpose_is_used_in_exactly_one_module() -> None:
-    modules = uses()
+                modules[Purpose[node.attr]].add(path.relative_to(package).as_posix())
     modules[Purpose.PLUGIN].add("a plug-in's")
     assert {purpose.name: sorted(modules[purpose]) for purpose in Purpose if len(modules[purpose]) != 1} == {}
 
 
-def test_two_purposes_cannot_share_a_text() -> None:
+def test_two_purposes_share_neither_a_text_nor_what_they_are_for() -> None:
     texts = [purpose.value for purpose in Purpose]
     assert len(set(texts)) == len(texts) == len(Purpose.__members__)
     with pytest.raises(ValueError, match="duplicate"):
@@ -48,8 +40,6 @@ def test_two_purposes_cannot_share_a_text() -> None:
             ONE = "text", 1, "this"
             TWO = "text", 2, "that"
 
-
-def test_every_purpose_says_what_it_is_for() -> None:
     assert all(purpose.meaning and purpose.meaning != purpose.value for purpose in Purpose)
     assert len({purpose.meaning for purpose in Purpose}) == len(Purpose)
 
@@ -60,17 +50,12 @@ def test_a_purpose_has_one_width() -> None:
         Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
     with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
         Streams(3).generator(Purpose.BOX_ERROR, "C0", "a", step=0)
+    one = np.zeros(1, int)
     with pytest.raises(ValueError, match="BOX_ERROR has 4 uniform numbers a step and no generator"):
-        Streams(3).generated(
-            Purpose.BOX_ERROR, owners=("a",), owner=np.zeros(1, int), steps=np.zeros(1, int), first=0, count=1
-        )
+        Streams(3).generated(Purpose.BOX_ERROR, owners=("a",), owner=one, steps=one, first=0, count=1)
 
 
-@given(
-    borders=st.lists(st.integers(0, 60), max_size=6),
-    purpose=st.sampled_from(UNIFORM),
-    first=st.integers(0, 2**40),
-)
+@given(st.lists(st.integers(0, 60), max_size=6), st.sampled_from(UNIFORM), st.integers(0, 2**40))
 def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], purpose: Purpose, first: int) -> None:
     whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)
     streams, edges = Streams(3), [0, *sorted(borders), 60]
@@ -111,14 +96,10 @@ def test_another_seed_purpose_or_name_gives_other_numbers(seed: int, purpose: Pu
     assert not np.intersect1d(ours, theirs).size
 
 
-def test_generators_of_different_steps_do_not_overlap() -> None:
+def test_generators_are_repeatable_and_those_of_different_steps_do_not_overlap() -> None:
     streams = Streams(3)
     draws = [streams.generator(Purpose.AGENTS, "a", step=step).random(1000) for step in range(5)]
     assert len(np.unique(np.concatenate(draws))) == 5000
-
-
-def test_generators_are_repeatable_and_independent_of_each_other() -> None:
-    streams = Streams(3)
     one, two = streams.generator(Purpose.AGENTS, "a", step=1), streams.generator(Purpose.AGENTS, "a", step=1)
     two.random(5)
     assert np.array_equal(one.random(3), Streams(3).generator(Purpose.AGENTS, "a", step=1).random(3))
@@ -130,9 +111,7 @@ def test_generators_are_repeatable_and_independent_of_each_other() -> None:
     ids=["one", "few", "few far apart", "many"],
 )
 @pytest.mark.parametrize("purpose", [Purpose.CLASS, Purpose.CLUTTER], ids=["a block a step", "two blocks a step"])
-def test_numbers_of_many_streams_are_those_of_each(
-    owners: int, span: int, at_once: bool, purpose: Purpose, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_numbers_of_many_streams_are_those_of_each(owners: int, span: int, at_once, purpose, monkeypatch) -> None:
     random, names = np.random.default_rng(owners), [f"vessel{index}" for index in range(owners)]
     owner, steps = random.integers(0, owners, 2 * owners + 5), 2**40 + random.integers(0, span, 2 * owners + 5)
     vectorised = Mock(wraps=random_streams.uniforms)
@@ -165,16 +144,16 @@ def test_streams_of_one_step_are_drawn_in_turn(monkeypatch: pytest.MonkeyPatch) 
         assert len(Streams(3).uniforms_of(Purpose.CLASS, owners=names, owner=owner, steps=steps)) == len(owner)
 
 
-def test_no_rows_of_streams_give_no_numbers() -> None:
-    nothing = np.empty(0, dtype=np.int64)
+def test_no_rows_or_steps_give_no_numbers() -> None:
+    nothing, no_words = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.uint64)
     assert Streams(3).uniforms_of(Purpose.CLASS, owners=["a"], owner=nothing, steps=nothing).shape == (0, 1)
+    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0).shape == (0, 3)
+    assert random_streams.uniforms(no_words.reshape(0, 2), no_words, no_words, 3, 5).shape == (0, 5)
 
 
 @pytest.mark.parametrize("times", [1, 9], ids=["mostly in turn", "mostly at once"])
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2**40)), max_size=6), st.integers(0, 9), st.integers(0, 9))
-def test_numbers_of_many_generators_are_those_of_each(
-    times: int, some: list[tuple[int, int]], first: int, count: int
-) -> None:
+def test_numbers_of_many_generators_are_those_of_each(times: int, some, first: int, count: int) -> None:
     streams, owners, purpose = Streams(3), ("a", "b", "c"), Purpose.BOX_ERROR_REDRAW
     rows = some * times
     owner, steps = np.array(rows, dtype=np.int64).reshape(-1, 2).T
@@ -185,31 +164,45 @@ def test_numbers_of_many_generators_are_those_of_each(
 
 def test_numbers_are_the_same_in_every_process() -> None:
     numbers = Streams(2023).uniforms(Purpose.CONFIDENCE, "C0", "vessel1", first=12, count=1)
-    assert numbers.tolist() == REFERENCE
+    assert numbers.tolist() == [[0.18153337862538155, 0.694646420313789]]
     generator = Streams(2023).generator(Purpose.BOX_ERROR_REDRAW, "C0", "vessel1", step=12)
-    assert generator.random(2).tolist() == REFERENCE_OF_GENERATOR
+    assert generator.random(2).tolist() == [0.10250895715086494, 0.07279324687871547]
 
 
-REFERENCE = [[0.18153337862538155, 0.694646420313789]]
-REFERENCE_OF_GENERATOR = [0.10250895715086494, 0.07279324687871547]
-
-
-def test_uniforms_lie_in_the_unit_interval_and_have_its_mean() -> None:
-    numbers = Streams(1).uniforms(Purpose.SEA, first=0, count=50_000)
-    assert numbers.shape == (50_000, 2)
-    assert numbers.min() >= 0
-    assert numbers.max() < 1
-    assert abs(numbers.mean() - 0.5) < 4 / np.sqrt(12 * numbers.size)
-
-
-def test_the_normal_of_zero_is_finite() -> None:
+def test_the_normal_of_zero_is_finite_and_a_negative_seed_is_refused() -> None:
     assert normals(np.array([0.0, 0.5])).tolist() == pytest.approx([-8.2924, 0.0], abs=1e-4)
-
-
-def test_no_steps_give_no_numbers() -> None:
-    assert Streams(1).uniforms(Purpose.WAVE_ANGLES, first=5, count=0).shape == (0, 3)
-
-
-def test_a_negative_seed_is_refused() -> None:
     with pytest.raises(ValueError, match="non-negative"):
         Streams(-1)
+
+
+WORD, HALF_WORD = st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)
+COUNTER, NUMBER = st.integers(0, 2**62), st.integers(0, 30)
+SPAWN_KEYS = st.integers(1, 9).flatmap(lambda width: st.lists(st.tuples(*[HALF_WORD] * width), min_size=1, max_size=4))
+
+
+def generator(key: tuple[int, int], low: int, high: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(key=np.array(key, dtype=np.uint64), counter=low + (high << 192)))
+
+
+@given(st.lists(st.tuples(st.tuples(WORD, WORD), st.tuples(WORD, WORD, WORD, WORD)), min_size=1, max_size=9))
+def test_blocks_are_those_of_numpy(drawn: list[tuple[tuple[int, int], tuple[int, int, int, int]]]) -> None:
+    keys, counters = (np.array(part, dtype=np.uint64) for part in zip(*drawn, strict=True))
+    blocks = random_streams.philox(keys.T, counters.T)
+    for (key, words), block in zip(drawn, blocks.T, strict=True):
+        before = (sum(word << (64 * place) for place, word in enumerate(words)) - 1) % 2**256
+        numpys = np.random.Philox(key=np.array(key, dtype=np.uint64), counter=before)
+        assert block.tolist() == numpys.random_raw(4).tolist()
+
+
+@given(st.lists(st.tuples(st.tuples(WORD, WORD), COUNTER, COUNTER), min_size=1, max_size=5), NUMBER, NUMBER)
+def test_numbers_are_those_of_numpy(drawn: list[tuple[tuple[int, int], int, int]], first: int, count: int) -> None:
+    keys, low, high = (np.array(part, dtype=np.uint64) for part in zip(*drawn, strict=True))
+    numpys = [generator(*each).random(first + count)[first:] for each in drawn]
+    assert np.array_equal(random_streams.uniforms(keys, low, high, first, count), numpys)
+
+
+@given(st.integers(0, 2**200), SPAWN_KEYS)
+def test_seeded_keys_are_those_of_numpy(seed: int, spawn_keys: list[tuple[int, ...]]) -> None:
+    ours = random_streams.seeded_keys(seed, np.array(spawn_keys, dtype=np.uint32).T)
+    numpys = [np.random.SeedSequence(seed, spawn_key=key).generate_state(2, np.uint64) for key in spawn_keys]
+    np.testing.assert_array_equal(ours, numpys)

@@ -4,9 +4,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from modsim3d.geometry import camera_poses
 from modsim3d.geometry.camera import Distortion, Intrinsics, clip_triangles, guard_planes, near_plane
-from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_ashore, poses_on_board
+from modsim3d.geometry.camera_poses import (
+    BASE_R_WORLD,
+    Mount,
+    camera_R_parent,
+    heading_of,
+    poses_ashore,
+    poses_on_board,
+    rotation,
+    rotation_vector,
+)
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
 SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)
@@ -58,17 +69,13 @@ def test_focal_lengths_of_pixels_that_are_not_square_are_in_their_own_sides():
 
 @pytest.mark.parametrize("kind", [np.float32, np.int64])
 def test_numbers_of_any_kind_are_computed_with_in_double_precision(kind):
-    given = np.array([[412, 305], [3, 7]]).astype(kind)
-    depth, points = np.array([3, 7]).astype(kind), np.array([[1, 2, 3], [4, 5, 7]]).astype(kind)
-    lens = replace(SKEWED, distortion=Distortion(k1=-0.1))
-    for camera in (SKEWED, lens):
-        for found, exact in (
-            (camera.project(points), camera.project(points.astype(np.float64))),
-            (camera.unproject(given, depth), camera.unproject(given.astype(np.float64), depth.astype(np.float64))),
-            (camera.through_lens(given), camera.through_lens(given.astype(np.float64))),
-        ):
+    pixels, depth, points = [[412, 305], [3, 7]], [3, 7], [[1, 2, 3], [4, 5, 7]]
+    for camera in (SKEWED, replace(SKEWED, distortion=Distortion(k1=-0.1))):
+        inputs = {camera.project: (points,), camera.unproject: (pixels, depth), camera.through_lens: (pixels,)}
+        for compute, arrays in inputs.items():
+            found = compute(*(np.array(each).astype(kind) for each in arrays))
             assert found.dtype == np.float64
-            np.testing.assert_array_equal(found, exact)
+            np.testing.assert_array_equal(found, compute(*(np.array(each, dtype=np.float64) for each in arrays)))
 
 
 def test_points_behind_the_camera_or_before_the_near_plane_have_no_image():
@@ -126,7 +133,7 @@ def test_clipping_leaves_what_is_inside_and_drops_what_is_outside():
 
 @pytest.mark.parametrize("depths", [(2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)])
 def test_triangle_that_touches_the_plane_is_left_as_it_is(depths):
-    triangle = np.array([[[0.0, 0.0, depths[0]], [0.1, 0.1, depths[1]], [0.0, 0.1, depths[2]]]])
+    triangle = np.column_stack([[0.0, 0.1, 0.0], [0.0, 0.1, 0.1], depths])[None]
     np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY))[0], triangle)
 
 
@@ -141,8 +148,7 @@ def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
         plane = np.array([[*normal, normal @ triangle[0].mean(axis=0) + rng.normal(scale=0.3)]])
         parts = [clip_triangles(triangle, side)[0] for side in (plane, -plane)]
         for side, part in zip((plane[0], -plane[0]), parts, strict=True):
-            assert (part @ side[:3] - side[3] > -1e-12).all()
-            assert (area_vectors(part) @ whole > -1e-12).all()
+            assert (part @ side[:3] - side[3] > -1e-12).all() and (area_vectors(part) @ whole > -1e-12).all()
         np.testing.assert_allclose(sum(area_vectors(part).sum(axis=0) for part in parts), whole, atol=1e-12)
 
 
@@ -163,3 +169,61 @@ def test_guard_planes_cut_at_the_guard_band():
     pixels = SKEWED.project(clip_triangles(triangle, planes)[0])
     np.testing.assert_allclose([pixels[..., 0].min(), pixels[..., 0].max()], [-100, 900], atol=1e-6)
     assert pixels[..., 1].max() == pytest.approx(700)
+
+
+angles = st.floats(-10, 10)
+
+
+@given(angles, angles, angles)
+def test_camera_rotation_is_orthonormal_and_right_handed(roll, pitch, yaw):
+    matrix = camera_R_parent(roll, pitch, yaw)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-12)
+    assert abs(np.linalg.det(matrix) - 1) < 1e-12
+
+
+def test_base_pose_is_two_quarter_turns():
+    """Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2)."""
+    np.testing.assert_allclose(rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), BASE_R_WORLD, atol=1e-15)
+
+
+def test_base_pose_looks_along_w1_with_right_along_minus_w2_and_down_along_minus_w3():
+    np.testing.assert_array_equal(BASE_R_WORLD @ [[1, 0, 0], [0, -1, 0], [0, 0, -1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+
+
+def test_heading_is_counter_clockwise_from_w1_and_port_is_v2():
+    turned = camera_poses.world_R_vehicle(np.pi / 2)
+    np.testing.assert_allclose(turned @ np.eye(3)[:2].T, [[0, -1], [1, 0], [0, 0]], atol=1e-15)
+
+
+@given(angles)
+def test_heading_of_recovers_the_sign_that_arccos_loses(heading):
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    assert np.isclose(np.angle(np.exp(1j * (heading_of(direction) - heading))), 0, atol=1e-9)
+
+
+def test_attitude_broadcasts_over_steps():
+    angle = np.linspace(-1, 1, 7)
+    stacked = camera_poses.attitude(angle, 2 * angle, 3 * angle)
+    each = [rotation(2, a) @ rotation(0, 2 * a) @ rotation(1, 3 * a) for a in angle]
+    np.testing.assert_allclose(stacked, each, atol=1e-15)
+
+
+def test_angles_of_single_precision_are_turned_by_in_double_precision():
+    angle = np.array([0.1, 0.7, -0.3], dtype=np.float32)
+    for turn in (lambda a: rotation(2, a), camera_poses.vehicle_R_nominal, lambda a: rotation_vector(rotation(1, a))):
+        assert turn(angle).dtype == np.float64
+        np.testing.assert_array_equal(turn(angle), turn(angle.astype(np.float64)))
+    east = np.array([0.3, 0.1], dtype=np.float32)
+    assert heading_of(east) == heading_of(east.astype(np.float64))
+    single = rotation(0, 0.4).astype(np.float32)
+    np.testing.assert_array_equal(rotation_vector(single), rotation_vector(single.astype(np.float64)))
+
+
+def test_rotation_vectors_of_many_turns_up_to_half_a_turn_are_those_of_each():
+    rng = np.random.default_rng(6)
+    axes = rng.normal(size=(60, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    vectors = axes * np.concatenate([rng.uniform(0, 3.14, 30), np.pi - np.geomspace(1e-12, 0.5, 30)])[:, None]
+    turns = Rotation.from_rotvec(vectors).as_matrix()
+    np.testing.assert_allclose(rotation_vector(turns), vectors, atol=1e-9)
+    np.testing.assert_array_equal(rotation_vector(turns), [rotation_vector(turn) for turn in turns])

@@ -1,11 +1,26 @@
-"""Velocities and accelerations by differences."""
+"""Velocities and accelerations by differences, unions of polygons, and closest approaches of tracks and hulls."""
+
+from pathlib import Path
 
 import numpy as np
+import pytest
+import shapely
+import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.hull_distances import TOLERANCE_M, Rectangles, least_hull_distance, rectangle_distances
 from modsim3d.geometry.camera_poses import rotation
-from modsim3d.geometry.kinematics import first_derivative, second_derivative, slopes, turning, velocities
+from modsim3d.geometry.kinematics import (
+    HullTracks,
+    closest_approach,
+    first_derivative,
+    second_derivative,
+    slopes,
+    turning,
+    union_of,
+    velocities,
+)
 
 TIMES = st.lists(st.floats(0.05, 2.0), min_size=2, max_size=12).map(lambda gaps: np.cumsum([3.0, *gaps]))
 NUMBERS = st.floats(-10, 10)
@@ -20,13 +35,9 @@ def test_parabola_has_its_own_derivatives_whatever_the_intervals(times, a, b, c)
     np.testing.assert_allclose(second_derivative(times, between), 2 * c, atol=1e-6)
 
 
-def test_ends_take_the_only_slope_they_have():
+def test_ends_take_the_only_slope_they_have_and_one_or_two_times_have_no_acceleration():
     times = np.array([0.0, 1.0, 3.0])
-    between = slopes(times, np.array([0.0, 2.0, 10.0]))
-    np.testing.assert_allclose(first_derivative(times, between)[[0, 2]], [2, 4])
-
-
-def test_one_or_two_times_have_no_acceleration():
+    np.testing.assert_allclose(first_derivative(times, slopes(times, np.array([0.0, 2.0, 10.0])))[[0, 2]], [2, 4])
     for times in (np.array([1.0]), np.array([1.0, 2.0])):
         between = slopes(times, 5 * times)
         np.testing.assert_array_equal(second_derivative(times, between), np.zeros(len(times)))
@@ -51,3 +62,113 @@ def test_steady_turn_has_its_own_rate_in_body_axes_for_one_body_and_for_many(tim
     np.testing.assert_allclose(turning(times, attitudes), expected, atol=1e-9)
     both = np.stack([attitudes, np.swapaxes(rotation(axis, rate * times), -1, -2)], axis=1)
     np.testing.assert_allclose(turning(times, both), np.stack([expected, -expected], axis=1), atol=1e-9)
+
+
+SLIVERS = Path(__file__).with_name("slivers.npy")
+"""The faces of a boat close to a camera, turned to it, in pixels, shape (206, 3, 2). GEOS 3.14 cannot unite them."""
+STEP_PX = 0.5
+
+
+def test_slivers_have_a_union() -> None:
+    triangles = np.load(SLIVERS)
+    low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+    x, y = (np.stack(np.meshgrid(*map(np.arange, low, high, [STEP_PX] * 2)))).reshape(2, -1)
+    faces = shapely.polygons(triangles)
+    covered = np.any([shapely.contains_xy(face, x, y) for face in faces], axis=0)
+    union = union_of(faces)
+    assert union.area == pytest.approx(covered.sum() * STEP_PX**2, rel=0.01)
+    assert (shapely.contains_xy(union, x, y) == covered).mean() > 0.999
+
+
+def test_ordinary_triangles_are_united_without_a_grid() -> None:
+    triangles = shapely.polygons([[(0, 0), (1 / 3, 0), (0, 1 / 7)], [(0, 0), (1 / 3, 0), (1 / 3, 1 / 7)]])
+    assert union_of(triangles).wkb == shapely.union_all(triangles).wkb
+
+
+def polygon(rectangles: Rectangles, index: int) -> shapely.Polygon:
+    length, beam = rectangles.half_sizes_m[index]
+    hull, heading = shapely.box(-length, -beam, length, beam), float(rectangles.headings_rad[index])
+    turned = shapely.affinity.rotate(hull, heading, (0, 0), True)
+    return shapely.affinity.translate(turned, *rectangles.centres_m[index])
+
+
+def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_track_is() -> None:
+    """One goes east with 10 m/s from the origin, the other north with 10 m/s from (1000, −1100)."""
+    times = np.array([0.0, 40.0, 200.0])
+    one, other = np.outer(times, [10.0, 0.0]), np.array([1000.0, -1100.0]) + np.outer(times, [0.0, 10.0])
+    distance, when = closest_approach(times, one, other)
+    assert (distance, when) == pytest.approx((100 / np.sqrt(2), 105.0))
+
+
+@pytest.mark.parametrize(("there", "expected"), [([1, 1, 0, 0], (30.0, 1.0)), ([0, 0, 0, 1], (50.0, 3.0))])
+def test_only_times_count_at_which_both_are_there(there: list[int], expected: tuple[float, float]) -> None:
+    times = np.arange(4.0)
+    other = np.where(np.array(there)[:, None], [[40.0, 0.0], [30.0, 0.0], [2.0, 0.0], [50.0, 0.0]], np.nan)
+    assert closest_approach(times, np.zeros((4, 2)), other) == pytest.approx(expected)
+    distance, when = closest_approach(times, np.zeros((4, 2)), np.full((4, 2), np.nan))
+    assert distance == np.inf and np.isnan(when)
+
+
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(st.integers(0, 10**6))
+def test_closest_approach_is_that_of_a_densely_sampled_track(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.5, 3.0, 6))
+    one, other = rng.uniform(-100, 100, (2, 6, 2))
+    distance, when = closest_approach(times, one, other)
+    dense = np.linspace(times[0], times[-1], 20_001)
+    apart = [np.interp(dense, times, (other - one)[:, axis]) for axis in (0, 1)]
+    sampled = np.hypot(*apart)
+    assert sampled.min() - 0.2 <= distance <= sampled.min() + 1e-9
+    assert abs(np.hypot(*(np.interp(when, times, (other - one)[:, axis]) for axis in (0, 1))) - distance) < 1e-9
+
+
+def test_distances_of_rectangles_are_those_of_polygons() -> None:
+    rng, n = np.random.default_rng(1), 2000
+    ones, others = (
+        Rectangles(rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2))) for _ in range(2)
+    )
+    expected = [polygon(ones, i).distance(polygon(others, i)) for i in range(n)]
+    found = rectangle_distances(ones, others)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert 0.2 < np.mean(found == 0) < 0.9  # both cases are there
+
+
+def test_hulls_that_meet_between_two_steps_touch() -> None:
+    """Two boats of 10 m that pass head-on 4 m apart with beams of 5 m, a step before and a step after."""
+    centres = np.array([[[-50.0, 0.0], [50.0, 4.0]], [[50.0, 0.0], [-50.0, 4.0]]])
+    places = np.array([0.0, 10.0]), centres, np.array([[0.0, np.pi], [0.0, -np.pi]])
+    wide, narrow = (HullTracks(*places, np.full((2, 2), [5.0, half])) for half in (2.5, 1.5))
+    distance, when = least_hull_distance(wide, 0, 1)
+    assert distance == 0 and 4.0 < when < 6.0
+    assert least_hull_distance(narrow, 0, 1)[0] == pytest.approx(1.0, abs=TOLERANCE_M)
+
+
+def test_least_hull_distance_is_that_of_dense_sampling() -> None:
+    rng, times = np.random.default_rng(2), np.arange(0.0, 6.0)
+    for _ in range(40):
+        centres = np.cumsum(rng.normal(0, 12, (6, 2, 2)), axis=0) + np.array([[0, 0], [60, 0]])
+        headings = rng.uniform(-4, 4, (1, 2)) + np.cumsum(rng.uniform(-1, 1, (6, 2)), axis=0)
+        wrapped = (headings + np.pi) % (2 * np.pi) - np.pi
+        halves = rng.uniform(1, 12, (2, 2))
+        missing = rng.random((6, 2)) < 0.1
+        wrapped[missing], centres[missing] = np.nan, np.nan
+        found, when = least_hull_distance(HullTracks(times, centres, wrapped, halves), 0, 1)
+        dense = np.linspace(0, 5, 1001)
+        place = [[np.interp(dense, times, centres[:, i, axis]) for axis in (0, 1)] for i in (0, 1)]
+        for i in (0, 1):  # no interpolation from or to a time at which one is absent
+            gone = missing.any(axis=1)
+            leg = np.minimum(np.searchsorted(times, dense, side="right") - 1, 4)
+            known = np.where(dense == times[leg], ~gone[leg], ~gone[leg] & ~gone[leg + 1])
+            known[-1] = not gone[5]
+            place[i] = np.where(known, place[i], np.nan)
+        turned = [np.interp(dense, times, headings[:, i]) for i in (0, 1)]
+        ones, others = (Rectangles(np.array(place[i]).T, turned[i], np.tile(halves[i], (1001, 1))) for i in (0, 1))
+        with np.errstate(invalid="ignore"):
+            distances = rectangle_distances(ones, others)
+        sampled = distances[np.isfinite(place[0][0])]
+        if not len(sampled):
+            assert found == np.inf
+            continue
+        assert sampled.min() - 0.5 <= found <= sampled.min() + TOLERANCE_M  # what may lie between two samples
+        assert 0 <= when <= 5

@@ -1,7 +1,5 @@
 """Learning in tests is compared with real results over fewer seeds than a user's."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

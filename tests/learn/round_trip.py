@@ -1,14 +1,14 @@
 """A detector that is simulated and learned again, and what was asked of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
+from typer.testing import CliRunner, Result
 
+from modsim3d.cli.main import app
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run import run_scene
@@ -20,19 +20,14 @@ SETTINGS = {"reference", "merge_overlap", "split_aspect", "edges", "rate"}
 """Numbers of a detector file that stand beside those that are learned."""
 
 
-def simulate(
-    name: str,
-    folder: Path,
-    mode: int,
-    steps: int | None = None,
-    seed: int = 0,
-    detector: Path = DETECTOR,
-    image_size_px: tuple[int, int] | None = None,
-) -> Path:
-    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory.
+def command(*words: object) -> Result:
+    """What a command says on a wide terminal; its errors are raised."""
+    return CliRunner().invoke(app, [*map(str, words)], catch_exceptions=False, env={"COLUMNS": "300"})
 
-    With a size, images are the middles of the cameras' images, of that size.
-    """
+
+def simulate(name: str, folder: Path, mode: int, steps=None, seed=0, detector=DETECTOR, image_size_px=None) -> Path:
+    """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory. With a size,
+    images are the middles of the cameras' images, of that size."""
     scene = yaml.safe_load((data_folder("scenes") / f"{name}.yaml").read_text())
     labels = yaml.safe_load(Path(detector).read_text())["labels"]
     for number, vessel in enumerate(scene["vessels"].values()):
@@ -60,9 +55,8 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
     if "false_positives.density" in asked:
         density = np.array(asked["false_positives.density"], dtype=float)
         asked["false_positives.density"] = density / density.sum()
-    number = (
-        "false_positives_per_image" if content["false_positives"]["model"] == "per_image" else "false_discovery_rate"
-    )
+    per_image = content["false_positives"]["model"] == "per_image"
+    number = "false_positives_per_image" if per_image else "false_discovery_rate"
     for name, state in content["states"].items():
         covariance = np.array(state["box_error"]["covariance"])
         std = np.sqrt(np.diag(covariance))
@@ -74,9 +68,8 @@ def asked_of(path: Path = DETECTOR) -> dict[str, np.ndarray]:
             f"states.{name}.box_error_std": std,
             f"states.{name}.box_error_correlation": [covariance[i, j] / (std[i] * std[j]) for i, j in ERROR_PAIRS],
         }
-        for key in ("degrees_of_freedom", "growth"):
-            if key in state["box_error"]:
-                asked[f"states.{name}.box_error_{key}"] = state["box_error"][key]
+        law, prefix = state["box_error"], f"states.{name}.box_error"
+        asked |= {f"{prefix}_{key}": law[key] for key in ("degrees_of_freedom", "growth") if key in law}
         asked |= _numbers_below(f"states.{name}.confidence", state["confidence"])
         asked |= _numbers_below(f"states.{name}.dropout", state.get("dropout", {}))
     return {path: np.array(value, dtype=float) for path, value in asked.items()}
@@ -95,15 +88,9 @@ def _numbers_below(path: str, section: dict[str, Any]) -> dict[str, Any]:
 
 
 def outside(asked, intervals) -> dict[str, int]:
-    """How many numbers of each path lie outside their intervals; a path that was not learned has all outside."""
-    intervals = {each.key.path: (each.low, each.high) for each in intervals}
-    found = {}
+    intervals, found = {each.key.path: (each.low, each.high) for each in intervals}, {}
     for path, value in asked.items():
-        if path not in intervals:
-            found[path] = value.size
-            continue
-        low, high = intervals[path]
+        low, high = intervals.get(path, (np.inf, np.inf))
         wrong = int(np.sum((value < low - 1e-9) | (value > high + 1e-9)))
-        if wrong:
-            found[path] = wrong
+        found |= {path: wrong} if wrong else {}
     return found

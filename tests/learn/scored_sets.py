@@ -1,18 +1,14 @@
 """Labelled sets with the confidences of a simulated detector."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 
-from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.learned import Learned
-from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import detector_file, learned_in, observed_in
+from tests.learn.one_state import detector_file, learned_in, observed_in, of_boats
 
 BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0
 
@@ -24,19 +20,11 @@ def truth_of(frames: int, seed: int, hidden: bool = True) -> LabelledSet:
     side = np.clip(45 * np.exp(rng.normal(0, 0.6, len(image))), 10, 150)
     corner = np.column_stack([120 + 250.0 * identity, np.full(len(image), 300.0)])
     visible = np.where(rng.random(len(image)) < 0.6, 1.0, rng.uniform(0.1, 1, len(image)))
-    return LabelledSet(
-        ("boat",),
-        ("usual",),
-        images(frames, (SIDE_PX, SIDE_PX), np.arange(frames) / RATE_HZ),
-        truth(
-            image,
-            0 * image,
-            np.column_stack([corner, corner + side[:, None]]),
-            identity=identity,
-            visible=visible if hidden else np.full(len(image), np.nan),
-        ),
-        found([], [], [], [], origin=np.empty(0, dtype=np.int64)),
-    )
+    unknown = np.full(len(image), np.nan)
+    boxes = np.column_stack([corner, corner + side[:, None]])
+    pictures = images(frames, (SIDE_PX, SIDE_PX), np.arange(frames) / RATE_HZ)
+    annotations = truth(image, 0 * image, boxes, identity=identity, visible=visible if hidden else unknown)
+    return of_boats(pictures, annotations, found([], [], [], [], origin=np.empty(0, dtype=np.int64)))
 
 
 def detector(confidence: dict[str, Any], **sections: Any) -> dict[str, Any]:
@@ -48,8 +36,3 @@ def detector(confidence: dict[str, Any], **sections: Any) -> dict[str, Any]:
 
 def learned_from(labelled: LabelledSet, without: tuple[str, ...] = (), method: str = "provenance") -> Learned:
     return learned_in(observed_in(labelled, Rule(method), without), replicates=60)
-
-
-def detected(labelled: LabelledSet, content: dict[str, Any], seed: int) -> LabelledSet:
-    """The set with what the detector puts out for it."""
-    return simulated(labelled, np.zeros(len(labelled.images), dtype=np.int64), parse_detector(content), seed)

@@ -1,7 +1,5 @@
 """Slopes of confidence, and how long it persists: what was asked of a detector is what is learned."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +11,8 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
 from modsim3d.learn.learned import Learned, uncertainty_text
-from tests.learn.scored_sets import detected, detector, learned_from, truth_of
+from tests.learn.one_state import detected
+from tests.learn.scored_sets import detector, learned_from, truth_of
 
 SLOPES = {"visibility_slope": 0.4, "size_slope": 0.06, "size_reference_px": 64}
 NORMAL = {"true": {"mean": 0.8, "std": 0.1}, "false": {"mean": 0.45, "std": 0.12}}
@@ -28,14 +27,13 @@ def outside(learned: Learned, asked: dict[str, Any]) -> list[str]:
     flat |= {f"{kind}.{key}": asked[kind][key] for kind in ("true", "false") for key in asked[kind]}
     wrong = []
     for key, value in flat.items():
-        if key.endswith("quantiles"):
-            value = np.interp(np.linspace(0, 1, 21), np.linspace(0, 1, len(value)), value)[2:-2]
-            low, high = (intervals[key].low[2:-2], intervals[key].high[2:-2])
-        elif key in intervals:
-            low, high = intervals[key].low, intervals[key].high
-        else:
+        if key not in intervals:
             wrong.append(f"{key}: not learned")
             continue
+        low, high = intervals[key].low, intervals[key].high
+        if key.endswith("quantiles"):
+            value = np.interp(np.linspace(0, 1, 21), np.linspace(0, 1, len(value)), value)[2:-2]
+            low, high = low[2:-2], high[2:-2]
         if np.any((value < low) | (value > high)):
             wrong.append(f"{key}: {value} not in {low} to {high}")
     return wrong
@@ -116,16 +114,13 @@ def test_models_that_are_to_be_left_out_are(sloped: LabelledSet) -> None:
 
 
 @pytest.mark.parametrize("scores", [NORMAL | SLOPES, CLIPPED, SKEW], ids=["normal", "many are 1", "quantiles"])
-def test_how_long_confidence_persists_comes_back(
-    boats: LabelledSet, learned_lasting: Learned, scores: dict[str, Any]
-) -> None:
+def test_how_long_confidence_persists_comes_back(boats: LabelledSet, learned_lasting: Learned, scores) -> None:
     learned = learned_lasting
     if scores in (CLIPPED, SKEW):
         learned = learned_from(detected(boats, detector(scores, persistence={"confidence_s": 1.0}), 4))
     (interval,) = (each for each in learned.intervals(0.999) if each.key.path == "persistence.confidence_s")
     assert interval.low < 1.0 < interval.high < 2.0
-    assert learned.detector()["persistence"].keys() == {"confidence_s"}
-    assert learned.run_s > 3
+    assert learned.detector()["persistence"].keys() == {"confidence_s"} and learned.run_s > 3
     assert outside(learned, scores) == []
 
 

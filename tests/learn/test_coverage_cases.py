@@ -1,7 +1,5 @@
 """The cases of the campaign that counts how often intervals hold what was asked for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Box errors of boats at the image's edge, and of boats that the matching rule lets match or not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +8,7 @@ import pytest
 
 from modsim3d.core.boxes import clip, inside_image, iou, move
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.box_errors.estimate import TITLE
@@ -17,11 +16,55 @@ from modsim3d.learn.box_errors.fit import completed, slopes
 from modsim3d.learn.box_errors.laws import choose_law
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel, MatchedEdges
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LearnSettings
+from modsim3d.learn.learned import Learned, LearnSettings
 from modsim3d.learn.matches import ErrorFits
 from modsim3d.learn.report_page import tables
-from tests.learn.cut_boxes import HEAVY, MIXED, PX, RELATIVE, SIZE, asked_of, boats, detected, learn_from
+from tests.formats.labelled_sets import images, truth
+from tests.learn import one_state
+from tests.learn.one_state import detector_file, learned_in, observed_in, of_boats
 from tests.learn.round_trip import outside
+
+SIZE = (640.0, 480.0)
+_CORRELATION = np.array([[1, 0.2, 0.3, 0], [0.2, 1, 0, -0.2], [0.3, 0, 1, 0.4], [0, -0.2, 0.4, 1]])
+PX = {"unit": "px", "mean": [2, -1, 3, -2], "std": [6, 5, 9, 8]}
+RELATIVE = {"unit": "relative", "mean": [0.01, -0.02, 0.03, -0.01], "std": [0.12, 0.12, 0.14, 0.16]}
+MIXED = {"unit": "mixed", "mean": [2, -1, 3, -2], "std": [2, 2, 3, 3], "growth": [0.04, 0.03, 0.06, 0.05]}
+HEAVY = {**PX, "law": "student_t", "degrees_of_freedom": 4.0}
+
+
+def detector(law: dict[str, Any]) -> dict[str, Any]:
+    """A detector that finds everything, with box errors of a law."""
+    covariance = _CORRELATION * np.outer(law["std"], law["std"])
+    box_error = {key: value for key, value in law.items() if key != "std"} | {"covariance": covariance.tolist()}
+    return detector_file(missed=0.0, false=0.0, box_error=box_error)
+
+
+def boats(count: int, seed: int) -> LabelledSet:
+    """One boat in each image, anywhere: many are cut by the edge or lie close to it."""
+    rng = np.random.default_rng(seed)
+    side = np.exp(rng.uniform(np.log(40), np.log(200), (count, 1))) * np.exp(rng.normal(0, 0.15, (count, 2)))
+    centre = rng.uniform(-0.05, 1.05, (count, 2)) * SIZE
+    boxes = np.clip(np.hstack([centre - side / 2, centre + side / 2]), 0, [*SIZE, *SIZE])
+    middle = np.hstack([np.array(SIZE) / 2 - side / 2, np.array(SIZE) / 2 + side / 2])
+    boxes = np.where(np.all(boxes[:, 2:] - boxes[:, :2] >= 4, axis=1)[:, None], boxes, middle)
+    image = np.arange(count)
+    return of_boats(images(count, SIZE), truth(image, image * 0, boxes))
+
+
+def detected(law: dict[str, Any], count: int, seed: int) -> LabelledSet:
+    """Boats with detections of a simulated detector, of which it is not told what they are of."""
+    return one_state.detected(boats(count, seed), detector(law), seed)
+
+
+def learn_from(labelled: LabelledSet, rule: Rule, replicates: int = 100, seed: int = 0) -> Learned:
+    return learned_in(observed_in(labelled, rule), rule, replicates=replicates, seed=seed)
+
+
+def asked_of(law: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The numbers of a law by the paths that learning gives them."""
+    names = {"mean", "std", "growth", "degrees_of_freedom"} & law.keys()
+    asked = {f"states.usual.box_error_{name}": np.array(law[name], dtype=float) for name in names}
+    return asked | {"states.usual.box_error_correlation": np.array([_CORRELATION[pair] for pair in ERROR_PAIRS])}
 
 
 def on_the_border(labelled: LabelledSet) -> LabelledSet:
@@ -33,20 +76,17 @@ def on_the_border(labelled: LabelledSet) -> LabelledSet:
     return replace(labelled, results=replace(results, boxes_px=np.where(cut, true, results.boxes_px)))
 
 
-@pytest.mark.parametrize(
-    ("law", "method", "real"),
-    [
-        (PX, "provenance", False),
-        (PX, "provenance", True),
-        (RELATIVE, "confidence", False),
-        (MIXED, "confidence", False),
-        (HEAVY, "provenance", False),
-    ],
-    ids=["edge", "on the border", "gate", "mixed", "tails"],
-)
-def test_errors_come_back_from_boats_that_the_edge_and_the_matching_cut(
-    law: dict[str, Any], method: str, real: bool
-) -> None:
+CASES = {
+    "edge": (PX, "provenance", False),
+    "on the border": (PX, "provenance", True),
+    "gate": (RELATIVE, "confidence", False),
+    "mixed": (MIXED, "confidence", False),
+    "tails": (HEAVY, "provenance", False),
+}
+
+
+@pytest.mark.parametrize(("law", "method", "real"), CASES.values(), ids=CASES)
+def test_errors_come_back_from_boats_that_the_edge_and_the_matching_cut(law, method: str, real: bool) -> None:
     labelled = detected(law, 800, 11)
     learned = learn_from(on_the_border(labelled) if real else labelled, Rule(method), replicates=60)
     (form,), (used,) = learned.form.box_errors.states, learned.numbers.box_errors.used
@@ -84,9 +124,7 @@ def test_a_note_says_that_tails_are_as_heavy_as_is_fitted() -> None:
     notes = []
     for power in (0, 3):
         labelled = detected({**PX, "std": [0.6, 0.5, 0.9, 0.8]}, 300, 1)
-        results, true = labelled.results, labelled.annotations.boxes_px
-        assert results.origin is not None
-        true = true[results.origin]
+        results, true = labelled.results, labelled.annotations.boxes_px[labelled.results.origin]
         scale = np.minimum(np.exp(power * np.random.default_rng(1).normal(size=(len(results), 1))), 30)
         labelled = replace(labelled, results=replace(results, boxes_px=true + scale * (results.boxes_px - true)))
         learned = learn_from(labelled, Rule("provenance"), replicates=0)
@@ -96,34 +134,28 @@ def test_a_note_says_that_tails_are_as_heavy_as_is_fitted() -> None:
 
 def test_the_report_says_how_many_matches_count() -> None:
     labelled = detected(PX, 60, 1)
-    annotations = labelled.annotations
-    boxes = annotations.boxes_px.copy()
-    boxes[:5] = [0, 0, *SIZE]  # it fills the image
-    results = labelled.results
-    assert results.origin is not None
-    found = results.boxes_px.copy()
-    found[results.origin < 5] = [0, 0, *SIZE]
-    labelled = replace(
-        labelled,
-        annotations=replace(annotations, boxes_px=boxes),
-        results=replace(results, boxes_px=found),
-    )
+    annotations, results = labelled.annotations, labelled.results
+    boxes, found = annotations.boxes_px.copy(), results.boxes_px.copy()
+    boxes[:5] = found[results.origin < 5] = [0, 0, *SIZE]  # it fills the image
+    annotations, results = replace(annotations, boxes_px=boxes), replace(results, boxes_px=found)
+    labelled = replace(labelled, annotations=annotations, results=results)
     report = learn_detector(labelled, LearnSettings(Rule("provenance"), replicates=20), LearnOptions())
-    (table,) = (each for each in tables(report) if each.title == TITLE)
-    assert table.rows[0][:3] == ("usual", "60", "55")
+    assert [each.rows[0][:3] for each in tables(report) if each.title == TITLE] == [("usual", "60", "55")]
     note = "states.usual.box_error: from 55 of 60 matches; 5 with all sides cut by the image's edge"
     assert note in report.learned.notes
 
 
-def test_unsure_boxes_tell_no_box_errors() -> None:
-    labelled = detected(PX, 400, 1)
-    annotations, results = labelled.annotations, labelled.results
-    assert results.origin is not None
-    unsure = np.arange(len(annotations)) % 4 == 0
-    found = results.boxes_px.copy()
-    found[(results.origin >= 0) & unsure[results.origin], 2] += 40  # more of the vessel is seen than is thought
+def with_unsure(unsure: np.ndarray) -> tuple[LabelledSet, LabelledSet]:
+    """Boats of which some boxes are unsure: more of them is seen than is thought; without and with word of that."""
+    labelled = detected(PX, len(unsure), 1)
+    results, found = labelled.results, labelled.results.boxes_px.copy()
+    found[(results.origin >= 0) & unsure[results.origin], 2] += 40
     labelled = replace(labelled, results=replace(results, boxes_px=found))
-    told = replace(labelled, annotations=replace(annotations, unsure_box=unsure))
+    return labelled, replace(labelled, annotations=replace(labelled.annotations, unsure_box=unsure))
+
+
+def test_unsure_boxes_tell_no_box_errors() -> None:
+    labelled, told = with_unsure(np.arange(400) % 4 == 0)
     width = []
     for each in (labelled, told):
         learned = learn_from(each, Rule("provenance"), replicates=0)
@@ -131,26 +163,17 @@ def test_unsure_boxes_tell_no_box_errors() -> None:
         notes = [note for note in learned.notes if "100 partly hidden, where positions are not surely known" in note]
         assert len(notes) == (each is told)
     asked = float(PX["std"][2])
-    assert width[0] > 2 * asked
-    assert width[1] == pytest.approx(asked, rel=0.15)
+    assert width[0] > 2 * asked and width[1] == pytest.approx(asked, rel=0.15)
 
 
 def test_few_sure_boxes_tell_box_errors_rather_than_many_unsure_ones() -> None:
-    labelled = detected(PX, 400, 1)
-    annotations, results = labelled.annotations, labelled.results
-    assert results.origin is not None
-    unsure = np.arange(len(annotations)) >= 8
-    found = results.boxes_px.copy()
-    found[(results.origin >= 0) & unsure[results.origin], 2] += 40
-    annotations = replace(annotations, unsure_box=unsure)
-    labelled = replace(labelled, annotations=annotations, results=replace(results, boxes_px=found))
-    learned = learn_from(labelled, Rule("provenance"), replicates=0)
+    unsure = np.arange(400) >= 8
+    plain, told = with_unsure(unsure)
+    learned = learn_from(told, Rule("provenance"), replicates=0)
     assert float(learned.numbers.box_errors.states[0].mean.estimate[2]) == pytest.approx(PX["mean"][2], abs=8)
     assert any("and surely not hidden, needs" in note for note in learned.notes)
-    plain = replace(labelled, annotations=replace(annotations, unsure_box=None))
-    both = joined([labelled, plain]).annotations.unsure_box
-    assert both is not None
-    assert both.tolist() == [*unsure.tolist(), *[False] * len(unsure)]
+    both = joined([told, plain]).annotations.unsure_box
+    assert both is not None and both.tolist() == [*unsure.tolist(), *[False] * len(unsure)]
 
 
 @pytest.mark.parametrize("rule", [Rule(), Rule("centre", most_distance_px=9.0), Rule("provenance")])
@@ -182,14 +205,10 @@ def test_the_likelihood_of_a_censored_edge_is_the_probability_beyond_it(freedom:
     assert edges.censored.tolist() == [[True, False, False, False]]
     model = ErrorModel.of_moments(np.zeros(4), 400 * np.eye(4) + 100, "px", freedom)
     beyond = np.linspace(39.5, 2500, 60_000)
-    many = MatchedEdges.of(
-        np.tile(truth, (len(beyond), 1)),
-        np.column_stack([40 - beyond, np.tile(found[:, 1:], (len(beyond), 1))]),
-        np.full((len(beyond), 2), np.nan),
-        np.arange(len(beyond)),
-        Rule("provenance"),
-    )
+    count = len(beyond)
+    found = np.column_stack([40 - beyond, np.tile(found[:, 1:], (count, 1))])
+    nowhere = np.full((count, 2), np.nan)
+    many = MatchedEdges.of(np.tile(truth, (count, 1)), found, nowhere, np.arange(count), Rule("provenance"))
     (part,) = completed(model, many)
-    density = np.exp(part.log_likelihood)
-    asked = np.log(np.trapezoid(density, beyond))
+    asked = np.log(np.trapezoid(np.exp(part.log_likelihood), beyond))
     assert slopes(model, edges, None).value == pytest.approx(asked, abs=0.03)

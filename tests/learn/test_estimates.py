@@ -1,4 +1,4 @@
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,23 +15,18 @@ from modsim3d.learn.confidence_laws import LearnedNormal
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
-from modsim3d.learn.learned import LearnSettings, learn
-from modsim3d.learn.matches import ErrorSource, Observed, _regular
+from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive
 from modsim3d.learn.states import Transitions, count_transitions, transitions_of
 from tests.formats.labelled_sets import found, images, random_set, truth
+from tests.learn.one_state import learned_in, observed_as, observed_in, of_boats
 
-FLAT = {"mean": 0.99, "std": 8e-12}
 
-
-def figures_of(labelled, replicates=50, threshold=0.0, beta=2.0):
-    matched = match(labelled, Rule(), threshold)
-    by_label = match(labelled, Rule(by_label=True))
-    everything = np.ones(len(labelled.images), dtype=bool)
-    return Matches(labelled, matched, by_label, resample(labelled.images, replicates, 1), beta).figures(
-        "all", everything
-    )
+def figures_of(labelled, replicates=50):
+    by_label, everything = match(labelled, Rule(by_label=True)), np.ones(len(labelled.images), dtype=bool)
+    matches = Matches(labelled, match(labelled, Rule()), by_label, resample(labelled.images, replicates, 1))
+    return matches.figures("all", everything)
 
 
 def sailboats_and_kayaks():
@@ -40,28 +35,23 @@ def sailboats_and_kayaks():
     boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(len(cells))]
     seen = [(box, label) for box, (_, label) in zip(boxes, cells, strict=True) if label is not None]
     seen += [([100.0 * k, 500, 100.0 * k + 50, 550], k // 2) for k in range(4)]
-    count, scores = len(cells), np.linspace(0.9, 0.5, len(seen)).tolist()
-    return LabelledSet(
-        ("sailboat", "kayak"),
-        ("all",),
-        images(1, (9000, 900)),
-        truth([0] * count, [label for label, _ in cells], boxes),
-        found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores),
-    )
+    annotations = truth([0] * len(cells), [label for label, _ in cells], boxes)
+    scores = np.linspace(0.9, 0.5, len(seen)).tolist()
+    results = found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores)
+    return LabelledSet(("sailboat", "kayak"), ("all",), images(1, (9000, 900)), annotations, results)
 
 
 def test_confusion_matrix_is_tables_5_4_and_5_5():
     got = figures_of(sailboats_and_kayaks())
     assert got.counts.tolist() == [[15, 1, 2], [4, 16, 2], [1, 3, 0]]
-    table = [[0.75, 0.05], [0.2, 0.8], [0.05, 0.15]]
-    np.testing.assert_allclose(got.confusion.estimate, table)
+    np.testing.assert_allclose(got.confusion.estimate, [[0.75, 0.05], [0.2, 0.8], [0.05, 0.15]])
     assert got.false_labels.estimate.tolist() == [0.5, 0.5]
     # "the false positives ... for class sailboat amount to 1 + 2 = 3", "false negatives ... 4 + 1 = 5"
     np.testing.assert_allclose(got.of_labels.precision.estimate[0], 15 / 18)
     np.testing.assert_allclose(got.of_labels.false_discovery_rate.estimate[0], 3 / 18)
     np.testing.assert_allclose(got.of_labels.false_negative_rate.estimate[0], 5 / 20)
-    np.testing.assert_allclose(got.any_label.false_negative_rate.estimate, 4 / 40)
-    np.testing.assert_allclose(got.any_label.false_discovery_rate.estimate, 4 / 40)
+    for rate in (got.any_label.false_negative_rate, got.any_label.false_discovery_rate):
+        np.testing.assert_allclose(rate.estimate, 4 / 40)
     precision, recall = 15 / 18, 15 / 20
     np.testing.assert_allclose(got.of_labels.f1.estimate[0], 2 * precision * recall / (precision + recall))
     np.testing.assert_allclose(got.of_labels.f_beta.estimate[0], 5 * precision * recall / (4 * precision + recall))
@@ -90,7 +80,7 @@ def test_error_moments_are_those_of_numpy():
     image = np.repeat(np.arange(60), 5)
     boxes[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
     moved[:, [0, 2]] += 500 * np.tile(np.arange(5), 60)[:, None]
-    labelled = LabelledSet(("a",), ("all",), images(60, (5000, 5000)), truth(image, image * 0, boxes),
+    labelled = of_boats(images(60, (5000, 5000)), truth(image, image * 0, boxes),
                         found(image, image * 0, moved, np.full(300, 0.9)))  # fmt: skip
     got = figures_of(labelled, 200)
     change = moved - boxes
@@ -98,8 +88,7 @@ def test_error_moments_are_those_of_numpy():
     np.testing.assert_allclose(got.errors.mean.estimate, errors.mean(axis=0))
     whole = covariance(got.errors.std.estimate, got.errors.correlation.estimate)
     np.testing.assert_allclose(whole, np.cov(errors.T), rtol=1e-9)
-    upper = np.triu_indices(4)
-    np.testing.assert_allclose(got.error_covariance.estimate, np.cov(errors.T)[upper], rtol=1e-9)
+    np.testing.assert_allclose(got.error_covariance.estimate, np.cov(errors.T)[np.triu_indices(4)], rtol=1e-9)
     np.testing.assert_allclose(got.errors_of_labels[0].mean.estimate, errors.mean(axis=0))
     np.testing.assert_allclose(got.errors_of_labels[0].std.estimate, errors.std(axis=0, ddof=1))
     low, high = got.errors.mean.interval(0.95, got.units)
@@ -122,7 +111,8 @@ def test_errors_that_differ_by_rounding_alone_determine_no_distribution():
 
 
 def test_confidences_that_hardly_differ_are_written_as_equal():
-    mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in FLAT.items())
+    flat = {"mean": 0.99, "std": 8e-12}
+    mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in flat.items())
     assert LearnedNormal(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
 
 
@@ -153,8 +143,7 @@ def test_scales_go_there_and_back(value, kind):
 def test_a_fraction_that_is_one_or_zero_is_known_as_well_as_a_share(value, end):
     alike = np.full(50, value)
     fraction, share = (Column(alike, kind, np.array(8.0)).interval(0.95, 30) for kind in ("fraction", "share"))
-    assert fraction == share
-    assert fraction[end] == value and abs(fraction[1 - end] - value) > 0.1
+    assert fraction == share and fraction[end] == value and abs(fraction[1 - end] - value) > 0.1
 
 
 @pytest.mark.parametrize("kind", ["mean", "positive", "correlation", "fraction"])
@@ -174,29 +163,25 @@ def test_runs_of_frames_are_drawn_together():
 
 
 def test_clipped_scores_have_the_normal_behind_them():
-    rng = np.random.default_rng(4)
-    values = np.clip(rng.normal(0.45, 0.2, 40_000), 0.2, 1)
-    mean, std = fit_clipped(clipped_sums(values, 0.2, 1.0).sum(axis=0)[None], 0.2, 1.0)
-    assert mean[0] == pytest.approx(0.45, abs=4 * 0.2 / 200)
-    assert std[0] == pytest.approx(0.2, abs=4 * 0.2 / 200)
+    values = np.clip(np.random.default_rng(4).normal(0.45, 0.2, 40_000), 0.2, 1)
+    fit = fit_clipped(clipped_sums(values, 0.2, 1.0).sum(axis=0)[None], 0.2, 1.0)
+    assert np.ravel(fit) == pytest.approx([0.45, 0.2], abs=4 * 0.2 / 200)
     assert values.mean() - 0.45 > 0.005  # which the mean of the clipped ones is not
 
 
 def missed_by_size(seed, slope=-1.0, count=6000, by_units=False):
     """Truths of two labels in images of one state, missed by their size."""
-    rng = np.random.default_rng(seed)
-    side = 2 ** rng.uniform(3, 7, count)
-    label = rng.integers(0, 2, count)
+    rng, image = np.random.default_rng(seed), np.arange(count) // 10
+    side, label = 2 ** rng.uniform(3, 7, count), rng.integers(0, 2, count)
     amount = side - 32 if by_units else np.log2(side / 32)
     chance = 1 / (1 + np.exp(-(np.array([-1.5, -0.8])[label] + slope * amount)))
     seen = rng.random(count) > chance
     place = np.arange(count) % 10 * 300.0
     boxes = np.stack([place, 0 * place, place + side, side], axis=1)
-    image = np.arange(count) // 10
-    labelled = LabelledSet(("a", "b"), ("all",), images(count // 10, (4000, 400)), truth(image, label, boxes),
-                        found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9)))  # fmt: skip
-    state = np.zeros(count // 10, dtype=np.int64)
-    return Observed(labelled, match(labelled, Rule()), ("usual",), state, 0.2), chance
+    results = found(image[seen], label[seen], boxes[seen], np.full(seen.sum(), 0.9))
+    labelled = of_boats(images(count // 10, (4000, 400)), truth(image, label, boxes), results)
+    labelled = replace(labelled, labels=("a", "b"))
+    return replace(observed_in(labelled), matched=match(labelled, Rule())), chance
 
 
 def test_misses_follow_size_as_they_were_made_to():
@@ -227,8 +212,7 @@ def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
     consecutive = Consecutive(products, np.ones(len(place)), gaps, place)
     plain, column = consecutive.times_s(resampling), consecutive.column(resampling)
     least = consecutive.relative_error(plain[0])
-    assert column.values[0] == pytest.approx(plain[0])
-    assert np.log(plain[1:]).std() < 0.1 * least
+    assert column.values[0] == pytest.approx(plain[0]) and np.log(plain[1:]).std() < 0.1 * least
     assert np.log(column.values[1:]).std() == pytest.approx(least, rel=0.01)
 
 
@@ -237,15 +221,11 @@ def test_a_correlation_time_comes_back(even):
     rng, n = np.random.default_rng(6), 20_000
     gaps = np.full(n, 0.2) if even else rng.uniform(0.1, 0.6, n)
     kept = np.exp(-gaps / 0.8)
-    value = np.empty(n + 1)
-    value[0] = rng.normal()
-    fresh = rng.normal(size=n)
+    value = rng.normal(size=n + 1)
     for k in range(n):
-        value[k + 1] = kept[k] * value[k] + np.sqrt(1 - kept[k] ** 2) * fresh[k]
-    products = value[1:] * value[:-1]
-    place = np.zeros(n, dtype=np.int64)
-    once = resample(images(1), 0, 0)
-    time = Consecutive(products, np.ones(n), gaps, place).times_s(once)
+        value[k + 1] = kept[k] * value[k] + np.sqrt(1 - kept[k] ** 2) * value[k + 1]
+    products, place = value[1:] * value[:-1], np.zeros(n, dtype=np.int64)
+    time = Consecutive(products, np.ones(n), gaps, place).times_s(resample(images(1), 0, 0))
     assert time[0] == pytest.approx(0.8, rel=0.09)  # four standard errors
     # Bartlett (1946): the variance of a correlation of neighbours is (1 − ρ²) / n.
     error = Consecutive(products, value[:-1] ** 2, gaps, place).relative_error(0.8)
@@ -259,18 +239,15 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     np.testing.assert_allclose(chain.matrix, [[2 / 4, 2 / 5], [2 / 4, 3 / 5]])
     np.testing.assert_allclose(chain.matrix.sum(axis=0), 1)
     interval = chain.interval(0.9, ("a", "b"))
-    low, high = interval.low, interval.high
-    assert np.all((low < chain.matrix) & (chain.matrix < high))
+    assert np.all((interval.low < chain.matrix) & (chain.matrix < interval.high))
     alone = Transitions(np.zeros((1, 1))).interval(0.95, ("usual",))
     assert alone.low == alone.high == 1  # the only state surely stays
     nothing = count_transitions([], 2)
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
-    assert isinstance(chain, Transitions)
 
 
 def test_cameras_that_share_a_chain_count_once():
-    frames = images(8, time_s=np.tile(np.arange(4) * 0.5, 2))
-    frames = type(frames)(**{**vars(frames), "sequence": np.repeat([0, 1], 4)})
+    frames = replace(images(8, time_s=np.tile(np.arange(4) * 0.5, 2)), sequence=np.repeat([0, 1], 4))
     state = np.array([0, 0, 1, 1, 0, 0, 1, 1])
     assert transitions_of(frames, state, 2).counts.tolist() == [[1, 0], [1, 1]]
     assert transitions_of(frames, state, 2, interval_s=1.0).counts.tolist() == [[0, 0], [1, 0]]
@@ -304,32 +281,27 @@ def test_error_shares_name_each_kind():
 def test_transitions_are_between_frames_that_follow_each_other_and_have_their_interval():
     # A little early or late; between the fourth and the fifth, three are missing.
     frames = images(6, time_s=np.array([10.0, 10.52, 10.99, 11.5, 13.5, 14.0]))
-    chain = transitions_of(frames, np.array([0, 0, 1, 1, 0, 1]), 2)
-    assert chain.counts.tolist() == [[1, 0], [2, 1]]
-    assert chain.interval_s == pytest.approx(0.5, abs=0.02)
-    assert transitions_of(frames, np.array([0, 0, 1, 1, 0, 1]), 2, 1.0).counts.tolist() == [[0, 0], [2, 0]]
-    alone = images(2, time_s=np.array([3.0, 3.0]))
-    assert not transitions_of(alone, np.array([0, 1]), 2).observed
+    state = np.array([0, 0, 1, 1, 0, 1])
+    chain = transitions_of(frames, state, 2)
+    assert chain.counts.tolist() == [[1, 0], [2, 1]] and chain.interval_s == pytest.approx(0.5, abs=0.02)
+    assert transitions_of(frames, state, 2, 1.0).counts.tolist() == [[0, 0], [2, 0]]
+    assert not transitions_of(images(2, time_s=np.array([3.0, 3.0])), np.array([0, 1]), 2).observed
 
 
 @pytest.mark.parametrize("rate_hz", [24, 27, 30])
 def test_transitions_are_all_there_where_times_are_rounded(rate_hz):
-    times = np.round(np.arange(300) / rate_hz, 2)
-    state = np.arange(300) % 2
-    assert transitions_of(images(300, time_s=times), state, 2).counts.tolist() == [[0, 149], [150, 0]]
+    frames = images(300, time_s=np.round(np.arange(300) / rate_hz, 2))
+    assert transitions_of(frames, np.arange(300) % 2, 2).counts.tolist() == [[0, 149], [150, 0]]
 
 
 def at_the_edge(inner, outer, seed=2):
     """Boats in the middle and at the left edge of images, found with errors of 3 px."""
-    rng = np.random.default_rng(seed)
-    count = inner + outer
-    boxes = np.tile([300.0, 300, 380, 360], (count, 1))
-    boxes[inner:] = [0.0, 300, 80, 360]
+    rng, image = np.random.default_rng(seed), np.arange(inner + outer)
+    boxes = np.where((image < inner)[:, None], [300.0, 300, 380, 360], [0.0, 300, 80, 360])
     moved = boxes + rng.normal(0, 3, boxes.shape)
     moved[inner:, 0] = np.maximum(moved[inner:, 0], 0)
-    image = np.arange(count)
-    return LabelledSet(("a",), ("all",), images(count), truth(image, image * 0, boxes),
-                    found(image, image * 0, moved, np.full(count, 0.9)))  # fmt: skip
+    seen = found(image, image * 0, moved, np.full(len(image), 0.9))
+    return of_boats(images(len(image)), truth(image, image * 0, boxes), seen, "all")
 
 
 @pytest.mark.parametrize(
@@ -339,13 +311,11 @@ def at_the_edge(inner, outer, seed=2):
 )  # fmt: skip
 def test_box_errors_are_learned_from_sides_that_the_edge_has_not_cut_as_far_as_there_are_enough(inner, source, whose):
     labelled = at_the_edge(inner, 40)
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    names = ("usual",)
+    observed = observed_in(labelled)
     if source is ErrorSource.ALL_STATES:  # the other state has enough
         labelled = joined([labelled, at_the_edge(30, 0, seed=3)])
-        state, names = np.repeat([0, 1], [42, 30]), ("usual", "other")
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), names, state, 0.2)
-    learned = learn(observed, Transitions(np.zeros((len(names), len(names)))), LearnSettings(replicates=20))
+        observed = observed_as(labelled, ("usual", "other"), np.repeat([0, 1], [42, 30]))
+    learned = learned_in(observed)
     assert learned.form.box_errors.states[0].source is source
     stated = [note for note in learned.notes if note.startswith("states.usual.box_error")]
     assert len(stated) == (whose is not None) and all(whose in note for note in stated)

@@ -1,13 +1,16 @@
 """A detector in another condition: rates stay rates, covariances stay covariances, and there and back is nothing."""
 
-from __future__ import annotations
-
+import os
 import re
+import subprocess
+import sys
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,19 +22,20 @@ from modsim3d.detector.model import ERROR_COMPONENTS, DetectorModel
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import conditions_in
+from modsim3d.learn.box_errors.laws import covariance
 from modsim3d.learn.guess import ConditionChange, guessed
+from modsim3d.learn.states import cluster, parse_states
 from tests.cli.bad_input.builders import Call
 from tests.learn.one_state import detector_file
 
 CONDITIONS = {name: (name, load_detector(file)) for name, file in conditions_in().items()}
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "conditions.md"
+REPOSITORY = Path(__file__).resolve().parents[2]
 RICH = data_folder("scenes") / "detectors" / "rich.yaml"
 NAMES = sorted(name for name in CONDITIONS if "experiment" not in name)
 
 
 def content_of(name: str = "rich") -> dict[str, Any]:
-    content: dict[str, Any] = load_yaml(RICH.with_name(f"{name}.yaml"), "detector")
-    return content
+    return load_yaml(RICH.with_name(f"{name}.yaml"), "detector")
 
 
 def change(before: str, after: str) -> ConditionChange:
@@ -43,7 +47,6 @@ def errors_of(unit: str, covariance: Array) -> dict[str, Any]:
 
 
 def condition(**keys: Any) -> tuple[str, DetectorModel]:
-    """A condition of one's own."""
     usual = errors_of("relative", np.diag([4.0, 1, 9, 1]))
     return "it", parse_detector(detector_file("it", missed=0.2, false=0.1, **{**usual, **keys}))
 
@@ -78,12 +81,15 @@ def test_odds_by_hand() -> None:
 @settings(max_examples=25, deadline=None)
 def test_a_guess_is_a_detector_and_the_way_back_undoes_it(before: str, after: str, name: str) -> None:
     content = content_of(name)
-    there = guessed(content, change(before, after))
+    try:
+        there = guessed(content, change(before, after))
+    except InputError as error:  # so few false detections leave no room for second boxes, which stay
+        assert name == "rich" and "leaves room for" in str(error)
+        return
     model = parse_detector(there)  # refuses probabilities out of range, columns, covariances
     for state in model.states:
         assert 0 < state.confusion[-1].min() <= state.confusion[-1].max() < 1
-        assert 0 < state.false_discovery_rate < 1
-        assert np.linalg.eigvalsh(state.box_error.covariance).min() > 0
+        assert 0 < state.false_discovery_rate < 1 and np.linalg.eigvalsh(state.box_error.covariance).min() > 0
     back, original = parse_detector(guessed(there, change(after, before))), parse_detector(content)
     for found, wanted in zip(back.states, original.states, strict=True):
         np.testing.assert_allclose(found.confusion, wanted.confusion, atol=2e-6)
@@ -130,13 +136,11 @@ def test_confidence_is_shifted_by_its_log_odds() -> None:
     clear, haze = (guessed(content, by)["states"][name]["confidence"] for name in ("clear", "haze"))
     before = content["states"]["clear"]["confidence"]
     for found, was in zip(clear.values(), before.values(), strict=True):
-        if isinstance(was, dict):
-            assert found["mean"] / (1 - found["mean"]) == pytest.approx(
-                ratio * was["mean"] / (1 - was["mean"]), rel=1e-4
-            )
-            assert found["std"] == was["std"]
-        else:
+        if not isinstance(was, dict):
             assert found == was
+            continue
+        odds, before_odds = (each["mean"] / (1 - each["mean"]) for each in (found, was))
+        assert odds == pytest.approx(ratio * before_odds, rel=1e-4) and found["std"] == was["std"]
     quantiles = np.array(next(iter(haze.values()))["quantiles"])
     was = np.array([0.2, 0.4, 0.55, 0.65, 0.95])
     np.testing.assert_allclose(quantiles / (1 - quantiles), ratio * was / (1 - was), rtol=1e-4)
@@ -144,10 +148,11 @@ def test_confidence_is_shifted_by_its_log_odds() -> None:
 
 def test_a_detector_that_misses_all_or_nothing_still_does() -> None:
     content = content_of("thesis")
-    content["states"]["good"]["confusion"] = [[1.0], [0.0]]
-    content["states"]["bad"]["confusion"] = [[0.0], [1.0]]
+    extremes = {"good": [[1.0], [0.0]], "bad": [[0.0], [1.0]]}
+    for name, confusion in extremes.items():
+        content["states"][name]["confusion"] = confusion
     states = guessed(content, change("noon_clear", "foggy_cloudy"))["states"]
-    assert (states["good"]["confusion"], states["bad"]["confusion"]) == ([[1.0], [0.0]], [[0.0], [1.0]])
+    assert {name: states[name]["confusion"] for name in extremes} == extremes
 
 
 @pytest.mark.parametrize(
@@ -176,15 +181,13 @@ def test_a_detector_of_several_states_is_no_condition_and_a_precision_recall_cur
 
 
 def test_the_table_of_the_page_has_the_rates_of_the_conditions() -> None:
-    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)% \| ([\d.]+)% \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    page = (REPOSITORY / "docs" / "conditions.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+)% \| ([\d.]+)% \|$", page, re.MULTILINE)
     states = {name: CONDITIONS[name][1].states[0] for name in NAMES}
-    assert {name: (missed, false) for name, missed, false in rows} == {
-        name: (f"{state.confusion[-1, 0]:.1%}"[:-1], f"{state.false_discovery_rate:.1%}"[:-1])
+    assert sorted(rows) == sorted(
+        (name, f"{100 * state.confusion[-1, 0]:.1f}", f"{100 * state.false_discovery_rate:.1f}")
         for name, state in states.items()
-    }
-
-
-# ---- the command -------------------------------------------------------------------------------------------------
+    )
 
 
 def guess(detector: Path | str, before: Path | str, after: str) -> tuple[str, ...]:
@@ -196,23 +199,20 @@ def test_the_command_writes_a_detector_that_says_that_it_is_a_guess(call: Call, 
     arguments = (*guess(RICH, "noon_clear", "foggy_cloudy"), "--out", str(out))
     status, said = call(*arguments)
     assert status == 0, said
-    assert "A guess, not a measurement: rich.yaml in foggy_cloudy" in said
-    assert "warning" not in said
+    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/learn.py writes them
+    assert "A guess, not a measurement: rich.yaml in foggy_cloudy" in said and "warning" not in said
     comments = [line for line in out.read_text().splitlines() if line.startswith("#")]
     assert "Written by modsim3d learn --from-condition. A guess, not a measurement" in comments[0]
-    assert "noon_clear" in " ".join(comments)
-    assert "odds of a miss by 4.01" in " ".join(comments)
-    assert max(map(len, comments)) <= 120
-    assert load_detector(out).labels == load_detector(RICH).labels
+    assert "noon_clear" in " ".join(comments) and "odds of a miss by 4.01" in " ".join(comments)
+    assert max(map(len, comments)) <= 120 and load_detector(out).labels == load_detector(RICH).labels
     status, said = call(*arguments)
     assert (status, "exists" in said) == (2, True)
 
 
 def test_conditions_measured_on_other_images_are_remarked_on(call: Call, tmp_path: Path) -> None:
-    line = guess(RICH, "noon_clear", "real_world_experiment_1")
-    status, said = call(*line, "--out", str(tmp_path / "real.yaml"))
-    assert status == 0
-    assert "warning: the box errors of the two conditions differ by more than a factor of four" in said
+    status, said = call(*guess(RICH, "noon_clear", "real_world_experiment_1"), "--out", str(tmp_path / "real.yaml"))
+    warning = "warning: the box errors of the two conditions differ by more than a factor of four"
+    assert status == 0 and warning in said
 
 
 def test_the_detector_itself_is_never_written_over(call: Call, tmp_path: Path) -> None:
@@ -232,19 +232,10 @@ def test_the_detector_itself_is_never_written_over(call: Call, tmp_path: Path) -
     ],
     ids=["rain", "spelling", "states", "missing"],
 )
-def test_what_cannot_be_guessed_from_is_one_error(
-    call: Call, tmp_path: Path, detector: Path | str, before: Path | str, after: str, part: str
-) -> None:
+def test_what_cannot_be_guessed_from_is_one_error(call: Call, tmp_path: Path, detector, before, after, part) -> None:
     out = tmp_path / "out.yaml"
     status, said = call(*guess(detector, before, after), "--out", str(out))
-    assert status == 2
-    assert part in " ".join(said.split())
-    assert "Traceback" not in said
-    assert not out.exists()
-
-
-def test_the_error_components_are_those_of_the_comment() -> None:
-    assert ERROR_COMPONENTS == ("e_x", "e_y", "e_w", "e_h")  # as cli/learn.py writes them
+    assert status == 2 and not out.exists() and part in " ".join(said.split()) and "Traceback" not in said
 
 
 @pytest.mark.parametrize("others", [("--to-condition", "foggy_cloudy"), ("--detector", "rich.yaml", "run")])
@@ -252,3 +243,79 @@ def test_a_guess_needs_a_detector_and_two_conditions_and_nothing_else(call: Call
     status, said = call("learn", "--from-condition", "noon_clear", *others, "--out", tmp_path / "out.yaml")
     assert status == 2 and not (tmp_path / "out.yaml").exists()
     assert "needs --detector, --from-condition and --to-condition together" in said
+
+
+DETECTORS = REPOSITORY / "scenes" / "detectors"
+PAIRS = ("xy", "xw", "xh", "yw", "yh", "wh")
+
+
+def data(name):
+    return yaml.safe_load((DETECTORS / "data" / name).read_text())
+
+
+PUBLISHED, STATES = data("detection_conditions.yaml"), data("performance_states.yaml")["states"]
+
+
+def covariance_px2(entry):
+    return covariance(np.array(entry["std_px"], dtype=float), [entry["correlation"][pair] for pair in PAIRS])
+
+
+@pytest.mark.parametrize("state", STATES)
+def test_averages_of_conditions_are_tables_9_2_and_9_3(state):
+    """Every condition counts alike, and means that differ add nothing to the covariance (section 9.1.3)."""
+    published = STATES[state]
+    entries = [PUBLISHED[name] for name in published["from"]]
+    # Rates are printed with three decimals; means were made of numbers with one; 0.0005 is half of the last digit.
+    recall, false = (np.mean([entry[key] for entry in entries]) for key in ("recall", "fdr"))
+    assert 1 - recall == pytest.approx(published["false_negative_rate"], abs=6e-4)
+    assert false == pytest.approx(published["false_discovery_rate"], abs=6e-4)
+    mean_px = np.mean([entry["mean_px"] for entry in entries], axis=0)
+    np.testing.assert_allclose(mean_px, published["box_error_mean_px"], atol=0.006)
+    # Standard deviations have one decimal and correlations two: what that leaves open in each product.
+    average_px2 = np.mean([covariance_px2(entry) for entry in entries], axis=0)
+    stds = np.sqrt(np.diag(average_px2))
+    open_px2 = 0.5 + 0.05 * (stds[:, None] + stds[None, :]) + 0.005 * np.outer(stds, stds)
+    assert np.all(np.abs(average_px2 - published["box_error_covariance_px2"]) <= open_px2)
+
+
+def test_files_of_the_conditions_are_what_the_script_writes(tmp_path):
+    script = REPOSITORY / "script" / "make_conditions"
+    subprocess.run([sys.executable, script, tmp_path], check=True, env=os.environ | {"PYTHONPATH": str(REPOSITORY)})
+    written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert written == {path.name: path.read_bytes() for path in (DETECTORS / "conditions").iterdir()}
+    assert len(written) == 17
+
+
+def test_files_of_the_conditions_hold_the_published_numbers():
+    (state,) = load_detector(DETECTORS / "conditions" / "foggy_clear.yaml").states
+    assert state.confusion.ravel().tolist() == [0.657, 0.343] and state.false_discovery_rate == 0.098
+    np.testing.assert_allclose(np.sqrt(np.diag(state.box_error.covariance)), [47.7, 13.1, 65.8, 23.6], rtol=1e-5)
+    assert state.box_error.covariance[0, 2] / (47.7 * 65.8) == pytest.approx(0.92, rel=1e-5)
+
+
+def test_clusters_are_the_best_of_all_splits_and_always_the_same():
+    f1 = {name: PUBLISHED[name]["f1"] for name in list(PUBLISHED)[:15]}
+    found = cluster(f1, 4)
+    assert found.names == ("excellent", "good", "bad", "terrible")
+    assert sorted(name for names in found.states.values() for name in names) == sorted(f1)
+    assert found.states["terrible"] == ("Foggy cloudy",)  # the only state that the thesis's split by eye has alike
+
+    def within(groups):
+        return sum(float(np.var(group) * len(group)) for group in groups)
+
+    values = sorted(f1.values(), reverse=True)
+    splits = combinations(range(1, 15), 3)
+    every = [within([values[:a], values[a:b], values[b:c], values[c:]]) for a, b, c in splits]
+    ours = within([[f1[name] for name in names] for names in found.states.values()])
+    assert ours == pytest.approx(min(every)) and cluster(dict(sorted(f1.items())), 4).states == found.states
+    with pytest.raises(InputError, match="only 15 conditions"):
+        cluster(f1, 16)
+
+
+def test_states_that_do_not_fit_the_conditions_are_refused_at_once():
+    with pytest.raises(InputError) as raised:
+        parse_states(["good=day,nihgt", "bad=day", "worse", "good=fog"], ["day", "night", "fog"])
+    for problem in ("did you mean 'night'?", "condition 'day' is already in state 'good'",
+                    "--states worse: must be NAME=CONDITION", "state 'good' is given twice"):  # fmt: skip
+        assert problem in str(raised.value)
+    assert parse_states(["good=day, fog"], ["day", "night", "fog"]).states == {"good": ("day", "fog")}

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -15,21 +13,18 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.matching import Rule
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LearnSettings, learn
-from modsim3d.learn.matches import Observed
+from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.model_selection import RICHER
 from modsim3d.learn.report import NearGate
-from modsim3d.learn.simulated_results import simulated
-from modsim3d.learn.states import Transitions, each_its_own, transitions_of
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import found, images, random_set, truth
-from tests.learn.one_state import detector_file
+from tests.learn import one_state, round_trip
 from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
 
 
@@ -41,10 +36,7 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def exported(run):
     folder = run.parent / "coco"
-    result = CliRunner().invoke(
-        app, ["export", str(run), "--format", "coco", "--out", str(folder)], catch_exceptions=False
-    )
-    assert "gt.json" in result.output
+    assert "gt.json" in round_trip.command("export", run, "--format", "coco", "--out", folder).output
     return folder
 
 
@@ -56,17 +48,12 @@ def short(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def short_files(short):
-    """Options that learn from its files."""
     truth, detections = write_coco(labelled_run(short)[0], short.parent / "coco")
     return ["--truth", truth, "--detections", detections, "--interval", 1]
 
 
-def observe(labelled, names, state, rule=None):
-    return Observed(labelled, match(labelled, rule or Rule(), 0.2), names, state, 0.2)
-
-
 def command(*parts):
-    return CliRunner().invoke(app, ["learn", *map(str, parts)], catch_exceptions=False, env={"COLUMNS": "300"})
+    return round_trip.command("learn", *parts)
 
 
 def test_exported_coco_is_the_run(run, exported):
@@ -92,18 +79,10 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
     labelled = labelled_run(run)[0]
     if method != "provenance":
         labelled = read_coco("all", exported / "gt.json", exported / "dt.json")
-    states = each_its_own(("clear", "haze"))
-    image_state = states.of_images(labelled.images, labelled.conditions)
-    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(
-        observe(labelled, states.names, image_state, Rule(method)),
-        transitions,
-        LearnSettings(Rule(method), replicates=150),
-    )
+    learned = one_state.learned_by_condition(labelled, Rule(method), replicates=150)
     asked = asked_of()
     total = sum(value.size for value in asked.values())
-    assert total == 90
-    assert outside(asked, learned.intervals(1 - 0.01 / total)) == {}
+    assert total == 90 and outside(asked, learned.intervals(1 - 0.01 / total)) == {}
     model = parse_detector(learned.detector())
     assert model.persistence.class_s > 0 and model.persistence.box_s > 0 and not model.needs_target_statistics
     # And not because they are as wide as can be.
@@ -115,10 +94,7 @@ def test_every_number_comes_back_inside_its_interval(method, run, exported):
 def test_every_number_comes_back_from_the_harbour_where_vessels_hide_each_other(tmp_path):
     simulate("harbour", tmp_path, mode=2, steps=300)
     labelled = read_coco("all", *write_coco(labelled_run(tmp_path / "run")[0], tmp_path / "coco"))
-    states = each_its_own(("clear", "haze"))
-    image_state = states.of_images(labelled.images, labelled.conditions)
-    transitions = transitions_of(labelled.images, image_state, 2, 1.0)
-    learned = learn(observe(labelled, states.names, image_state), transitions, LearnSettings(replicates=60))
+    learned = one_state.learned_by_condition(labelled, replicates=60)
     asked = asked_of()
     assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
 
@@ -128,14 +104,12 @@ def test_the_command_writes_a_file_and_a_page(short_files, tmp_path):
     result = command(*short_files, "--out", out, "--replicates", 40)
     assert result.exit_code == 0
     model = load_detector(out)
-    assert {state.name for state in model.states} == {"clear", "haze"}
-    assert model.transition_interval_s == 1
+    assert {state.name for state in model.states} == {"clear", "haze"} and model.transition_interval_s == 1
     for state, share in model.stationary_shares.items():
         table = result.output.partition("States in the long run")[2].splitlines()
         row = next(line.split() for line in table if line.startswith(state))
         assert float(row[-1].rstrip("%")) == pytest.approx(100 * share, abs=0.1)
-    text = out.read_text()
-    assert text.startswith("# Learned by modsim3d learn. 200 images, ")
+    assert out.read_text().startswith("# Learned by modsim3d learn. 200 images, ")
     for title in ("Precision, recall, F1", "Box errors in pixels", "Correlation coefficients", "Confusion matrix of",
                   "points gained if corrected", "Left simple", "Never learned"):  # fmt: skip
         assert title in result.output
@@ -155,21 +129,27 @@ def test_the_same_data_give_the_same_bytes(short_files, tmp_path):
         assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes()
 
 
+BOATS_PX = [[100.0, 100, 180, 160], [300.0, 300, 400, 380]]
+
+
 def pairs_of_conditions(tmp_path, count):
     """Conditions with ever more misses."""
-    rng = np.random.default_rng(8)
-    arguments = []
+    rng, image, arguments = np.random.default_rng(8), np.repeat(np.arange(60), 2), []
+    boxes = np.tile(BOATS_PX, (60, 1))
     for number in range(count):
-        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (60, 1))
-        image = np.repeat(np.arange(60), 2)
         seen = rng.random(120) > 0.05 + 0.1 * number
         moved = boxes + rng.normal(0, 2, boxes.shape)
-        sure = 0.5 + rng.random(sum(seen)) / 2
-        labelled = LabelledSet(("boat",), (f"c{number}",), images(60), truth(image, image * 0, boxes),
-                            found(image[seen], image[seen] * 0, moved[seen], sure))  # fmt: skip
-        gt, dt = write_coco(labelled, tmp_path / f"c{number}")
-        arguments += ["--condition", f"c{number}", "--truth", gt, "--detections", dt]
+        results = found(image[seen], image[seen] * 0, moved[seen], 0.5 + rng.random(sum(seen)) / 2)
+        labelled = one_state.of_boats(images(60), truth(image, image * 0, boxes), results, f"c{number}")
+        arguments += options_of(labelled, tmp_path)
     return arguments
+
+
+def options_of(labelled, folder):
+    """Options that learn from a set of one condition."""
+    (name,) = labelled.conditions
+    truth, detections = write_coco(labelled, folder / name)
+    return ["--condition", name, "--truth", truth, "--detections", detections]
 
 
 def test_what_was_left_out_is_remarked_in_every_place(tmp_path):
@@ -188,8 +168,7 @@ def test_states_from_conditions_and_from_clusters(tmp_path):
     assert "States: good = c0, c1" in out.read_text()
     model = load_detector(out)
     assert [state.name for state in model.states] == ["good", "bad"]
-    assert model.transition_matrix.tolist() == [[1, 0], [0, 1]]
-    assert "had 0 transitions" in named.output
+    assert model.transition_matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in named.output
     assert "persistence: none; frames have no times" in named.output
     (tmp_path / "sequence.txt").write_text("excellent\nexcellent\nbad\n" * 10)
     command(*arguments, "--states", "3", "--sequence", tmp_path / "sequence.txt", "--interval", 5, "--out", out,
@@ -209,86 +188,64 @@ def test_conditions_that_no_image_has_make_no_state():
 
 
 def test_intervals_rest_on_the_images_of_their_own_state_whatever_its_name():
-    labelled = random_set(4, image_count=40)
-    states = np.repeat([0, 1], [30, 10])
-    named = [
-        learn(observe(labelled, names, states), Transitions(np.zeros((2, 2))), LearnSettings(replicates=20)).intervals(
-            0.95
-        )
-        for names in (("day", "night"), ("all", "all.night"))
-    ]
-    for first, second in zip(*named, strict=True):
+    labelled, states = random_set(4, image_count=40), np.repeat([0, 1], [30, 10])
+    observed = (one_state.observed_as(labelled, names, states) for names in (("day", "night"), ("all", "all.night")))
+    plain, dotted = (one_state.learned_in(each).intervals(0.95) for each in observed)
+    for first, second in zip(plain, dotted, strict=True):
         assert first.key.names == second.key.names
         np.testing.assert_array_equal((first.low, first.high), (second.low, second.high))
-    assert {each.key.state for each in named[1]} == {"all", "all.night", None}
+    assert {each.key.state for each in dotted} == {"all", "all.night", None}
 
 
 def test_what_does_not_fit_together_is_refused(tmp_path):
     arguments = pairs_of_conditions(tmp_path, 2)
-    out = ["--out", tmp_path / "d.yaml"]
-    with pytest.raises(ModsimError, match="nothing to learn from"):
-        command(*out)
-    with pytest.raises(ModsimError, match="1 of truth and 0 of detections are given"):
-        command("--truth", arguments[3], *out)
-    with pytest.raises(ModsimError, match="1 conditions are named for 2 pairs"):
-        command(*arguments[2:], *out)
-    with pytest.raises(ModsimError, match="--states 2: must be NAME=CONDITION"):
-        command(*arguments, "--states", "a=c0", "--states", 2, *out)
-    with pytest.raises(ModsimError, match="needs simulated runs"):
-        command(*arguments, "--match", "provenance", *out)
-    with pytest.raises(InputError, match=r"must be W,H in pixels"):
-        command(*arguments, "--image-size", "big", *out)
-    with pytest.raises(InputError, match=r"--horizon:\n  must be ROW, or X1,Y1,X2,Y2, in pixels, as 400 \(got 'far'\)"):
-        command(*arguments, "--horizon", "far", *out)
-    with pytest.raises(InputError, match=r"--horizon:\n  lies below images"):
-        command(*arguments, "--horizon", "1e5", *out)
-    with pytest.raises(InputError, match="most_distance_px: Input should be greater than 0"):
-        command(*arguments, "--match", "centre:-1", *out)
-    with pytest.raises(InputError, match="the page would be written over the detector file"):
-        command(*arguments, "--out", tmp_path / "d.html")
-    empty = tmp_path / "empty.json"
+    empty, nothing = tmp_path / "empty.json", tmp_path / "nothing.json"
     empty.write_text(json.dumps({"images": [], "annotations": [], "categories": [{"id": 1, "name": "boat"}]}))
-    nothing = tmp_path / "nothing.json"
     nothing.write_text("[]")
-    with pytest.raises(ModsimError, match="no annotation is there"):
-        command("--truth", empty, "--detections", nothing, *out)
+    horizon = r"--horizon:\n  must be ROW, or X1,Y1,X2,Y2, in pixels, as 400 \(got 'far'\)"
+    for error, message, parts in (
+        (ModsimError, "nothing to learn from", ()),
+        (ModsimError, "1 of truth and 0 of detections are given", ("--truth", arguments[3])),
+        (ModsimError, "1 conditions are named for 2 pairs", arguments[2:]),
+        (ModsimError, "--states 2: must be NAME=CONDITION", (*arguments, "--states", "a=c0", "--states", 2)),
+        (ModsimError, "needs simulated runs", (*arguments, "--match", "provenance")),
+        (InputError, "must be W,H in pixels", (*arguments, "--image-size", "big")),
+        (InputError, horizon, (*arguments, "--horizon", "far")),
+        (InputError, r"--horizon:\n  lies below images", (*arguments, "--horizon", "1e5")),
+        (InputError, "most_distance_px: Input should be greater than 0", (*arguments, "--match", "centre:-1")),
+        (InputError, "the page would be written over the detector file", (*arguments, "--out", tmp_path / "d.html")),
+        (ModsimError, "no annotation is there", ("--truth", empty, "--detections", nothing)),
+    ):
+        with pytest.raises(error, match=message):
+            command("--out", tmp_path / "d.yaml", *parts)
 
 
 def blank(count=1500, side=60.0):
     """Two boats in every image, and nothing detected."""
     image = np.repeat(np.arange(count), 2)
     boxes = np.tile([[200.0, 200, 200 + side, 200 + side], [500.0, 500, 500 + side, 500 + side]], (count, 1))
-    return LabelledSet(("boat",), ("usual",), images(count, (800, 800)), truth(image, image * 0, boxes),
-                    found([], [], [], []))  # fmt: skip
+    return one_state.of_boats(images(count, (800, 800)), truth(image, image * 0, boxes))
 
 
-def one_state(std_px):
-    covariance = (std_px**2 * np.eye(4)).tolist()
-    return detector_file(missed=0.15, false=0.1, box_error={"unit": "px", "mean": [0] * 4, "covariance": covariance})
-
-
-def learn_usual(labelled, settings):
-    state = np.zeros(len(labelled.images), dtype=np.int64)
-    return learn(observe(labelled, ("usual",), state, settings.rule), Transitions(np.zeros((1, 1))), settings)
-
-
-def estimates(learned):
-    return {entry.key.path: entry.estimate for entry in entries_of(learned.numbers)}
+def px_detector(std_px):
+    box_error = {"unit": "px", "mean": [0] * 4, "covariance": (std_px**2 * np.eye(4)).tolist()}
+    return one_state.detector_file(missed=0.15, false=0.1, box_error=box_error)
 
 
 def test_a_gate_makes_misses_and_false_detections_of_large_errors_and_leaves_the_box_errors():
-    settings = LearnSettings(Rule(), replicates=20, clutter="calibrated")
-    labelled = simulated(blank(), np.zeros(1500, dtype=np.int64), parse_detector(one_state(8.0)), seed=3)
-    values = estimates(learn_usual(replace(labelled, results=replace(labelled.results, origin=None)), settings))
+    labelled = one_state.detected(blank(), px_detector(8.0), seed=3)
+    labelled = replace(labelled, results=replace(labelled.results, origin=None))
+    learned = one_state.learned_in(one_state.observed_in(labelled), clutter="calibrated")
+    values = {entry.key.path: entry.estimate for entry in entries_of(learned.numbers)}
     assert np.abs(values["states.usual.confusion"] - [[0.85], [0.15]]).mean() > 0.02
     assert values["states.usual.false_discovery_rate"] > 0.12
     np.testing.assert_allclose(values["states.usual.box_error_std"], 8.0, atol=0.35)
 
 
 def test_without_a_gate_every_number_comes_back():
-    settings = LearnSettings(Rule("provenance"), replicates=20, clutter="calibrated")
-    labelled = simulated(blank(), np.zeros(1500, dtype=np.int64), parse_detector(one_state(8.0)), seed=4)
-    intervals = {each.key.path: each for each in learn_usual(labelled, settings).intervals(0.9999)}
+    rule, labelled = Rule("provenance"), one_state.detected(blank(), px_detector(8.0), seed=4)
+    learned = one_state.learned_in(one_state.observed_in(labelled, rule), rule, clutter="calibrated")
+    intervals = {each.key.path: each for each in learned.intervals(0.9999)}
     asked = {"confusion": [[0.85], [0.15]], "false_discovery_rate": 0.1, "box_error_mean": 0, "box_error_std": 8}
     for name, value in asked.items():
         interval = intervals[f"states.usual.{name}"]
@@ -314,8 +271,7 @@ def test_a_simulation_with_the_learned_file_passes_verify_against_the_original(r
     # Shorter than what was learned from: verify counts the noise of the run alone, not that of learning.
     again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=tmp_path / "learned.yaml")
     verified = verify_run(open_run(again), DETECTOR).verification
-    assert [verdict.parameter.name for verdict in verified.failed] == []
-    assert len(verified.verdicts) > 80
+    assert [verdict.parameter.name for verdict in verified.failed] == [] and len(verified.verdicts) > 80
 
 
 TRUTH = {
@@ -342,15 +298,14 @@ def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(tmp_path):
     assert "confusion, column buoy: found as often as the other labels" in (tmp_path / "d.yaml").read_text()
 
 
-@pytest.mark.parametrize(
-    "results",
-    [
-        [],
-        [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
-        [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
-    ],
-    ids=["nothing", "only false ones", "below the threshold"],
-)
+NO_MATCH = {
+    "nothing": [],
+    "only false ones": [{"image_id": 1, "category_id": 9, "bbox": [300, 100, 50, 40], "score": 0.9}] * 3,
+    "below the threshold": [{"image_id": 1, "category_id": 3, "bbox": [11, 10, 50, 40], "score": 0.1}],
+}
+
+
+@pytest.mark.parametrize("results", NO_MATCH.values(), ids=NO_MATCH)
 def test_detections_of_which_none_matches_write_nothing(results, tmp_path):
     with pytest.raises(ModsimError, match="matches any of 1 annotations"):
         command(*coco_files(tmp_path, results))
@@ -373,14 +328,12 @@ def test_tables_fit_the_terminal_and_lose_nothing(width, tmp_path):
 
 def test_the_page_has_the_labels_of_every_condition(tmp_path):
     rng, arguments = np.random.default_rng(3), []
+    image, label, boxes = np.repeat(np.arange(40), 2), np.tile([0, 1], 40), np.tile(BOATS_PX, (40, 1))
     for name in ("day", "fog"):
-        boxes = np.tile([[100.0, 100, 180, 160], [300.0, 300, 400, 380]], (40, 1))
-        image, label = np.repeat(np.arange(40), 2), np.tile([0, 1], 40)
-        moved = boxes + rng.normal(0, [1, 1, 1, 1], boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
-        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes),
-                            found(image, label, moved, np.full(80, 0.9)))  # fmt: skip
-        gt, dt = write_coco(labelled, tmp_path / name)
-        arguments += ["--condition", name, "--truth", gt, "--detections", dt]
+        moved = boxes + rng.normal(0, 1, boxes.shape) * np.tile([[1.0], [6.0]], (40, 1))
+        results = found(image, label, moved, np.full(80, 0.9))
+        labelled = LabelledSet(("kayak", "ferry"), (name,), images(40), truth(image, label, boxes), results)
+        arguments += options_of(labelled, tmp_path)
     result = command(*arguments, "--states", "all=day,fog", "--out", tmp_path / "d.yaml", "--replicates", 20)
     page = (tmp_path / "d.html").read_text()
     for group in ("day", "fog", "state all"):
@@ -391,16 +344,13 @@ def test_the_page_has_the_labels_of_every_condition(tmp_path):
 
 
 def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remarked(tmp_path):
-    state = np.zeros(700, dtype=np.int64)
     settings = LearnSettings(replicates=20, clutter="calibrated")
 
     def remarks(std_px, method="confidence", shift=0):
-        labelled = simulated(blank(700), state, parse_detector(one_state(std_px)), seed=3)
-        labelled = replace(labelled, labels=("boat", "buoy"))
-        found = replace(labelled.results, label=labelled.results.label + shift)
-        return learn_detector(
-            replace(labelled, results=found), replace(settings, rule=Rule(method)), LearnOptions()
-        ).remarks
+        labelled = one_state.detected(blank(700), px_detector(std_px), seed=3)
+        results = replace(labelled.results, label=labelled.results.label + shift)
+        labelled = replace(labelled, labels=("boat", "buoy"), results=results)
+        return learn_detector(labelled, replace(settings, rule=Rule(method)), LearnOptions()).remarks
 
     assert remarks(2.0) == ()
     assert len(remarks(8.0)) == 1 and "of the matches have an IoU of less than 0.6" in remarks(8.0)[0]
@@ -417,10 +367,8 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
     haze = np.arange(200) >= 188
     boxes = np.tile([[100.0, 100, 160, 160], [300.0, 300, 360, 360]], (200, 1))
     moved = boxes + rng.normal(0, np.where(haze[image], 10, 1)[:, None], boxes.shape)
-    labelled = LabelledSet(
-        ("boat",), ("clear", "haze"), replace(images(200), condition=haze.astype(np.int64)),
-        truth(image, 0 * image, boxes), found(image, 0 * image, moved, np.full(400, 0.9)),
-    )  # fmt: skip
+    pictures, results = replace(images(200), condition=haze.astype(int)), found(image, 0 * image, moved, [0.9] * 400)
+    labelled = LabelledSet(("boat",), ("clear", "haze"), pictures, truth(image, 0 * image, boxes), results)
     settings = LearnSettings(replicates=20, clutter="calibrated")
     (remark,) = learn_detector(labelled, settings, LearnOptions()).remarks
     assert "of the matches in haze have an IoU of less than 0.6" in remark

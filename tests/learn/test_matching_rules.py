@@ -1,14 +1,10 @@
 """Which rule matches what is learned from, that average precision follows it, and what is said where it loses most."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from modsim3d.cli.main import app
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.error_shares import ErrorKind, error_shares
@@ -18,7 +14,8 @@ from modsim3d.learn.model_selection import RICHER
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.formats.labelled_sets import found, images, random_set, truth
-from tests.learn.round_trip import simulate
+from tests.learn.one_state import of_boats
+from tests.learn.round_trip import command, simulate
 
 WITHOUT = frozenset(RICHER) - {"duplicates", "merges", "splits"}
 """What is learned beside matching, and would be most of the work. Second boxes and parts count as matching has them."""
@@ -33,13 +30,8 @@ def run(tmp_path_factory):
 @pytest.fixture(scope="module")
 def far_off(tmp_path_factory):
     """A run whose boxes hardly touch their vessels."""
-    folder = tmp_path_factory.mktemp("far") / "run"
-    run_scene(load_scene("simulation_1", steps=60, source="analytic"), folder)
-    return folder
-
-
-def command(name, *parts):
-    return CliRunner().invoke(app, [name, *map(str, parts)], catch_exceptions=False, env={"COLUMNS": "300"})
+    scene = load_scene("simulation_1", steps=60, source="analytic")
+    return run_scene(scene, tmp_path_factory.mktemp("far") / "run").folder
 
 
 def learn(tmp_path, *parts):
@@ -91,11 +83,10 @@ def slow_average_precision(labelled, rule, label, of_image):
 @pytest.mark.parametrize("rule", [Rule("provenance"), Rule("centre", most_distance_px=9), Rule(least_iou=0.6)], ids=str)
 def test_average_precision_follows_the_rule_as_a_slow_count_has_it(rule, near, run, far_off):
     labelled, _ = labelled_run(run if near else far_off)
-    labels = range(len(labelled.labels))
     report = learn_detector(labelled, LearnSettings(rule, replicates=20, without=WITHOUT), LearnOptions())
     for figures in report.states:
         of_image = labelled.images.condition == labelled.conditions.index(figures.name)
-        slow = [slow_average_precision(labelled, rule, k, of_image) for k in labels]
+        slow = [slow_average_precision(labelled, rule, k, of_image) for k in range(len(labelled.labels))]
         ours = figures.average_precision.all_points.estimate
         assert ours == pytest.approx([np.nan if each is None else each for each in slow], abs=1e-12, nan_ok=True)
         assert (np.nanmean(ours) > 0.1) == (near or rule.method == "provenance")
@@ -104,13 +95,11 @@ def test_average_precision_follows_the_rule_as_a_slow_count_has_it(rule, near, r
 def test_an_optimal_assignment_ranks_by_confidence_for_average_precision_and_says_so(run, tmp_path):
     labelled, _ = labelled_run(run)
     asked = [
-        learn_detector(labelled, LearnSettings(Rule(method), replicates=20, without=WITHOUT), LearnOptions())
+        learn_detector(labelled, LearnSettings(Rule(method), replicates=20, without=WITHOUT), LearnOptions()).states
         for method in ("optimal", "confidence")
     ]
-    for first, second in zip(asked[0].states, asked[1].states, strict=True):
-        np.testing.assert_array_equal(
-            first.average_precision.all_points.values, second.average_precision.all_points.values
-        )
+    for states in zip(*asked, strict=True):
+        np.testing.assert_array_equal(*(state.average_precision.all_points.values for state in states))
     said = learn(tmp_path, run, "--match", "optimal")
     assert "matched by IoU at least 0.5, optimal assignment, confidence at least" in said
     assert "every detection counted, matched by IoU at least 0.5, in order of confidence" in said
@@ -145,17 +134,14 @@ def test_by_centres_an_error_is_well_placed_where_the_centres_are_near():
 
 def test_a_run_is_matched_by_provenance_unless_asked_otherwise(far_off, tmp_path):
     usual, asked = (learn(tmp_path, far_off, *options) for options in ((), ("--match", "provenance")))
-    assert usual == asked
-    assert "matched by provenance" in usual and "warning" not in usual
+    assert usual == asked and "matched by provenance" in usual and "warning" not in usual
     page = (tmp_path / "d.html").read_text()
     assert "Precision against recall, matched by provenance" in page
     assert "IoU at least" in learn(tmp_path, far_off, "--match", "confidence")
 
 
 @pytest.mark.parametrize(
-    ("rule", "limit"),
-    [(Rule(), ""), (Rule("optimal", 0.4), ":0.4"), (Rule("centre", 0.5, 5.0), ":5")],
-    ids=str,
+    ("rule", "limit"), [(Rule(), ""), (Rule("optimal", 0.4), ":0.4"), (Rule("centre", 0.5, 5.0), ":5")], ids=str
 )
 def test_the_last_line_says_that_the_rule_loses_most_detections_of_a_run(rule, limit, far_off, tmp_path):
     said = learn(tmp_path, far_off, "--match", rule.method + limit)
@@ -178,19 +164,15 @@ def test_the_last_line_says_so_of_files_too_which_are_learned_together_with_runs
              for name in ("far", "near")}  # fmt: skip
     last = learn(tmp_path, *files["far"]).splitlines()[-1]
     assert last.startswith("warning: ") and "missed annotations overlap a false detection, and only" in last
-    assert "Use --match centre" in last
-    assert "warning" not in learn(tmp_path, *files["near"])
+    assert "Use --match centre" in last and "warning" not in learn(tmp_path, *files["near"])
     both = learn(tmp_path, far_off, *files["far"], "--match", "confidence")  # a rule that both know
     assert both.startswith("120 images")
 
 
 def test_a_detector_that_finds_little_is_not_called_one_whose_matches_are_lost(tmp_path):
     boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(20)]
-    labelled = replace(
-        random_set(1, 1, 1), images=images(1, (9999, 999)), annotations=truth([0] * 20, [0] * 20, boxes),
-        results=found([0] * 12, [0] * 12, [*boxes[:2], *([60.0 + 100 * k, 0, 90.0 + 100 * k, 50] for k in range(10))],
-                      [0.9] * 12),
-    )  # fmt: skip
+    seen = [*boxes[:2], *([60.0 + 100 * k, 0, 90.0 + 100 * k, 50] for k in range(10))]
+    annotations, results = truth([0] * 20, [0] * 20, boxes), found([0] * 12, [0] * 12, seen, [0.9] * 12)
+    labelled = of_boats(images(1, (9999, 999)), annotations, results)
     report = learn_detector(labelled, LearnSettings(replicates=20), LearnOptions())
-    assert report.states[0].any_label.recall.estimate == pytest.approx(0.1)
-    assert report.warning is None
+    assert report.states[0].any_label.recall.estimate == pytest.approx(0.1) and report.warning is None

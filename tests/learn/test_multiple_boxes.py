@@ -1,7 +1,5 @@
 """Second boxes, vessels in two parts and two vessels in one box."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,18 +8,15 @@ import pytest
 from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.unread import dead_lines
-from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.counted_types import NAMES
-from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.match_types import kinds_of
-from modsim3d.learn.matches import Observed
 from modsim3d.learn.multiple_boxes import ConsecutiveMerges, choose_multiple_boxes
-from modsim3d.learn.states import each_its_own, transitions_of
 from tests.formats.labelled_sets import found, images, truth
+from tests.learn.one_state import learned_by_condition, observed_by_condition, of_boats
 from tests.learn.round_trip import ROOT, asked_of, outside, simulate
 
 DETECTOR = ROOT / "tests" / "data" / "learn" / "multiple_boxes.yaml"
@@ -38,15 +33,11 @@ def none(tmp_path_factory):
 
 
 def observed_in(labelled, method, without=frozenset()):
-    states = each_its_own(("clear", "haze"))
-    image_state = states.of_images(labelled.images, labelled.conditions)
-    return Observed(labelled, match(labelled, Rule(method), 0.2), states.names, image_state, 0.2, without)
+    return observed_by_condition(labelled, Rule(method), without)
 
 
 def learned_from(labelled, method, without=frozenset(), replicates=100):
-    observed = observed_in(labelled, method, without)
-    settings = LearnSettings(Rule(method), replicates=replicates, without=without)
-    return learn(observed, transitions_of(labelled.images, observed.image_state, 2, 1.0), settings)
+    return learned_by_condition(labelled, Rule(method), replicates=replicates, without=without)
 
 
 @pytest.mark.parametrize("method", ["provenance", "confidence"])
@@ -66,9 +57,8 @@ def test_nothing_is_learned_where_there_is_nothing(none):
     for method in ("provenance", "confidence"):
         learned = learned_from(none, method, replicates=20)
         assert not set(NAMES) & set(learned.detector()["false_positives"])
-        assert [note.partition(":")[0] for note in learned.form.multiple_boxes.notes] == [
-            f"false_positives.{name}" for name in NAMES
-        ]
+        notes = [note.partition(":")[0] for note in learned.form.multiple_boxes.notes]
+        assert notes == [f"false_positives.{name}" for name in NAMES]
         plain = learned_from(none, method, frozenset(NAMES), replicates=20)
         assert plain.detector() == learned.detector()
 
@@ -84,9 +74,8 @@ def test_merges_that_do_not_persist_have_no_correlation_time(many):
 
 
 def test_persistence_of_merges_can_be_left_out(many):
-    with_it, without = (
-        choose_multiple_boxes(observed_in(many, "provenance", frozenset(names))) for names in ((), ("persistence",))
-    )
+    observed = (observed_in(many, "provenance", frozenset(names)) for names in ((), ("persistence",)))
+    with_it, without = map(choose_multiple_boxes, observed)
     assert with_it.merge_s > 0 and without == replace(with_it, merge_s=0.0)
 
 
@@ -100,28 +89,25 @@ def test_what_is_left_out_counts_as_before(many):
 
 
 def test_a_run_and_its_boxes_tell_the_same(many):
-    says = kinds_of(many, match(many, Rule("provenance"), 0.2), np.ones(len(many.images), dtype=bool))
-    looks = kinds_of(many, match(many, Rule(), 0.2), np.ones(len(many.images), dtype=bool))
-    for name, share in (("doubled", 0.9), ("fragments", 0.95)):
-        real, seen = set(getattr(says, name).tolist()), set(getattr(looks, name).tolist())
+    every = np.ones(len(many.images), dtype=bool)
+    kinds = [kinds_of(many, match(many, rule, 0.2), every) for rule in (Rule("provenance"), Rule())]
+    for share, columns in (
+        (0.9, lambda each: (each.doubled,)),
+        (0.95, lambda each: (each.fragments,)),
+        (0.8, lambda each: (each.merged.smaller, each.merged.box)),
+    ):
+        real, seen = (set(zip(*(column.tolist() for column in columns(each)), strict=True)) for each in kinds)
         assert len(real & seen) >= share * max(len(real), len(seen))
-    real, seen = (
-        set(zip(each.merged.smaller.tolist(), each.merged.box.tolist(), strict=True)) for each in (says, looks)
-    )
-    assert len(real & seen) >= 0.8 * max(len(real), len(seen))
 
 
 def kinds_of_boxes(truth_px, found_px):
     """What boxes look like in the first of some images; a vessel of its own is found in all of them."""
     far_px = [[500, 500, 560, 520]]
     boxes, seen = far_px * 25 + list(truth_px), far_px * 25 + list(found_px)
-    labelled = LabelledSet(
-        ("boat",),
-        ("all",),
-        images(25),
-        truth([*range(25), *[0] * len(truth_px)], [0] * len(boxes), boxes).by_image(),
-        found([*range(25), *[0] * len(found_px)], [0] * len(seen), seen, np.linspace(0.9, 0.5, len(seen))).by_image(),
-    )
+    annotations = truth([*range(25), *[0] * len(truth_px)], [0] * len(boxes), boxes).by_image()
+    scores = np.linspace(0.9, 0.5, len(seen))
+    results = found([*range(25), *[0] * len(found_px)], [0] * len(seen), seen, scores).by_image()
+    labelled = of_boats(images(25), annotations, results)
     return kinds_of(labelled, match(labelled, Rule(), 0.2), np.ones(25, dtype=bool)), labelled.results.boxes_px
 
 
@@ -142,9 +128,8 @@ def test_second_boxes_with_few_false_ones_ask_for_a_rate_of_their_own(many):
     columns = {name: None if column is None else column[rare] for name, column in vars(results).items()}
     learned = learned_from(replace(many, results=type(results)(**columns)), "provenance")
     content = learned.detector()
-    assert content["false_positives"]["model"] == "per_image" and any(
-        "every vessel were long" in n for n in learned.notes
-    )
+    assert content["false_positives"]["model"] == "per_image"
+    assert any("every vessel were long" in note for note in learned.notes)
     assert dead_lines(parse_detector(content, "learned")) == []
 
 
@@ -152,18 +137,12 @@ def test_drawn_second_boxes_leave_room():
     share = {"kind": "share", "observations": 20.0}
     numbers = [{"key": ["false_positives", name], "estimate": 0.2, **share} for name in ("duplicates", "splits")]
     rate = {"key": ["false_discovery_rate"], "estimate": 0.29, **share}
-    known = LearnedUncertainty.model_validate(
-        {
-            "format": 1,
-            "detector_sha256": "",
-            "confidence_threshold": 0.2,
-            "transitions": None,
-            "groups": [
-                {"state": None, "units": 50, "numbers": numbers, "correlations": [[], [0.0]]},
-                {"state": "good", "units": 50, "numbers": [rate], "correlations": [[]]},
-            ],
-        }
-    )
+    groups = [
+        {"state": None, "units": 50, "numbers": numbers, "correlations": [[], [0.0]]},
+        {"state": "good", "units": 50, "numbers": [rate], "correlations": [[]]},
+    ]
+    content = {"format": 1, "detector_sha256": "", "confidence_threshold": 0.2, "transitions": None, "groups": groups}
+    known = LearnedUncertainty.model_validate(content)
     for seed in range(20):
         drawn = drawn_detector(known, seed)
         rate_drawn = drawn["detector.states.good.false_discovery_rate"]

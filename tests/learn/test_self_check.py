@@ -1,7 +1,5 @@
 """A learned detector is compared with the real one where it was not learned."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -13,52 +11,43 @@ from modsim3d.cli.learn import learn_json
 from modsim3d.cli.main import app
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.formats.labelled import LabelledSet
-from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import LearnSettings, learn
+from modsim3d.formats.labelled import Images, LabelledSet
+from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.learning import learn_detector
-from modsim3d.learn.matches import Observed
 from modsim3d.learn.self_check import RealityComparison, self_check
 from modsim3d.learn.simulated_results import simulated
-from modsim3d.learn.states import Transitions
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.formats.labelled_sets import found, images, truth
+from tests.formats.labelled_sets import images, truth
+from tests.learn.one_state import detected, learned_in, observed_in, of_boats
 from tests.learn.scored_sets import detector
 
 FRAMES, BOATS, STEP_S, SEEDS = 400, 20, 0.5, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
 
 
-@pytest.fixture(scope="module")
-def short_run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("short") / "run"
-    run_scene(load_scene("simulation_1", steps=150), folder)
-    return folder
-
-
-def compared(
-    without: frozenset[str] = frozenset(), seed: int = 1, frames: int = FRAMES
-) -> dict[str, RealityComparison]:
+def compared(without: frozenset[str] = frozenset(), frames: int = FRAMES) -> dict[str, RealityComparison]:
     """Comparisons of a simulated detector in place of a real one, in two films, by name."""
     image, boat = np.repeat(np.arange(frames), BOATS), np.tile(np.arange(BOATS), frames)
     corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
     side = 30.0 + 4 * boat[:, None]
     identity = boat + BOATS * (image >= frames // 2)
     annotations = truth(image, 0 * image, np.hstack([corner, corner + side]), identity=identity)
-    half = np.arange(frames) >= frames // 2
-    pictures = images(frames, (1400.0, 1100.0), np.arange(frames) * STEP_S)
-    pictures = dataclasses.replace(pictures, sequence=half.astype(np.int64))
     data: dict[str, Any] = detector({"mean": 0.6, "std": 0.15}) | {"persistence": SCORE}
     data["states"]["usual"] |= {"confusion": [[0.7], [0.3]], "false_discovery_rate": 0.1}
-    state = np.zeros(frames, dtype=np.int64)
-    labelled = LabelledSet(("boat",), ("usual",), pictures, annotations, found([], [], [], []))
-    labelled = simulated(labelled, state, parse_detector(data), seed)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2, without)
-    settings = LearnSettings(replicates=20, without=without)
-    rows = self_check(learn(observed, Transitions(np.zeros((1, 1))), settings), settings, SEEDS)
+    rows = checked(detected(of_boats(pictures(frames), annotations), data, 1), without)
     assert [row.p_value for row in rows] == sorted(row.p_value for row in rows)
     return {row.name: row for row in rows}
+
+
+def pictures(frames: int) -> Images:
+    film = (np.arange(frames) >= frames // 2).astype(np.int64)
+    return dataclasses.replace(images(frames, (1400.0, 1100.0), np.arange(frames) * STEP_S), sequence=film)
+
+
+def checked(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> tuple[RealityComparison, ...]:
+    settings = LearnSettings(replicates=20, without=without)
+    return self_check(learned_in(observed_in(labelled, without=without)), settings, SEEDS)
 
 
 def test_a_detector_of_the_models_that_are_learned_is_found_again() -> None:
@@ -82,7 +71,8 @@ def test_half_of_next_to_nothing_is_an_error() -> None:
         compared(frames=1)
 
 
-def test_the_command_says_what_differs_first_and_can_leave_the_check_out(short_run, tmp_path) -> None:
+def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_path) -> None:
+    short_run = run_scene(load_scene("simulation_1", steps=150), tmp_path / "run").folder
     result = learn_detector(run=short_run, replicates=20)
     check = result.report.check
     assert check is not None and len(check.comparisons) > 10 and result.report.remarks[0] == check.sentence
@@ -102,23 +92,14 @@ def test_halves_that_differ_in_opposite_ways_are_told() -> None:
     image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
     corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
     annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
-    film = (np.arange(FRAMES) >= FRAMES // 2).astype(np.int64)
-    pictures = images(FRAMES, (1400.0, 1100.0), np.arange(FRAMES) * STEP_S)
-    pictures = dataclasses.replace(pictures, sequence=film)
-    labelled = LabelledSet(("boat",), ("usual",), pictures, annotations, found([], [], [], []))
+    shown = pictures(FRAMES)
     data = detector({"mean": 0.6, "std": 0.15}) | {"initial_state": "easy", "transition_matrix": [[1, 0], [0, 1]]}
     usual = data["states"]["usual"]
     data["states"] = {
         name: usual | {"confusion": [[1 - miss], [miss]]} for name, miss in (("easy", 0.1), ("hard", 0.6))
     }
-    labelled = simulated(labelled, film, parse_detector(data), 1)
-    labelled = dataclasses.replace(  # as of files, which do not say what a detection came from
-        labelled, results=dataclasses.replace(labelled.results, origin=None, kind=None, partner=None)
-    )
-    state = np.zeros(FRAMES, dtype=np.int64)
-    observed = Observed(labelled, match(labelled, Rule(), 0.2), ("usual",), state, 0.2)
-    settings = LearnSettings(replicates=20)
-    rows = {
-        row.name: row for row in self_check(learn(observed, Transitions(np.zeros((1, 1))), settings), settings, SEEDS)
-    }
+    labelled = simulated(of_boats(shown, annotations), shown.sequence, parse_detector(data), 1)
+    # As of files, which do not say what a detection came from.
+    results = dataclasses.replace(labelled.results, origin=None, kind=None, partner=None)
+    rows = {row.name: row for row in checked(dataclasses.replace(labelled, results=results))}
     assert rows["share found"].differs

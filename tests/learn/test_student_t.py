@@ -1,17 +1,13 @@
 """Box errors of Student's t law are learned as such, and normal ones as normal."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 from scipy import optimize, stats
-from typer.testing import CliRunner
 
-from modsim3d.cli.main import app
 from modsim3d.core.boxes import move
 from modsim3d.detector.draws import StudentT, standardised
 from modsim3d.detector.file.reading import load_detector
@@ -29,7 +25,7 @@ from modsim3d.learn.report import LearnReport
 from modsim3d.runs.stored_run import open_run
 from modsim3d.verify.verify_run import verify_run
 from tests.formats.labelled_sets import images
-from tests.learn.round_trip import DETECTOR, asked_of, outside, simulate
+from tests.learn.round_trip import DETECTOR, asked_of, command, outside, simulate
 
 MEAN = np.array([1.0, -2.0, 0.5, 3.0])
 ROOT = np.array([[4.0, 0, 0, 0], [1, 3, 0, 0], [2, 0, 5, 0], [0, -1, 1, 2]])
@@ -153,20 +149,13 @@ def test_directions_show_how_the_normal_numbers_behind_t_errors_persist() -> Non
         direction = errors[..., :numbers] / np.linalg.norm(errors[..., :numbers], axis=-1, keepdims=True)
         cosine = (direction[1:] * direction[:-1]).sum(axis=-1).mean()
         left = float(correlation_left(np.array(KEPT), np.array(numbers)))
-        assert cosine == pytest.approx(KEPT * left, abs=0.004)
-        assert cosine < KEPT - 0.02
+        assert cosine == pytest.approx(KEPT * left, abs=0.004) and cosine < KEPT - 0.02
         assert float(correlation_left(np.array(1.0), np.array(numbers))) == pytest.approx(1)
 
 
-@dataclass(frozen=True)
-class RoundTrip:
-    detector: Path
-    run: Path
-    report: LearnReport
-
-
 @pytest.fixture(scope="module")
-def round_trip(tmp_path_factory: pytest.TempPathFactory) -> RoundTrip:
+def round_trip(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, LearnReport]:
+    """The detector, a run with it, and what is learned from the run."""
     folder = tmp_path_factory.mktemp("t")
     data = yaml.safe_load(DETECTOR.read_text())
     for state in data["states"].values():
@@ -175,14 +164,13 @@ def round_trip(tmp_path_factory: pytest.TempPathFactory) -> RoundTrip:
     detector.write_text(yaml.safe_dump(data))
     run = simulate("simulation_1", folder, mode=0, steps=700, detector=detector)
     settings = LearnSettings(Rule("provenance"), replicates=150)
-    return RoundTrip(detector, run, learn_detector(labelled_run(run)[0], settings, LearnOptions(interval_s=1.0)))
+    return detector, run, learn_detector(labelled_run(run)[0], settings, LearnOptions(interval_s=1.0))
 
 
-def test_every_number_of_a_t_law_comes_back_inside_its_interval(round_trip: RoundTrip) -> None:
-    asked, learned = asked_of(round_trip.detector), round_trip.report.learned
-    assert {path for path in asked if "degrees" in path} == {
-        f"states.{state}.box_error_degrees_of_freedom" for state in ("clear", "haze")
-    }
+def test_every_number_of_a_t_law_comes_back_inside_its_interval(round_trip) -> None:
+    asked, learned = asked_of(round_trip[0]), round_trip[2].learned
+    degrees = {f"states.{state}.box_error_degrees_of_freedom" for state in ("clear", "haze")}
+    assert {path for path in asked if "degrees" in path} == degrees
     assert outside(asked, learned.intervals(1 - 0.01 / sum(value.size for value in asked.values()))) == {}
     intervals = {each.key.path: each for each in learned.intervals(0.95)}
     for path, most in (("box_error_std", 1.35), ("box_error_degrees_of_freedom", 1.8)):
@@ -190,17 +178,16 @@ def test_every_number_of_a_t_law_comes_back_inside_its_interval(round_trip: Roun
         assert np.all(interval.high / interval.low < most)  # not because they are as wide as can be
 
 
-def test_a_run_with_the_learned_t_law_passes_verify_against_the_original(round_trip: RoundTrip, tmp_path: Path) -> None:
-    out = tmp_path / "learned.yaml"
-    words = ["learn", str(round_trip.run), "--match", "provenance", "--out", str(out), "--replicates", "20"]
-    result = CliRunner().invoke(app, words, catch_exceptions=False, env={"COLUMNS": "300"})
+def test_a_run_with_the_learned_t_law_passes_verify_against_the_original(round_trip, tmp_path: Path) -> None:
+    out, (detector, run, _) = tmp_path / "learned.yaml", round_trip
+    result = command("learn", run, "--match", "provenance", "--out", out, "--replicates", 20)
     page, text = out.with_suffix(".html").read_text(), out.read_text()
     for each in (result.output, page, text):
         assert "states.clear.box_error: student_t, for tails are heavier than normal ones" in each
     assert "states.clear.box_error_degrees_of_freedom" in page.replace("<wbr>", "") and "law: student_t" in text
     assert all(isinstance(state.box_error.distribution, StudentT) for state in load_detector(out).states)
     again = simulate("simulation_1", tmp_path / "again", mode=0, steps=250, seed=5, detector=out)
-    verified = verify_run(open_run(again), round_trip.detector).verification
+    verified = verify_run(open_run(again), detector).verification
     assert [verdict.parameter.name for verdict in verified.failed] == []
     assert any("degrees_of_freedom" in verdict.parameter.name for verdict in verified.verdicts)
 

@@ -12,10 +12,8 @@ from modsim3d.render.context import library_found
 NO_DISPLAY = "EGL gave no display without a surface: Mesa's EGL (libegl-mesa0) is needed"
 NO_CONTEXT = "EGL gave no OpenGL 4.5 context: Mesa 18 or a newer driver of the card is needed"
 TAKEN_AWAY = " takes away what OpenGL 4.5 needs: unset it"
-WITHOUT = [
-    f"MESA_EXTENSION_OVERRIDE={words}"
-    for words in ("-GL_ARB_framebuffer_object", "-GL_ARB_clip_control", "+GL_EXT_abgr -GL_ARB_texture_float")
-]
+WORDS = ("-GL_ARB_framebuffer_object", "-GL_ARB_clip_control", "+GL_EXT_abgr -GL_ARB_texture_float")
+WITHOUT = [f"MESA_EXTENSION_OVERRIDE={words}" for words in WORDS]
 OSMESA_WAYS = {
     "MESA_GL_VERSION_OVERRIDE=3.3": "no OpenGL 4.5 context",
     "MESA_GL_VERSION_OVERRIDE=2.1": "no OpenGL 4.5 context",
@@ -37,10 +35,7 @@ EGL_WAYS = {
     "__EGL_VENDOR_LIBRARY_FILENAMES=/dev/null": NO_DISPLAY,
 }
 HARMLESS = (
-    "PYOPENGL_PLATFORM=nonsense",
-    "PYOPENGL_PLATFORM=glx",
-    "EGL_PLATFORM=x11",
-    "GALLIUM_DRIVER=llvmpipe",
+    *("PYOPENGL_PLATFORM=nonsense", "PYOPENGL_PLATFORM=glx", "EGL_PLATFORM=x11", "GALLIUM_DRIVER=llvmpipe"),
     "MESA_EXTENSION_OVERRIDE=+GL_EXT_abgr",
 )
 ATTEMPTS = """
@@ -74,36 +69,22 @@ print(json.dumps(answers))
 """
 
 
-def answers(backend: str, settings: list[str]) -> dict[str, str]:
-    """What opening a context says with each variable set, each in a process of its own."""
-    names = {setting.split("=")[0] for setting in settings}
-    environment = {name: value for name, value in os.environ.items() if name not in names}
-    done = subprocess.run(
-        [sys.executable, "-c", ATTEMPTS, *settings],
-        env={**environment, "MODSIM3D_GL": backend},
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-    return dict(json.loads(done.stdout))
-
-
 @pytest.mark.parametrize(("backend", "ways"), [("osmesa", OSMESA_WAYS), ("egl", EGL_WAYS)], ids=["osmesa", "egl"])
-def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(
-    backend: str, ways: dict[str, str]
-) -> None:
-    if not library_found(backend):  # Mesa 25.1 and later have no OSMesa
-        ways = {}
-    said = answers(backend, [*ways, *HARMLESS])
+def test_an_environment_without_opengl_is_one_sentence_that_names_the_variable(backend, ways) -> None:
+    ways = ways if library_found(backend) else {}  # Mesa 25.1 and later have no OSMesa
+    settings = [*ways, *HARMLESS]  # each in a process of its own
+    names = {setting.split("=")[0] for setting in settings}
+    environment = {name: value for name, value in os.environ.items() if name not in names} | {"MODSIM3D_GL": backend}
+    words = [sys.executable, "-c", ATTEMPTS, *settings]
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
     for way, part in ways.items():
         name, value = way.split("=", 1)
         if said[way] == "drawn" and name == "LIBGL_DRIVERS_PATH":
             continue  # Mesa 24.3 and later have all drivers in one library
         assert part in said[way], (way, said[way])
-        assert f"{name}={value!r}" in said[way]
-        assert "Traceback" not in said[way]
-        assert "\n" not in said[way]
+        assert f"{name}={value!r}" in said[way] and "Traceback" not in said[way] and "\n" not in said[way]
     if ways:
         assert {said[way] for way in HARMLESS} == {"drawn"}
 

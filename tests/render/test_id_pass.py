@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapely import LineString, distance, points
 
+from modsim3d.geometry.camera import Intrinsics
 from modsim3d.render.context import library_found
-from modsim3d.render.id_pass import Region, Sheet
+from modsim3d.render.id_pass import PlainIds, Region, Sheet
+from modsim3d.truth.buffer_drawing import triangles_of
+from modsim3d.truth.rendered import rendered_occlusion
 from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
 
 WHOLE = Region(0, 0, 800, 600)
@@ -58,10 +62,9 @@ def test_region_of_a_wide_image_holds_its_pixels_too(renderer, size):
 
 
 def test_regions_drawn_side_by_side_hold_the_pixels_of_each_alone(renderer):
-    rng = np.random.default_rng(3)
+    rng, counts = np.random.default_rng(3), np.array([30, 25, 0, 40])
     regions = [Region(40, 10, 90, 50), Region(300, 200, 30, 80), Region(0, 0, 20, 20), Region(500, 90, 100, 33)]
     places = np.array([[0, 0], [95, 5], [130, 0], [90, 90]])
-    counts = np.array([30, 25, 0, 40])
     corners = rng.uniform(-300, 1100, (95, 3, 2))  # most reach beyond their region, over the others' places
     depth, ids = rng.uniform(0.01, 1, (95, 3)), np.arange(1, 96)
     sheet = renderer.draw_sheet(corners, depth, ids, counts, Sheet(regions, places, (200, 130)))
@@ -81,8 +84,9 @@ def test_drawing_leaves_nothing_for_the_next(renderer):
 
 
 def test_empty_drawing_is_all_zero(renderer):
-    none = np.empty((0, 3, 2))
-    assert not renderer.draw(none, none[..., 0], np.empty(0, dtype=int), Region(0, 0, 5, 4)).any()
+    for drawer in (renderer, PlainIds()):
+        drawn = drawer.draw(np.empty((0, 3, 2)), np.empty((0, 3)), np.empty(0, dtype=int), Region(0, 0, 5, 4))
+        np.testing.assert_array_equal(drawn, np.zeros((4, 5)))
     assert draw(renderer, [[[0, 0], [8, 0], [0, 8]]], [4], Region(3, 3, 0, 7)).shape == (7, 0)
 
 
@@ -91,17 +95,12 @@ def test_empty_drawing_is_all_zero(renderer):
 def test_region_around_a_box_holds_every_pixel_it_touches_inside_the_image(sides):
     box = np.array([min(sides[:2]), min(sides[2:]), max(sides[:2]), max(sides[2:])])
     region = Region.around(box, (800, 600), margin_px=0)
-    columns, rows = np.arange(800), np.arange(600)
-    touched = columns[(columns + 1 > box[0]) & (columns < box[2])]
-    assert set(touched) <= set(range(region.x, region.x + region.width))
-    touched = rows[(rows + 1 > box[1]) & (rows < box[3])]
-    assert set(touched) <= set(range(region.y, region.y + region.height))
+    for least, most, first, side in ((0, 2, region.x, region.width), (1, 3, region.y, region.height)):
+        pixels = np.arange((800, 600)[least])
+        assert set(pixels[(pixels + 1 > box[least]) & (pixels < box[most])]) <= set(range(first, first + side))
 
 
 def test_depth_orders_boxes_a_metre_apart_at_five_kilometres_beside_a_boat_at_five_metres(renderer):
-    from modsim3d.geometry.camera import Intrinsics
-    from modsim3d.truth.rendered import rendered_occlusion
-
     lens = Intrinsics((20000.0, 20000.0), (400.0, 300.0), (800, 600))
     front, back = vessel("front", 10, 30, 20), vessel("back", 10, 30, 20)
     boat = vessel("boat", 2, 0.1, 9.99)
@@ -114,61 +113,51 @@ def test_depth_orders_boxes_a_metre_apart_at_five_kilometres_beside_a_boat_at_fi
     assert by_name[2] == 1
 
 
+DRAWS = """
+import sys, numpy as np
+from tests.scenes import *
+from modsim3d.truth.buffer_drawing import triangles_of
+from modsim3d.render.context import open_context
+from modsim3d.render.id_pass import IdRenderer, Region
+with open_context() as context:
+    renderer = IdRenderer(context)
+    print(context.description, file=sys.stderr)
+    for seed in range(12):
+        outlines = outlines_of(random_places(np.random.default_rng(seed), 25))
+        t = triangles_of(outlines, INTRINSICS)
+        image = renderer.draw(t.corners_px, t.inverse_depth, outlines.occluder[t.row] + 1, Region(0, 0, 800, 600))
+        sys.stdout.buffer.write(image.tobytes())
+"""
+
+
 def id_images(backend: str) -> bytes:
-    script = (
-        "import sys, numpy as np\n"
-        "from tests.scenes import *\n"
-        "from modsim3d.truth.buffer_drawing import triangles_of\n"
-        "from modsim3d.render.context import open_context\n"
-        "from modsim3d.render.id_pass import IdRenderer, Region\n"
-        "with open_context() as context:\n"
-        "    renderer = IdRenderer(context)\n"
-        "    print(context.description, file=sys.stderr)\n"
-        "    for seed in range(12):\n"
-        "        outlines = outlines_of(random_places(np.random.default_rng(seed), 25))\n"
-        "        t = triangles_of(outlines, INTRINSICS)\n"
-        "        ids = outlines.occluder[t.row] + 1\n"
-        "        image = renderer.draw(t.corners_px, t.inverse_depth, ids, Region(0, 0, 800, 600))\n"
-        "        sys.stdout.buffer.write(image.tobytes())\n"
-    )
     environment = {**os.environ, "MODSIM3D_GL": backend}
     environment.pop("PYOPENGL_PLATFORM", None)
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr.decode()
-    assert backend in done.stderr.decode()
+    done = subprocess.run([sys.executable, "-c", DRAWS], capture_output=True, env=environment, check=False)
+    assert done.returncode == 0 and backend in done.stderr.decode(), done.stderr.decode()
     return done.stdout
 
 
 def test_osmesa_and_egl_give_the_same_id_images():
     """With EGL alone where there is no OSMesa: Mesa 25.1 and later have none."""
     egl, *osmesa = (id_images(backend) for backend in ("egl", *(["osmesa"] if library_found("osmesa") else [])))
-    assert len(egl) == 12 * 800 * 600 * 4
-    assert len(np.unique(np.frombuffer(egl, dtype=np.uint32))) > 15
+    assert len(egl) == 12 * 800 * 600 * 4 and len(np.unique(np.frombuffer(egl, dtype=np.uint32))) > 15
     assert all(image == egl for image in osmesa)
 
 
+OPENS_AGAIN = """
+import numpy as np
+from modsim3d.render.context import open_context
+from modsim3d.render.id_pass import IdRenderer, Region
+corners = np.array([[[0.0, 0], [9, 0], [0, 9]]])
+for _ in range(3):
+    with open_context() as context:
+        assert IdRenderer(context).draw(corners, np.ones((1, 3)), np.array([5]), Region(0, 0, 4, 4)).max() == 5
+"""
+
+
 def test_context_can_be_opened_again_after_it_was_closed():
-    script = (
-        "import numpy as np\n"
-        "from modsim3d.render.context import open_context\n"
-        "from modsim3d.render.id_pass import IdRenderer, Region\n"
-        "for _ in range(3):\n"
-        "    with open_context() as context:\n"
-        "        image = IdRenderer(context).draw(np.array([[[0., 0], [9, 0], [0, 9]]]), np.ones((1, 3)),"
-        " np.array([5]), Region(0, 0, 4, 4))\n"
-        "        assert image.max() == 5\n"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_ids_in_the_image_are_those_of_the_vessels_drawn(renderer, seed):
-    from modsim3d.truth.buffer_drawing import triangles_of
-
-    outlines = outlines_of(random_places(np.random.default_rng(seed), 10))
-    triangles = triangles_of(outlines, INTRINSICS)
-    image = renderer.draw(triangles.corners_px, triangles.inverse_depth, outlines.occluder[triangles.row] + 1, WHOLE)
-    assert set(np.unique(image)) <= {0, *(outlines.occluder + 1)}
+    assert subprocess.run([sys.executable, "-c", OPENS_AGAIN], check=False).returncode == 0
 
 
 def test_depth_beyond_the_edge_of_a_triangle_is_that_of_its_nearest_corner(renderer):
@@ -190,3 +179,18 @@ def test_of_triangles_in_one_plane_the_first_is_in_front(renderer, region):
     for i in reversed(range(12)):
         first[renderer.draw(corners[i : i + 1], depths[i : i + 1], np.ones(1, dtype=int), region) > 0] = i + 1
     np.testing.assert_array_equal(shown, first)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ids_differ_from_the_renderers_only_on_edges(renderer, seed):
+    outlines = outlines_of(random_places(np.random.default_rng(seed), 12, far_m=400.0))
+    triangles = triangles_of(outlines, INTRINSICS)
+    arguments = (triangles.corners_px, triangles.inverse_depth, outlines.occluder[triangles.row] + 1)
+    region = Region(100, 50, 600, 500)
+    drawn, plain = (drawer.draw(*arguments, region) for drawer in (renderer, PlainIds()))
+    assert (drawn > 0).any()
+    rows, columns = np.nonzero(drawn != plain)
+    assert len(rows) < 1e-3 * drawn.size
+    edges = [LineString(c[[i, i - 1]]) for c in triangles.corners_px for i in range(3)]
+    for x, y in zip(columns + region.x + 0.5, rows + region.y + 0.5, strict=True):
+        assert distance(edges, points(x, y)).min() < 1 / 64

@@ -1,13 +1,10 @@
 """pyrender's SEG image as the third witness of which vessel a pixel shows.
-
 pyrender draws boxes of its own making (trimesh) with its own camera, matrices and shaders, in single precision, with a
 24-bit depth buffer and eight-bit colours; the ID pass is given triangles in pixels.
-
 Edges shared by two triangles: OpenGL's fill rule gives a pixel whose centre lies exactly on such an edge to one of the
 two and never to both or neither, so the diagonal of a face loses no pixel and doubles none, in either renderer. What
-may differ is a pixel whose centre is so near a silhouette's edge that single precision, or rounding corners to 1/256
-px, puts it on the other side.
-"""
+may differ is a pixel whose centre is so near a silhouette's edge that single precision, or rounding corners to
+1/256 px, puts it on the other side."""
 
 import os
 import subprocess
@@ -31,24 +28,17 @@ RANDOM = range(8)
 
 def scenes():
     """Boxes and a camera, by name."""
-    wall = vessel("wall", 1, 10, 10)
+    wall, boat = vessel("wall", 1, 10, 10), vessel("boat", 2, 4, 4)
     beams, from_above = cyclic_beams()
+    corner_on = [(vessel("a", 20, 10, 4), (90.3, 3.1, 0.0), 0.6), (vessel("b", 8, 3, 9), (60.2, -2.7, 0.0), 2.1)]
+    ship = (vessel("ship", 210, 8, 15), (198.0, 10.4, 0.0), -0.196)
     found = {
         # 100 × 100 px, corners on whole pixels: the diagonal between its triangles meets 100 pixel centres.
         "face": ([(wall, (100.5, 0.0, 0.0), 0.0)], LEVEL),
         "side by side": ([(wall, (100.5, 5.0, 0.0), 0.0), (wall, (100.5, -5.0, 0.0), 0.0)], LEVEL),
         "one before the other": ([(wall, (200.5, 1.0, 0.0), 0.0), (wall, (100.5, -4.0, 0.0), 0.0)], LEVEL),
-        "corner on": (
-            [(vessel("a", 20, 10, 4), (90.3, 3.1, 0.0), 0.6), (vessel("b", 8, 3, 9), (60.2, -2.7, 0.0), 2.1)],
-            LEVEL,
-        ),
-        "long ship and boat": (
-            [
-                (vessel("ship", 210, 8, 15), (198.0, 10.4, 0.0), -0.196),
-                (vessel("boat", 2, 4, 4), (220.0, -2.0, 0.0), 0.0),
-            ],
-            LEVEL,
-        ),
+        "corner on": (corner_on, LEVEL),
+        "long ship and boat": ([ship, (boat, (220.0, -2.0, 0.0), 0.0)], LEVEL),
         "cyclic beams": (beams, from_above),
     }
     for seed in RANDOM:
@@ -105,12 +95,8 @@ def id_image(renderer, name, faces=None):
     outlines = outlines_at(boxes, INTRINSICS, mount)
     triangles = triangles_of(outlines, INTRINSICS)
     some = slice(None) if faces is None else faces
-    return renderer.draw(
-        triangles.corners_px[some],
-        triangles.inverse_depth[some],
-        (outlines.occluder[triangles.row] + 1)[some],
-        WHOLE,
-    )
+    ids = outlines.occluder[triangles.row] + 1
+    return renderer.draw(triangles.corners_px[some], triangles.inverse_depth[some], ids[some], WHOLE)
 
 
 @pytest.mark.parametrize("name", [name for name in scenes() if not name.startswith("random")])
@@ -120,32 +106,25 @@ def test_id_pass_equals_the_seg_image_pixel_for_pixel(renderer, seg_images, name
     np.testing.assert_array_equal(image, seg_images[name])
 
 
-def test_face_of_two_triangles_has_every_pixel_of_it_in_both(renderer, seg_images):
-    """Columns 350–450, rows 300–400."""
-    expected = np.zeros((600, 800), dtype=bool)
-    expected[300:400, 350:450] = True
-    np.testing.assert_array_equal(id_image(renderer, "face") == 1, expected)
-    np.testing.assert_array_equal(seg_images["face"] == 1, expected)
+def test_faces_have_every_pixel_of_them_in_both_and_two_side_by_side_leave_none_between(renderer, seg_images):
+    """A face in columns 350–450 and rows 300–400, and two that meet at column 400."""
+    alone, two = np.zeros((2, 600, 800), dtype=int)
+    alone[300:400, 350:450] = two[300:400, 300:400] = 1
+    two[300:400, 400:500] = 2
+    for name, expected in (("face", alone), ("side by side", two)):
+        np.testing.assert_array_equal(id_image(renderer, name), expected)
+        np.testing.assert_array_equal(seg_images[name], expected)
 
 
 def test_pixels_on_the_edge_that_two_triangles_share_belong_to_one_of_them(renderer):
     outlines = outlines_at(scenes()["face"][0])
     inverse_depth = triangles_of(outlines, INTRINSICS).inverse_depth
     front = np.flatnonzero((inverse_depth == inverse_depth.max()).all(axis=1))
-    assert len(front) == 2
     one, two = (id_image(renderer, "face", [triangle]) == 1 for triangle in front)
-    assert one.sum() + two.sum() == 100 * 100
-    assert not (one & two).any()
+    assert len(front) == 2 and one.sum() + two.sum() == 100 * 100 and not (one & two).any()
     diagonal = np.eye(100, dtype=bool)
     shares = [part[300:400, 350:450][corner].sum() for part in (one, two) for corner in (diagonal, diagonal[::-1])]
     assert 100 in shares  # one of them has the whole diagonal
-
-
-def test_boxes_side_by_side_share_no_pixel_and_leave_none_between_them(renderer, seg_images):
-    """They meet at column 400."""
-    for image in (id_image(renderer, "side by side"), seg_images["side by side"]):
-        assert (image[300:400, 300:400] == 1).all()
-        assert (image[300:400, 400:500] == 2).all()
 
 
 def test_seg_images_of_random_scenes_differ_only_where_an_edge_is_within_rounding_of_the_centre(renderer, seg_images):
@@ -159,5 +138,4 @@ def test_seg_images_of_random_scenes_differ_only_where_an_edge_is_within_roundin
         assert (shapely.distance(edges, shapely.points(columns + 0.5, rows + 0.5)) <= ROUNDING_PX).all()
         shown.append(len(np.unique(image)) - 1)
         differing += len(rows)
-    assert sum(shown) > 50
-    assert differing <= 5  # of 3.8 million; measured: 1
+    assert sum(shown) > 50 and differing <= 5  # of 3.8 million; measured: 1
