@@ -8,8 +8,6 @@
 `import modsim3d` loads no OpenGL, plotting or table library; each name below is imported when it is first used.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from modsim3d.core.lazy_names import LazyNames

@@ -1,7 +1,5 @@
 """Campaigns from Python: run one, go on with one, open one; and how far one is, seen from outside."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress

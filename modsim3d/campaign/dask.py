@@ -1,7 +1,5 @@
 """Workers of a Dask cluster, whoever started it, and of jobs that Slurm starts."""
 
-from __future__ import annotations
-
 import logging
 import pickle
 import threading

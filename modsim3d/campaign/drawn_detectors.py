@@ -6,8 +6,6 @@ images. Means and spreads are so those of the intervals that `modsim3d learn` re
 cells or states is drawn from a Dirichlet distribution with one observation added to a column (Perks's prior; one of
 each kind for the transition matrix, as it was learned)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """The keys of a campaign file."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self

@@ -1,7 +1,5 @@
 """Mean scores over traffic seeds with their intervals, by tracker and condition."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import isnan, nan

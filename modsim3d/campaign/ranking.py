@@ -1,7 +1,5 @@
 """Worst runs of a campaign, and how each is looked at."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """A run of a campaign made again as a run directory, and compared with its row."""
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import closing

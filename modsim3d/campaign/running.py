@@ -1,7 +1,5 @@
 """Runs a campaign: hands tasks to an engine, splits those whose worker died, and stops when all is decided."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence

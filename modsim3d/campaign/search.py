@@ -1,7 +1,5 @@
 """Runs a search: proposes a batch, makes its trials, and proposes the next from what came of them."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable, Sequence

@@ -1,8 +1,6 @@
 """The process of a worker: does the tasks that come through a pipe, until the pipe ends. Started as `python -m
 modsim3d.campaign.serving PIPE PARENT`."""
 
-from __future__ import annotations
-
 import os
 import platform
 import signal

@@ -1,7 +1,5 @@
 """The command `modsim3d export`: a run in another program's format, or as a recording for the Rerun viewer."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command line: each command of this room under its name."""
 
-from __future__ import annotations
-
 import atexit
 import gc
 import os

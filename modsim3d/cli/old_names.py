@@ -1,7 +1,5 @@
 """Names of commands and options that are no more, and what each is called now."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from difflib import get_close_matches
 from itertools import takewhile

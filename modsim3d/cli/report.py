@@ -1,7 +1,5 @@
 """The command `modsim3d report`: a page that plays a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The command `modsim3d scenes`."""
 
-from __future__ import annotations
-
 from modsim3d.cli.shared import JsonOption, print_line
 from modsim3d.cli.terminal import open_console, say_json
 from modsim3d.cli.terminal_tables import print_prose

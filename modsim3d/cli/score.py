@@ -1,7 +1,5 @@
 """The command `modsim3d score`: how well tracks follow the vessels of a run, and where they fail."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal

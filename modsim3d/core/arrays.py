@@ -1,7 +1,5 @@
 """Names for the types of arrays, and functions on arrays that many rooms use."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Self

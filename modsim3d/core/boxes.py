@@ -1,7 +1,5 @@
 """Boxes as x_min, y_min, x_max, y_max in pixels, along the last axis. No function writes to its arguments."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from modsim3d.core.arrays import Array, Mask

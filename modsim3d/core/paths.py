@@ -1,7 +1,5 @@
 """Paths as functions take them: text or any path object."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import TypeAlias

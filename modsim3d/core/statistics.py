@@ -1,7 +1,5 @@
 """Intervals and bounds of means, shares and rates."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import special

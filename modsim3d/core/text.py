@@ -1,7 +1,5 @@
 """Texts: numbers in them, and how results show themselves, in a few words or a small table of HTML."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence

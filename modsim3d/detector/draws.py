@@ -3,8 +3,6 @@ element by element. A matrix product may round differently with the number of ro
 must not show in its output. What comes from a logarithm, an exponential or a quantile is rounded at once (`on_grid`),
 so that the processor does not show either."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

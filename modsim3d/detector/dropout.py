@@ -1,7 +1,5 @@
 """Misses that depend on what a vessel looks like, as log-odds added to those of its state."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol

@@ -1,7 +1,5 @@
 """Where false positives appear: on the sea in the image, near the horizon, or by a map."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A detector's statistics as the simulation uses them; `schema` has their form in a file."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, field

@@ -3,8 +3,6 @@ camera saw: a vessel that was hidden comes back with the noise that it would hav
 detector without persistence would use, so with a vanishing correlation time the output is the same (confidence to its
 rounding)."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Input and output of the detector: columns over a run of frames of one camera."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

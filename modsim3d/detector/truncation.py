@@ -5,8 +5,6 @@ then shift in x and y given the growth. Genz (1992), "Numerical computation of m
 integrates a normal law over such bounds by drawing each error within its own; nothing is rejected, and every point has
 its weight. Distributions that are normal with a random scale are integrated over the scale as well."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A run directory as a labelled set: its truth, its detections, and which vessel each detection came from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

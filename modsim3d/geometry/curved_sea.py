@@ -3,8 +3,6 @@ A point of the sea at a horizontal distance d lies d² / (2 R) below the plane t
 This is the first term of R − √(R² − d²); the next, d⁴ / (8 R³), is below a millimetre at 30 km. Light travels straight
 here; refraction would lift distant things by about a seventh of the drop."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from modsim3d.core.arrays import Array

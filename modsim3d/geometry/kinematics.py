@@ -3,8 +3,6 @@ A motion has a slope between neighbouring times. In the middle of the sequence t
 parabola through three points gets its exact derivative, for any intervals. At an end the derivative is the one slope,
 and the acceleration is that of the neighbouring time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Why a text is not what it is read as: other separators, shortened identities, times in another unit."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 

@@ -1,8 +1,6 @@
 """Guards of the files that a command may write: none that another process writes, none that it reads, and none unasked.
 A lock on an output, which the system releases when the process ends, lets one writer at a time."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import platform

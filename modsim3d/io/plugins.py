@@ -1,7 +1,5 @@
 """Plug-ins: parts from other packages, found by the group and name of their entry point."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import sys

@@ -1,7 +1,5 @@
 """Work done in this process or shared between several, with the results in the order of the pieces."""
 
-from __future__ import annotations
-
 import ctypes
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """YAML with the types, numbers and booleans of YAML 1.2, and JSON; both without repeated keys, and within a budget."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Types and messages that input files share, so that all problems are reported at once and in the same words."""
 
-from __future__ import annotations
-
 import difflib
 import reprlib
 from collections.abc import Callable, Iterable

@@ -3,8 +3,6 @@ Images are drawn with replacement (Efron (1979)). Where they are consecutive fra
 next, so runs of frames are drawn that are long against the time that noise persists. Every estimator takes weights of
 images. Their first row, one for each image, gives the estimate, and the other rows give its replicates."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, Literal, TypeVar, cast

@@ -1,7 +1,5 @@
 """Confidence: its distribution in each state, for true and false detections."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal

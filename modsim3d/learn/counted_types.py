@@ -1,7 +1,5 @@
 """Type that each detection counts as, once the data show whether there are second boxes, splits and merges."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The score behind misses and confidence: whether there is one, and how long it is remembered."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

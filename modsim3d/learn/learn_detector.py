@@ -1,7 +1,5 @@
 """From labelled sets to a report: conditions, states, figures and the detector."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

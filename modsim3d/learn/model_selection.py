@@ -1,7 +1,5 @@
 """Base of all parts of a learned detector: a form that the data can carry, then its numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any, Protocol
 

@@ -1,7 +1,5 @@
 """Report on a learned detector."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Request for a learned detector: how it is learned, checked once for the command line and for Python."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self
 

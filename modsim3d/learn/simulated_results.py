@@ -1,7 +1,5 @@
 """Results of a simulated detector over the annotations of a labelled set."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

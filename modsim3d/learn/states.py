@@ -1,7 +1,5 @@
 """Conditions that make a performance state, and how states follow each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

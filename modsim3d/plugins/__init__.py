@@ -1,7 +1,5 @@
 """Names for writers of plug-ins; docs/plugins.md has examples."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from modsim3d.core.lazy_names import LazyNames

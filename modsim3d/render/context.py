@@ -1,7 +1,5 @@
 """One headless OpenGL context of a software renderer, OSMesa or EGL, or of a graphics card by EGL."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import os

@@ -1,8 +1,6 @@
 """pyrender's camera and renderer, adapted to the projection and the depth of the ID pass.
 Import this module after `import_pyrender`, which loads pyrender so that it needs no screen."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

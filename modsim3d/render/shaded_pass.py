@@ -4,8 +4,6 @@ gets: triangles that are already clipped, the projection of the camera itself, a
 depth is floating-point and reversed. A pixel then shows the solid that the ID pass finds there, except where single
 precision puts a pixel centre on the other side of an edge."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Truth and detections of consecutive steps: as columns for each camera (blocks), and frame by frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property

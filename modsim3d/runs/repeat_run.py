@@ -1,7 +1,5 @@
 """Repeats a finished run from the copy of its scene, and compares every file with the stored one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs a scene and writes its run directory: workers make the blocks, the directory takes them in order."""
 
-from __future__ import annotations
-
 import os
 import platform
 import time

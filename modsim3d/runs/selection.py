@@ -1,7 +1,5 @@
 """The steps and cameras of a stored run that a user chose, and what the cameras show at them."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """A run directory, opened for reading: its scene, truth, detections and frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Motion of the vessels that carry cameras, and what an inertial unit on board measures."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

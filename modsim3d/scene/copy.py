@@ -1,7 +1,5 @@
 """Copies of a scene and its files in a run, so that the run can be looked at and repeated from its folder."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from collections.abc import Iterable, Mapping

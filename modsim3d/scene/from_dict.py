@@ -1,7 +1,5 @@
 """A scene from a mapping, with what a scene file names standing in it: vessels, poses as arrays, the detector."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping

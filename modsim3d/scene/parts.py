@@ -1,7 +1,5 @@
 """The parts of a scene file and of the files that it names, each read by itself."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

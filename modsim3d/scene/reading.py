@@ -1,7 +1,5 @@
 """Reads a scene file and every file that it names, and reports everything that is wrong with them at once."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Collection, Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Keys of a scene, and of the files that it names, that the caller sets in place of what is written there."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

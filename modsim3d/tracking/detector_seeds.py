@@ -1,7 +1,5 @@
 """Scores over detector seeds: detector, tracker and scores again over the truth of one run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

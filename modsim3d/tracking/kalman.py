@@ -1,7 +1,5 @@
 """A Kalman filter of many coordinates at once, each with a place and a rate, independent of the others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -1,7 +1,5 @@
 """Scores of tracks as a document: the outcome, the table, the rules, and where tracks fail."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Scores of tracks of a run, beside those of its detections with perfect association."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Scores in words: percentages, rules and the outcome."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

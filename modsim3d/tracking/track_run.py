@@ -1,7 +1,5 @@
 """Runs a tracker over the detections of a finished run, and writes its tracks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tracks in a run, from a folder that `modsim3d track` has written or from somebody's own files."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Tracks in text: a CSV file with a line of names, or files of MOTChallenge, one a camera."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

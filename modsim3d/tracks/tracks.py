@@ -1,7 +1,5 @@
 """Tracks in the images of a run."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Reference for tracks: the vessels in the images, each appearance of one as an identity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Self
 

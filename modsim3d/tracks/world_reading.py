@@ -1,7 +1,5 @@
 """Tracks in the world from CSV, whose columns have the names of a run's export. docs/world_tracks.md has them."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

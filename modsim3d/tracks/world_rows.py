@@ -1,7 +1,5 @@
 """Rows of a file of tracks in the world, before they are known to be plausible."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

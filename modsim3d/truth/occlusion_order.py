@@ -5,8 +5,6 @@ near one. If the camera itself may be counted to either side of the plane, neith
 centres cannot decide this: the centre of a long ship may be nearer than that of a boat which lies in front of its
 stern."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -6,8 +6,6 @@ runs of equal IDs; cutting the spans at the borders of the runs gives the visibl
 the rest. Corners are rounded to a grid of 1/256 pixel, so a part of the image holds the same pixels as the whole. The
 result is therefore exactly that of `full_frame`, which draws everything and is the reference for the tests."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

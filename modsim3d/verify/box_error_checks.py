@@ -1,7 +1,5 @@
 """Box errors: mean, standard deviations and correlations of each state, and how long they persist."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Checks of dropout and class: confusion matrices, the effects on misses, and how long misses persist."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """False positives: their rate, their kinds and their labels, held against what the model expects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol

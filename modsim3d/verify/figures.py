@@ -1,7 +1,5 @@
 """Figures of the page that `modsim3d check run` writes: what a run shows of its detector."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

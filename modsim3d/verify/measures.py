@@ -1,8 +1,6 @@
 """Measured numbers: each knows its law under the asked value, its interval and the changes that it could notice. This
 module has the protocol, the plain kinds, and counts and shares; `parameters` has whole distributions."""
 
-from __future__ import annotations
-
 import bisect
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Checks of the score behind misses and confidence: how long it is remembered, and what that does to other checks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

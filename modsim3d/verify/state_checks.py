@@ -1,7 +1,5 @@
 """Checks of the performance states: where they start, how they change, how long each lasts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Does a run obey its detector file?"""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 
 from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, DetectorPart, used_models

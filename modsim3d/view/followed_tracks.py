@@ -1,7 +1,5 @@
 """Tracks of a tracker as they are shown: which vessel each follows, where it switches, and where it has been."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

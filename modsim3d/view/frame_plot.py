@@ -1,7 +1,5 @@
 """A frame as a matplotlib figure, for notebooks and papers: the picture of the films, with axes in pixels around it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

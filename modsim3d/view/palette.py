@@ -1,8 +1,6 @@
 """Colours that colour-blind people can tell apart: those of Okabe & Ito (2008), "Color Universal Design".
 The vermilion among them is kept for what went wrong, so that no vessel has it; its lines differ too."""
 
-from __future__ import annotations
-
 Colour = tuple[int, int, int]
 Colours = tuple[Colour, ...]
 

@@ -1,7 +1,5 @@
 """A run as a recording for the Rerun viewer: cameras, vessels and boxes in space and time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO

@@ -1,7 +1,5 @@
 """Statistics of traffic: kinds of encounter by the collision regulations (COLREG), densities, lanes and speeds."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import Enum
 

@@ -1,7 +1,5 @@
 """Vessels that float on a sea: each responds to the waves at its place."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

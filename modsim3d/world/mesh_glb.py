@@ -3,8 +3,6 @@
 Section numbers are those of the glTF 2.0 specification (The Khronos Group, 2021). Materials, textures, cameras, skins
 and animations are not in the description that is read here, so that nothing can be read through them."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct

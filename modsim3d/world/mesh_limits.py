@@ -1,7 +1,5 @@
 """Limits of mesh files: their size, and what they may refer to."""
 
-from __future__ import annotations
-
 import re
 import struct
 from typing import BinaryIO

@@ -3,8 +3,6 @@
 A mesh file may come from anywhere, so it is not trusted: its size is checked from its header before it is parsed, it is
 parsed from memory without access to folders or the network, and the result is checked again."""
 
-from __future__ import annotations
-
 import io
 import logging
 import stat

@@ -2,8 +2,6 @@
 The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
 lowers the bow, positive yaw turns to port."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate

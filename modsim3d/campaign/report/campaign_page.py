@@ -1,7 +1,5 @@
 """The page of a campaign: the verdict first, then what it rests on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial

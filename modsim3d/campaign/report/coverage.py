@@ -1,7 +1,5 @@
 """The sections of a page on what a campaign covered, and what not."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

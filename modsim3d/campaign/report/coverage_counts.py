@@ -1,7 +1,5 @@
 """Counts over the truths of a campaign: in how many runs and traffic seeds something is."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Self
 

@@ -1,7 +1,5 @@
 """The page of a search: what it found is evidence of failure, never a rate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How the page names scores, conditions and numbers."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

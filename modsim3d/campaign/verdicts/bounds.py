@@ -1,7 +1,5 @@
 """Intervals and bounds of a mean, for a number of seeds that was fixed beforehand."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Verdicts on requirements."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace

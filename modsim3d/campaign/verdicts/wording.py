@@ -1,7 +1,5 @@
 """Requirements, shares and bounds in words."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

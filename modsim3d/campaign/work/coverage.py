@@ -1,8 +1,6 @@
 """Coverage by the truth of a run: encounters, ranges, sizes, occlusions, waves. It says nothing of detections or
 tracks, so it is the same for all detectors and trackers over one truth."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The row of one run: what its scores are, as columns with types."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """A task: some runs that one worker does after another, and the file with their rows."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import platform

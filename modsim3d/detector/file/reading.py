@@ -1,7 +1,5 @@
 """Reads detector files into detector models; reports all problems at once."""
 
-from __future__ import annotations
-
 import math
 import os
 import pickle

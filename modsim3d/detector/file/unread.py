@@ -1,7 +1,5 @@
 """Keys of a detector file that nothing reads, because of the models and values that the file chooses."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """A detector file as text, with matrices in rows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The detector over the videos of a labelled set, some frames at a time."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Iterator, Sequence

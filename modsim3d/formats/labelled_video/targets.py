@@ -1,7 +1,5 @@
 """The videos and labels of a labelled set, and the boxes that a detector is to find in them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ above the truth gives the size of the images, their number and the frame rate.
 Lines of ten numbers may have others in the last three: places in the world (MOT15), or class, truncation and occlusion
 (VisDrone). These are recognised and not read as class or visibility."""
 
-from __future__ import annotations
-
 import configparser
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Choice of a reader for a pair of files, or for a file of truth alone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their la
 Without such files, every file in either folder stands for an image, and `images.txt` beside the labels, a name on each
 line, adds others. An image without a file of labels, or with an empty one, has nothing in it."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Iterator, Sequence

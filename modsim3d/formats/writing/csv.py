@@ -1,8 +1,6 @@
 """A run as tables of text: what a tracker may read, with bearings and positions, and beside it the truth.
 docs/positions.md has every column."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Request of an export."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

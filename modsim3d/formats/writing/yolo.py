@@ -3,8 +3,6 @@ A line is class, x, y, width, height, in shares of the image, and for a predicti
 read such folders take the list of images and their sizes from the pictures, and a run has none; so each frame has an
 empty picture of its size."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack
 from itertools import pairwise

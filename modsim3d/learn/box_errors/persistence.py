@@ -4,8 +4,6 @@ Which edges count is decided by the true box alone, since leaving errors out by 
 edge counts if it lies so far inside the image that hardly any error reaches the border.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Own ship's attitude as instruments on board have measured it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The cameras of a log, each registered against its scene before anything is learned."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """Learning a detector from a voyage: its log and its scene in, what was learned out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

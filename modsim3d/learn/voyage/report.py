@@ -1,7 +1,5 @@
 """Report on a voyage besides the detector, and its tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

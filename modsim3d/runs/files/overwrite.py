@@ -1,7 +1,5 @@
 """Files of a run directory that a new run replaces: the old run's files, and what was made of them."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

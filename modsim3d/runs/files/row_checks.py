@@ -1,8 +1,6 @@
 """Rules for the rows of a run's tables: each value alone, in its row, in its frame, and between the tables. Rows are
 checked as they are read, so that no reader has to guess. An error names file, row, column and value."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

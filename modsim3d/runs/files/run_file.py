@@ -1,7 +1,5 @@
 """Settings and results of a run: `run.json` of a finished run, `settings.json` of an interrupted one."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, fields

@@ -1,7 +1,5 @@
 """The tables of a finished run, checked when they are opened and as their rows are read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path

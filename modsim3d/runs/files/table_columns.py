@@ -1,7 +1,5 @@
 """Columns of a run's tables: name, type, unit and meaning; docs/tables.md says the same."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Reads all files and keeps what a scene may need."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The size of each vessel and the place of its antenna, from its own reports or from its type."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

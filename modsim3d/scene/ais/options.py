@@ -1,7 +1,5 @@
 """The options of `modsim3d ais`, and how they are read from text."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

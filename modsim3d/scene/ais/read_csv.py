@@ -1,7 +1,5 @@
 """Reads AIS reports from CSV, block by block: a day of Danish waters is several gigabytes."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re

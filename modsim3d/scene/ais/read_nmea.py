@@ -15,8 +15,6 @@ particulars; 4, 9, 11 and 21 are base stations, aircraft and aids to navigation.
 (180 m), which is too coarse to move a vessel by. All others say nothing of where ships are.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections import Counter

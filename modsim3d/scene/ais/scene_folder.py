@@ -1,7 +1,5 @@
 """Writes a scene folder that is ready to run, and reports what was read, dropped and filled in."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import math

@@ -1,7 +1,5 @@
 """AIS files in, the traffic of a scene out: runs the parts of this room in their order."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence

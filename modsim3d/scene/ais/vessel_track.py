@@ -1,7 +1,5 @@
 """The track of one vessel at the steps of a scene, from its reports."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum

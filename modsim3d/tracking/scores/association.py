@@ -1,8 +1,6 @@
 """HOTA and CLEAR scores by TrackEval, in memory, and identity scores. One whose denominator is 0 is None: not 0 or
 1."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

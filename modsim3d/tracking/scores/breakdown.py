@@ -2,8 +2,6 @@
 rows of the truth are averaged. To delete the other rows and match again would be wrong: the tracks on them would become
 false positives. A false positive has no visibility, no range and no state of occlusion, so nothing here counts them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from itertools import pairwise

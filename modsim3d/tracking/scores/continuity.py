@@ -1,8 +1,6 @@
 """Times until vessels are followed, how often and how long they are lost, and tracks of nothing. The list is that of
 Helgesen et al. (2022), as in Jessen & Mohr (2023), section 2.3.1."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

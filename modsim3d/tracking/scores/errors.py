@@ -1,7 +1,5 @@
 """Distances of tracks from the vessels that they follow, whether covariances say so, and distances of whole sets."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

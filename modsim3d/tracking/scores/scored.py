@@ -1,7 +1,5 @@
 """Source of all scores: a run, and the one matching of its vessels and the tracks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple, Self

@@ -1,7 +1,5 @@
 """Names of trackers, found without loading one."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from modsim3d.io.plugins import TRACKERS, plugin_names

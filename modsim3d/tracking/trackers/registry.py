@@ -1,7 +1,5 @@
 """Trackers by their names: built-in ones and plug-ins, with their settings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Runs a tracker over the frames of cameras, one after the other, as it would run on board."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Global nearest neighbour and joint probabilistic data association, as Stone Soup has them."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable, Iterator
 from typing import Annotated

@@ -2,8 +2,6 @@
 
 # mypy: disable-error-code="import-untyped"
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, MutableSet
 from datetime import datetime, timedelta
 from math import sqrt

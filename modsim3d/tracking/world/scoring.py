@@ -1,7 +1,5 @@
 """Scores of tracks in the world, and of meetings with own ship."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Self

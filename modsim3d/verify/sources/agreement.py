@@ -5,8 +5,6 @@ Where they differ by more than a pixel, all pixels of the vessel are drawn again
 its centre is inside the exact region, and nowhere else, except in a band along the boundary as wide as the rasteriser's
 rounding of corners. The box and the count of the truth must be those of these pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum

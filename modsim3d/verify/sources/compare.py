@@ -2,8 +2,6 @@
 projection and an order of its own, and the rendered source must have the same pixels. Every difference between these
 and the analytic truth is explained. The idealised rectangle rule is held against the rendered truth."""
 
-from __future__ import annotations
-
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence

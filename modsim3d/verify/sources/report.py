@@ -1,7 +1,5 @@
 """A comparison of sources as terminal tables, `compare.json` and a page."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

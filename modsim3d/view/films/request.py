@@ -1,7 +1,5 @@
 """Request for a film or a picture: what it shows of a run, checked before anything is read or drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Self

@@ -1,7 +1,5 @@
 """The page of `modsim3d ais`: what became of the reports of ships, with the map."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 

@@ -2,8 +2,6 @@
 matplotlib does not draw them: it is an extra, and pages must do without it. Lines and text take the colours of the
 page, light or dark, from its CSS variables."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

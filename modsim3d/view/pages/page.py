@@ -1,7 +1,5 @@
 """Self-contained HTML pages: no network, no scripts needed, light and dark."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

@@ -1,7 +1,5 @@
 """Provenance of a page, so that it can be signed: command, versions, seeds, and every input with its checksum."""
 
-from __future__ import annotations
-
 import hashlib
 import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence

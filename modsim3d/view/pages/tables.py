@@ -1,7 +1,5 @@
 """Tables of pages: points below each other, headers that repeat in print, rows as lists on a phone."""
 
-from __future__ import annotations
-
 import html
 import re
 from collections.abc import Container, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A picture of a vessel on which sources of truth differ: all their boxes, and the pixels that differ."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

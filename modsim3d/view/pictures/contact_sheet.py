@@ -1,7 +1,5 @@
 """One PNG that shows at a glance what happened in a run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """ID buffers as files, and the picture of a vessel on which two of them differ."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

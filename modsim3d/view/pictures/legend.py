@@ -1,7 +1,5 @@
 """Legends: samples of lines and colours with what they mean, wrapped to the width of the picture."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

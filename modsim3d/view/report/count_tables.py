@@ -1,7 +1,5 @@
 """Counts of a run: in all, by camera, by performance state and by vessel, as rows of tables."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from dataclasses import dataclass, fields
 from typing import Any

@@ -1,7 +1,5 @@
 """The columns of one part of a run's recording: truth, detections and performance states of its frames."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 

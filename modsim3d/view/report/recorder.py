@@ -1,8 +1,6 @@
 """The frames of a run for the player of its page, in few bytes, and in parts that the player unpacks as needed.
 A length in the image is a multiple of `quantum_px`, which is 0.1 px for all but very large images."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

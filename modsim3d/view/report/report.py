@@ -1,7 +1,5 @@
 """The page of a run, from its directory: the player's files, the recording and the tables in one file of HTML."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

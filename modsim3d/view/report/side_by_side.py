@@ -1,7 +1,5 @@
 """The page of two runs of the same truth: their images beside each other, one timeline, and where they differ."""
 
-from __future__ import annotations
-
 import html
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ all back faces beyond the near plane therefore winds around each pixel as often 
 two back faces or two front faces are not needed, nor is a section that closes the solid at the near plane.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

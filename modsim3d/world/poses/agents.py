@@ -5,8 +5,6 @@ avoidance"). Each vessel compares arcs that it could drive in the next seconds, 
 it can reach. An arc is admissible if it hits nothing, and is scored by progress towards a goal, clearance and speed.
 Vessels move one after another and only to free places; a vessel that finds none stays. No two ever overlap."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

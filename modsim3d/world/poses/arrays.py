@@ -1,7 +1,5 @@
 """Poses given as NumPy arrays, and the pose file that holds the same (Jessen & Mohr (2023), Figure 7.3)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar

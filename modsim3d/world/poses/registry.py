@@ -1,7 +1,5 @@
 """Pose sources by the name that they have in a scene file: `poses: {NAME: ...}`; built-in ones and plug-ins."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

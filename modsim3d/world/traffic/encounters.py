@@ -1,7 +1,5 @@
 """Encounters with own ship: vessels whose closest approach, its time and its kind by COLREG are asked for."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

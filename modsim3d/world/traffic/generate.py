@@ -1,7 +1,5 @@
 """The pose source `traffic`: vessels and poses that the seed draws."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The keys of drawn traffic in a scene file."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Vessels that pass through lanes: they arrive at random, keep to starboard, and make way for those before them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace

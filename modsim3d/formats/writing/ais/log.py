@@ -1,7 +1,5 @@
 """Writes what an AIS receiver would log, and beside it which vessel is behind each number."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

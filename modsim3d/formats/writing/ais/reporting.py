@@ -12,8 +12,6 @@ The time of a report lies within a selection interval around its nominal time, i
 (annex 2, § 3.3.4.4; annex 7, § 4.3 of class B "CS").
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@ The time of an image is its `time_s`, `utc` or `date_captured`. Many tools leave
 all images: then, with a frame rate, the time is that of its `frame_id`, or else of its place in the file. The camera of
 an image is `camera`, or `sequence` (or `video_id`) where that is a text or there are several."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Choice of a reader for a log of detections."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

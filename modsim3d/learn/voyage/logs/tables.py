@@ -1,7 +1,5 @@
 """Tables, as CSV or Parquet: a row for each detection, and rows with empty boxes for frames without any."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rates of false positives where not everything that floats has a transponder: two bounds, and what lies between."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

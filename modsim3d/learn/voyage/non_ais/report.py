@@ -1,7 +1,5 @@
 """Report on detections without a transponder: a table with a row for each state, and sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

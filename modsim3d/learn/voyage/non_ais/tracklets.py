@@ -1,7 +1,5 @@
 """Things that were detected without a transponder: how long each lasts, and whether it moves like a vessel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

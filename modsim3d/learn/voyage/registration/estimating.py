@@ -1,7 +1,5 @@
 """The last fit: the camera together with what is wrong with single vessels, and how well each is known."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

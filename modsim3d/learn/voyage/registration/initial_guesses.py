@@ -2,8 +2,6 @@
 The clock has several local optima. On board, the waves' motion looks much the same a period later. So guesses are
 aligned one by one, with vessels off their reports where that is expected, and compared."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

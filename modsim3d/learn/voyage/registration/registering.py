@@ -1,7 +1,5 @@
 """Registers a camera and its detector's clock against the truth that AIS and a scene give."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
