@@ -17,23 +17,9 @@ import pyarrow.parquet as pq
 from modsim3d.campaign.folder import FORMAT, RESULTS, VERDICTS, CampaignFolder, results_folder
 from modsim3d.campaign.keys import MAX_SEEDS, Requirement, Seeds
 from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text_of, value_of
-from modsim3d.campaign.verdicts.bounds import (
-    clean_seeds_needed,
-    clean_seeds_needed_sequential,
-    corrected_bounds,
-    least_whole,
-    log_capital,
-)
+from modsim3d.campaign.verdicts import bounds, wording
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.verdicts.wording import (
-    at_step,
-    cases_of_all,
-    never_met,
-    offered_from,
-    requirement_text,
-    rounded,
-)
 from modsim3d.campaign.work.row import DONE, FACTS, SCORES, limits_of, table_of
 from modsim3d.campaign.work.task import ROWS_PATTERN, name_of_rows, read_rows
 from modsim3d.core.arrays import Indices
@@ -253,15 +239,15 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFol
     """Seeds that each requirement needs, by tracker and condition where these differ. `expected` maps the name of a
     score, or of a difference of it, to what is expected; else the scores of an earlier campaign `like` are expected."""
     rows = None if like is None else SeedRows(like.plan, results_table(like))
-    found, verdicts = [], len(cases_of_all(plan))
+    found, verdicts = [], len(wording.cases_of_all(plan))
     for place in range(len(plan.keys.require)):
-        requirement, each = at_step(plan, place, verdicts, 0), []
+        requirement, each = wording.at_step(plan, place, verdicts, 0), []
         for case in cases_of(plan, requirement):
             known = expected.get(requirement.what)
             if known is None and like is not None and rows is not None:
                 known = _seen(plan, case, requirement, like.plan, rows)
             label = " − ".join(_labels(plan, case))
-            empty = NeededSeeds(place, requirement_text(requirement, case.within), label, case.condition)
+            empty = NeededSeeds(place, wording.requirement_text(requirement, case.within), label, case.condition)
             each.append(_with_seeds(empty, plan, requirement, case, known if requirement.share is None else None))
         if len(each) > 1 and len({(one.seeds, one.why) for one in each}) == 1:
             each = [replace(each[0], tracker=None, condition=None)]
@@ -278,26 +264,26 @@ def _with_seeds(
 ) -> NeededSeeds:
     share, sure, once = requirement.share, requirement.confidence, plan.keys.stop == "once"
     endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MAX_SEEDS)})
-    if reason := never_met(endless, requirement, case.group):
+    if reason := wording.never_met(endless, requirement, case.group):
         return replace(empty, why=f"never: {reason}")
     if share is not None and not once:
-        return replace(empty, seeds=clean_seeds_needed_sequential(share, sure), why="if all are right")
+        return replace(empty, seeds=bounds.clean_seeds_needed_sequential(share, sure), why="if all are right")
     if share is not None:
-        clean, more = (clean_seeds_needed(share, sure, wrong) for wrong in (0, 1))
+        clean, more = (bounds.clean_seeds_needed(share, sure, wrong) for wrong in (0, 1))
         return replace(empty, seeds=clean, why=f"if all are right; {more:,} if one is not")
-    least = int(offered_from(requirement, case.group)) if once else 1
+    least = int(wording.offered_from(requirement, case.group)) if once else 1
     if expected is None:
         why = f"unknown, {least} or more: it needs --expect '{requirement.what}=MEAN:SPREAD', or --like DIR that has it"
         return replace(empty, why=why)
     found = replace(empty, expected=expected)
     if not requirement.holds(expected.mean) or expected.mean == requirement.threshold:
         side = "above" if requirement.at_least is not None else "below"
-        said = f"the expected mean, {rounded(expected.mean)}, is not {side} {requirement.threshold:g}"
+        said = f"the expected mean, {wording.rounded(expected.mean)}, is not {side} {requirement.threshold:g}"
         return replace(found, why=f"never: {said}")
     if not expected.spread > 0:
         return replace(found, why="never: equal values show nothing of a mean: ask for a share of seeds with `in`")
     seeds = (_once if once else _sequential)(expected, requirement, limits_of(requirement, plan.keys.score), least)
-    why = f"for a mean of {rounded(expected.mean)} and a spread of {rounded(expected.spread)}"
+    why = f"for a mean of {wording.rounded(expected.mean)} and a spread of {wording.rounded(expected.spread)}"
     why += f", {counted(expected.lost, 'lost run')} of it left out" * (expected.lost > 0)
     return replace(found, seeds=seeds, why=why if seeds else f"more than {_LONGEST:,} {why}")
 
@@ -327,10 +313,10 @@ def _once(expected: Expected, requirement: Requirement, limits: tuple[float, flo
         skewness = math.sqrt(6 * (seeds - 2) / ((seeds + 1) * (seeds + 3))) * rng.standard_normal(_DRAWN)
         deviation = expected.spread * np.sqrt(rng.chisquare(seeds - 1, _DRAWN) / (seeds - 1))
         mean = np.minimum(mean, np.nextafter(greatest, -math.inf))
-        low = corrected_bounds(mean, deviation, skewness, seeds, 1 - requirement.confidence, greatest)
+        low = bounds.corrected_bounds(mean, deviation, skewness, seeds, 1 - requirement.confidence, greatest)
         return float(np.mean(low >= sign * requirement.threshold)) >= POWER
 
-    return least_whole(enough, max(least, 3))
+    return bounds.least_whole(enough, max(least, 3))
 
 
 def _sequential(expected: Expected, requirement: Requirement, limits: tuple[float, float], least: int) -> int | None:
@@ -339,7 +325,7 @@ def _sequential(expected: Expected, requirement: Requirement, limits: tuple[floa
     rng, wealth, first = np.random.default_rng(1), -math.log1p(-requirement.confidence), []
     for _ in range(_DRAWN_SEQUENTIAL):
         values = np.clip((rng.normal(expected.mean, expected.spread, _LONGEST) - start) / (end - start), 0, 1)
-        met = np.flatnonzero(log_capital(values, (requirement.threshold - start) / (end - start)) >= wealth)
+        met = np.flatnonzero(bounds.log_capital(values, (requirement.threshold - start) / (end - start)) >= wealth)
         first.append(max(met[0] + 1, least) if len(met) else math.inf)
     seeds = float(np.quantile(first, POWER, method="inverted_cdf"))
     return int(seeds) if math.isfinite(seeds) else None

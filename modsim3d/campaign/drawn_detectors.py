@@ -17,13 +17,7 @@ from scipy import special
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
-from modsim3d.detector.file.schema import (
-    GREATEST_FALSE_DISCOVERY_RATE,
-    MAX_DEGREES,
-    MAX_GROSS_RATIO,
-    MAX_GROSS_SHARE,
-    MIN_DEGREES,
-)
+from modsim3d.detector.file import schema
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Strict, describe
@@ -239,11 +233,11 @@ _WRITERS: dict[str, Callable[[Array], Any]] = {
     "confusion": columns_of_one,
     "false_positive_labels": columns_of_one,
     "box_error_growth": lambda value: nested(np.maximum(value, 0.0)),
-    "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, MIN_DEGREES, MAX_DEGREES)),
-    "box_error_gross_share": lambda value: nested(np.clip(value, _ROUNDING, MAX_GROSS_SHARE)),
-    "box_error_gross_ratio": lambda value: nested(np.clip(value, 1 + _ROUNDING, MAX_GROSS_RATIO)),
+    "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, schema.MIN_DEGREES, schema.MAX_DEGREES)),
+    "box_error_gross_share": lambda value: nested(np.clip(value, _ROUNDING, schema.MAX_GROSS_SHARE)),
+    "box_error_gross_ratio": lambda value: nested(np.clip(value, 1 + _ROUNDING, schema.MAX_GROSS_RATIO)),
     "density": lambda value: nested(np.round(value / value.max(), 6)),
     "quantiles": lambda value: nested(np.maximum.accumulate(value)),
-    "false_discovery_rate": lambda value: nested(np.minimum(value, GREATEST_FALSE_DISCOVERY_RATE)),
+    "false_discovery_rate": lambda value: nested(np.minimum(value, schema.GREATEST_FALSE_DISCOVERY_RATE)),
 }
 """How numbers are written that a draw may have moved beyond what a file may have."""

@@ -13,27 +13,10 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from modsim3d.campaign import search_folder
 from modsim3d.campaign.folder import CampaignFolder, check_ended, locked_campaign, planned, remove_done
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.running import Dispatch, Progress, read_back, write_log
-from modsim3d.campaign.search_folder import (
-    REFUSED,
-    VALUES,
-    Tried,
-    batches,
-    done_row,
-    planned_batch,
-    proposed,
-    score_of,
-    search_table,
-    searched,
-    store_batch,
-    stored_batch,
-    told_apart,
-    trials_table,
-    tried,
-    write_trials,
-)
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import CRASHED, DONE
 from modsim3d.campaign.work.scenes import Scenes
@@ -60,33 +43,35 @@ class Finding:
 
 def findings(folder: CampaignFolder, table: pa.Table, count: int = 5) -> tuple[Finding, ...]:
     """At most `count` crashes, the first ones, and after them as many of the worst scores, the worst one first."""
-    search = searched(folder)
-    score, order = score_of(search), "ascending" if search.minimise is not None else "descending"
+    search = search_folder.searched(folder)
+    score, order = search_folder.score_of(search), "ascending" if search.minimise is not None else "descending"
     crashed = table.filter(pc.equal(table["status"], CRASHED)).slice(0, count)
     scored = table.filter(pc.and_(pc.equal(table["status"], DONE), pc.is_valid(table[score])))
     scored = scored.sort_by([(score, order), ("run", "ascending")]).slice(0, count)
-    columns = ["run", "traffic_seed", VALUES, "status", "error", score]
+    columns = ["run", "traffic_seed", search_folder.VALUES, "status", "error", score]
     rows = [row for part in (crashed, scored) for row in part.select(columns).to_pylist()]
     return tuple(_finding(folder, row, score) for row in rows)
 
 
 def sentence(folder: CampaignFolder, table: pa.Table) -> str:
     """Result of a search, in two or three sentences."""
-    search = searched(folder)
-    score, word = score_of(search), "lowest" if search.minimise is not None else "highest"
-    counts = {status: pc.sum(pc.equal(table["status"], status)).as_py() or 0 for status in (CRASHED, REFUSED)}
+    search = search_folder.searched(folder)
+    score, word = search_folder.score_of(search), "lowest" if search.minimise is not None else "highest"
+    counts = {
+        status: pc.sum(pc.equal(table["status"], status)).as_py() or 0 for status in (CRASHED, search_folder.REFUSED)
+    }
     worst = [each for each in findings(folder, table, 1) if each.error is None]
     found = f"{word} {score} {worst[0].value:.4g} in trial {worst[0].number}" if worst else f"no trial has a {score}"
     said = f"{len(table)} of {search.budget} trials: {found}"
     if counts[CRASHED]:
         said += f"; {counts[CRASHED]} crashed"
-    if counts[REFUSED]:
-        said += f"; {counts[REFUSED]} had values that the scene, the detector or the tracker refuses"
+    if counts[search_folder.REFUSED]:
+        said += f"; {counts[search_folder.REFUSED]} had values that the scene, the detector or the tracker refuses"
     return f"{said}. {NO_RATE}"
 
 
 def _finding(folder: CampaignFolder, row: dict[str, Any], score: str) -> Finding:
-    again, values = folder.reproducing(row["run"]), orjson.loads(row[VALUES])
+    again, values = folder.reproducing(row["run"]), orjson.loads(row[search_folder.VALUES])
     return Finding(row["run"], row[score], row["error"], row["traffic_seed"], values, again, f"{again} --film")
 
 
@@ -121,17 +106,17 @@ def run_search(
     another plan or cannot be written, or the engine fails."""
     with locked_campaign(folder):
         here = planned(campaign, folder)
-        search = searched(here)
+        search = search_folder.searched(here)
         if not here.finished:
             started = time.perf_counter()
             with closing(engine()) as opened:
                 trials = _Trials(here, opened, cache, progress)
                 trials.make_all()
-            write_trials(here, trials_table(trials.runs, trials.rows, search))
+            search_folder.write_trials(here, search_folder.trials_table(trials.runs, trials.rows, search))
             write_log(here, f"{search.budget} trials in {time.perf_counter() - started:.3f} s")
         check_ended(folder)
         remove_done(here)
-        return SearchResult(here, search_table(here))
+        return SearchResult(here, search_folder.search_table(here))
 
 
 class _Trials:
@@ -141,7 +126,7 @@ class _Trials:
         self, folder: CampaignFolder, engine: Engine, cache: Path | None, progress: Callable[[Progress], None]
     ) -> None:
         self._common = with_cache(folder.work, cache)
-        self._folder, self._search, self._progress = folder, searched(folder), progress
+        self._folder, self._search, self._progress = folder, search_folder.searched(folder), progress
         self._dispatch = Dispatch(folder, engine)
         self._scenes = Scenes(folder.keys.steps, Path(folder.facts["base"]))
         self._crashed = self._made = 0
@@ -151,30 +136,32 @@ class _Trials:
 
     def make_all(self) -> None:
         """Make all trials, a batch after another."""
-        search, known = self._search, list[Tried]()
-        for batch in range(batches(search)):
-            points = stored_batch(self._folder, batch)
+        search, known = self._search, list[search_folder.Tried]()
+        for batch in range(search_folder.batches(search)):
+            points = search_folder.stored_batch(self._folder, batch)
             if points is None:
-                points = proposed(search, self._folder.keys.seed, batch, known)
-                store_batch(self._folder, batch, points)
-            rows = self._make(planned_batch(self._folder, batch, points))
-            known += [tried(point, row, search) for point, row in zip(points, rows, strict=True)]
+                points = search_folder.proposed(search, self._folder.keys.seed, batch, known)
+                search_folder.store_batch(self._folder, batch, points)
+            rows = self._make(search_folder.planned_batch(self._folder, batch, points))
+            known += [search_folder.tried(point, row, search) for point, row in zip(points, rows, strict=True)]
 
     def _make(self, runs: Sequence[PlannedRun]) -> list[dict[str, Any]]:
         """The rows of a batch of trials."""
         tasks = {run.number: Task(self._common, (run,)) for run in runs}
-        found = {number: self._known(row, task) for number, task in tasks.items() if (row := done_row(task))}
+        found = {
+            number: self._known(row, task) for number, task in tasks.items() if (row := search_folder.done_row(task))
+        }
         waiting = deque(task for number, task in tasks.items() if number not in found)
         for task, _ in self._dispatch.done(lambda: waiting.popleft() if waiting else None):
             self._made += 1
-            found[task.runs[0].number] = self._known(read_back(task, partial(done_row, task)), task)
+            found[task.runs[0].number] = self._known(read_back(task, partial(search_folder.done_row, task)), task)
             self._tell(len(found))
         self.runs += runs
         self.rows += [found[run.number] for run in runs]
         return self.rows[-len(runs) :]
 
     def _known(self, row: dict[str, Any], task: Task) -> dict[str, Any]:
-        row = told_apart(row, task.runs[0], self._scenes)
+        row = search_folder.told_apart(row, task.runs[0], self._scenes)
         self._crashed += row["status"] == CRASHED
         return row
 

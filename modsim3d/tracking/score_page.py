@@ -12,16 +12,8 @@ from modsim3d.core.document import Block, Cell, Document, Figure, Fold, Heading,
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.io.atomic_write import write_files
+from modsim3d.tracking import score_outcome
 from modsim3d.tracking.oracle import REFERENCES, SMOOTHED
-from modsim3d.tracking.score_outcome import (
-    ScoredTracks,
-    TrackScores,
-    WorldTrackScores,
-    conclusion_of,
-    remarks_of,
-    score_data,
-    survived_and_judged,
-)
 from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
@@ -63,29 +55,29 @@ ENCOUNTER_HEADER = (
 )
 
 
-def write_scores(scores: ScoredTracks, folder: StrPath, command: str | None = None) -> None:
+def write_scores(scores: score_outcome.ScoredTracks, folder: StrPath, command: str | None = None) -> None:
     """Write `score.json` and `score.html` into a folder; the page names the command, or the call if it is None."""
     target = as_path(folder, "folder")
     options = orjson.OPT_INDENT_2 | orjson.OPT_SERIALIZE_NUMPY
-    data = orjson.dumps(score_data(scores), default=str, option=options) + b"\n"
+    data = orjson.dumps(score_outcome.score_data(scores), default=str, option=options) + b"\n"
     write_files(dict(zip((target / name for name in FILES), (data, score_page(scores, command)), strict=True)))
 
 
-def score_page(scores: ScoredTracks, command: str | None = None) -> str:
+def score_page(scores: score_outcome.ScoredTracks, command: str | None = None) -> str:
     """The whole page; it names the command, or the call if it is None."""
     return page.document_page(document(scores), _provenance(scores, command))
 
 
-def document(scores: ScoredTracks) -> Document:
+def document(scores: score_outcome.ScoredTracks) -> Document:
     """The scores, to be read."""
     return Document(
         f"{scores.run.scene.name}: how well is it tracked?",
-        [Text(conclusion_of(scores), "lead", Where.EVERYWHERE)],
+        [Text(score_outcome.conclusion_of(scores), "lead", Where.EVERYWHERE)],
         [*(_in_images(scores) if scores.trackers else ()), *_in_world(scores)],
     )
 
 
-def _in_images(scores: ScoredTracks) -> Iterator[Block]:
+def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     run = scores.run
     yield _score_table(scores)
     yield Text(
@@ -96,7 +88,7 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
         Where.PAGE,
     )
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
-    yield Text(f"{of_run} {remarks_of(scores)}", "soft")
+    yield Text(f"{of_run} {score_outcome.remarks_of(scores)}", "soft")
     yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])
     if curves := _curves(scores):
         said = "HOTA is the mean over these thresholds. A line that falls early has boxes far from the true ones: then "
@@ -129,7 +121,7 @@ def _in_images(scores: ScoredTracks) -> Iterator[Block]:
     yield Fold("By their keys", [Table("", header, rows, where=Where.PAGE)])
 
 
-def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
+def _provenance(scores: score_outcome.ScoredTracks, command: str | None) -> Provenance:
     run = scores.run
     given = [(each.name, each.path) for each in scores.trackers]
     given += [(each.name, each.path) for each in scores.world]
@@ -146,7 +138,7 @@ def _provenance(scores: ScoredTracks, command: str | None) -> Provenance:
     )
 
 
-def _curves(scores: ScoredTracks) -> dict[str, Array]:
+def _curves(scores: score_outcome.ScoredTracks) -> dict[str, Array]:
     """HOTA at each threshold of similarity, shape (n,), by tracker and reference."""
     curves = {name: found.flat()["hota_by_alpha"] for name, found in named_scores(scores)}
     return {name: np.array(values) for name, values in curves.items() if isinstance(values, tuple)}
@@ -160,7 +152,7 @@ def _alpha_chart(curves: Mapping[str, Array]) -> str:
     return axes.drawing(content, "HOTA by threshold", "least similarity of a match", "HOTA")
 
 
-def _breakdowns(scores: ScoredTracks) -> Iterator[Block]:
+def _breakdowns(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
     best, oracle = scores.trackers[0], ("oracle", scores.references[SMOOTHED])
     yield Heading(f"Where {best.name} loses vessels", where=Where.TERMINAL)
@@ -202,12 +194,12 @@ def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
     ]
 
 
-def _occlusions(tracker: TrackScores) -> Block:
+def _occlusions(tracker: score_outcome.TrackScores) -> Block:
     """The list of a tracker's occlusions, closed at first where there are many."""
     found = tracker.scores.occlusions
     if not found:
         return Text(f"{tracker.name}: no vessel is occluded.", "", Where.PAGE)
-    survived, judged = survived_and_judged(found)
+    survived, judged = score_outcome.survived_and_judged(found)
     said = f"{tracker.name}: {survived} of {judged} survived; {counted(len(found), 'occlusion')} in all"
     failed = {index for index, each in enumerate(found) if each.survived is False}
     header = ("camera", "vessel", "from", "length", "least visible", "track before", "track after", "survived")
@@ -215,11 +207,11 @@ def _occlusions(tracker: TrackScores) -> Block:
     return Fold(said, [table], opened=len(found) <= 15)
 
 
-def _score_table(scores: ScoredTracks) -> Table:
+def _score_table(scores: score_outcome.ScoredTracks) -> Table:
     """A line for each tracker, the highest HOTA first, and for each reference."""
     rows = []
     for name, found in named_scores(scores):
-        keys, (survived, judged) = keys_of(found), survived_and_judged(found.occlusions)
+        keys, (survived, judged) = keys_of(found), score_outcome.survived_and_judged(found.occlusions)
         cells = (number(keys[key], decimals) for _, key, decimals in COLUMNS)
         rows.append((name, *cells, f"{survived} of {judged}" if judged else UNKNOWN))
     header = ("tracker", *(name for name, _, _ in COLUMNS), "occlusions survived")
@@ -227,13 +219,13 @@ def _score_table(scores: ScoredTracks) -> Table:
     return Table("Scores", header, rows, soft=soft, where=Where.EVERYWHERE)
 
 
-def named_scores(scores: ScoredTracks) -> list[tuple[str, Scores]]:
+def named_scores(scores: score_outcome.ScoredTracks) -> list[tuple[str, Scores]]:
     """The trackers, then the references, with what tables call them."""
     named = [(each.name, each.scores) for each in scores.trackers]
     return named + [(REFERENCES[name], found) for name, found in scores.references.items()]
 
 
-def seed_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
+def seed_rows(scores: score_outcome.ScoredTracks) -> list[tuple[str, ...]]:
     """A line for each tracker and score over detector seeds."""
     if scores.seeds is None:
         return []
@@ -252,7 +244,7 @@ def seed_rows(scores: ScoredTracks) -> list[tuple[str, ...]]:
     return rows
 
 
-def seeds_in_words(scores: ScoredTracks) -> str:
+def seeds_in_words(scores: score_outcome.ScoredTracks) -> str:
     """Description of the table of seeds."""
     if scores.seeds is None:
         return ""
@@ -261,7 +253,7 @@ def seeds_in_words(scores: ScoredTracks) -> str:
     return f"{which}: {OF_SEEDS}."
 
 
-def _hidden_table(scores: ScoredTracks) -> Table:
+def _hidden_table(scores: score_outcome.ScoredTracks) -> Table:
     """Wholly hidden vessels and their tracks, a row for each tracker and reference."""
     rows = []
     for name, found in named_scores(scores):
@@ -296,7 +288,7 @@ def survived_of(each: Bin) -> str:
     return f"{round((each.survived or 0.0) * each.judged)} of {each.judged}" if each.judged else UNKNOWN
 
 
-def _part_tables(scores: ScoredTracks) -> list[Table]:
+def _part_tables(scores: score_outcome.ScoredTracks) -> list[Table]:
     """Scores by performance state, by camera and by class, where there are several."""
     named = named_scores(scores)
     tables = []
@@ -321,7 +313,7 @@ def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> 
     ]
 
 
-def _in_world(scores: ScoredTracks) -> Iterator[Block]:
+def _in_world(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     yield Heading("Tracks in the world")
     header = ("tracks in the world", *(name for name, _, _ in WORLD_COLUMNS))
     flat = [(each.name, each.scores.flat()) for each in scores.world]
@@ -359,7 +351,7 @@ def _is_missed(met: MetVessel) -> bool:
     return met.seen_s is not None and met.established_s is None
 
 
-def _encounters_in_words(each: WorldTrackScores) -> str:
+def _encounters_in_words(each: score_outcome.WorldTrackScores) -> str:
     """Number of vessels that met own ship, and what red means in the table of encounters."""
     met = each.scores.encounters
     if not met:

@@ -11,18 +11,9 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
+from modsim3d.detector import draws
 from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.chain import model_name
-from modsim3d.detector.draws import (
-    ERROR_DISTRIBUTIONS,
-    BoxErrorLaw,
-    ContaminatedNormal,
-    ErrorDistribution,
-    Normal,
-    StudentT,
-    size_factors,
-    standardised,
-)
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 
 FIRST, SECOND = np.triu_indices(4)
@@ -44,9 +35,9 @@ class ErrorLikelihood:
         """The size of a step of one in these numbers, shape (s,)."""
         return np.empty(0)
 
-    def reshaped(self, distribution: Any, step: Array) -> ErrorDistribution:
+    def reshaped(self, distribution: Any, step: Array) -> draws.ErrorDistribution:
         """The distribution a step of shape (s,) away."""
-        kept: ErrorDistribution = distribution
+        kept: draws.ErrorDistribution = distribution
         return kept
 
     def statistics(self, distribution: Any, correlation: Array, standardised: Array) -> Array:
@@ -76,19 +67,19 @@ class StudentTLikelihood(ErrorLikelihood):
 
     shape_names = ("degrees_of_freedom",)
 
-    def shape(self, distribution: StudentT) -> Array:
+    def shape(self, distribution: draws.StudentT) -> Array:
         """The degrees of freedom, shape (1,)."""
         return np.array([distribution.degrees_of_freedom])
 
-    def shape_units(self, distribution: StudentT) -> Array:
+    def shape_units(self, distribution: draws.StudentT) -> Array:
         """ν − 2, shape (1,)."""
         return np.array([distribution.degrees_of_freedom - 2])
 
-    def reshaped(self, distribution: StudentT, step: Array) -> ErrorDistribution:
+    def reshaped(self, distribution: draws.StudentT, step: Array) -> draws.ErrorDistribution:
         """ν − 2 times the exponential of the step, shape (1,)."""
-        return StudentT(min(2 + (distribution.degrees_of_freedom - 2) * float(np.exp(step[0])), _MAX_FREEDOM))
+        return draws.StudentT(min(2 + (distribution.degrees_of_freedom - 2) * float(np.exp(step[0])), _MAX_FREEDOM))
 
-    def statistics(self, distribution: StudentT, correlation: Array, standardised: Array) -> Array:
+    def statistics(self, distribution: draws.StudentT, correlation: Array, standardised: Array) -> Array:
         """Weighted values and products, and the derivative by ν but for a constant, shape (..., 15)."""
         nu = distribution.degrees_of_freedom
         q = np.einsum("...i,ij,...j->...", standardised, np.linalg.inv(correlation), standardised)
@@ -96,7 +87,7 @@ class StudentTLikelihood(ErrorLikelihood):
         of_nu = (weight[..., 0] * q - (nu - 2) * np.log1p(q / (nu - 2))) / 2
         return np.concatenate([weight * standardised, weight * products_of(standardised), of_nu[..., None]], axis=-1)
 
-    def latent_share(self, distribution: StudentT) -> float:
+    def latent_share(self, distribution: draws.StudentT) -> float:
         """Correlation of whitened weighted values with the latent normal ones, by integration over z and w."""
         levels = (np.arange(_LEVELS) + 0.5) / _LEVELS
         length = 2 * special.gammaincinv(2.0, levels)[:, None]  # of z: chi-square of 4 degrees of freedom
@@ -118,21 +109,21 @@ class ContaminatedNormalLikelihood(ErrorLikelihood):
 
     shape_names = ("gross_share", *(f"gross_ratio[{component}]" for component in ERROR_COMPONENTS))
 
-    def shape(self, distribution: ContaminatedNormal) -> Array:
+    def shape(self, distribution: draws.ContaminatedNormal) -> Array:
         """Share and ratios, shape (5,)."""
         return np.array([distribution.gross_share, *distribution.gross_ratio])
 
-    def shape_units(self, distribution: ContaminatedNormal) -> Array:
+    def shape_units(self, distribution: draws.ContaminatedNormal) -> Array:
         """g·(1 − g) and the ratios, shape (5,)."""
         share = distribution.gross_share
         return np.array([share * (1 - share), *distribution.gross_ratio])
 
-    def reshaped(self, distribution: ContaminatedNormal, step: Array) -> ErrorDistribution:
+    def reshaped(self, distribution: draws.ContaminatedNormal, step: Array) -> draws.ErrorDistribution:
         """The distribution a step of shape (5,) away."""
         share = float(special.expit(special.logit(distribution.gross_share) + step[0]))
-        return ContaminatedNormal(share, tuple((np.array(distribution.gross_ratio) * np.exp(step[1:])).tolist()))
+        return draws.ContaminatedNormal(share, tuple((np.array(distribution.gross_ratio) * np.exp(step[1:])).tolist()))
 
-    def statistics(self, distribution: ContaminatedNormal, correlation: Array, standardised: Array) -> Array:
+    def statistics(self, distribution: draws.ContaminatedNormal, correlation: Array, standardised: Array) -> Array:
         """Four weighted values, sixteen products and five statistics of the shape, shape (..., 25)."""
         root = symmetric_root(correlation)
         z = standardised @ np.linalg.inv(root).T
@@ -163,10 +154,10 @@ class ContaminatedNormalLikelihood(ErrorLikelihood):
         weights[PLAIN:, 20:] = np.eye(5)
         return weights
 
-    def latent_share(self, distribution: ContaminatedNormal) -> Array:
+    def latent_share(self, distribution: draws.ContaminatedNormal) -> Array:
         """Of each component, by draws, shape (4,)."""
         latent = np.random.default_rng(0).standard_normal((_DRAWS, 5))
-        standard = standardised(distribution, latent)
+        standard = draws.standardised(distribution, latent)
         weighted = self.statistics(distribution, np.eye(4), standard)[:, :4]
         share: Array = (weighted * latent[:, :4]).mean(axis=0) / (weighted**2).mean(axis=0)
         return share
@@ -218,10 +209,10 @@ class ErrorParameters:
     correlation: Array
     relative: bool = False
     growth: Array = field(default_factory=lambda: np.zeros(4))
-    distribution: ErrorDistribution = field(default_factory=Normal)
+    distribution: draws.ErrorDistribution = field(default_factory=draws.Normal)
 
     @classmethod
-    def of(cls, law: BoxErrorLaw) -> ErrorParameters:
+    def of(cls, law: draws.BoxErrorLaw) -> ErrorParameters:
         """The parameters of a law with a covariance that is not singular."""
         correlation = law.covariance / np.outer(law.std, law.std)
         return cls(law.mean, law.std, correlation, law.relative, law.growth, law.distribution)
@@ -229,7 +220,7 @@ class ErrorParameters:
     @property
     def likelihood(self) -> ErrorLikelihood:
         """The likelihood of the distribution."""
-        return LIKELIHOODS[model_name(ERROR_DISTRIBUTIONS, self.distribution)]
+        return LIKELIHOODS[model_name(draws.ERROR_DISTRIBUTIONS, self.distribution)]
 
     @property
     def growing(self) -> Indices:
@@ -238,7 +229,7 @@ class ErrorParameters:
 
     def at(self, boxes_px: Array) -> tuple[Array, Array]:
         """Means and standard deviations of the errors of boxes (n, 4) in pixels, shapes (n, 4)."""
-        factor, spread = size_factors(sizes(boxes_px), self.relative, self.growth / self.std)
+        factor, spread = draws.size_factors(sizes(boxes_px), self.relative, self.growth / self.std)
         return self.mean * factor, self.std * factor * spread
 
     def statistics(self, standardised: Array) -> Array:

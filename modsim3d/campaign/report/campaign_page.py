@@ -22,19 +22,9 @@ from modsim3d.campaign.means import (
 )
 from modsim3d.campaign.plan import Plan, cases_of, key_columns, values_text
 from modsim3d.campaign.ranking import WorstRun, worst_runs
+from modsim3d.campaign.report import words
 from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
 from modsim3d.campaign.report.parameter_charts import parameter_sections
-from modsim3d.campaign.report.words import (
-    Score,
-    condition_cells,
-    constant,
-    required_scores,
-    requirement_sections,
-    rests_on,
-    values_of,
-    varying,
-    verdict_sentence,
-)
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.verdicts.seed_values import PairedDifference, paired
 from modsim3d.campaign.verdicts.verdict import Verdict
@@ -55,7 +45,7 @@ MAX_ROWS = 200
 
 def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ()) -> list[Block]:
     """The table of means: a row for each condition and tracker."""
-    score, scores = required_scores(plan)[0], usual_scores(plan, table)
+    score, scores = words.required_scores(plan)[0], usual_scores(plan, table)
     rows = mean_rows(table, usual_keys(plan), scores)
     remark, count = "", len(rows)
     if count > MAX_ROWS and scores:
@@ -80,7 +70,7 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
     ]
 
 
-def _badness(score: Score, mean: float | None) -> float:
+def _badness(score: words.Score, mean: float | None) -> float:
     """The lower, the worse; where nothing is known comes first."""
     if mean is None or not np.isfinite(mean):
         return -np.inf
@@ -91,7 +81,7 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
-    scores = dict.fromkeys(each.key for each in required_scores(plan) if each.key in table.column_names)
+    scores = dict.fromkeys(each.key for each in words.required_scores(plan) if each.key in table.column_names)
     found = [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
@@ -105,14 +95,14 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
     said = [(each.score, each.condition, frozenset((each.first, each.second))) in judged for each in found]
     found = [replace(each, low=None, high=None) if here else each for each, here in zip(found, said, strict=True)]
     remark = " Intervals of differences that are required are those of the requirements, above." * any(said)
-    keys, span = varying(plan), {}
+    keys, span = words.varying(plan), {}
     for score in {each.score for each in found}:
         here = [each for each in found if each.score == score]
         span[score] = span_of([0.0, *(_or_nan(v) for each in here for v in (each.mean, each.low, each.high))])
     rows: list[Row] = [
         (
-            Score(each.score).name,
-            *condition_cells(plan, each.condition, keys),
+            words.Score(each.score).name,
+            *words.condition_cells(plan, each.condition, keys),
             f"{each.first} − {each.second}",
             three_digits_with_interval(each.mean, each.low, each.high),
             _difference(each, span[each.score]),
@@ -170,11 +160,11 @@ def worst_sections(
 
 def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[[int], None]) -> Iterator[Block]:
     run = folder.plan.run(each.number)
-    values = {**values_of(folder.plan, each.condition), **run.condition.values}
+    values = {**words.values_of(folder.plan, each.condition), **run.condition.values}
     what = "crashed" if each.value is None else f"{score_name(each.score)} {three_digits(each.value)}"
     if each.requirement is not None:
         what += f" (requirement {each.requirement + 1})"
-    said = values_text(values, [*varying(folder.plan), *folder.plan.drawn])
+    said = values_text(values, [*words.varying(folder.plan), *folder.plan.drawn])
     yield Heading(f"Run {each.number}: {each.tracker}, {what}", 3)
     yield Text(f"{said}; traffic seed {each.traffic_seed}, detector seed {each.detector_seed}.", "soft")
     if each.moment_s is not None:
@@ -256,7 +246,7 @@ def campaign_page(
             *(trace_sections(folder, table, verdicts) if len(table) else ()),
         ],
     )
-    return document_page(document, rests_on(folder, "results of a campaign", command))
+    return document_page(document, words.rests_on(folder, "results of a campaign", command))
 
 
 def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
@@ -265,7 +255,7 @@ def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
         return []
     levels = Text(" ".join(levels_of(plan).sentences()), "soft")
     wrong = Heading("How often verdicts are wrong", 3)
-    return [Heading("Requirements"), *requirement_sections(plan, verdicts), wrong, levels]
+    return [Heading("Requirements"), *words.requirement_sections(plan, verdicts), wrong, levels]
 
 
 def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
@@ -277,7 +267,7 @@ def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[
 def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> str:
     """The first sentence of the page."""
     if folder.finished:
-        return verdict_sentence(folder.plan, verdicts)
+        return words.verdict_sentence(folder.plan, verdicts)
     done = f"{len(table):,} of {counted(len(folder.plan), 'run')} are done"
     return f"Not finished: {done}, and nothing on this page is a verdict."
 
@@ -314,7 +304,7 @@ def facts(folder: CampaignFolder, table: pa.Table) -> list[tuple[str, str]]:
         ("trackers", listed([each.label for each in keys.trackers], 12)),
         ("conditions", f"{len(plan.conditions):,}"),
         ("seeds", f"{counted(keys.seeds.traffic, 'traffic seed')}, {keys.seeds.detector:,} of the detector for each"),
-        ("the same everywhere", ", ".join(f"{key} {value}" for key, value in constant(plan).items())),
+        ("the same everywhere", ", ".join(f"{key} {value}" for key, value in words.constant(plan).items())),
         ("stop", stop if keys.stop == "sequential" else "once: the number of seeds was fixed beforehand"),
         ("SHA-256 of the plan", folder.facts["sha256"]),
     ]

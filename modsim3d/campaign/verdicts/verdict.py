@@ -12,20 +12,9 @@ import pyarrow as pa
 
 from modsim3d.campaign.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan import SCENE, Case, Plan, traffic_seed
+from modsim3d.campaign.verdicts import wording
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, clean_seeds_needed, mean_bounds, share_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
-from modsim3d.campaign.verdicts.wording import (
-    at_step,
-    cases_of_all,
-    never_met,
-    offered,
-    percent,
-    requirement_text,
-    rounded,
-    rounded_down,
-    rounded_up,
-    stepped,
-)
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
 from modsim3d.core.text import counted
 
@@ -93,17 +82,17 @@ def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     """A verdict for each requirement, tracker and condition that it is about, on the rows before the first traffic seed
     that is not whole. A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is
     undecided."""
-    rows, cases = SeedRows(plan, table), cases_of_all(plan)
+    rows, cases = SeedRows(plan, table), wording.cases_of_all(plan)
 
     @cache
     def verdict(index: int, taken: int) -> Verdict:
         place, case = cases[index]
-        return _verdict(plan, place, at_step(plan, place, len(cases), taken), case, rows)
+        return _verdict(plan, place, wording.at_step(plan, place, len(cases), taken), case, rows)
 
     if plan.keys.level == "each":
         return tuple(verdict(index, 0) for index in range(len(cases)))
-    met = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "met")
-    failed = stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "failed")
+    met = wording.stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "met")
+    failed = wording.stepped(len(cases), lambda index, taken: verdict(index, taken).outcome == "failed")
     decided, rest = met | failed, min(len(met), len(failed))
     return tuple(
         verdict(index, decided[index]) if index in decided else replace(verdict(index, rest), outcome="undecided")
@@ -128,7 +117,7 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     of_mean = requirement.share is None
     own = rows.runs_of(replace(case, minus=None), requirement.score, requirement.resting_on)
     found = _of_mean(requirement, runs, own, keys, group) if of_mean else _of_share(requirement, runs, keys)
-    impossible = never_met(keys, requirement, group, undefined)
+    impossible = wording.never_met(keys, requirement, group, undefined)
     if found.outcome == "met" and impossible:
         found = replace(found, outcome="undecided")
     why = [found.why]
@@ -141,15 +130,15 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     facts, rests_on = facts_of(requirement.score, group), runs.rests_on
     if rests_on is not None and (facts.managed or requirement.resting_on is not None):
         less = "" if case.minus is None else ", the less of both trackers"
-        why.append(f"It rests on {rounded(100 * rests_on)} % of {facts.basis.of}{less}, mean over runs.")
+        why.append(f"It rests on {wording.rounded(100 * rests_on)} % of {facts.basis.of}{less}, mean over runs.")
     if met_without_tracks := _met_without_tracks(requirement, keys, runs, rows, case):
         why.append(NO_TRACKS)
     if keys.level == "family":
-        why.append(f"Judged at {percent(requirement.confidence)}, by Holm for all verdicts together.")
+        why.append(f"Judged at {wording.percent(requirement.confidence)}, by Holm for all verdicts together.")
     low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
     return Verdict(
         place,
-        requirement_text(requirement, case.within),
+        wording.requirement_text(requirement, case.within),
         " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None),
         case.condition,
         found.outcome,
@@ -174,7 +163,11 @@ def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) 
     done, state = counted(len(runs.values), "traffic seed"), ""
     if found.estimate is not None:
         mean = requirement.share is None
-        state = f", mean {rounded(found.estimate)} so far" if mean else f", {100 * found.estimate:.4g} % right so far"
+        state = (
+            f", mean {wording.rounded(found.estimate)} so far"
+            if mean
+            else f", {100 * found.estimate:.4g} % right so far"
+        )
     why = f"{done} of {planned:,} {'is' if len(runs.values) == 1 else 'are'} done{state}; it is judged when all are."
     return _Found("undecided", found.estimate, UNKNOWN, why), [why]
 
@@ -246,7 +239,7 @@ def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys
     if not len(worst):
         return _Found("undecided", None, UNKNOWN, "No traffic seed has a value.")
     every = mean_bounds(worst, best, requirement.confidence, keys.stop, limits)
-    bounds = offered(every, requirement, len(worst), group) if keys.stop == "once" else every
+    bounds = wording.offered(every, requirement, len(worst), group) if keys.stop == "once" else every
     if requirement.at_least is not None:
         outcome = _outcome(bounds.low >= requirement.threshold, bounds.high < requirement.threshold)
     else:
@@ -257,9 +250,9 @@ def _of_mean(requirement: Requirement, runs: Runs, own: Runs, keys: CampaignKeys
     hopeless = own.lost.any() and np.all(np.isnan(own.means(math.nan))) and not clean
     if hopeless or (estimate == math.inf and requirement.at_most is not None):
         outcome = "failed"
-    said = f"the mean is {rounded(estimate)}" if estimate is not None else f"no run has {requirement.what}"
+    said = f"the mean is {wording.rounded(estimate)}" if estimate is not None else f"no run has {requirement.what}"
     if estimate is not None and runs.lost.any():
-        said = f"the mean of the {len(seen):,} with a value is {rounded(estimate)}"
+        said = f"the mean of the {len(seen):,} with a value is {wording.rounded(estimate)}"
     why = f"Over {counted(len(worst), 'traffic seed')} {said}"
     if bounds.known:
         why += f"; {_between(bounds, requirement)}."
@@ -282,12 +275,12 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
     """Bounds that exist, in words, and how sure each is."""
     sides = []
     if math.isfinite(bounds.low):
-        sides.append(f"at least {rounded_down(bounds.low)}")
+        sides.append(f"at least {wording.rounded_down(bounds.low)}")
     if math.isfinite(bounds.high):
-        sides.append(f"at most {rounded_up(bounds.high)}")
+        sides.append(f"at most {wording.rounded_up(bounds.high)}")
     what = "the true mean" if requirement.share is None else "the true share"
     each = "each " if len(sides) == 2 else ""
-    return f"{what} is {' and '.join(sides)}, {each}with {percent(requirement.confidence)} confidence"
+    return f"{what} is {' and '.join(sides)}, {each}with {wording.percent(requirement.confidence)} confidence"
 
 
 def _of_lost(runs: Runs, requirement: Requirement, keys: CampaignKeys) -> Iterator[str]:

@@ -10,17 +10,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.learn.bootstrap import (
-    Entry,
-    Key,
-    Resampling,
-    entries_of,
-    from_scale,
-    nested,
-    spread,
-    to_scale,
-    with_entries,
-)
+from modsim3d.learn import bootstrap
 from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit
@@ -138,22 +128,22 @@ def with_things(learned: T, labelled: LabelledSet, errors: WhiteErrors, states: 
     keys, count = np.unique(thing, axis=0, return_counts=True)
     squares, whole = (np.bincount(keys[:, 0], count**power, minlength=len(states)) for power in (2, 1))
     crowding = dict(zip(states, squares / np.maximum(whole, 1) ** 2, strict=True))
-    stds = {entry.key.state: entry.estimate for entry in entries_of(learned) if entry.key.names == (_STD,)}
+    stds = {entry.key.state: entry.estimate for entry in bootstrap.entries_of(learned) if entry.key.names == (_STD,)}
 
-    def change(entry: Entry) -> Entry:
+    def change(entry: bootstrap.Entry) -> bootstrap.Entry:
         state, name = entry.key.state, entry.key.names[0]
         if state is None or name not in (_MEAN, _STD, _CORRELATION):
             return entry
         each = {_MEAN: share * stds[state] ** 2, _STD: share**2 / 2, _CORRELATION: share**2}[name]
         column = entry.column
-        scaled = to_scale(column.values, column.kind)
-        found = spread(scaled[1:]) ** 2
+        scaled = bootstrap.to_scale(column.values, column.kind)
+        found = bootstrap.spread(scaled[1:]) ** 2
         usable = np.isfinite(found) & (found > 0)
         wider = np.where(usable, np.sqrt(1 + each * crowding[state] / np.where(usable, found, 1.0)), 1.0)
-        values = from_scale(scaled[0] + wider * (scaled - scaled[0]), column.kind)
-        return Entry(entry.key, replace(column, values=values))
+        values = bootstrap.from_scale(scaled[0] + wider * (scaled - scaled[0]), column.kind)
+        return bootstrap.Entry(entry.key, replace(column, values=values))
 
-    return with_entries(learned, change)
+    return bootstrap.with_entries(learned, change)
 
 
 ERRORS_NEEDED = 20
@@ -188,7 +178,7 @@ class BoxErrorForm:
         """Whether errors are in sides of the box in every state."""
         return all(form.unit == "relative" for form in self.states)
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedBoxErrors:
+    def estimate(self, observed: Observed, resampling: bootstrap.Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
         found = [each.of_law(form.unit, form.law) for each, form in zip(fits, self.states, strict=True)]
@@ -208,23 +198,25 @@ class BoxErrorForm:
             return LearnedBoxErrors(states, None, None, tuple(used), persistence.memory)
         return LearnedBoxErrors(states, persistence.box_s, persistence.vessel_share, tuple(used))
 
-    def _persistence(self, observed: Observed, fits: Sequence[ErrorFits], resampling: Resampling) -> ErrorPersistence:
+    def _persistence(
+        self, observed: Observed, fits: Sequence[ErrorFits], resampling: bootstrap.Resampling
+    ) -> ErrorPersistence:
         consecutive, models = _consecutive(observed, fits, self.states)
-        time, share = Key(("persistence", "box_s")), Key(("persistence", "box_vessel_share"))
+        time, share = bootstrap.Key(("persistence", "box_s")), bootstrap.Key(("persistence", "box_vessel_share"))
         memory = component_memory(*component_lags(observed, models), resampling) if self.components else None
         if not self.things_keep:
-            return ErrorPersistence(Entry(time, consecutive.column(resampling)), memory=memory)
+            return ErrorPersistence(bootstrap.Entry(time, consecutive.column(resampling)), memory=memory)
         white = white_errors(observed, models)
         noise = vessel_noise(error_lags(observed.labelled, white), resampling, latent_share(white))
-        return ErrorPersistence(Entry(time, noise.time_s), Entry(share, noise.share), white, memory)
+        return ErrorPersistence(bootstrap.Entry(time, noise.time_s), bootstrap.Entry(share, noise.share), white, memory)
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorPersistence:
     """The correlation time of errors and the share that things keep, None for none; and the errors that show both."""
 
-    box_s: Entry | None = None
-    vessel_share: Entry | None = None
+    box_s: bootstrap.Entry | None = None
+    vessel_share: bootstrap.Entry | None = None
     white: WhiteErrors | None = None
     memory: ComponentMemory | None = None
 
@@ -265,8 +257,8 @@ class LearnedBoxErrors:
     """
 
     states: tuple[LearnedErrors, ...]
-    box_s: Entry | None
-    box_vessel_share: Entry | None
+    box_s: bootstrap.Entry | None
+    box_vessel_share: bootstrap.Entry | None
     used: tuple[UsedMatches, ...]
     memory: ComponentMemory | None = None
 
@@ -276,9 +268,9 @@ class LearnedBoxErrors:
             return {"persistence": {"box": self.memory.section()}}
         if self.box_s is None or self.box_s.estimate <= 0:
             return {}
-        section = {"box_s": nested(self.box_s.estimate)}
+        section = {"box_s": bootstrap.nested(self.box_s.estimate)}
         if self.box_vessel_share is not None:
-            section["box_vessel_share"] = nested(self.box_vessel_share.estimate)
+            section["box_vessel_share"] = bootstrap.nested(self.box_vessel_share.estimate)
         return {"persistence": section}
 
     def state_section(self, state: int) -> dict[str, Any]:

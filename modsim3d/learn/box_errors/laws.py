@@ -11,27 +11,9 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.draws import ContaminatedNormal
 from modsim3d.detector.file.schema import MAX_GROSS_RATIO, MAX_GROSS_SHARE, covariance_problems
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
-from modsim3d.learn.bootstrap import (
-    SIGNIFICANT,
-    Column,
-    Entry,
-    Key,
-    Kind,
-    Resampling,
-    from_scale,
-    nested,
-    to_scale,
-    widened,
-)
+from modsim3d.learn import bootstrap
+from modsim3d.learn.box_errors import matched_edges
 from modsim3d.learn.box_errors.fit import ErrorFit, log_density
-from modsim3d.learn.box_errors.matched_edges import (
-    UNITS,
-    MatchedEdges,
-    Unit,
-    fit_gross_errors,
-    gross_log_density,
-    may_be_heavy,
-)
 from modsim3d.learn.matches import ErrorFits
 
 # ---- Which kind of distribution the box errors of a state speak for ----
@@ -56,7 +38,7 @@ def excess(kept: float) -> float:
 class ChosenLaw:
     """A kind of distribution, with what speaks for it where it is not the plainest."""
 
-    unit: Unit
+    unit: matched_edges.Unit
     law: str = "normal"
     reasons: tuple[str, ...] = ()
 
@@ -66,7 +48,7 @@ class ChosenLaw:
         return self.law == "student_t"
 
 
-def plain_unit(fits: ErrorFits, without: frozenset[str]) -> Unit:
+def plain_unit(fits: ErrorFits, without: frozenset[str]) -> matched_edges.Unit:
     """Pixels or sides of the box, whichever makes normal errors likelier."""
     if "relative" in without:
         return "px"
@@ -97,11 +79,11 @@ def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenL
     return chosen if "gross" in without else _with_gross_errors(fits, chosen, kept, without)
 
 
-def _other(unit: Unit) -> Unit:
+def _other(unit: matched_edges.Unit) -> matched_edges.Unit:
     return "px" if unit == "relative" else "relative"
 
 
-def heavy_tails(fits: ErrorFits, unit: Unit, kept: float, normal: float | None = None) -> str:
+def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, normal: float | None = None) -> str:
     """Why Student's t law describes errors in a unit better than normal ones; empty if it does not.
 
     `normal` is the log-likelihood of the normal ones, by default in the same unit.
@@ -124,7 +106,7 @@ def _tails(gain: float, count: int, kept: float) -> str:
 
 
 def _needed_of_tails(count: int, alike: float) -> float:
-    return max(float(np.log(count / alike)), SIGNIFICANT**2) / 2
+    return max(float(np.log(count / alike)), bootstrap.SIGNIFICANT**2) / 2
 
 
 def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozenset[str]) -> ChosenLaw:
@@ -155,7 +137,9 @@ def _with_gross_errors(fits: ErrorFits, chosen: ChosenLaw, kept: float, without:
     count = int(np.count_nonzero(fits.edges.whole))
     if count < T_NEEDED:
         return chosen
-    units = [unit for unit in UNITS if unit not in without and (unit != "mixed" or _sides_differ(fits.edges))]
+    units = [
+        unit for unit in matched_edges.UNITS if unit not in without and (unit != "mixed" or _sides_differ(fits.edges))
+    ]
     growing = max(_GROWTHS * np.log(count), _GROWTHS_SIGNIFICANT) / 2 * excess(kept**2)
     handicaps = {"px": 0.0, "relative": _ALIKE, "mixed": growing}  # boxes of one size tell no difference
     values = {unit: _gross_value(fits, unit) - handicaps[unit] for unit in units}
@@ -180,17 +164,17 @@ def _can_be(fit: ErrorFit | None) -> bool:
     return gross is not None and gross.gross_share <= MAX_GROSS_SHARE and max(gross.gross_ratio) <= MAX_GROSS_RATIO
 
 
-def _gross_value(fits: ErrorFits, unit: Unit, none: bool = False) -> float:
+def _gross_value(fits: ErrorFits, unit: matched_edges.Unit, none: bool = False) -> float:
     """Log-likelihood of boxes with all edges known by normal errors some of which are gross, or none of which is."""
     fit = fits.contaminated(unit)
     if fit is None or fit.model.gross is None:
         return -np.inf
     standard = fit.model.uncorrelated(fits.over_spread(fit.model))
     gross = ContaminatedNormal(fit.model.gross.gross_share, (1.0,) * 4) if none else fit.model.gross
-    return float(gross_log_density(standard, gross).sum()) - fits.log_spread(fit.model)
+    return float(matched_edges.gross_log_density(standard, gross).sum()) - fits.log_spread(fit.model)
 
 
-def _student_t_value(fits: ErrorFits, unit: Unit) -> float:
+def _student_t_value(fits: ErrorFits, unit: matched_edges.Unit) -> float:
     """The same of Student's t."""
     fit = fits.chosen(unit, heavy=True)
     if fit is None:
@@ -203,7 +187,7 @@ def _heavy_possible(fits: ErrorFits, relative: bool) -> bool:
     """Whether errors are enough, and spread so that the likelihood rises with heavy tails."""
     if len(fits.edges) < T_NEEDED or fits.fit("relative" if relative else "px") is None:
         return False
-    return may_be_heavy(fits.unclipped(relative))
+    return matched_edges.may_be_heavy(fits.unclipped(relative))
 
 
 def _mixed_may_be_heavy(fits: ErrorFits, plain: ChosenLaw) -> bool:
@@ -212,10 +196,10 @@ def _mixed_may_be_heavy(fits: ErrorFits, plain: ChosenLaw) -> bool:
     if normal is None or len(fits.edges) < T_NEEDED:
         return False
     far_below = not normal.settled and normal.value < fits.value(plain.unit)
-    return plain.heavy or (not far_below and may_be_heavy(fits.over_spread(normal.model)))
+    return plain.heavy or (not far_below and matched_edges.may_be_heavy(fits.over_spread(normal.model)))
 
 
-def _sides_differ(edges: MatchedEdges) -> bool:
+def _sides_differ(edges: matched_edges.MatchedEdges) -> bool:
     """Whether widths or heights differ so much that errors could follow them."""
     low, high = np.quantile(edges.sides_px, [0.1, 0.9], axis=0)
     return bool(np.any(high > _MAX_ALIKE * low))
@@ -241,27 +225,27 @@ CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
 class ErrorMoments:
     """Mean (4,), standard deviation with n − 1 (4,) and correlation of the `ERROR_PAIRS` (6,) of box errors."""
 
-    mean: Column
-    std: Column
-    correlation: Column
+    mean: bootstrap.Column
+    std: bootstrap.Column
+    correlation: bootstrap.Column
 
     @classmethod
-    def of(cls, resampling: Resampling, image: Indices, errors: Array) -> ErrorMoments:
+    def of(cls, resampling: bootstrap.Resampling, image: Indices, errors: Array) -> ErrorMoments:
         """Moments of errors of shape (n, 4), given the image of each, shape (n,)."""
         mean, std, correlation = moments(resampling, image, errors)
         number = float(len(errors))
         return cls(
-            Column(mean, "mean", np.full(4, number)),
-            Column(std, "positive", np.full(4, number)),
-            Column(correlation, "correlation", np.full(6, number)),
+            bootstrap.Column(mean, "mean", np.full(4, number)),
+            bootstrap.Column(std, "positive", np.full(4, number)),
+            bootstrap.Column(correlation, "correlation", np.full(6, number)),
         )
 
-    def covariance(self) -> Column:
+    def covariance(self) -> bootstrap.Column:
         """Covariances of the `CELLS`, shape (10,)."""
         std, correlation = self.std.values, self.correlation.values
         of_pair = [correlation[:, ERROR_PAIRS.index(cell)] if cell in ERROR_PAIRS else 1.0 for cell in CELLS]
         values = [std[:, i] * std[:, j] * of for (i, j), of in zip(CELLS, of_pair, strict=True)]
-        return Column(np.stack(values, axis=1), "mean", np.repeat(self.mean.counts[:1], len(CELLS)))
+        return bootstrap.Column(np.stack(values, axis=1), "mean", np.repeat(self.mean.counts[:1], len(CELLS)))
 
 
 def covariance(std: Array, correlation: Array) -> Array:
@@ -273,7 +257,7 @@ def covariance(std: Array, correlation: Array) -> Array:
     return result
 
 
-def moments(resampling: Resampling, image: Indices, values: Array) -> tuple[Array, Array, Array]:
+def moments(resampling: bootstrap.Resampling, image: Indices, values: Array) -> tuple[Array, Array, Array]:
     """Mean, standard deviation and correlation of vectors (n, 4), shapes (rows, 4), (rows, 4) and (rows, 6)."""
     centre = values.mean(axis=0) if len(values) else np.zeros(4)
     moved = values - centre  # squares of small numbers keep their digits
@@ -316,13 +300,13 @@ class ErrorSample:
     image: Indices
     kept: float
     state: str
-    unit: Unit
+    unit: matched_edges.Unit
     fit: ErrorFit | None
 
-    def entry(self, name: str, column: Column, *axes: tuple[str, ...]) -> Entry:
+    def entry(self, name: str, column: bootstrap.Column, *axes: tuple[str, ...]) -> bootstrap.Entry:
         """A number of the distribution."""
         remark = {"mean": self.in_words, "std": self.in_words, "growth": "px/px"}.get(name, "")
-        return Entry(Key((f"box_error_{name}",), self.state, axes, remark), column)
+        return bootstrap.Entry(bootstrap.Key((f"box_error_{name}",), self.state, axes, remark), column)
 
     @property
     def in_words(self) -> str:
@@ -349,31 +333,31 @@ class LearnedErrors:
         gross_ratio: How many times as large as other errors they are; None of other laws.
     """
 
-    unit: Unit
-    mean: Entry
-    std: Entry
-    correlation: Entry
-    growth: Entry | None = None
-    degrees_of_freedom: Entry | None = None
-    gross_share: Entry | None = None
-    gross_ratio: Entry | None = None
+    unit: matched_edges.Unit
+    mean: bootstrap.Entry
+    std: bootstrap.Entry
+    correlation: bootstrap.Entry
+    growth: bootstrap.Entry | None = None
+    degrees_of_freedom: bootstrap.Entry | None = None
+    gross_share: bootstrap.Entry | None = None
+    gross_ratio: bootstrap.Entry | None = None
 
     def section(self) -> dict[str, Any]:
         """The section `box_error` of a detector file."""
         section: dict[str, Any] = {"unit": self.unit}
         if self.degrees_of_freedom is not None:
-            section |= {"law": "student_t", "degrees_of_freedom": nested(self.degrees_of_freedom.estimate)}
+            section |= {"law": "student_t", "degrees_of_freedom": bootstrap.nested(self.degrees_of_freedom.estimate)}
         if self.gross_share is not None and self.gross_ratio is not None:
-            section |= {"law": "contaminated_normal", "gross_share": nested(self.gross_share.estimate)}
-            section["gross_ratio"] = nested(self.gross_ratio.estimate)
+            section |= {"law": "contaminated_normal", "gross_share": bootstrap.nested(self.gross_share.estimate)}
+            section["gross_ratio"] = bootstrap.nested(self.gross_ratio.estimate)
         mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
-        section |= {"mean": nested(mean), "covariance": _written(_positive(covariance(std, correlation)))}
+        section |= {"mean": bootstrap.nested(mean), "covariance": _written(_positive(covariance(std, correlation)))}
         if self.growth is not None:
-            section["growth"] = nested(np.maximum(self.growth.estimate, 0.0))
+            section["growth"] = bootstrap.nested(np.maximum(self.growth.estimate, 0.0))
         return section
 
 
-def learned_errors(resampling: Resampling, sample: ErrorSample) -> LearnedErrors:
+def learned_errors(resampling: bootstrap.Resampling, sample: ErrorSample) -> LearnedErrors:
     """The numbers of one state, with replicates that spread at least as theory has it for errors that persist."""
     if sample.fit is None or (sample.fit.plain and not sample.fit.model.heavy and sample.unit != "mixed"):
         learned = _moments(resampling, sample)
@@ -385,18 +369,20 @@ def learned_errors(resampling: Resampling, sample: ErrorSample) -> LearnedErrors
     return replace(learned, gross_share=share, gross_ratio=ratio)
 
 
-def _gross_entries(resampling: Resampling, sample: ErrorSample, fit: ErrorFit) -> tuple[Entry, Entry]:
+def _gross_entries(
+    resampling: bootstrap.Resampling, sample: ErrorSample, fit: ErrorFit
+) -> tuple[bootstrap.Entry, bootstrap.Entry]:
     """Share and ratios of gross errors with replicates, which spread at least as those of errors that persist."""
     chosen, model = fit.edges.unclipped, fit.model
     mean, std = model.at(fit.edges.sides_px[chosen])
     standard = model.uncorrelated((fit.edges.errors_px[chosen] - mean) / std)
-    share, ratio = fit_gross_errors(standard, resampling.weights[:, fit.edges.image[chosen]])
+    share, ratio = matched_edges.fit_gross_errors(standard, resampling.weights[:, fit.edges.image[chosen]])
     gross, alike, count = len(standard) * share[0], excess(sample.kept), float(len(standard))
     least = np.sqrt(alike / (gross * (1 - share[0]))), np.full(4, np.sqrt(alike / (2 * gross)))
 
-    def column(values: Array, kind: Kind, error: Array) -> Column:
-        wide = from_scale(widened(to_scale(values, kind), error), kind)
-        return Column(wide, kind, np.full(values.shape[1:], count))
+    def column(values: Array, kind: bootstrap.Kind, error: Array) -> bootstrap.Column:
+        wide = bootstrap.from_scale(bootstrap.widened(bootstrap.to_scale(values, kind), error), kind)
+        return bootstrap.Column(wide, kind, np.full(values.shape[1:], count))
 
     return (
         sample.entry("gross_share", column(share, "fraction", least[0])),
@@ -404,7 +390,7 @@ def _gross_entries(resampling: Resampling, sample: ErrorSample, fit: ErrorFit) -
     )
 
 
-def _moments(resampling: Resampling, sample: ErrorSample) -> LearnedErrors:
+def _moments(resampling: bootstrap.Resampling, sample: ErrorSample) -> LearnedErrors:
     """Moments of errors of which nothing is cut off."""
     moments = ErrorMoments.of(resampling, sample.image, sample.errors)
     mean, std, correlation = moments.mean, moments.std, moments.correlation
@@ -418,7 +404,7 @@ def _moments(resampling: Resampling, sample: ErrorSample) -> LearnedErrors:
     )
 
 
-def _likeliest(resampling: Resampling, sample: ErrorSample, fit: ErrorFit) -> LearnedErrors:
+def _likeliest(resampling: bootstrap.Resampling, sample: ErrorSample, fit: ErrorFit) -> LearnedErrors:
     """Maximum likelihood; replicates by one Newton step from the estimate."""
     model, count, replicates = fit.model, len(fit.edges), len(resampling.weights) - 1
     inverse: Array = np.zeros((len(model.places), len(model.places)))
@@ -432,7 +418,7 @@ def _likeliest(resampling: Resampling, sample: ErrorSample, fit: ErrorFit) -> Le
     i, j = np.array(ERROR_PAIRS).T
     # What follows the common scale of a vessel's errors persists like that scale does, other spreads like squares.
     of_spread = 1 if model.heavy else 2
-    numbers: dict[str, tuple[Array, Kind, int]] = {
+    numbers: dict[str, tuple[Array, bootstrap.Kind, int]] = {
         "mean": (model.mean, "mean", 1),
         "std": (freed * model.std, "positive", of_spread),
         "correlation": (model.correlation[i, j], "correlation", 2),
@@ -445,16 +431,16 @@ def _likeliest(resampling: Resampling, sample: ErrorSample, fit: ErrorFit) -> Le
     entries, place = {}, 0
     for name, (number, kind, power) in numbers.items():
         ours = slice(place, place := place + number.size)
-        scaled = to_scale(number, kind) + steps[:, ours].reshape(-1, *number.shape)
+        scaled = bootstrap.to_scale(number, kind) + steps[:, ours].reshape(-1, *number.shape)
         error = np.sqrt(np.maximum(np.diag(inverse)[ours], 0) * excess(sample.kept**power)).reshape(number.shape)
-        values = from_scale(widened(scaled, error), kind)
-        column = Column(values, kind, np.full(number.shape, float(count)))
+        values = bootstrap.from_scale(bootstrap.widened(scaled, error), kind)
+        column = bootstrap.Column(values, kind, np.full(number.shape, float(count)))
         entries[name] = sample.entry(name, column, *axes.get(name, (ERROR_COMPONENTS,)))
     return LearnedErrors(model.unit, **entries)
 
 
-def _wide(column: Column, least: Array) -> Column:
-    return replace(column, values=widened(column.values, least))
+def _wide(column: bootstrap.Column, least: Array) -> bootstrap.Column:
+    return replace(column, values=bootstrap.widened(column.values, least))
 
 
 def _positive(matrix: Array) -> Array:
@@ -465,7 +451,7 @@ def _positive(matrix: Array) -> Array:
 
 def _written(matrix: Array) -> Any:
     """A covariance (4, 4) in six digits; where rounding makes it invalid, its correlations are made 10⁻⁵ smaller."""
-    rounded = nested(matrix)
+    rounded = bootstrap.nested(matrix)
     if not covariance_problems(rounded):
         return rounded
-    return nested(matrix * np.where(np.eye(4, dtype=bool), 1.0, 1 - _SHRUNK))
+    return bootstrap.nested(matrix * np.where(np.eye(4, dtype=bool), 1.0, 1 - _SHRUNK))

@@ -14,21 +14,10 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.model import ERROR_COMPONENTS
+from modsim3d.learn import persistence
 from modsim3d.learn.bootstrap import Entry, Key, Resampling, digits, nested
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
 from modsim3d.learn.matches import Observed, Pairs
-from modsim3d.learn.persistence import (
-    THINGS_NEEDED,
-    Compare,
-    Consecutive,
-    LagTable,
-    in_seconds,
-    latent_share,
-    memory_shares,
-    replace_values,
-    steps_between,
-    stretches_of,
-)
 
 _ROUNDS = 4
 """Rounds in which a correlation time and what follows from it settle."""
@@ -70,7 +59,7 @@ class WhiteErrors:
     heavy: Mask
 
 
-def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> Consecutive:
+def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> persistence.Consecutive:
     """Whitened box errors in consecutive frames, given the distribution in each state, None where there is none.
 
     Products are means over as many components as edges count in both frames.
@@ -91,7 +80,9 @@ def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
 
 
 @functools.lru_cache(1)
-def _settled(observed: Observed, models: tuple[ErrorModel | None, ...]) -> tuple[Consecutive, Sequence[Array | None]]:
+def _settled(
+    observed: Observed, models: tuple[ErrorModel | None, ...]
+) -> tuple[persistence.Consecutive, Sequence[Array | None]]:
     """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened.
 
     The last are kept: what is learned of one set asks for the same several times over.
@@ -103,13 +94,13 @@ def _settled(observed: Observed, models: tuple[ErrorModel | None, ...]) -> tuple
     pairs = observed.pairs
     patterns = _clear_edges(pairs, models) @ _EDGES
     kept = np.flatnonzero(patterns)
-    found = steps_between(observed.labelled, pairs.rows[kept])
+    found = persistence.steps_between(observed.labelled, pairs.rows[kept])
     a, b = kept[found.earlier], kept[found.later]
     common = patterns[a] & patterns[b]
     both = common > 0
     steps = _Steps(a[both], b[both], common[both], found.apart_s[both])
     shapes = [None if model is None else model.correlation for model in models]
-    stretches = stretches_of(observed.labelled, pairs.rows[kept], pairs.state[kept])
+    stretches = persistence.stretches_of(observed.labelled, pairs.rows[kept], pairs.state[kept])
     result, counts = _products(pairs, models, shapes, steps)
     heavy = _heavy(models)[pairs.state[steps.later]]
     result = replace(result, stretches=stretches)
@@ -124,7 +115,7 @@ def _settled(observed: Observed, models: tuple[ErrorModel | None, ...]) -> tuple
 
 def _products(
     pairs: Pairs, models: Sequence[ErrorModel | None], shapes: Sequence[Array | None], steps: _Steps
-) -> tuple[Consecutive, Indices]:
+) -> tuple[persistence.Consecutive, Indices]:
     """Products of errors whitened by the given correlation of each state, and how many edges count, shape (m,)."""
     products, expected = np.zeros(len(steps.later)), np.zeros(len(steps.later))
     counts = np.zeros(len(steps.later), dtype=np.int64)
@@ -133,7 +124,7 @@ def _products(
         first, second = (_whitened(pairs, models, shapes, each[rows], edges) for each in (steps.earlier, steps.later))
         products[rows], expected[rows] = (first * second).mean(axis=1), (first**2).mean(axis=1)
         counts[rows] = len(edges)
-    return Consecutive(products, expected, steps.apart_s, pairs.image[steps.later]), counts
+    return persistence.Consecutive(products, expected, steps.apart_s, pairs.image[steps.later]), counts
 
 
 def _shapes_of_changes(
@@ -243,7 +234,7 @@ class ComponentMemory:
         }
 
 
-def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[LagTable], float]:
+def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[persistence.LagTable], float]:
     """Products at all times between of each component, and of the size of errors where tails are heavy.
 
     Also the share of large errors, 0 without heavy tails.
@@ -261,23 +252,25 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
     size = large - np.bincount(state, large)[state] / np.maximum(np.bincount(state), 1)[state]
     numbers = [*latent.T, size] if large.any() else [*latent.T]
 
-    def compare(number: Array) -> Compare:
+    def compare(number: Array) -> persistence.Compare:
         return lambda earlier, later: (
             number[earlier] * number[later],
             (number[earlier] ** 2 + number[later] ** 2) / 2,
         )
 
-    tables = [LagTable.of(observed.labelled, pairs.rows[rows], state, compare(number)) for number in numbers]
+    tables = [
+        persistence.LagTable.of(observed.labelled, pairs.rows[rows], state, compare(number)) for number in numbers
+    ]
     return tables, float(large.mean()) if len(rows) else 0.0
 
 
-def components_differ(tables: Sequence[LagTable]) -> bool:
+def components_differ(tables: Sequence[persistence.LagTable]) -> bool:
     """Whether the four components clearly last differently long: mean correlations over all lags, less their mean.
 
     Their covariance is that of leaving single things out.
     """
     first = tables[0]
-    if first.things < THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
+    if first.things < persistence.THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
         return False
     one = Resampling(np.ones((1, int(first.image.max()) + 1)), np.zeros(0, dtype=np.int64))
     found = np.array([np.average(table.ratios(one)[0], weights=table.weight) for table in tables[:4]])
@@ -289,19 +282,21 @@ def components_differ(tables: Sequence[LagTable]) -> bool:
     return bool(special.fdtrc(3, count - 3, distance * (count - 3) / (3 * (count - 1))) < _ALIKE_P)
 
 
-def component_memory(tables: Sequence[LagTable], large: float, resampling: Resampling) -> ComponentMemory:
+def component_memory(tables: Sequence[persistence.LagTable], large: float, resampling: Resampling) -> ComponentMemory:
     """Shares of each component with replicates."""
-    latent = latent_share(np.full(2, large)) if len(tables) > 4 else None
+    latent = persistence.latent_share(np.full(2, large)) if len(tables) > 4 else None
     columns = []
     for k, table in enumerate(tables):
-        times_s, column = memory_shares(table, latent if k == 4 and latent is not None else np.asarray, resampling)
+        times_s, column = persistence.memory_shares(
+            table, latent if k == 4 and latent is not None else np.asarray, resampling
+        )
         columns.append(column)
     joined = np.stack([column.values for column in columns], axis=-1)
     names = MEMORY_COMPONENTS[: len(tables)]
     path = ("persistence", "box")
-    kept, shares = (replace_values(columns[0], values) for values in (joined[:, 0], joined[:, 1:]))
+    kept, shares = (persistence.replace_values(columns[0], values) for values in (joined[:, 0], joined[:, 1:]))
     return ComponentMemory(
         Entry(Key((*path, "vessel_share"), axes=(names,)), kept),
-        Entry(Key((*path, "shares"), axes=(in_seconds(times_s), names)), shares),
+        Entry(Key((*path, "shares"), axes=(persistence.in_seconds(times_s), names)), shares),
         tuple(times_s.tolist()),
     )

@@ -14,17 +14,7 @@ from modsim3d.io.input_files import MAX_FRAMES
 from modsim3d.io.misreadings import no_commas
 from modsim3d.io.text_table import TextTable
 from modsim3d.io.validation import shown
-from modsim3d.learn.voyage.logs.log import (
-    MIN_UNIX_S,
-    MIXED,
-    TIME_FORM,
-    Clock,
-    DetectionLog,
-    LogOptions,
-    LogRows,
-    seconds,
-    utc_s,
-)
+from modsim3d.learn.voyage.logs import log
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, TOP_LEFT, BoxForm
 
 # ---- Frames without detections, of logs that only say what was detected ----
@@ -83,7 +73,7 @@ _FORMS = (_EDGES, _SIDES, *_DETECTORS, CORNERS, CENTRE)
 _NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; and perhaps camera, label, score"
 
 
-def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
+def read_table_log(path: Path, options: log.LogOptions) -> log.DetectionLog:
     """The log of a table with a line of names. The frames are those of a file beside it, `frames…` beside
     `detections…`, as runs and exports have; or those of its rows, where some have empty boxes; or those that the frame
     rate adds between the rows' times. Raises InputError if the file cannot be read, or is wrong; each problem names its
@@ -105,7 +95,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
     confidences = None
     if any(value is not None for value in values):
         confidences = Confidences.of(zip(where, values, strict=True), options.confidence_scale, problems, "score")
-    rows = LogRows(source, problems, confidences, form)
+    rows = log.LogRows(source, problems, confidences, form)
     for row, (corners, is_empty) in enumerate(zip(form.boxes_px(boxes).tolist(), empty.tolist(), strict=True)):
         frame = rows.frame(cameras[row], float(time_s[row]))
         if not is_empty:
@@ -117,7 +107,7 @@ def read_table_log(path: Path, options: LogOptions) -> DetectionLog:
 
 def _score(text: str) -> float | str:
     """A finite number, or the text if it is none."""
-    number = seconds(text)
+    number = log.seconds(text)
     return text if np.isnan(number) else number
 
 
@@ -133,7 +123,7 @@ def _texts(table: TextTable, name: str) -> list[str | None]:
     return [text or None for text in table.columns[name].to_pylist()]
 
 
-def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
+def times_of(table: TextTable, source: str) -> tuple[Array, log.Clock]:
     """The time of each row, (k,), and what it counts from. Raises InputError if there is no column of times, or a time
     is wrong."""
     name = _first(table, _TIMES)
@@ -141,30 +131,30 @@ def times_of(table: TextTable, source: str) -> tuple[Array, Clock]:
         problem = f"line 1: a column with the time is missing (got {_got(table)}); needed are {_NEEDED}"
         raise InputError(source, [problem])
     texts = table.columns[name].to_pylist()
-    times = np.array([seconds(text) for text in texts])
+    times = np.array([log.seconds(text) for text in texts])
     of_utc = np.isnan(times)
-    times = np.where(of_utc, [utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
+    times = np.where(of_utc, [log.utc_s(text) if bad else 0.0 for text, bad in zip(texts, of_utc, strict=True)], times)
     table.problems.refuse(
         np.isnan(times),
         lambda row: (
-            f"{name} must be seconds, or a time such as {TIME_FORM} (got {shown(texts[row])}"
+            f"{name} must be seconds, or a time such as {log.TIME_FORM} (got {shown(texts[row])}"
             f"{', which may be milliseconds' if texts[row].strip().isdigit() else ''})"
         ),
     )
     table.problems.settle()
-    of_utc |= times >= MIN_UNIX_S
+    of_utc |= times >= log.MIN_UNIX_S
     table.problems.refuse(
         ~of_utc & (name == "utc"),
         lambda row: (
-            f"utc must be a time such as {TIME_FORM}, or Unix time (got {shown(texts[row])}): seconds since the "
+            f"utc must be a time such as {log.TIME_FORM}, or Unix time (got {shown(texts[row])}): seconds since the "
             "scene's first step are time_s"
         ),
     )
     table.problems.settle()
-    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: {MIXED}")
+    table.problems.refuse(of_utc != of_utc[:1].any(), lambda row: f"{name}: {log.MIXED}")
     table.problems.settle()
-    seconds_from = Clock.STAMP if name == "timestamp" else Clock.STEP
-    return times, Clock.UTC if of_utc.any() else seconds_from
+    seconds_from = log.Clock.STAMP if name == "timestamp" else log.Clock.STEP
+    return times, log.Clock.UTC if of_utc.any() else seconds_from
 
 
 def _form(table: TextTable, source: str) -> BoxForm:
@@ -181,12 +171,12 @@ def _got(table: TextTable) -> str:
 
 def _add_frames(
     path: Path,
-    rows: LogRows,
+    rows: log.LogRows,
     cameras: Sequence[str | None],
     time_s: Array,
-    clock: Clock,
+    clock: log.Clock,
     said: bool,
-    options: LogOptions,
+    options: log.LogOptions,
 ) -> str:
     """Add the frames without detections to the rows, and say how they are known."""
     beside = path.with_name(path.name.replace("detections", "frames", 1))

@@ -7,17 +7,10 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
+from modsim3d.learn.voyage.registration import parameters
 from modsim3d.learn.voyage.registration.icp import SOFT, Aligner, Alignment, SightingResiduals, Unknowns, derivatives
 from modsim3d.learn.voyage.registration.identifiability import COMMON_DELAY, Knowledge, Linear, clusters, wider
 from modsim3d.learn.voyage.registration.parameters import NAMES as OF_A_VESSEL_NAMES
-from modsim3d.learn.voyage.registration.parameters import (
-    PLACE,
-    SHARED_NAMES,
-    Values,
-    VesselEffects,
-    plausible,
-    vessel_effects,
-)
 
 # ---- Errors of positions that last ----
 
@@ -108,9 +101,9 @@ def _steady(rest: Array, slopes: Array, groups: Sequence[Indices], far_m: Array)
 
 
 BLOCK_S = 10.0  # stretches of time within which a vessel's box errors are taken to go together
-PROBED = (*SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
+PROBED = (*parameters.SHARED_NAMES, "along_m", "across_m", COMMON_DELAY)
 """A common delay is a delay of all vessels; the columns of single vessels' values are the same, each for its rows."""
-OWN = slice(len(SHARED_NAMES), len(PROBED))
+OWN = slice(len(parameters.SHARED_NAMES), len(PROBED))
 DELAY_S = 0.5  # standard deviation, over vessels, of how late reports are, where offsets are expected
 FIRST_M = 5.0  # that of constant errors in the first fit, where none are expected
 EFFECT_ROUNDS, DRIFT_ROUNDS = 2, 6
@@ -123,7 +116,7 @@ class Estimated:
 
     aligned: Alignment
     linear: Linear  # near the values of the alignment, a column for each of `PROBED`
-    effects: VesselEffects
+    effects: parameters.VesselEffects
     known: Knowledge  # of the free shared values
 
 
@@ -163,8 +156,8 @@ def blocks_of(residuals: SightingResiduals) -> Indices:
 
 def _px_and_slopes(aligner: Aligner, aligned: Alignment) -> tuple[Array, Array]:
     """Residuals in pixels, shape (m,), and derivatives by `PROBED` in plausible distances, (m, 14); 0 if unknown."""
-    names = (*SHARED_NAMES, *OF_A_VESSEL_NAMES)
-    slopes = derivatives(aligner.model, aligned.residuals, aligned.values, names) * plausible(names)
+    names = (*parameters.SHARED_NAMES, *OF_A_VESSEL_NAMES)
+    slopes = derivatives(aligner.model, aligned.residuals, aligned.values, names) * parameters.plausible(names)
     px = aligned.residuals.px(aligner.model, aligned.values)
     known = np.isfinite(px)[:, None] & np.isfinite(slopes)
     return np.nan_to_num(px, nan=0.0), np.where(known, slopes, 0.0)
@@ -175,20 +168,20 @@ def _with_mean_speeds(aligner: Aligner, aligned: Alignment, slopes: Array) -> Ar
     report to the next has the errors of both; a fit would take their pattern for a mark by which to set the clock."""
     residuals = aligned.residuals
     clock, delay = PROBED.index("clock_s"), PROBED.index(COMMON_DELAY)
-    along, across, delay_s = plausible(OF_A_VESSEL_NAMES)
+    along, across, delay_s = parameters.plausible(OF_A_VESSEL_NAMES)
     time_s = residuals.sightings.time_s[residuals.row] + aligned.values["clock_s"]
     speeds_m_s = aligner.model.traffic.velocities(time_s, residuals.vessel)
     px_by_metre = slopes[:, OWN][:, :2] / (along, across)
     px_by_delay = -(px_by_metre * speeds_m_s).sum(axis=1)  # a late report puts the vessel too far back
     changed = slopes.copy()
-    changed[:, clock] += (px_by_delay - slopes[:, delay] / delay_s) * plausible(["clock_s"])
+    changed[:, clock] += (px_by_delay - slopes[:, delay] / delay_s) * parameters.plausible(["clock_s"])
     changed[:, delay] = px_by_delay * delay_s
     return changed
 
 
 def _with_effects(
     aligner: Aligner, aligned: Alignment, free: tuple[str, ...], offsets_m: float | None
-) -> tuple[Alignment, VesselEffects, float]:
+) -> tuple[Alignment, parameters.VesselEffects, float]:
     """The alignment with what is wrong with single vessels, and how many rows count as one."""
     for _ in range(EFFECT_ROUNDS):
         linear, residuals = linearized(aligner, aligned), aligned.residuals
@@ -204,10 +197,10 @@ def _with_effects(
 
 def _effects(
     rows: Linear, free: tuple[str, ...], residuals: SightingResiduals, together: float, offsets_m: float | None
-) -> VesselEffects:
+) -> parameters.VesselEffects:
     """Constant errors of vessels by rows with unit errors, whose residuals have all values of vessels zero."""
-    own = rows.slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
-    return vessel_effects(own, rows.residuals, columns(rows, free), residuals.vessel, together, offsets_m)
+    own = rows.slopes[:, OWN] / parameters.plausible(OF_A_VESSEL_NAMES)
+    return parameters.vessel_effects(own, rows.residuals, columns(rows, free), residuals.vessel, together, offsets_m)
 
 
 def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResiduals) -> float:
@@ -220,19 +213,19 @@ def _together(linear: Linear, free: tuple[str, ...], residuals: SightingResidual
 
 def _without(linear: Linear, aligned: Alignment) -> Array:
     """Scaled residuals with all values of vessels zero, shape (m,)."""
-    values = aligned.values.vessels[aligned.residuals.vessel] / plausible(OF_A_VESSEL_NAMES)
+    values = aligned.values.vessels[aligned.residuals.vessel] / parameters.plausible(OF_A_VESSEL_NAMES)
     return np.asarray(linear.residuals - (linear.slopes[:, OWN] * values).sum(axis=1))
 
 
 def _known(
-    linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: VesselEffects, together: float
+    linear: Linear, free: tuple[str, ...], aligned: Alignment, effects: parameters.VesselEffects, together: float
 ) -> Knowledge:
     """Knowledge of the free shared values; vessels are clusters, and share what is wrong with them."""
     part = Linear(columns(linear, free), linear.residuals)
     blocks, vessel = blocks_of(aligned.residuals), aligned.residuals.vessel
     if not effects.spreads.any():
         return wider(part.known_by(vessel), part.known_by(blocks))
-    spreads = effects.spreads / plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
+    spreads = effects.spreads / parameters.plausible(OF_A_VESSEL_NAMES) / np.sqrt(together)
     shared = Linear(part.slopes, _without(linear, aligned)).whitened(linear.slopes[:, OWN] * spreads, vessel)
     by_model = shared.known_by_model(together, float(len(effects.vessels)))
     return wider(wider(shared.known_by(vessel), shared.known_by(blocks)), by_model)
@@ -294,7 +287,7 @@ def _round(
     vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
     px, slopes = _px_and_slopes(aligner, aligned)
     slopes = _with_mean_speeds(aligner, aligned, slopes)
-    own_px = slopes[:, OWN] / plausible(OF_A_VESSEL_NAMES)
+    own_px = slopes[:, OWN] / parameters.plausible(OF_A_VESSEL_NAMES)
     reported_px = px - (own_px * aligned.values.vessels[vessel]).sum(axis=1)
     axes, drift_alone = (drift_axes(time_s, vessel, spreads, noise_m) for spreads in (constant, late))
     places = [PROBED.index(name) for name in free]
@@ -313,11 +306,13 @@ def _round(
     return _Round(moved, drift.change, Linear(by_value, linear.residuals), reported, by_axis, by_drift)
 
 
-def _changed(values: Values, free: tuple[str, ...], change: Array, vessel: Indices, off: Array) -> Values:
+def _changed(
+    values: parameters.Values, free: tuple[str, ...], change: Array, vessel: Indices, off: Array
+) -> parameters.Values:
     """Values with a change of shared ones, in plausible distances, and each vessel off as its rows say on average."""
     shared, vessels = values.shared.copy(), np.zeros_like(values.vessels)
-    shared[[PLACE[name] for name in free]] += change * plausible(free)
+    shared[[parameters.PLACE[name] for name in free]] += change * parameters.plausible(free)
     counts = np.maximum(np.bincount(vessel, minlength=len(vessels)), 1)
     for axis in range(off.shape[1]):
         vessels[:, axis] = np.bincount(vessel, off[:, axis], len(vessels)) / counts
-    return Values(shared, vessels)
+    return parameters.Values(shared, vessels)
