@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -124,7 +123,7 @@ def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterat
             times_s=times_s[steps - first],
             image_size_px=camera.intrinsics.image_size_px,
             sea_half_planes=scene.sea_half_planes(camera, steps),
-            previous_s=-math.inf if before is None else float(scene.times_s(before, before + 1)[0]),
+            previous_s=-np.inf if before is None else float(scene.times_s(before, before + 1)[0]),
         )
         targets = Targets(
             frame=np.searchsorted(steps, seen.step[rows]),

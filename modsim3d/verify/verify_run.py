@@ -23,10 +23,19 @@ from modsim3d.runs.files.stored_tables import detections_of, truth_of
 from modsim3d.runs.pipeline import detector_inputs
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.scene.reading import load_scene
-from modsim3d.verify import parameters
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.figures import error_scatters, miss_lengths, reliability, timelines
 from modsim3d.verify.measures import Exact
+from modsim3d.verify.parameters import (
+    DIFFERS,
+    FALLS_SHORT,
+    OBEYS,
+    OVERALL_ALPHA,
+    UNCHECKED,
+    UNTESTED,
+    TestResult,
+    Verification,
+)
 from modsim3d.verify.verification import verify_evidence
 from modsim3d.view.pages.page import document_page
 from modsim3d.view.pages.provenance import Provenance, file_input, run_inputs, run_seeds, run_versions
@@ -36,7 +45,7 @@ FILES = ("verify.json", "verify.html")
 HEADER = ("parameter", "asked", "measured", "interval", "noticed from", "verdict")
 
 
-def row_of(verdict: parameters.TestResult) -> tuple[str, ...]:
+def row_of(verdict: TestResult) -> tuple[str, ...]:
     """A verdict as cells under `HEADER`."""
     parameter = verdict.parameter
     unit = f" {parameter.unit}" if parameter.unit else ""
@@ -51,36 +60,34 @@ def row_of(verdict: parameters.TestResult) -> tuple[str, ...]:
     return parameter.name, asked, _number(verdict.measured), interval, _noticed(verdict), verdict.verdict
 
 
-def notes_of(verification: parameters.Verification) -> list[str]:
+def notes_of(verification: Verification) -> list[str]:
     """Further notes for the reader."""
     return [f"{name}: {note}" for name, note in named_notes(verification)]
 
 
-def named_notes(verification: parameters.Verification) -> list[tuple[str, str]]:
+def named_notes(verification: Verification) -> list[tuple[str, str]]:
     """The names of parameters, and what a reader should know of each."""
     notes = []
     for verdict in verification.verdicts:
         parameter = verdict.parameter
-        if verdict.verdict == parameters.FALLS_SHORT and parameter.promised is not None:
+        if verdict.verdict == FALLS_SHORT and parameter.promised is not None:
             short = (
                 f"asked for is {_number(parameter.promised)}; the rule of eq. 7.35 gives {_number(verdict.asked)} on "
                 f"this run, {_number(parameter.promised - verdict.asked)} short of it; measured "
                 f"{_number(verdict.measured or 0.0)}"
             )
             notes.append((parameter.name, short))
-        elif parameter.note and verdict.verdict != parameters.FALLS_SHORT:
+        elif parameter.note and verdict.verdict != FALLS_SHORT:
             notes.append((parameter.name, parameter.note))
     return notes
 
 
-def conclusion(verification: parameters.Verification) -> str:
+def conclusion(verification: Verification) -> str:
     """The outcome in a sentence."""
-    tested = sum(
-        verdict.verdict not in (parameters.UNTESTED, parameters.UNCHECKED) for verdict in verification.verdicts
-    )
+    tested = sum(verdict.verdict not in (UNTESTED, UNCHECKED) for verdict in verification.verdicts)
     cause = verification.cause
     if cause is None:
-        short = sum(verdict.verdict == parameters.FALLS_SHORT for verdict in verification.verdicts)
+        short = sum(verdict.verdict == FALLS_SHORT for verdict in verification.verdicts)
         also = f"; {short} obey the thesis's rule and fall short of what is asked for" if short else ""
         return f"The run obeys its detector file: nothing in {tested} tests speaks against it{also}."
     measure = cause.parameter.measure
@@ -101,7 +108,7 @@ def _number(value: float) -> str:
     return f"{value:.4g}".replace("-", "−").replace("inf", "∞")
 
 
-def _noticed(verdict: parameters.TestResult) -> str:
+def _noticed(verdict: TestResult) -> str:
     below, above = verdict.noticed
     if below is not None and above is not None and abs(below - above) <= 0.1 * above:
         return f"± {_number(max(below, above))}"
@@ -120,13 +127,13 @@ def report_data(verified: VerifiedRun) -> dict[str, Any]:
         "detector": str(verified.detector) if verified.detector else str(Path("scene") / "detector"),
         "obeys": verification.obeys,
         "cause": cause.parameter.name if cause else None,
-        "overall_alpha": parameters.OVERALL_ALPHA,
+        "overall_alpha": OVERALL_ALPHA,
         "alpha": verification.alpha,
         "parameters": [_entry(verdict) for verdict in verification.verdicts],
     }
 
 
-def _entry(verdict: parameters.TestResult) -> dict[str, Any]:
+def _entry(verdict: TestResult) -> dict[str, Any]:
     parameter, measure = verdict.parameter, verdict.parameter.measure
     return {
         "name": parameter.name,
@@ -168,7 +175,7 @@ def document(verified: VerifiedRun) -> Document:
     about = (
         f"{verified.run.steps} steps, {len(evidence.instances.state)} chances to detect a vessel, "
         f"{len(found.instance)} true detections, {len(false.frame_row)} false ones. Each interval holds the values "
-        f"that its test would not have rejected; the level of all tests together is {parameters.OVERALL_ALPHA:.0%}. “Noticed "
+        f"that its test would not have rejected; the level of all tests together is {OVERALL_ALPHA:.0%}. “Noticed "
         "from” is the smallest change of the file that this run would have shown, with 90 % power."
     )
     misses_and_confidence = (
@@ -198,7 +205,7 @@ def document(verified: VerifiedRun) -> Document:
     )
 
 
-def _notes(verification: parameters.Verification) -> Iterator[Block]:
+def _notes(verification: Verification) -> Iterator[Block]:
     """The notes, each once with the names that it is about."""
     names: dict[str, list[str]] = {}
     for name, note in named_notes(verification):
@@ -218,52 +225,43 @@ def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
         made_by=command or f"{call} from Python",
         inputs=(*named, *run_inputs(run)),
         seeds=run_seeds(run),
-        options=(
-            (
-                "Level",
-                f"{parameters.OVERALL_ALPHA:.0%} for all tests together, {verified.verification.alpha:.2g} for each",
-            ),
-        ),
+        options=(("Level", f"{OVERALL_ALPHA:.0%} for all tests together, {verified.verification.alpha:.2g} for each"),),
         made_before=run_versions(run),
     )
 
 
-def _results(verification: parameters.Verification) -> list[tuple[str, str, str]]:
+def _results(verification: Verification) -> list[tuple[str, str, str]]:
     """The tiles: how many tests passed, failed, and could not be made."""
     count = Counter(verdict.verdict for verdict in verification.verdicts)
-    unmade = count[parameters.UNTESTED] + count[parameters.UNCHECKED]
+    unmade = count[UNTESTED] + count[UNCHECKED]
     tested = len(verification.verdicts) - unmade
     found = [
-        ("Passed", f"{tested - count[parameters.DIFFERS]:,}", f"of {tested:,} tests"),
-        ("Failed", f"{count[parameters.DIFFERS]:,}", "tests in which the run speaks against its file"),
+        ("Passed", f"{tested - count[DIFFERS]:,}", f"of {tested:,} tests"),
+        ("Failed", f"{count[DIFFERS]:,}", "tests in which the run speaks against its file"),
         ("Not tested", f"{unmade:,}", "too little seen, or a model without a check"),
     ]
-    if count[parameters.FALLS_SHORT]:
-        found.append(
-            ("Fall short", f"{count[parameters.FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for")
-        )
+    if count[FALLS_SHORT]:
+        found.append(("Fall short", f"{count[FALLS_SHORT]:,}", "obey the thesis's rule, not the rate asked for"))
     return found
 
 
-def _groups(verification: parameters.Verification) -> Iterator[Block]:
+def _groups(verification: Verification) -> Iterator[Block]:
     """The tests of each part of the detector, folded; those that fail stand at the top of the page too."""
-    groups: dict[str, list[parameters.TestResult]] = {}
+    groups: dict[str, list[TestResult]] = {}
     for verdict in verification.verdicts:
         groups.setdefault(verdict.parameter.group, []).append(verdict)
     for name, verdicts in groups.items():
         count = Counter(verdict.verdict for verdict in verdicts)
-        said = [f"{counted(count[parameters.OBEYS], 'test')} passed"] if count[parameters.OBEYS] else []
-        said += [f"{count[parameters.DIFFERS]:,} failed"] if count[parameters.DIFFERS] else []
-        said += (
-            [f"{count[parameters.FALLS_SHORT]:,} fall short of the asked rate"] if count[parameters.FALLS_SHORT] else []
-        )
-        said += [f"{count[parameters.UNTESTED]:,} not tested: too little seen"] if count[parameters.UNTESTED] else []
-        said += [f"{count[parameters.UNCHECKED]:,} without a check"] if count[parameters.UNCHECKED] else []
-        passed = " (all within the interval of their test)" if count[parameters.OBEYS] == len(verdicts) else ""
+        said = [f"{counted(count[OBEYS], 'test')} passed"] if count[OBEYS] else []
+        said += [f"{count[DIFFERS]:,} failed"] if count[DIFFERS] else []
+        said += [f"{count[FALLS_SHORT]:,} fall short of the asked rate"] if count[FALLS_SHORT] else []
+        said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
+        said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
+        passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
         yield Fold(f"{name.capitalize()}: {', '.join(said)}{passed}", [_table(verdicts)])
 
 
-def _table(verdicts: Sequence[parameters.TestResult], where: Where = Where.TEXT) -> Table:
+def _table(verdicts: Sequence[TestResult], where: Where = Where.TEXT) -> Table:
     bad = {index for index, verdict in enumerate(verdicts) if verdict.fails}
     return Table("", HEADER, [row_of(verdict) for verdict in verdicts], bad, where=where)
 
@@ -287,7 +285,7 @@ class VerifiedRun:
     detector: Path | None
     model: DetectorModel
     evidence: Evidence
-    verification: parameters.Verification
+    verification: Verification
 
     @property
     def obeys(self) -> bool:
@@ -295,12 +293,12 @@ class VerifiedRun:
         return self.verification.obeys
 
     @property
-    def verdicts(self) -> tuple[parameters.TestResult, ...]:
+    def verdicts(self) -> tuple[TestResult, ...]:
         """A verdict on each parameter of the detector file, in the order in which the detector works."""
         return self.verification.verdicts
 
     @property
-    def failed(self) -> tuple[parameters.TestResult, ...]:
+    def failed(self) -> tuple[TestResult, ...]:
         """The verdicts against the run."""
         return self.verification.failed
 

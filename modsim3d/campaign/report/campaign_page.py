@@ -9,17 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from modsim3d.campaign import means
 from modsim3d.campaign.folder import CampaignFolder, killed_sentence
-from modsim3d.campaign.means import (
-    LEVEL,
-    mean_rows,
-    mean_table,
-    same_detections,
-    score_name,
-    usual_keys,
-    usual_scores,
-    without_judged,
-)
 from modsim3d.campaign.plan import Plan, cases_of, key_columns, values_text
 from modsim3d.campaign.ranking import WorstRun, worst_runs
 from modsim3d.campaign.report import words
@@ -45,15 +36,15 @@ MAX_ROWS = 200
 
 def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ()) -> list[Block]:
     """The table of means: a row for each condition and tracker."""
-    score, scores = words.required_scores(plan)[0], usual_scores(plan, table)
-    rows = mean_rows(table, usual_keys(plan), scores)
+    score, scores = words.required_scores(plan)[0], means.usual_scores(plan, table)
+    rows = means.mean_rows(table, means.usual_keys(plan), scores)
     remark, count = "", len(rows)
     if count > MAX_ROWS and scores:
         worst = sorted(rows, key=lambda row: _badness(score, row.means[scores[0]].value))[:MAX_ROWS]
         rows = [row for row in rows if any(row is each for each in worst)]
         remark = f" The {MAX_ROWS} rows of {count:,} with the worst {score.name} are shown; "
         remark += "modsim3d campaign table has all."
-    shown = without_judged(plan, rows, verdicts)
+    shown = means.without_judged(plan, rows, verdicts)
     remark += " Intervals of means that are required are those of the requirements, above." * (shown != rows)
     stopped = (  # stopping changes intervals for a number of seeds fixed beforehand
         " This campaign ended when its requirements were decided, so these intervals describe and prove nothing: those "
@@ -61,12 +52,12 @@ def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ())
     ) * (plan.keys.stop != "once")
     return [
         Text(
-            f"Mean over traffic seeds [{100 * LEVEL:g} % interval by Student's t]. The value of a seed is the mean "
-            "over its detector seeds. All trackers and conditions have the same seeds. Each interval holds by itself: "
-            f"of twenty, one is expected to miss.{stopped}{remark}",
+            f"Mean over traffic seeds [{100 * means.LEVEL:g} % interval by Student's t]. The value of a seed is the "
+            "mean over its detector seeds. All trackers and conditions have the same seeds. Each interval holds by "
+            f"itself: of twenty, one is expected to miss.{stopped}{remark}",
             "soft",
         ),
-        mean_table(shown, "", names=score_name),
+        means.mean_table(shown, "", names=means.score_name),
     ]
 
 
@@ -161,7 +152,7 @@ def worst_sections(
 def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[[int], None]) -> Iterator[Block]:
     run = folder.plan.run(each.number)
     values = {**words.values_of(folder.plan, each.condition), **run.condition.values}
-    what = "crashed" if each.value is None else f"{score_name(each.score)} {three_digits(each.value)}"
+    what = "crashed" if each.value is None else f"{means.score_name(each.score)} {three_digits(each.value)}"
     if each.requirement is not None:
         what += f" (requirement {each.requirement + 1})"
     said = values_text(values, [*words.varying(folder.plan), *folder.plan.drawn])
@@ -260,8 +251,8 @@ def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
 
 def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
     """Means, differences between trackers, and the runs that crashed."""
-    means = mean_sections(folder.plan, table, verdicts)
-    return [Heading("Means"), *means, *paired_sections(folder.plan, table), *crash_sections(folder, table)]
+    sections = mean_sections(folder.plan, table, verdicts)
+    return [Heading("Means"), *sections, *paired_sections(folder.plan, table), *crash_sections(folder, table)]
 
 
 def lead(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> str:
@@ -279,7 +270,7 @@ def cautions(folder: CampaignFolder, table: pa.Table) -> list[Text]:
         found.append(Text(f"{counted(crashed, 'run')} of {len(table):,} crashed: see below.", "bad"))
     if killed := killed_sentence(folder):
         found.append(Text(killed))
-    found += [Text(f"{text[0].upper()}{text[1:]}.", "bad") for text in same_detections(plan, table)]
+    found += [Text(f"{text[0].upper()}{text[1:]}.", "bad") for text in means.same_detections(plan, table)]
     fixed = dict.fromkeys(each["scene"] for each in folder.facts["conditions"] if not each["traffic_has_seed"])
     if fixed:
         said = f"This traffic only: vessels in {listed(list(fixed))} move the same way with every seed. "

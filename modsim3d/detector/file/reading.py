@@ -1,6 +1,5 @@
 """Reads detector files into detector models; reports all problems at once."""
 
-import math
 import os
 import pickle
 from collections.abc import Mapping
@@ -267,7 +266,7 @@ def _state(name: str, section: StateSection, content: DetectorFile) -> Performan
         name=name,
         confusion=_normalised(section.confusion),
         false_positive_labels=_normalised(section.false_positive_labels),
-        false_discovery_rate=math.nan if section.false_discovery_rate is None else section.false_discovery_rate,
+        false_discovery_rate=np.nan if section.false_discovery_rate is None else section.false_discovery_rate,
         box_error=_box_error(section.box_error),
         confidence=_confidence(section.confidence, content.confidence_threshold),
         false_positives_per_image=(content.false_positives.rate or 0.0) if per_image is None else per_image,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -236,7 +235,7 @@ def detect_truth(
     """
     started = time.perf_counter()
     truth, folder = as_path(truth, "truth"), as_path(folder, "folder")
-    if frame_rate_hz is not None and not 0 < frame_rate_hz < math.inf:
+    if frame_rate_hz is not None and not 0 < frame_rate_hz < np.inf:
         raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate_hz:g})"])
     if seed < 0:
         raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])

@@ -1,7 +1,6 @@
 """The detector over the videos of a labelled set, some frames at a time."""
 
 import io
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -132,7 +131,7 @@ def _blocks(
             times_s=video.times_s[steps] - start_s,
             image_size_px=video.size_px,
             sea_half_planes=np.tile(sea, (len(steps), 1)),
-            previous_s=float(video.times_s[first - 1]) - start_s if first else -math.inf,
+            previous_s=float(video.times_s[first - 1]) - start_s if first else -np.inf,
         )
         seen = Targets(
             frame=frame[ours][visible] - first,

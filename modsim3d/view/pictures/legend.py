@@ -1,6 +1,5 @@
 """Legends: samples of lines and colours with what they mean, wrapped to the width of the picture."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -76,7 +75,7 @@ def letters(index: int) -> str:
     return (letters(rest - 1) if rest else "") + chr(ord("a") + last)
 
 
-def legend(entries: Sequence[LegendEntry], width: int, text_px: int, room_px: float = math.inf) -> Image.Image:
+def legend(entries: Sequence[LegendEntry], width: int, text_px: int, room_px: float = np.inf) -> Image.Image:
     """A strip of the given width, as high as its entries need: 0 without any.
     A legend that needs more than `room_px` is set in smaller type. If it then needs more than `MAX_ROOM` times as
     much, the last names are left out and counted; what lines and marks mean is always there."""

@@ -1,6 +1,5 @@
 """The pose source `traffic`: vessels and poses that the seed draws."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -53,7 +52,7 @@ def draw_area(chart: Chart, name: str, area: LeisureKeys) -> Iterator[Craft]:
 
 def _draw_craft(chart: Chart, name: str, area: LeisureKeys, ordinal: int) -> Track | None:
     """The first of many tries that keeps well clear of all others, or the best; None if none keeps clear."""
-    best, least, kind = None, math.inf, ""
+    best, least, kind = None, np.inf, ""
     for attempt in range(TRIES):
         rng = chart.streams.generator(Purpose.TRAFFIC_LEISURE, name, str(ordinal), step=attempt)
         if not attempt:
