@@ -155,7 +155,7 @@ class ContaminatedNormalLikelihood(ErrorLikelihood):
         return weights
 
     def latent_share(self, distribution: draws.ContaminatedNormal) -> Array:
-        """Of each component, by draws, shape (4,)."""
+        """Correlation kept of each component, by draws, shape (4,)."""
         latent = np.random.default_rng(0).standard_normal((_DRAWS, 5))
         standard = draws.standardised(distribution, latent)
         weighted = self.statistics(distribution, np.eye(4), standard)[:, :4]

@@ -38,7 +38,7 @@ OTHERS: dict[str, list[Any]] = {
     **{"odds": [[2.0, 0.5, 1.0]], "max_range_m": [500], "min_box_px": [30], "max_occlusion": [0.5]},
     **{"update_interval_s": [0.5], "max_detections": [2], "class_s": [2.5], "box_s": [2.5], "confidence_s": [2.5]},
     **{"merge_s": [2.5], "class_vessel_share": [0.4], "box_vessel_share": [0.4], "score": [{"vessel_share": 0.4}]},
-    **{"vessel_share": [0.2], "shares": [[0.3]], "times_s": [[3.5]], "rate": [0.9]},
+    **{"vessel_share": [0.2, [0.2] * 4], "shares": [[0.3], [[0.3] * 4]], "times_s": [[3.5]], "rate": [0.9]},
     **{"placement": ["uniform", "horizon_band", "density"], "band_px": [50], "density": [[[1, 0], [0, 1]]]},
     **{"far_half_px": [30], "size": [{"model": "fixed", "px": [30, 40]}], "px": [[30, 40]], "log_std": [0.9]},
     **{"persistence": [{"lifetime_s": 3, "share": 0.9}], "lifetime_s": [9.5], "drift_px_s": [99], "share": [0.3]},
@@ -47,12 +47,19 @@ OTHERS: dict[str, list[Any]] = {
     **{"false_positive_labels": [[0.1, 0.2, 0.7]], "false_discovery_rate": [0.5], "false_positives_per_image": [3.5]},
     "box_error": [{"unit": "relative", "mean": [0, 0, 0, 0], "covariance": SKEWED}],
     **{"unit": ["px", "relative"], "mean": [0.51, [0.1, 0.1, 0.1, 0.1]], "std": [0.2], "covariance": [SKEWED]},
+    **{"gross_share": [0.2], "gross_ratio": [[3, 3, 3, 3]], "box": [{"vessel_share": [0.4] * 4}]},
     **{"degrees_of_freedom": [3], "law": ["normal"], "growth": [[0.1, 0.1, 0.1, 0.1]]},
     **{"true": [{"mean": 0.5, "std": 0.2}], "false": [{"mean": 0.5, "std": 0.2}], "quantiles": [[0.3, 0.5, 0.9]]},
     **{"precision_recall": [[[0.4, 0.99], [0.7, 0.8]]], "visibility_slope": [0.15], "size_slope": [0.15]},
     "size_reference_px": [500.0],
 }
 """Name of a key → values of which at least one is another one than the file's and fits it."""
+GROSS = {"gross box errors that persist": variant("plain")}
+"""By name of the test."""
+for each in GROSS.values():
+    each["persistence"] = {"box": {"vessel_share": [0.3] * 5, "shares": [[0.2] * 5], "times_s": [2.0]}}
+    for gross_state in each["states"].values():
+        gross_state["box_error"] |= {"law": "contaminated_normal", "gross_share": 0.1, "gross_ratio": [4, 3, 4, 2]}
 MODELS = {
     "dropout": ["logistic", "table", "confusion"],
     "false_positives": ["per_image", "thesis", "calibrated"],
@@ -116,10 +123,11 @@ def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
         "dropout by a table of distance",
         "Student's t box errors",
         "confidence from a precision-recall curve",
+        "gross box errors that persist",
     ],
 )
 def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
-    plain = variant(name) if name in CHANGES else load_yaml(shipped_detectors()[name], "detector")
+    plain = variant(name) if name in CHANGES else GROSS.get(name) or load_yaml(shipped_detectors()[name], "detector")
     moving = in_every_state(plain)
     unchanged = {id(base): (output(base), meaning(parse_detector(base))) for base in (plain, moving)}
     silent, read = [], 0

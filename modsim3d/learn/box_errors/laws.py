@@ -175,7 +175,7 @@ def _gross_value(fits: ErrorFits, unit: matched_edges.Unit, none: bool = False) 
 
 
 def _student_t_value(fits: ErrorFits, unit: matched_edges.Unit) -> float:
-    """The same of Student's t."""
+    """Log-likelihood of boxes with all edges known by Student's t."""
     fit = fits.chosen(unit, heavy=True)
     if fit is None:
         return -np.inf
