@@ -126,7 +126,7 @@ def _inside(case: Case, run: Path, method: str, seed: int) -> dict[str, Any]:
         result["not_learned"] = [path for path in asked if path not in intervals]
         result["not_asked"] = [path for path in intervals if path not in asked and _is_written(path)]
         for path, value in asked.items():
-            if path not in intervals:
+            if path not in intervals or np.isnan(intervals[path][0]).any():  # not learned, or said not to be known
                 continue
             low, high = intervals[path]
             right = (value >= low - 1e-9) & (value <= high + 1e-9)

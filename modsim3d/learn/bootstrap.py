@@ -84,6 +84,7 @@ class Column:
     # Factor by which noise that persists raises the variance of a share at least. Replicates cannot tell it for what
     # happened once or never.
     inflation: float | Array = 1.0
+    known: bool = True  # whether an interval of it holds the truth as often as it says
 
     @property
     def estimate(self) -> Array:
@@ -102,7 +103,10 @@ class Column:
 
     def interval(self, level: float, units: int) -> tuple[Array, Array]:
         """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row. With few units,
-        images or runs that were drawn, the spread itself is uncertain, hence Student's distribution."""
+        images or runs that were drawn, the spread itself is uncertain, hence Student's distribution. NaN where an
+        interval would not hold what it says."""
+        if not self.known:
+            return np.full(np.shape(self.estimate), np.nan), np.full(np.shape(self.estimate), np.nan)
         wide = float(special.stdtrit(max(units - 1, 1), (1 + level) / 2))
         widen, tail = (wide / float(special.ndtri((1 + level) / 2))) ** 2, (1 - level) / 2
         if self.kind in ("share", "rate"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,17 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, MODELS, DetectorPart
 from modsim3d.formats.matching import Rule
 from modsim3d.io.input_files import MAX_TABLE_CELLS
-from modsim3d.learn.bootstrap import Entry, Interval, Resampling, entries_of, nested, resample, spread, to_scale
+from modsim3d.learn.bootstrap import (
+    Entry,
+    Interval,
+    Resampling,
+    entries_of,
+    nested,
+    resample,
+    spread,
+    to_scale,
+    with_entries,
+)
 from modsim3d.learn.box_errors.estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
 from modsim3d.learn.box_errors.laws import LAWS
 from modsim3d.learn.confidence import ConfidenceForm, NoConfidenceForm, OneConfidenceForm, choose_confidence
@@ -176,7 +186,47 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
         name: resampling.units(observed.image_state == index) for index, name in enumerate(observed.states)
     }
     units[None] = resampling.units(observed.image_state >= 0)
-    return Learned(observed, form, form.estimate(observed, resampling), transitions, resampling, run_s, units)
+    numbers = form.estimate(observed, resampling)
+    numbers = _marked(numbers, unknown_numbers(observed, numbers))
+    return Learned(observed, form, numbers, transitions, resampling, run_s, units)
+
+
+_MAX_LOST = 0.1
+"""Share of false detections that may be boxes of vessels that failed the matching."""
+
+
+def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
+    """Numbers whose intervals would not hold the truth as often as they say, by state and the beginning of their keys,
+    with the reason."""
+    unknown: dict[tuple[str | None, str], str] = {}
+    of_state = observed.image_state[observed.labelled.results.image[observed.false]]
+    matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false detections
+    for index, used in enumerate(numbers.box_errors.used):
+        false = int(np.count_nonzero(of_state == index))
+        if not used.settled:
+            why = "so many boxes fail the matching, or were drawn anew, that errors may spread farther"
+            unknown[used.state, "box_error"] = why
+        elif matched and (lost := used.lost * used.matches) > _MAX_LOST * max(false, 1):
+            why = f"{lost:.0f} of {false:,} false detections are boxes that failed the matching, by the fit"
+            unknown[used.state, "confidence.false"] = why
+    few = "of few vessels that keep a share of the noise; measured, 84 to 88 of 100 such intervals hold"
+    if numbers.classes.class_vessel_share is not None:
+        unknown[None, "persistence.class_s"] = few
+    if numbers.box_errors.box_vessel_share is not None:
+        unknown[None, "persistence.box_s"] = few
+    return unknown
+
+
+def _marked(numbers: LearnedDetector, unknown: Collection[tuple[str | None, str]]) -> LearnedDetector:
+    """The numbers, those that are not known marked as such."""
+
+    def change(entry: Entry) -> Entry:
+        path = ".".join(entry.key.names)
+        if any(entry.key.state == state and path.startswith(beginning) for state, beginning in unknown):
+            return replace(entry, column=replace(entry.column, known=False))
+        return entry
+
+    return with_entries(numbers, change)
 
 
 def check_size(classes: int, states: int, replicates: int) -> None:

@@ -15,7 +15,7 @@ from modsim3d.detector.draws import ContaminatedNormal
 from modsim3d.detector.false_positive_placement import depths_px, sea_levels
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
-from modsim3d.learn.box_errors.fit import ErrorFit, fit_errors, fit_without_gate
+from modsim3d.learn.box_errors.fit import ErrorFit, Gate, fit_errors, fit_without_gate, slopes
 from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_gross_errors, fit_student_t
 from modsim3d.learn.counted_types import CountedAs, counted_as
 from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
@@ -70,6 +70,14 @@ class ErrorFits:
         share, ratio = fit_gross_errors(standard, np.ones((1, len(standard))))
         gross = ContaminatedNormal(float(share[0]), tuple(ratio[0].tolist()))
         return replace(fit, model=replace(fit.model, gross=gross))
+
+    def normal_value(self, unit: Unit) -> float:
+        """Log-likelihood of `unclipped` boxes by normal errors of which matching cut off a part; −∞ without a fit."""
+        fit = self.fit(unit)
+        if fit is None:
+            return -np.inf
+        edges = self.edges[self.edges.unclipped]
+        return slopes(fit.model, edges, Gate.of(edges, fit.model)).value
 
     def of_law(self, unit: Unit, law: str) -> ErrorFit | None:
         """Fit of a distribution by the name that `box_error.law` has in a detector file."""

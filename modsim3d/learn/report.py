@@ -12,7 +12,7 @@ from modsim3d.learn.bootstrap import Column
 from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.figures import Figures
-from modsim3d.learn.learned import Learned
+from modsim3d.learn.learned import Learned, unknown_numbers
 from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import StateMap
 
@@ -71,7 +71,15 @@ class LearnReport:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Everything that the numbers have to be read with, one for each state where it is of states."""
-        return *self.remarks_on_check, *self.remarks_on_data, *self.near_gate.remarks
+        return *self.remarks_on_unknown, *self.remarks_on_check, *self.remarks_on_data, *self.near_gate.remarks
+
+    @property
+    def remarks_on_unknown(self) -> tuple[str, ...]:
+        """Numbers that have no interval, with the reasons."""
+        by_reason: dict[str, list[str]] = {}
+        for (state, key), why in unknown_numbers(self.learned.observed, self.learned.numbers).items():
+            by_reason.setdefault(why, []).append(key if state is None else f"states.{state}.{key}")
+        return tuple(f"Not known: {', '.join(keys)}; {why}" for why, keys in by_reason.items())
 
     @property
     def remarks_on_check(self) -> tuple[str, ...]:

@@ -192,7 +192,7 @@ def _parameters(report: LearnReport) -> Table:
         for place in np.ndindex(*each.estimate.shape):
             value, low, high = (float(np.asarray(ends)[place]) for ends in (each.estimate, each.low, each.high))
             told = np.isfinite([value, low, high]).all()
-            interval = f"{low:.4g} to {high:.4g}" if told else UNKNOWN
+            interval = f"{low:.4g} to {high:.4g}" if told else "not known" if np.isnan(low) else UNKNOWN
             rows.append((each.key.at(place), f"{value:.4g}" if np.isfinite(value) else UNKNOWN, interval))
     return Table("Numbers of the detector file", ("number", "learned", f"{report.level:.0%} interval"), tuple(rows))
 
@@ -288,7 +288,7 @@ def document(
     """Document of what was learned. `name` is that of the detector file, `sources` are the labelled sets as given,
     `sections` come before the figures."""
     near_gate = [report.near_gate.remark] if report.near_gate.shares else []
-    cautions = [*report.remarks_on_check, *report.remarks_on_data, *near_gate]
+    cautions = [*report.remarks_on_unknown, *report.remarks_on_check, *report.remarks_on_data, *near_gate]
     return Document(
         f"{name}: a detector learned from {counted(len(report.labelled.images), 'image')}",
         [

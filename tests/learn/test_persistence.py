@@ -166,7 +166,7 @@ def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
 
 def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None:
     asked = {"class_s": CLASS_S, "class_vessel_share": 0.4, "box_s": BOX_S, "box_vessel_share": 0.3}
-    inside: dict[str, list[bool]] = {key: [] for key in (*asked, "misses", "means")}
+    inside: dict[str, list[bool]] = {key: [] for key in (*asked, "misses", "means") if not key.endswith("_s")}
     estimates: dict[str, list[float]] = {key: [] for key in asked}
     for seed in range(4):
         learned = learned_from(boats(seed, 0.4, 0.3), replicates=30)
@@ -174,7 +174,10 @@ def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None
         for key, value in asked.items():
             each = intervals[f"persistence.{key}"]
             estimates[key].append(float(each.estimate))
-            inside[key].append(bool(each.low <= value <= each.high))
+            if key.endswith("_s"):  # with a share its interval holds too seldom, so there is none
+                assert np.isnan(each.low) and np.isnan(each.high)
+            else:
+                inside[key].append(bool(each.low <= value <= each.high))
         missed, mean = intervals["states.usual.confusion"], intervals["states.usual.box_error_mean"]
         inside["misses"].append(bool(missed.low[1, 0] <= MISSES <= missed.high[1, 0]))
         inside["means"] += [bool(low <= 0 <= high) for low, high in zip(mean.low, mean.high, strict=True)]

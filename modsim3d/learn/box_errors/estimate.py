@@ -41,6 +41,7 @@ class UsedMatches:
         cut: Of these, those with a true side that the image's edge cuts.
         censored: Of these, those with a detected side on the image's edge and the true one inside.
         lost: Boxes that the distribution says failed the matching, for each that matches.
+        settled: Whether so few failed, or were drawn anew, that the distribution tells how far errors spread.
     """
 
     state: str
@@ -49,6 +50,7 @@ class UsedMatches:
     cut: int
     censored: int
     lost: float
+    settled: bool = True
 
     @classmethod
     def of(cls, state: str, pairs: Pairs, index: int, edges: MatchedEdges, fit: ErrorFit | None) -> UsedMatches:
@@ -63,6 +65,7 @@ class UsedMatches:
             int(np.count_nonzero(~edges.counted.all(axis=1))),
             int(np.count_nonzero(edges.censored.any(axis=1))),
             lost,
+            fit is None or fit.settled or fit.model.gross is not None,
         )
 
     @property

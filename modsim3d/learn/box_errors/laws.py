@@ -132,7 +132,8 @@ def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozen
 def _with_gross_errors(fits: ErrorFits, chosen: ChosenLaw, kept: float, without: frozenset[str]) -> ChosenLaw:
     """Normal errors some of which are gross where they are clearly likelier than none, else the kind that was chosen.
 
-    They take the place of Student's t where they are likelier, or where its tails leave hardly a covariance.
+    They take the place of Student's t where they are likelier, or where its tails leave hardly a covariance. Normal
+    errors count with what matching cut off, which may look like gross errors, too.
     """
     count = int(np.count_nonzero(fits.edges.whole))
     if count < T_NEEDED:
@@ -145,7 +146,8 @@ def _with_gross_errors(fits: ErrorFits, chosen: ChosenLaw, kept: float, without:
     values = {unit: _gross_value(fits, unit) - handicaps[unit] for unit in units}
     unit = max(values, key=lambda each: values[each])
     alike = excess(kept**4)
-    gain = (_gross_value(fits, unit) - _gross_value(fits, unit, none=True)) / alike
+    normal = max(_gross_value(fits, unit, none=True), *(fits.normal_value(each) for each in units))
+    gain = (_gross_value(fits, unit) - normal) / alike
     needed = max(_GROSS_NUMBERS * float(np.log(count / alike)), _GROSS_SIGNIFICANT) / 2
     if not gain > needed or not np.isfinite(gain) or not _can_be(fits.contaminated(unit)):
         return chosen
