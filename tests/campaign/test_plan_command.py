@@ -51,7 +51,7 @@ def test_a_mean_on_the_wrong_side_never_and_without_a_spread_it_is_said_what_is_
     assert unknown.seeds is None and "--expect 'hota=MEAN:SPREAD'" in unknown.why and "--like DIR" in unknown.why
     sequential = one(HOTA, {"hota": Expected(0.7, 0.1)}, stop="sequential")
     assert 20 <= sequential.seeds <= 50  # with a bound of its own
-    monkeypatch.setattr("modsim3d.campaign.done_rows.offered_from", lambda *_: 30)
+    monkeypatch.setattr("modsim3d.campaign.verdicts.wording.offered_from", lambda *_: 30)
     assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30  # the least seeds of offers count
 
 
