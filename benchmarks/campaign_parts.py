@@ -93,7 +93,7 @@ def layer_costs(file: Path, seeds: int) -> tuple[dict[str, LayerCost], int]:
                 if truth is None:
                     with timed("truth", run):
                         blocks = [(truth_block(scene, *ends, renderer), *ends) for ends in step_ranges(scene)]
-                        truth = TruthLayer.of_blocks(blocks, scene)
+                        truth = TruthLayer(scene, made=blocks)
                 with timed("detections", run):
                     rows = RunRows.of_tables(scene, scene.steps, detected(scene, truth))
                 for each in several:

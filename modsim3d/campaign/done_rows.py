@@ -149,9 +149,9 @@ def done_rows(folder: CampaignFolder) -> pa.Table:
 
 
 def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> None:
-    """Write the data set `results/scene=NAME/part-N.parquet` of the rows that count, in the order of the plan. Its list
-    has the verdicts too, which are written afterwards, see `results_folder`. Raises OutputError if it cannot be
-    written."""
+    """Write the data set `results/scene=NAME/part-N.parquet` of the rows that count, in the order of the plan. The
+    verdicts, which are written afterwards, are in its list of files too, see `results_folder`. Raises OutputError if it
+    cannot be written."""
     with results_folder(folder.path, RESULTS, {VERDICTS: _content_of(folder, verdicts)}) as partial:
         for name in dict.fromkeys(table["scene"].to_pylist()):
             rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
@@ -217,7 +217,7 @@ class NeededSeeds:
     tracker: str | None  # name in tables, or those of two; None: of all
     condition: int | None  # number; None: of all
     seeds: int | None = None  # None if none are enough, or if that is unknown
-    why: str = ""  # on what that rests
+    why: str = ""  # what that rests on
     expected: Expected | None = None  # None if unknown, or if it is on a share
 
 

@@ -224,7 +224,7 @@ class CampaignKeys(Strict):
     trackers: Annotated[list[TrackerKeys], Field(min_length=1)]  # all over the same detections
     score: ScoreKeys = Field(default_factory=ScoreKeys)
     require: list[Requirement] = Field(default_factory=list)
-    level: Literal["each", "family"] = "each"  # of each verdict, or of all by Holm's step-down
+    level: Literal["each", "family"] = "each"  # confidence of each verdict, or of all together, by Holm
     stop: Literal["once", "sequential"] = "once"  # judged when all runs are done, or after each batch until decided
     batch: Annotated[int, Field(strict=True, ge=1)] = 20  # traffic seeds between two looks of `sequential`
     uncertainty: Literal["learned"] | None = None  # draw detectors from the intervals that `learn` wrote

@@ -142,8 +142,8 @@ def mean_table(
     where: Where = Where.TEXT,
     names: Callable[[str], str] = str,
 ) -> Table:
-    """Table with a row for each tracker and values of the keys, at most `most`; runs that crashed stand out. `names`
-    tells what columns of scores are called."""
+    """Table with a row for each tracker and values of the keys, at most `most`, None: all; runs that crashed stand out.
+    Only the places `where` show it; `names` tells what columns of scores are called."""
     if not rows:
         return Table(title, (), ())
     keys, scores = [key for key in rows[0].values if key != TRACKER], list(rows[0].means)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
-    """An option of what stands for its value in help, its text there, and its names, if not that of its parameter."""
+    """An option: what stands for its value in help, its text there, and its names, if not that of its parameter."""
     return typer.Option(*names, metavar=metavar, help=text, **more)
 
 
@@ -39,7 +39,7 @@ def flag(name: str, text: str, **more: Any) -> Any:
 
 
 def argument(metavar: str, text: str, **more: Any) -> Any:
-    """An argument of what stands for it in help, and its text there."""
+    """An argument: what stands for it in help, and its text there."""
     return typer.Argument(metavar=metavar, help=text, **more)
 
 
@@ -225,8 +225,8 @@ def progress_bar() -> Progress:
 
 @contextmanager
 def progress(description: str, total: int | None) -> Iterator[Callable[[int], None]]:
-    """Yield the function that moves a bar on by a number of steps; `total` is their number, None if that is not
-    known."""
+    """Show a bar after a description, and yield the function that moves it on by a number of steps; `total` is the
+    number of steps in all, None if that is not known."""
     with progress_bar() as bar:
         task = bar.add_task(description, total=total)
         yield lambda steps: bar.update(task, advance=steps, refresh=True)
@@ -239,10 +239,10 @@ SIGNALED = 128
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was told to stop by the signal of a number."""
+    """The process was told to stop by a signal; `status` is its exit status."""
 
     def __init__(self, number: int) -> None:
-        """Keep the number as the exit status."""
+        """Make the exit status from the signal's number."""
         super().__init__()
         self.status = SIGNALED + number
 

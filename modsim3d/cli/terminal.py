@@ -221,7 +221,7 @@ def check_arguments(arguments: Iterable[str]) -> None:
 class _Descriptor(io.FileIO):
     """A descriptor to write to that raises nothing, so that no output decides how a command ends."""
 
-    problem: OSError | None = None  # why something could not be written, other than that nobody reads it
+    problem: OSError | None = None  # why something was lost, other than that nobody reads it; None: nothing
     unread = False
 
     def write(self, data: object, /) -> int:

@@ -21,7 +21,7 @@ from modsim3d.detector.target_statistics import TargetStatistics, tallied
 class ConfusionClassifier:
     """Inverts the distribution of the target's label in the current state at a uniform number."""
 
-    distributions: Array  # function over labels and background, shape (states, labels, labels + 1)
+    distributions: Array  # distribution function over labels and background, shape (states, labels, labels + 1)
     dropout: Dropout
     intercepts: Array  # log-odds added to all misses of a state and label, shape (states, labels)
 

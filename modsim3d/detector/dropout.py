@@ -106,7 +106,7 @@ class Dropout:
     effects: tuple[Effect, ...] = ()  # of the vessel's attributes; their log-odds add up
     anchored: bool = False  # whether each state's rate is held as the average over the scene
     own: Mapping[int, tuple[Effect, ...]] = field(default_factory=dict)  # each replaces the shared one of its attribute
-    intercepts: Mapping[int, tuple[float, ...]] = field(default_factory=dict)  # added to all misses of each label
+    intercepts: Mapping[int, tuple[float, ...]] = field(default_factory=dict)  # log-odds added to misses of each label
 
     @property
     def every_effect(self) -> tuple[Effect, ...]:

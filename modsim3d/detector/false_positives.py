@@ -286,7 +286,7 @@ class FalsePositiveOptions:
     placement: Placement = field(default_factory=Placement)
     size: Sizes | None = None  # None for the sizes of vessels or for the model's own size
     lifetime_s: float = 1.0  # mean lifetime of persistent ones
-    drift_px_s: float = 0.0  # at which persistent ones move along the horizon, to either side
+    drift_px_s: float = 0.0  # speed of persistent ones along the horizon, to either side
     persistent_share: float = 0.0  # of all false positives
 
     @property

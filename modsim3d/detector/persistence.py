@@ -171,9 +171,9 @@ class KeptUniform:
 
 @dataclass(frozen=True)
 class Autoregressive:
-    """Standard normal numbers with correlation e^(−Δt/τ) over time: a first-order autoregressive process, z ← ρ·z + √(1
-    − ρ²)·ε with ρ = e^(−Δt/τ). That is exact for steps of any length (an Ornstein–Uhlenbeck process, Gillespie (1996),
-    "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9)."""
+    """Standard normal numbers with correlation e^(−Δt/τ) over time, by a first-order autoregressive process:
+    z ← ρ·z + √(1 − ρ²)·ε with ρ = e^(−Δt/τ). That is exact for steps of any length (an Ornstein–Uhlenbeck process,
+    Gillespie (1996), "Exact numerical simulation of the Ornstein-Uhlenbeck process and its integral", eq. 1.9)."""
 
     correlation_s: float
     width: int = ERROR_NORMALS

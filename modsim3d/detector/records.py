@@ -34,7 +34,7 @@ class CameraFrames:
     steps: Indices  # step of each frame, ascending, not necessarily consecutive, shape (S,)
     times_s: Array  # since the scene's first step, shape (S,)
     image_size_px: tuple[int, int]  # width and height
-    sea_half_planes: Array  # (a, b, c) with a·x + b·y + c >= 0 on the sea side of the horizon, shape (S, 3)
+    sea_half_planes: Array  # (a, b, c): a·x + b·y + c >= 0 on the sea side of the horizon, in pixels, shape (S, 3)
     previous_s: float = -math.inf  # time of the camera's frame before these; −∞ if there is none
 
     def __len__(self) -> int:

@@ -313,7 +313,8 @@ def truncated_errors(
     points: int = SINGLE_BOX_POINTS,
 ) -> TruncatedErrors:
     """Errors of annotated boxes, shape (n, 4), in one state, without those that make degenerate boxes. They are in
-    pixels or, with `in_file_units`, in the units of the file. `points` is a power of two."""
+    pixels or, with `in_file_units`, in the units of the file. `points` is a power of two. The result has the share of
+    first draws that count, shape (n,), and means and second moments of e_x, e_y, e_w, e_h, shapes (n, 4), (n, 4, 4)."""
     accepted, means, seconds = np.empty(len(boxes_px)), np.empty((len(boxes_px), 4)), np.empty((len(boxes_px), 4, 4))
     truth = at_least_a_pixel(boxes_px, image_size_px)
     states: Indices = np.full(len(truth), state)

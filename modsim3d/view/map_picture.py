@@ -33,7 +33,7 @@ def check_matplotlib() -> None:
 
 
 class Map:
-    """A map, as matplotlib's `figure`, whose vessels and cameras can be moved to any step of a run."""
+    """A map whose vessels and cameras can be moved to any step of a run; `sheet` holds the axes of its `figure`."""
 
     def __init__(self, birds_eye: map_marks.BirdsEye, width_px: int, height_px: int | None = None) -> None:
         """Draw what stays, from the bottom to the top; the map is as high as it needs if no height is given."""

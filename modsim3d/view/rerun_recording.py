@@ -28,7 +28,7 @@ from modsim3d.view.report.silhouettes import hiding, seen
 PICTURES, PLOTS, LANE = 6.0, (1.9, 1.3), 0.5
 """Heights of the rows, as shares: cameras and world, a plot where there is one and where there are two, and a lane of
 states beside its title and axis."""
-BEHIND = (12, 14, 16)  # the world and around the cameras' images
+BEHIND = (12, 14, 16)  # colour behind the world and around the cameras' images
 
 
 def blueprint(log: rerun_boxes.Log, eye: rerun_boxes.Eye, last_step: int, *, tracks: bool) -> Any:

@@ -58,7 +58,7 @@ Floats = NDArray[np.float32]
 GRID_PX = 16  # directions through a lens are found at every such pixel, and between them by cubic interpolation
 TILE, TILE_SEED = 512, 7
 TABLE = 8192
-RIPPLE_PX, RIPPLE_M = 5.0, 0.4  # ripples are drawn at least about as large, whatever their distance, and no smaller
+RIPPLE_PX, RIPPLE_M = 5.0, 0.4  # least size of ripples: roughly in the picture, at any distance, and in the world
 FADE_M = 1000.0  # at this distance ripples are half as strong
 FOG_DEPTH_M = 150.0  # height of the layer of fog, through which the sky is seen
 WATER_REFLECTS = 0.02  # share of the light that water reflects when one looks straight down (n = 1.33)

@@ -206,7 +206,7 @@ _FRAMES = "vessel-frames"
 class CoverageTable:
     """A table of a page."""
 
-    title: str  # of what its bins are
+    title: str  # what its bins are of
     unit: str  # what is counted
     rows: tuple[CountedBin, ...]
     note: str = ""  # sentence on what the bins mean, or why there are none

@@ -42,8 +42,8 @@ class MeanGrid:
 
 
 def seed_cells(plan: Plan, table: pa.Table, column: str) -> Array:
-    """A score by traffic seed, up to the last with a row, condition and tracker, an axis each: the mean over detector
-    seeds, NaN where no run has a value. Rows may have any number and order."""
+    """A score, shape (traffic seeds up to the last with a row, conditions, trackers): the mean over detector seeds, NaN
+    where no run has a value. The table may have any of the campaign's rows, in any order."""
     seeds, trackers = plan.keys.seeds.detector, len(plan.keys.trackers)
     runs = table["run"].to_numpy()
     count = int(runs.max()) // plan.runs_by_seed + 1 if len(runs) else 0

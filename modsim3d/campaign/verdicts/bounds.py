@@ -42,9 +42,10 @@ def corrected_bounds(
       from the same bad runs. For v = 1 and small h/d it is the correction for a skewness of three times the coefficient
       of variation of what values lack to the best one, which the inverse Gaussian distribution has; a gamma
       distribution has two, a Poisson distribution one.
-    The rule was chosen, and how often it errs measured, by `script/campaign sequences`. Standard deviations are with n
-    − 1; skewness is with n and mirrored: positive if values are skewed towards low ones. `alpha` is the probability of
-    error that is aimed at, and `greatest` the greatest possible value."""
+    The rule was chosen, and how often it errs measured, by `script/campaign sequences`. Means and the others are of one
+    shape, of `count` values each. Standard deviations are with n − 1; skewness is with n and mirrored: positive if
+    values are skewed towards low ones. `alpha` is the probability of error that is aimed at, and `greatest` the
+    greatest possible value."""
     mean, deviation = np.asarray(mean, dtype=np.float64), np.asarray(deviation, dtype=np.float64)
     half, lacks = half_widths(mean, deviation, count, alpha), greatest - mean
     skewness, variation = np.maximum(skewness, SKEWNESS), VARIATION if greatest else VARIATION_FROM_ZERO
@@ -93,17 +94,17 @@ _HALVINGS = 52
 
 
 def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
-    """The least number of seeds, fixed beforehand, that shows the least share that must be right, in (0, 1), if so many
-    of them are wrong. For 0.99 at 0.95 it is 299 without failures and 473 with one."""
+    """The least number of seeds, fixed beforehand, that shows at a confidence that a share in (0, 1) is right, although
+    `failures` of them are wrong. For 0.99 at 0.95 it is 299 without failures and 473 with one."""
     return least_whole(lambda seeds: bool(special.bdtr(failures, seeds, 1 - share) <= 1 - confidence), failures + 1)
 
 
 def mixture_log_capital(right: Mask, share: float) -> Array:
     """Evidence of the seeds so far against a share in (0, 1) being the true one, after each seed, shape (…, n). `right`
-    has them in the order of the plan. It is the logarithm of a capital that starts at 1 and is a martingale if the
-    share is the true one, so that it ever reaches 1/α with probability α at most (Ville's inequality): the likelihood
-    of the seeds, mixed over all shares by a beta(1/2, 1/2) distribution, divided by their likelihood at this share
-    (Robbins 1970)."""
+    says which are right, in the order of the plan, shape (…, n). It is the logarithm of a capital that starts at 1 and
+    is a martingale if the share is the true one, so that it ever reaches 1/α with probability α at most (Ville's
+    inequality): the likelihood of the seeds, mixed over all shares by a beta(1/2, 1/2) distribution, divided by their
+    likelihood at this share (Robbins 1970)."""
     count = np.arange(1, right.shape[-1] + 1)
     good = np.cumsum(right, axis=-1)
     mixed = special.betaln(good + HALF, count - good + HALF) - special.betaln(HALF, HALF)
@@ -113,8 +114,9 @@ def mixture_log_capital(right: Mask, share: float) -> Array:
 
 
 def mixture_bounds(right: Mask, alpha: float) -> tuple[float, float]:
-    """The greatest lower bound and the least upper bound after any number of the seeds, (n,) in the order of the plan.
-    `alpha` is the greatest probability that an upper or a lower bound is ever wrong, of both together."""
+    """The greatest lower bound and the least upper bound after any number of the seeds; `right` says which are right,
+    (n,) in the order of the plan. `alpha` is the greatest probability that an upper or a lower bound is ever wrong, of
+    both together."""
     return _lower(right, alpha), 1 - _lower(~right, alpha)
 
 
@@ -207,7 +209,8 @@ UNKNOWN = Bounds(-math.inf, math.inf)
 
 
 def share_bounds(right: Mask, confidence: float, stop: str) -> Bounds:
-    """Bounds of the share of seeds that are right, each at the confidence; `right` is (n,) in the order of the plan."""
+    """Bounds of the share of seeds that are right, each at the confidence. `right` says which are, (n,) in the order of
+    the plan; `stop` is how often the campaign is looked at, as in its file."""
     alpha = 1 - confidence
     if stop == "once":
         return Bounds(*exact_bounds(int(right.sum()), len(right), alpha))
@@ -218,7 +221,7 @@ def mean_bounds(worst: Array, best: Array, confidence: float, stop: str, limits:
     """Bounds of the mean of all seeds, each at the confidence. `worst` has a value for each seed, (n,) in the order of
     the plan, with the least possible value in place of each one that is lost, minus infinity if there is none; `best`
     has the greatest in its place. `limits` are the least and the greatest possible value; both finite if the campaign
-    is looked at more than once."""
+    is looked at more than once; `stop` is as in its file."""
     alpha, (least, greatest) = 1 - confidence, limits
     if stop == "once":
         return Bounds(_low(worst, alpha, limits), -_low(-best, alpha, (-greatest, -least)))

@@ -101,8 +101,8 @@ class SeedRows:
         self._crashed = pc.equal(self._table["status"], CRASHED).to_numpy().astype(bool).reshape(self._shape)
 
     def runs_of(self, case: Case, score: str, resting_on: float | None = None) -> Runs:
-        """Runs of a case; `resting_on` is the least share that the score of a run, in a difference of both, must rest
-        on."""
+        """Runs of a case; `resting_on` is the least share that the score of a run must rest on, of both trackers in a
+        difference."""
         if case.minus is not None:
             both = (replace(case, tracker=tracker, minus=None) for tracker in (case.tracker, case.minus))
             one, other = (self.runs_of(each, score, resting_on) for each in both)

@@ -78,7 +78,7 @@ class Levels:
     mean_wrong: float  # the sum itself: so many verdicts are wrong at most, in the mean of many such campaigns
     sequential: bool  # whether this holds however often the campaign is looked at; else it is looked at once
     measured: bool  # whether a mean is judged by a bound whose errors were measured and not proved
-    family: bool = False  # of all verdicts that are met, and of all that failed, by Holm's step-down
+    family: bool = False  # whether the level is that of all that are met, and of all that failed, by Holm's step-down
 
     def sentences(self) -> list[str]:
         """The levels in words."""

@@ -103,7 +103,8 @@ def stored_detections(made: Mapping[str, pa.Table]) -> dict[str, pa.Table]:
 
 
 def rows_of(stored: Mapping[str, pa.Table], truth: TruthLayer, scene: Scene) -> RunRows | None:
-    """Rows of a run from its layers, with `stored` of the detections; None if they do not belong together."""
+    """Rows of a run from its layers, `stored` of which is what was kept of the detections; None if they do not belong
+    together."""
     detected = stored[DETECTED]
     if len(detected) != len(truth.table):
         return None

@@ -28,7 +28,7 @@ LETTER_PX, LINE_PX = 6.2, 12.0  # width of a letter of a name, roughly, and the 
 MAX_LANES = 60
 KILOMETRES_FROM_M = 10_000.0
 CROWD = 100  # of more vessels the triangles are half as large, and reports are left out
-LANE_PX, LANE_LEFT, MAX_LETTERS = 16.0, 190.0, 26  # of the chart of presence; letters of a name
+LANE_PX, LANE_LEFT, MAX_LETTERS = 16.0, 190.0, 26  # of presence: height of a lane, its left end, letters of a name
 
 
 def vessel_name(vessel: VesselTrack) -> str:

@@ -18,7 +18,7 @@ from modsim3d.world.vessel_motion import PosesInWaves
 
 UNKNOWN_FRACTION, WHOLE = 255, 250  # visible fractions are counted in 250ths
 MISSED, HIDDEN, FALSE, MISLABELLED, BAD, OFF = "missed", "hidden", "false", "mislabelled", "bad", "off"
-WRONG = {MISLABELLED: Outcome.MISLABELLED, BAD: Outcome.BELOW_HALF_IOU, OFF: Outcome.OFF_VESSEL}  # of a vessel
+WRONG = {MISLABELLED: Outcome.MISLABELLED, BAD: Outcome.BELOW_HALF_IOU, OFF: Outcome.OFF_VESSEL}  # of true detections
 MOMENT_KINDS = (MISSED, FALSE, MISLABELLED, OFF, BAD, HIDDEN)
 BEGINS, ENDS = 0.9 * WHOLE, 0.98 * WHOLE
 """An occlusion begins when at most the first is visible, and ends when more than the second is: a flicker is none."""

@@ -146,9 +146,7 @@ def _part(name: str) -> str:
 REPORT_FILE = "report.html"
 RELATED = {"verify.html": "verification", "compare.html": "comparison of sources"}
 """Pages that other commands write into a run directory, and what they are."""
-LOUD_SHARE = (
-    0.1  # of boxes with IoU below 0.5, from which on an evaluation by IoU is warned of; as in the summary of a run
-)
+LOUD_SHARE = 0.1  # of boxes with IoU below 0.5; above it, evaluations by IoU are warned of, as in a run's summary
 
 
 def write_report(
