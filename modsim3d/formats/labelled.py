@@ -68,7 +68,7 @@ class Results(Columns):
     boxes_px: Array  # x_min, y_min, x_max, y_max: (D, 4)
     confidence: Array  # in [0, 1], NaN where not given: (D,)
     probabilities: Array | None = None  # of the k labels, NaN where not given: (D, k); None if given nowhere
-    origin: Indices | None = None  # row of the one annotation it detects, −1 if it is false: (D,); None where unknown
+    origin: Indices | None = None  # row of the annotation whose one detection it is, else −1: (D,); None where unknown
     kind: Indices | None = None  # index into `detector.records.KINDS`: (D,); None where unknown
     partner: Indices | None = None  # row of the smaller annotation in a merged box, else −1: (D,); None where unknown
 

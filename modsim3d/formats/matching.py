@@ -117,7 +117,7 @@ def overlap(boxes_px: Array, annotated_px: Array, crowd: Mask) -> Array:
 
 def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[Indices, Indices]]:
     """Rows of all pairs in the same image, shapes (pairs,), about `PAIRS_AT_ONCE` at a time. `first` (n,) and `second`
-    (m,) are the images of the rows of two tables, non-decreasing, of so many images."""
+    (m,) are the image of each row of two tables, non-decreasing; `images` is the number of images."""
     starts = np.searchsorted(second, np.arange(images + 1))
     others = np.diff(starts)[first]  # pairs that each of the first has
     ends = np.cumsum(others)

@@ -149,7 +149,7 @@ class Outlook:
         return f"{tilt}, towards heading {heading + 0.0:.1f}° (counter-clockwise from w1)"
 
     def places(self) -> str:
-        """How many vessels are where, each counted where it is closest to being seen."""
+        """Number of vessels at each place, each counted where it is closest to being seen."""
         places = self._places()
         nearest = Counter(places.min(axis=0)[~self.sight.carriers.any(axis=0)].tolist())
         said = [f"{nearest[place]} {PLACES[place]}" for place in sorted(nearest)]

@@ -43,8 +43,8 @@ Outcomes = NDArray[np.uint8]
 
 def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Array) -> Outcomes:
     """The outcome of each of m detections, by their boxes, shape (m, 4), and the annotated boxes of their vessels,
-    shape (m, 4). For the false positives the other arguments say nothing. `mislabelled` have another label than their
-    vessel, shape (m,)."""
+    shape (m, 4). `false` are false positives, of which the other arguments say nothing; `mislabelled` have another
+    label than their vessel; both (m,)."""
     overlap = iou(boxes_px, annotated_px)
     flags = (
         Outcome.MISLABELLED * mislabelled
@@ -160,8 +160,8 @@ def _count(part: CameraBlock, scene: Scene) -> Counts:
 
 
 def detection_counts(detections: Detections, boxes_px: Array, labels: Indices) -> dict[str, int]:
-    """Counts of what a detector put out, by their names in `Counts`. For each of the t true detections, `boxes_px`, (t,
-    4), is the annotated box of its vessel, and `labels`, (t,), the index of that vessel's label."""
+    """Counts of what a detector put out, by their names in `Counts`. For each of the t true detections, `labels` (t,)
+    is the index of its vessel's label, and `boxes_px` (t, 4) the annotated box of that vessel."""
     true = np.flatnonzero(~detections.false())
     found = detections.boxes_px[true]
     outcome = outcomes(np.zeros(len(true), dtype=bool), detections.label[true] != labels, found, boxes_px)

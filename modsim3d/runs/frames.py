@@ -126,7 +126,7 @@ class FrameDetections:
         return len(self.labels)
 
     def __repr__(self) -> str:
-        """How many there are, and of what kinds."""
+        """Their number, and their kinds."""
         return f"<FrameDetections: {self._in_words()}>"
 
     def _repr_html_(self) -> str:

@@ -183,7 +183,7 @@ class Simulation:
 
 
 def block_steps(scene: Scene) -> int:
-    """How many steps of a scene make a block; no result depends on it."""
+    """Number of steps of a scene in a block; no result depends on it."""
     return max(1, min(MAX_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
 
 

@@ -114,7 +114,7 @@ class RepeatedFile:
 
     name: str  # path inside the run directory
     stored: str = ""  # what is wrong with the stored file against the list in run.json; empty if nothing is
-    repeated: str = ""  # how the repeated run's file differs from the one that was written; empty if by no byte
+    repeated: str = ""  # how the repeated run's file differs from the one written; empty if bytes are the same
     is_input: bool = False  # the run is repeated from this file, so that there is nothing to compare
 
     @property

@@ -321,8 +321,8 @@ def detect_run(
 
 def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:
     """A run's scene with another detector or another seed of it; the seed of the scene changes too, unless the truth
-    depends on it. Raises InputError for a wrong detector, one that does not know a vessel's label, and a setting not of
-    it."""
+    depends on it. Raises InputError if the detector is wrong or does not know the label of a vessel, or a setting is
+    not one of the detector."""
     for key in settings:
         if key.partition(".")[0] not in ("detector", "detector_seed"):
             raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])

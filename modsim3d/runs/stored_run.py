@@ -82,7 +82,7 @@ class StoredRun:
 
     @property
     def how_to_finish(self) -> str:
-        """How a user finishes an interrupted run: the poses of a live one cannot come again, but are kept."""
+        """Way for a user to finish an interrupted run: the poses of a live one cannot come again, but are kept."""
         if (self.folder / UNFINISHED / POSES_FILE).is_file():
             return f"`modsim3d run {self.scene.path} --out DIR` makes a finished run of the poses that came in"
         return "finish it with `modsim3d run SCENE --resume` first"

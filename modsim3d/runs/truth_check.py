@@ -149,7 +149,7 @@ def _has_a_vessel(scene: Scene, step: int, index: int) -> bool:
 
 
 def frame_count(scene: Scene) -> int:
-    """How many frames a sample has: three at least, and more of long runs, small images and few vessels."""
+    """Number of frames of a sample: three at least, and more of long runs, small images and few vessels."""
     steps, frames = frames_taken(scene)
     sizes = [math.prod(camera.intrinsics.image_size_px) for camera in scene.cameras]
     pixels = max(sizes) * scene.annotation.supersample**2

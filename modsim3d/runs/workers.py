@@ -68,7 +68,7 @@ class BoxSample:
         return BoxSample(_least(np.concatenate([self.rows, other.rows])), self.counts + other.counts)
 
     def truncation(self, scene: Scene) -> dict[str, dict[str, Any]]:
-        """How resampling shifts the box errors, by name of the state, as `run.json` has it. In the units of the
+        """Shift of the box errors by resampling, by name of the state, as `run.json` has it. In the units of the
         detector file, averaged over the sampled boxes: the share of first draws that are resampled, the mean and
         covariance after resampling, and the standard error of that mean."""
         source = BoxErrorSource.from_model(scene.detector)
@@ -167,9 +167,9 @@ class BlockMaker:
     def make(
         self, steps: Range, folder: Path, statistics: TargetStatistics, kinds: Sequence[str]
     ) -> tuple[BlockTally, BlockFiles]:
-        """Make a block of steps, from the first to before the last: its counts, and what it adds to the files. Truth is
-        kept in `folder`; `statistics` are those of the whole scene's targets, the same for all blocks; `kinds` see
-        `line_kinds`."""
+        """Make a block of `steps`, the first and the one after the last: its counts, and what it adds to the files.
+        Truth is kept in `folder`; `statistics` are those of the whole scene's targets, the same for all blocks; for
+        `kinds` see `line_kinds`."""
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
             checked = Checked() if self._scene.detector.needs_target_statistics else self._check(truth, first, stop)

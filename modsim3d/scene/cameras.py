@@ -26,7 +26,8 @@ class OwnShips:
     angles_rad: Array  # roll, pitch and yaw in waves: port side down, bow down, to port, (S, K, 3)
     rates_rad_s: Array  # angular velocity against the world in body axes, (S, K, 3)
     forces_m_s2: Array
-    """Specific force at the unit in body axes: acceleration less gravity, so +g along v3 for a level vessel at rest."""
+    """Specific force at the unit in body axes, (S, K, 3): acceleration less gravity, so that a level vessel at rest has
+    +g along v3."""
     measured_rates_rad_s: Array  # with the unit's errors, (S, K, 3)
     measured_forces_m_s2: Array  # with the unit's errors, (S, K, 3)
     measured_attitudes_rad: Array  # roll, pitch and heading, the heading with the yaw in waves, (S, K, 3)

@@ -103,8 +103,8 @@ def _frame_problem(scene: Scene, camera: Camera) -> str | None:
 
 
 def place_problems(scene: Scene, steps: Indices, leave_out: Collection[str] = ()) -> dict[str, tuple[str, ...]]:
-    """Problems of each camera's place at some ascending steps of shape (S,), by the camera's name, of those not left
-    out: it has no pose, or is inside a body."""
+    """Problems of each camera's place at some ascending steps of shape (S,): it has no pose, or is inside a body. They
+    are by the name of the camera, without cameras that have no problem and those to leave out."""
     found, calm = {}, None
     for camera in scene.cameras:
         if camera.name not in leave_out:

@@ -48,8 +48,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a setting is in the files: the path in the scene file, or in the file that problems name before the
-    path."""
+    """Place of a setting in the files: `file` is what problems say before the path, empty for the scene file."""
 
     file: str
     path: KeyPath
@@ -68,7 +67,7 @@ class _Place:
 
 
 class Settings:
-    """Settings of a scene and of the files that it names; `problems` has what is wrong with themselves, one line
+    """Settings of a scene and of the files that it names; `problems` are those of the settings themselves, one line
     each."""
 
     def __init__(self, settings: Iterable[Setting]) -> None:

@@ -80,8 +80,8 @@ def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[P
 
 
 def detector_runs(run: StoredRun, count: int) -> Iterator[tuple[int, RunRows]]:
-    """The run as other seeds of the detector would have given it, in memory: the same truth, other detections. The
-    first of `count` seeds is that of the run."""
+    """A finished run as other seeds of the detector would have given it, in memory: the same truth, other detections.
+    The first of `count` seeds is that of the run."""
     stored, ranges = run.finished_tables, block_ranges(run.steps, block_steps(run.scene))
     blocks = [(truth_of(stored.truth(first, stop), run.scene), first, stop) for first, stop in ranges]
     for seed in range(run.scene.detector_seed, run.scene.detector_seed + count):

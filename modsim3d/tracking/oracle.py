@@ -147,9 +147,9 @@ class DetectionSources:
 def oracle_tracks(rows: RunRows, truth: TrueTracks, *, smoothed: bool, noise: SmootherNoise | None = None) -> Tracks:
     """The oracle-association reference: what perfect association makes of the detections that a tracker gets. It is not
     a ceiling: a tracker that smooths better may exceed it. The number of a track is the identity that it follows. Boxes
-    are the detected ones; or, smoothed with what comes before and after, one in each frame of the camera from the first
-    detection of the identity to the last, with the covariance of its centre. The noise of the smoother is that of the
-    scene's name in `scenes/trackers/oracle.yaml` if None."""
+    are the detected ones; or, if `smoothed`, one in each frame of the camera from the first detection of the identity
+    to the last, smoothed with what comes before and after, with the covariance of its centre. The noise of the smoother
+    is that of the scene's name in `scenes/trackers/oracle.yaml` if None."""
     provenance = DetectionSources.of(rows, truth)
     found, cameras = provenance.detections, len(rows.scene.cameras)
     if not smoothed or not len(found):

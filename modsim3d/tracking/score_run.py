@@ -26,7 +26,7 @@ from modsim3d.tracks.world_reading import is_world, read_world_tracks
 
 
 class RunScores(ScoredTracks):
-    """Scores of tracks that follow the vessels of a run, from `score_run`.
+    """Scores that say how well tracks follow the vessels of a run, from `score_run`.
 
     scores = modsim3d.score_run("runs/first", ["runs/sort", "runs/reference"])
     scores.trackers[0].scores.flat()["hota"], scores.conclusion, scores.write("runs/scores")

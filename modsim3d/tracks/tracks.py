@@ -174,7 +174,7 @@ class Similarity:
 
 @dataclass(frozen=True)
 class Origin:
-    """Making of tracks."""
+    """Tracker that made tracks, with its settings and versions."""
 
     tracker: str
     settings: dict[str, Any]  # all of them, as JSON can hold them

@@ -123,8 +123,8 @@ def follow(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -> Followi
 
 
 def best_pairs(alike: Array, least: float, kept: Mask) -> tuple[Indices, Indices]:
-    """The assignment of rows to columns of a similarity matrix (a, b), and of those that are at least so alike the
-    places. `kept` are pairs that are preferred to all others: (a, b)."""
+    """Rows and columns of the pairs with at least the similarity `least` in the best assignment of a similarity matrix
+    (a, b). `kept` are pairs that are preferred to all others: (a, b)."""
     enough = alike >= least - np.finfo(float).eps
     score = np.where(enough, alike + _SAME_AS_BEFORE * kept, 0)
     i, j = linear_sum_assignment(score, maximize=True)

@@ -246,7 +246,7 @@ class Memory:
         return max(1, math.ceil(_FORGOTTEN * self.correlation_s / self.step_s))
 
 
-Found = tuple[Measure | None, str]  # A measure, None if too little was seen; and a note
+Found = tuple[Measure | None, str]  # a measure, None if too little was seen; and a note
 
 
 def independence_checks(model: DetectorModel, evidence: Evidence, fits: Sequence[StateFit]) -> list[Parameter]:

@@ -32,7 +32,7 @@ class Motion:
     """Motion of a vessel in waves at n moments."""
 
     heave_m: Array  # displacement of its origin along w3: (n,)
-    # Roll, pitch and yaw as in `rotations.vehicle_R_nominal`: (n, 3); positive roll lowers the port side, positive
+    # Roll, pitch and yaw as in `camera_poses.vehicle_R_nominal`: (n, 3); positive roll lowers the port side, positive
     # pitch the bow, positive yaw turns to port.
     angles_rad: Array
 

@@ -1,5 +1,5 @@
 """Slowly varying angles from a second-order process (Jessen & Mohr (2023), §7.4.3); no heave.
-The angles are those of `rotations.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
+The angles are those of `camera_poses.attitude`, in camera-base axes: positive roll lowers the port side, positive pitch
 lowers the bow, positive yaw turns to port."""
 
 from collections.abc import Sequence

@@ -35,7 +35,7 @@ class ReadOptions:
     skip_bad: bool = False  # leave out wrong entries and count them
     frame_rate_hz: float | None = None  # for MOT, and for COCO whose images have a `frame_id` alone
     category_offset: int = 0  # to be added to the category IDs of COCO results
-    confidence_scale: tuple[float, float] | None = None  # confidences that stand for 0 and for 1; None for these two
+    confidence_scale: tuple[float, float] | None = None  # what stands for 0 and for 1 in the files; None: 0 and 1
     horizon: tuple[float, ...] | None = None  # of images without one: its row, or x and y of two of its points
 
 

@@ -19,7 +19,7 @@ from modsim3d.io.atomic_write import encoded, make_folder, put_folder_in_place, 
 from modsim3d.runs.camera_sequences import CameraSequence
 
 DATA_FILE = "data.yaml"
-FOLDERS = {"images": "*.png", "labels": "*.txt", "predictions": "*.txt"}  # all of it is written: pattern of the files
+FOLDERS = {"images": "*.png", "labels": "*.txt", "predictions": "*.txt"}  # wholly written: pattern of their files
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:

@@ -79,7 +79,7 @@ def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
 
 
 def _before_in_group(group: Indices) -> Indices:
-    """How many rows before each row are of its group, shape (n,)."""
+    """Number of rows before each row that are of its group, shape (n,)."""
     order = np.argsort(group, kind="stable")
     ordered, before = group[order], np.empty_like(order)
     before[order] = np.arange(len(group)) - np.searchsorted(ordered, ordered)

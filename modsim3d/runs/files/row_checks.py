@@ -231,7 +231,7 @@ def check_together(frames: TableRows, truth: TableRows, detections: TableRows, s
     truth.refuse("detected", (boxes > 0) & ~detected, "true, as detections.parquet has a box of the vessel")
 
     def count(numbers: Indices) -> Indices:
-        """How many of some frame numbers are that of each row of `frames`."""
+        """Number of times that the number of each row of `frames` is among some frame numbers."""
         return np.bincount(tables.positions(frame, numbers), minlength=len(frame))
 
     merged, without_box = count(drawn[kind == MERGED]), count(of_truth[detected & (boxes == 0)])

@@ -67,7 +67,7 @@ class FileEntry(Strict):
 
 
 class Truncation(Strict):
-    """How resampling shifts the box errors of a performance state, see `BoxSample.truncation`."""
+    """Shift of the box errors of a performance state by resampling, see `BoxSample.truncation`."""
 
     unit: ErrorUnit
     detections: Count

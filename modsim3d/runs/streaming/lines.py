@@ -113,8 +113,8 @@ def _with_camera(line: bytes, name: bytes, frames: int, attitude: bytes | None) 
 
 
 class Pace:
-    """Lets no step leave before its time, and notes how much later than its time the latest step left, and that step.
-    Every due time is counted from the first step, so that errors do not add up."""
+    """Lets no step leave before its time. `latest` is the step that left latest after its time, None before the
+    first, and `late_s` how much later. Every due time is counted from the first step, so that errors do not add up."""
 
     def __init__(
         self, clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], object] = time.sleep

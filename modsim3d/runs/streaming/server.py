@@ -33,7 +33,7 @@ class Backlog:
         return self.first + len(self._chunks)
 
     def drops(self, chunk: bytes) -> int:
-        """How many of the oldest chunks must go before a chunk fits."""
+        """Number of the oldest chunks that must go before a chunk fits."""
         excess, count = self._bytes + len(chunk) - self._most, 0
         for kept in self._chunks:
             if excess <= 0:
@@ -135,7 +135,7 @@ class Reader:
         self.connection.close()
 
     def waited_for_s(self, waits: bool) -> float:
-        """How long it has been waited for, to take something or to hang up; `waits` is whether it is at the moment."""
+        """Time for which it has been waited for, to take something or to hang up; `waits` is whether it is now."""
         now = time.monotonic()
         if not waits:
             self._waited_for_since = None
@@ -182,7 +182,8 @@ class LineServer:
     ) -> None:
         """Listen at `address`, whose port 0 is any free one, and serve whoever connects; `header` is the first line.
         `wait_s` is how long to wait while there is no reader. Another thread calls `warn` with a reader that is
-        disconnected, and `tell` with readers that come and go. Raises ModsimError if the address cannot be used."""
+        disconnected, and `tell` with readers that come and go. Lines are kept up to `backlog_bytes`. Raises
+        ModsimError if the address cannot be used."""
         self._listener = address.listen(RECEIVE_BYTES)
         self.address = Address(address.host, self._listener.getsockname()[1])
         self.wait_s, self._header = wait_s, header

@@ -45,7 +45,8 @@ def viewpoint(vessels: Indices, places_m: Array, half_lengths_m: Array) -> Viewp
     """A camera that looks across the busiest patch of water: the square kilometre that most vessels visit. It looks at
     right angles to the main direction of motion there, from the distance at which half of that traffic fills its view.
     If a hull comes near that place, the camera is turned aside or moved further away. For each pose in the order of
-    time, `vessels` has its vessel, shape (n,), and `places_m` the centre of its hull, shape (n, 2)."""
+    time, `vessels` has its vessel, shape (n,), and `places_m` the centre of its hull, shape (n, 2); half lengths of
+    hulls are by vessel, shape (V,)."""
     spacing = max(1, len(vessels) // MAX_POSES_LOOKED_AT)
     target = _busiest(places_m[::spacing], vessels[::spacing])
     bearing, distance = _across(places_m, target)

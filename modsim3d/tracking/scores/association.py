@@ -1,5 +1,5 @@
-"""HOTA and CLEAR scores by TrackEval, in memory, and identity scores. One whose denominator is 0 is None: not 0 or
-1."""
+"""HOTA and CLEAR scores by TrackEval, in memory, and identity scores. One whose denominator is 0 is None,
+where TrackEval writes 0 or 1."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -263,9 +263,9 @@ def _changes(identity: Indices, frame: Indices, track: Indices) -> int:
 
 
 def _longest_s(identity: Indices, place: Indices, track: Indices, length_s: Array) -> float:
-    """Sum over identities of the longest time that one track stays on them. Identities of the vessels of a assignments,
-    the places of their rows in the times, and identities of the tracks have shape (a,); `length_s` is the time that
-    each place stands for, shape (p,)."""
+    """Sum over identities of the longest time that one track stays on them. For each assignment, `identity` is that of
+    the vessel, `place` that of its row in the times, and `track` the identity of the track, shapes (a,); `length_s` is
+    the time that each place stands for, shape (p,)."""
     vessel = np.zeros(len(length_s), dtype=np.int64)
     vessel[place] = identity
     group, place = _by_track(identity, track, place)

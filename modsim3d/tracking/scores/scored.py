@@ -19,7 +19,7 @@ LARGEST_CUTOFF = 1e6  # more than any distance in an image, and its tenth power 
 class SetDistance:
     """Costs in GOSPA and OSPA: the base distance is that of the centres."""
 
-    cutoff: float = 100.0  # c, in the unit of the distance; missed vessels and false tracks cost c^p / 2 in GOSPA
+    cutoff: float = 100.0  # c, in the unit of the distance; missed and false ones cost c^p / 2 each in GOSPA
     power: float = 1.0  # p; with 1 the parts are additive distances
 
     def __post_init__(self) -> None:

@@ -217,7 +217,7 @@ class ByteTracker(_LibraryTracker):
 
     library_name: ClassVar[str] = "ByteTrackTracker"
 
-    # Least confidence of a detection that starts a track; the library's 0.7 starts few where boxes have a mean
+    # Least confidence of a detection that starts a track; the library's 0.7 starts few where boats have a mean
     # confidence of 0.67.
     track_activation_threshold: Probability = 0.5
     high_conf_det_threshold: Probability = 0.5  # detections from here on are matched first, and only they start tracks

@@ -18,10 +18,12 @@ class StoneSoup(Tracker):
     """Base of two trackers: a Kalman filter of the box's centre, velocity and size, in the image. The centre moves with
     constant velocity, width and height walk at random."""
 
-    centre_sigma_px: Positive = 3.0  # standard deviation of the error of a detection's centre, added in squares to …
-    centre_sigma_share: NotNegative = 0.1  # … this share of the detection's width and height
-    size_sigma_px: Positive = 3.0  # the same of the error of a detection's width and height, added in squares to …
-    size_sigma_share: NotNegative = 0.2  # … this share of them
+    # Standard deviations of the error of a detection's centre, and of its width and height: a part in pixels and a part
+    # as a share of the detection's width and height, added in squares.
+    centre_sigma_px: Positive = 3.0
+    centre_sigma_share: NotNegative = 0.1
+    size_sigma_px: Positive = 3.0
+    size_sigma_share: NotNegative = 0.2
     acceleration_density_px2_s3: Positive = 30.0  # power spectral density of the acceleration of the centre
     size_density_px2_s: Positive = 30.0  # variance that width and height gain each second
     speed_sigma_px_s: Positive = 30.0  # standard deviation of the speed of a new track, in each axis

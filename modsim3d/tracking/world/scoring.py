@@ -30,7 +30,7 @@ class MetVessel:
     own_ship: str  # ID
     vessel: str  # ID
     # What own ship has to do by COLREG when the vessel is first seen, or when both are first there if no camera sees it
-    # before the closest approach: a name of `motion.encounters.Encounter` in small letters.
+    # before the closest approach: a name of `world.encounters.Encounter` in small letters.
     kind: str
     closest_m: float  # at the closest approach
     closest_s: float
@@ -106,8 +106,8 @@ def _apart_m(truth: WorldTruth, time_s: float, own: int, vessel: int) -> float |
 
 @dataclass(frozen=True)
 class Quartiles:
-    """Values than which a quarter, half and three quarters of the encounters are worse; None if such a vessel is not
-    established in time, which is worse than all others."""
+    """Quartiles over encounters: a quarter of them is worse than `lower`, half than `median`, three quarters than
+    `upper`. A vessel that is not established in time is worse than all others; None for a quartile at such a vessel."""
 
     lower: float | None
     median: float | None

@@ -140,7 +140,7 @@ class Difference(Exception):
     """A vessel on which truth and drawing differ."""
 
     vessel: int  # its index
-    what: str  # differs
+    what: str  # what differs
     truth: str  # its value in the truth
     drawn: str  # its value as drawn
     masks: tuple[Mask, Mask]  # its pixels in the truth, and as they were drawn; of the same shape (h, w)

@@ -138,9 +138,8 @@ def check_pose_count(source: str, steps: int, vessels: int) -> None:
 
 
 def fill_step(poses: Poses, step: int, timestamp: str, entries: Any, columns: Mapping[str, int]) -> list[str]:
-    """Write the entries of one time step into a row of poses, and return the problems of the entries, which are centre
-    position and heading by vessel ID. `columns` has the column of each ID. All vessels must be absent at the step
-    before."""
+    """Write the entries of one time step, centre position and heading by vessel ID, into a row of poses, and return
+    their problems. `columns` has the column of each ID. All vessels must be absent at the step before."""
     if not isinstance(entries, dict):
         return [f"{timestamp}: a mapping of vessel ID to pose is needed (got {shown(entries)})"]
     problems: list[str] = []
@@ -217,8 +216,8 @@ Step = tuple[str, Poses]  # text of a step's time, and the poses of that one ste
 
 
 class LivePoses:
-    """Keeps the steps that have arrived, and waits for the others. The next step is read only when
-    it is needed. Steps that have arrived stay in memory: 40 bytes for each vessel and step.
+    """Keeps the steps that have arrived, and waits for the others. The next step is read only when it is needed. Steps
+    that have arrived stay in memory: 40 bytes for each vessel and step.
 
     Attributes:
         timestamps: Texts of the times of the steps that have arrived.

@@ -86,9 +86,9 @@ def payload(fields: Fields) -> tuple[str, int]:
 
 
 def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time_s: float) -> str:
-    """The lines of a message and its fill bits in the log: a tag block with the Unix time, and the sentence. `channel`
-    is `A` or `B`, `sequence` a number from 0 to 9, which the parts of a long message share, and `time_s` counts from
-    the first step."""
+    """The lines in the log of an encoded message with its fill bits: a tag block with the Unix time, and the sentence.
+    `own` says whether own ship sent it, `channel` is `A` or `B`, `sequence` a number from 0 to 9, which the parts of a
+    long message share, and `time_s` counts from the first step."""
     text, fill_bits = message
     block = f"c:{EPOCH_S + math.floor(time_s)}"
     tag = f"\\{block}*{reduce(xor, block.encode('ascii'), 0):02X}\\"
