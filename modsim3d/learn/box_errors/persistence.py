@@ -248,7 +248,8 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
         if model is None or not len(ours):
             continue
         latent[ours], large[ours] = model.latent(_standard(pairs, model, rows[ours]))
-        latent[ours] = (latent[ours] - latent[ours].mean(axis=0)) / np.maximum(latent[ours].std(axis=0), _MIN_CHANGE)
+        ranks = np.argsort(np.argsort(latent[ours], axis=0), axis=0)
+        latent[ours] = special.ndtri((ranks + 0.5) / len(ours))  # what no two scales explain must not decide
     size = large - np.bincount(state, large)[state] / np.maximum(np.bincount(state), 1)[state]
     numbers = [*latent.T, size] if large.any() else [*latent.T]
 
