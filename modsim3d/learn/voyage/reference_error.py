@@ -49,9 +49,9 @@ class TruthNoise:
 
     @classmethod
     def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> TruthNoise:
-        """That of a scene, with the standard deviation and the correlation time of each coordinate of a position. The
-        report of a scene that `modsim3d ais` made says what was missing; of others only positions are uncertain. Raises
-        InputError if the report beside the scene cannot be read."""
+        """Noise of a scene's truth, given the standard deviation of each coordinate of a position and the correlation
+        time of its error. The report of a scene that `modsim3d ais` made says what was missing; of others only
+        positions are uncertain. Raises InputError if the report beside the scene cannot be read."""
         file = scene.path.parent / REPORT
         content = load_json(file, "report") if file.is_file() else {}
         entries = content.get("vessels", {}) if isinstance(content, dict) else {}
