@@ -67,7 +67,7 @@ class Cell:
     """A cell of a table that a page shows with more than its text."""
 
     text: str  # all that a terminal shows
-    share: float | None = None  # from 0 to 1: darkness of the cell, or length of the bar behind the text
+    share: float | None = None  # 0 to 1: darkness of the cell, or length of the bar behind the text; None: neither
     bar: bool = False  # whether the share is a bar
     draw: Callable[[], str] | None = None  # makes SVG that stands in place of the text
 

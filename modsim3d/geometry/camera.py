@@ -242,9 +242,9 @@ def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
     with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera coordinates; the
     others follow alike."""
     matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
-    first, second = matrix[0] + guard_px * matrix[2], matrix[1] + guard_px * matrix[2]
-    last, lowest = (width + guard_px) * matrix[2] - matrix[0], (height + guard_px) * matrix[2] - matrix[1]
-    return read_only(np.column_stack([np.array([first, last, second, lowest]), np.zeros(4)]))
+    left, top = matrix[0] + guard_px * matrix[2], matrix[1] + guard_px * matrix[2]
+    right, bottom = (width + guard_px) * matrix[2] - matrix[0], (height + guard_px) * matrix[2] - matrix[1]
+    return read_only(np.column_stack([np.array([left, right, top, bottom]), np.zeros(4)]))
 
 
 def clip_triangles(triangles_camera: Array, half_spaces: Array) -> tuple[Array, Indices]:

@@ -47,8 +47,8 @@ def second_derivative(times_s: Array, between: Array) -> Array:
 
 def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
     """Velocities of V vessels that come and go, in metres per second, from positions; both of shape (n, V, 3). A vessel
-    that appears or leaves is at an end of its sequence. Zero where a vessel is absent, a mask (n, V), or present at one
-    time only. Times ascend (n,)."""
+    that appears or leaves is at an end of its sequence. Zero where a vessel is not `present` (n, V), or present at one
+    time only. Times (n,) ascend."""
     between = slopes(times_s, positions_m)
     known = present[:-1] & present[1:]
     central = first_derivative(times_s, between)
@@ -82,12 +82,19 @@ def _along(values: Array, dimensions: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HullTracks:
-    """Rectangles under way: n vessels at the same S times, straight and evenly turning between them."""
+    """Rectangles under way: n vessels at the same S times, straight and evenly turning between them.
 
-    times_s: Array  # ascending, shape (S,)
-    centres_m: Array  # in WCF, w1 and w2, shape (S, n, 2); NaN where a vessel is absent
-    headings_rad: Array  # counter-clockwise from w1, shape (S, n); NaN where a vessel is absent
-    half_sizes_m: Array  # half lengths and half beams, shape (n, 2)
+    Attributes:
+        times_s: Ascending, shape (S,).
+        centres_m: In WCF, w1 and w2, shape (S, n, 2); NaN where a vessel is absent.
+        headings_rad: Counter-clockwise from w1, shape (S, n); NaN where a vessel is absent.
+        half_sizes_m: Half lengths and half beams, shape (n, 2).
+    """
+
+    times_s: Array
+    centres_m: Array
+    headings_rad: Array
+    half_sizes_m: Array
 
 
 def closest_approach(times_s: Array, one_m: Array, other_m: Array) -> tuple[float, float]:

@@ -29,13 +29,13 @@ FREE_UNPACKED_BYTES = 1 << 23  # bytes that any gzipped file may unpack to
 PIECE_BYTES = 1 << 20  # read at once. A single read would reserve memory for the whole budget
 MAX_YAML_BYTES = 1 << 20  # of a scene or detector, two seconds a megabyte; a thousand vessels with tracks need half
 MAX_YAML_VALUES = 200_000  # with aliases and merge keys written out, which can multiply ten lines to any size
-YAML_CHARACTERS_PER_VALUE = 64  # a long text counts as several values, since an alias can repeat it too
+YAML_CHARACTERS_PER_VALUE = 64  # a long text counts as a value for each so many, since an alias can repeat it too
 MAX_JSON_VALUES = 2_000_000  # of vessels or a scene, each up to 100 bytes of memory; a thousand vessels are 10,000
 POSE_BYTES_PER_VALUE = 8  # a pose file may have more values if they are as long as those of poses, 12 bytes each
 MAX_POSES = 200_000_000  # vessels times steps, present or not, at 33 bytes: 2000 vessels for a day take 173 million
 COCO_BYTES_PER_VALUE = 4  # a COCO file may have more values if they are as long as those of its masks, 123.4 and 56
 MAX_PROBLEMS = 10_000  # wrong entries of one file after which no more of it is read, unless they are to be left out
-MAX_BAD_ROWS = 50_000  # in 16 MB of a table of AIS, a third of its rows, after which no more is read
+MAX_BAD_ROWS = 50_000  # rows without the header's cells in 16 MB of AIS, a third of them, after which no more is read
 MAX_LINE_CHARACTERS = 10_000  # of a line of numbers: MOT has ten of them, YOLO six
 # Frames that a MOT pair may span, and further ones for each of its lines, where no seqLength says how many there are:
 # three hours at 10 Hz, and a vessel every minute and a half in a longer night.

@@ -51,7 +51,8 @@ class BagMessage(NamedTuple):
 
 
 def message_types(needed_by: str) -> Typestore:
-    """The types of all messages that are written or read. Raises ModsimError, with what needs them, without rosbags."""
+    """The types of all messages that are written or read. Raises ModsimError, which names `needed_by`, if rosbags
+    is not installed."""
     try:
         import rosbags.highlevel  # noqa: F401
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore

@@ -25,7 +25,7 @@ Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """How often each image was drawn, in the first row once each, shape (1 + replicates, I). `unit` is the index of
+    """Counts of draws of each image, in the first row one each, shape (1 + replicates, I). `unit` is the index of
     what was drawn with each image, itself or a run of frames, shape (I,)."""
 
     weights: Array
@@ -50,7 +50,7 @@ class Resampling:
         return total.reshape(len(self.weights), *shape)
 
     def units(self, chosen: Mask) -> int:
-        """How many single images or runs hold the chosen images, shape (I,)."""
+        """Number of single images or runs that hold the chosen images, shape (I,)."""
         return len(np.unique(self.unit[chosen]))
 
 
@@ -203,7 +203,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Key:
-    """Where an entry stands in a detector file."""
+    """Place of an entry in a detector file."""
 
     names: tuple[str, ...]  # keys of the file, outermost first; within the section of the state if there is one
     state: str | None = None  # name of the performance state; None for an entry that all states share

@@ -109,13 +109,13 @@ class SlopeFit:
     errors: Array
 
     def shift(self, scores: ObservedConfidences, row: int = 0) -> Array:
-        """By how much the slopes lower each confidence, shape (n,)."""
+        """Amount by which the slopes lower each confidence, shape (n,)."""
         found = dict(zip(self.form.names, self.slopes[row].tolist(), strict=True))
         return shift_of(scores, found, self.form)
 
 
 def shift_of(scores: ObservedConfidences, slopes: dict[str, float], form: SlopeForm) -> Array:
-    """By how much slopes lower each confidence, shape (n,); the reference size is a logarithm."""
+    """Amount by which slopes lower each confidence, shape (n,); the reference size is a logarithm."""
     reference = slopes.get("size_reference_px", form.log_reference)
     shift = slopes.get("visibility_slope", 0.0) * scores.hidden
     halvings: Array = np.maximum(reference - scores.log_size, 0)

@@ -122,7 +122,7 @@ class LearnedSlopes:
         return cls(fit.form, tuple(entries))
 
     def shift(self, scores: ObservedConfidences) -> Array:
-        """By how much they lower each confidence, shape (n,)."""
+        """Amount by which they lower each confidence, shape (n,)."""
         found = {entry.key.names[-1]: float(entry.estimate) for entry in self.entries}
         if "size_reference_px" in found:
             found["size_reference_px"] = float(np.log2(found["size_reference_px"]))
@@ -140,7 +140,7 @@ class LearnedConfidence:
 
     true: tuple[LearnedScores, ...]
     false: tuple[LearnedScores, ...]
-    slopes: tuple[LearnedSlopes | None, ...]
+    slopes: tuple[LearnedSlopes | None, ...]  # None without
     confidence_s: Entry | None = None  # correlation time of a vessel's confidence; None if it does not persist
 
     def sections(self) -> dict[str, dict[str, Any]]:

@@ -120,7 +120,7 @@ def _above(trials: Trials, least: float | None) -> Trials:
 
 
 def _needed(chance: float) -> int:
-    """How many are surely more than a number that chance makes."""
+    """Least number that is surely more than chance makes."""
     square = SIGNIFICANT**2
     return int(np.ceil(chance + (square + np.sqrt(square**2 + 8 * chance * square)) / 2))
 

@@ -1,4 +1,4 @@
-"""How misses depend on what a thing looks like: logistic regression, an intercept for each state and label."""
+"""Dependence of misses on what a thing looks like: logistic regression, an intercept for each state and label."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class EffectTerm:
         return np.log2(np.maximum(known, 1.0) / self.reference) if self.doublings else changed
 
     def holds_in(self, states: int, effects: tuple[EffectTerm, ...]) -> Mask:
-        """In which of some states it holds beside other effects, shape (states,)."""
+        """Mask of the states in which it holds beside other effects, shape (states,)."""
         others = [each.state for each in effects if each.attribute == self.attribute and each.state is not None]
         numbers = np.arange(states)
         return ~np.isin(numbers, others) if self.state is None else numbers == self.state

@@ -36,7 +36,7 @@ _KINDS = tuple(ErrorKind)
 
 @dataclass(frozen=True)
 class ErrorShare:
-    """How many errors of a kind there are, and the hundredths of mean average precision that they cost."""
+    """Number of errors of a kind, and the hundredths of mean average precision that they cost."""
 
     kind: ErrorKind
     count: int

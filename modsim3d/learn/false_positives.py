@@ -96,7 +96,7 @@ class LearnedFalsePositives:
     form: FalsePositiveForm
     states: tuple[StateFalsePositives, ...]  # rates and labels of each state
     size: LearnedSize | None  # None for the sizes of vessels
-    place: Entry | None  # parameter of the placement; of a map the share of each cell, in the grid's shape
+    place: Entry | None  # of the placement; of a map the share of each cell, in the grid's shape; None without any
     persistence: LearnedPersistence | None  # None where none stay
 
     def sections(self) -> dict[str, dict[str, Any]]:
@@ -155,7 +155,7 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
 
 
 def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, float], notes: list[str]) -> Placing:
-    """Where false positives are, as far as the data carry it; see `Lasting.worth`."""
+    """Placement of false positives, as far as the data carry it; see `Lasting.worth`."""
     if "places" in observed.without:
         return "uniform"
     false, needed = len(sightings), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]

@@ -181,7 +181,7 @@ def _figures_of_conditions(matches: Matches) -> list[Figures]:
 
 
 def _transitions(observed: Observed, options: LearnOptions) -> Transitions:
-    """How states follow each other, from the text if it is given, else from the frames."""
+    """Transitions between states, from the text if it is given, else from the frames."""
     count, interval_s = len(observed.states), options.interval_s
     if interval_s is not None and not interval_s > 0:
         raise InputError("--interval", [f"must be above 0 (got {interval_s:g})"])

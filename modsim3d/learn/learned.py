@@ -148,7 +148,7 @@ class Learned:
     transitions: Transitions
     resampling: Resampling
     run_s: float  # length of the runs of frames that were resampled; 0 if single images were
-    units: Mapping[str | None, int]  # how many of these hold images of each state; of None, of any state
+    units: Mapping[str | None, int]  # resampled runs or images that hold images of each state; of None, of any
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -32,7 +32,7 @@ _MIN_RECOGNIZED = 0.9
 
 @dataclass(frozen=True, eq=False)
 class Recognition:
-    """How often boxes of p pairs look like one around both vessels."""
+    """Shares of boxes of p pairs that look like one around both vessels."""
 
     mistaken: Array  # of boxes of the larger and of the smaller vessel alone, shape (2, p)
     recognized: Array  # of boxes around both, shape (p,)
@@ -238,7 +238,7 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
 def _by_chance(
     sought: SoughtBoxes, left: Loose, pairs: Overlapping, tried: Mask, whole: Mask, images: Images, rule: Rule
 ) -> dict[str, Array]:
-    """How many second boxes and parts (n,), and boxes around two (p,), false positives that are left look like."""
+    """Numbers of remaining false positives that look like second boxes or parts (n,), or like boxes around two (p,)."""
     chance = {name: np.zeros(len(sought)) for name in ("duplicates", "splits")}
     chance["merges"] = np.zeros(len(pairs))
     for moved in shuffled(left, images):

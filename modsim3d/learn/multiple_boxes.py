@@ -1,4 +1,4 @@
-"""How often a vessel has a second box or comes out in two parts, and two vessels come out as one box."""
+"""Shares of vessels that have a second box or come out in two parts, and of pairs that come out as one box."""
 
 from __future__ import annotations
 

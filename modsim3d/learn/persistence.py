@@ -1,4 +1,4 @@
-"""How long misses and box errors persist for a thing, from frame to frame."""
+"""Persistence of misses and box errors of a thing, from frame to frame."""
 
 from __future__ import annotations
 
@@ -218,9 +218,8 @@ GREATEST_SHARE = 0.95
 
 def latent_share(chance: Array) -> Callable[[Array], Array]:
     """Function from the correlation of misses to the share of the latent normal number that things keep. With a share s
-    two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal
-    number of p and T the function of Owen (1956), "Tables for computing bivariate normal probabilities".
-    """
+    two misses of a chance p have the probability p − 2·T(z, √((1 − s)/(1 + s))), with z the normal number of p and T
+    the function of Owen (1956), "Tables for computing bivariate normal probabilities"."""
     level = level_of(chance)
     return lambda found: np.interp(found, level, LATENT_SHARES)
 

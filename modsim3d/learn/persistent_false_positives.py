@@ -1,4 +1,4 @@
-"""How long false positives stay, and which share of them does.
+"""Lifetime of false positives that stay, and their share of all.
 One that stays is seen again, near its place, in later frames. So of all pairs of false positives in frames a time Δ
 apart more lie near each other than by chance: share · min(m, m′) · e^(−Δ/τ) pairs for two frames whose mean numbers of
 false positives are m and m′, since one fades where the rate falls. How many do by chance is seen far apart in time."""
@@ -173,7 +173,7 @@ def _shares(found: Array, chance: Array, each: Array) -> tuple[Array, Array]:
 
 
 def _peak(places: Array, values: Array, top: int) -> float:
-    """Where a parabola through the largest value and its neighbours has its peak."""
+    """Place of the peak of a parabola through the largest value and its neighbours."""
     if not 0 < top < len(values) - 1:
         return float(places[top])
     left, middle, right = values[top - 1 : top + 2]

@@ -65,7 +65,7 @@ class LearnReport:
     curves_matched_by: str  # the rule of average precision in words
     remarks_on_data: tuple[str, ...] = ()  # what to read the numbers with: entries left out, labels that are off
     near_gate: NearGate = NearGate()  # what matching by IoU cuts off
-    warning: str | None = None  # that most matches are lost to the rule, so that the numbers mean little
+    warning: str | None = None  # that most matches are lost to the rule, so that the numbers mean little; else None
     check: SelfCheck | None = None  # comparison with real results where it was not learned; None if not asked for
 
     @property
@@ -113,8 +113,8 @@ def lead(report: LearnReport) -> str:
 
 
 def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
-    """Number of numbers of a detector file that were learned, and from what. `name` is that of the detector file,
-    `sources` are the labelled sets as given."""
+    """Sentence with the count of learned numbers and their data. `name` is that of the detector file, `sources` are the
+    labelled sets as given."""
     labelled, learned = report.labelled, report.learned
     numbers = sum(np.size(each.estimate) for each in learned.intervals(report.level) if each.key.remark != NOT_WRITTEN)
     matches = len(learned.observed.matched.pairs[0])
@@ -127,7 +127,7 @@ def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
 
 
 def how_well(report: LearnReport) -> str:
-    """How well the most important numbers are known, in the state where they are known least."""
+    """Precision of the most important numbers, in the state where they are known least."""
     states = report.states
     missed = _widest(report, [(each, each.any_label.false_negative_rate) for each in states])
     false = _widest(report, [(each, each.any_label.false_discovery_rate) for each in states])

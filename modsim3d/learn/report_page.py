@@ -249,7 +249,7 @@ class Sources:
 
     @property
     def made_before(self) -> tuple[tuple[str, str], ...]:
-        """By which versions the runs were made."""
+        """Versions by which the runs were made."""
         return tuple(dict.fromkeys(found for run in self.runs for found in provenance.run_versions(run)))
 
     def _files(self) -> Iterator[provenance.Input]:

@@ -73,8 +73,8 @@ class LearnRequest(Strict):
         )
 
     def settings(self, labelled: LabelledSet, position_m: float = 0.0) -> LearnSettings:
-        """Settings of learning from a labelled set whose true positions have a standard deviation in each coordinate.
-        Raises ModsimError if a least confidence is asked for, and the detections have no confidences."""
+        """Settings of learning from a labelled set; `position_m` is the standard deviation of each coordinate of
+        true positions. Raises ModsimError if a least confidence is asked for, and detections have no confidences."""
         method = self.match or usual_method(labelled, position_m)
         return LearnSettings(
             Rule(method, self.least_iou, self.most_distance_px),

@@ -65,7 +65,7 @@ class Gate:
 
     @property
     def boxes(self) -> int:
-        """How many boxes may fail."""
+        """Number of boxes that may fail."""
         return int(np.count_nonzero(self.stands >= 0))
 
     def passing(self, model: ErrorModel) -> tuple[Array, Array]:

@@ -149,7 +149,7 @@ class MatchedEdges:
 
     @cached_property
     def inward_px(self) -> Array:
-        """How far the border lies outside each true edge, infinite where nothing is clipped, shape (n, 4)."""
+        """Distance by which the border lies outside each true edge, infinite where nothing is clipped, shape (n, 4)."""
         return np.concatenate([self.truth_px[:, :2] - self.least_px, self.most_px - self.truth_px[:, 2:]], axis=1)
 
     def passes(self, outward_px: Array) -> Mask:

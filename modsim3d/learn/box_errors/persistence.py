@@ -1,4 +1,4 @@
-"""How box errors persist: errors of the same thing in consecutive frames, over edges that nothing has cut.
+"""Persistence of box errors: errors of the same thing in consecutive frames, over edges that nothing has cut.
 
 Which edges count is decided by the true box alone, since leaving errors out by their size would itself cut them: an
 edge counts if it lies so far inside the image that hardly any error reaches the border.

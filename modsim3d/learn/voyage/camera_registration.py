@@ -133,7 +133,7 @@ def position_noise_m(scene: Scene, given: float | None) -> float:
     """Standard deviation of each coordinate of positions: the given one, else 10 m with AIS and 0 without. Raises
     InputError if the given one is negative, or so large that positions say nothing."""
     if given is None:
-        return POSITION_M if read_reports(scene.path) else 0.0
+        return POSITION_M if read_reports(scene.path) is not None else 0.0  # only with AIS are there reports
     if not 0 <= given <= MAX_NOISE_M:
         raise InputError("--position-noise", [f"must be metres from 0 to {MAX_NOISE_M:g} (got {given:g})"])
     return given
@@ -158,6 +158,7 @@ class Registering:
         camera = scene.cameras[log.camera]
         attitude = self.attitude if self.attitude and self.attitude.vessel == camera.mount.vessel else None
         known = attitude.known(log.time_s) if attitude else np.ones(len(log.time_s), dtype=bool)
+        sizes, ais = not _SIZES & TruthNoise.of(scene).reasons.keys(), read_reports(scene.path) is not None
         log = log.take(known)
         sure = np.isnan(log.confidence) | (log.confidence >= self.least_confidence)
         try:
@@ -167,8 +168,8 @@ class Registering:
                 BoxesAtTimes(log.time_s, log.frame[sure], log.boxes_px[sure]),
                 fixed=self.fixed,
                 mean_errors=self.known.mean_errors,
-                use_sizes=not _SIZES & TruthNoise.of(scene).reasons.keys(),
-                offsets_m=OFFSETS_M if read_reports(scene.path) else None,
+                use_sizes=sizes,
+                offsets_m=OFFSETS_M if ais else None,
                 noise_m=self.position_m,
                 attitude=attitude,
             )

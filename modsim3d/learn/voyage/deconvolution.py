@@ -31,10 +31,10 @@ _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
 
 @dataclass(frozen=True, eq=False)
 class LessNoise:
-    """Errors of one state, less those of truth. A component, of e_x, e_y, e_w, e_h, of which they were not `taken_off`
+    """Errors of one state, less those of truth. Where these were not `taken_off` a component, e_x, e_y, e_w or e_h, it
     is an upper bound. `at_least` are standard deviations of what changes from frame to frame, which is the detector's,
-    nan where frames do not tell; `noise_std` are those that errors of truth give, in the unit of the errors; those
-    before and after are means over the boxes."""
+    nan where frames do not tell; `noise_std` are those that errors of truth give, in the unit of the errors; `before`
+    and `after` are those learned and those written, means over the boxes."""
 
     errors: LearnedErrors  # what is written
     taken_off: Mask  # (4,), as are the next

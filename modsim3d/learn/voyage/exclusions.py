@@ -80,8 +80,8 @@ def stale_limit_s(scene: Scene, given: float | None) -> float:
 
 
 class ReportAge:
-    """Age of the reports on a scene's vessels, None where it was not made from AIS. A vessel under way without a report
-    for `stale_s` is left out; slow ones have three minutes."""
+    """Age of the reports on a scene's vessels; `reports` are None where it was not made from AIS. A vessel under way
+    without a report for `stale_s` is left out; slow ones have three minutes."""
 
     def __init__(self, scene: Scene, reports: Reports | None, stale_s: float = STALE_S) -> None:
         """Look at the poses of all steps."""
@@ -206,7 +206,7 @@ def _told_beyond(beyond: Indices) -> Iterator[str]:
 
 
 def _guessed_regions(scene: Scene, camera: Camera, camera_poses: CameraPoses, known: Known) -> Regions:
-    """Where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
+    """Regions where vessels without AIS may be in the frames of a camera with some poses, one for each frame."""
     poses, frames = known.guessed, np.arange(len(known.since_s))
     calm = np.zeros((*poses.present.shape, 3))
     places = PosesInWaves(poses, calm, world_R_vehicle(poses.headings_rad))

@@ -49,9 +49,9 @@ class TruthNoise:
 
     @classmethod
     def of(cls, scene: Scene, position_m: float = POSITION_M, position_s: float = POSITION_S) -> TruthNoise:
-        """That of a scene, with the standard deviation and the correlation time of each coordinate of a position. The
-        report of a scene that `modsim3d ais` made says what was missing; of others only positions are uncertain. Raises
-        InputError if the report beside the scene cannot be read."""
+        """Noise of a scene's truth, given the standard deviation of each coordinate of a position and the correlation
+        time of its error. The report of a scene that `modsim3d ais` made says what was missing; of others only
+        positions are uncertain. Raises InputError if the report beside the scene cannot be read."""
         file = scene.path.parent / REPORT
         content = load_json(file, "report") if file.is_file() else {}
         entries = content.get("vessels", {}) if isinstance(content, dict) else {}
@@ -112,7 +112,7 @@ class View:
     camera: Camera  # as it was registered
     poses: PosesInWaves  # vessels in each frame
     images: Indices  # rows of the labelled set's images, (F,)
-    first_identity: int = 0  # in these images of the scene's first vessel; `joined` sets count on
+    first_identity: int = 0  # that of the scene's first vessel in these images; `joined` sets count on
     moved: Mask | None = None  # which vessels registration has put where their detections are, (V,); None for none
 
 
@@ -190,8 +190,8 @@ class TruthErrors:
     """The errors that n true boxes have from those of their vessels."""
 
     jacobians: Array  # from `box_jacobians`, (n, 4, 8)
-    time_s: Array
-    vessel: Indices
+    time_s: Array  # of each box, (n,)
+    vessel: Indices  # of each box, (n,)
     noise: TruthNoise
     unit_px: Array  # unit of the learned errors, (n, 4)
     moved: Indices  # number of the fit that has moved each, such as the camera and the vessel; −1 for none, (n,)

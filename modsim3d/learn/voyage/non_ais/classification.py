@@ -201,12 +201,12 @@ class ClassifiedDetections:
 
     @cached_property
     def tracks(self) -> CrossingTracks:
-        """Where the vessels without a transponder are."""
+        """Tracks of the vessels without a transponder."""
         return CrossingTracks.of(self.links, self.likely, self.observed.labelled)
 
     @cached_property
     def crossings(self) -> Crossings:
-        """Where they pass known ones."""
+        """Places where they pass known ones."""
         return crossings(self.tracks, self.links, self.observed.labelled, self.observed.matched)
 
     @cached_property

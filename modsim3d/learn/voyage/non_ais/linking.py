@@ -257,7 +257,7 @@ MIN_GAP_FRAMES = 3  # usual gaps between frames that a thing may be missed for i
 
 @dataclass(frozen=True, eq=False)
 class Links:
-    """Detections linked to things."""
+    """Detections linked to things, as columns (n,)."""
 
     rows: Indices  # of the results that are linked, (n,)
     link: Indices  # number of the thing that each is of, from 0 up

@@ -80,7 +80,7 @@ def rates_of(
     found: bool,
     inflation: float,
 ) -> tuple[StateRates, ...]:
-    """The rates in each state; the state of each image is -1 for none, (I,). `found` says that the data show things
+    """The rates in each state; the state of each image is −1 for none, (I,). `found` says that the data show things
     that last as vessels do, and `inflation` is the factor by which flicker that stays raises the variance of the number
     of its detections."""
     weights = resampling.weights
@@ -167,8 +167,8 @@ def in_stretches(stretches: tuple[TimeSpan, ...], time_s: Array) -> Mask:
 
 
 def check_stretches(stretches: tuple[TimeSpan, ...], time_s: Array, counts: Mask | None = None) -> None:
-    """Refuse a stretch in which none of the times (n,) of all frames lies, n >= 1, that counts; all count if `counts`
-    is None. Raises InputError."""
+    """Raise InputError for a stretch in which no frame that counts lies, given the times of all frames, at least one,
+    (n,), and which of them count, (n,); all if None."""
     for stretch in stretches:
         inside = in_stretches((stretch,), time_s)
         if not (inside if counts is None else inside & counts).any():

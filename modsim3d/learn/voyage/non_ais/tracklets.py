@@ -43,7 +43,7 @@ class Behaviour(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Things:
-    """N linked things."""
+    """N linked things, as columns (N,)."""
 
     detections: Indices  # how often each was detected, (N,)
     first_image: Indices  # in which each was detected

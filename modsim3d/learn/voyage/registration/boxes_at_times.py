@@ -73,7 +73,7 @@ class Sightings(Columns):
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Where the vessels' boxes should be in the frames, m rows in order of frame: all that overlap the image."""
+    """Places where the vessels' boxes should be in the frames, m rows in order of frame: all that overlap the image."""
 
     frame: Indices
     vessel: Indices

@@ -66,7 +66,7 @@ def fit_drift(
     """Fit p values of the camera, and where the vessels are. `px` (m,) are residuals with all vessels where their
     reports put them, and `first_px` what is left of them by the last fit. `slopes_px` (m, p) are derivatives by the
     values, and `own_px` (m, 3) by along, across and delay of the row's vessel, per metre and second; for `axes` see
-    `drift_axes`. So many rows `together` count as one."""
+    `drift_axes`. `together` rows count as one."""
     axes_px = (own_px[:, :, None] * axes).sum(axis=1)
     errors, change, normals = first_px, np.zeros(slopes_px.shape[1]), np.zeros(axes_px.shape)
     groups, p = list(clusters(residuals.vessel)), slopes_px.shape[1]
@@ -282,7 +282,7 @@ def _round(
 ) -> _Round:
     """Fit the free shared values and where vessels are, near the values of an alignment. `constant` are standard
     deviations of constant errors, along, across and delay, (3,), `late` those that are not estimated, and `noise_m`
-    that of the drift. So many rows `together` count as one."""
+    that of the drift. `together` rows count as one."""
     residuals = aligned.residuals
     vessel, time_s = residuals.vessel, residuals.sightings.time_s[residuals.row]
     px, slopes = _px_and_slopes(aligner, aligned)

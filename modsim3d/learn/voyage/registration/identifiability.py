@@ -40,8 +40,8 @@ class Linear:
 
     @classmethod
     def of_soft_loss(cls, slopes: Array, residuals: Array, soft: float) -> Linear:
-        """The regression that a fit with the soft loss equals near its solution. With the influence ψ(r) = r / √(1 + (r
-        / soft)²), the information is the mean of ψ' times the slopes' product."""
+        """The regression that a fit with the soft loss equals near its solution. With the influence
+        ψ(r) = r / √(1 + (r / soft)²), the information is the mean of ψ' times the slopes' product."""
         growth = 1 + (residuals / soft) ** 2
         kept = float(np.mean(growth**-1.5)) if len(residuals) else 1.0
         return cls(np.sqrt(kept) * slopes, residuals / np.sqrt(growth) / np.sqrt(kept))
@@ -187,7 +187,7 @@ def directions(linear: Linear, known: Knowledge) -> tuple[Array, Array]:
 
 
 def exchange(linear: Linear, names: tuple[str, ...], held: str, others: list[str]) -> ConfoundedGroup:
-    """By how much others change if a held value were another, from the least squares of the slopes."""
+    """Changes of others if a held value were another, from the least squares of the slopes."""
     if not others:
         return ConfoundedGroup(held, ())
     slope, slopes = linear.slopes[:, names.index(held)], linear.slopes[:, [names.index(name) for name in others]]
