@@ -1,7 +1,5 @@
 """Campaigns that tests write and run in this process."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial

@@ -1,7 +1,5 @@
 """Tables of results written by hand: a plan whose runs all have given scores."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from modsim3d.campaign.keys import CampaignKeys

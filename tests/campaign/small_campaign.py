@@ -1,7 +1,5 @@
 """A finished campaign of one run."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Requirements on a part of the runs that only the simulator can tell: a bin of a breakdown, or a camera."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from typing import Any
 

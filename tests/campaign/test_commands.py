@@ -1,7 +1,5 @@
 """The commands campaign run, status and table, and campaigns from Python."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil

@@ -1,7 +1,5 @@
 """What a campaign costs: the campaign that is timed, and what is worked out from it."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.campaign_costs import CAMPAIGN, FULL, Cost, Million, pair_text

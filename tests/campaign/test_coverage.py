@@ -1,7 +1,5 @@
 """What a row says that its truth covers, held against hand-made scenes and against the scores."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any

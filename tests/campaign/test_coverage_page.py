@@ -1,7 +1,5 @@
 """The sections of a page on what a campaign covered, and on what its verdicts rest."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files of a campaign: relative to its file, found missing before the first run, and known by their checksums."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`detector.miss_rate` and `detector.states.NAME.miss_rate`, wherever keys are set."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A campaign that has ended checks its files when it is opened."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

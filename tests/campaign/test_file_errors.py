@@ -1,7 +1,5 @@
 """A campaign file: every problem at once, each with the key and the value, before anything is written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

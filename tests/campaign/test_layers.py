@@ -1,7 +1,5 @@
 """Layers on the disk: the same rows with less work, and nothing that is damaged."""
 
-from __future__ import annotations
-
 import shutil
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor

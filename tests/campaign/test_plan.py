@@ -1,7 +1,5 @@
 """The plan: conditions, drawn values and seeds, before anything is run."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

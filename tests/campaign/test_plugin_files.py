@@ -1,7 +1,5 @@
 """A plug-in whose files change while its version stays: its old scores are served nowhere."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

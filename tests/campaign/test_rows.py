@@ -1,7 +1,5 @@
 """Rows of a campaign are those that the ordinary commands give, and each layer is made once."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

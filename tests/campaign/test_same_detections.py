@@ -1,7 +1,5 @@
 """Conditions whose detections are the same in all runs are told: in print, in JSON and on the page."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

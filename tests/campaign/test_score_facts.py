@@ -1,7 +1,5 @@
 """Every score with trackers that give nothing, little or everything: whose fault it is that one is undefined."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A search from its file to its folder: trials, crashes, refusals, and going on after an interruption."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The committed comparison of the search with random trials, and a small sample of it."""
 
-from __future__ import annotations
-
 import json
 from contextlib import closing
 from pathlib import Path

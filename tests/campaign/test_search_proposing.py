@@ -1,7 +1,5 @@
 """What a search proposes: inside its ranges, from the seed and what came of earlier batches, and better in time."""
 
-from __future__ import annotations
-
 from statistics import mean
 
 import pytest

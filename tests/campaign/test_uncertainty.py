@@ -1,7 +1,5 @@
 """`uncertainty: learned`: detectors drawn, one for each traffic seed, from what a labelled set leaves open."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

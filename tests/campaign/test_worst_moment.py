@@ -1,7 +1,5 @@
 """The moment at which a run went wrong, on hand-made truth and tracks."""
 
-from __future__ import annotations
-
 from modsim3d.campaign.work.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_frame, worst_moment_s
 from tests.tracking.hand_made import box, hand_made
 

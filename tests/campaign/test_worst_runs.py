@@ -1,7 +1,5 @@
 """The worst runs of a campaign: which they are, and each of them again."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

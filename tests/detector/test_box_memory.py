@@ -1,7 +1,5 @@
 """Box errors each component of which has a memory of its own: correlations are the file's, and `verify` holds them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

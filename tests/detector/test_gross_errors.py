@@ -1,7 +1,5 @@
 """Normal box errors some of which are gross: mean and covariance are the file's, and `verify` holds every number."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Normal box errors some of which are gross, and components that last differently long, are learned as such."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

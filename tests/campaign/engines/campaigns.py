@@ -1,7 +1,5 @@
 """Tiny campaigns, their results as bytes, and processes that are waited for."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

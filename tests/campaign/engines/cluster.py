@@ -1,7 +1,5 @@
 """A Dask scheduler and workers on this machine, in processes of their own."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """A plug-in tracker that waits or ends its process when it is told to, and campaigns with it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

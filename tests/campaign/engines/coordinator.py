@@ -1,7 +1,5 @@
 """Runs a campaign as the command line would, in a process that tests may kill."""
 
-from __future__ import annotations
-
 import sys
 
 from modsim3d import run_campaign

@@ -1,7 +1,5 @@
 """Workers that may not work on a campaign say why."""
 
-from __future__ import annotations
-
 import platform
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A real scheduler and workers that are killed, come late or lose their scheduler."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Runs that end their worker: by their own doing they have crashed, from outside they are tried again and noted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

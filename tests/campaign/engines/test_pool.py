@@ -1,7 +1,5 @@
 """Processes on this machine: they die, are killed, and end with the main process."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

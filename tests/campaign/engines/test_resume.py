@@ -1,7 +1,5 @@
 """Whatever interrupted a campaign or damaged its files: the same command again ends with the same bytes."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Parts of a campaign that know nothing of each other, and what is made of them."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 

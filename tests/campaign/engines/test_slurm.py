@@ -1,7 +1,5 @@
 """Jobs of Slurm, with the real dask-jobqueue; `sbatch` starts the script of a job in the background."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Iterator

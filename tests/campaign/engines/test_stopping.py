@@ -1,7 +1,5 @@
 """A campaign that stops when all is decided counts the same runs whoever makes them, in whatever order."""
 
-from __future__ import annotations
-
 import random
 from functools import partial
 from pathlib import Path
