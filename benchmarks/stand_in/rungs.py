@@ -35,7 +35,7 @@ _ADDED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("places, sizes and lives of false alarms", ("sizes", "places", "lasting")),
     (
         "confidence, merges, splits, tails",
-        ("confidence", "slopes", "duplicates", "merges", "splits", "student_t", "gross"),
+        ("confidence", "slopes", "duplicates", "merges", "splits", "student_t"),
     ),
     ("vessels that are always harder, boxes always off to one side", ("vessels", "components")),
     ("misses as confidences that fall below the threshold", ("score",)),

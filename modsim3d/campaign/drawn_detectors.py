@@ -226,16 +226,12 @@ _BOX_ERROR_KEYS = {
     "box_error_std": "box_error.covariance",
     "box_error_growth": "box_error.growth",
     "box_error_degrees_of_freedom": "box_error.degrees_of_freedom",
-    "box_error_gross_share": "box_error.gross_share",
-    "box_error_gross_ratio": "box_error.gross_ratio",
 }
 _WRITERS: dict[str, Callable[[Array], Any]] = {
     "confusion": columns_of_one,
     "false_positive_labels": columns_of_one,
     "box_error_growth": lambda value: nested(np.maximum(value, 0.0)),
     "box_error_degrees_of_freedom": lambda value: nested(np.clip(value, schema.MIN_DEGREES, schema.MAX_DEGREES)),
-    "box_error_gross_share": lambda value: nested(np.clip(value, _ROUNDING, schema.MAX_GROSS_SHARE)),
-    "box_error_gross_ratio": lambda value: nested(np.clip(value, 1 + _ROUNDING, schema.MAX_GROSS_RATIO)),
     "density": lambda value: nested(np.round(value / value.max(), 6)),
     "quantiles": lambda value: nested(np.maximum.accumulate(value)),
     "false_discovery_rate": lambda value: nested(np.minimum(value, schema.GREATEST_FALSE_DISCOVERY_RATE)),

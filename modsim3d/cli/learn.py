@@ -63,7 +63,7 @@ WithoutOption = Annotated[
     under(
         MODELS,
         "MODEL,...",
-        "Models to leave out, whatever the data carry: relative, mixed, student_t, gross, effects, persistence, score, "
+        "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, score, "
         "vessels, components, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
     ),
 ]

@@ -15,7 +15,6 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams, grid_normals
 from modsim3d.detector.draws import (
     BOX_ERROR_REDRAW_STREAMS,
-    ContaminatedNormal,
     ErrorDistribution,
     LatentPurposes,
     size_factors,
@@ -72,20 +71,6 @@ def symmetric_root(covariance: Array) -> Array:
     return _symmetric_root(tuple(map(tuple, covariance.tolist())))
 
 
-def error_root(covariance: Array, distribution: ErrorDistribution) -> Array:
-    """Matrix from standardised numbers of a distribution to errors of a covariance, shapes (4, 4).
-
-    It is the symmetric root; where components have scales of their own, that of the correlation times the standard
-    deviations, so that it does not depend on what each component is measured in.
-    """
-    if not isinstance(distribution, ContaminatedNormal):
-        return symmetric_root(covariance)
-    std = np.sqrt(np.diag(covariance))
-    divisor = np.where(std > 0, std, 1.0)
-    root: Array = std[:, None] * symmetric_root(covariance / np.outer(divisor, divisor))
-    return root
-
-
 @functools.lru_cache(maxsize=64)
 def _symmetric_root(rows: tuple[tuple[float, ...], ...]) -> Array:
     """As `symmetric_root`, in lists, which are faster for so few numbers; read-only."""
@@ -129,7 +114,7 @@ class BoxErrorSource:
 
     Attributes:
         means: In pixels, or in sides where relative, shape (states, 4).
-        roots: Roots of the covariances, shape (states, 4, 4).
+        roots: Symmetric roots of the covariances, shape (states, 4, 4).
         relative: Whether each state's errors are in sides of the box, shape (states,).
         growths: k over σ₀, in 1/px, for mixed states and else 0, shape (states, 4).
     """
@@ -149,7 +134,7 @@ class BoxErrorSource:
         return cls(
             tuple(state.name for state in model.states),
             read_only([law.mean for law in laws]),
-            read_only([error_root(law.covariance, law.distribution) for law in laws]),
+            read_only([symmetric_root(law.covariance) for law in laws]),
             np.array([law.relative for law in laws]),
             read_only(growth / np.where(growth > 0, [law.std for law in laws], 1.0)),
             tuple(law.distribution for law in laws),

@@ -23,8 +23,8 @@ ErrorUnit = Literal["px", "relative", "mixed"]
 
 
 class ErrorDistribution(Protocol):
-    """A distribution of standardised errors: four independent standard normal numbers times random scales. Its mean is
-    zero and its covariance the identity. `keys` are its own keys in a detector file's `box_error`: its fields."""
+    """A distribution of standardised errors: four independent standard normal numbers times one random scale. Its mean
+    is zero and its covariance the identity. `keys` are its own keys in a detector file's `box_error`: its fields."""
 
     keys: ClassVar[tuple[str, ...]]
 
@@ -33,7 +33,7 @@ class ErrorDistribution(Protocol):
         """Normal numbers that the scale is made from."""
 
     def scales(self, extra: Array) -> Array:
-        """Scales of all components, shape (...), or of each, (..., 4), from independent normal numbers (..., extra)."""
+        """Scales from independent standard normal numbers of shape (..., extra), shape (...)."""
 
 
 @dataclass(frozen=True)
@@ -66,51 +66,15 @@ class StudentT:
         return scales
 
 
-@dataclass(frozen=True)
-class ContaminatedNormal:
-    """Normal errors of which a share is gross (Tukey (1960), "A survey of sampling from contaminated distributions").
-
-    Each component has two scales, one of fine and one of gross errors, and an error has the same one in all components.
-    The scales are such that the covariance is the identity.
-
-    Attributes:
-        gross_share: Share of gross errors.
-        gross_ratio: How many times as large as fine errors they are, of each component.
-    """
-
-    gross_share: float
-    gross_ratio: tuple[float, ...]
-
-    keys: ClassVar[tuple[str, ...]] = ("gross_share", "gross_ratio")
-    extra_normals = 1
-
-    @property
-    def fine_and_gross(self) -> Array:
-        """Scales of fine and of gross errors, shape (2, 4)."""
-        ratio = np.array(self.gross_ratio)
-        fine = 1 / np.sqrt(1 - self.gross_share + self.gross_share * ratio**2)
-        return np.stack([fine, ratio * fine])
-
-    def scales(self, extra: Array) -> Array:
-        """From one normal number each, which is gross where its probability is below the share, shape (..., 4)."""
-        scales: Array = self.fine_and_gross[(special.ndtr(extra[..., 0]) < self.gross_share).astype(np.int64)]
-        return scales
-
-
 def standardised(distribution: ErrorDistribution, latent: Array) -> Array:
     """Standardised errors from normal numbers of shape (..., at least 4 + extra), shape (..., 4)."""
     normal, extra = latent[..., :ERROR_NORMALS], distribution.extra_normals
     if not extra:
         return normal
-    scales = on_grid(distribution.scales(latent[..., ERROR_NORMALS : ERROR_NORMALS + extra]))
-    return normal * (scales if scales.ndim == normal.ndim else scales[..., None])
+    return normal * on_grid(distribution.scales(latent[..., ERROR_NORMALS : ERROR_NORMALS + extra]))[..., None]
 
 
-ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {
-    "normal": Normal,
-    "student_t": StudentT,
-    "contaminated_normal": ContaminatedNormal,
-}
+ERROR_DISTRIBUTIONS: Mapping[str, type[ErrorDistribution]] = {"normal": Normal, "student_t": StudentT}
 """By the name that `box_error.law` has in a detector file."""
 
 

@@ -15,8 +15,8 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask, read_only
 from modsim3d.core.boxes import at_least_a_pixel, sizes
-from modsim3d.detector.box_error import BoxErrorSource, symmetric_root
-from modsim3d.detector.draws import ERROR_NORMALS, ContaminatedNormal, ErrorDistribution, Normal
+from modsim3d.detector.box_error import BoxErrorSource
+from modsim3d.detector.draws import ERROR_NORMALS, ErrorDistribution, Normal
 
 # ---- Scrambled points of Sobol's sequence ----
 
@@ -105,9 +105,6 @@ def accepted_errors(
     time. `mean` and `covariance` are those of e_x, e_y, e_w, e_h before truncation in pixels, (4,) or (n, 4), and px²,
     (4, 4) or (n, 4, 4). `points` for each box is a power of two. `at_once` is the number of points of all boxes at a
     time; the points do not depend on it, but sums over parts may."""
-    if isinstance(distribution, ContaminatedNormal):
-        yield from _contaminated(boxes_px, images_px, mean, covariance, distribution, points, at_once)
-        return
     means = np.broadcast_to(mean, (len(boxes_px), 4))
     roots = np.broadcast_to(ordered_root(covariance), (len(boxes_px), 4, 4))
     width = ERROR_NORMALS + distribution.extra_normals
@@ -121,37 +118,6 @@ def accepted_errors(
         scales = distribution.scales(special.ndtri(np.moveaxis(drawn, 0, -1)))
         normals = functools.partial(_normals, *numbers)
         yield _draw(rows, boxes_px[rows], images_px[rows], means[rows], roots[rows], uniforms, normals, scales)
-
-
-def _contaminated(
-    boxes_px: Array,
-    images_px: Array,
-    mean: Array,
-    covariance: Array,
-    distribution: ContaminatedNormal,
-    points: int,
-    at_once: int,
-) -> Iterator[Accepted]:
-    """Points of fine errors, then of gross ones, of every box; each weighs by how often it is drawn and counts."""
-    if not len(boxes_px):
-        return
-    std = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    divisor = np.where(std > 0, std, 1.0)
-    correlation = (covariance / (divisor[..., :, None] * divisor[..., None, :])).reshape(-1, 4, 4)[0]
-    root = symmetric_root(correlation)  # all boxes share the correlation
-    parts = []
-    for scales in distribution.fine_and_gross:
-        matrix = (root * scales**2) @ root.T
-        scaled = std[..., :, None] * matrix * std[..., None, :]
-        parts.append(accepted_errors(boxes_px, images_px, mean, scaled, _NORMAL, points, at_once))
-    shares = 1 - distribution.gross_share, distribution.gross_share
-    for fine, gross in zip(*parts, strict=True):
-        counted = [share * part.acceptance for share, part in zip(shares, (fine, gross), strict=True)]
-        acceptance = counted[0] + counted[1]
-        divided = np.where(acceptance > 0, acceptance, 1.0)
-        weights = [part.weights * (each / divided)[:, None] for part, each in zip((fine, gross), counted, strict=True)]
-        errors = np.concatenate([fine.errors, gross.errors], axis=1)
-        yield Accepted(fine.rows, errors, np.concatenate(weights, axis=1), acceptance)
 
 
 @functools.lru_cache(_PARTS_KEPT)

@@ -11,12 +11,11 @@ from scipy import optimize
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, errors_between, move, sizes
-from modsim3d.detector.draws import ContaminatedNormal
 from modsim3d.detector.false_positive_placement import depths_px, sea_levels
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
-from modsim3d.learn.box_errors.fit import ErrorFit, Gate, fit_errors, fit_without_gate, slopes
-from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_gross_errors, fit_student_t
+from modsim3d.learn.box_errors.fit import ErrorFit, fit_errors, fit_without_gate
+from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_student_t
 from modsim3d.learn.counted_types import CountedAs, counted_as
 from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
 
@@ -56,32 +55,6 @@ class ErrorFits:
         """Log-likelihood of the likeliest distribution of a kind, −∞ where there is none or it is below the least."""
         found = self.fit(unit, heavy, least)
         return -np.inf if found is None or not found.settled else found.value
-
-    def contaminated(self, unit: Unit) -> ErrorFit | None:
-        """Normal errors as if matching cut off nothing, some of which are gross; None where the errors determine none.
-
-        Mean and covariance are those of normal errors, so that they are the data's whatever the tails.
-        """
-        start = self._start(unit, heavy=False) if len(self.edges) else None
-        if start is None:
-            return None
-        fit = fit_without_gate(start, self.edges)
-        standard = fit.model.uncorrelated(self.over_spread(fit.model))
-        share, ratio = fit_gross_errors(standard, np.ones((1, len(standard))))
-        gross = ContaminatedNormal(float(share[0]), tuple(ratio[0].tolist()))
-        return replace(fit, model=replace(fit.model, gross=gross))
-
-    def normal_value(self, unit: Unit) -> float:
-        """Log-likelihood of `unclipped` boxes by normal errors of which matching cut off a part; −∞ without a fit."""
-        fit = self.fit(unit)
-        if fit is None:
-            return -np.inf
-        edges = self.edges[self.edges.unclipped]
-        return slopes(fit.model, edges, Gate.of(edges, fit.model)).value
-
-    def of_law(self, unit: Unit, law: str) -> ErrorFit | None:
-        """Fit of a distribution by the name that `box_error.law` has in a detector file."""
-        return self.contaminated(unit) if law == "contaminated_normal" else self.chosen(unit, law == "student_t")
 
     def unclipped(self, relative: bool) -> Array:
         """Errors of the boxes of which all edges are known, else of all, in pixels or sides, shape (m, 4)."""
@@ -133,11 +106,6 @@ class ErrorFits:
         """Errors of `unclipped` boxes less their mean over their standard deviation by a distribution, shape (m, 4)."""
         mean, std = model.at(self.edges.sides_px[self.edges.unclipped])
         return (self.edges.errors_px[self.edges.unclipped] - mean) / std
-
-    def log_spread(self, model: ErrorModel) -> float:
-        """Logarithm of the determinant of the root of the covariance of `unclipped` errors, summed over them."""
-        _, std = model.at(self.edges.sides_px[self.edges.unclipped])
-        return float(np.log(std).sum() + len(std) * np.linalg.slogdet(model.correlation)[1] / 2)
 
 
 def _regular(errors: Array) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import clip, inside_image, move, sizes
-from modsim3d.detector.box_error import error_root
+from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.chain import DetectorPart, model_name
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS, ERROR_NORMALS, standardised
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX
@@ -248,7 +248,7 @@ def replayed_errors(law: ErrorParameters, sample: StateErrors, latent: Array, rn
 def _root(law: ErrorParameters) -> Array:
     """Matrix from latent numbers to standardised errors, by the root of the file's covariance, shape (4, 4)."""
     covariance = law.correlation * np.outer(law.std, law.std)
-    return error_root(covariance, law.distribution) / law.std[:, None]
+    return symmetric_root(covariance) / law.std[:, None]
 
 
 MIN_DETECTIONS = 150  # box errors of a state with fewer true detections are not tested

@@ -12,13 +12,12 @@ from scipy import special
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
 from modsim3d.detector import draws
-from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.chain import model_name
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 
 FIRST, SECOND = np.triu_indices(4)
 PLAIN = 14  # statistics of mean and covariance: four values and ten products
-_MAX_FREEDOM, _LEVELS, _DRAWS, _SMALL = 1e4, 400, 100_000, 1e-5
+_MAX_FREEDOM, _LEVELS = 1e4, 400
 
 
 class ErrorLikelihood:
@@ -44,19 +43,9 @@ class ErrorLikelihood:
         """Statistics of standardised errors (..., 4), shape (..., 14 + s): the values and their ten products first."""
         return np.concatenate([standardised, products_of(standardised)], axis=-1)
 
-    def latent_share(self, distribution: Any) -> float | Array:
-        """Correlation kept between latent normal numbers and whitened statistics, 1 for a normal distribution.
-
-        Of all components, or of each, shape (4,).
-        """
+    def latent_share(self, distribution: Any) -> float:
+        """Correlation kept between latent normal numbers and whitened statistics, 1 for a normal distribution."""
         return 1.0
-
-    def weights(self, correlation: Array) -> Array:
-        """Derivatives of the log-likelihood by all numbers as weights of the m statistics, shape (14 + s, m)."""
-        own = len(self.shape_names)
-        weights = np.eye(PLAIN + own)
-        weights[:PLAIN, :PLAIN] = directions(correlation)
-        return weights
 
 
 class StudentTLikelihood(ErrorLikelihood):
@@ -99,75 +88,7 @@ class StudentTLikelihood(ErrorLikelihood):
         return with_latent / variance
 
 
-class ContaminatedNormalLikelihood(ErrorLikelihood):
-    """Normal errors some of which are gross, with z = T⁻¹·y of standardised errors y, T the root of their correlation.
-
-    With a_j and b_j the scales of fine and of gross errors and p the probability that an error is gross, the means of
-    1/s_j² are w_j = (1 − p)/a_j² + p/b_j². The statistics are T·(w∘z), the products w_i·z_i·z_j, and those of the
-    shape, whose steps are of the log-odds of the share and of the logarithm of each ratio.
-    """
-
-    shape_names = ("gross_share", *(f"gross_ratio[{component}]" for component in ERROR_COMPONENTS))
-
-    def shape(self, distribution: draws.ContaminatedNormal) -> Array:
-        """Share and ratios, shape (5,)."""
-        return np.array([distribution.gross_share, *distribution.gross_ratio])
-
-    def shape_units(self, distribution: draws.ContaminatedNormal) -> Array:
-        """g·(1 − g) and the ratios, shape (5,)."""
-        share = distribution.gross_share
-        return np.array([share * (1 - share), *distribution.gross_ratio])
-
-    def reshaped(self, distribution: draws.ContaminatedNormal, step: Array) -> draws.ErrorDistribution:
-        """The distribution a step of shape (5,) away."""
-        share = float(special.expit(special.logit(distribution.gross_share) + step[0]))
-        return draws.ContaminatedNormal(share, tuple((np.array(distribution.gross_ratio) * np.exp(step[1:])).tolist()))
-
-    def statistics(self, distribution: draws.ContaminatedNormal, correlation: Array, standardised: Array) -> Array:
-        """Four weighted values, sixteen products and five statistics of the shape, shape (..., 25)."""
-        root = symmetric_root(correlation)
-        z = standardised @ np.linalg.inv(root).T
-        share, (fine, gross) = distribution.gross_share, distribution.fine_and_gross**2
-        odds = special.logit(share) + (np.log(fine / gross) + z**2 * (1 / fine - 1 / gross)).sum(axis=-1) / 2
-        chance = special.expit(odds)[..., None]
-        weighted = ((1 - chance) / fine + chance / gross) * z
-        products = (weighted[..., :, None] * z[..., None, :]).reshape(*z.shape[:-1], 16)
-        by_gross = chance * (z**2 / gross - 1)  # derivatives by the logarithm of each gross scale, and of both
-        by_both = (1 - chance) * (z**2 / fine - 1) + by_gross
-        squares = np.array(distribution.gross_ratio) ** 2
-        of_share = chance[..., 0] - share - share * (1 - share) / 2 * (by_both * fine * (squares - 1)).sum(axis=-1)
-        of_ratios = by_gross - share * squares * fine * by_both
-        return np.concatenate([weighted @ root.T, products, of_share[..., None], of_ratios], axis=-1)
-
-    def weights(self, correlation: Array) -> Array:
-        """Derivatives by the means, the logarithms of the standard deviations, the correlations and the shape."""
-        root, weights = symmetric_root(correlation), np.zeros((PLAIN + 5, 25))
-        inverse = np.linalg.inv(root)
-        weights[:4, :4] = np.linalg.inv(correlation)
-        for j in range(4):
-            weights[4 + j, 4:20] = np.outer(inverse[:, j], root[j]).ravel()
-        for row, (i, j) in enumerate(ERROR_PAIRS):
-            change = np.zeros((4, 4))
-            change[i, j] = change[j, i] = _SMALL
-            slope = (symmetric_root(correlation + change) - symmetric_root(correlation - change)) / (2 * _SMALL)
-            weights[8 + row, 4:20] = (inverse @ slope).ravel()
-        weights[PLAIN:, 20:] = np.eye(5)
-        return weights
-
-    def latent_share(self, distribution: draws.ContaminatedNormal) -> Array:
-        """Correlation kept of each component, by draws, shape (4,)."""
-        latent = np.random.default_rng(0).standard_normal((_DRAWS, 5))
-        standard = draws.standardised(distribution, latent)
-        weighted = self.statistics(distribution, np.eye(4), standard)[:, :4]
-        share: Array = (weighted * latent[:, :4]).mean(axis=0) / (weighted**2).mean(axis=0)
-        return share
-
-
-LIKELIHOODS: Mapping[str, ErrorLikelihood] = {
-    "normal": ErrorLikelihood(),
-    "student_t": StudentTLikelihood(),
-    "contaminated_normal": ContaminatedNormalLikelihood(),
-}
+LIKELIHOODS: Mapping[str, ErrorLikelihood] = {"normal": ErrorLikelihood(), "student_t": StudentTLikelihood()}
 """By the name of the distribution; one that is not here is reported as unchecked."""
 
 
@@ -239,8 +160,10 @@ class ErrorParameters:
     def score_weights(self, boxes_px: Array) -> tuple[Array, Array]:
         """Weights with which statistics add up to the derivatives of the log-likelihood by the p parameters, shape
         (p, m), and factors on their sums box by box, shape (n, p), for boxes (n, 4)."""
-        every = self.likelihood.weights(self.correlation)
-        of = np.concatenate([np.arange(PLAIN), 4 + self.growing, np.arange(PLAIN, len(every))])
+        shape = len(self.likelihood.shape_names)
+        every = np.eye(PLAIN + shape)
+        every[:PLAIN, :PLAIN] = directions(self.correlation)
+        of = np.concatenate([np.arange(PLAIN), 4 + self.growing, PLAIN + np.arange(shape)])
         gains = np.ones((len(boxes_px), len(of)))
         if len(self.growing):
             _, stds = self.at(boxes_px)

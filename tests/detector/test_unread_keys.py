@@ -47,19 +47,17 @@ OTHERS: dict[str, list[Any]] = {
     **{"false_positive_labels": [[0.1, 0.2, 0.7]], "false_discovery_rate": [0.5], "false_positives_per_image": [3.5]},
     "box_error": [{"unit": "relative", "mean": [0, 0, 0, 0], "covariance": SKEWED}],
     **{"unit": ["px", "relative"], "mean": [0.51, [0.1, 0.1, 0.1, 0.1]], "std": [0.2], "covariance": [SKEWED]},
-    **{"gross_share": [0.2], "gross_ratio": [[3, 3, 3, 3]], "box": [{"vessel_share": [0.4] * 4}]},
+    "box": [{"vessel_share": [0.4] * 4}],
     **{"degrees_of_freedom": [3], "law": ["normal"], "growth": [[0.1, 0.1, 0.1, 0.1]]},
     **{"true": [{"mean": 0.5, "std": 0.2}], "false": [{"mean": 0.5, "std": 0.2}], "quantiles": [[0.3, 0.5, 0.9]]},
     **{"precision_recall": [[[0.4, 0.99], [0.7, 0.8]]], "visibility_slope": [0.15], "size_slope": [0.15]},
     "size_reference_px": [500.0],
 }
 """Name of a key → values of which at least one is another one than the file's and fits it."""
-GROSS = {"gross box errors that persist": variant("plain")}
+REMEMBERED = {"box errors with a memory each": variant("plain")}
 """By name of the test."""
-for each in GROSS.values():
+for each in REMEMBERED.values():
     each["persistence"] = {"box": {"vessel_share": [0.3] * 5, "shares": [[0.2] * 5], "times_s": [2.0]}}
-    for gross_state in each["states"].values():
-        gross_state["box_error"] |= {"law": "contaminated_normal", "gross_share": 0.1, "gross_ratio": [4, 3, 4, 2]}
 MODELS = {
     "dropout": ["logistic", "table", "confusion"],
     "false_positives": ["per_image", "thesis", "calibrated"],
@@ -123,11 +121,12 @@ def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
         "dropout by a table of distance",
         "Student's t box errors",
         "confidence from a precision-recall curve",
-        "gross box errors that persist",
+        "box errors with a memory each",
     ],
 )
 def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
-    plain = variant(name) if name in CHANGES else GROSS.get(name) or load_yaml(shipped_detectors()[name], "detector")
+    made = variant(name) if name in CHANGES else REMEMBERED.get(name)
+    plain = made or load_yaml(shipped_detectors()[name], "detector")
     moving = in_every_state(plain)
     unchanged = {id(base): (output(base), meaning(parse_detector(base))) for base in (plain, moving)}
     silent, read = [], 0

@@ -127,8 +127,7 @@ def test_a_note_says_that_tails_are_as_heavy_as_is_fitted() -> None:
         results, true = labelled.results, labelled.annotations.boxes_px[labelled.results.origin]
         scale = np.minimum(np.exp(power * np.random.default_rng(1).normal(size=(len(results), 1))), 30)
         labelled = replace(labelled, results=replace(results, boxes_px=true + scale * (results.boxes_px - true)))
-        observed = replace(observed_in(labelled, Rule("provenance")), without=frozenset({"gross"}))
-        learned = learned_in(observed, Rule("provenance"), replicates=0)
+        learned = learn_from(labelled, Rule("provenance"), replicates=0)
         notes.append([note for note in learned.notes if "degrees_of_freedom at the least that is fitted, 2.5" in note])
     assert [len(each) for each in notes] == [0, 1]
 

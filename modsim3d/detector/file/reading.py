@@ -280,12 +280,8 @@ def _box_error(section: BoxErrorSection) -> BoxErrorLaw:
         covariance=read_only((covariance + covariance.T) / 2),
         unit=section.unit,
         growth=read_only(section.growth or np.zeros(4)),
-        distribution=distribution(**{key: _value(getattr(section, key)) for key in distribution.keys}),
+        distribution=distribution(**{key: getattr(section, key) for key in distribution.keys}),
     )
-
-
-def _value(value: float | list[float]) -> float | tuple[float, ...]:
-    return tuple(value) if isinstance(value, list) else value
 
 
 def _confidence(keys: schema_models.ConfidenceKeys, threshold: float) -> StateConfidence:

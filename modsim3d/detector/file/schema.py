@@ -187,24 +187,6 @@ def _freedom_problems(value: float) -> list[str]:
     ]
 
 
-MAX_GROSS_SHARE, MAX_GROSS_RATIO = 0.5, 200.0
-
-
-def _gross_share_problems(value: float) -> list[str]:
-    if 0 < value <= MAX_GROSS_SHARE:
-        return []
-    return [f"is {value:.6g}, must be above 0 and at most {MAX_GROSS_SHARE:g}: gross errors are the fewer"]
-
-
-def _gross_ratio_problems(values: list[float]) -> list[str]:
-    if len(values) != len(ERROR_COMPONENTS):
-        return _length_problems(values)
-    if all(0 < value <= MAX_GROSS_RATIO for value in values) and max(values) > 1:
-        return []
-    shown = ", ".join(f"{value:g}" for value in values)
-    return [f"is {shown}, must be above 0 and at most {MAX_GROSS_RATIO:g}, and above 1 for some component"]
-
-
 def _unknown_state(value: str, states: Sequence[str]) -> list[str]:
     return [] if value in states else [f"unknown state '{value}' ({nearest(value, states)})"]
 
@@ -224,8 +206,6 @@ StateName = Annotated[Name, _against("states", _unknown_state)]
 FalsePositiveModelName = Annotated[Name, _one_of(FALSE_POSITIVE_MODELS, "model")]
 ErrorLawName = Annotated[Name, _one_of(ERROR_DISTRIBUTIONS, "law")]
 DegreesOfFreedom = Annotated[Number, _checked_by(_freedom_problems)]
-GrossShare = Annotated[Number, _checked_by(_gross_share_problems)]
-GrossRatio = Annotated[list[Number], _checked_by(_gross_ratio_problems)]
 FalseDiscoveryRate = Annotated[Number, _checked_by(_discovery_problems)]
 
 
@@ -234,8 +214,6 @@ class BoxErrorSection(Strict):
 
     law: ErrorLawName = "normal"
     degrees_of_freedom: DegreesOfFreedom | None = None
-    gross_share: GrossShare | None = None
-    gross_ratio: GrossRatio | None = None
     unit: Literal["px", "relative", "mixed"]
     mean: Mean
     covariance: Covariance

@@ -65,7 +65,7 @@ class UsedMatches:
             int(np.count_nonzero(~edges.counted.all(axis=1))),
             int(np.count_nonzero(edges.censored.any(axis=1))),
             lost,
-            fit is None or fit.settled or fit.model.gross is not None,
+            fit is None or fit.settled,
         )
 
     @property
@@ -184,7 +184,7 @@ class BoxErrorForm:
     def estimate(self, observed: Observed, resampling: bootstrap.Resampling) -> LearnedBoxErrors:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
-        found = [each.of_law(form.unit, form.law) for each, form in zip(fits, self.states, strict=True)]
+        found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
         persistence = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
         box_s = 0.0 if persistence.box_s is None else float(persistence.box_s.estimate)
         kept, learned, used = kept_share(observed, box_s), [], []
@@ -244,7 +244,7 @@ def _consecutive(
 
 def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, law: str = "normal") -> ErrorModel | None:
     """The likeliest distribution of a state's own errors; None where it has too few."""
-    fit = fits.of_law(unit, law) if source is ErrorSource.OWN_STATE else None
+    fit = fits.chosen(unit, law != "normal") if source is ErrorSource.OWN_STATE else None
     return None if fit is None else fit.model
 
 
@@ -294,8 +294,8 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
             law = choose_law(each, kept, observed.without)
         kind = law.unit if law.law == "normal" else law.law
         notes += [f"states.{name}.box_error: {kind}, for {' and '.join(law.reasons)}"] if law.reasons else []
-        fit = each.of_law(law.unit, law.law)
-        if fit is not None and not fit.settled and law.law != "contaminated_normal":
+        fit = each.chosen(law.unit, law.heavy)
+        if fit is not None and not fit.settled:
             notes.append(
                 f"states.{name}.box_error: as if matching cut off nothing; too many boxes fail the matching to tell "
                 "how far errors spread beyond it"

@@ -179,7 +179,7 @@ def _of_pattern(model: ErrorModel, edges: MatchedEdges, rows: Indices) -> Comple
     zeta = np.zeros((len(rows), 4))
     for j in range(count):
         zeta[:, j] = (moved[:, j] - (root[:, j, :j] * zeta[:, :j]).sum(axis=1)) / root[:, j, j]
-    value = log_density(model, zeta[:, :count]) - np.log(np.diagonal(root[:, :count, :count], axis1=1, axis2=2)).sum(1)
+    value = _log_density(model, zeta[:, :count]) - np.log(np.diagonal(root[:, :count, :count], axis1=1, axis2=2)).sum(1)
     if count == 4:
         return Completed(rows, edges.outward_px[:, None], np.ones((len(rows), 1)), value)
     uniforms = _uniforms(len(rows), 4 - count + model.heavy)
@@ -219,7 +219,7 @@ def _uniforms(count: int, width: int) -> Array:
     return uniforms
 
 
-def log_density(model: ErrorModel, zeta: Array) -> Array:
+def _log_density(model: ErrorModel, zeta: Array) -> Array:
     """Log-density of standardised independent numbers (m, k), shape (m,)."""
     k, q = zeta.shape[1], (zeta**2).sum(axis=1)
     if not model.heavy:

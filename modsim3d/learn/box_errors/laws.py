@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.detector.draws import ContaminatedNormal
-from modsim3d.detector.file.schema import MAX_GROSS_RATIO, MAX_GROSS_SHARE, covariance_problems
+from modsim3d.detector.file.schema import covariance_problems
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn import bootstrap
 from modsim3d.learn.box_errors import matched_edges
-from modsim3d.learn.box_errors.fit import ErrorFit, log_density
+from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.matches import ErrorFits
 
 # ---- Which kind of distribution the box errors of a state speak for ----
@@ -22,10 +21,6 @@ T_NEEDED = MIXED_NEEDED = 100
 """Errors of a state that a choice between distributions needs."""
 _GROWTHS, _GROWTHS_SIGNIFICANT = 4, 18.5
 """Numbers that mixed errors have more, and what chi-square of so many exceeds once in a thousand times."""
-_GROSS_NUMBERS, _GROSS_SIGNIFICANT = 5, 20.5
-"""The same of gross errors."""
-_SOUND_DEGREES = 3.0
-"""Degrees of freedom below which Student's t has hardly a covariance."""
 _MAX_ALIKE, _ALIKE = 1.1, 0.1
 
 
@@ -76,7 +71,7 @@ def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenL
                 best, chosen = fits.value(each, heavy=True), ChosenLaw(each, "student_t", (reason,))
     if "mixed" not in without and len(fits.edges) >= MIXED_NEEDED and _sides_differ(fits.edges):
         chosen = _with_growth(fits, chosen, kept, without)
-    return chosen if "gross" in without else _with_gross_errors(fits, chosen, kept, without)
+    return chosen
 
 
 def _other(unit: matched_edges.Unit) -> matched_edges.Unit:
@@ -127,62 +122,6 @@ def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozen
     why = f"spreads have a fixed and a growing part (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
     tails = _tails(tailed - normal, len(fits.edges), kept) if mixed_heavy else ""
     return ChosenLaw("mixed", "student_t" if mixed_heavy else "normal", (why, tails) if tails else (why,))
-
-
-def _with_gross_errors(fits: ErrorFits, chosen: ChosenLaw, kept: float, without: frozenset[str]) -> ChosenLaw:
-    """Normal errors some of which are gross where they are clearly likelier than none, else the kind that was chosen.
-
-    They take the place of Student's t where they are likelier, or where its tails leave hardly a covariance. Normal
-    errors count with what matching cut off, which may look like gross errors, too.
-    """
-    count = int(np.count_nonzero(fits.edges.whole))
-    if count < T_NEEDED:
-        return chosen
-    units = [
-        unit for unit in matched_edges.UNITS if unit not in without and (unit != "mixed" or _sides_differ(fits.edges))
-    ]
-    growing = max(_GROWTHS * np.log(count), _GROWTHS_SIGNIFICANT) / 2 * excess(kept**2)
-    handicaps = {"px": 0.0, "relative": _ALIKE, "mixed": growing}  # boxes of one size tell no difference
-    values = {unit: _gross_value(fits, unit) - handicaps[unit] for unit in units}
-    unit = max(values, key=lambda each: values[each])
-    alike = excess(kept**4)
-    normal = max(_gross_value(fits, unit, none=True), *(fits.normal_value(each) for each in units))
-    gain = (_gross_value(fits, unit) - normal) / alike
-    needed = max(_GROSS_NUMBERS * float(np.log(count / alike)), _GROSS_SIGNIFICANT) / 2
-    if not gain > needed or not np.isfinite(gain) or not _can_be(fits.contaminated(unit)):
-        return chosen
-    if chosen.heavy:
-        tailed = fits.chosen(chosen.unit, heavy=True)
-        sound = tailed is not None and tailed.model.freedom >= _SOUND_DEGREES
-        if sound and _student_t_value(fits, chosen.unit) > values[unit]:
-            return chosen
-    share = f"a share of the errors is gross (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
-    return ChosenLaw(unit, "contaminated_normal", (share,))
-
-
-def _can_be(fit: ErrorFit | None) -> bool:
-    """Whether a detector file may have such gross errors; those of boxes that are mostly exact it may not."""
-    gross = None if fit is None else fit.model.gross
-    return gross is not None and gross.gross_share <= MAX_GROSS_SHARE and max(gross.gross_ratio) <= MAX_GROSS_RATIO
-
-
-def _gross_value(fits: ErrorFits, unit: matched_edges.Unit, none: bool = False) -> float:
-    """Log-likelihood of boxes with all edges known by normal errors some of which are gross, or none of which is."""
-    fit = fits.contaminated(unit)
-    if fit is None or fit.model.gross is None:
-        return -np.inf
-    standard = fit.model.uncorrelated(fits.over_spread(fit.model))
-    gross = ContaminatedNormal(fit.model.gross.gross_share, (1.0,) * 4) if none else fit.model.gross
-    return float(matched_edges.gross_log_density(standard, gross).sum()) - fits.log_spread(fit.model)
-
-
-def _student_t_value(fits: ErrorFits, unit: matched_edges.Unit) -> float:
-    """Log-likelihood of boxes with all edges known by Student's t."""
-    fit = fits.chosen(unit, heavy=True)
-    if fit is None:
-        return -np.inf
-    standard = fit.model.uncorrelated(fits.over_spread(fit.model))
-    return float(log_density(fit.model, standard).sum()) - fits.log_spread(fit.model)
 
 
 def _heavy_possible(fits: ErrorFits, relative: bool) -> bool:
@@ -278,7 +217,7 @@ def moments(resampling: bootstrap.Resampling, image: Indices, values: Array) -> 
     return mean + centre, std, correlation
 
 
-LAWS = ("normal", "student_t", "contaminated_normal")
+LAWS = ("normal", "student_t")
 """Distributions of box errors that can be learned, by the name that `box_error.law` has in a detector file."""
 _PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in ERROR_PAIRS)
 _LARGEST_STEP = 5.0
@@ -331,8 +270,6 @@ class LearnedErrors:
         correlation: Of the `ERROR_PAIRS`, shape (6,).
         growth: By how much standard deviations grow with the side, shape (4,); None unless mixed.
         degrees_of_freedom: Of Student's t law; None of others.
-        gross_share: Share of gross errors; None of other laws.
-        gross_ratio: How many times as large as other errors they are; None of other laws.
     """
 
     unit: matched_edges.Unit
@@ -341,17 +278,12 @@ class LearnedErrors:
     correlation: bootstrap.Entry
     growth: bootstrap.Entry | None = None
     degrees_of_freedom: bootstrap.Entry | None = None
-    gross_share: bootstrap.Entry | None = None
-    gross_ratio: bootstrap.Entry | None = None
 
     def section(self) -> dict[str, Any]:
         """The section `box_error` of a detector file."""
         section: dict[str, Any] = {"unit": self.unit}
         if self.degrees_of_freedom is not None:
             section |= {"law": "student_t", "degrees_of_freedom": bootstrap.nested(self.degrees_of_freedom.estimate)}
-        if self.gross_share is not None and self.gross_ratio is not None:
-            section |= {"law": "contaminated_normal", "gross_share": bootstrap.nested(self.gross_share.estimate)}
-            section["gross_ratio"] = bootstrap.nested(self.gross_ratio.estimate)
         mean, std, correlation = (np.nan_to_num(each.estimate) for each in (self.mean, self.std, self.correlation))
         section |= {"mean": bootstrap.nested(mean), "covariance": _written(_positive(covariance(std, correlation)))}
         if self.growth is not None:
@@ -362,34 +294,8 @@ class LearnedErrors:
 def learned_errors(resampling: bootstrap.Resampling, sample: ErrorSample) -> LearnedErrors:
     """The numbers of one state, with replicates that spread at least as theory has it for errors that persist."""
     if sample.fit is None or (sample.fit.plain and not sample.fit.model.heavy and sample.unit != "mixed"):
-        learned = _moments(resampling, sample)
-    else:
-        learned = _likeliest(resampling, sample, sample.fit)
-    if sample.fit is None or sample.fit.model.gross is None:
-        return learned
-    share, ratio = _gross_entries(resampling, sample, sample.fit)
-    return replace(learned, gross_share=share, gross_ratio=ratio)
-
-
-def _gross_entries(
-    resampling: bootstrap.Resampling, sample: ErrorSample, fit: ErrorFit
-) -> tuple[bootstrap.Entry, bootstrap.Entry]:
-    """Share and ratios of gross errors with replicates, which spread at least as those of errors that persist."""
-    chosen, model = fit.edges.unclipped, fit.model
-    mean, std = model.at(fit.edges.sides_px[chosen])
-    standard = model.uncorrelated((fit.edges.errors_px[chosen] - mean) / std)
-    share, ratio = matched_edges.fit_gross_errors(standard, resampling.weights[:, fit.edges.image[chosen]])
-    gross, alike, count = len(standard) * share[0], excess(sample.kept), float(len(standard))
-    least = np.sqrt(alike / (gross * (1 - share[0]))), np.full(4, np.sqrt(alike / (2 * gross)))
-
-    def column(values: Array, kind: bootstrap.Kind, error: Array) -> bootstrap.Column:
-        wide = bootstrap.from_scale(bootstrap.widened(bootstrap.to_scale(values, kind), error), kind)
-        return bootstrap.Column(wide, kind, np.full(values.shape[1:], count))
-
-    return (
-        sample.entry("gross_share", column(share, "fraction", least[0])),
-        sample.entry("gross_ratio", column(ratio, "positive", least[1]), ERROR_COMPONENTS),
-    )
+        return _moments(resampling, sample)
+    return _likeliest(resampling, sample, sample.fit)
 
 
 def _moments(resampling: bootstrap.Resampling, sample: ErrorSample) -> LearnedErrors:

@@ -16,7 +16,6 @@ from scipy import optimize, special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.box_error import symmetric_root
-from modsim3d.detector.draws import ContaminatedNormal
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.matching import Rule
 
@@ -202,7 +201,6 @@ class MatchedEdges:
 # ---- Numbers of a distribution of box errors ----
 
 Unit = Literal["px", "relative", "mixed"]
-UNITS: tuple[Unit, ...] = ("px", "relative", "mixed")
 MIN_DEGREES, MAX_DEGREES = 2.5, 200.0
 """Bounds of ν: with 2 there is no covariance; with more than 200 the distribution is as good as normal."""
 _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
@@ -212,7 +210,7 @@ _MEANS, _STDS, _PAIRS, _FREEDOM = slice(0, 4), slice(4, 8), slice(8, 14), 14
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Normal errors, Student's t ones where ν is finite, or normal ones some of which are gross; see `BoxErrorLaw`.
+    """Normal errors, or Student's t ones where ν is finite; see `BoxErrorLaw`.
 
     Attributes:
         mean: In pixels, or in sides of the box if relative, shape (4,).
@@ -222,7 +220,6 @@ class ErrorModel:
         growth: By how much mixed standard deviations grow with the side, shape (4,).
         freedom: Degrees of freedom ν; infinite for normal errors.
         floor: Least standard deviation that a fit goes to, shape (4,).
-        gross: Gross errors, whose spread is part of `std`; None without.
     """
 
     mean: Array
@@ -232,7 +229,6 @@ class ErrorModel:
     growth: Array = field(default_factory=lambda: np.zeros(4))
     freedom: float = np.inf
     floor: Array = field(default_factory=lambda: np.zeros(4))
-    gross: ContaminatedNormal | None = None
 
     @classmethod
     def of_moments(cls, mean: Array, covariance: Array, unit: Unit, freedom: float = np.inf) -> ErrorModel:
@@ -246,37 +242,16 @@ class ErrorModel:
         return bool(np.isfinite(self.freedom))
 
     @property
-    def tailed(self) -> bool:
-        """Whether tails are heavier than normal ones, so that the length of an error hides the numbers behind it."""
-        return self.heavy or self.gross is not None
-
-    @property
-    def core(self) -> Array:
-        """Spread of the errors but for their tails, over the standard deviations, shape (4,)."""
-        if self.gross is not None:
-            fine: Array = self.gross.fine_and_gross[0]
-            return fine
-        return np.full(4, np.sqrt((self.freedom - 2) / self.freedom) if self.heavy else 1.0)
-
-    def uncorrelated(self, standard: Array) -> Array:
-        """Standardised errors as uncorrelated ones of the same components, shapes (n, 4)."""
-        return standard @ np.linalg.inv(symmetric_root(self.correlation)).T
+    def core(self) -> float:
+        """Spread of the errors but for their tails, over the standard deviations."""
+        return float(np.sqrt((self.freedom - 2) / self.freedom)) if self.heavy else 1.0
 
     def latent(self, standard: Array) -> tuple[Array, Mask]:
-        """Normal numbers behind standardised errors (n, 4) as well as tails leave them known, and which are large (n,).
-
-        Of Student's t those beyond its ninth decile are.
-        """
-        numbers = self.uncorrelated(standard)
-        none = np.zeros(len(numbers), dtype=bool)
-        if self.gross is not None:
-            share, (fine, gross) = self.gross.gross_share, self.gross.fine_and_gross
-            odds = special.logit(share) + (np.log(fine / gross) + numbers**2 * (fine**-2.0 - gross**-2.0) / 2).sum(
-                axis=1
-            )
-            return numbers / np.where(odds[:, None] > 0, gross, fine), odds > 0
+        """Normal numbers behind standardised errors (n, 4) as well as tails leave them known, and which are large (n,):
+        of Student's t those beyond its ninth decile."""
+        numbers = standard @ np.linalg.inv(symmetric_root(self.correlation)).T
         if not self.heavy:
-            return numbers, none
+            return numbers, np.zeros(len(numbers), dtype=bool)
         q = (numbers**2).sum(axis=1)
         return numbers * np.sqrt((self.freedom + 4) / (self.freedom - 2 + q))[:, None], q > np.quantile(q, 0.9)
 
@@ -401,7 +376,7 @@ def _definite(correlation: Array) -> Array:
 # ---- Student's t distribution of four components by maximum likelihood ----
 
 _STEPS, _ENOUGH = 500, 1e-6
-_MIN_SHARE, _TINY = 1e-6, 1e-9
+_MIN_SHARE = 1e-6
 
 
 class StudentTFit(NamedTuple):
@@ -424,11 +399,11 @@ def fit_student_t(errors: Array) -> StudentTFit | None:
         values = np.linalg.eigvalsh(scatter)
         if values[0] <= max(least[0], 1e-12 * values[-1]):
             return None  # so many errors are equal that the likelihood has no maximum
-        weight = (nu + 4) / (nu + squared_lengths(errors - mean, scatter))
+        weight = (nu + 4) / (nu + _squared_lengths(errors - mean, scatter))
         mean = weight @ errors / weight.sum()
         moved = errors - mean
         scatter = (weight[:, None] * moved).T @ moved / len(errors)
-        nu, value = _likeliest_degrees(squared_lengths(moved, scatter))
+        nu, value = _likeliest_degrees(_squared_lengths(moved, scatter))
         value -= len(errors) * float(np.linalg.slogdet(scatter)[1]) / 2
         if value - last < _ENOUGH:
             break
@@ -441,10 +416,10 @@ def may_be_heavy(errors: Array) -> bool:
     covariance = np.cov(errors.T, bias=True)
     if np.linalg.cond(covariance) > 1e12:
         return False
-    return bool(np.mean(squared_lengths(errors - errors.mean(axis=0), covariance) ** 2) > 4 * 6)
+    return bool(np.mean(_squared_lengths(errors - errors.mean(axis=0), covariance) ** 2) > 4 * 6)
 
 
-def squared_lengths(moved: Array, matrix: Array) -> Array:
+def _squared_lengths(moved: Array, matrix: Array) -> Array:
     """xᵀ M⁻¹ x of vectors (n, 4), shape (n,)."""
     lengths: Array = np.einsum("ni,ni->n", moved, np.linalg.solve(matrix, moved.T).T)
     return lengths
@@ -461,45 +436,3 @@ def _likeliest_degrees(q: Array) -> tuple[float, float]:
     bounds = np.log(MIN_DEGREES), np.log(MAX_DEGREES)
     found = optimize.minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 1e-6})
     return float(np.exp(found.x)), -float(found.fun)
-
-
-# ---- Normal errors of which a share is gross, by maximum likelihood given their covariance ----
-
-_ROUNDS, _SETTLED, _FIRST_SHARE = 500, 1e-6, 0.1
-_MEDIAN = 3.3567
-"""Of chi-square with four degrees of freedom."""
-
-
-def fit_gross_errors(standard: Array, weights: Array) -> tuple[Array, Array]:
-    """Share and ratios of gross errors in each sample, shapes (rows,) and (rows, 4).
-
-    Expectation and maximisation over two normal distributions of uncorrelated components. It keeps the mean square of
-    each component, so that the covariance stays what it is.
-
-    Args:
-        standard: Errors with the identity as covariance, shape (n, 4).
-        weights: How often each error is in each sample, shape (rows, n).
-    """
-    squares, weights = standard**2, weights / weights.sum(axis=1, keepdims=True)
-    gross = weights * (squares.sum(axis=1) > np.quantile(squares.sum(axis=1), 1 - _FIRST_SHARE))
-    last = np.full(len(weights), np.inf)
-    for _ in range(_ROUNDS):
-        share = np.clip(gross.sum(axis=1), _TINY, 1 - _TINY)
-        fine = np.maximum((weights - gross) @ squares / (1 - share)[:, None], _TINY)
-        wide = np.maximum(gross @ squares / share[:, None], _TINY)
-        if np.abs(share - last).max() < _SETTLED:
-            break
-        last = share
-        odds = special.logit(share) + np.log(fine / wide).sum(axis=1) / 2
-        gross = weights * special.expit(odds[:, None] + (1 / fine - 1 / wide) @ squares.T / 2)
-    return share, np.sqrt(wide / fine)
-
-
-def gross_log_density(standard: Array, gross: ContaminatedNormal) -> Array:
-    """Log-density of uncorrelated errors of variance one, shapes (n, 4) and (n,)."""
-    each = [
-        np.log(share) - (np.log(2 * np.pi * squares) + standard**2 / squares).sum(axis=1) / 2
-        for share, squares in zip((1 - gross.gross_share, gross.gross_share), gross.fine_and_gross**2, strict=True)
-    ]
-    density: Array = np.logaddexp(*each)
-    return density

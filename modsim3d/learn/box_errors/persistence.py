@@ -76,7 +76,7 @@ def white_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> Whi
 
 
 def _heavy(models: Sequence[ErrorModel | None]) -> Mask:
-    return np.array([model is not None and model.tailed for model in models], dtype=bool)
+    return np.array([model is not None and model.heavy for model in models], dtype=bool)
 
 
 @functools.lru_cache(1)
@@ -201,7 +201,7 @@ def _whitened(
         moved = edges.outward_px[rows[ours]][:, chosen] - mean @ OUTWARD[chosen].T
         turned = np.einsum("mji,mj->mi", vectors, moved) / np.sqrt(np.maximum(values, 1e-300))
         found = np.einsum("mij,mj->mi", vectors, turned)
-        if model.tailed:
+        if model.heavy:
             found *= np.sqrt(len(chosen)) / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
         white[ours] = found
     return white
@@ -249,7 +249,7 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
             continue
         latent[ours], large[ours] = model.latent(_standard(pairs, model, rows[ours]))
         ranks = np.argsort(np.argsort(latent[ours], axis=0), axis=0)
-        latent[ours] = special.ndtri((ranks + 0.5) / len(ours))  # what no two scales explain must not decide
+        latent[ours] = special.ndtri((ranks + 0.5) / len(ours))  # what Student's t does not explain must not decide
     size = large - np.bincount(state, large)[state] / np.maximum(np.bincount(state), 1)[state]
     numbers = [*latent.T, size] if large.any() else [*latent.T]
 
