@@ -16,17 +16,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, MODELS, DetectorPart
 from modsim3d.formats.matching import Rule
 from modsim3d.io.input_files import MAX_TABLE_CELLS
-from modsim3d.learn.bootstrap import (
-    Entry,
-    Interval,
-    Resampling,
-    entries_of,
-    nested,
-    resample,
-    spread,
-    to_scale,
-    with_entries,
-)
+from modsim3d.learn import bootstrap
 from modsim3d.learn.box_errors.estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
 from modsim3d.learn.box_errors.laws import LAWS
 from modsim3d.learn.confidence import ConfidenceForm, NoConfidenceForm, OneConfidenceForm, choose_confidence
@@ -81,7 +71,7 @@ class DetectorForm:
         """Why the models are not richer ones."""
         return tuple(note for part in vars(self).values() for note in part.notes)
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedDetector:
+    def estimate(self, observed: Observed, resampling: bootstrap.Resampling) -> LearnedDetector:
         """The numbers of every part, with replicates for the weights of the resampling."""
         return LearnedDetector(
             self.classes.estimate(observed, resampling),
@@ -146,7 +136,7 @@ class Learned:
     form: DetectorForm
     numbers: LearnedDetector
     transitions: Transitions
-    resampling: Resampling
+    resampling: bootstrap.Resampling
     run_s: float  # length of the runs of frames that were resampled; 0 if single images were
     units: Mapping[str | None, int]  # resampled runs or images that hold images of each state; of None, of any
 
@@ -155,11 +145,11 @@ class Learned:
         """Why the models are not richer ones."""
         return *self.form.notes, *self.transitions.notes
 
-    def intervals(self, level: float) -> list[Interval]:
+    def intervals(self, level: float) -> list[bootstrap.Interval]:
         """Confidence intervals of all numbers, those of the transition matrix included."""
         intervals = [
-            Interval(entry.key, entry.estimate, *entry.column.interval(level, self.units[entry.key.state]))
-            for entry in entries_of(self.numbers)
+            bootstrap.Interval(entry.key, entry.estimate, *entry.column.interval(level, self.units[entry.key.state]))
+            for entry in bootstrap.entries_of(self.numbers)
         ]
         return [*intervals, self.transitions.interval(level, self.observed.states)]
 
@@ -181,7 +171,7 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
     check_size(len(observed.labelled.labels), len(observed.states), settings.replicates)
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
     run_s = _run_s(observed, form)
-    resampling = resample(images, settings.replicates, settings.seed, run_s)
+    resampling = bootstrap.resample(images, settings.replicates, settings.seed, run_s)
     units: dict[str | None, int] = {
         name: resampling.units(observed.image_state == index) for index, name in enumerate(observed.states)
     }
@@ -204,7 +194,7 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     for index, used in enumerate(numbers.box_errors.used):
         false = int(np.count_nonzero(of_state == index))
         if not used.settled:
-            why = "so many boxes fail the matching, or were drawn anew, that errors may spread farther"
+            why = "so many boxes fail the matching, or were drawn anew, that errors may bootstrap.spread farther"
             unknown[used.state, "box_error"] = why
         elif matched and (lost := used.lost * used.matches) > _MAX_LOST * max(false, 1):
             why = f"{lost:.0f} of {false:,} false detections are boxes that failed the matching, by the fit"
@@ -220,13 +210,13 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
 def _marked(numbers: LearnedDetector, unknown: Collection[tuple[str | None, str]]) -> LearnedDetector:
     """The numbers, those that are not known marked as such."""
 
-    def change(entry: Entry) -> Entry:
+    def change(entry: bootstrap.Entry) -> bootstrap.Entry:
         path = ".".join(entry.key.names)
         if any(entry.key.state == state and path.startswith(beginning) for state, beginning in unknown):
             return replace(entry, column=replace(entry.column, known=False))
         return entry
 
-    return with_entries(numbers, change)
+    return bootstrap.with_entries(numbers, change)
 
 
 def check_size(classes: int, states: int, replicates: int) -> None:
@@ -292,7 +282,7 @@ def uncertainty_file(detector: Path) -> Path:
 
 def uncertainty_text(learned: Learned, detector: str) -> bytes:
     """The content of the file, given the text of the detector file that it belongs to."""
-    written = [_filled(entry) for entry in entries_of(learned.numbers) if _is_written(entry)]
+    written = [_filled(entry) for entry in bootstrap.entries_of(learned.numbers) if _is_written(entry)]
     transitions = learned.transitions
     content = {
         "format": FORMAT,
@@ -307,7 +297,7 @@ def uncertainty_text(learned: Learned, detector: str) -> bytes:
     return orjson.dumps(content, option=orjson.OPT_APPEND_NEWLINE)
 
 
-def _is_written(entry: Entry) -> bool:
+def _is_written(entry: bootstrap.Entry) -> bool:
     """Whether the number stands in the detector file."""
     if entry.key.names[-1] == "confusion":
         return True
@@ -315,7 +305,7 @@ def _is_written(entry: Entry) -> bool:
     return entry.key.remark != NOT_WRITTEN and not absent and bool(np.all(np.isfinite(entry.estimate)))
 
 
-def _filled(entry: Entry) -> Entry:
+def _filled(entry: bootstrap.Entry) -> bootstrap.Entry:
     """The entry; a confusion matrix with columns of labels that were never there, as the detector file has them."""
     if entry.key.names[-1] != "confusion":
         return entry
@@ -323,13 +313,13 @@ def _filled(entry: Entry) -> Entry:
     return replace(entry, column=replace(entry.column, values=values))
 
 
-def _group(state: str | None, units: int, entries: Sequence[Entry]) -> dict[str, Any]:
+def _group(state: str | None, units: int, entries: Sequence[bootstrap.Entry]) -> dict[str, Any]:
     """The numbers of one state, or of None, those that all states share."""
     return {
         "state": state,
         "units": units,
         "numbers": [
-            {"key": list(entry.key.names), "kind": entry.column.kind, "estimate": nested(entry.estimate)}
+            {"key": list(entry.key.names), "kind": entry.column.kind, "estimate": bootstrap.nested(entry.estimate)}
             | _width(entry)
             for entry in entries
         ],
@@ -337,19 +327,19 @@ def _group(state: str | None, units: int, entries: Sequence[Entry]) -> dict[str,
     }
 
 
-def _width(entry: Entry) -> dict[str, Any]:
-    """Observations that a count is worth, or the spread of another number on its scale."""
+def _width(entry: bootstrap.Entry) -> dict[str, Any]:
+    """Observations that a count is worth, or the bootstrap.spread of another number on its scale."""
     column = entry.column
     if column.kind in COUNTED:
-        return {"observations": nested(column.independent)}
-    found = spread(_without_outliers(to_scale(column.values[1:], column.kind)))
-    return {"spread": nested(np.where(np.isfinite(found), found, 0.0))}
+        return {"observations": bootstrap.nested(column.independent)}
+    found = bootstrap.spread(_without_outliers(bootstrap.to_scale(column.values[1:], column.kind)))
+    return {"spread": bootstrap.nested(np.where(np.isfinite(found), found, 0.0))}
 
 
 def _without_outliers(scaled: Array) -> Array:
     """Replicates (replicates, ...), each held within four standard deviations of the median. The standard deviation is
     that of the inner two thirds. A few replicates in which all errors are equal, with a logarithm of nearly −∞, would
-    make the spread many times as large."""
+    make the bootstrap.spread many times as large."""
     finite = np.where(np.isfinite(scaled), scaled, np.nan)
     if not np.isfinite(finite).any(axis=0).all():
         return scaled
@@ -369,7 +359,7 @@ def correlated(names: Sequence[str], shape: tuple[int, ...]) -> Mask:
     return places
 
 
-def _correlations(entries: Sequence[Entry]) -> list[list[float]]:
+def _correlations(entries: Sequence[bootstrap.Entry]) -> list[list[float]]:
     """The rows of the lower triangle of the correlation matrix, without its diagonal."""
     scores = [_standard(replicates) for entry in entries for replicates in _replicates(entry)]
     rows = min(map(len, scores), default=0)
@@ -379,9 +369,9 @@ def _correlations(entries: Sequence[Entry]) -> list[list[float]]:
     ]
 
 
-def _replicates(entry: Entry) -> Array:
+def _replicates(entry: bootstrap.Entry) -> Array:
     """Replicates of the numbers of an entry that have correlations, on their scale, shape (numbers, replicates)."""
-    scaled = _without_outliers(to_scale(entry.column.values[1:], entry.column.kind))
+    scaled = _without_outliers(bootstrap.to_scale(entry.column.values[1:], entry.column.kind))
     return scaled[:, correlated(entry.key.names, scaled.shape[1:])].T  # one row for each number
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -39,7 +38,7 @@ class Occupancy:
     @property
     def _deviation(self) -> float:
         counts = np.arange(len(self.law))
-        return math.sqrt(max(float(((counts / self._frames - self.asked) ** 2) @ self.law), 0.0))
+        return float(np.sqrt(max(float(((counts / self._frames - self.asked) ** 2) @ self.law), 0.0)))
 
     @property
     def count(self) -> float:

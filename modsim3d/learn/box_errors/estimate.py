@@ -11,19 +11,10 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn import bootstrap
+from modsim3d.learn.box_errors import persistence
 from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit
-from modsim3d.learn.box_errors.persistence import (
-    ComponentMemory,
-    WhiteErrors,
-    component_lags,
-    component_memory,
-    components_differ,
-    consecutive_errors,
-    correlation_left,
-    white_errors,
-)
 from modsim3d.learn.matches import ErrorFits, ErrorSource, Observed, Pairs, kept_share
 from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_none
 
@@ -100,7 +91,7 @@ _SHARES = np.linspace(0, 0.99, 100)
 _MEAN, _STD, _CORRELATION = "box_error_mean", "box_error_std", "box_error_correlation"
 
 
-def error_lags(labelled: LabelledSet, errors: WhiteErrors) -> LagTable:
+def error_lags(labelled: LabelledSet, errors: persistence.WhiteErrors) -> LagTable:
     """Products of whitened errors at all times between, means over the four components."""
     white = errors.white
     square = (white**2).mean(axis=1)
@@ -111,14 +102,16 @@ def error_lags(labelled: LabelledSet, errors: WhiteErrors) -> LagTable:
     return LagTable.of(labelled, errors.rows, errors.state, compare)
 
 
-def latent_share(errors: WhiteErrors) -> Callable[[Array], Array]:
+def latent_share(errors: persistence.WhiteErrors) -> Callable[[Array], Array]:
     """Function from the correlation of errors to the share of the latent normal numbers that things keep."""
     heavy = errors.heavy[int(np.bincount(errors.state).argmax())]
-    level = _SHARES * correlation_left(_SHARES, np.full(len(_SHARES), 4)) if heavy else _SHARES
+    level = _SHARES * persistence.correlation_left(_SHARES, np.full(len(_SHARES), 4)) if heavy else _SHARES
     return lambda found: np.interp(found, level, _SHARES)
 
 
-def with_things(learned: T, labelled: LabelledSet, errors: WhiteErrors, states: tuple[str, ...], share: float) -> T:
+def with_things(
+    learned: T, labelled: LabelledSet, errors: persistence.WhiteErrors, states: tuple[str, ...], share: float
+) -> T:
     """Learned errors whose replicates spread as far as things that keep a share make the numbers stray.
 
     Means stray by the share of a variance, and spreads and correlations, which are made of squares, by its square, each
@@ -185,8 +178,8 @@ class BoxErrorForm:
         """The law of each state and the correlation time of errors."""
         fits = [observed.pairs.fits(form.source, index) for index, form in enumerate(self.states)]
         found = [each.chosen(form.unit, form.law != "normal") for each, form in zip(fits, self.states, strict=True)]
-        persistence = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
-        box_s = 0.0 if persistence.box_s is None else float(persistence.box_s.estimate)
+        persisting = self._persistence(observed, fits, resampling) if self.box_s > 0 else ErrorPersistence()
+        box_s = 0.0 if persisting.box_s is None else float(persisting.box_s.estimate)
         kept, learned, used = kept_share(observed, box_s), [], []
         for index, (name, form) in enumerate(zip(observed.states, self.states, strict=True)):
             edges, fit = fits[index].edges, found[index]
@@ -194,22 +187,26 @@ class BoxErrorForm:
             learned.append(learned_errors(resampling, ErrorSample(errors, edges.image, kept, name, form.unit, fit)))
             used.append(UsedMatches.of(name, observed.pairs, index, edges, fit))
         states = tuple(learned)
-        if persistence.white is not None and persistence.vessel_share is not None:
-            share = float(persistence.vessel_share.estimate)
-            states = with_things(states, observed.labelled, persistence.white, observed.states, share)
-        if persistence.memory is not None:
-            return LearnedBoxErrors(states, None, None, tuple(used), persistence.memory)
-        return LearnedBoxErrors(states, persistence.box_s, persistence.vessel_share, tuple(used))
+        if persisting.white is not None and persisting.vessel_share is not None:
+            share = float(persisting.vessel_share.estimate)
+            states = with_things(states, observed.labelled, persisting.white, observed.states, share)
+        if persisting.memory is not None:
+            return LearnedBoxErrors(states, None, None, tuple(used), persisting.memory)
+        return LearnedBoxErrors(states, persisting.box_s, persisting.vessel_share, tuple(used))
 
     def _persistence(
         self, observed: Observed, fits: Sequence[ErrorFits], resampling: bootstrap.Resampling
     ) -> ErrorPersistence:
         consecutive, models = _consecutive(observed, fits, self.states)
         time, share = bootstrap.Key(("persistence", "box_s")), bootstrap.Key(("persistence", "box_vessel_share"))
-        memory = component_memory(*component_lags(observed, models), resampling) if self.components else None
+        memory = (
+            persistence.component_memory(*persistence.component_lags(observed, models), resampling)
+            if self.components
+            else None
+        )
         if not self.things_keep:
             return ErrorPersistence(bootstrap.Entry(time, consecutive.column(resampling)), memory=memory)
-        white = white_errors(observed, models)
+        white = persistence.white_errors(observed, models)
         noise = vessel_noise(error_lags(observed.labelled, white), resampling, latent_share(white))
         return ErrorPersistence(bootstrap.Entry(time, noise.time_s), bootstrap.Entry(share, noise.share), white, memory)
 
@@ -220,8 +217,8 @@ class ErrorPersistence:
 
     box_s: bootstrap.Entry | None = None
     vessel_share: bootstrap.Entry | None = None
-    white: WhiteErrors | None = None
-    memory: ComponentMemory | None = None
+    white: persistence.WhiteErrors | None = None
+    memory: persistence.ComponentMemory | None = None
 
 
 def _consecutive(
@@ -236,7 +233,7 @@ def _consecutive(
         models = [
             _own_model(each, form.source, form.unit, law) for each, form, law in zip(fits, forms, laws, strict=True)
         ]
-        found = consecutive_errors(observed, models)
+        found = persistence.consecutive_errors(observed, models)
         if len(found):
             break
     return found, models
@@ -263,7 +260,7 @@ class LearnedBoxErrors:
     box_s: bootstrap.Entry | None
     box_vessel_share: bootstrap.Entry | None
     used: tuple[UsedMatches, ...]
-    memory: ComponentMemory | None = None
+    memory: persistence.ComponentMemory | None = None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """The persistence of errors."""
@@ -309,7 +306,9 @@ def choose_box_errors(observed: Observed) -> BoxErrorForm:
     things_keep = box_s > 0 and _things_keep(observed, fits, forms, notes)
     components = False
     if box_s > 0 and not {"vessels", "components"} & observed.without:
-        components = components_differ(component_lags(observed, _consecutive(observed, fits, forms)[1])[0])
+        components = persistence.components_differ(
+            persistence.component_lags(observed, _consecutive(observed, fits, forms)[1])[0]
+        )
     return BoxErrorForm(tuple(forms), box_s, tuple(notes), things_keep, components)
 
 
@@ -348,7 +347,7 @@ def _persistence_s(observed: Observed, sources: list[ErrorSource], fits: list[Er
     models = [
         _own_model(each, source, plain_unit(each, observed.without)) for source, each in zip(sources, fits, strict=True)
     ]
-    consecutive = consecutive_errors(observed, models)
+    consecutive = persistence.consecutive_errors(observed, models)
     found = consecutive.correlation()
     if found.persists:
         return consecutive.rough_time_s()
@@ -362,7 +361,7 @@ def _things_keep(
     """Whether each thing surely keeps a share of its errors; a note if not."""
     if "vessels" in observed.without:
         return False
-    white = white_errors(observed, _consecutive(observed, fits, forms)[1])
+    white = persistence.white_errors(observed, _consecutive(observed, fits, forms)[1])
     why = why_none(error_lags(observed.labelled, white))
     if why:
         notes.append(f"persistence.box_vessel_share: 0; {why}")

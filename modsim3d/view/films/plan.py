@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -288,7 +287,7 @@ class Timetable:
 
         film_s = durations_s / speed
         shortest = float(film_s.min())
-        repeats = max(1, math.ceil(MIN_RATE * shortest - SAME_S))
+        repeats = max(1, int(np.ceil(MIN_RATE * shortest - SAME_S)))
         rate = min(Fraction(repeats / shortest).limit_denominator(1000), Fraction(most_rate))
         if np.ptp(film_s) <= SAME_S and repeats / shortest <= most_rate + SAME_S:
             return cls(rate, np.full(len(film_s), repeats))
