@@ -182,7 +182,7 @@ def _lines() -> Callable[[Progress], None]:
 
 
 def progress_line(progress: Progress) -> str:
-    """How far a campaign is, on a line."""
+    """State of a campaign, on a line."""
     done = f"{progress.done:,} of {counted(progress.total, 'run')}, {progress.running:,} handed in"
     crashed = f", {progress.crashed:,} crashed" if progress.crashed else ""
     return f"{done}{crashed}, {time_left_text(progress.left_s)}"

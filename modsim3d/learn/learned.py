@@ -194,7 +194,7 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     for index, used in enumerate(numbers.box_errors.used):
         false = int(np.count_nonzero(of_state == index))
         if not used.settled:
-            why = "so many boxes fail the matching, or were drawn anew, that errors may bootstrap.spread farther"
+            why = "so many boxes fail the matching, or were drawn anew, that errors may spread farther"
             unknown[used.state, "box_error"] = why
         elif matched and (lost := used.lost * used.matches) > _MAX_LOST * max(false, 1):
             why = f"{lost:.0f} of {false:,} false detections are boxes that failed the matching, by the fit"
@@ -328,7 +328,7 @@ def _group(state: str | None, units: int, entries: Sequence[bootstrap.Entry]) ->
 
 
 def _width(entry: bootstrap.Entry) -> dict[str, Any]:
-    """Observations that a count is worth, or the bootstrap.spread of another number on its scale."""
+    """Observations that a count is worth, or the spread of another number on its scale."""
     column = entry.column
     if column.kind in COUNTED:
         return {"observations": bootstrap.nested(column.independent)}
@@ -339,7 +339,7 @@ def _width(entry: bootstrap.Entry) -> dict[str, Any]:
 def _without_outliers(scaled: Array) -> Array:
     """Replicates (replicates, ...), each held within four standard deviations of the median. The standard deviation is
     that of the inner two thirds. A few replicates in which all errors are equal, with a logarithm of nearly −∞, would
-    make the bootstrap.spread many times as large."""
+    make the spread many times as large."""
     finite = np.where(np.isfinite(scaled), scaled, np.nan)
     if not np.isfinite(finite).any(axis=0).all():
         return scaled

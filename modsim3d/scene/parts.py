@@ -179,7 +179,7 @@ def title_of(path: Path) -> str:
 
 @dataclass(frozen=True)
 class _Location:
-    """Where the mapping of vessels is: the file that holds it, for errors; the keys that lead to it in that file; and
+    """Place of the mapping of vessels: the file that holds it, for errors; the keys that lead to it in that file; and
     the folder that paths in it are relative to."""
 
     source: str

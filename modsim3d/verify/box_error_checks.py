@@ -48,7 +48,7 @@ def replay(model: DetectorModel, evidence: Evidence, fits: list[StateFit]) -> Re
     ends = np.cumsum([0, *(len(fit.rows) for fit in fits)])
     steps: list[list[Array]] = [[] for _ in fits]
     found, lagged = [], []
-    lags = _lagged_pairs(tracks, times_s)
+    lags = _lagged_pairs(tracks, times_s) if model.persistence.box is not None else []
     width = ERROR_NORMALS + max(fit.law.distribution.extra_normals for fit in fits)
     for _ in range(0, _REPLAYS, _REPLAYS_AT_ONCE):
         latent = latent_paths(tracks, times_s, model.persistence, rng, _REPLAYS_AT_ONCE, width)
@@ -79,6 +79,8 @@ def _lagged_pairs(tracks: Indices, times_s: Array) -> list[tuple[Indices, Indice
 def _lagged_products(whitened: Array, lags: list[tuple[Indices, Indices]]) -> Array:
     """Mean products of each component of whitened errors (..., n, 4) at each lag, shape (..., lags, 4)."""
     none = np.zeros((*whitened.shape[:-2], 4))
+    if not lags:
+        return np.zeros((*whitened.shape[:-2], 0, 4))
     products = [
         (whitened[..., later, :] * whitened[..., earlier, :]).mean(axis=-2) if len(later) else none
         for later, earlier in lags

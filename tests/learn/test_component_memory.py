@@ -62,7 +62,7 @@ def test_the_memory_of_each_component_is_learned_again(learned: Learned) -> None
     asked = BoxMemory(np.array(MEMORY["vessel_share"]), np.array(MEMORY["shares"]), np.array(MEMORY["times_s"]))
     off = np.abs(memory.correlation(APART_S) - asked.correlation(APART_S))
     assert off[:, :4].max() < 0.09
-    assert off[1:, 4].max() < 0.3  # of how large errors are, which is seen through those that are large
+    assert off[:, 4].max() < 0.15  # of how large errors are, which is seen through those that are large
     kept = {each.key.path: each for each in learned.intervals(0.99)}["persistence.box.vessel_share"]
     assert np.all(kept.low <= asked.vessel_share) and np.all(asked.vessel_share <= kept.high)
 

@@ -1,5 +1,6 @@
 """Box errors of Student's t law are learned as such, and normal ones as normal."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from modsim3d.detector.draws import StudentT, standardised
 from modsim3d.detector.file.reading import load_detector
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule
+from modsim3d.io.input_files import data_folder
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.box_errors.fit import ErrorFit, slopes
 from modsim3d.learn.box_errors.laws import ErrorSample, heavy_tails, learned_errors
@@ -197,3 +199,19 @@ def test_normal_errors_are_learned_as_normal(tmp_path: Path) -> None:
     report = learn_detector(labelled_run(run)[0], LearnSettings(Rule("provenance"), replicates=20), LearnOptions())
     assert {form.law for form in report.learned.form.box_errors.states} == {"normal"}
     assert "law" not in report.learned.detector()["states"]["clear"]["box_error"]
+
+
+def test_errors_half_of_which_were_drawn_anew_are_not_known(tmp_path: Path) -> None:
+    run = simulate(
+        "simulation_1", tmp_path, mode=0, steps=900, detector=data_folder("scenes") / "detectors/thesis.yaml"
+    )
+    settings = LearnSettings(Rule("provenance"), replicates=20)
+    report = learn_detector(labelled_run(run)[0], settings, LearnOptions(check=False))
+    assert re.fullmatch(
+        r"Not known: (states\.\w+\.box_error(, )?)+; so many boxes fail the matching, or were drawn anew, that "
+        "errors may spread farther",
+        report.remarks[0],
+    )
+    state = report.remarks[0].split(".")[1]
+    interval = {each.key.path: each for each in report.learned.intervals(0.95)}[f"states.{state}.box_error_mean"]
+    assert np.isnan(interval.low).all() and np.isnan(interval.high).all() and np.isfinite(interval.estimate).all()
