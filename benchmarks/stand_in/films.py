@@ -38,14 +38,14 @@ from modsim3d.view.pictures.plain import Solids
 
 WORK = ROOT / "runs" / "stand_in"
 RATE_HZ = 4.0
-TO_LEARN_FROM, TO_COMPARE_ON = 7, 16
+TO_LEARN_FROM, TO_COMPARE_ON, TO_JUDGE_ON = 7, 16, 50
 """Films of each place."""
 ROLES = ("compare", "learn")
 """They take turns."""
-FIRST_SEED = 101
+FIRST_SEED, FIRST_JUDGED_SEED = 101, 1001
 """Of the first film; each film has a seed of its own."""
 ON_BOARD = (1, 3, 5, 9, 11, 13)
-"""Of the films of a place and a role, those whose camera is on board: one in each weather."""
+"""Of each 16 films of a place and a role, those whose camera is on board: two in each weather."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Film:
         weather: One of `WEATHERS`.
         viewpoint: Camera: `shore`, or `own` on board.
         seed: What its traffic is drawn from.
-        role: `learn` or `compare`.
+        role: `learn`, `compare`, or `judge`.
         rate_hz: Images in a second.
     """
 
@@ -103,18 +103,31 @@ class Film:
 
 
 def all_films(work: Path) -> list[Film]:
-    """The films in the order in which they are made: places, weathers and roles take turns.
+    """The films to work with, in the order in which they are made: places, weathers and roles take turns.
 
     The two roles share no seed, so what is compared on is traffic that no learning saw.
     """
-    films: list[Film] = []
     turns = [(role, k) for k in range(TO_COMPARE_ON) for role in ROLES if role == "compare" or k < TO_LEARN_FROM]
+    return _films(work, turns, FIRST_SEED)
+
+
+def judged_films(work: Path) -> list[Film]:
+    """The films that the models are judged on, once, when all of them are there and no model changes any more.
+
+    None of their traffic is in `all_films`.
+    """
+    return _films(work, [("judge", k) for k in range(TO_JUDGE_ON)], FIRST_JUDGED_SEED)
+
+
+def _films(work: Path, turns: Sequence[tuple[str, int]], first_seed: int) -> list[Film]:
+    """A film of each place for each role and number."""
+    films: list[Film] = []
     for role, k in turns:
         for p, place in enumerate(PLACES):
-            seed = FIRST_SEED + len(films)
+            seed = first_seed + len(films)
             weather = WEATHERS[(k + p) % len(WEATHERS)]
             name = f"{place}_{weather.replace(' ', '')}_{seed}"
-            viewpoint = "own" if k in ON_BOARD else "shore"
+            viewpoint = "own" if k % 16 in ON_BOARD else "shore"
             films.append(Film(work / "films" / name, name, place, weather, viewpoint, seed, role))
     return films
 
@@ -208,11 +221,13 @@ def _count(text: str) -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=WORK, metavar="DIR", help="where the films and the weights are")
+    parser.add_argument("--judged", action="store_true", help="the films that the models are judged on")
     parser.add_argument("--films", type=_count, metavar="N", help="only the first N")
     parser.add_argument("--workers", type=_count, default=2, metavar="N", help="processes (2 unless given)")
     given = parser.parse_args()
     try:
-        make_films(given.work, all_films(given.work)[: given.films], given.workers)
+        films = judged_films(given.work) if given.judged else all_films(given.work)
+        make_films(given.work, films[: given.films], given.workers)
     except ModsimError as error:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(2)
