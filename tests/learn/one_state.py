@@ -1,21 +1,27 @@
 """A detector of one state and one label, labelled sets with its detections, and what is learned from them."""
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from modsim3d.core.arrays import Indices
+from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.learned import Learned, LearnSettings, learn
+from modsim3d.learn.learned import Learned, LearnSettings, learn, uncertainty_text
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.simulated_results import simulated
 from modsim3d.learn.states import Transitions, each_its_own, transitions_of
-from tests.formats.labelled_sets import found
+from modsim3d.scene.settings import choose_detector
+from tests.formats.labelled_sets import found, images, truth
 
-IOU = Rule()
+IOU, PROVENANCE = Rule(), Rule("provenance")
+BOATS, RATE_HZ, SIDE_PX = 3, 5.0, 900.0
 SMALL_ERRORS = {"unit": "relative", "mean": [0.0] * 4, "covariance": (4e-4 * np.eye(4)).tolist()}
 
 
@@ -71,3 +77,57 @@ def learned_in(observed: Observed, rule: Rule = IOU, chain: Transitions | None =
 def learned_by_condition(labelled: LabelledSet, rule: Rule = IOU, **settings: Any) -> Learned:
     observed = observed_by_condition(labelled, rule, settings.get("without", ()))
     return learned_in(observed, rule, transitions_of(labelled.images, observed.image_state, 2, 1.0), **settings)
+
+
+def truth_of(frames: int, seed: int, hidden: bool = True) -> LabelledSet:
+    """Three boats in each frame, with sizes of 10 to 150 px; two in five are partly hidden."""
+    rng = np.random.default_rng(seed)
+    image, identity = np.repeat(np.arange(frames), BOATS), np.tile(np.arange(BOATS), frames)
+    side = np.clip(45 * np.exp(rng.normal(0, 0.6, len(image))), 10, 150)
+    corner = np.column_stack([120 + 250.0 * identity, np.full(len(image), 300.0)])
+    visible = np.where(rng.random(len(image)) < 0.6, 1.0, rng.uniform(0.1, 1, len(image)))
+    unknown = np.full(len(image), np.nan)
+    boxes = np.column_stack([corner, corner + side[:, None]])
+    pictures = images(frames, (SIDE_PX, SIDE_PX), np.arange(frames) / RATE_HZ)
+    annotations = truth(image, 0 * image, boxes, identity=identity, visible=visible if hidden else unknown)
+    return of_boats(pictures, annotations, found([], [], [], [], origin=np.empty(0, dtype=np.int64)))
+
+
+def moored(
+    frames: int, boats: int, columns: int, size_px: tuple[float, float], top_px=200.0, side_px: Any = 60.0, step_s=0.5
+) -> LabelledSet:
+    """Boats that lie 250 px apart in so many columns."""
+    image, boat = np.repeat(np.arange(frames), boats), np.tile(np.arange(boats), frames)
+    corner = np.column_stack([100 + 250.0 * (boat % columns), top_px + 250.0 * (boat // columns)])
+    far = corner + np.broadcast_to(side_px, boats)[boat][:, None]
+    annotations = truth(image, 0 * image, np.hstack([corner, far]), identity=boat)
+    return of_boats(images(frames, size_px, np.arange(frames) * step_s), annotations)
+
+
+def detector(confidence: dict[str, Any], **sections: Any) -> dict[str, Any]:
+    """A detector of one state with small box errors and these keys of confidence."""
+    clutter = {"model": "calibrated", "size": {"model": "lognormal", "px": [40, 40], "log_std": 0.5}}
+    return {**detector_file(confidence=confidence), "false_positives": clutter, **sections}
+
+
+def learned_from(labelled: LabelledSet, rule: Rule = PROVENANCE, without: Collection[str] = (), **settings) -> Learned:
+    """What is learned from a set of one condition, with sixty replicates unless others are asked for."""
+    observed = observed_in(labelled, rule, without, labelled.conditions[0])
+    return learned_in(observed, rule, **{"replicates": 60, **settings})
+
+
+def normal_chain(kept: float, rng: np.random.Generator, *shape: int) -> Array:
+    """Standard normal numbers of which a share is kept from one row to the next, with a first axis of rows."""
+    value = rng.normal(size=shape)
+    for row in range(1, len(value)):
+        value[row] = kept * value[row - 1] + np.sqrt(1 - kept**2) * value[row]
+    return value
+
+
+def drawn_models(learned: Learned, folder: Path, count: int) -> list[DetectorModel]:
+    """Detectors that a campaign draws around one that was learned."""
+    path, text = folder / "learned.yaml", yaml.safe_dump(learned.detector())
+    path.write_text(text)
+    known = LearnedUncertainty.model_validate_json(uncertainty_text(learned, text))
+    drawn = (drawn_detector(known, seed) for seed in range(count))
+    return [choose_detector(path, settings=settings, may_be_unread=True)[0] for settings in drawn]

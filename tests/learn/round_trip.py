@@ -8,11 +8,10 @@ import numpy as np
 import yaml
 from typer.testing import CliRunner, Result
 
+from modsim3d import load_scene, run_scene
 from modsim3d.cli.main import app
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTOR = ROOT / "tests" / "data" / "learn" / "round_trip.yaml"

@@ -68,8 +68,7 @@ def test_all_points_eleven_points_and_the_area_of_a_curve_worked_by_hand():
 
 def test_a_weight_of_two_is_the_image_twice():
     labelled = random_set(9, image_count=10, labels=1)
-    matched = match(labelled, Rule(by_label=True))
-    ranking = Ranking.of(labelled, matched, 0, np.ones(10, dtype=bool))
+    ranking = Ranking.of(labelled, match(labelled, Rule(by_label=True)), 0, np.ones(10, dtype=bool))
     weights = np.array([2.0, 0, 1, 1, 3, 1, 0, 2, 1, 1])
     curve = ranking.curve(weights)
     times, sought = weights[ranking.image].astype(int), ranking.annotation_image

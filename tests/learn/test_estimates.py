@@ -5,14 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.detector.confidence import clipped_sums, fit_clipped
 from modsim3d.detector.file.schema import covariance_problems
 from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.matching import Rule, match
 from modsim3d.learn.bootstrap import Column, Entry, Key, from_scale, resample, to_scale
 from modsim3d.learn.box_errors.laws import ErrorSample, covariance, learned_errors
 from modsim3d.learn.confidence_laws import LearnedNormal
-from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
+from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.error_shares import ErrorKind, error_shares
 from modsim3d.learn.figures import Matches
 from modsim3d.learn.matches import ErrorSource, _regular
@@ -29,7 +28,7 @@ def figures_of(labelled, replicates=50):
     return matches.figures("all", everything)
 
 
-def sailboats_and_kayaks():
+def test_confusion_matrix_is_tables_5_4_and_5_5():
     """The counts of Table 5.4: 15 and 16 right, 4 and 1 mixed up, 1 and 3 missed, 2 and 2 of nothing."""
     cells = [(0, 0)] * 15 + [(0, 1)] * 4 + [(0, None)] + [(1, 0)] + [(1, 1)] * 16 + [(1, None)] * 3
     boxes = [[100.0 * k, 0, 100.0 * k + 50, 50] for k in range(len(cells))]
@@ -38,11 +37,7 @@ def sailboats_and_kayaks():
     annotations = truth([0] * len(cells), [label for label, _ in cells], boxes)
     scores = np.linspace(0.9, 0.5, len(seen)).tolist()
     results = found([0] * len(seen), [label for _, label in seen], [box for box, _ in seen], scores)
-    return LabelledSet(("sailboat", "kayak"), ("all",), images(1, (9000, 900)), annotations, results)
-
-
-def test_confusion_matrix_is_tables_5_4_and_5_5():
-    got = figures_of(sailboats_and_kayaks())
+    got = figures_of(LabelledSet(("sailboat", "kayak"), ("all",), images(1, (9000, 900)), annotations, results))
     assert got.counts.tolist() == [[15, 1, 2], [4, 16, 2], [1, 3, 0]]
     np.testing.assert_allclose(got.confusion.estimate, [[0.75, 0.05], [0.2, 0.8], [0.05, 0.15]])
     assert got.false_labels.estimate.tolist() == [0.5, 0.5]
@@ -96,21 +91,15 @@ def test_error_moments_are_those_of_numpy():
     np.testing.assert_allclose(high - low, 2 * width, rtol=0.25)  # replicates: 5 %, images: 9 %
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_singular_covariance_of_two_errors_is_still_one_as_it_is_written(seed):
-    errors = np.random.default_rng(seed).normal(0, 3, (2, 4))
-    sample = ErrorSample(errors, np.zeros(2, dtype=np.int64), 0.0, "usual", "px", None)
-    section = learned_errors(resample(images(1), 0, 0), sample).section()
-    assert not covariance_problems(section["covariance"])
-    np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
-
-
-def test_errors_that_differ_by_rounding_alone_determine_no_distribution():
+def test_singular_covariances_are_written_as_ones_and_what_hardly_differs_as_equal():
+    for seed in range(3):
+        errors = np.random.default_rng(seed).normal(0, 3, (2, 4))
+        sample = ErrorSample(errors, np.zeros(2, dtype=np.int64), 0.0, "usual", "px", None)
+        section = learned_errors(resample(images(1), 0, 0), sample).section()
+        assert not covariance_problems(section["covariance"])
+        np.testing.assert_allclose(section["covariance"], np.cov(errors.T), rtol=3e-5)
     errors = np.random.default_rng(0).normal(0, [1, 1, 1e-14, 1], (50, 4))
     assert not _regular(errors) and _regular(errors * [1, 1, 1e13, 1])
-
-
-def test_confidences_that_hardly_differ_are_written_as_equal():
     flat = {"mean": 0.99, "std": 8e-12}
     mean, std = (Entry(Key((name,)), Column(np.array([x]), "mean", np.array(1.0))) for name, x in flat.items())
     assert LearnedNormal(mean, std, 0.2).section() == {"mean": 0.99, "std": 0.0}
@@ -126,12 +115,18 @@ def test_cross_entropy_of_labels_where_probabilities_are_given():
     assert got.confidence_entropy.estimate == pytest.approx(-np.log([0.8, 0.7, 0.6]).mean())
 
 
-def test_intervals_of_shares_of_few_are_jeffreys_and_end_where_they_must():
+def test_intervals_of_few_are_jeffreys_and_of_a_single_image_all_that_is_possible():
     values = np.concatenate([[[0.0, 0.5, 1.0]], np.tile([0.0, 0.5, 1.0], (40, 1))])
     low, high = Column(values, "share", np.full(3, 10.0)).interval(0.95, 10**9)
     # Brown, Cai & DasGupta (2001), Jeffreys interval of 5 in 10: 0.224 to 0.776; of 0 in 10: 0 to 0.217
-    np.testing.assert_allclose(low, [0, 0.224, 0.783], atol=6e-4)
-    np.testing.assert_allclose(high, [0.217, 0.776, 1], atol=6e-4)
+    np.testing.assert_allclose((low, high), [[0, 0.224, 0.783], [0.217, 0.776, 1]], atol=6e-4)
+    for value, end in ((1.0, 1), (0.0, 0)):  # a fraction that is one or zero is known as well as a share
+        alike = np.full(50, value)
+        fraction, share = (Column(alike, kind, np.array(8.0)).interval(0.95, 30) for kind in ("fraction", "share"))
+        assert fraction == share and fraction[end] == value and abs(fraction[1 - end] - value) > 0.1
+    possible = {"mean": (-np.inf, np.inf), "positive": (0, np.inf), "correlation": (-1, 1), "fraction": (0, 1)}
+    for kind, ends in possible.items():
+        assert Column(np.full(50, 0.5), kind, np.array(8.0)).interval(0.95, 1) == ends, kind
 
 
 @given(value=st.floats(0.001, 0.999), kind=st.sampled_from(["share", "fraction", "mean", "positive", "correlation"]))
@@ -139,34 +134,12 @@ def test_scales_go_there_and_back(value, kind):
     assert from_scale(to_scale(np.array(value), kind), kind) == pytest.approx(value)
 
 
-@pytest.mark.parametrize(("value", "end"), [(1.0, 1), (0.0, 0)])
-def test_a_fraction_that_is_one_or_zero_is_known_as_well_as_a_share(value, end):
-    alike = np.full(50, value)
-    fraction, share = (Column(alike, kind, np.array(8.0)).interval(0.95, 30) for kind in ("fraction", "share"))
-    assert fraction == share and fraction[end] == value and abs(fraction[1 - end] - value) > 0.1
-
-
-@pytest.mark.parametrize("kind", ["mean", "positive", "correlation", "fraction"])
-def test_of_a_single_image_nothing_is_known_but_the_number(kind):
-    low, high = Column(np.full(50, 0.5), kind, np.array(8.0)).interval(0.95, 1)
-    least, most = {"mean": (-np.inf, np.inf), "positive": (0, np.inf), "correlation": (-1, 1), "fraction": (0, 1)}[kind]
-    assert (low, high) == (least, most)
-
-
 def test_runs_of_frames_are_drawn_together():
     frames = images(40, time_s=np.arange(40) * 0.5)
     drawn = resample(frames, 30, 0, run_s=5.0)
     assert drawn.weights.shape == (31, 40) and np.all(drawn.weights[0] == 1)
-    assert np.all(drawn.weights[1:].reshape(30, 4, 10).std(axis=2) == 0)
-    assert np.all(drawn.weights.sum(axis=1) == 40)
+    assert np.all(drawn.weights[1:].reshape(30, 4, 10).std(axis=2) == 0) and np.all(drawn.weights.sum(axis=1) == 40)
     assert np.any(resample(frames, 30, 0).weights[1:].reshape(30, 4, 10).std(axis=2) > 0)
-
-
-def test_clipped_scores_have_the_normal_behind_them():
-    values = np.clip(np.random.default_rng(4).normal(0.45, 0.2, 40_000), 0.2, 1)
-    fit = fit_clipped(clipped_sums(values, 0.2, 1.0).sum(axis=0)[None], 0.2, 1.0)
-    assert np.ravel(fit) == pytest.approx([0.45, 0.2], abs=4 * 0.2 / 200)
-    assert values.mean() - 0.45 > 0.005  # which the mean of the clipped ones is not
 
 
 def missed_by_size(seed, slope=-1.0, count=6000, by_units=False):
@@ -184,24 +157,17 @@ def missed_by_size(seed, slope=-1.0, count=6000, by_units=False):
     return replace(observed_in(labelled), matched=match(labelled, Rule())), chance
 
 
-def test_misses_follow_size_as_they_were_made_to():
-    observed, chance = missed_by_size(5)
-    fit = fit_misses(observed, (EffectTerm("size_px", 32.0),), resample(observed.labelled.images, 200, 0))
-    assert abs(fit.slopes[0, 0] + 1.0) < 4 * fit.errors[0]
-    assert fit.slopes[1:].std() == pytest.approx(fit.errors[0], rel=0.25)
-    for label in range(2):
-        ours = observed.label == label
-        assert fit.rates[0, 0, label] == pytest.approx(observed.missed[ours].mean(), abs=1e-6)
-    assert np.abs(fit.chance - chance).max() < 0.06
-
-
 @pytest.mark.parametrize(("slope", "by_units", "key"), [(-1.0, False, "per_doubling"), (-0.04, True, "per_unit")])
-def test_misses_follow_doublings_or_units_whichever_they_were_made_to(slope, by_units, key):
-    observed, _ = missed_by_size(8, slope, by_units=by_units)
+def test_misses_follow_doublings_or_units_of_size_whichever_they_were_made_to(slope, by_units, key):
+    observed, chance = missed_by_size(8, slope, by_units=by_units)
     (effect,) = choose_classes(observed).effects
     assert effect.slope_key == key
-    fit = fit_misses(observed, (effect,), resample(observed.labelled.images, 0, 0))
+    fit = fit_misses(observed, (effect,), resample(observed.labelled.images, 200, 0))
     assert abs(fit.slopes[0, 0] - slope) < 4 * fit.errors[0]
+    assert fit.slopes[1:].std() == pytest.approx(fit.errors[0], rel=0.25)
+    for label in range(2):
+        assert fit.rates[0, 0, label] == pytest.approx(observed.missed[observed.label == label].mean(), abs=1e-6)
+    assert np.abs(fit.chance - chance).max() < 0.06
 
 
 def test_a_correlation_time_is_no_surer_than_its_pairs_where_runs_are_alike():
@@ -246,14 +212,6 @@ def test_transitions_are_counted_with_one_made_up_of_each():
     assert nothing.matrix.tolist() == [[1, 0], [0, 1]] and "had 0 transitions" in nothing.notes[0]
 
 
-def test_cameras_that_share_a_chain_count_once():
-    frames = replace(images(8, time_s=np.tile(np.arange(4) * 0.5, 2)), sequence=np.repeat([0, 1], 4))
-    state = np.array([0, 0, 1, 1, 0, 0, 1, 1])
-    assert transitions_of(frames, state, 2).counts.tolist() == [[1, 0], [1, 1]]
-    assert transitions_of(frames, state, 2, interval_s=1.0).counts.tolist() == [[0, 0], [1, 0]]
-    assert not transitions_of(frames, np.zeros(8, dtype=int), 2).observed
-
-
 def test_error_shares_name_each_kind():
     boxes = [[1000.0 * k, 0, 1000.0 * k + 100, 100] for k in range(6)]
     seen = [
@@ -270,15 +228,13 @@ def test_error_shares_name_each_kind():
     shares = error_shares(labelled, match(labelled, Rule(by_label=True)), np.ones(1, dtype=bool), Rule())
     assert {each.kind: each.count for each in shares.shares} == dict.fromkeys(ErrorKind, 1) | {ErrorKind.MISSED: 3}
     gains = {each.kind.value: each.gain_points for each in shares.shares}
-    assert shares.average_precision == pytest.approx(1 / 6)
-    assert gains["classification"] == pytest.approx(100 / 6)
+    assert shares.average_precision == pytest.approx(1 / 6) and gains["classification"] == pytest.approx(100 / 6)
     # corrected, the ill placed one is second among those of its label: 2 in 2 up to a recall of 2/6
-    assert gains["localisation"] == pytest.approx(100 / 6)
-    assert gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
+    assert gains["localisation"] == pytest.approx(100 / 6) and gains["missed"] == pytest.approx(100 * (1 / 3 - 1 / 6))
     assert gains["duplicate"] == gains["background"] == gains["both"] == 0
 
 
-def test_transitions_are_between_frames_that_follow_each_other_and_have_their_interval():
+def test_transitions_are_between_frames_that_follow_each_other_and_cameras_that_share_a_chain_count_once():
     # A little early or late; between the fourth and the fifth, three are missing.
     frames = images(6, time_s=np.array([10.0, 10.52, 10.99, 11.5, 13.5, 14.0]))
     state = np.array([0, 0, 1, 1, 0, 1])
@@ -286,12 +242,14 @@ def test_transitions_are_between_frames_that_follow_each_other_and_have_their_in
     assert chain.counts.tolist() == [[1, 0], [2, 1]] and chain.interval_s == pytest.approx(0.5, abs=0.02)
     assert transitions_of(frames, state, 2, 1.0).counts.tolist() == [[0, 0], [2, 0]]
     assert not transitions_of(images(2, time_s=np.array([3.0, 3.0])), np.array([0, 1]), 2).observed
-
-
-@pytest.mark.parametrize("rate_hz", [24, 27, 30])
-def test_transitions_are_all_there_where_times_are_rounded(rate_hz):
-    frames = images(300, time_s=np.round(np.arange(300) / rate_hz, 2))
-    assert transitions_of(frames, np.arange(300) % 2, 2).counts.tolist() == [[0, 149], [150, 0]]
+    frames = replace(images(8, time_s=np.tile(np.arange(4) * 0.5, 2)), sequence=np.repeat([0, 1], 4))
+    state = np.array([0, 0, 1, 1, 0, 0, 1, 1])
+    assert transitions_of(frames, state, 2).counts.tolist() == [[1, 0], [1, 1]]
+    assert transitions_of(frames, state, 2, interval_s=1.0).counts.tolist() == [[0, 0], [1, 0]]
+    assert not transitions_of(frames, np.zeros(8, dtype=int), 2).observed
+    for rate_hz in (24, 27, 30):  # all are there where times are rounded
+        frames = images(300, time_s=np.round(np.arange(300) / rate_hz, 2))
+        assert transitions_of(frames, np.arange(300) % 2, 2).counts.tolist() == [[0, 149], [150, 0]]
 
 
 def at_the_edge(inner, outer, seed=2):
@@ -319,5 +277,4 @@ def test_box_errors_are_learned_from_sides_that_the_edge_has_not_cut_as_far_as_t
     assert learned.form.box_errors.states[0].source is source
     stated = [note for note in learned.notes if note.startswith("states.usual.box_error")]
     assert len(stated) == (whose is not None) and all(whose in note for note in stated)
-    written = np.array(learned.detector()["states"]["usual"]["box_error"]["covariance"])
-    assert np.all(np.diag(written) > 0)
+    assert np.all(np.diag(np.array(learned.detector()["states"]["usual"]["box_error"]["covariance"])) > 0)

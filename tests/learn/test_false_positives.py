@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.formats.matching import Rule
 from modsim3d.learn.bootstrap import entries_of, resample
 from modsim3d.learn.matches import FalseSightings
 from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
 from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import detected, detector_file, learned_in, observed_in, of_boats
+from tests.learn.one_state import PROVENANCE, detected, detector_file, learned_from, observed_in, of_boats
 
 FRAMES, RATE_HZ = 1200, 4.0
 SIZE = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
 STAYS = {"lifetime_s": 5.0, "drift_px_s": 8.0, "share": 0.6}
 BAND = {"placement": "horizon_band", "band_px": 60.0, "persistence": STAYS}
-PROVENANCE = Rule("provenance")
 
 
 def on_a_rolling_camera(seed=0, **clutter):
@@ -31,10 +29,6 @@ def on_a_rolling_camera(seed=0, **clutter):
     labelled = of_boats(images(FRAMES, (1200.0, 900.0), frame / RATE_HZ, half_planes), there, name="day")
     clutter = {"model": "per_image", "rate": 1.2, "size": SIZE, **clutter}
     return detected(labelled, detector_file("day", false=0.3) | {"false_positives": clutter}, seed)
-
-
-def learned_from(labelled, without=frozenset()):
-    return learned_in(observed_in(labelled, PROVENANCE, without, "day"), PROVENANCE, replicates=60)
 
 
 def inside(learned, **asked):
@@ -90,8 +84,7 @@ def test_boxes_that_jitter_from_frame_to_frame_still_stay(staying):
 
 
 def test_without_a_horizon_places_are_a_map_and_a_note_says_so(staying):
-    unknown = replace(staying.images, half_planes=np.full((FRAMES, 3), np.nan))
-    learned = learned_from(replace(staying, images=unknown))
+    learned = learned_from(replace(staying, images=replace(staying.images, half_planes=np.full((FRAMES, 3), np.nan))))
     assert learned.form.false_positives.placing == "density"
     assert "false_positives.placement: a map; the horizon of some images is not known (--horizon)" in learned.notes
 
@@ -99,8 +92,7 @@ def test_without_a_horizon_places_are_a_map_and_a_note_says_so(staying):
 def test_models_that_are_left_out_are_not_learned(staying):
     left = {"lasting": "persistence", "places": "band_px", "sizes": "size"}
     for name, key in left.items():
-        section = learned_from(staying, frozenset({name})).detector()["false_positives"]
-        assert set(left.values()) - set(section) == {key}
+        assert set(left.values()) - set(learned_from(staying, without={name}).detector()["false_positives"]) == {key}
 
 
 def test_what_was_learned_is_learned_again_with_the_same_numbers(staying, learned_staying):
@@ -108,19 +100,16 @@ def test_what_was_learned_is_learned_again_with_the_same_numbers(staying, learne
     numbers = {each.key.names[-1]: each.estimate for each in entries_of(again.numbers)}
     for name, value, share in (("band_px", 60, 0.03), ("drift_px_s", 8, 0.02), ("lifetime_s", 5, 0.5)):
         assert numbers[name] == pytest.approx(value, rel=share)
-
-
-def test_of_data_without_false_positives_the_same_numbers_are_learned(staying, learned_staying):
+    # Of data without false positives the same numbers are learned.
     results = staying.results
-    true = results.origin >= 0
-    kept = {name: None if column is None else column[true] for name, column in vars(results).items()}
+    kept = {name: None if column is None else column[results.origin >= 0] for name, column in vars(results).items()}
     nothing = observed_in(replace(staying, results=type(results)(**kept)), PROVENANCE, name="day")
-    again = learned_staying.form.estimate(nothing, resample(staying.images, 0, 0))
-    assert again.false_positives.persistence.share.estimate == 0
-    assert len([*entries_of(again)]) == len([*entries_of(learned_staying.numbers)])
+    none = learned_staying.form.estimate(nothing, resample(staying.images, 0, 0))
+    assert none.false_positives.persistence.share.estimate == 0
+    assert len([*entries_of(none)]) == len([*entries_of(learned_staying.numbers)])
 
 
-FEW_FRAMES, SETS = 300, 200
+FEW_FRAMES = 300
 
 
 def learned_to_stay(rate: float, seed: int, stays: int = 0) -> bool:
@@ -142,11 +131,8 @@ def learned_to_stay(rate: float, seed: int, stays: int = 0) -> bool:
     return isinstance(find_lasting(observed, sightings, np.full(FEW_FRAMES, len(image) / FEW_FRAMES)), Lasting)
 
 
-@pytest.mark.parametrize("rate", [0.02, 0.1, 0.6])
-def test_none_is_invented_in_two_hundred_sets(rate: float) -> None:
-    assert sum(learned_to_stay(rate, seed) for seed in range(SETS)) == 0
-
-
-def test_those_that_stay_are_found() -> None:
+def test_none_is_invented_in_two_hundred_sets_and_those_that_stay_are_found() -> None:
+    for rate in (0.02, 0.1, 0.6):
+        assert sum(learned_to_stay(rate, seed) for seed in range(200)) == 0, rate
     # Two may lie at one place, far apart in time.
     assert sum(learned_to_stay(0.1, seed, stays=4) for seed in range(10)) >= 9

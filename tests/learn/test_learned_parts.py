@@ -30,21 +30,15 @@ def estimates() -> dict[tuple[str, str], str]:
     return {(row[0], row[1]): row[2] for row in table.rows}
 
 
-def test_every_model_that_is_learned_is_one_that_a_detector_has() -> None:
-    assert all(set(learners) <= set(MODELS[part]) for part, learners in LEARNERS.items())
-    assert set(get_args(DropoutSection.model_fields["model"].annotation)) == set(MODELS[DetectorPart.CLASS])
-
-
-def test_the_report_says_of_every_registered_model_whether_it_is_learned() -> None:
+def test_the_report_says_of_every_registered_model_and_of_no_other_whether_it_is_learned(monkeypatch) -> None:
     expected = {
         (part, name): "not learned" if (part, name) in WITHOUT_LEARNER else "learned"
         for part, models in MODELS.items()
         for name in models
     }
     assert estimates() == expected
-
-
-def test_a_model_that_nothing_learns_is_listed_as_not_learned(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert all(set(learners) <= set(MODELS[part]) for part, learners in LEARNERS.items())
+    assert set(get_args(DropoutSection.model_fields["model"].annotation)) == set(MODELS[DetectorPart.CLASS])
     monkeypatch.setitem(cast(dict[str, Any], FALSE_POSITIVE_MODELS), "fourth", PerImage())
     assert estimates()[DetectorPart.FALSE_POSITIVES, "fourth"] == "not learned"
 
@@ -53,15 +47,6 @@ def test_a_model_that_nothing_learns_is_listed_as_not_learned(monkeypatch: pytes
 def run(tmp_path_factory):
     """A run of Simulation 1 with three labels, two states and nearly every model that can be learned."""
     return simulate("simulation_1", tmp_path_factory.mktemp("without"), 0, 600, 3)
-
-
-def test_without_all_of_them_the_model_is_the_thesis_s(run) -> None:
-    content = modsim3d.learn_detector(run=run, without=RICHER, replicates=20).content
-    assert not {"dropout", "persistence"} & set(content)
-    assert set(content["false_positives"]) == {"model"}
-    for state in content["states"].values():
-        assert state["box_error"].keys() == {"unit", "mean", "covariance"} and state["box_error"]["unit"] == "px"
-        assert state["confidence"].keys() == {"mean", "std"}
 
 
 def kept(content: Mapping[str, Any]) -> set[str]:
@@ -76,11 +61,16 @@ def kept(content: Mapping[str, Any]) -> set[str]:
     return {name for name, there in has.items() if there}
 
 
-def test_each_model_is_left_out_by_its_name(run) -> None:
+def test_each_model_is_left_out_by_its_name_and_without_all_it_is_the_thesis_s(run) -> None:
     every = {"effects", "persistence", "sizes", "places", "confidence"}
     # No two names are left out in the same of the cases, so each is known by where it is missing.
     for without in ((), ("effects", "places"), ("persistence", "places", "confidence"), ("sizes", "confidence")):
         assert kept(modsim3d.learn_detector(run=run, without=without, replicates=20).content) == every - set(without)
+    content = modsim3d.learn_detector(run=run, without=RICHER, replicates=20).content
+    assert kept(content) == set() and set(content["false_positives"]) == {"model"}
+    for state in content["states"].values():
+        assert state["box_error"].keys() == {"unit", "mean", "covariance"} and state["box_error"]["unit"] == "px"
+        assert state["confidence"].keys() == {"mean", "std"}
 
 
 def test_a_model_that_is_none_is_named(run, tmp_path) -> None:

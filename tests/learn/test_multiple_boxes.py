@@ -27,11 +27,6 @@ def many(tmp_path_factory):
     return labelled_run(simulate("harbour", tmp_path_factory.mktemp("many"), 2, 250, 3, DETECTOR))[0]
 
 
-@pytest.fixture(scope="module")
-def none(tmp_path_factory):
-    return labelled_run(simulate("harbour", tmp_path_factory.mktemp("none"), 2, 80, 3))[0]
-
-
 def observed_in(labelled, method, without=frozenset()):
     return observed_by_condition(labelled, Rule(method), without)
 
@@ -53,17 +48,17 @@ def test_what_was_asked_for_is_learned_again(many, method, tmp_path):
     assert outside(asked, learned.intervals(0.999)) == {}
 
 
-def test_nothing_is_learned_where_there_is_nothing(none):
+def test_nothing_is_learned_where_there_is_nothing(tmp_path):
+    none = labelled_run(simulate("harbour", tmp_path, 2, 80, 3))[0]
     for method in ("provenance", "confidence"):
         learned = learned_from(none, method, replicates=20)
         assert not set(NAMES) & set(learned.detector()["false_positives"])
         notes = [note.partition(":")[0] for note in learned.form.multiple_boxes.notes]
         assert notes == [f"false_positives.{name}" for name in NAMES]
-        plain = learned_from(none, method, frozenset(NAMES), replicates=20)
-        assert plain.detector() == learned.detector()
+        assert learned_from(none, method, frozenset(NAMES), replicates=20).detector() == learned.detector()
 
 
-def test_merges_that_do_not_persist_have_no_correlation_time(many):
+def test_merges_that_do_not_persist_or_are_not_to_have_no_correlation_time(many):
     trials = observed_in(many, "provenance").kinds.trials["merges"]
     assert ConsecutiveMerges.of(many, trials).products().correlation().low > 0.5
     order = np.random.default_rng(0).permutation(len(trials.hits))
@@ -71,9 +66,6 @@ def test_merges_that_do_not_persist_have_no_correlation_time(many):
     assert not mixed.persists and -0.2 < mixed.low < 0 < mixed.high < 0.2
     nobody = replace(many, annotations=replace(many.annotations, identity=np.full(len(many.annotations), -1)))
     assert not len(ConsecutiveMerges.of(nobody, trials).products())
-
-
-def test_persistence_of_merges_can_be_left_out(many):
     observed = (observed_in(many, "provenance", frozenset(names)) for names in ((), ("persistence",)))
     with_it, without = map(choose_multiple_boxes, observed)
     assert with_it.merge_s > 0 and without == replace(with_it, merge_s=0.0)

@@ -15,29 +15,23 @@ from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive, LagTable, SightingStretches
-from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import learned_in, observed_in, of_boats
+from tests.formats.labelled_sets import found
+from tests.learn.one_state import learned_in, moored, normal_chain, observed_in
 
 RATE_HZ = 5.0
 
 
-def chain(kept: float, rng: np.random.Generator, *shape: int) -> np.ndarray:
-    """Standard normal numbers of which a share is kept from one row to the next, with a first axis of rows."""
-    value = rng.normal(size=shape)
-    for row in range(1, len(value)):
-        value[row] = kept * value[row - 1] + np.sqrt(1 - kept**2) * value[row]
-    return value
-
-
 def two_boats(frames: int, errors_px: np.ndarray, missed: np.ndarray | None = None) -> LabelledSet:
     """Two boats in each frame, with errors (frames, 2, 4) in pixels; which are missed has shape (frames, 2)."""
-    image, identity = np.repeat(np.arange(frames), 2), np.tile([0, 1], frames)
-    boxes = np.tile([[200.0, 200, 260, 260], [400.0, 400, 460, 460]], (frames, 1))
-    seen = np.ones(2 * frames, dtype=bool) if missed is None else ~missed.ravel()
-    moved = boxes + errors_px.reshape(-1, 4)
-    pictures = images(frames, time_s=np.arange(frames) / RATE_HZ)
-    results = found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9))
-    return of_boats(pictures, truth(image, 0 * image, boxes, identity=identity), results)
+    labelled = moored(frames, 2, columns=2, size_px=(600.0, 600.0), step_s=1 / RATE_HZ)
+    return with_found(labelled, errors_px.reshape(-1, 4), None if missed is None else ~missed.ravel())
+
+
+def with_found(labelled: LabelledSet, errors_px: np.ndarray, seen: np.ndarray | None) -> LabelledSet:
+    """The set with detections, with errors of their corners, of the annotations that are seen."""
+    rows = np.arange(len(errors_px)) if seen is None else np.flatnonzero(seen)
+    image, boxes_px = labelled.annotations.image[rows], labelled.annotations.boxes_px + errors_px
+    return replace(labelled, results=found(image, 0 * image, boxes_px[rows], np.full(len(rows), 0.9)))
 
 
 def learned_from(labelled: LabelledSet, without: frozenset[str] = frozenset(), replicates: int = 20) -> Learned:
@@ -48,13 +42,9 @@ def notes_on(key: str, learned: Learned) -> list[str]:
     return [note for note in learned.notes if note.startswith(f"{key}: ")]
 
 
-def test_errors_and_misses_that_persist_in_few_frames_are_found():
+def test_misses_that_persist_in_few_frames_are_found():
     rng = np.random.default_rng(1)
-    errors, luck = chain(0.9, rng, 60, 2, 4), chain(0.95, rng, 90, 2)
-    learned = learned_from(two_boats(60, 2 * errors))
-    asked_s = 1 / RATE_HZ / -np.log(0.9)
-    assert 0.5 * asked_s < learned.detector()["persistence"]["box_s"] < 2 * asked_s
-    assert notes_on("persistence.box_s", learned) == []
+    luck = normal_chain(0.95, rng, 90, 2)
     misses = learned_from(two_boats(90, rng.normal(size=(90, 2, 4)), luck < -0.3))
     assert misses.detector()["persistence"].keys() == {"class_s"}
 
@@ -63,7 +53,7 @@ def test_the_correlation_time_of_errors_is_right_where_frames_last_only_a_few_ti
     asked_s, seeds, found = 3.0, 24, []
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        errors = 2 * chain(np.exp(-1 / RATE_HZ / asked_s), rng, 80, 2, 4)
+        errors = 2 * normal_chain(np.exp(-1 / RATE_HZ / asked_s), rng, 80, 2, 4)
         learned = learned_from(two_boats(80, errors, rng.random((80, 2)) < 0.2))
         (interval,) = [each for each in learned.intervals(0.95) if each.key.path == "persistence.box_s"]
         found.append((interval.estimate, interval.low <= asked_s <= interval.high))
@@ -91,8 +81,7 @@ def test_the_interval_that_includes_zero_is_the_reason():
     for key in ("class_s", "box_s"):
         (note,) = notes_on(f"persistence.{key}", learned)
         said = re.search(r"interval of the correlation in (\d+) consecutive pairs, (\S+) to (\S+), includes 0$", note)
-        assert said and 20 < int(said[1]) <= 78 and float(said[2]) <= 0 <= float(said[3]) < 1
-        assert "99.9%" in note
+        assert said and 20 < int(said[1]) <= 78 and float(said[2]) <= 0 <= float(said[3]) < 1 and "99.9%" in note
 
 
 @pytest.mark.parametrize(
@@ -123,7 +112,7 @@ def misses_of(missed: np.ndarray) -> Consecutive:
     return Consecutive(residual[:-1] * residual[1:], residual[:-1] ** 2, np.ones(count), np.zeros(count, dtype=int))
 
 
-def test_a_correlation_of_rare_misses_is_not_said_to_be_known():
+def test_a_correlation_of_rare_misses_is_not_said_to_be_known_and_noise_hardly_ever_to_persist():
     missed = np.zeros(1000)
     missed[[300, 700]] = 1
     found = misses_of(missed).correlation()
@@ -131,13 +120,10 @@ def test_a_correlation_of_rare_misses_is_not_said_to_be_known():
     assert "includes 0" in found.doubt
     alternating = misses_of(np.arange(200) % 2.0).correlation()
     assert alternating.high < 0 and "lies below 0" in alternating.doubt
-
-
-@pytest.mark.parametrize("count", [12, 60, 400])
-def test_noise_that_does_not_persist_is_hardly_ever_said_to(count):
     rng = np.random.default_rng(4)
-    wrong = sum(misses_of((rng.random(count + 1) < 0.4).astype(float)).correlation().persists for _ in range(1000))
-    assert wrong <= 5  # of 1000, at a level of 99.9 % of both sides
+    for count in (12, 60, 400):
+        noise = ((rng.random(count + 1) < 0.4).astype(float) for _ in range(1000))
+        assert sum(misses_of(each).correlation().persists for each in noise) <= 5  # of both sides, at 99.9 %
 
 
 BOATS, FRAMES, CLASS_S, BOX_S, MISSES = 40, 120, 1.0, 0.7, 0.35
@@ -146,7 +132,7 @@ BOATS, FRAMES, CLASS_S, BOX_S, MISSES = 40, 120, 1.0, 0.7, 0.35
 def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
     """Boats in a row, whose misses and errors are made like a detector's with shares that vessels keep."""
     rng = np.random.default_rng(seed)
-    errors = chain(np.exp(-1 / RATE_HZ / BOX_S), rng, FRAMES, BOATS, 4)
+    errors = normal_chain(np.exp(-1 / RATE_HZ / BOX_S), rng, FRAMES, BOATS, 4)
     errors = np.sqrt(box_share) * rng.normal(size=(BOATS, 4)) + np.sqrt(1 - box_share) * errors
     latent = rng.normal(size=(FRAMES, BOATS))
     for frame in range(1, FRAMES):
@@ -154,14 +140,9 @@ def boats(seed: int, class_share: float, box_share: float) -> LabelledSet:
         latent[frame] = np.where(keeps, latent[frame - 1], latent[frame])
     latent = np.sqrt(class_share) * rng.normal(size=BOATS) + np.sqrt(1 - class_share) * latent
     seen = (latent < -special.ndtri(MISSES)).ravel()
-    image, identity = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
-    x = 100.0 + 150 * identity
-    boxes = np.column_stack([x, 0 * x + 300, x + 60, 0 * x + 360])
+    labelled = moored(FRAMES, BOATS, columns=BOATS, size_px=(300.0 + 250 * BOATS, 800.0), step_s=1 / RATE_HZ)
     centre, side = errors.reshape(-1, 4)[:, :2] * 2, errors.reshape(-1, 4)[:, 2:] * 2
-    moved = boxes + np.concatenate([centre - side / 2, centre + side / 2], axis=1)
-    pictures = images(FRAMES, (200.0 + 150 * BOATS, 800.0), np.arange(FRAMES) / RATE_HZ)
-    results = found(image[seen], 0 * image[seen], moved[seen], np.full(seen.sum(), 0.9))
-    return of_boats(pictures, truth(image, 0 * image, boxes, identity=identity), results)
+    return with_found(labelled, np.concatenate([centre - side / 2, centre + side / 2], axis=1), seen)
 
 
 def test_shares_and_correlation_times_come_back_inside_their_intervals() -> None:
@@ -195,19 +176,18 @@ def test_what_the_mean_of_few_things_takes_of_a_share_is_made_up_for() -> None:
     lag, thing = (each.ravel() for each in np.meshgrid(np.arange(len(lag_s)), np.arange(things), indexing="ij"))
     level = share * (1 - 1 / things) / (1 - share / things)
     products = level + (1 - level) * np.exp(-lag_s[lag] / time_s)
-    same = np.ones(len(lag))
-    table = LagTable(products, same, lag_s[lag], lag, thing, 0 * lag, lag_s, things, 1 / things)
+    table = LagTable(products, np.ones(len(lag)), lag_s[lag], lag, thing, 0 * lag, lag_s, things, 1 / things)
     fits = table.fit(Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64)))
-    assert fits.levels[0] == pytest.approx(share, abs=0.003)
-    assert fits.times_s[0] == pytest.approx(time_s, rel=0.03)
+    assert fits.levels[0] == pytest.approx(share, abs=0.003) and fits.times_s[0] == pytest.approx(time_s, rel=0.03)
 
 
-def test_noise_that_is_forgotten_is_not_said_to_be_kept() -> None:
-    for seed in range(2):
-        learned = learned_from(boats(seed, 0.0, 0.0), replicates=30)
-        assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
-        notes = [note for note in learned.notes if "vessel_share" in note]
-        assert len(notes) == 2 and all("standard errors from 0 with 40 things, needs 3.3" in note for note in notes)
+@pytest.mark.parametrize(("seed", "shares", "left_out"), [(0, (0, 0), ()), (1, (0, 0), ()), (1, (0.4, 0.3), "vessels")])
+def test_noise_that_is_forgotten_is_not_said_to_be_kept_and_shares_can_be_left_out(seed, shares, left_out) -> None:
+    learned = learned_from(boats(seed, *shares), frozenset([left_out] if left_out else ()), replicates=30)
+    assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
+    notes = [note for note in learned.notes if "vessel_share" in note]
+    assert len(notes) == (0 if left_out else 2)
+    assert all("standard errors from 0 with 40 things, needs 3.3" in note for note in notes)
 
 
 def test_vessels_that_are_harder_by_themselves_give_no_slope() -> None:
@@ -219,9 +199,3 @@ def test_vessels_that_are_harder_by_themselves_give_no_slope() -> None:
         labelled = replace(labelled, annotations=replace(labelled.annotations, depth_m=distance_m))
         steeper += bool(choose_classes(observed_in(labelled)).effects)
     assert steeper <= binom.isf(0.001, seeds, 0.01)
-
-
-def test_shares_can_be_left_out() -> None:
-    learned = learned_from(boats(1, 0.4, 0.3), frozenset({"vessels"}), replicates=30)
-    assert learned.detector()["persistence"].keys() == {"class_s", "box_s"}
-    assert not [note for note in learned.notes if "vessel_share" in note]

@@ -1,48 +1,41 @@
 """A learned detector is compared with the real one where it was not learned."""
 
-import dataclasses
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from modsim3d import ModsimError, learn_detector, load_scene, run_scene
 from modsim3d.cli.learn import learn_json
 from modsim3d.cli.main import app
-from modsim3d.core.errors import ModsimError
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.formats.labelled import Images, LabelledSet
+from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.learned import LearnSettings
-from modsim3d.learn.learning import learn_detector
 from modsim3d.learn.self_check import RealityComparison, self_check
 from modsim3d.learn.simulated_results import simulated
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
-from tests.formats.labelled_sets import images, truth
-from tests.learn.one_state import detected, learned_in, observed_in, of_boats
-from tests.learn.scored_sets import detector
+from tests.learn.one_state import detected, detector, learned_in, moored, observed_in
 
-FRAMES, BOATS, STEP_S, SEEDS = 400, 20, 0.5, 12
+FRAMES, BOATS, SEEDS = 400, 20, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
+
+
+def two_films(frames: int, side_px) -> LabelledSet:
+    """Boats in twenty places, of which each half of the frames has its own."""
+    labelled = moored(frames, BOATS, columns=5, size_px=(1400.0, 1100.0), top_px=100.0, side_px=side_px)
+    film = (np.arange(frames) >= frames // 2).astype(np.int64)
+    there = labelled.annotations
+    there = replace(there, identity=there.identity + BOATS * film[there.image])
+    return replace(labelled, images=replace(labelled.images, sequence=film), annotations=there)
 
 
 def compared(without: frozenset[str] = frozenset(), frames: int = FRAMES) -> dict[str, RealityComparison]:
     """Comparisons of a simulated detector in place of a real one, in two films, by name."""
-    image, boat = np.repeat(np.arange(frames), BOATS), np.tile(np.arange(BOATS), frames)
-    corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
-    side = 30.0 + 4 * boat[:, None]
-    identity = boat + BOATS * (image >= frames // 2)
-    annotations = truth(image, 0 * image, np.hstack([corner, corner + side]), identity=identity)
-    data: dict[str, Any] = detector({"mean": 0.6, "std": 0.15}) | {"persistence": SCORE}
+    data = detector({"mean": 0.6, "std": 0.15}, persistence=SCORE)
     data["states"]["usual"] |= {"confusion": [[0.7], [0.3]], "false_discovery_rate": 0.1}
-    rows = checked(detected(of_boats(pictures(frames), annotations), data, 1), without)
+    rows = checked(detected(two_films(frames, 30.0 + 4 * np.arange(BOATS)), data, 1), without)
     assert [row.p_value for row in rows] == sorted(row.p_value for row in rows)
     return {row.name: row for row in rows}
-
-
-def pictures(frames: int) -> Images:
-    film = (np.arange(frames) >= frames // 2).astype(np.int64)
-    return dataclasses.replace(images(frames, (1400.0, 1100.0), np.arange(frames) * STEP_S), sequence=film)
 
 
 def checked(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> tuple[RealityComparison, ...]:
@@ -66,11 +59,6 @@ def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps() -> None:
     assert not rows["mean IoU of matches"].differs
 
 
-def test_half_of_next_to_nothing_is_an_error() -> None:
-    with pytest.raises(ModsimError, match="one half of the data has no matches"):
-        compared(frames=1)
-
-
 def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_path) -> None:
     short_run = run_scene(load_scene("simulation_1", steps=150), tmp_path / "run").folder
     result = learn_detector(run=short_run, replicates=20)
@@ -87,19 +75,16 @@ def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_pat
     assert said.exit_code == 0 and "Where it was not learned" not in said.output + out.with_suffix(".html").read_text()
 
 
-def test_halves_that_differ_in_opposite_ways_are_told() -> None:
+def test_halves_that_differ_in_opposite_ways_are_told_and_one_without_matches_is_refused() -> None:
     """Summed over both halves, what is learned from each would make up for the other."""
-    image, boat = np.repeat(np.arange(FRAMES), BOATS), np.tile(np.arange(BOATS), FRAMES)
-    corner = np.column_stack([100 + 250.0 * (boat % 5), 100 + 250.0 * (boat // 5)])
-    annotations = truth(image, 0 * image, np.hstack([corner, corner + 60]), identity=boat)
-    shown = pictures(FRAMES)
-    data = detector({"mean": 0.6, "std": 0.15}) | {"initial_state": "easy", "transition_matrix": [[1, 0], [0, 1]]}
-    usual = data["states"]["usual"]
-    data["states"] = {
-        name: usual | {"confusion": [[1 - miss], [miss]]} for name, miss in (("easy", 0.1), ("hard", 0.6))
-    }
-    labelled = simulated(of_boats(shown, annotations), shown.sequence, parse_detector(data), 1)
+    shown = two_films(FRAMES, 60.0)
+    data = detector({"mean": 0.6, "std": 0.15}, initial_state="easy", transition_matrix=[[1, 0], [0, 1]])
+    usual, misses = data["states"]["usual"], {"easy": 0.1, "hard": 0.6}
+    data["states"] = {name: usual | {"confusion": [[1 - miss], [miss]]} for name, miss in misses.items()}
+    labelled = simulated(shown, shown.images.sequence, parse_detector(data), 1)
     # As of files, which do not say what a detection came from.
-    results = dataclasses.replace(labelled.results, origin=None, kind=None, partner=None)
-    rows = {row.name: row for row in checked(dataclasses.replace(labelled, results=results))}
+    results = replace(labelled.results, origin=None, kind=None, partner=None)
+    rows = {row.name: row for row in checked(replace(labelled, results=results))}
     assert rows["share found"].differs
+    with pytest.raises(ModsimError, match="one half of the data has no matches"):
+        compared(frames=1)
