@@ -68,14 +68,16 @@ def coco(folder: Path, images: list[dict[str, object]], found: Sequence[object] 
     return read_log(folder / "log.json", LogOptions(**options))  # type: ignore[arg-type]
 
 
-def test_an_image_without_detections_is_a_frame(tmp_path: Path) -> None:
+def test_images_without_detections_are_frames_and_keep_their_times_beside_a_frame_rate(tmp_path: Path) -> None:
     entry = {"id": 7, "file_name": "a.png", "width": 640, "height": 480, "date_captured": "2024-01-04 10:00:00"}
     later = entry | {"id": 8, "date_captured": "2024-01-04T12:00:01.5+02:00"}
     log = coco(tmp_path, [entry, later], [{"image_id": 8, "category_id": 3, "bbox": [1, 2, 3, 4]}])
     assert (log.clock, log.span) == (Clock.UTC, "2024-01-04T10:00:00Z to 2024-01-04T10:00:01.500Z")
     assert (log.frame.tolist(), log.boxes_px.tolist()) == ([1], [[1, 2, 4, 6]])
-    assert np.isnan(log.confidence).all()
-    assert log.size_px.tolist() == [[640, 480]] * 2
+    assert np.isnan(log.confidence).all() and log.size_px.tolist() == [[640, 480]] * 2
+    images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
+    log = coco(tmp_path, images, frame_rate_hz=10)
+    assert (log.span, log.notes) == ("2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z", ())
 
 
 @pytest.mark.parametrize("captured", ["", 0, "2013-11-14 17:02:52", None])
@@ -101,59 +103,58 @@ def frames_of_results(folder: Path, files: list[str], given: list[object], **key
     return read_log(folder / "dt.json", LogOptions(images=folder / "gt.json"))
 
 
-def test_results_may_name_images_by_their_files(tmp_path: Path) -> None:
-    """As detectors write them that do not know the IDs."""
-    files = [f"day/{k:04d}.png" for k in range(3)]
-    for name in ("0002", "0002.png", "day/0002.png"):
-        log = frames_of_results(tmp_path, files, [name])
-        assert log.frame.tolist() == [2]
-        assert "taken for the names of the images' files" in log.notes[0]
-    with pytest.raises(InputError, match="unknown image_id 'other'"):
-        frames_of_results(tmp_path, files, ["other"])
-
-
-def test_a_name_that_several_images_have_stands_for_none_and_one_beside_an_image_id_decides(tmp_path: Path) -> None:
-    """Not for the last: both cameras' boxes would be on its images."""
-    files = ["left/0001.jpg", "right/0001.jpg", "left/0002.jpg"]
-    assert frames_of_results(tmp_path, files, ["right/0001.jpg", "0002"]).frame.tolist() == [1, 2]
-    with pytest.raises(InputError, match=r"\[0\]: unknown image_id '0001'"):
-        frames_of_results(tmp_path, files, ["0001", "0002"])
-    log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], [1], file_name="000001.jpg")
-    assert (log.frame.tolist(), log.notes) == ([0], ())
+DAY_FILES = [f"day/{k:04d}.png" for k in range(3)]
+TWO_SIDES = ["left/0001.jpg", "right/0001.jpg", "left/0002.jpg"]
+NUMBERED = ["000001.jpg", "000002.jpg", "000003.jpg"]
+BY_NAME = "its image_id are taken for the names of the images' files"
 
 
 @pytest.mark.parametrize(
-    ("given", "frames", "said"),
+    ("files", "given", "frames", "said"),
     [
-        ([1, 2, 3], [0, 1, 2], "its image_id are taken for the names of the images' files"),
-        ([1.0, 2.0, 3.0], [0, 1, 2], "its image_id are taken for the names of the images' files"),
-        ([0, 1, 2], [0, 1, 2], ""),
-        ([1, 2], [1, 2], "and the name of another's file too: taken for the id"),
+        (DAY_FILES, ["0002"], [2], BY_NAME),
+        (DAY_FILES, ["0002.png"], [2], BY_NAME),
+        (DAY_FILES, ["day/0002.png"], [2], BY_NAME),
+        (TWO_SIDES, ["right/0001.jpg", "0002"], [1, 2], BY_NAME),
+        (NUMBERED, [1, 2, 3], [0, 1, 2], BY_NAME),
+        (NUMBERED, [1.0, 2.0, 3.0], [0, 1, 2], BY_NAME),
+        (NUMBERED, [0, 1, 2], [0, 1, 2], ""),
+        (NUMBERED, [1, 2], [1, 2], "and the name of another's file too: taken for the id"),
     ],
 )
-def test_numbers_that_name_files_are_told_from_ids(tmp_path: Path, given, frames, said: str) -> None:
-    """Image 0 is `000001.jpg`, so the other reading moves all detections by one frame."""
-    log = frames_of_results(tmp_path, ["000001.jpg", "000002.jpg", "000003.jpg"], given)
-    assert log.frame.tolist() == frames
-    assert said in " ".join(log.notes) and bool(said) == bool(log.notes)
+def test_results_name_images_by_ids_or_by_files(tmp_path: Path, files, given, frames, said: str) -> None:
+    """As detectors write them that do not know the IDs. Of numbered files the other reading moves all detections by one
+    frame."""
+    log = frames_of_results(tmp_path, files, given)
+    assert log.frame.tolist() == frames and said in " ".join(log.notes) and bool(said) == bool(log.notes)
 
 
-def test_corners_have_the_names_that_detectors_give_them(tmp_path: Path) -> None:
-    for names in ("left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"):
-        log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
-        assert log.boxes_px.tolist() == [[1, 2, 30, 40]], names
-
-
-def test_images_with_times_of_their_own_keep_them_beside_a_frame_rate(tmp_path: Path) -> None:
-    images = [{"id": k, "frame_id": k, "date_captured": f"2024-01-04 10:00:0{k}"} for k in range(3)]
-    log = coco(tmp_path, images, frame_rate_hz=10)
-    assert (log.span, log.notes) == ("2024-01-04T10:00:00Z to 2024-01-04T10:00:02Z", ())
+def test_a_name_that_none_or_several_images_have_is_refused_and_one_beside_an_image_id_decides(tmp_path: Path) -> None:
+    """Not for the last of several: both cameras' boxes would be on its images."""
+    for files, given, said in (
+        (DAY_FILES, ["other"], "unknown image_id 'other'"),
+        (TWO_SIDES, ["0001", "0002"], r"\[0\]: unknown image_id '0001'"),
+    ):
+        with pytest.raises(InputError, match=said):
+            frames_of_results(tmp_path, files, given)
+    log = frames_of_results(tmp_path, NUMBERED, [1], file_name="000001.jpg")
+    assert (log.frame.tolist(), log.notes) == ([0], ())
 
 
 def table(folder: Path, *rows: str, head: str = HEAD) -> Path:
     path = folder / "log.csv"
     path.write_text(head + "".join(f"{row}\n" for row in rows))
     return path
+
+
+def test_corners_have_the_names_that_detectors_give_them_and_confidences_may_have_another_scale(tmp_path: Path) -> None:
+    for names in ("left,top,right,bottom", "x1,y1,x2,y2", "xmin,ymin,xmax,ymax", "x_min,y_min,x_max,y_max"):
+        log = read_log(table(tmp_path, "0,1,2,30,40", head=f"time_s,{names}\n"))
+        assert log.boxes_px.tolist() == [[1, 2, 30, 40]], names
+    path = table(tmp_path, "0,1,2,3,4,boat,50", "1,1,2,3,4,boat,75")
+    with pytest.raises(InputError, match="--confidence-scale"):
+        read_log(path)
+    assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
 
 
 def boat_at(*times: float) -> list[str]:
@@ -168,11 +169,7 @@ def test_frames_without_detections_come_from_the_usual_gap_a_frame_rate_or_empty
     log = read_log(table(tmp_path, *boat_at(0, 0.5, 1)), LogOptions(frame_rate_hz=4))
     np.testing.assert_allclose(log.time_s, [0, 0.25, 0.5, 0.75, 1])
     log = read_log(table(tmp_path, *boat_at(0), "1.3,,,,,,", *boat_at(9)))
-    assert (log.time_s.tolist(), log.frame.tolist()) == ([0, 1.3, 9], [0, 2])
-    assert "empty boxes" in log.frames_from
-
-
-def test_times_without_a_frame_rate_or_with_another_are_refused(tmp_path: Path) -> None:
+    assert (log.time_s.tolist(), log.frame.tolist()) == ([0, 1.3, 9], [0, 2]) and "empty boxes" in log.frames_from
     with pytest.raises(InputError, match=r"cannot be known: the usual gap .* give --frame-rate"):
         read_log(table(tmp_path, *boat_at(0, 1, 2.5, 3.2, 7, 8.45)))
     with pytest.raises(InputError, match=r"0.5 s apart after 0 s do not fit --frame-rate 3"):
@@ -182,13 +179,13 @@ def test_times_without_a_frame_rate_or_with_another_are_refused(tmp_path: Path) 
 def test_parquet_is_read_as_csv_is_also_times_with_a_zone(tmp_path: Path) -> None:
     seconds = pa.array([1704362400, 1704362401], pa.int64()).cast(pa.timestamp("s", tz="Europe/Oslo"))
     boxes = {"left": [1.5, 2.0], "top": [2.0, 3.0], "right": [4.0, 5.0], "bottom": [6.0, 7.0], "score": [0.5, 0.25]}
+    named = {"camera": ["bow", "bow"], "label": ["ba\u030at", "b\u00e5t"]}
     for utc in (["2024-01-04T10:00:00Z", "2024-01-04T10:00:01Z"], seconds):
-        pq.write_table(pa.table({"utc": utc, "camera": ["bow", "bow"]} | boxes), tmp_path / "log.parquet")
+        pq.write_table(pa.table({"utc": utc} | named | boxes), tmp_path / "log.parquet")
         log = read_log(tmp_path / "log.parquet")
-        assert (log.clock, log.cameras, log.labels) == (Clock.UTC, ("bow",), ())
+        assert (log.clock, log.cameras, log.labels) == (Clock.UTC, ("bow",), ("b\u00e5t",))
         assert log.time_s.tolist() == [1704362400, 1704362401]
-        assert log.boxes_px.tolist() == [[1.5, 2, 4, 6], [2, 3, 5, 7]]
-        assert log.confidence.tolist() == [0.5, 0.25]
+        assert log.boxes_px.tolist() == [[1.5, 2, 4, 6], [2, 3, 5, 7]] and log.confidence.tolist() == [0.5, 0.25]
 
 
 def test_frames_that_lack_a_detection_and_cameras_that_are_named_here_and_there_are_refused(tmp_path, strait) -> None:
@@ -206,16 +203,8 @@ def test_mot_begins_at_the_start_and_has_the_frame_rate(tmp_path: Path) -> None:
     (tmp_path / "det.txt").write_text("1,-1,11,21,30,40,0.9,2\n4,-1,11,21,30,40,0.8,1\n")
     start = Start(5.0, Clock.STEP)
     log = read_log(tmp_path / "det.txt", LogOptions(frame_rate_hz=2, start=start, labels=("boat", "ship")))
-    assert log.time_s.tolist() == [5, 5.5, 6, 6.5]
-    assert [log.labels[k] for k in log.label] == ["ship", "boat"]
+    assert log.time_s.tolist() == [5, 5.5, 6, 6.5] and [log.labels[k] for k in log.label] == ["ship", "boat"]
     assert log.boxes_px.tolist() == [[10, 20, 40, 60]] * 2
-
-
-def test_confidences_on_another_scale_are_mapped(tmp_path: Path) -> None:
-    path = table(tmp_path, "0,1,2,3,4,boat,50", "1,1,2,3,4,boat,75")
-    with pytest.raises(InputError, match="--confidence-scale"):
-        read_log(path)
-    assert read_log(path, LogOptions(confidence_scale=(0, 100))).confidence.tolist() == [0.5, 0.75]
 
 
 def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,8 +214,7 @@ def test_a_time_without_a_zone_is_utc_wherever_the_log_is_read(monkeypatch: pyte
         found = [utc_s(text) for text in ("1970-01-02T00:00:00", "1970/01/02 09:00:00+09:00", "1970-01-02", "noon")]
         exif = utc_s("1970:01:02 00:00:00")
     time.tzset()
-    assert [*found[:3], exif] == [86400] * 4
-    assert np.isnan(found[3])
+    assert [*found[:3], exif] == [86400] * 4 and np.isnan(found[3])
 
 
 ROW = "0,1,2,3,4,boat,0.5"
@@ -241,10 +229,7 @@ def coco_of(*images: dict[str, object]) -> str:
 WRONG = {
     "no time": ("log.csv", "left,top,width,height\n", "a column with the time is missing (got 'left', 'top'"),
     "for spreadsheets": ("log.csv", f"sep=,\n{HEAD}{ROW}\n", "line 1 is for spreadsheets alone"),
-    "no columns": (
-        *("log.csv", "utc;left;top\n1;2;3\n"),
-        "the time is missing (got 'utc;left;top': its cells have semicolons between them, must have commas)",
-    ),
+    "no columns": ("log.csv", "utc;left;top\n1;2;3\n", "its cells have semicolons between them, must have commas)"),
     "seconds as UTC": (
         *("log.csv", "utc,left,top,width,height\n55,1,2,30,40\n"),
         "line 2: utc must be a time such as 2024-01-04T10:00:00.250Z, or Unix time (got '55'): seconds since the",
@@ -295,8 +280,7 @@ def test_a_wrong_log_is_refused_with_its_place(tmp_path: Path, name: str, text: 
     options = LogOptions(frame_rate_hz=2 if "frame must" in said else None)
     with pytest.raises(InputError) as error:
         read_log(tmp_path / name, options)
-    assert said in str(error.value)
-    assert str(tmp_path / name) in str(error.value)
+    assert said in str(error.value) and str(tmp_path / name) in str(error.value)
 
 
 def test_a_folder_that_is_no_log_is_refused(tmp_path: Path) -> None:
@@ -306,20 +290,18 @@ def test_a_folder_that_is_no_log_is_refused(tmp_path: Path) -> None:
         read_log(tmp_path / "log.csv")
 
 
-def test_images_of_another_size_are_refused(voyage: Path, strait: Scene, tmp_path: Path) -> None:
+def test_images_of_another_size_and_boxes_that_no_image_has_are_refused(voyage, strait: Scene, tmp_path: Path) -> None:
+    """As those of a film that is larger than the images for which the scene's camera stands."""
     shutil.copytree(voyage / "mot" / "modsim3d-all" / "bow", tmp_path / "bow")
     info = tmp_path / "bow" / "seqinfo.ini"
     info.write_text(info.read_text().replace("imWidth=1920", "imWidth=1280"))
-    with pytest.raises(InputError, match="has images of 1280 × 1080 px, and camera 'bow' of the scene 1920 × 1080 px"):
-        on_scene(read_log(tmp_path / "bow" / "det" / "det.txt"), strait, "bow")
-
-
-def test_boxes_that_no_image_of_the_camera_has_are_refused(tmp_path: Path, strait: Scene) -> None:
-    """As those of a film that is larger than the images for which the scene's camera stands."""
-    path = table(tmp_path, ROW, "0,2000,900,30,40,boat,0.5")
-    problem = r"1 of 2 boxes lie outside the images of camera 'bow', of 1920 × 1080 px \(first at 0 s: 2000, 900 to"
-    with pytest.raises(InputError, match=problem):
-        on_scene(read_log(path), strait, "bow")
+    outside = r"1 of 2 boxes lie outside the images of camera 'bow', of 1920 × 1080 px \(first at 0 s: 2000, 900 to"
+    for path, said in (
+        (tmp_path / "bow/det/det.txt", "has images of 1280 × 1080 px, and camera 'bow' of the scene 1920 × 1080 px"),
+        (table(tmp_path, ROW, "0,2000,900,30,40,boat,0.5"), outside),
+    ):
+        with pytest.raises(InputError, match=said):
+            on_scene(read_log(path), strait, "bow")
     few = table(tmp_path, "0,-50,9,30,40,boat,0.5", *(f"{k / 100},100,900,30,40,boat,0.5" for k in range(200)))
     assert len(on_scene(read_log(few), strait, "bow").cameras[0].boxes_px) == 201
 
@@ -328,11 +310,9 @@ def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
     """As where two files of a log overlap."""
     rows = ROW, "1,5,6,30,40,boat,0.5", "1,5,6,30,40,boat,0.25", "1,5,6,30,40,ship,0.5"
     log = read_log(table(tmp_path, *rows, *rows[1:], rows[0]))
-    assert log.frame.tolist() == [0, 1, 1, 1]
-    assert log.confidence.tolist() == [0.5, 0.5, 0.25, 0.5]
+    assert log.frame.tolist() == [0, 1, 1, 1] and log.confidence.tolist() == [0.5, 0.5, 0.25, 0.5]
     said = "4 detections are there a second time (first at 0 s), with the same time, box, class and confidence"
-    assert any(said in note for note in log.notes)
-    assert not read_log(table(tmp_path, *rows)).notes
+    assert any(said in note for note in log.notes) and not read_log(table(tmp_path, *rows)).notes
 
 
 UTC_ROW = "2024-01-04T10:00Z,1,2,3,4,boat,1"

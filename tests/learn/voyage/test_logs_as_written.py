@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -117,18 +115,11 @@ def test_a_log_of_which_most_is_outside_of_the_scene_is_refused(tmp_path: Path, 
 
 # ---- ROS 2 bags ----
 
+Frames = Mapping[float, Sequence[tuple[Any, ...]]]
 FRAMES = {time: [(115.0, 520.0, 30.0, 40.0, "boat", 0.5)] for time in TIMES}
 
 
-def bag(
-    folder: Path,
-    topics: tuple[str, ...],
-    *,
-    old: bool = False,
-    theta: float = 0.0,
-    sqlite: bool = False,
-    frames: Mapping[float, Sequence[tuple[Any, ...]]] = FRAMES,
-) -> Path:
+def bag(folder: Path, topics: tuple[str, ...], *, old=False, theta=0.0, sqlite=False, frames: Frames = FRAMES) -> Path:
     """A bag of the detections at each time on each topic, with the vision_msgs 4 of Humble or those of Foxy."""
     types = dict(VISION_MSGS)
     if old:
@@ -169,12 +160,6 @@ def bag(
     return folder
 
 
-def test_accents_of_tables_in_parquet_change_nothing(tmp_path: Path) -> None:
-    columns = dict(zip(("left", "top", "width", "height"), BOX, strict=True)) | {"label": "ba\u030at"}
-    pq.write_table(pa.Table.from_pylist([{"time_s": time, **columns} for time in TIMES]), tmp_path / "log.parquet")
-    assert read_log(tmp_path / "log.parquet").labels == (NAME,)
-
-
 @pytest.mark.parametrize("old", [False, True])
 def test_results_of_old_and_new_vision_msgs_are_read_and_turned_boxes_refused(tmp_path: Path, old: bool) -> None:
     found = read_log(bag(tmp_path / "upright", ("/bow/detections",), old=old))
@@ -185,16 +170,11 @@ def test_results_of_old_and_new_vision_msgs_are_read_and_turned_boxes_refused(tm
     assert len(read_log(bag(tmp_path / "half turn", ("/bow/detections",), old=old, theta=np.pi)).frame) == 3
 
 
-@pytest.mark.parametrize(
-    ("topics", "camera"), [(("/bow/detections", "/bow/filtered"), "'bow'"), (("/detections", "/filtered"), "null")]
-)
-def test_two_topics_of_one_camera_are_named(tmp_path: Path, topics: tuple[str, ...], camera: str) -> None:
-    said = f"{topics[0]} and {topics[1]} are both of camera {camera}: give a bag with one"
-    with pytest.raises(InputError, match=said):
-        read_log(bag(tmp_path / "bag", topics))
-
-
-def test_the_file_of_a_bag_in_sqlite_stands_for_its_folder(tmp_path: Path) -> None:
+def test_two_topics_of_one_camera_are_named_and_the_file_in_sqlite_stands_for_its_folder(tmp_path: Path) -> None:
+    for topics, camera in ((("/bow/detections", "/bow/filtered"), "'bow'"), (("/detections", "/filtered"), "null")):
+        said = f"{topics[0]} and {topics[1]} are both of camera {camera}: give a bag with one"
+        with pytest.raises(InputError, match=said):
+            read_log(bag(tmp_path / topics[1][1:5], topics))
     folder = bag(tmp_path / "bag", ("/bow/detections",), sqlite=True)
     assert len(read_log(folder / "bag.db3").frame) == 3
     (folder / "metadata.yaml").unlink()
@@ -202,21 +182,16 @@ def test_the_file_of_a_bag_in_sqlite_stands_for_its_folder(tmp_path: Path) -> No
         read_log(folder / "bag.db3")
 
 
-def test_boxes_that_fit_the_vessels_in_another_reading_are_named(tmp_path: Path) -> None:
-    """Centres in place of left and top, and rows that are counted from below."""
+def test_boxes_whose_rows_are_counted_from_below_are_named(tmp_path: Path) -> None:
     scene = load_scene(strait_scene(tmp_path / "scene"))
     found = Voyage.of(scene, "bow", {"clock_s": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}).detections(0)
-    times_s, boxes_px, height = found.times_s[found.frame], found.boxes_px, scene.cameras[0].intrinsics.image_size_px[1]
-    size_px = boxes_px[:, 2:] - boxes_px[:, :2]
-    x_min, y_min, x_max, y_max = boxes_px.T
-
-    def notes(name: str, boxes: Any, columns: str = "left,top,right,bottom") -> tuple[str, ...]:
-        path = written(tmp_path / f"{name}.csv", times_s, boxes)
-        path.write_text(path.read_text().replace("left,top,right,bottom", columns))
-        return labelled_voyage(on_scene(read_log(path), scene, "bow")).labelled.notes
-
-    assert not [note for note in notes("right", boxes_px) if "half of them lie" in note]
-    with pytest.raises(InputError, match=r"are read as .* but are centre x, centre y"):
-        notes("centres", np.column_stack([boxes_px[:, :2] + size_px / 2, size_px]), "left,top,width,height")
+    x_min, y_min, x_max, y_max = found.boxes_px.T
+    height = scene.cameras[0].intrinsics.image_size_px[1]
+    below_px = np.column_stack([x_min, height - y_max, x_max, height - y_min])
+    right, below = (
+        on_scene(read_log(written(tmp_path / name, found.times_s[found.frame], px)), scene, "bow")
+        for name, px in (("right.csv", found.boxes_px), ("below.csv", below_px))
+    )
+    assert not [note for note in labelled_voyage(right).labelled.notes if "half of them lie" in note]
     with pytest.raises(InputError, match="y is counted from the lower edge"):
-        notes("below", np.column_stack([x_min, height - y_max, x_max, height - y_min]))
+        labelled_voyage(below)

@@ -16,8 +16,8 @@ from modsim3d.learn.voyage.log_to_scene import Correction, SceneLog, on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
 from tests.scenes import crossing
 
-HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
 FRAMES_S = np.arange(5) * 0.2
+HEAD = "time_s,roll_rad,pitch_rad,heading_rad\n"
 
 
 @pytest.fixture(scope="module")
@@ -40,33 +40,35 @@ def test_at_the_steps_of_a_scene_its_truth_is_that_of_a_run(log: SceneLog, label
 def test_between_two_steps_vessels_are_between_their_places(tmp_path: Path) -> None:
     crossed = load_scene(crossing(tmp_path, 40), source="analytic")
     step = float(crossed.times_s(0, 3)[1])
-    asked = np.array([0, 0.25 * step, step, 1.5 * step])
-    found, known = Sampler(crossed).at(asked), crossed.motion.at(np.arange(3))
+    found, known = Sampler(crossed).at(np.array([0, 0.25 * step, step, 1.5 * step])), crossed.motion.at(np.arange(3))
     shares = np.array([[1, 0, 0], [0.75, 0.25, 0], [0, 1, 0], [0, 0.5, 0.5]])
     expected = np.einsum("ts,svk->tvk", shares, known.poses.positions_m)
     np.testing.assert_allclose(found.poses.positions_m, expected, atol=1e-9)
     assert (np.ptp(expected, axis=0) > 0).any()
-
-
-def test_headings_turn_along_the_shorter_arc() -> None:
+    # Headings turn along the shorter arc.
     keys = {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "Vessel"}
     lens = {"focal_length_m": 0.02, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [320, 240]}
     camera = lens | {"image_size_px": [640, 480], "pose": {"position_m": [-60, 0, 4]}}
     places = np.array([[[0, 0], [50, 0]], [[1, 0], [np.nan, np.nan]]])
     poses = {"positions_m": places, "headings_rad": np.array([[3.1, 0], [-3.1, np.nan]]), "time_step_s": 1.0}
     parts = {"vessels": {"a": keys, "b": keys}, "poses": poses, "cameras": {"shore": camera}, "detector": "thesis"}
-    scene = Scene.from_dict(parts)
-    found = Sampler(scene).at(np.array([0.0, 0.5]))
+    found = Sampler(Scene.from_dict(parts)).at(np.array([0.0, 0.5]))
     assert math.isclose(math.cos(found.poses.headings_rad[1, 0]), -1)
     assert found.poses.present.tolist() == [[True, True], [True, False]]
 
 
-def test_a_clock_that_is_late_shows_what_was_before(log: SceneLog, labelled: LabelledSet) -> None:
+def test_a_late_clock_shows_what_was_before_and_one_that_leaves_no_frame_is_refused(voyage, strait, log, labelled):
     """The log's times are 0.4 s too small: its first frame shows the third step."""
     found = labelled_voyage(log, VoyageOptions(Correction(clock_s=0.4))).labelled
     late = labelled.annotations.boxes_px[labelled.annotations.image == 2]
     np.testing.assert_array_equal(found.annotations.boxes_px[found.annotations.image == 0], late)
     assert any("2 of 24 frames are before or after the scene" in note for note in found.notes)
+    with pytest.raises(InputError, match="24 of 24 frames are before or after the scene"):
+        labelled_voyage(log, VoyageOptions(Correction(clock_s=100)))
+    text = r"has frames from 7200 s to 7204.6 s, and scene .* is from 0 s to 4.6 s: .* after the scene's last step"
+    read = read_log(voyage / "run")
+    with pytest.raises(InputError, match=text):
+        on_scene(replace(read, time_s=read.time_s + 7200), strait)
 
 
 CHANGES = {"pitch_deg": 1.5, "yaw_deg": 2, "roll_deg": 3, "height_m": 1, "focal_share": 0.02, "k1": -0.05}
@@ -99,30 +101,16 @@ def test_a_camera_that_is_changed_sees_what_such_a_camera_sees(tmp_path: Path, n
     assert np.abs(found.truth.full_boxes_px - usual.truth.full_boxes_px).max() > 0.5
 
 
-def test_a_clock_that_is_off_by_less_than_half_a_frame_loses_no_frame() -> None:
+def test_a_clock_that_is_off_by_less_than_half_a_frame_loses_no_frame_and_others_are_left_out() -> None:
     times_s, inside = within_scene(FRAMES_S, -0.0007, 0.8)
-    assert inside.all()
-    assert times_s[0] == 0
+    assert inside.all() and times_s[0] == 0
     np.testing.assert_allclose(times_s[1:], FRAMES_S[1:] - 0.0007)
     late_s, inside = within_scene(FRAMES_S, 0.05, 0.8)
-    assert inside.all()
-    assert late_s[-1] == 0.8
-
-
-def test_frames_that_are_clearly_outside_are_left_out_without_a_registered_clock_all() -> None:
-    # Of frames every 0.02 s, 0.011 s is more than half.
+    assert inside.all() and late_s[-1] == 0.8
+    # Of frames every 0.02 s, 0.011 s is more than half; without a registered clock all that are outside are left out.
     for frames_s, clock_s in ((FRAMES_S, -0.15), (FRAMES_S * 0.1, -0.011), (FRAMES_S - 0.01, 0.0)):
         assert within_scene(frames_s, clock_s, 0.8)[1].tolist() == [False, True, True, True, True]
     assert within_scene(FRAMES_S - 1e-9, 0.0, 0.8)[1].all()
-
-
-def test_clocks_hours_apart_and_corrections_that_move_all_frames_out_are_refused(voyage, strait, log) -> None:
-    text = r"has frames from 7200 s to 7204.6 s, and scene .* is from 0 s to 4.6 s: .* after the scene's last step"
-    read = read_log(voyage / "run")
-    with pytest.raises(InputError, match=text):
-        on_scene(replace(read, time_s=read.time_s + 7200), strait)
-    with pytest.raises(InputError, match="24 of 24 frames are before or after the scene"):
-        labelled_voyage(log, VoyageOptions(Correction(clock_s=100)))
 
 
 def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scene) -> None:
@@ -141,15 +129,6 @@ def test_a_measured_attitude_takes_the_place_of_waves(voyage: Path, strait: Scen
     np.testing.assert_allclose(parquet.angles_rad, attitude.angles_rad, atol=1e-7)
 
 
-def test_an_attitude_in_milliseconds_is_refused_and_a_long_one_is_not(strait: Scene, tmp_path: Path) -> None:
-    path = tmp_path / "attitude.csv"
-    path.write_text(HEAD + "".join(f"{k * 100:g},0,0,0\n" for k in range(46)))
-    with pytest.raises(InputError, match=r"98% of its rows are after .*, of 4.6 s: they seem to be milliseconds"):
-        read_attitude(path, strait)
-    path.write_text(HEAD + "".join(f"{k * 0.5:g},0,0,0\n" for k in range(46)))
-    assert len(read_attitude(path, strait).time_s) == 46
-
-
 def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting(strait: Scene, tmp_path: Path) -> None:
     """As that of a vessel that goes in circles does, in a run and in recorders."""
     path, turns = tmp_path / "attitude.csv", 20 * math.pi
@@ -160,6 +139,8 @@ def test_the_yaw_of_an_attitude_is_added_to_its_heading_which_may_go_on_counting
         path.write_text(rows)
         found = read_attitude(path, strait).at(np.array([0.5]), np.array([heading]))
         assert found.round(9).tolist() == [[0, 0, round(expected, 9)]]
+    path.write_text(HEAD + "".join(f"{k / 2:g},0,0,0\n" for k in range(46)))  # far longer than the scene
+    assert len(read_attitude(path, strait).time_s) == 46
 
 
 def test_frames_without_attitude_are_left_out(log: SceneLog, tmp_path: Path) -> None:
@@ -185,6 +166,10 @@ WRONG = {
     "degrees of a steady heading": (
         f"{HEAD}0,1,0,190\n1,1,0,190.2\n",
         r"its headings are 92° off those of 'own' in .*: heading_rad counts .*, in radians: are these degrees",
+    ),
+    "milliseconds": (
+        HEAD + "".join(f"{k * 100:g},0,0,0\n" for k in range(46)),
+        r"98% of its rows are after .*, of 4.6 s: they seem to be milliseconds",
     ),
     "another day": (f"{HEAD}90000,0,0,0\n90001,0,0,0\n", "its rows are from 90000 s to"),
     "compass": (

@@ -18,7 +18,6 @@ from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, p
 from modsim3d.learn.voyage.clock import noted_clock_s, read_reports
 from modsim3d.learn.voyage.exclusions import ReportAge
 from modsim3d.learn.voyage.labelled_voyage import (
-    LabelledVoyage,
     Registered,
     VoyageOptions,
     labelled_voyage,
@@ -74,7 +73,7 @@ def written(log: Path, first: Registered) -> Path:
     return log.parent / "written"
 
 
-def test_a_second_registration_finds_nothing(log: Path, first: Registered, written: Path) -> None:
+def test_a_second_registration_finds_nothing_and_without_one_the_clock_is_kept(log, first, written) -> None:
     second, notes = registered(load_scene(written), log)
     assert any("s are added to its times of camera 'shore'" in note for note in notes)
     assert second.clock_s == first.registration.values["clock_s"] == pytest.approx(WRONG["clock_s"], abs=0.5)
@@ -82,9 +81,6 @@ def test_a_second_registration_finds_nothing(log: Path, first: Registered, writt
         if not estimate.held:
             assert abs(estimate.value) < 0.02 * (estimate.high - estimate.low), estimate
     assert second.registration.rms_before_px == pytest.approx(first.registration.rms_after_px, rel=0.05)
-
-
-def test_a_clock_is_kept_without_another_registration_and_two_are_refused(log, first, written) -> None:
     scene = load_scene(written)
     noted = json.loads(scene_files(scene, (), written)[written / "registration.json"])
     assert noted["cameras"]["shore"]["clock_s"] == noted_clock_s(scene.path, "shore") != 0
@@ -94,13 +90,11 @@ def test_a_clock_is_kept_without_another_registration_and_two_are_refused(log, f
 
 def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path) -> None:
     was, now = load_scene(log.parent / "ais"), load_scene(written)
-    assert now.name == "written"
-    assert now.vessel_names == was.vessel_names
+    assert (now.name, now.vessel_names) == ("written", was.vessel_names)
     np.testing.assert_array_equal(now.poses.poses(0, 9).positions_m, was.poses.poses(0, 9).positions_m)
     np.testing.assert_array_equal(TruthNoise.of(now, 10).std, TruthNoise.of(was, 10).std)
     assert TruthNoise.of(now).reasons == TruthNoise.of(was).reasons
-    times_s = np.arange(0, 360, 7.0)
-    fresh = [ReportAge(scene, read_reports(scene.path)).at(times_s).since_s for scene in (was, now)]
+    fresh = [ReportAge(scene, read_reports(scene.path)).at(np.arange(0, 360, 7.0)).since_s for scene in (was, now)]
     np.testing.assert_array_equal(*fresh)
     assert {path.name for path in written.iterdir()} == {
         *("scene.yaml", "vessels.json", "detector.yaml", "poses.json.gz"),
@@ -108,7 +102,7 @@ def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path)
     }
 
 
-def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run(log: Path, written: Path) -> None:
+def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run_unless_its_note_is_wrong(log, written, tmp_path):
     """Whose times are the scene's own."""
     scene, run = load_scene(written), written.parent / "run"
     run_scene(load_scene(written, steps=5), run)
@@ -118,9 +112,6 @@ def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run(log: Path,
     shutil.copy(log, run / "log.csv")
     (found,) = on_scene(read_log(run / "log.csv"), scene).cameras
     assert found.clock_s == noted_clock_s(written / "scene.yaml", "shore")
-
-
-def test_a_wrong_note_of_a_clock_is_refused(tmp_path: Path) -> None:
     for text, said in (
         ("[]", r"must be a mapping with cameras \(got \[\]\)"),
         ('{"cameras": {"shore": {"clock_s": "3"}}}', r"cameras\.shore\.clock_s: must be the seconds to add"),
@@ -133,48 +124,34 @@ def test_a_wrong_note_of_a_clock_is_refused(tmp_path: Path) -> None:
 # ---- Means that are known beforehand: given, taken off, and told ----
 
 
-@pytest.fixture(scope="module")
-def known(tmp_path_factory: pytest.TempPathFactory) -> LabelledVoyage:
-    """A camera whose boxes are 6 px too far to the right, and vessels whose reports are two seconds late."""
-    folder = tmp_path_factory.mktemp("known")
-    write_sample(folder)
-    scene = load_scene(folder / "ais", source="analytic", steps=200)
+def test_known_means_are_taken_off_and_told_and_vessels_are_where_they_were(tmp_path: Path) -> None:
+    """Boxes are 6 px too far to the right, which looks like 0.24° of yaw, and reports are two seconds late, which looks
+    like as much of the clock."""
+    write_sample(tmp_path)
+    scene = load_scene(tmp_path / "ais", source="analytic", steps=200)
     found = Voyage.of(KNOWN.scene_of(scene), "shore", {}).detections(0)
-    log = strait_logs.written(
-        folder / "log.csv", found.times_s[found.frame], found.boxes_px + np.array([6.0, 0, 6.0, 0])
-    )
-    return labelled_voyage(on_scene(read_log(log), scene), VoyageOptions(Registering(("k1",), known=KNOWN)))
-
-
-def test_known_means_are_taken_off_and_the_truth_has_the_vessels_where_they_were(known: LabelledVoyage) -> None:
-    """Six pixels look like 0.24° of yaw, and two seconds of delay like as much of the clock."""
+    boxes_px = found.boxes_px + np.array([6.0, 0, 6.0, 0])
+    log = strait_logs.written(tmp_path / "log.csv", found.times_s[found.frame], boxes_px)
+    known = labelled_voyage(on_scene(read_log(log), scene), VoyageOptions(Registering(("k1",), known=KNOWN)))
     registration = known.registered[0].registration
     assert registration["yaw_deg"].value == pytest.approx(0, abs=0.04)
-    assert registration["clock_s"].value == pytest.approx(0, abs=0.5)
-    assert registration["mean_x_px"].value == 6
+    assert registration["clock_s"].value == pytest.approx(0, abs=0.5) and registration["mean_x_px"].value == 6
     moved = known.scene.poses.poses(100, 101).positions_m
     reported = load_scene(known.scene.path).poses.poses(102, 103).positions_m
     np.testing.assert_allclose(moved, reported, atol=1e-6)
     assert "reports of vessels are taken to be 2 s late, as was given" in known.labelled.notes
-
-
-def test_known_means_are_told_in_the_table_and_beside_the_written_scene(known: LabelledVoyage) -> None:
     (registered,) = known.registered
     rows = {row[0]: row[-1] for row in registration_table(registered, known.scene).rows}
     assert rows["mean box error in x"] == "given as +6 px"
     assert rows["mean box error in y"] == "mean errors are taken to be zero"
-    assert rows["mean delay of all reports"] == "given as +2 s"
-    assert delay_of(registered).value == 2
+    assert rows["mean delay of all reports"] == "given as +2 s" and delay_of(registered).value == 2
     files = scene_files(load_scene(known.scene.path), known.registered, Path("there"))
     noted = json.loads(files[Path("there/registration.json")])["cameras"]["shore"]
     assert noted["known"] == {"mean_x_px": 6, "delay_s": 2}
-
-
-def test_what_looks_alike_is_told_by_the_step_that_is_named(known: LabelledVoyage) -> None:
-    """Shares and coefficients are told for a step of 0.01, all others for one of their units."""
+    # What looks alike is told for a step of 0.01 of shares and coefficients, and for one unit of all others.
     held = {"k1": (("focal_share", -0.08), ("yaw_deg", 2.0)), "mean_x_px": (("yaw_deg", -0.04),)}
     groups = tuple(ConfoundedGroup(*each) for each in held.items())
-    assert exchanges(replace(known.registered[0].registration, groups=groups)) == [
+    assert exchanges(replace(registration, groups=groups)) == [
         "lens distortion k1 is held; +0.01 of it would look like -0.08 % of focal length, +0.02° of yaw of the camera",
         "mean box error in x is held; +1 px of it would look like -0.04° of yaw of the camera",
     ]
@@ -184,8 +161,7 @@ def test_antennas_and_delays_are_taken_off_again_and_vessels_without_offsets_sta
     reported, wrong = as_reported(strait, 0, AisErrors(along_m=3.0, across_m=1.0, delay_s=0.5))
     scenes = strait, reported, with_moved_vessels(reported, wrong)
     true, off, back = (each.poses.poses(0, strait.steps).positions_m[8:-8, :, :2] for each in scenes)
-    assert np.abs(off - true).max() > 3
-    assert np.abs(back - true).max() < 0.05
+    assert np.abs(off - true).max() > 3 and np.abs(back - true).max() < 0.05
     assert with_moved_vessels(strait, np.zeros((len(strait.vessels), 3))) is strait
 
 

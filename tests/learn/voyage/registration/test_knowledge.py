@@ -26,8 +26,7 @@ def test_intervals_hold_95_percent_with_few_vessels_whose_errors_go_together(tog
         slopes = np.column_stack([np.ones(len(vessel)), slope])
         errors = rng.normal(size=len(vessel)) + together * rng.normal(size=VESSELS)[vessel]  # a part is the vessel's
         estimate, *_ = np.linalg.lstsq(slopes, errors, rcond=None)
-        known = Linear(slopes, errors - slopes @ estimate).known_by(vessel)
-        held += np.abs(estimate) <= known.half_widths
+        held += np.abs(estimate) <= Linear(slopes, errors - slopes @ estimate).known_by(vessel).half_widths
     low, high = binom.ppf([0.001, 0.999], DRAWS, 0.95)
     assert np.all(held >= low)
     assert np.all(held <= min(high + 0.03 * DRAWS, DRAWS))  # a wider interval is no error, a useless one is
@@ -65,27 +64,19 @@ def offsets(spread: float) -> tuple[VesselEffects, np.ndarray]:
     return vessel_effects(slopes, residuals, np.zeros((600, 1)), vessel, 1.0), along
 
 
-def known_at_3_m_s(effects: VesselEffects) -> list[tuple[str, str, str, float, float]]:
-    return known_of(effects, np.zeros((1, 1)), np.full(12, 3.0), [f"v{i}" for i in range(12)])
+def test_offsets_of_vessels_at_constant_speed_are_known_as_one_shift_along_or_across() -> None:
+    def known_at_3_m_s(effects: VesselEffects) -> list[tuple[str, str, str, float, float]]:
+        return known_of(effects, np.zeros((1, 1)), np.full(12, 3.0), [f"v{i}" for i in range(12)])
 
-
-def test_an_offset_along_and_a_delay_are_told_as_one_shift_of_a_vessel_at_constant_speed() -> None:
     effects, along = offsets(4.0)
     assert 2.5 < effects.spreads[0] < 6
     known = known_at_3_m_s(effects)
-    assert {name.split(".")[1] for name, *_ in known} == {"ahead_m"}
+    assert {name.split(".")[1] for name, *_ in known} == {"ahead_m"}  # an offset and a delay look alike
     for place, (_, _, _, value, error) in enumerate(known):
         assert abs(value + along[place]) < 4 * error < 1
-
-
-def test_offsets_across_are_known_as_well_where_there_are_none_along() -> None:
-    known = known_at_3_m_s(replace(offsets(4.0)[0], spreads=np.array([0.0, 2.0, 0.0])))
-    assert {name.split(".")[1] for name, *_ in known} == {"across_m"}
-    assert all(0.1 < error < 0.2 for *_, error in known)
-
-
-def test_exact_reports_are_found_exact() -> None:
-    assert np.all(offsets(0.0)[0].spreads < 0.2)  # an offset is known to 0.14 m
+    known = known_at_3_m_s(replace(effects, spreads=np.array([0.0, 2.0, 0.0])))
+    assert {name.split(".")[1] for name, *_ in known} == {"across_m"} and all(0.1 < error < 0.2 for *_, error in known)
+    assert np.all(offsets(0.0)[0].spreads < 0.2)  # of exact reports; an offset is known to 0.14 m
 
 
 # ---- Errors of positions that last ----
@@ -106,9 +97,8 @@ def test_the_drift_has_the_covariance_of_a_gauss_markov_process_and_each_vessel_
     axes = drift_axes(np.tile(one_s, 2), vessel, np.array([OFFSET_M, 0.0, DELAY_S]), NOISE_M)[:count]
     process = np.exp(-np.abs(one_s[:, None] - one_s) / LASTS_S)
     for axis, constant, noise in ((0, OFFSET_M, NOISE_M), (1, 0.0, NOISE_M), (2, DELAY_S, 0.0)):
-        covariance = axes[:, axis] @ axes[:, axis].T
         # knots lie a little closer than `KNOT_S`, and between them the process is linear
-        np.testing.assert_allclose(covariance, noise**2 * process + constant**2, rtol=0.005)
+        np.testing.assert_allclose(axes[:, axis] @ axes[:, axis].T, noise**2 * process + constant**2, rtol=0.005)
     np.testing.assert_allclose(axes[:, 0] @ axes[:, 1].T, 0, atol=1e-12)
 
 

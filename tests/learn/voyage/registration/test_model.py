@@ -36,15 +36,12 @@ def times_of(quay: Voyage, truth: Truth) -> np.ndarray:
     return quay.scene.times_s(0, quay.scene.steps)[truth.step]
 
 
-def test_boxes_are_those_of_the_truth_where_the_image_does_not_cut_them(quay, model, none) -> None:
+def test_boxes_and_hidden_edges_are_those_of_the_truth_where_the_image_does_not_cut_them(quay, model, none) -> None:
     whole = quay.truth.take(quay.truth.in_frame_fraction == 1)
     boxes, corners = model.boxes(none, times_of(quay, whole), whole.vessel)
     assert len(whole) > 200
     np.testing.assert_allclose(boxes, whole.full_boxes_px, atol=1e-6)
     np.testing.assert_allclose(model.edges(none, times_of(quay, whole), whole.vessel, corners), boxes)
-
-
-def test_an_edge_that_the_truth_hides_is_found_hidden(quay, model, none) -> None:
     known = quay.truth.take(np.isfinite(quay.truth.visible_boxes_px).all(axis=1))
     gone = np.abs(known.full_boxes_px - known.visible_boxes_px) > 1
     predicted = predict(model, HidingBodies.of(quay.scene, model), none, np.unique(times_of(quay, known)))
@@ -53,22 +50,18 @@ def test_an_edge_that_the_truth_hides_is_found_hidden(quay, model, none) -> None
     pairs = list(zip(frame.tolist(), known.vessel.tolist(), strict=True))
     # A vessel is not predicted if all its edges are behind the box around another, whose mesh may show some of it.
     usable = np.array([predicted.usable[rows[pair]] if pair in rows else np.zeros(4, bool) for pair in pairs])
-    assert np.mean([pair in rows for pair in pairs]) > 0.99
-    assert gone.sum() > 30
-    assert not np.any(usable & gone)
-    assert usable.mean() > 0.6
+    assert np.mean([pair in rows for pair in pairs]) > 0.99 and gone.sum() > 30
+    assert not np.any(usable & gone) and usable.mean() > 0.6
 
 
-def test_parameters_do_what_changing_the_camera_does(quay, model, none) -> None:
+def test_parameters_do_what_changing_the_camera_or_a_vessel_does(quay, model, none) -> None:
     changes = {"roll_deg": 2.0, "pitch_deg": -1.0, "yaw_deg": 3.0, "height_m": 2.0, "focal_share": 0.05}
     real = really(quay.scene, "quay", changes)
     times_s, vessel = np.repeat([5.0, 20.0], 9), np.tile(np.arange(9), 2)
     expected, _ = BoxModel.of(real, KnownTraffic.of(real, real.cameras[0])).boxes(none, times_s, vessel)
     found, _ = model.boxes(none.changed(clock_s=1.5, **changes), times_s - 1.5, vessel)
     np.testing.assert_allclose(found, expected, atol=1e-6)
-
-
-def test_a_delayed_vessel_is_where_it_reports_to_be_later_and_an_antenna_is_off_its_centre(model: BoxModel) -> None:
+    # A delayed vessel is where it reports to be later, and an antenna is off its centre.
     times_s, vessel, values = np.array([10.0]), np.array([3]), Values.none(len(model.hulls_m))
     values.vessels[3] = 4.0, 1.0, 2.0
     (point,) = model.points_world(values, times_s, vessel, np.zeros((1, 1, 3)))[0]
@@ -107,17 +100,13 @@ def with_places(scene: Scene, **changes: np.ndarray) -> KnownTraffic:
     return KnownTraffic.of(changed, changed.cameras[QUAY])
 
 
-@pytest.fixture(scope="module")
-def cut(scene: Scene) -> KnownTraffic:
+def test_a_vessel_goes_on_beyond_the_ends_of_its_track_but_is_not_there(scene: Scene) -> None:
     """The ferry is there from step 60 to 240 of 300 alone; where it is absent, its place is written as 0."""
     known = scene.poses.poses(0, scene.steps)
     present, positions = known.present.copy(), known.positions_m.copy()
     present[:FIRST, FERRY] = present[LAST + 1 :, FERRY] = False
     positions[~present] = 0
-    return with_places(scene, present=present, positions_m=positions)
-
-
-def test_a_vessel_goes_on_beyond_the_ends_of_its_track_but_is_not_there(scene: Scene, cut: KnownTraffic) -> None:
+    cut = with_places(scene, present=present, positions_m=positions)
     steps_s = scene.times_s(0, scene.steps)
     whole = KnownTraffic.of(scene, scene.cameras[QUAY])
     times = np.array([steps_s[FIRST] - 2.0, steps_s[FIRST], steps_s[LAST], steps_s[LAST] + 2.0])
@@ -130,8 +119,8 @@ def test_a_vessel_goes_on_beyond_the_ends_of_its_track_but_is_not_there(scene: S
     assert np.linalg.norm(moved[[0, 2]], axis=1) == pytest.approx([4.5, 4.5], abs=0.3)
 
 
-def test_mean_speeds_do_not_follow_the_errors_of_reports(scene: Scene) -> None:
-    known = scene.poses.poses(0, scene.steps)
+def test_mean_speeds_do_not_follow_the_errors_of_reports_and_are_ahead_in_a_turn(scene: Scene) -> None:
+    known, times_s = scene.poses.poses(0, scene.steps), scene.times_s(0, scene.steps)
     noise = np.random.default_rng(0).normal(0, 0.5, known.positions_m.shape)
     noisy, exact = (with_places(scene, positions_m=known.positions_m + each) for each in (noise, 0 * noise))
     times, ferry = np.linspace(5, 55, 20), np.full(20, FERRY)
@@ -139,16 +128,12 @@ def test_mean_speeds_do_not_follow_the_errors_of_reports(scene: Scene) -> None:
     np.testing.assert_allclose(found, exact.velocities(times, ferry), atol=0.08)
     np.testing.assert_allclose(found[:, 0], 4.5, atol=0.2)
     assert np.abs(found[:, 1]).max() < 0.2
-
-
-def test_a_vessel_that_turns_within_the_time_of_a_mean_keeps_its_speed_ahead(scene: Scene) -> None:
-    known, times_s = scene.poses.poses(0, scene.steps), scene.times_s(0, scene.steps)
     positions, headings, radius_m, speed_m_s = known.positions_m.copy(), known.headings_rad.copy(), 15.0, 3.0
-    turned_rad = speed_m_s / radius_m * times_s
+    turned_rad = speed_m_s / radius_m * times_s  # within the time of a mean
     positions[:, FERRY, :2] = radius_m * np.column_stack([np.sin(turned_rad), -np.cos(turned_rad)])
     headings[:, FERRY] = turned_rad
-    traffic = with_places(scene, positions_m=positions, headings_rad=headings)
-    found = traffic.velocities(np.linspace(0, times_s[-1], 20), np.full(20, FERRY))
+    turning = with_places(scene, positions_m=positions, headings_rad=headings)
+    found = turning.velocities(np.linspace(0, times_s[-1], 20), ferry)
     np.testing.assert_allclose(found, np.tile([speed_m_s, 0.0], (20, 1)), atol=0.01)
 
 
@@ -173,6 +158,5 @@ def test_a_point_that_k1_folds_into_the_image_is_no_edge_to_go_by(scene: Scene) 
     folded = predict(model, HidingBodies.of(scene, model), none.changed(k1=-0.25), times)
     by_lens = model.pixels(none, times[folded.frame], folded.vessel, folded.corners_m)
     far = np.any(np.abs(by_lens / scene.cameras[QUAY].intrinsics.image_size_px - 0.5) > 1, axis=-1)
-    assert far.sum() > 10
-    assert folded.usable.sum() > 100
+    assert far.sum() > 10 and folded.usable.sum() > 100
     assert not np.any(folded.usable & far)

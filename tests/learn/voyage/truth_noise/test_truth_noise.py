@@ -18,7 +18,7 @@ from modsim3d.learn.voyage.reference_error import PARAMETERS, TruthErrors, Truth
 from modsim3d.scene.ais.scene_folder import REPORT
 from modsim3d.scene.scene import Scene
 from tests.formats import labelled_sets
-from tests.learn.one_state import detector_file, learned_in, observed_in
+from tests.learn.one_state import detector_file, learned_in, normal_chain, observed_in
 
 EVERY, LASTING_S, SEEDS = 6, 60.0, 20
 STD_PX = np.array([6.0, 2.0, 2.0, 2.0])
@@ -40,8 +40,7 @@ def roads():
     times = np.arange(STEPS) * STEP_S
     start = np.column_stack([rng.uniform(600, 1900, VESSELS), rng.uniform(-250, 250, VESSELS)])
     course = rng.uniform(0, 2 * np.pi, VESSELS)
-    way = np.stack([np.cos(course), np.sin(course)], axis=-1) * 0.15
-    positions = start + times[:, None, None] * way
+    positions = start + times[:, None, None] * (np.stack([np.cos(course), np.sin(course)], axis=-1) * 0.15)
     poses = {"positions_m": positions, "headings_rad": np.tile(course, (STEPS, 1)), "time_step_s": STEP_S}
     lens = {"focal_length_m": 0.008, "pixel_size_m": [5e-6, 5e-6], "principal_point_px": [960, 540]}
     camera = lens | {"image_size_px": [1920, 1080], "pose": {"position_m": [0, 0, 25], "yaw_rad": 0.0}}
@@ -69,40 +68,25 @@ def moved(poses, offsets_m):
     return replace(poses, poses=replace(poses.poses, positions_m=places))
 
 
-def slow_noise(rng, times, vessels, std, lasting_s):
-    """Ornstein-Uhlenbeck errors east and north, shape (S, V, 2)."""
-    noise = rng.normal(0, std, (len(times), vessels, 2))
-    for k in range(1, len(times)):
-        kept = np.exp(-(times[k] - times[k - 1]) / lasting_s)
-        noise[k] = kept * noise[k - 1] + np.sqrt(1 - kept**2) * noise[k]
-    return noise
-
-
-def noisy_set(scene, view, times, seed, position_m, lasting_s, covariance, kept=0.0, box_s=0.0):
-    """Detections are true boxes with errors of a covariance (4, 4) in pixels; annotations come from wrong places.
-
-    Vessels keep a share of the errors, and the rest lasts for `box_s`.
-    """
-    rng = np.random.default_rng(seed)
+def noisy_set(scene, view, times, seed=0, position_m=10.0, std_px=STD_PX, lasting_s=LASTING_S, box_s=0.0):
+    """True boxes with errors (4,) in pixels, which last for `box_s`, are detected; annotations are of wrong places."""
+    rng, gap_s = np.random.default_rng(seed), times[1] - times[0]
     true = boxes_of(scene, view, view.poses)
-    reported = boxes_of(scene, view, moved(view.poses, slow_noise(rng, times, true.shape[1], position_m, lasting_s)))
+    off_m = position_m * normal_chain(np.exp(-gap_s / lasting_s), rng, *true.shape[:2], 2)
+    reported = boxes_of(scene, view, moved(view.poses, off_m))
     frame, vessel = np.nonzero(np.isfinite(true).all(axis=-1) & np.isfinite(reported).all(axis=-1))
     white = rng.normal(size=(len(frame), 4))
     if box_s:
-        lasting = np.concatenate([slow_noise(rng, times, true.shape[1], 1.0, box_s) for _ in range(2)], axis=-1)
-        own = rng.normal(size=(true.shape[1], 4))
-        white = np.sqrt(1 - kept) * lasting[frame, vessel] + np.sqrt(kept) * own[vessel]
-    errors = white @ np.linalg.cholesky(covariance).T
-    box = true[frame, vessel]
-    shift, half = errors[:, :2], errors[:, 2:] / 2
-    seen = box + np.concatenate([shift - half, shift + half], axis=1)
+        white = normal_chain(np.exp(-gap_s / box_s), rng, *true.shape)[frame, vessel]
+    shift, half = white[:, :2] * std_px[:2], white[:, 2:] * std_px[2:] / 2
+    seen = true[frame, vessel] + np.concatenate([shift - half, shift + half], axis=1)
     shots = labelled_sets.images(len(times), tuple(float(side) for side in view.camera.intrinsics.image_size_px), times)
     annotated = labelled_sets.truth(frame, 0 * frame, reported[frame, vessel], identity=vessel)
     results = labelled_sets.found(frame, 0 * frame, seen, np.full(len(frame), 0.9), origin=np.arange(len(frame)))
     return LabelledSet(("boat",), ("all",), shots, annotated, results)
 
 
-def learned_from(labelled, replicates=60, without=("places", "sizes", "merges", "splits", "duplicates")):
+def learned_from(labelled, replicates=20, without=RICHER):
     return learned_in(observed_in(labelled, Rule("provenance"), without, "all"), replicates=replicates)
 
 
@@ -115,18 +99,8 @@ def watched(roads):
 
 @pytest.fixture(scope="module")
 def exact(watched):
-    """What is learned from 20 replicates where truth is exact, the errors of its one state, and boxes of 40 px."""
-    scene, view, times = watched
-    learned = learned_from(noisy_set(scene, view, times, 0, 0.0, LASTING_S, np.diag(STD_PX**2)), 20, RICHER)
-    return learned, learned.numbers.box_errors.states[0], np.full((50, 4), 40.0)
-
-
-@pytest.fixture(scope="module")
-def noisy(watched):
-    """A set whose truth is off by 10 m, and what is learned from it."""
-    scene, view, times = watched
-    labelled = noisy_set(scene, view, times, 0, 10.0, LASTING_S, np.diag(STD_PX**2))
-    return labelled, learned_from(labelled, 20, RICHER)
+    """Errors of the one state that are learned from 20 replicates where truth is exact, and boxes of 40 px."""
+    return learned_from(noisy_set(*watched, position_m=0.0)).numbers.box_errors.states[0], np.full((50, 4), 40.0)
 
 
 def less(errors, noise, sides, measured=None):
@@ -142,36 +116,25 @@ def noise_of(scene, position_m, **parameters):
     return TruthNoise(np.tile([given.get(name, 0.0) for name in PARAMETERS], (len(scene.vessels), 1)), LASTING_S, {})
 
 
-@pytest.fixture(scope="module")
-def outlined(watched):
-    """Boxes by the project's own outlines, those that are whole, and their derivatives."""
-    scene, view, _ = watched
+def test_derivatives_are_those_of_the_projects_own_outlines(watched):
+    """Of vessels that are moved and turned, and of larger ones, where their boxes are whole."""
+    (scene, view, _), rng = watched, np.random.default_rng(0)
     boxes = boxes_of(scene, view, view.poses)
     rows = np.nonzero(np.isfinite(boxes).all(axis=-1))
-    return boxes, rows, box_jacobians(scene, view, *rows)
-
-
-def test_derivatives_are_those_of_the_projects_own_outlines(watched, outlined):
-    (scene, view, _), (boxes, rows, jacobians), rng = watched, outlined, np.random.default_rng(0)
+    jacobians = box_jacobians(scene, view, *rows)
     offset_m = rng.normal(0, 1, (*boxes.shape[:2], 2))
     turn_rad = rng.normal(0, 0.003, boxes.shape[:2])
     moves = replace(moved(view.poses, offset_m), world_R_vessel=world_R_vehicle(turn_rad) @ view.poses.world_R_vessel)
     found = errors_between(boxes_of(scene, view, moves)[rows], boxes[rows])
-    change = np.column_stack([offset_m[rows], turn_rad[rows]])
-    expected = np.einsum("nij,nj->ni", jacobians[..., :3], change)
+    expected = np.einsum("nij,nj->ni", jacobians[..., :3], np.column_stack([offset_m[rows], turn_rad[rows]]))
     inside = np.isfinite(found).all(axis=1)
     assert inside.sum() > 500
     np.testing.assert_allclose(found[inside], expected[inside], atol=0.03)
-
-
-def test_derivatives_by_sizes_are_those_of_larger_vessels(watched, outlined):
-    (scene, view, _), (boxes, rows, jacobians) = watched, outlined
     larger = tuple(replace(v, length_m=v.length_m + 0.4, air_draft_m=v.air_draft_m + 0.2) for v in scene.vessels)
     again = boxes_of(replace(scene, vessels=larger), view, view.poses)[rows]
     inside = np.isfinite(again).all(axis=1)
-    found = errors_between(again, boxes[rows])[inside]
     expected = jacobians[inside][..., 3] * 0.4 + jacobians[inside][..., 5] * 0.2
-    np.testing.assert_allclose(found, expected, atol=0.01)
+    np.testing.assert_allclose(errors_between(again, boxes[rows])[inside], expected, atol=0.01)
 
 
 def test_draws_have_the_covariance_of_independent_errors_where_these_are(watched):
@@ -183,10 +146,7 @@ def test_draws_have_the_covariance_of_independent_errors_where_these_are(watched
     drawn = errors.covariances(20, 0).mean(axis=0)
     part = jacobians[..., :3] * fleeting.std[0, :3]
     np.testing.assert_allclose(drawn, (part @ np.swapaxes(part, 1, 2)).mean(axis=0), rtol=0.05, atol=0.1)
-
-
-def test_what_all_boxes_share_is_in_their_mean_and_not_in_the_covariance(watched):
-    scene, _, _ = watched
+    # What all boxes share is in their mean and not in the covariance.
     jacobians, still = np.tile(np.eye(4, len(PARAMETERS)), (50, 1, 1)), np.full(50, -1)
     lasting = replace(noise_of(scene, 10.0), position_s=1e9)
     one = TruthErrors(jacobians, np.arange(50.0), 0 * still, lasting, np.ones((50, 4)), still)
@@ -210,11 +170,10 @@ def test_of_a_vessel_that_was_put_in_its_place_only_what_changes_is_left(watched
 
 
 def test_intervals_hold_the_detectors_errors_and_the_plain_ones_do_not(watched):
-    scene, view, times = watched
+    scene, view, _ = watched
     held, plain, taken = np.zeros(4), np.zeros(4), np.zeros(4)
     for seed in range(SEEDS):
-        labelled = noisy_set(scene, view, times, seed, 10.0, LASTING_S, np.diag(STD_PX**2))
-        learned = learned_from(labelled, 40, RICHER)
+        learned = learned_from(noisy_set(*watched, seed), 40)
         found = take_off_truth_noise(learned, scene, [view], noise_of(scene, 10.0), seed=seed)
         sure = found.states[0].taken_off
         low, high = found.learned.numbers.box_errors.states[0].std.column.interval(0.95, 50)
@@ -224,14 +183,13 @@ def test_intervals_hold_the_detectors_errors_and_the_plain_ones_do_not(watched):
         plain += (low <= STD_PX) & (high >= STD_PX)
         assert found.states[0].at_least[0] < 1.3 * STD_PX[0]
     assert (held >= 16).all()  # of 20, of which each holds with a chance of 95 %: fewer by chance once in 390 times
-    assert taken[1:].tolist() == [SEEDS] * 3
-    assert plain[0] == 0 <= plain[2] < 10
+    assert taken[1:].tolist() == [SEEDS] * 3 and plain[0] == 0 <= plain[2] < 10
 
 
 def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
-    scene, view, times = watched
-    labelled = noisy_set(scene, view, times, 0, 10.0, LASTING_S, np.diag([0.5, 2.0, 2.0, 2.0]) ** 2)
-    learned = learned_from(labelled, 40, RICHER)
+    scene, view, _ = watched
+    labelled = noisy_set(*watched, std_px=np.array([0.5, 2.0, 2.0, 2.0]))
+    learned = learned_from(labelled, 40)
     found = take_off_truth_noise(learned, scene, [view], noise_of(scene, 10.0))
     (state,) = found.states
     assert state.bounds == ("e_x",)
@@ -248,27 +206,20 @@ def test_an_upper_bound_is_the_learned_covariance_and_is_said(watched):
     assert any(said.endswith("correlations with it are unknown") for said in found.sentences())
 
 
-def test_a_vessel_that_two_logs_have_moved_is_one(watched, noisy):
+def test_a_vessel_that_two_logs_have_moved_is_one_and_without_known_pairs_or_noise_nothing_is_taken_off(watched):
     scene, view, times = watched
+    labelled, off = noisy_set(*watched), noise_of(scene, 10.0)
+    learned = learned_from(labelled)
     steps, middle, moves = np.arange(0, scene.steps, EVERY), len(times) // 2, np.arange(len(scene.vessels)) < 3
     parts = slice(middle), slice(middle, None)
     halves = [replace(view_of(scene, steps[part]), images=view.images[part], moved=moves) for part in parts]
-    found = take_off_truth_noise(noisy[1], scene, halves, noise_of(scene, 10.0))
+    found = take_off_truth_noise(learned, scene, halves, off)
     assert "; less what registration found of 3 vessels" in next(found.sentences())
-
-
-def test_a_camera_without_known_pairs_takes_nothing_off(watched, noisy):
-    (scene, view, _), (labelled, _) = watched, noisy
+    exact = take_off_truth_noise(learned, scene, [view], noise_of(scene, 0.0))
+    assert exact.learned is learned and list(exact.sentences()) == ["errors of truth: none are assumed"]
     unknown = np.full(len(labelled.annotations.identity), -1)
-    learned = learned_from(replace(labelled, annotations=replace(labelled.annotations, identity=unknown)), 20, RICHER)
-    found = take_off_truth_noise(learned, scene, [view], noise_of(scene, 10.0))
-    assert found.learned.detector() == learned.detector()
-
-
-def test_no_noise_changes_nothing(watched, exact):
-    found = take_off_truth_noise(exact[0], watched[0], [watched[1]], noise_of(watched[0], 0.0))
-    assert found.learned is exact[0]
-    assert list(found.sentences()) == ["errors of truth: none are assumed"]
+    unpaired = learned_from(replace(labelled, annotations=replace(labelled.annotations, identity=unknown)))
+    assert take_off_truth_noise(unpaired, scene, [view], off).learned.detector() == unpaired.detector()
 
 
 def test_a_scene_from_ais_knows_what_was_missing(tmp_path, watched):
@@ -282,11 +233,9 @@ def test_a_scene_from_ais_knows_what_was_missing(tmp_path, watched):
     vessels["v1"]["air_draft_m"] = 99.0  # the user has put another in the scene
     (tmp_path / REPORT).write_text(json.dumps({"vessels": vessels}))
     noise = TruthNoise.of(scene, 7.0)
-    assert noise.position_m == 7.0
-    assert noise.std[[0, 2], 2] == pytest.approx(np.radians([6, 1]))
+    assert noise.position_m == 7.0 and noise.std[[0, 2], 2] == pytest.approx(np.radians([6, 1]))
     assert noise.std[[0, 2], 3] == pytest.approx([0.3 * scene.vessels[0].length_m, np.sqrt(2 / 12)])
-    assert noise.std[1, 5] == 0
-    assert noise.std[0, 6] > 0 == noise.std[2, 6]
+    assert noise.std[1, 5] == 0 and noise.std[0, 6] > 0 == noise.std[2, 6]
     assert noise.reasons == {"length": 1, "antenna's place": 1, "air draft": len(scene.vessels) - 1}
 
 
@@ -308,7 +257,7 @@ def test_errors_that_last_come_back_with_their_time(roads):
     steps, times = np.arange(scene.steps), scene.times_s(0, scene.steps)
     view, plain = view_of(scene, steps), tuple(set(RICHER) - {"persistence"})
     slow = replace(noise_of(scene, 5.0), position_s=1e5)
-    labelled = noisy_set(scene, view, times, 0, 5.0, 1e5, np.diag([8.0, 2, 2, 2]) ** 2, box_s=6.0)
+    labelled = noisy_set(scene, view, times, 0, 5.0, np.array([8.0, 2, 2, 2]), 1e5, box_s=6.0)
     learned = learned_from(labelled, 40, plain)
     found = take_off_truth_noise(learned, scene, [view], slow)
     before, after = (each.numbers.box_errors.box_s for each in (learned, found.learned))
@@ -321,7 +270,7 @@ def test_errors_that_last_come_back_with_their_time(roads):
 
 
 def test_wrong_matches_among_the_measured_errors_do_not_pull(exact):
-    _, errors, sides = exact
+    errors, sides = exact
     noise = every_row(np.diag([4.0, 0.5, 0.5, 0.5]))
     measured = every_row(np.diag(0.99 * errors.std.estimate) ** 2)
     std = [less(errors, noise, sides, each).errors.std.estimate for each in (None, measured, 30 * measured)]
@@ -332,23 +281,19 @@ def test_wrong_matches_among_the_measured_errors_do_not_pull(exact):
 
 def test_one_component_far_from_the_law_leaves_the_others_as_measured(exact):
     """A vessel that is off its reports widens the tails of the law, which all components share."""
-    _, errors, sides = exact
+    errors, sides = exact
     noise = every_row(np.diag(0.1 * errors.std.estimate**2))
     measured = every_row(np.diag(np.array([3, 0.9, 0.9, 0.9]) * errors.std.estimate) ** 2)
     share = np.sqrt(np.array([1, 0.81, 0.81, 0.81]) - 0.1)
     found = less(errors, noise, sides, measured).errors.std.estimate
     np.testing.assert_allclose(found, share * errors.std.estimate, rtol=1e-6)
-
-
-def test_wide_tails_of_a_law_are_no_errors_of_the_detector(exact):
-    _, errors, sides = exact
+    # Wide tails of a law are no errors of the detector.
     noise, measured = (every_row(np.diag(share * errors.std.estimate**2)) for share in (0.8, 0.7))
-    assert less(errors, noise, sides).taken_off.any()
-    assert not less(errors, noise, sides, measured).taken_off.any()
+    assert less(errors, noise, sides).taken_off.any() and not less(errors, noise, sides, measured).taken_off.any()
 
 
 def test_mixed_errors_lose_the_mean_covariance_of_truth(exact):
-    errors, sides = exact[1], np.random.default_rng(0).uniform(20, 200, (500, 4))
+    errors, sides = exact[0], np.random.default_rng(0).uniform(20, 200, (500, 4))
     growth = replace(errors.std, column=replace(errors.std.column, values=0.02 + 0 * errors.std.column.values))
     mixed = replace(errors, unit="mixed", growth=growth)
     noise = every_row(np.diag([4.0, 1.0, 1.0, 1.0]) + 0.3)

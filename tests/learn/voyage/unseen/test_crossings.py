@@ -23,9 +23,8 @@ def set_of(known, *tracks):
     single = rng.integers(0, FRAMES, 80)
     stray = boxes_at(rng.uniform(50, 1150, 80), rng.uniform(500, 600, 80), rng.uniform(15, 60, 80))
     image, boxes = np.r_[image[seen], single], np.concatenate([boxes[seen], stray])
-    results = found(image, 0 * image, boxes, np.full(len(image), 0.9))
     annotated = truth(frame[there], 0 * frame[there], known[there], identity=0 * frame[there])
-    return labelled_set(results, annotated, FRAMES)
+    return labelled_set(found(image, 0 * image, boxes, np.full(len(image), 0.9)), annotated, FRAMES)
 
 
 def at(x, y=400.0, size=60.0):
@@ -38,35 +37,24 @@ def in_view(boxes):
     return np.where((cut[:, 2] - cut[:, 0] < 1)[:, None], np.nan, cut)
 
 
-@pytest.fixture(scope="module")
-def passing():
-    """A known vessel at 600 px, hidden by another one that comes along it and has no transponder: the set, the other
-    one's places, where it hides the known one, and the classified detections."""
+def test_a_known_vessel_that_an_unseen_one_hides_is_neither_missed_nor_matched_by_its_box():
+    """It lies at 600 px; another one, which has no transponder, comes along it and hides it."""
     x = 100 + 2.5 * np.arange(FRAMES)
     known, other = at(600.0), at(x, 402.0, 75.0)
     hidden = np.abs(x - 600) < 40
     labelled = set_of(known, np.where(hidden[:, None], np.nan, known), other)
-    return labelled, x, hidden, classify_unmatched(observed(labelled))
-
-
-def test_a_known_vessel_that_an_unseen_one_hides_is_not_missed(passing):
-    _, x, hidden, judged = passing
-    ignored = judged.labelled.annotations.ignored
-    assert hidden.sum() > 20
-    assert ignored[hidden].all()
-    assert not ignored[np.abs(x - 600) > 150].any()
-    matched = judged.observed.matched.annotation
+    judged = classify_unmatched(observed(labelled))
+    ignored, matched = judged.labelled.annotations.ignored, judged.observed.matched.annotation
+    assert hidden.sum() > 20 and ignored[hidden].all() and not ignored[np.abs(x - 600) > 150].any()
     assert judged.left_out[(matched >= 0) & ignored[matched]].all()
     left = observed(judged.labelled)
-    assert not left.missed.any()
-    assert len(left.found) > 250
-
-
-def test_the_box_of_an_unseen_vessel_is_no_error_of_a_known_one(passing):
-    labelled, _, _, judged = passing
+    assert not left.missed.any() and len(left.found) > 250
     wrong = np.flatnonzero(np.abs(observed(labelled).pairs.error_px[:, 2]) > 10)
     assert len(wrong) > 5  # the other one's box matches the known one that it hides
-    assert np.abs(observed(judged.labelled).pairs.error_px).max() < 1e-6
+    assert np.abs(left.pairs.error_px).max() < 1e-6
+    said = f"{judged.crossings.annotations.sum()} boxes of known vessels that these pass are ignored"
+    assert any(each.startswith(said) for each in sentences(judged, judged.own_rates(10, 0)))
+    assert not (judged.telling.matched.sought & hidden).any()
 
 
 def test_an_unseen_vessel_beside_a_known_one_does_not_match_it():
@@ -74,10 +62,8 @@ def test_an_unseen_vessel_beside_a_known_one_does_not_match_it():
     x, frame = 100 + 2.5 * np.arange(FRAMES), np.arange(FRAMES)
     seen = np.where((frame % 2 == 0)[:, None], at(600.0), np.nan)
     judged = classify_unmatched(observed(set_of(at(600.0), seen, at(x, 440.0, 30.0)), Rule("centre")))
-    near = np.flatnonzero(np.abs(x - 600) < 25)
-    others = np.abs(judged.observed.pairs.error_px[:, 1]) > 30
-    assert others.sum() > 5
-    assert judged.labelled.annotations.ignored[near].all()
+    assert (np.abs(judged.observed.pairs.error_px[:, 1]) > 30).sum() > 5
+    assert judged.labelled.annotations.ignored[np.flatnonzero(np.abs(x - 600) < 25)].all()
     assert not np.abs(observed(judged.labelled, Rule("centre")).pairs.error_px).max() > 1
 
 
@@ -89,15 +75,13 @@ def test_a_slow_vessel_that_passes_close_is_left_out_where_the_two_touch(speed_p
     known = at(600.0, size=14.0)
     judged = classify_unmatched(observed(set_of(known, known, at(x, 402.0, 14.0)), Rule("centre")))
     ignored = judged.labelled.annotations.ignored
-    assert ignored[np.abs(x - 600) < 14].all()
-    assert ignored.sum() < 130
+    assert ignored[np.abs(x - 600) < 14].all() and ignored.sum() < 130
 
 
 def test_faint_detections_do_not_take_a_known_vessel_from_a_sure_one():
-    labelled = set_of(at(600.0), at(600.0))
     sure, faint = [570.0, 380, 650, 420], [575.0, 382, 625, 418]
     annotations, results = truth([0], [0], [[570.0, 380, 630, 420]]), found([0, 0], [0, 0], [sure, faint], [0.9, 0.1])
-    one = replace(labelled, annotations=annotations, results=results)
+    one = replace(set_of(at(600.0), at(600.0)), annotations=annotations, results=results)
     tracks = CrossingTracks(np.array([0]), np.array([faint]), np.array([0]))
     assert fainter(tracks, one, match(one, Rule("centre"), 0.2), 0.2).tolist() == [1]
 
@@ -116,14 +100,12 @@ def test_a_known_vessel_in_view_before_its_truth_is_no_false_positive():
     judged = classify_unmatched(observed(labelled))
     first = int(np.flatnonzero(np.isfinite(seen).all(axis=1))[0])
     early_rows = np.flatnonzero((labelled.results.image < first + 2) & (labelled.results.boxes_px[:, 0] < 1))
-    assert len(early_rows)
-    assert judged.left_out[early_rows].all()
+    assert len(early_rows) and judged.left_out[early_rows].all()
     (rate,) = judged.own_rates(10, 0)
     assert float(rate.used.estimate) * FRAMES <= 80 + 1e-9
     all_unmatched = len(judged.links.rows)
     assert rate.unmatched == all_unmatched > 80  # more than the stray ones
-    assert float(rate.upper.estimate) * FRAMES == pytest.approx(all_unmatched)
-    assert rate.used is rate.kept
+    assert float(rate.upper.estimate) * FRAMES == pytest.approx(all_unmatched) and rate.used is rate.kept
     said = f"{all_unmatched - 80:g} unmatched detections where vessels pass each other or come into view"
     assert any(each.startswith(said) for each in sentences(judged, (rate,)))
     inland = replace(labelled, annotations=replace(labelled.annotations, boxes_px=labelled.annotations.boxes_px + 300))
@@ -142,16 +124,8 @@ def test_on_board_a_known_vessel_comes_into_view_at_its_place_below_the_horizon(
     on_board = replace(level, images=replace(level.images, half_planes=horizon))
     sliver = np.flatnonzero(level.results.image == first - 1)
     sliver = sliver[level.results.boxes_px[sliver, 0] < 1]
-    assert len(sliver) == 1
-    assert not classify_unmatched(observed(level)).crossings.results[sliver].any()
+    assert len(sliver) == 1 and not classify_unmatched(observed(level)).crossings.results[sliver].any()
     assert classify_unmatched(observed(on_board)).crossings.results[sliver].all()
-
-
-def test_what_vessels_hide_of_each_other_is_said_and_not_told_as_missed(passing):
-    _, _, hidden, judged = passing
-    said = f"{judged.crossings.annotations.sum()} boxes of known vessels that these pass are ignored"
-    assert any(each.startswith(said) for each in sentences(judged, judged.own_rates(10, 0)))
-    assert not (judged.telling.matched.sought & hidden).any()
 
 
 def test_the_greatest_rate_has_all_unmatched_detections_also_where_vessels_pass():
@@ -161,8 +135,7 @@ def test_the_greatest_rate_has_all_unmatched_detections_also_where_vessels_pass(
     judged = classify_unmatched(observed(set_of(known, known, other, np.where(single[:, None], stray, np.nan))))
     (rate,) = judged.own_rates(10, 0)
     silent, unmatched = np.count_nonzero(~judged.tells), len(judged.links.rows)
-    assert silent >= single.sum() > 2
-    assert rate.unmatched == unmatched
+    assert silent >= single.sum() > 2 and rate.unmatched == unmatched
     assert float(rate.upper.estimate) * FRAMES == pytest.approx(unmatched)
     assert float(rate.mixture.estimate) * FRAMES == pytest.approx(
         (1 - rate.vessel_share.estimate) * (unmatched - silent)

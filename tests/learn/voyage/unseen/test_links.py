@@ -29,27 +29,21 @@ def linked(labelled):
     return link(observed(labelled))
 
 
-def test_what_nears_is_one_thing_though_it_seems_to_go_ever_faster():
-    """At 1 Hz and 12 px, by up to a twentieth of its length a second each second."""
-    frame = np.arange(40)
+def test_what_nears_crosses_the_view_or_is_gone_no_longer_than_seen_is_one_thing_unless_its_size_changes():
+    frame = np.arange(40)  # at 1 Hz and 12 px it seems to go faster by up to a twentieth of its length a second
     assert linked(set_of(frame, 100 + 0.3 * frame**2.0, np.full(40, 400.0), 12.0, frames=40, rate_hz=1.0)).count == 1
-
-
-def test_a_thing_is_followed_over_a_gap_as_long_as_it_was_seen_and_not_over_a_longer_one():
     image = np.array([0, 1, 2, 3, 8, 9, 10, 20, 21, 50, 51])
     links = linked(set_of(image, 100 + 4.0 * image, np.full(11, 400.0)))
     assert links.link.tolist() == [0] * 9 + [1] * 2
-
-
-def test_a_thing_that_comes_into_view_and_leaves_it_is_one_thing():
+    image = np.arange(10)
+    links = linked(set_of(image, 300.0, 400.0, np.where(image < 5, 20.0, 60.0)))
+    assert links.link.tolist() == [0] * 5 + [1] * 5
     frame = np.arange(120)
-    left = 1300 - 14.0 * frame  # 140 px wide, in an image of 1200 px
-    boxes = np.clip(np.column_stack([left, 0 * left + 400, left + 140, 0 * left + 440]), 0, [[WIDTH_PX, 700] * 2])
+    boxes = np.clip(upright(1300 - 14.0 * frame, 400, 140, 440), 0, [[WIDTH_PX, 700] * 2])  # in and out of view
     seen = boxes[:, 2] - boxes[:, 0] > 1
     labelled = set_of_boxes(frame[seen], boxes[seen], frames=120)
     links = linked(labelled)
-    assert links.count == 1
-    assert things_of(links, labelled.images).cut.tolist() == [True]
+    assert links.count == 1 and things_of(links, labelled.images).cut.tolist() == [True]
 
 
 def upright(left, top, width, bottom):
@@ -57,15 +51,18 @@ def upright(left, top, width, bottom):
     return np.column_stack([left, 0 * left + top, left + width, 0 * left + bottom])
 
 
-def test_a_thing_that_a_known_vessel_hides_in_part_is_one_thing():
+def test_a_thing_that_a_known_vessel_or_another_thing_hides_in_part_is_one_thing():
     frame = np.arange(60)
-    left = 200 + 6.0 * frame  # 60 px wide; the vessel is 200 px wide, and lower than it
+    left, other = 200 + 6.0 * frame, 700 - 4.0 * frame
     low = upright(left, 370, 60, 400)
     known = np.tile([350.0, 380, 450, 410], (60, 1))
     behind = (left > 290) & (left + 60 < 510)
     low[behind, 3] = 380
-    assert behind.sum() > 10
-    assert linked(set_of_boxes(frame, low, truth(frame, 0 * frame, known))).count == 1
+    assert behind.sum() > 10 and linked(set_of_boxes(frame, low, truth(frame, 0 * frame, known))).count == 1
+    low, near = upright(left, 370, 60, 400), upright(other, 380, 200, 430)
+    over = (left + 60 > other) & (left < other + 200)
+    low[over, 3] = 378
+    assert over.sum() > 10 and linked(set_of_boxes(np.tile(frame, 2), np.concatenate([low, near]))).count == 2
 
 
 def test_things_that_cross_keep_their_numbers():
@@ -73,18 +70,7 @@ def test_things_that_cross_keep_their_numbers():
     right, left = 100 + 12.0 * frame, 574 - 12.0 * frame
     links = linked(set_of(np.tile(frame, 2), np.r_[right, left], np.r_[np.full(40, 400.0), np.full(40, 403.0)]))
     of_right = links.link[np.isclose(links.places_px[:, 1], 400 - HORIZON_PX)]
-    assert links.count == 2
-    assert len(set(of_right.tolist())) == 1
-
-
-def test_a_thing_that_another_one_hides_in_part_is_one_thing():
-    frame = np.arange(60)
-    behind, before = 200 + 6.0 * frame, 700 - 4.0 * frame
-    low, near = upright(behind, 370, 60, 400), upright(before, 380, 200, 430)
-    over = (behind + 60 > before) & (behind < before + 200)
-    low[over, 3] = 378
-    assert over.sum() > 10
-    assert linked(set_of_boxes(np.tile(frame, 2), np.concatenate([low, near]))).count == 2
+    assert links.count == 2 and len(set(of_right.tolist())) == 1
 
 
 def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
@@ -96,14 +82,7 @@ def test_a_stray_detection_does_not_take_the_place_of_a_whole_one():
     boxes, image = np.concatenate([whole, piece, stray]), np.r_[frame, 41:45, 40]
     links = linked(set_of_boxes(image, boxes, truth(frame, 0 * frame, known)))
     of_whole = links.link[np.isclose(links.sizes_px[:, 0], 60.0)]
-    assert len(of_whole) > 50
-    assert len(set(of_whole.tolist())) == 1
-
-
-def test_a_detection_of_another_size_is_another_thing():
-    image = np.arange(10)
-    links = linked(set_of(image, 300.0, 400.0, np.where(image < 5, 20.0, 60.0)))
-    assert links.link.tolist() == [0] * 5 + [1] * 5
+    assert len(of_whole) > 50 and len(set(of_whole.tolist())) == 1
 
 
 @pytest.mark.parametrize(("seed", "error_px"), [(0, 1.0), (1, 3.0)])
@@ -124,11 +103,9 @@ def test_a_vessel_hardly_larger_than_its_box_errors_is_one_thing_where_known_one
     labelled = set_of_boxes(image, boxes, annotated, frames=300)
     links = link(observed(labelled, Rule("centre", most_distance_px=30)))
     ours = (links.places_px[:, 0] < 300) & (links.places_px[:, 1] < 250)
-    things = things_of(links, labelled.images)
     of_silent = np.unique(links.link[ours])
     np.testing.assert_allclose(links.jitter.size_px, np.sqrt(2) * error_px, rtol=0.2)
-    assert len(of_silent) == 1
-    assert things.perhaps_vessel[of_silent].all()
+    assert len(of_silent) == 1 and things_of(links, labelled.images).perhaps_vessel[of_silent].all()
     steady = linked(replace(labelled, annotations=NOTHING))
     assert steady.jitter is STEADY
     pieces = len(np.unique(steady.link[(steady.places_px[:, 0] < 300) & (steady.places_px[:, 1] < 250)]))
@@ -145,10 +122,8 @@ def test_errors_of_large_known_vessels_do_not_link_small_clutter():
     image = np.r_[np.tile(frame, 3), single]
     boxes = np.concatenate([known + rng.normal(0, 15, known.shape), clutter])
     annotated = truth(np.tile(frame, 3), np.zeros(1800), known, identity=np.repeat([0, 1, 2], 600))
-    labelled = set_of_boxes(image, boxes, annotated, frames=600)
-    judged = classify_unmatched(observed(labelled, Rule("centre")))
-    assert judged.links.jitter.place_px.min() > 10
-    assert judged.things.lasted_s.max() <= 30
+    judged = classify_unmatched(observed(set_of_boxes(image, boxes, annotated, frames=600), Rule("centre")))
+    assert judged.links.jitter.place_px.min() > 10 and judged.things.lasted_s.max() <= 30
     assert not judged.likely.any()
 
 
@@ -157,8 +132,7 @@ def test_jitter_is_that_of_boxes_in_full_view():
     rng, frame = np.random.default_rng(0), np.arange(200)
     rows = np.tile(frame, 4)
     whole = np.concatenate([boxes_at(0 * frame + x, 0 * frame + 400.0, 20.0) for x in (300, 500, 700)])
-    cut = np.tile([0.0, 393, 12, 407], (200, 1))
-    known = np.concatenate([whole, cut])
+    known = np.concatenate([whole, np.tile([0.0, 393, 12, 407], (200, 1))])
     wild = np.repeat([False, False, True, True], 200)[:, None]
     seen = known + np.where(wild, rng.normal(0, 10, known.shape), rng.normal(0, 1, known.shape))
     unsure = np.repeat([False, False, True, False], 200)
@@ -169,15 +143,12 @@ def test_jitter_is_that_of_boxes_in_full_view():
     assert jitter_of(observed(labelled, Rule("centre")), 0.4) is STEADY
 
 
-def test_a_camera_that_pitches_does_not_break_links():
+def test_a_camera_that_pitches_does_not_break_links_and_frames_without_times_have_none():
     frame = np.arange(40)
     pitch = 80 * np.sin(frame)
     seas = np.column_stack([0 * pitch, 1 + 0 * pitch, -HORIZON_PX - pitch])
     assert linked(set_of(frame, np.full(40, 500.0), 400 + pitch, frames=40, seas=seas)).count == 1
     assert linked(set_of(frame, np.full(40, 500.0), 400 + pitch, frames=40)).count > 5
-
-
-def test_frames_without_times_link_nothing():
     labelled = set_of(np.arange(5), 300.0, 400.0)
     labelled.images.time_s[:] = np.nan
     assert linked(labelled).count == 5
