@@ -51,9 +51,7 @@ def in_frames(found: Detections, frame: Indices, **columns: Array) -> Detections
     return replace(found, frame=frame[order], **values)
 
 
-def copied(
-    seen: CameraEvidence, rows: Indices, of: CameraEvidence, those: Indices, apart: int, share: float
-) -> Detections:
+def copied(seen: CameraEvidence, rows: Indices, of: CameraEvidence, those: Indices, apart: int, share: float):
     """The errors of other detections, so many steps earlier, of the same vessels where there are some. Of the variance
     a share is theirs, the rest that of the own errors."""
     wanted, known = places(seen, rows) - 1000 * apart, places(of, those)
@@ -83,44 +81,37 @@ def second_half_repeats_the_first(evidence: Evidence, share: float = 1.0) -> lis
     return result
 
 
-def same_errors_in_an_image(evidence: Evidence) -> list[Detections]:
-    result = []
-    for seen in evidence.cameras:
-        rows = single(seen)
-        _, first, of = np.unique(seen.detections.frame[rows], return_index=True, return_inverse=True)
-        result.append(with_errors(seen, rows, seen.detections.errors_px[rows[first[of]]]))
-    return result
+def same_errors_in_an_image(seen: CameraEvidence) -> Detections:
+    rows = single(seen)
+    _, first, of = np.unique(seen.detections.frame[rows], return_index=True, return_inverse=True)
+    return with_errors(seen, rows, seen.detections.errors_px[rows[first[of]]])
 
 
-def larger_and_larger_errors(evidence: Evidence) -> list[Detections]:
-    result = []
-    for seen in evidence.cameras:
-        rows = single(seen)
-        errors = seen.detections.errors_px[rows]
-        distance = (((errors - errors.mean(axis=0)) / errors.std(axis=0)) ** 2).sum(axis=1)
-        result.append(with_errors(seen, rows, errors[np.argsort(distance)]))
-    return result
+def larger_and_larger_errors(seen: CameraEvidence) -> Detections:
+    rows = single(seen)
+    errors = seen.detections.errors_px[rows]
+    distance = (((errors - errors.mean(axis=0)) / errors.std(axis=0)) ** 2).sum(axis=1)
+    return with_errors(seen, rows, errors[np.argsort(distance)])
 
 
-def confidence_in_order(evidence: Evidence, within_s: float) -> list[Detections]:
-    result = []
-    for seen in evidence.cameras:
-        found = seen.detections
-        span = seen.frames.times_s[found.frame] // within_s
-        result.append(replace(found, confidence=found.confidence[np.lexsort((found.confidence, span))]))
-    return result
+def confidence_in_order(seen: CameraEvidence, within_s: float) -> Detections:
+    found = seen.detections
+    span = seen.frames.times_s[found.frame] // within_s
+    return replace(found, confidence=found.confidence[np.lexsort((found.confidence, span))])
 
 
-def false_positives_at(evidence: Evidence, places: Callable[[int], Array]) -> list[Detections]:
+def false_positives_at(seen: CameraEvidence, places: Callable[[int], Array]) -> Detections:
     """The same false positives at other places, as parts of how many are expected up to each frame."""
-    result = []
-    for seen in evidence.cameras:
-        found, frame = seen.detections, seen.detections.frame.copy()
-        rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
-        expected = np.cumsum(np.bincount(frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
-        frame[rows] = np.searchsorted(expected, places(len(rows)) * expected[-1])
-        result.append(in_frames(found, frame))
-    return result
+    found, frame = seen.detections, seen.detections.frame.copy()
+    rows = np.flatnonzero(found.kind == FALSE_POSITIVE)
+    expected = np.cumsum(np.bincount(frame[~found.false()], minlength=len(seen.frames))).astype(np.float64)
+    frame[rows] = np.searchsorted(expected, places(len(rows)) * expected[-1])
+    return in_frames(found, frame)
+
+
+def of_each(change: Callable[..., Detections], **options: object) -> Lie:
+    """The lie that changes what each camera has seen by itself."""
+    return lambda evidence: [change(seen, **options) for seen in evidence.cameras]
 
 
 def in_threes(count: int) -> Array:
@@ -131,16 +122,14 @@ def same_misses_in_both_cameras(evidence: Evidence) -> list[Detections]:
     """In the second camera as many misses as before, of the vessels that the first one misses as far as they go."""
     first, second = evidence.cameras
     chances = [seen.frames.steps[seen.targets.frame] * 1000 + seen.targets.vessel for seen in (first, second)]
-    seen_first = chances[0][first.detections.target[~first.detections.false()]]
-    missed = np.setdiff1d(chances[0], seen_first)
+    missed = np.setdiff1d(chances[0], chances[0][first.detections.target[~first.detections.false()]])
     found = second.detections
     rows = np.flatnonzero(~found.false())
     rank = np.where(np.isin(chances[1], missed), 0, 1) + np.random.default_rng(0).random(len(chances[1]))
     seen_now = np.sort(np.argsort(rank)[len(rank) - len(rows) :])
     target, frame = found.target.copy(), found.frame.copy()
     target[rows], frame[rows] = seen_now, second.targets.frame[seen_now]
-    moved = replace(second, detections=replace(found, target=target))
-    fitting = with_errors(moved, rows, found.errors_px[rows])
+    fitting = with_errors(replace(second, detections=replace(found, target=target)), rows, found.errors_px[rows])
     columns = {"target": target, "boxes_px": fitting.boxes_px, "errors_px": fitting.errors_px}
     return [first.detections, in_frames(found, frame, **columns)]
 
@@ -153,23 +142,23 @@ LIES: dict[str, tuple[Lie, set[str]]] = {
     "similar errors in both cameras": (partial(same_errors_in_both_cameras, share=0.1), {CAMERAS}),
     "the second half repeats the first": (second_half_repeats_the_first, {TWICE, EARLIER}),
     "the second half resembles the first": (partial(second_half_repeats_the_first, share=0.4), {EARLIER}),
-    "same errors in an image": (same_errors_in_an_image, {TWICE, "box errors: correlation within images"}),
-    "larger and larger errors": (larger_and_larger_errors, {"box errors: order in time"}),
+    "same errors in an image": (of_each(same_errors_in_an_image), {TWICE, "box errors: correlation within images"}),
+    "larger and larger errors": (of_each(larger_and_larger_errors), {"box errors: order in time"}),
     "same misses in both cameras": (same_misses_in_both_cameras, {"misses: correlation between cameras"}),
     "confidence in order": (
-        partial(confidence_in_order, within_s=np.inf),
+        of_each(confidence_in_order, within_s=np.inf),
         {"confidence: order in time", "confidence: correlation with earlier times"},
     ),
     "confidence in order within minutes": (
-        partial(confidence_in_order, within_s=60),
+        of_each(confidence_in_order, within_s=60),
         {"confidence: correlation with earlier times"},
     ),
     "even false positives": (
-        partial(false_positives_at, places=lambda count: (np.arange(count) + 0.5) / count),
+        of_each(false_positives_at, places=lambda count: (np.arange(count) + 0.5) / count),
         {"false positives: variance over mean in stretches"},
     ),
     "false positives in threes": (
-        partial(false_positives_at, places=in_threes),
+        of_each(false_positives_at, places=in_threes),
         {"false positives: variance over mean in images"},
     ),
 }

@@ -74,8 +74,11 @@ def test_every_difference_in_a_scene_is_explained_and_the_figures_are_those_of_t
     assert wrong > 0  # the ship lies askew: its box hides more of the sail than it does itself
 
 
-def test_page_is_self_contained_and_shows_the_largest_differences(whole):
-    page = whole.page
+def test_page_and_terminal_say_the_same_as_the_file_and_the_page_shows_the_largest_differences(whole):
+    found, said, page = whole.figures, whole.said, whole.page
+    assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
+    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
+    assert "UNEXPLAINED 0" in said and "compare.json" in said
     assert not re.search(r"https?://|\bsrc=\"(?!data:)|\bhref=(?!\"#)|<script|<link|@import|url\(", page)
     pictures = re.findall(r'<img src="data:image/png;base64,([A-Za-z0-9+/=]+)"', page)
     assert len(pictures) == page.count("<img") == 3 + 1  # and the rule's worst mistake
@@ -83,21 +86,6 @@ def test_page_is_self_contained_and_shows_the_largest_differences(whole):
     for word in ("Rendered against drawn and analytic", "rectangle rule", "UNEXPLAINED"):
         assert word in page
     assert " ms" not in page and "Time per frame" not in page  # the same input gives the same bytes
-
-
-def test_terminal_says_the_same_as_the_file(whole):
-    found, said = whole.figures, whole.said
-    assert f"vessel-frames compared {found['vessel_frames']} in {found['frames']} frames" in said
-    assert "UNEXPLAINED 0" in said
-    assert f"wrong in total {found['rectangles_against_rendered']['wrong_share']:.1%}" in said
-    assert "compare.json" in said
-
-
-def test_nothing_is_written_unasked(monkeypatch, tmp_path, scene):
-    monkeypatch.chdir(tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    assert call(monkeypatch, "check", "truth", scene, "--steps", 2) == 0
-    assert sorted(tmp_path.rglob("*")) == before
 
 
 @pytest.mark.parametrize(
@@ -118,18 +106,16 @@ def test_every_and_steps_choose_what_is_looked_at(monkeypatch, tmp_path, scene, 
     assert looked_at == list(range(0, named.get("--steps", 12), named.get("--every", 1)))
 
 
-def test_every_step_of_many_is_looked_at_in_blocks(monkeypatch, tmp_path, scene, whole):
+def test_blocks_of_steps_change_nothing_and_supersampling_brings_boxes_nearer_to_exact_ones(
+    monkeypatch, tmp_path, scene, whole
+):
     monkeypatch.setattr(compare, "BLOCK_STEPS", 5)
     parts = figures_of(monkeypatch, tmp_path / "b", scene)[1]
     own = {key: whole.figures[key] for key in ("ms_per_frame", "scene")}  # a scene has the name of its folder
     assert parts.keys() == whole.figures.keys() and parts | own == whole.figures
-
-
-def test_supersampling_brings_the_boxes_nearer_to_the_exact_ones(monkeypatch, tmp_path, scene, whole):
-    coarse = whole.figures
-    status, fine = figures_of(monkeypatch, tmp_path / "b", scene, "--set", "annotation.supersample=4")
+    status, fine = figures_of(monkeypatch, tmp_path / "f", scene, "--set", "annotation.supersample=4")
     assert (status, fine["supersample"]) == (0, 4) and fine["full_box"]["side_max_px"] <= 0.25
-    assert fine["full_box"]["side_max_px"] < 0.5 * coarse["full_box"]["side_max_px"]
+    assert fine["full_box"]["side_max_px"] < 0.5 * whole.figures["full_box"]["side_max_px"]
 
 
 def seen_partly(seen):
@@ -200,8 +186,7 @@ def test_planted_error_in_what_was_counted_is_unexplained(monkeypatch, tmp_path,
     word = EXPLANATIONS[Agreement.UNEXPLAINED]
     assert found["unexplained"] == sum(found[kind]["verdicts"][word] for kind in ("full_box", "visible_box"))
     page = (tmp_path / "out" / "compare.html").read_text(encoding="utf-8")
-    assert "are unexplained" in page
-    assert "Unexplained: " in page  # what is said of the pictures begins with it
+    assert "are unexplained" in page and "Unexplained: " in page  # the latter begins what is said of the pictures
 
 
 def behind_is_before(outlines):
@@ -226,14 +211,18 @@ def test_intersecting_boxes_are_named_and_are_not_unexplained(monkeypatch, tmp_p
 
 
 def test_scene_that_is_wrong_or_not_there_is_exit_status_two(monkeypatch, tmp_path, scene, capsys):
-    assert call(monkeypatch, "check", "truth", "no_such_scene") == 2
-    assert "no_such_scene" in capsys.readouterr().err
+    assert call(monkeypatch, "check", "truth", "no_such_scene") == 2 and "no_such_scene" in capsys.readouterr().err
     data = json.loads(scene.read_text())
     data["annotation"]["mode"] = 7
     scene.write_text(json.dumps(data))
     assert call(monkeypatch, "check", "truth", scene, "--out", tmp_path / "out") == 2
     assert "annotation.mode" in capsys.readouterr().err and not (tmp_path / "out").exists()
     assert call(monkeypatch, "check", "truth", scene, "--every", 0) == 2
+    # Nothing is written unasked either.
+    scene = crossing(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    assert call(monkeypatch, "check", "truth", scene, "--steps", 2) == 0 and sorted(tmp_path.rglob("*")) == before
 
 
 def test_campaign_writes_the_same_bytes_again(monkeypatch, tmp_path):

@@ -55,14 +55,11 @@ def in_analytic(change):
 def in_drawing(inverse_depth):
     """Give each drawing, once it is projected, other depths: a function of its depths and occluders."""
 
-    def plant(monkeypatch):
-        def changed(drawing):
-            return replace(drawing, inverse_depth=inverse_depth(drawing.inverse_depth, drawing.occluder[:, None]))
+    def changed(project, *arguments):
+        drawing = project(*arguments)
+        return replace(drawing, inverse_depth=inverse_depth(drawing.inverse_depth, drawing.occluder[:, None]))
 
-        project = Drawing.of
-        monkeypatch.setattr(Drawing, "of", lambda *arguments: changed(project(*arguments)))
-
-    return plant
+    return lambda monkeypatch: wrap(monkeypatch, Drawing, "of", changed)
 
 
 def shifted(outlines, lens):
@@ -86,11 +83,6 @@ def first_moved(make, vessels, present, positions_m, *rest, **named):
     return make(vessels, present, positions_m, *rest, **named)
 
 
-def hidden_hides(monkeypatch):
-    of = Hiding.of
-    monkeypatch.setattr(analytic.Hiding, "of", lambda hidden, hiders: of(hiders, hidden))
-
-
 def farthest_wins(monkeypatch):
     gl_of = IdRenderer._gl.func
 
@@ -105,11 +97,9 @@ def farthest_wins(monkeypatch):
     monkeypatch.setattr(IdRenderer, "_gl", reversed_property)
 
 
-def near_plane_of_drawing(monkeypatch):
-    project = Drawing.of
-    monkeypatch.setattr(
-        Drawing, "of", lambda *a: replace(project(*a[:-2], replace(a[-2], near_clip_m=NEAR_M), a[-1]), intrinsics=a[-2])
-    )
+def near_plane_of_drawing(project, *arguments):
+    *others, lens, last = arguments
+    return replace(project(*others, replace(lens, near_clip_m=NEAR_M), last), intrinsics=lens)
 
 
 MUTANTS = {
@@ -120,7 +110,7 @@ MUTANTS = {
     ),
     "order, drawing": in_drawing(lambda depth, occluder: np.where(occluder == 0, 1.0, depth)),
     "near and far, fast path": in_fast_path(lambda outlines, lens: (behind_is_before(outlines), lens)),
-    "near and far, analytic": hidden_hides,
+    "near and far, analytic": lambda m: wrap(m, Hiding, "of", lambda of, hidden, hiders: of(hiders, hidden)),
     "near and far, drawing": in_drawing(lambda depth, occluder: depth.max() + depth.min() - depth),
     "near and far, every ID buffer": farthest_wins,
     "corners, fast path": in_fast_path(shifted),
@@ -132,7 +122,7 @@ MUTANTS = {
     "near plane, fast path and analytic alike": lambda m: wrap(
         m, sight, "outline", lambda f, lens, *rest, **named: f(replace(lens, near_clip_m=NEAR_M), *rest, **named)
     ),
-    "near plane, drawing": near_plane_of_drawing,
+    "near plane, drawing": lambda m: wrap(m, Drawing, "of", near_plane_of_drawing),
 }
 
 
@@ -143,8 +133,7 @@ def scene(tmp_path):
 
 def unexplained(monkeypatch, capsys, scene):
     """Exit status and the number of unexplained differences."""
-    status = call(monkeypatch, "check", "truth", scene, "--json")
-    return status, json.loads(capsys.readouterr().out)["unexplained"]
+    return call(monkeypatch, "check", "truth", scene, "--json"), json.loads(capsys.readouterr().out)["unexplained"]
 
 
 def test_scene_of_the_mutants_has_nothing_unexplained(monkeypatch, capsys, scene):

@@ -35,18 +35,15 @@ def three_labels(share: float) -> DetectorModel:
     return parse_detector(data)
 
 
-def labels_of(many: ManyDetections, model: DetectorModel, seed: int) -> list[Parameter]:
-    return [p for p in false_positive_checks(model, many.detect(model, seed)) if "false_positive_labels" in p.name]
+def test_labels_that_persist_are_not_taken_for_independent_ones_but_those_beside_them_are_tested(many) -> None:
+    def tested(share: float, seed: int) -> list[Any]:
+        model = three_labels(share)
+        found = false_positive_checks(model, many.detect(model, seed))
+        return [p.measure for p in found if "false_positive_labels" in p.name and p.measure is not None]
 
-
-def test_labels_that_persist_are_not_taken_for_independent_ones(many: ManyDetections) -> None:
-    # In 40 s one that lives for 20 s on average shows its label in frame after frame.
-    assert all(parameter.measure is None for parameter in labels_of(many, three_labels(1.0), 0))
-
-
-def test_labels_of_those_that_do_not_persist_are_tested_beside_others_that_do(many: ManyDetections) -> None:
-    tested = [p.measure for seed in range(6) for p in labels_of(many, three_labels(0.5), seed) if p.measure is not None]
-    assert len(tested) > 40 and min(measure.p_value() for measure in tested) > 1e-5
+    assert tested(1.0, 0) == []  # in 40 s one that lives for 20 s on average shows its label in frame after frame
+    beside = [measure for seed in range(6) for measure in tested(0.5, seed)]
+    assert len(beside) > 40 and min(measure.p_value() for measure in beside) > 1e-5
 
 
 def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> None:
@@ -58,8 +55,7 @@ def test_splits_leave_the_law_of_box_errors_as_it_is(many: ManyDetections) -> No
 
     (every, every_narrow), (some, some_narrow) = error_widths(0.0), error_widths(0.9)
     assert 0.05 * len(every) < len(some) < 0.2 * len(every)
-    deviation = some.mean() - every.mean()
-    assert abs(deviation) < 4 * every.std() / np.sqrt(len(some))
+    assert abs(some.mean() - every.mean()) < 4 * every.std() / np.sqrt(len(some))
     share = every_narrow.mean()
     assert abs(some_narrow.mean() - share) < 4 * np.sqrt(share * (1 - share) / len(some))
 
@@ -111,8 +107,7 @@ def test_persistence_is_seen_between_two_turns_of_the_detector(many: ManyDetecti
     model = changed(gates=gates, persistence={"class_s": 1.0, "box_s": 1.0})
     evidence = many.detect(model, 4)
     for parameter in persistence_of(model, evidence, table):
-        assert parameter.measure is not None
-        assert parameter.measure.asked == pytest.approx(np.exp(-0.4), rel=1e-9)
+        assert parameter.measure is not None and parameter.measure.asked == pytest.approx(np.exp(-0.4), rel=1e-9)
         assert parameter.measure.p_value() > 1e-4
     for parameter in persistence_of(changed(gates=gates), evidence, table):
         assert parameter.measure is not None and parameter.measure.p_value() < 1e-6
@@ -145,16 +140,13 @@ def box_persistence(asked: DetectorModel, evidence: Evidence, table: MomentTable
     return measure
 
 
-def test_a_part_that_truncation_leaves_of_a_correlation_is_not_all(many: ManyDetections, table: MomentTable) -> None:
+def test_what_truncation_leaves_of_a_correlation_is_told_from_all_of_it(many, table: MomentTable) -> None:
     # Half of the first draws leave no box: of a correlation of 0.2 from frame to frame 0.05 is left.
     made_with = changed(persistence={"box_s": -0.2 / np.log(0.2)})
     found = [box_persistence(changed(), many.detect(made_with, seed), table) for seed in range(4)]
     error = float(np.mean([measure.error for measure in found])) / 2
-    assert error < 0.04
-    assert np.mean([measure.measured for measure in found]) == pytest.approx(0.2, abs=4 * error)
-
-
-def test_of_errors_that_nothing_cuts_all_of_a_correlation_is_left(many: ManyDetections) -> None:
+    assert error < 0.04 and np.mean([measure.measured for measure in found]) == pytest.approx(0.2, abs=4 * error)
+    # Of errors that nothing cuts, all of it is left.
     data = variant("relative box errors")
     for state in data["states"].values():
         state["box_error"]["covariance"] = [[value / 100 for value in row] for row in state["box_error"]["covariance"]]
@@ -179,16 +171,11 @@ def test_a_number_that_nobody_asked_for_is_a_dash_and_what_must_always_hold_is_c
     assert conclusion(verification).endswith("states shared by all cameras: wrong 3 times of 10.")
 
 
-def two_states() -> Data:
-    data = thesis_data()
-    data["states"] = {name: data["states"][name] for name in ("excellent", "good")}
-    return data | {"transition_matrix": [[0.9, 0.2], [0.1, 0.8]]}
-
-
 @pytest.mark.parametrize("stay", [0.98, 0.5])
 def test_of_two_states_the_rate_of_staying_is_named(many: ManyDetections, stay: float) -> None:
-    asked = parse_detector(two_states() | {"transition_matrix": [[0.9, 1 - stay], [0.1, stay]]})
+    states = {name: thesis_data()["states"][name] for name in ("excellent", "good")}
+    made_with = changed(states=states, transition_matrix=[[0.9, 0.2], [0.1, 0.8]])
+    asked = changed(states=states, transition_matrix=[[0.9, 1 - stay], [0.1, stay]])
     for seed in range(3):
-        evidence = many.detect(parse_detector(two_states()), seed)
-        found = judge(state_checks(asked, evidence))
+        found = judge(state_checks(asked, many.detect(made_with, seed)))
         assert found.cause is not None and found.cause.parameter.name == "transition_matrix[good][good]"

@@ -10,9 +10,10 @@ import yaml
 from modsim3d import RunDirectoryError, detect_run, load_scene, open_run, run_scene, verify_evidence
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.io.input_files import data_folder
+from modsim3d.verify.false_positive_checks import false_positive_checks
 from modsim3d.verify.parameters import FALLS_SHORT
 from modsim3d.verify.verify_run import verify_run, write_report
-from tests.command_line import call
+from tests.cli.bad_input.builders import refusal
 from tests.detector_changes import single_changes
 from tests.detector_variants import CHANGES, thesis_data, variant
 from tests.run_folders import interrupt
@@ -27,33 +28,30 @@ def finished(tmp_path_factory) -> Path:
     return folder
 
 
-def test_an_honest_run_obeys_and_says_so(finished, monkeypatch, capsys):
-    assert call(monkeypatch, "check", "run", finished) == 0
-    said = capsys.readouterr().out
+def test_an_honest_run_obeys_and_says_so_and_its_report_changes_nothing_in_it(finished, tmp_path, call):
+    status, said = call("check", "run", finished)
+    assert status == 0
     assert "obeys its detector file" in said and "states.excellent.confusion[background][Vessel]" in said
     assert "dropout, all states" in said and "noticed from" in said
     report = json.loads((finished / "verify.json").read_text())
     assert report["obeys"] and report["cause"] is None
     page = (finished / "verify.html").read_text()
     assert page.count("<svg") >= 5 and "http" not in page and "<script" not in page
-
-
-def test_a_report_in_a_run_changes_nothing_for_whoever_reads_the_run(finished, tmp_path):
-    (finished / "verify.json").write_text("{}")
+    # The report changes nothing for whoever reads the run.
     detect_run(open_run(finished), tmp_path / "again")
     assert not (tmp_path / "again" / "verify.json").exists()
     assert (tmp_path / "again" / "detections.parquet").read_bytes() == (finished / "detections.parquet").read_bytes()
 
 
-def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, monkeypatch, capsys):
+def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, call):
     data = thesis_data()
     data["states"]["good"]["confidence"]["std"] = 0.13
     changed = tmp_path / "changed.yaml"
     changed.write_text(yaml.safe_dump(data, sort_keys=False))
     out = tmp_path / "report"
-    assert call(monkeypatch, "check", "run", finished, "--detector", changed, "--out", out) == 1
+    status, said = call("check", "run", finished, "--detector", changed, "--out", out)
     report = json.loads((out / "verify.json").read_text())
-    assert report["cause"] == "states.good.confidence.std" and "does NOT obey" in capsys.readouterr().out
+    assert (status, report["cause"]) == (1, "states.good.confidence.std") and "does NOT obey" in said
     page = (out / "verify.html").read_text().replace("<wbr>", "")
     failing = [line for line in page.splitlines() if "DIFFERS" in line]
     assert all(line.startswith('<tr class="bad">') for line in failing)
@@ -74,8 +72,7 @@ def test_cameras_with_states_of_their_own_have_a_timeline_each(tmp_path):
 def test_in_memory_and_from_files_the_verdicts_are_the_same(finished, many, table):
     run = open_run(finished)
     in_memory = verify_evidence(run.scene.detector, many.detect(run.scene.detector, run.scene.detector_seed), table)
-    from_files = verify_run(run).verification
-    for a, b in zip(from_files.verdicts, in_memory.verdicts, strict=True):
+    for a, b in zip(verify_run(run).verification.verdicts, in_memory.verdicts, strict=True):
         assert (a.parameter.name, a.verdict) == (b.parameter.name, b.verdict)
         assert (a.p_value is None) == (b.p_value is None)
         assert a.p_value is None or a.p_value == pytest.approx(b.p_value, rel=1e-6)
@@ -138,20 +135,34 @@ def test_changes_that_are_noticeable_are_caught_and_named(many, table):
     assert noticeable >= 2 and named >= noticeable - 1
 
 
-def test_another_detector_with_other_states_cannot_have_made_a_run(finished, monkeypatch, capsys):
-    line = ("check", "run", finished, "--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
-    assert call(monkeypatch, *line) == 2 and "cannot have made this run" in capsys.readouterr().err
-
-
-def test_a_folder_that_is_no_run_or_has_a_broken_table_is_bad_input(finished, tmp_path, monkeypatch, capsys):
-    assert call(monkeypatch, "check", "run", tmp_path) == 2 and "run.json" in capsys.readouterr().err
+def test_other_detectors_no_runs_broken_tables_and_interrupted_runs_are_refused(finished, call, tmp_path):
+    other = ("--detector", DETECTORS / "experiment_1.yaml", "--overwrite")
+    refusal(call, ("check", "run", finished, *other), "cannot have made this run")
+    refusal(call, ("check", "run", tmp_path), "run.json")
     broken = shutil.copytree(finished, tmp_path / "broken")
     (broken / "detections.parquet").write_bytes(b"not a table")
-    assert call(monkeypatch, "check", "run", broken) == 2
-    assert "detections.parquet has 11 bytes, and had" in capsys.readouterr().err
-
-
-def test_an_interrupted_run_is_refused(tmp_path):
+    refusal(call, ("check", "run", broken), "detections.parquet has 11 bytes, and had")
     cut = interrupt(load_scene("simulation_1", steps=260, source="analytic"), tmp_path / "cut")
     with pytest.raises(RunDirectoryError, match="interrupted run"):
         verify_run(open_run(cut))
+
+
+@pytest.mark.parametrize(
+    "keys, name",
+    [
+        ({}, None),
+        ({"size": {"model": "fixed", "px": [40, 20]}, "far_half_px": 90.0}, None),
+        ({"placement": "horizon_band", "band_px": 300.0}, "false_positives.placement[below the horizon]"),
+        ({"placement": "density", "density": [[1, 2]]}, "false_positives.placement[along the horizon]"),
+        ({"size": {"model": "fixed", "px": [40, 20]}}, "false_positives.size[width]"),
+        ({"persistence": {"lifetime_s": 0.4, "share": 0.5}}, "false_positives.persistence.lifetime_s"),
+    ],
+)
+def test_honest_false_positives_obey_and_others_are_told_apart(many, keys, name):
+    usual = {"model": "per_image", "rate": 2.0, "persistence": {"lifetime_s": 2.0, "share": 0.5}}
+    clutter = usual | keys, usual | ({} if name else keys)
+    made_with, asked = (parse_detector(thesis_data() | {"false_positives": each}) for each in clutter)
+    wanted = ("false_positives.placement", "false_positives.size", "false_positives.persistence.lifetime_s")
+    checks = [each for each in false_positive_checks(asked, many.detect(made_with, 3)) if each.name.startswith(wanted)]
+    found = {each.name: each.measure.p_value() for each in checks if each.measure is not None}
+    assert found[name] < 1e-5 if name else len(found) == 5 and min(found.values()) > 1e-4

@@ -1,9 +1,10 @@
-"""Confidences that persist count for fewer, and how long they do is tested."""
+"""Levels of confidences in their own law; those that persist count for fewer, and how long they do is tested."""
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from modsim3d.detector.confidence import pair_likelihood, pair_score
+from modsim3d.detector.confidence import LEVELS, NormalScores, QuantileScores, drawn_levels, pair_likelihood, pair_score
 from modsim3d.verify.confidence_checks import Clipped, KeptScores
 
 TRACKS, FRAMES, KEPT = 12, 60, 0.8
@@ -67,6 +68,43 @@ def test_a_number_beyond_a_bound_has_the_probability_of_what_lies_there() -> Non
     before, rho = np.array([0.7]), np.array([0.6])
     edges = np.linspace(-8, 8, 4001)
     density = np.exp(pair_likelihood(np.full(4001, 0.7), edges, edges, np.full(4001, 0.6))) / np.sqrt(2 * np.pi)
-    beyond = np.trapezoid(density[edges >= 1], edges[edges >= 1])
     found = np.exp(pair_likelihood(before, np.array([1.0]), np.array([np.inf]), rho))[0]
-    assert found == pytest.approx(beyond, rel=1e-2)
+    assert found == pytest.approx(np.trapezoid(density[edges >= 1], edges[edges >= 1]), rel=1e-2)
+
+
+# ---- Levels, also where the law is cut off at the ends of the range ----
+
+LAWS = {
+    "normal": NormalScores(0.6, 0.3),
+    "quantiles": QuantileScores(np.array([0.1, 0.3, 0.3, 0.7, 1.2])),
+}
+STEPS = QuantileScores(np.array([0.3, 0.3, 0.5, 0.8, 0.8]))
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_levels_are_uniform_and_those_of_the_draw(name: str) -> None:
+    rng = np.random.default_rng(4)
+    uniforms, shift = rng.random(4000), np.where(np.arange(4000) % 2, 0.05, 0.0)
+    values = LAWS[name].at(uniforms) + shift
+    confidence = np.clip(values, 0.2, 1)
+    levels = LEVELS[name](LAWS[name], confidence, np.zeros(4000) + shift)
+    assert levels is not None
+    drawn = drawn_levels(levels, confidence, 0.2, rng)
+    assert stats.kstest(drawn, "uniform").pvalue > 1e-3
+    level = np.interp(values - shift, [0.3 - 1e-9, 0.3 + 1e-9], [0, 1])
+    alone = (confidence > 0.2) & (confidence < 1) & ((name == "normal") | (level == 0) | (level == 1))
+    assert 0.3 < alone.mean() < 0.95
+    np.testing.assert_allclose(drawn[alone], uniforms[alone], atol=1e-5)
+    assert np.abs(drawn[~alone] - uniforms[~alone]).max() > 0.01
+
+
+def test_a_step_of_a_law_has_all_its_levels_and_a_law_of_one_value_none() -> None:
+    values = np.array([0.3, 0.4, 0.5, 0.65, 0.8])
+    for shift in np.tile(np.linspace(0, 0.1, 8)[:, None], 5):
+        levels = LEVELS["quantiles"](STEPS, values + shift, shift)
+        assert levels is not None
+        np.testing.assert_allclose(levels[0], [0, 0.375, 0.5, 0.625, 0.75], atol=1e-7)
+        np.testing.assert_allclose(levels[1], [0.25, 0.375, 0.5, 0.625, 1], atol=1e-7)
+    ends = np.array([0.4, 0.4])
+    assert LEVELS["normal"](NormalScores(0.4, 0.0), ends, np.zeros(2)) is None
+    assert LEVELS["quantiles"](QuantileScores(ends), ends, np.zeros(2)) is None
