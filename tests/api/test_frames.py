@@ -73,17 +73,12 @@ def labelled(tmp_path_factory):
     return scene, list(modsim3d.simulate_frames(scene))
 
 
-def test_time_is_counted_in_seconds_from_the_first_step(scene, frames):
+def test_time_is_counted_in_seconds_from_the_first_step_and_read_back_like_classes(scene, frames, folder):
     assert frames[0].time_s == 0
-    for frame in frames:
-        assert frame.time_s == pytest.approx(float(frame.timestamp) - float(frames[0].timestamp))
-        assert frame.time_s == scene.times_s(frame.step, frame.step + 1)[0]
-        assert frame.camera in ("bow", "quay")
-
-
-def test_a_frame_read_back_has_the_same_time_and_classes(frames, folder):
     for made, read in zip(frames, modsim3d.open_run(folder).frames(), strict=True):
-        assert made.time_s == read.time_s
+        assert made.time_s == pytest.approx(float(made.timestamp) - float(frames[0].timestamp))
+        assert made.time_s == read.time_s == scene.times_s(made.step, made.step + 1)[0]
+        assert made.camera in ("bow", "quay")
         np.testing.assert_array_equal(made.truth.class_id, read.truth.class_id)
         np.testing.assert_array_equal(made.detections.class_id, read.detections.class_id)
 
@@ -98,23 +93,19 @@ def test_class_id_is_the_place_of_the_label_in_the_detectors(labelled):
             assert tuple(scene.detector.labels[i] for i in part.class_id) == part.labels
 
 
-@pytest.mark.parametrize("name", ["frames", "truth", "detections"])
-def test_the_tables_of_all_frames_are_the_table_of_the_run(name, frames, folder):
-    table = modsim3d.open_run(folder).table(name)
-    assert isinstance(table, pa.Table) and len(table) > len(frames) - 1
-    assert pa.concat_tables([frame.table(name) for frame in frames]).equals(table)
+def test_the_tables_of_all_frames_are_the_table_of_the_run(frames, folder):
+    for name in ("frames", "truth", "detections"):
+        table = modsim3d.open_run(folder).table(name)
+        assert isinstance(table, pa.Table) and len(table) > len(frames) - 1, name
+        assert pa.concat_tables([frame.table(name) for frame in frames]).equals(table), name
 
 
-def test_a_table_that_is_not_there_is_named(frames, folder):
+def test_a_table_or_frame_that_is_not_there_is_named(frames, folder):
     run = modsim3d.open_run(folder)
     for part in (frames[0], run):
         with pytest.raises(ModsimError, match=r"there is no table 'truths'.* \(did you mean 'truth'\?\)"):
             part.table("truths")
     assert len(run.table("ownship")) == 30
-
-
-def test_a_frame_that_is_not_there_is_named(folder):
-    run = modsim3d.open_run(folder)
     for camera, step, said in (
         ("bough", 3, "there is no camera 'bough'"),
         ("bow", 30, "there is no step 30; it has steps 0 to 29"),
@@ -126,41 +117,29 @@ def test_a_frame_that_is_not_there_is_named(folder):
     assert (run.frame("quay", 1).camera, run.frame("quay", 1).step) == ("quay", 1)
 
 
-def test_detections_for_supervision(frames, supervision):
+def test_supervision_gets_a_copy_of_the_detections_and_of_the_truth_that_is_annotated(frames, supervision):
     assert any(len(frame.detections) > 2 for frame in frames)
     one = frames[0].detections
     nothing = replace(one, **{field.name: getattr(one, field.name)[:0] for field in fields(one)})
-    empty = replace(frames[0], detections=nothing)
-    for frame in (*frames, empty):
-        found = frame.to_supervision()
-        assert isinstance(found, supervision.Detections)
-        np.testing.assert_array_equal(found.xyxy, frame.detections.boxes_px)
+    for frame in (*frames, replace(frames[0], detections=nothing)):
+        truth, boxes_px = frame.truth, frame.detections.boxes_px.copy()
+        found, true = frame.to_supervision(), frame.truth_to_supervision()
+        assert isinstance(found, supervision.Detections) and isinstance(true, supervision.Detections)
+        np.testing.assert_array_equal(found.xyxy, boxes_px)
         np.testing.assert_array_equal(found.confidence, frame.detections.confidence)
         np.testing.assert_array_equal(found.class_id, frame.detections.class_id)
         assert tuple(found.data["class_name"]) == frame.detections.labels
         assert found.tracker_id is None and "vessel" not in found.data  # a tracker must not read it
-
-
-def test_changing_what_supervision_got_leaves_the_frame(frames, supervision):
-    frame = next(frame for frame in frames if len(frame.detections))
-    before = frame.detections.boxes_px.copy()
-    frame.to_supervision().xyxy[:] = 0
-    np.testing.assert_array_equal(frame.detections.boxes_px, before)
-
-
-def test_truth_for_supervision_is_what_is_annotated(frames, supervision):
-    for frame in frames:
-        truth, found = frame.truth, frame.truth_to_supervision()
-        assert isinstance(found, supervision.Detections)
-        np.testing.assert_array_equal(found.xyxy, truth.boxes_px[truth.annotated])
-        assert np.isfinite(found.xyxy).all()
+        found.xyxy[:] = 0
+        np.testing.assert_array_equal(frame.detections.boxes_px, boxes_px)
+        np.testing.assert_array_equal(true.xyxy, truth.boxes_px[truth.annotated])
         vessels = [name for name, kept in zip(truth.vessels, truth.annotated, strict=True) if kept]
-        assert [frame.scene_vessels[i] for i in found.tracker_id] == vessels == list(found.data["vessel"])
-        assert found.confidence is None and len(found.class_id) == len(vessels)
+        assert [frame.scene_vessels[i] for i in true.tracker_id] == vessels == list(true.data["vessel"])
+        assert np.isfinite(true.xyxy).all() and true.confidence is None and len(true.class_id) == len(vessels)
 
 
-def test_without_supervision_one_is_told_what_to_install(frames, monkeypatch):
+@pytest.mark.parametrize("name", ["to_supervision", "truth_to_supervision"])
+def test_without_supervision_one_is_told_what_to_install(frames, monkeypatch, name):
     monkeypatch.setitem(sys.modules, "supervision", None)
-    for call in (frames[0].to_supervision, frames[0].truth_to_supervision):
-        with pytest.raises(ModsimError, match=r"pip install 'modsim3d\[supervision\]'"):
-            call()
+    with pytest.raises(ModsimError, match=r"pip install 'modsim3d\[supervision\]'"):
+        getattr(frames[0], name)()

@@ -25,19 +25,11 @@ class Plain(os.PathLike[str]):
         return self.text
 
 
-KINDS: dict[str, Callable[[object], object]] = {
-    "text": str,
-    "Path": lambda path: Path(str(path)),
-    "other": lambda path: Plain(str(path)),
-}
+@pytest.mark.parametrize("of_text", [str, Path, Plain])
+def test_every_kind_of_path_is_taken(of_text, tmp_path):
+    def kind(path: object) -> object:
+        return of_text(str(path))
 
-
-@pytest.fixture(params=KINDS.values(), ids=KINDS)
-def kind(request):
-    return request.param
-
-
-def test_every_kind_of_path_is_taken(kind, tmp_path):
     assert modsim3d.load_detector(kind(DETECTORS / "thesis.yaml")).labels == ("Vessel",)
     scene = modsim3d.load_scene(kind("simulation_1"), steps=2, source="analytic", detector=kind("thesis"))
     result = modsim3d.run_scene(scene, kind(tmp_path / "a"))
@@ -59,63 +51,48 @@ def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
     """Calls with one wrong argument, and what the message must name."""
     scene = modsim3d.load_scene("simulation_1", steps=2, source="analytic")
     detector, run = "detector: a path or the name of a shipped detector", "run: a run directory or a StoredRun"
+    load_scene, learn, detect_truth = modsim3d.load_scene, modsim3d.learn_detector, modsim3d.detect_truth
+    paths = "a path or a list of paths"
     return {
-        "load_scene": (modsim3d.load_scene, "scene: a path or the name of a shipped scene"),
-        "load_scene, detector": (lambda wrong: modsim3d.load_scene("strait", detector=wrong), detector),
-        "load_scene, state_from": (
-            lambda wrong: modsim3d.load_scene("strait", state="haze", state_from=wrong),
-            "state_from: a path",
-        ),
+        "load_scene": (load_scene, "scene: a path or the name of a shipped scene"),
+        "load_scene, detector": (lambda wrong: load_scene("strait", detector=wrong), detector),
+        "load_scene, state_from": (lambda it: load_scene("strait", state="haze", state_from=it), "state_from: a path"),
         "load_detector": (modsim3d.load_detector, detector),
         "run_scene": (lambda wrong: modsim3d.run_scene(scene, wrong), "folder: a path"),
         "open_run": (modsim3d.open_run, "folder: a run directory"),
         "detect_run": (lambda wrong: modsim3d.detect_run(wrong, "b"), run),
-        "detect_truth": (lambda wrong: modsim3d.detect_truth(wrong, "b", detector="thesis"), "truth: a path"),
-        "detect_truth, folder": (lambda wrong: modsim3d.detect_truth("a", wrong, detector="thesis"), "folder: a path"),
-        "detect_truth, detector": (lambda wrong: modsim3d.detect_truth("a", "b", detector=wrong), detector),
+        "detect_truth": (lambda wrong: detect_truth(wrong, "b", detector="thesis"), "truth: a path"),
+        "detect_truth, folder": (lambda wrong: detect_truth("a", wrong, detector="thesis"), "folder: a path"),
+        "detect_truth, detector": (lambda wrong: detect_truth("a", "b", detector=wrong), detector),
         "verify_run": (modsim3d.verify_run, run),
-        "learn_detector": (
-            lambda wrong: modsim3d.learn_detector(truth=wrong, detections="dt.json"),
-            "truth: a path or a list of paths",
-        ),
+        "learn_detector": (lambda wrong: learn(truth=wrong, detections="dt.json"), f"truth: {paths}"),
         "learn_voyage": (lambda wrong: modsim3d.learn_voyage("strait", wrong), "log: a path"),
-        "learn_detector, a list": (
-            lambda wrong: modsim3d.learn_detector(truth="gt.json", detections=[wrong]),
-            "detections: a path or a list of paths",
-        ),
+        "learn_detector, a list": (lambda wrong: learn(truth="gt.json", detections=[wrong]), f"detections: {paths}"),
     }
 
 
-WRONG = wrong_calls()
-
-
-@pytest.mark.parametrize("name", WRONG)
-@pytest.mark.parametrize("wrong", [3, b"runs/a", 2.5, object()], ids=["int", "bytes", "float", "object"])
-def test_what_is_no_path_is_refused_by_the_name_of_the_argument(name, wrong, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "call_and_said"), wrong_calls().items())
+def test_what_is_no_path_or_can_be_no_files_name_is_refused_by_the_name_of_the_argument(
+    name, call_and_said, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    call, said = WRONG[name]
-    with pytest.raises(TypeError) as raised:
-        call(wrong)
-    assert str(raised.value) == f"{said} is needed (got {type(wrong).__name__})"
+    call, said = call_and_said
+    for wrong in (3, b"runs/a", 2.5, object()):
+        with pytest.raises(TypeError) as raised:
+            call(wrong)
+        assert str(raised.value) == f"{said} is needed (got {type(wrong).__name__})"
+    for wrong in ("", "a\0b"):
+        with pytest.raises(ModsimError) as raised:
+            call(wrong)
+        assert str(raised.value).startswith(said.split(":")[0] + ": "), wrong
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", WRONG)
-@pytest.mark.parametrize("wrong", ["", "a\0b"], ids=["empty", "NUL"])
-def test_what_can_be_no_files_name_is_refused_by_the_name_of_the_argument(name, wrong, tmp_path, monkeypatch):
+def test_a_name_in_place_of_a_scene_is_refused_at_once(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    call, said = WRONG[name]
-    with pytest.raises(ModsimError) as raised:
-        call(wrong)
-    assert str(raised.value).startswith(said.split(":")[0] + ": ")
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("call", [modsim3d.simulate_frames, lambda scene: modsim3d.run_scene(scene, "a")])
-def test_a_name_in_place_of_a_scene_is_refused_at_once(call, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(TypeError, match=r"scene: a Scene is needed, from modsim3d\.load_scene \(got str\)"):
-        call("strait")
+    for function, *more in ((modsim3d.simulate_frames,), (modsim3d.run_scene, "a")):
+        with pytest.raises(TypeError, match=r"scene: a Scene is needed, from modsim3d\.load_scene \(got str\)"):
+            function("strait", *more)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -127,18 +104,15 @@ def test_a_shipped_detector_goes_by_its_name():
     assert [state.name for state in scene.detector.states] == ["foggy_cloudy"]
 
 
-def test_a_file_comes_before_the_shipped_detector_of_its_name(tmp_path, monkeypatch):
+def test_a_file_comes_before_the_shipped_detector_of_its_name_and_an_unknown_name_gets_the_nearest(
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
-    text = (DETECTORS / "conditions/foggy_cloudy.yaml").read_text()
-    Path("thesis").write_text(text)
+    Path("thesis").write_text((DETECTORS / "conditions/foggy_cloudy.yaml").read_text())
     assert [state.name for state in modsim3d.load_detector("thesis").states] == ["foggy_cloudy"]
     Path("thesis").unlink()
     Path("thesis").mkdir()
     assert len(modsim3d.load_detector("thesis").states) == 4
-
-
-def test_an_unknown_name_gets_the_nearest(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"no shipped detector has this name \(did you mean 'thesis'\?\)"):
         modsim3d.load_detector("thesi")
     with pytest.raises(InputError, match=r"detector my\.yaml:\n  no such file$"):

@@ -14,9 +14,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs/python.md"
 def blocks() -> list[tuple[int, str]]:
     """The line at which each block begins, and its text."""
     text = PAGE.read_text(encoding="utf-8")
-    return [
-        (text.count("\n", 0, found.start(1)), found[1]) for found in re.finditer(r"```python\n(.*?)```", text, re.S)
-    ]
+    found = re.finditer(r"```python\n(.*?)```", text, re.S)
+    return [(text.count("\n", 0, each.start(1)), each[1]) for each in found]
 
 
 def printed() -> set[str]:
@@ -33,13 +32,11 @@ def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:
     lines: list[str] = []
     for first, block in blocks():
         lines += [""] * (first - len(lines)) + block.splitlines()  # a traceback then names the line of the page
-    script = tmp_path / "page.py"
+    script, empty = tmp_path / "page.py", tmp_path / "empty"
     script.write_text("\n".join(lines), encoding="utf-8")
-    empty = tmp_path / "empty"
     empty.mkdir()
-    done = subprocess.run(
-        [sys.executable, "-W", "error:::__main__", script], cwd=empty, capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-W", "error:::__main__", script]
+    done = subprocess.run(command, cwd=empty, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     learned = {"learned.yaml", "learned.html", "learned.uncertainty.json"}
     assert {path.name for path in empty.iterdir()} == {"runs", "checked", "frame.png", *learned}
@@ -47,12 +44,8 @@ def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:
     assert "obeys its detector file" in done.stdout
 
 
-def test_the_page_begins_with_ten_lines() -> None:
-    _, first = blocks()[0]
+def test_the_page_begins_with_ten_lines_and_names_every_function() -> None:
+    text, (_, first) = PAGE.read_text(encoding="utf-8"), blocks()[0]
     assert sum(bool(line.strip()) for line in first.splitlines()) <= 10
-
-
-def test_the_page_names_every_function() -> None:
-    text = PAGE.read_text(encoding="utf-8")
     functions = [name for name in modsim3d.__all__ if name[0].islower() and name not in ELSEWHERE]
     assert len(functions) >= 8 and [name for name in functions if f"`{name}(" not in text] == []

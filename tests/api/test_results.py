@@ -22,16 +22,11 @@ LONGEST_REPR = 300
 
 
 @pytest.fixture(scope="module")
-def run(folder):
-    return modsim3d.open_run(folder)
-
-
-@pytest.fixture(scope="module")
-def frame(run):
+def frame(folder):
     """With a false positive and a miss."""
-    return next(
-        f for f in run.frames() if None in f.detections.vessels and (f.truth.annotated & ~f.truth.detected).any()
-    )
+    for frame in modsim3d.open_run(folder).frames():
+        if None in frame.detections.vessels and (frame.truth.annotated & ~frame.truth.detected).any():
+            return frame
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +45,10 @@ def learned(folder):
 
 
 @pytest.fixture
-def shown(scene, run, frame, result, verified, learned):
+def shown(scene, folder, frame, result, verified, learned):
     """Every object that a user gets from the top level."""
-    return [scene, scene.detector, result, run, frame, frame.truth, frame.detections, verified, learned]
+    parts = frame.truth, frame.detections
+    return [scene, scene.detector, result, modsim3d.open_run(folder), frame, *parts, verified, learned]
 
 
 class Page(HTMLParser):
@@ -88,27 +84,22 @@ def test_a_scene_is_three_lines(scene):
     assert all(len(line) < 140 for line in (first, second, third))
 
 
-def test_a_live_scene_is_shown_without_waiting_for_its_steps(scene):
+def test_a_live_scene_is_shown_without_waiting_for_its_steps_and_names_are_escaped(scene):
     def steps():
         pytest.fail("a step was waited for")
         yield
 
-    live = replace(scene, poses=LivePoses(steps(), len(scene.vessels), "stream"))
+    live = replace(scene, name="<script>alert(1)</script>", poses=LivePoses(steps(), len(scene.vessels), "stream"))
     assert "steps as they arrive" in repr(live) and "steps as they arrive" in live._repr_html_()
+    assert "<script" not in live._repr_html_() and "<script>" in Page(live._repr_html_()).text
 
 
-def test_everything_is_shown_in_a_few_words(shown):
-    for each in shown:
-        text = repr(each)
-        assert text.startswith(f"<{type(each).__name__}") and text.endswith(">")
-        assert len(text) < LONGEST_REPR + len(str(getattr(each, "folder", "")))
-        assert "array(" not in text
-
-
-def test_everything_has_a_table_in_a_notebook(shown, monkeypatch):
+def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     for each in shown:
-        page = Page(each._repr_html_())
+        text, page = repr(each), Page(each._repr_html_())
+        assert text.startswith(f"<{type(each).__name__}") and text.endswith(">") and "array(" not in text
+        assert len(text) < LONGEST_REPR + len(str(getattr(each, "folder", "")))
         assert page.open == [] and "table" in page.tags
     assert "<" not in Page(shown[0]._repr_html_()).text
 
@@ -122,20 +113,14 @@ def test_a_frame_is_its_picture_where_it_can_be_drawn(frame, monkeypatch):
         assert name in text
 
 
-def test_names_are_escaped_in_a_table(scene):
-    hostile = replace(scene, name="<script>alert(1)</script>")
-    assert "<script" not in hostile._repr_html_() and "<script>" in Page(hostile._repr_html_()).text
-
-
 def test_the_counts_of_a_result_are_those_of_its_tables(result):
     run = modsim3d.open_run(result.folder)
     assert f"frames {len(run.table('frames'))}," in repr(result)
     assert f"detected {np.count_nonzero(run.table('truth')['detected'])}," in repr(result)
 
 
-def test_a_verified_run_tells_and_writes_its_verdicts(verified, folder, tmp_path):
-    assert verified.obeys and verified.failed == ()
-    assert "obeys its detector file" in repr(verified)
+def test_a_verified_run_tells_and_writes_its_verdicts_and_names_what_differs(verified, thesis_folder, tmp_path):
+    assert verified.obeys and verified.failed == () and "obeys its detector file" in repr(verified)
     json_path, page_path = verified.write(tmp_path / "checked")
     report = json.loads(json_path.read_bytes())
     assert report["obeys"] and len(report["parameters"]) == len(verified.verdicts)
@@ -143,20 +128,17 @@ def test_a_verified_run_tells_and_writes_its_verdicts(verified, folder, tmp_path
     with pytest.raises(OutputError, match="exists"):
         verified.write(tmp_path / "checked")
     verified.write(tmp_path / "checked", overwrite=True)
-
-
-def test_a_run_that_does_not_obey_names_what_differs(thesis_folder, tmp_path):
-    path = tmp_path / "never_false.yaml"
-    text = (data_folder("scenes") / "detectors/thesis.yaml").read_text()
+    path, text = tmp_path / "never_false.yaml", (data_folder("scenes") / "detectors/thesis.yaml").read_text()
     path.write_text(re.sub(r"false_discovery_rate: [0-9.]+", "false_discovery_rate: 0.9", text))
-    verified = modsim3d.verify_run(thesis_folder, detector=path)
-    assert not verified.obeys and "does NOT obey" in repr(verified)
-    first = Page(verified._repr_html_()).text.split("verdict", 1)[1]
-    assert first.index("DIFFERS") < first.index("obeys")
-    assert verified.failed[0].parameter.name in first
+    wrong = modsim3d.verify_run(thesis_folder, detector=path)
+    assert not wrong.obeys and "does NOT obey" in repr(wrong)
+    first = Page(wrong._repr_html_()).text.split("verdict", 1)[1]
+    assert first.index("DIFFERS") < first.index("obeys") and wrong.failed[0].parameter.name in first
 
 
-def test_a_learned_detector_is_that_of_its_file(learned, scene, tmp_path):
+def test_a_learned_detector_is_that_of_its_file_which_the_command_writes_too(
+    learned, folder, scene, tmp_path, monkeypatch
+):
     path, page = learned.write(tmp_path / "learned.yaml")
     assert page == tmp_path / "learned.html" and "<svg" in page.read_text()
     read = modsim3d.load_detector(path)
@@ -168,6 +150,12 @@ def test_a_learned_detector_is_that_of_its_file(learned, scene, tmp_path):
         learned.write(path)
     again = modsim3d.load_scene("strait", detector=path, steps=2, source="analytic")
     assert len(list(modsim3d.simulate_frames(again))) == 3
+    out = tmp_path / "command.yaml"
+    command = ["learn", folder, "--match", "provenance", "--replicates", 20, "--out", out]
+    assert call(monkeypatch, *command) == 0 and path.read_bytes() == out.read_bytes()
+    with pytest.raises(InputError, match="the page would be written over the detector file"):
+        learned.write(tmp_path / "other.html")
+    assert not (tmp_path / "other.html").exists()
 
 
 def test_learning_from_a_run_goes_by_provenance_and_from_its_files_by_iou(folder, learned, tmp_path):
@@ -185,63 +173,36 @@ def test_lost_matches_are_warned_of(thesis_folder):
     assert "WARNING: " in repr(learned) and "<b>Warning: " in learned._repr_html_()
 
 
-def test_the_command_learns_the_same_file(folder, learned, tmp_path, monkeypatch):
-
-    out = tmp_path / "command.yaml"
-    command = ["learn", folder, "--match", "provenance", "--replicates", 20, "--out", out]
-    assert call(monkeypatch, *command) == 0
-    assert learned.write(tmp_path / "python.yaml")[0].read_bytes() == out.read_bytes()
-
-
 def test_states_are_made_of_conditions(thesis_folder):
     seen = set(modsim3d.open_run(thesis_folder).table("frames")["state"].to_pylist())
     assert seen < {"excellent", "good", "bad"}
     given = {"fair": ["excellent", "good", "bad"], "foul": "terrible"}
-    learned = modsim3d.learn_detector(run=thesis_folder, states=given, replicates=20, without=RICHER)
-    assert [state.name for state in learned.detector.states] == ["fair"]  # no frame of the run is in the other
-    one = modsim3d.learn_detector(run=thesis_folder, states=1, replicates=20, without=RICHER)
-    assert len(one.detector.states) == 1
+    for states, names in ((given, ["fair"]), (1, ["usual"])):  # no frame of the run is in the other
+        learned = modsim3d.learn_detector(run=thesis_folder, states=states, replicates=20, without=RICHER)
+        assert [state.name for state in learned.detector.states] == names
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"match": "iou"}, "match: Input should be 'confidence', 'optimal', 'centre' or 'provenance' (got 'iou')"),
-        ({"least_iou": 0}, "least_iou: Input should be greater than 0 (got 0)"),
-        ({"replicates": 2.5}, "replicates: "),
-        ({"seed": -1}, "seed: "),
-        ({"confidence": "high"}, "confidence: "),
-        ({"states": "good"}, "states: a number of states from 1, or a mapping from states to lists of conditions"),
-        ({"states": 0}, "states: a number of states"),
-        ({"states": {"good": [1]}}, "states: a number of states"),
-        ({"states": {"good": ["day"]}}, "unknown condition 'day'"),
-        ({"truth": "gt.json"}, "give truth and detections, or run: not both"),
-    ],
-)
-def test_a_wrong_argument_of_learning_is_named(folder, given, said):
-    with pytest.raises(ModsimError, match=re.escape(said)):
-        modsim3d.learn_detector(run=folder, **given)
+FILES = {"truth": ["a.json"], "detections": ["b.json"]}
+WRONG = [  # whether a run is given, what else is, and what is said
+    (True, {"match": "iou"}, "match: Input should be 'confidence', 'optimal', 'centre' or 'provenance' (got 'iou')"),
+    (True, {"least_iou": 0}, "least_iou: Input should be greater than 0 (got 0)"),
+    (True, {"replicates": 2.5}, "replicates: "),
+    (True, {"seed": -1}, "seed: "),
+    (True, {"confidence": "high"}, "confidence: "),
+    (True, {"states": "good"}, "states: a number of states from 1, or a mapping from states to lists of conditions"),
+    (True, {"states": 0}, "states: a number of states"),
+    (True, {"states": {"good": [1]}}, "states: a number of states"),
+    (True, {"states": {"good": ["day"]}}, "unknown condition 'day'"),
+    (True, {"truth": "gt.json"}, "give truth and detections, or run: not both"),
+    (False, {}, "nothing to learn from: give truth and detections, or a run"),
+    (False, {"truth": "a.json"}, "1 of truth and 0 of detections are given"),
+    (False, FILES | {"conditions": ["x", "y"]}, "2 conditions are named for 1 pairs"),
+    (False, FILES, "truth a.json: no such file or folder"),
+]
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({}, "nothing to learn from: give truth and detections, or a run"),
-        ({"truth": "a.json"}, "1 of truth and 0 of detections are given"),
-        (
-            {"truth": ["a.json"], "detections": ["b.json"], "conditions": ["x", "y"]},
-            "2 conditions are named for 1 pairs",
-        ),
-        ({"truth": "a.json", "detections": "b.json"}, "truth a.json: no such file or folder"),
-    ],
-)
-def test_files_that_are_no_pairs_are_named(given, said, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("of_run", "given", "said"), WRONG)
+def test_a_wrong_argument_of_learning_is_named(folder, of_run, given, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ModsimError, match=re.escape(said)):
-        modsim3d.learn_detector(**given)
-
-
-def test_the_page_is_not_written_over_the_detector(learned, tmp_path):
-    with pytest.raises(InputError, match="the page would be written over the detector file"):
-        learned.write(tmp_path / "learned.html")
-    assert list(tmp_path.iterdir()) == []
+        modsim3d.learn_detector(**({"run": folder} if of_run else {}), **given)

@@ -28,15 +28,6 @@ DOCUMENT = Document(
 )
 
 
-def test_a_page_has_all_that_is_for_it_and_no_heading_of_nothing():
-    page = document_page(DOCUMENT, Provenance("a page", "a test", ()))
-    for part in ("Two &lt;trackers&gt;", "<h2>Scores</h2>", "<h2>Curves</h2>", "<svg>", "lost &amp; never found",
-                 "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
-        assert part in page
-    assert "Nothing here" not in page and "only printed" not in page
-    assert page.index("Sort is best.") < page.index("Scores")
-
-
 def printed(document: Document) -> str:
     file = io.StringIO()
     print_document(open_console(file=file, width=80), document)
@@ -57,11 +48,14 @@ Sort is best.
 """
 
 
-def test_a_terminal_shows_the_outcome_last_and_neither_charts_nor_their_headings():
-    assert printed(DOCUMENT) == PRINTED
-
-
-def test_a_notebook_has_the_outcome_and_the_tables_that_are_for_it():
+def test_page_terminal_and_notebook_have_what_is_for_them_and_no_heading_of_nothing():
+    page = document_page(DOCUMENT, Provenance("a page", "a test", ()))
+    for part in ("Two &lt;trackers&gt;", "<h2>Scores</h2>", "<h2>Curves</h2>", "<svg>", "lost &amp; never found",
+                 "HOTA", "<summary>pressed</summary>", "30 %", "background: color-mix"):  # fmt: skip
+        assert part in page
+    assert "Nothing here" not in page and "only printed" not in page
+    assert page.index("Sort is best.") < page.index("Scores")
+    assert printed(DOCUMENT) == PRINTED  # the outcome last, and neither charts nor their headings
     html = DOCUMENT.notebook()
     assert html.startswith("<p>Sort is best.</p><table>") and html.count("<tr>") == 3
     assert "svg" not in html and "0.25 [0.1, 0.4]" in html
@@ -73,8 +67,6 @@ def test_a_heading_is_shown_only_with_something_before_the_next_of_its_level():
 
 
 def test_a_column_of_drawings_alone_is_not_printed_and_rows_without_names_of_columns_are():
-    blocks = [
-        Table("drawn", ("a", "axis", "b"), [("1", Cell("", draw=lambda: "<svg></svg>"), "2")]),
-        Table("named", (), [("name", "value")]),
-    ]
-    assert printed(Document("", [], blocks)).split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]
+    drawn = Table("drawn", ("a", "axis", "b"), [("1", Cell("", draw=lambda: "<svg></svg>"), "2")])
+    said = printed(Document("", [], [drawn, Table("named", (), [("name", "value")])]))
+    assert said.split() == ["drawn", "a", "b", "1", "2", "named", "name", "value"]

@@ -56,10 +56,15 @@ def test_a_purpose_has_one_width() -> None:
 
 
 @given(st.lists(st.integers(0, 60), max_size=6), st.sampled_from(UNIFORM), st.integers(0, 2**40))
-def test_a_step_has_the_same_numbers_however_steps_are_split(borders: list[int], purpose: Purpose, first: int) -> None:
+def test_a_step_has_the_same_numbers_however_steps_are_split_and_whatever_else_is_drawn(
+    borders: list[int], purpose: Purpose, first: int
+) -> None:
     whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)
-    streams, edges = Streams(3), [0, *sorted(borders), 60]
-    parts = [streams.uniforms(purpose, "C0", first=first + a, count=b - a) for a, b in itertools.pairwise(edges)]
+    streams, parts = Streams(3), []
+    for a, b in itertools.pairwise([0, *sorted(borders), 60]):
+        parts.append(streams.uniforms(purpose, "C0", first=first + a, count=b - a))
+        streams.uniforms(purpose, "b", first=0, count=3)
+        streams.generator(Purpose.AGENTS, "C0", step=0).random(7)
     assert np.array_equal(np.concatenate(parts), whole)
 
 
@@ -71,29 +76,13 @@ def test_a_row_starts_at_its_steps_blocks_of_philox() -> None:
     assert np.array_equal(numbers, slow)
 
 
-def test_numbers_do_not_depend_on_earlier_calls() -> None:
-    streams = Streams(3)
-    first = streams.uniforms(Purpose.CLASS, "a", first=0, count=10)
-    streams.uniforms(Purpose.CLASS, "b", first=0, count=3)
-    streams.generator(Purpose.AGENTS, "a", step=0).random(7)
-    assert np.array_equal(streams.uniforms(Purpose.CLASS, "a", first=0, count=10), first)
-
-
-@pytest.mark.parametrize(
-    ("seed", "purpose", "names"),
-    [
-        (4, Purpose.CLASS, ("a", "b")),
-        (3, Purpose.CLASS_KEPT, ("a", "b")),
-        (3, Purpose.CLASS, ("a",)),
-        (3, Purpose.CLASS, ("b", "a")),
-        (3, Purpose.CLASS, ("ab",)),
-        (3, Purpose.CLASS, ("a", "b", "")),
-    ],
-)
-def test_another_seed_purpose_or_name_gives_other_numbers(seed: int, purpose: Purpose, names: tuple[str, ...]) -> None:
+def test_another_seed_purpose_or_name_gives_other_numbers() -> None:
     ours = Streams(3).uniforms(Purpose.CLASS, "a", "b", first=0, count=100)
-    theirs = Streams(seed).uniforms(purpose, *names, first=0, count=100)
-    assert not np.intersect1d(ours, theirs).size
+    others = [(4, Purpose.CLASS, ("a", "b")), (3, Purpose.CLASS_KEPT, ("a", "b"))]
+    others += [(3, Purpose.CLASS, names) for names in (("a",), ("b", "a"), ("ab",), ("a", "b", ""))]
+    for seed, purpose, names in others:
+        theirs = Streams(seed).uniforms(purpose, *names, first=0, count=100)
+        assert not np.intersect1d(ours, theirs).size, (seed, purpose, names)
 
 
 def test_generators_are_repeatable_and_those_of_different_steps_do_not_overlap() -> None:

@@ -1,4 +1,4 @@
-"""What the README shows must work as shown."""
+"""Files and rooms that README, CONTRIBUTING and the pages of docs name are there."""
 
 import re
 from pathlib import Path
@@ -7,19 +7,15 @@ from types import ModuleType
 README = Path(__file__).resolve().parents[2] / "README.md"
 
 
-def test_readme_names_files_that_exist():
-    text = README.read_text(encoding="utf-8")
-    for path in re.findall(r"\]\(([^)#:]+)\)", text):
-        assert (README.parent / path).exists(), path
-
-
-def test_contributing_names_files_and_rooms_that_are_there() -> None:
-    """The rooms that are still to come are named as such."""
-    text = (README.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    to_come = {"tracking/", "campaign/"}
-    named = set(re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.(?:py|md))?|[a-z_]+\.py)`", text)) - to_come
+def test_files_and_rooms_that_documents_name_are_there() -> None:
+    pages = [README, README.parent / "CONTRIBUTING.md", *README.parent.glob("docs/*.md")]
+    readme, contributing, *docs = (page.read_text(encoding="utf-8") for page in pages)
+    named = set(re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.(?:py|md))?|[a-z_]+\.py)`", contributing))
+    assert len(named) > 30
+    named |= {*re.findall(r"\]\(([^)#:]+)\)", readme)}
+    named |= {name for text in (readme, contributing, *docs) for name in re.findall(r"modsim3d/[\w/]+\.\w+", text)}
     missing = [name for name in named if not any((README.parent / top / name).exists() for top in ("", "modsim3d"))]
-    assert len(named) > 30 and not missing
+    assert not missing
 
 
 def test_the_tables_of_rooms_are_those_of_the_contract() -> None:

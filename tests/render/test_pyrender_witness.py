@@ -100,20 +100,14 @@ def id_image(renderer, name, faces=None):
 
 
 @pytest.mark.parametrize("name", [name for name in scenes() if not name.startswith("random")])
-def test_id_pass_equals_the_seg_image_pixel_for_pixel(renderer, seg_images, name):
-    image = id_image(renderer, name)
-    assert (image > 0).sum() > 1000
-    np.testing.assert_array_equal(image, seg_images[name])
-
-
-def test_faces_have_every_pixel_of_them_in_both_and_two_side_by_side_leave_none_between(renderer, seg_images):
-    """A face in columns 350–450 and rows 300–400, and two that meet at column 400."""
-    alone, two = np.zeros((2, 600, 800), dtype=int)
+def test_id_pass_equals_the_seg_image_pixel_for_pixel_and_faces_have_every_pixel_of_them(renderer, seg_images, name):
+    """The face is in columns 350–450 and rows 300–400; the two side by side meet at column 400."""
+    image, alone, two = id_image(renderer, name), *np.zeros((2, 600, 800), dtype=int)
     alone[300:400, 350:450] = two[300:400, 300:400] = 1
     two[300:400, 400:500] = 2
-    for name, expected in (("face", alone), ("side by side", two)):
-        np.testing.assert_array_equal(id_image(renderer, name), expected)
-        np.testing.assert_array_equal(seg_images[name], expected)
+    assert (image > 0).sum() > 1000
+    np.testing.assert_array_equal(image, {"face": alone, "side by side": two}.get(name, image))
+    np.testing.assert_array_equal(image, seg_images[name])
 
 
 def test_pixels_on_the_edge_that_two_triangles_share_belong_to_one_of_them(renderer):
