@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from shapely import affinity, box, intersects
+from shapely import intersects
 
 from benchmarks import bench, child, pyrender_pass, scenes
 from benchmarks.growth import COUNTS
@@ -13,6 +13,7 @@ from benchmarks.measured import Bench, significant
 from benchmarks.whole_commands import differing_files
 from modsim3d.geometry.camera_poses import world_R_vehicle
 from modsim3d.scene.reading import load_scene
+from tests.scenes import footprints
 
 HERE = scenes.HERE
 FILES = {"small": scenes.small, "dense": scenes.dense}
@@ -28,30 +29,18 @@ def test_every_benchmark_finds_what_it_measures(name):
     importlib.import_module(f"benchmarks.{name}")
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_scene_file_is_what_the_script_writes(name):
-    assert (HERE / f"{name}.yaml").read_bytes() == FILES[name]().encode()
-
-
 @pytest.mark.parametrize(("name", "least_m", "most_m"), [("small", 4, 14), ("dense", 5, 300)])
-def test_scene_has_50_vessels_of_the_sizes_and_at_the_distances_promised(name, least_m, most_m):
+def test_scene_is_what_the_script_writes_with_50_vessels_as_promised_and_waterlines_in_the_image(name, least_m, most_m):
+    """In the image are all centres; and of the boats, which no image edge cuts, every corner."""
+    assert (HERE / f"{name}.yaml").read_bytes() == FILES[name]().encode()
     scene = load_scene(HERE / f"{name}.yaml")
     lengths = np.array([vessel.length_m for vessel in scene.vessels])
     assert len(lengths) == 50 and lengths.min() >= least_m
     assert lengths.max() <= most_m and lengths.max() / lengths.min() > 0.5 * most_m / least_m
-    poses = scene.poses.poses(0, scene.steps)
-    assert poses.present.all()
+    poses, camera = scene.poses.poses(0, scene.steps), scene.cameras[0]
     distances = np.hypot(poses.positions_m[..., 0], poses.positions_m[..., 1])
-    assert distances.min() >= 299.9 and distances.max() <= 2500.1
-    assert scene.cameras[0].intrinsics.image_size_px == (3600, 2400)
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_waterlines_are_in_the_image(name):
-    """All centres; and of the boats, which no image edge cuts, every corner."""
-    scene = load_scene(HERE / f"{name}.yaml")
-    camera = scene.cameras[0]
-    poses = scene.poses.poses(0, scene.steps)
+    assert poses.present.all() and distances.min() >= 299.9 and distances.max() <= 2500.1
+    assert camera.intrinsics.image_size_px == (3600, 2400)
     camera_poses = scene.sight(camera, np.arange(scene.steps)).camera_poses
     size = np.array([(v.length_m, v.beam_m, 0) for v in scene.vessels]) / 2
     signs = [(0, 0, 0)] if name == "dense" else [(a, b, 0) for a in (-1, 1) for b in (-1, 1)]
@@ -65,31 +54,18 @@ def test_waterlines_are_in_the_image(name):
 def test_vessels_never_touch():
     """Their rectangles, at every tenth step."""
     scene = load_scene(HERE / "dense.yaml")
-    poses = scene.poses.poses(0, scene.steps)
-    for step in range(0, scene.steps, 10):
-        hulls = [
-            affinity.translate(
-                affinity.rotate(
-                    box(-v.length_m / 2, -v.beam_m / 2, v.length_m / 2, v.beam_m / 2), heading, (0, 0), use_radians=True
-                ),
-                *place[:2],
-            )
-            for v, place, heading in zip(scene.vessels, poses.positions_m[step], poses.headings_rad[step], strict=True)
-        ]
-        assert not any(intersects(hull, hulls[:index]).any() for index, hull in enumerate(hulls))
+    hulls = footprints(scene, np.arange(0, scene.steps, 10))
+    assert not any(intersects(hull, row[:index]).any() for row in hulls for index, hull in enumerate(row))
 
 
-def test_share_of_overlapping_boats_stays_as_they_become_more(renderer, tmp_path):
-    found = {count: looked_at(f"small{count}", scenes.small(count), tmp_path) for count in COUNTS}
-    for count, shares in found.items():
-        assert shares["in_image"] == count and 0.10 < shares["overlapping"] < 0.15
-        assert 0.04 < shares["hidden"] < 0.08
-
-
-def test_most_vessels_of_the_dense_scene_are_hidden_in_part_or_wholly(renderer, tmp_path):
+def test_share_of_overlapping_boats_stays_as_they_become_more_and_of_the_dense_scene_most_are_hidden(
+    renderer, tmp_path
+):
+    for count in COUNTS:
+        shares = looked_at(f"small{count}", scenes.small(count), tmp_path)
+        assert shares["in_image"] == count and 0.10 < shares["overlapping"] < 0.15 and 0.04 < shares["hidden"] < 0.08
     shares = looked_at("dense", scenes.dense(), tmp_path)
-    assert shares["in_image"] == 50 and shares["overlapping"] > 0.8
-    assert shares["hidden"] > 0.65
+    assert shares["in_image"] == 50 and shares["overlapping"] > 0.8 and shares["hidden"] > 0.65
     assert (shares["hidden"] - shares["wholly_hidden"]) / (1 - shares["wholly_hidden"]) > 0.5  # of those seen
 
 
@@ -116,12 +92,9 @@ def test_files_that_differ_or_are_missing_are_found(tmp_path):
     assert differing_files(tmp_path / "a", tmp_path / "b") == {"alone", "inner/other"}
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0, "0"), (0.0123456, "0.0123"), (1.5, "1.50"), (68.04, "68.0"), (123.4, "123"), (12345, "12,300")],
-)
-def test_numbers_have_three_digits(value, text):
-    assert significant(value) == text
+def test_numbers_have_three_digits():
+    values = [significant(value) for value in (0, 0.0123456, 1.5, 68.04, 123.4, 12345)]
+    assert values == ["0", "0.0123", "1.50", "68.0", "123", "12,300"]
 
 
 def test_a_quick_trial_prints_a_row_and_writes_nothing(monkeypatch, capsys):
@@ -130,7 +103,6 @@ def test_a_quick_trial_prints_a_row_and_writes_nothing(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["bench", "--quick", "--only", "live_step"])  # which starts the fewest processes
     bench.main()
     said = capsys.readouterr().out
-    rows = [line.split(" | ") for line in said.splitlines() if "≤ 1.5 ms; ≤ 3 ms" in line]
-    assert len(rows) == 1 and rows[0][2].endswith(" steps")
-    assert "A quick trial" in said
+    (row,) = (line.split(" | ") for line in said.splitlines() if "≤ 1.5 ms; ≤ 3 ms" in line)
+    assert row[2].endswith(" steps") and "A quick trial" in said
     assert (bench.RESULTS.read_bytes() if bench.RESULTS.exists() else None) == before

@@ -2,15 +2,20 @@
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
+
+from modsim3d.cli.main import app
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(r"^(?P<lead>[^\n]*)\n\n?```(?P<language>\w*)\n(?P<text>.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"^(?:\w+ \| )?modsim3d (?!:)(.*)$", flags=re.MULTILINE)
 SAVED = re.compile(r"[Ss]ave this as `([^`]+)`")
 LONGEST_S = 240
 SUMMARY = "frames "
@@ -49,11 +54,19 @@ def test_a_page_runs_as_printed(page, tmp_path, monkeypatch, prepared):
         elif language == "bash":
             said += run_shell(text, tmp_path, prepared)
         elif language == "text" and text.startswith(SUMMARY):
-            assert {" ".join(line.split()) for line in text.splitlines()} <= {
-                " ".join(line.split()) for line in said.splitlines()
-            }
+            shown, printed = ({" ".join(line.split()) for line in lines.splitlines()} for lines in (text, said))
+            assert shown <= printed
         elif language == "python":
             exec(compile(text, str(page), "exec"), names)
+
+
+def test_commands_that_are_shown_and_not_run_are_taken():
+    known = typer.main.get_command(app).commands
+    for page in (*PAGES, ROOT / "CONTRIBUTING.md"):
+        for text in (text.replace("\\\n", " ") for language, text, _ in blocks(page) if language in ("text", "sh")):
+            for name, *arguments in (shlex.split(found, comments=True) for found in COMMAND.findall(text)):
+                assert name in known, page
+                known[name].make_context(name, arguments)
 
 
 def test_no_command_of_a_page_is_left_out():

@@ -15,11 +15,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 GALLERY = REPOSITORY / "script" / "gallery"
 
 
-Gallery = Callable[..., str]
-
-
 @pytest.fixture
-def gallery(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Gallery:
+def gallery(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """The script, run in this process, which has imported most of what it needs; gives what it prints."""
 
     def run(*arguments: object) -> str:
@@ -34,19 +31,17 @@ def gallery(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     return run
 
 
-def test_every_picture_of_the_documents_is_made_by_the_gallery(gallery: Gallery) -> None:
-    pages = [REPOSITORY / "README.md", *(REPOSITORY / "docs").glob("*.md")]
-    shown = {
-        (page.parent / name).resolve()
-        for page in pages
-        for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text())
-    }
+def test_every_picture_of_the_documents_is_made_by_the_gallery(gallery: Callable[..., str]) -> None:
+    shown = set()
+    for page in (REPOSITORY / "README.md", *(REPOSITORY / "docs").glob("*.md")):
+        names = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", page.read_text())
+        shown |= {(page.parent / name).resolve() for name in names}
     assert {path.parent for path in shown} == {REPOSITORY / "docs"}
     assert {path.name for path in shown} <= set(gallery("--list").split())
     assert all(path.is_file() for path in shown)
 
 
-def test_gallery_draws(gallery: Gallery, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gallery_draws(gallery: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that take little time; a change of what the script calls is noticed here. Both show the first 151 steps."""
     load_scene = reading.load_scene
     monkeypatch.setattr(reading, "load_scene", lambda name, **options: load_scene(name, **options | {"steps": 151}))

@@ -19,11 +19,17 @@ IN_BASH = [path for path in (*(REPOSITORY / "script").iterdir(), REPOSITORY / ".
 IN_BASH = [path for path in IN_BASH if path.read_text().startswith("#!/usr/bin/env bash\n")]
 
 
-def copy_of_setup(folder: Path) -> Path:
-    """A checkout's skeleton, so that no test touches the environment that it runs in."""
+def copy_of(name: str, folder: Path) -> Path:
+    """A script in a checkout's skeleton, so that no test touches the environment that it runs in."""
     (folder / "script").mkdir()
     shutil.copy(REPOSITORY / "pyproject.toml", folder)
-    return Path(shutil.copy(REPOSITORY / "script" / "setup", folder / "script"))
+    return Path(shutil.copy(REPOSITORY / "script" / name, folder / "script"))
+
+
+def write_program(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
 
 
 @pytest.mark.parametrize("path", IN_BASH, ids=lambda path: path.name)
@@ -34,18 +40,13 @@ def test_script_is_executable_parses_and_stops_at_the_first_error(path: Path) ->
 
 
 def test_test_runs_all_checks_and_lists_at_the_end_which_passed(tmp_path: Path) -> None:
-    (tmp_path / "script").mkdir()
-    script = Path(shutil.copy(REPOSITORY / "script" / "test", tmp_path / "script"))
-    commands = tmp_path / ".venv" / "bin"
-    commands.mkdir(parents=True)
-    scripts = [tmp_path / "script" / name for name in ("setup", "docs")]
-    for command in (*scripts, *(commands / name for name in CHECKS)):
-        command.write_text(f"#!/bin/sh\necho {command.name} ran\n[ {command.name} != mypy ]\n")
-        command.chmod(0o755)
+    script = copy_of("test", tmp_path)
+    for name in ("script/setup", "script/docs", *(f".venv/bin/{check}" for check in CHECKS)):
+        command = tmp_path / name
+        write_program(command, f"echo {command.name} ran\n[ {command.name} != mypy ]")
     finished = subprocess.run([script], capture_output=True, text=True)
-    assert finished.returncode == 1
     said = finished.stdout.splitlines()
-    assert said[said.index("== mypy") + 1] == "mypy ran"
+    assert finished.returncode == 1 and said[said.index("== mypy") + 1] == "mypy ran"
     passed = [f"passed  {name}" for name in ("ruff check", "ruff format", "import-linter", "pytest")]
     assert said[-6:] == [*passed, "FAILED  mypy", "passed  docs"]
 
@@ -60,12 +61,9 @@ def test_campaign_lists_the_campaigns_and_refuses_any_other() -> None:
 
 
 def test_campaign_sets_up_and_runs_the_one_that_is_named(tmp_path: Path) -> None:
-    (tmp_path / "script").mkdir()
-    script = Path(shutil.copy(REPOSITORY / "script" / "campaign", tmp_path / "script"))
+    script = copy_of("campaign", tmp_path)
     for command in (tmp_path / "script" / "setup", tmp_path / ".venv" / "bin" / "python"):
-        command.parent.mkdir(parents=True, exist_ok=True)
-        command.write_text('#!/bin/sh\necho "${0##*/} $@ in ${PYTHONPATH%%:*}"\n')
-        command.chmod(0o755)
+        write_program(command, 'echo "${0##*/} $@ in ${PYTHONPATH%%:*}"')
     campaign = tmp_path / "benchmarks" / "campaigns" / "short.py"
     campaign.parent.mkdir(parents=True)
     campaign.touch()
@@ -75,16 +73,12 @@ def test_campaign_sets_up_and_runs_the_one_that_is_named(tmp_path: Path) -> None
     assert finished.stdout == f"setup test in elsewhere\npython {campaign} --scenes 3 in {tmp_path}\n"
 
 
-def test_setup_refuses_an_unknown_purpose(tmp_path: Path) -> None:
-    finished = subprocess.run([copy_of_setup(tmp_path), "everything"], capture_output=True, text=True)
-    assert finished.returncode == 2 and finished.stderr == "usage: script/setup [demo|test]\n"
-
-
-def test_setup_refuses_an_unusable_python_in_one_line_and_leaves_nothing_behind(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHON": "/bin/false"}
-    finished = subprocess.run([copy_of_setup(tmp_path)], env=environment, capture_output=True, text=True)
-    assert finished.returncode == 1
-    assert finished.stderr == ("script/setup: PYTHON=/bin/false does not run or is not Python 3.11 or newer\n")
+def test_setup_refuses_an_unknown_purpose_and_an_unusable_python_in_one_line_and_leaves_nothing(tmp_path: Path) -> None:
+    script, environment = copy_of("setup", tmp_path), {**os.environ, "PYTHON": "/bin/false"}
+    unusable = "script/setup: PYTHON=/bin/false does not run or is not Python 3.11 or newer\n"
+    for purpose, answer in (("everything", (2, "usage: script/setup [demo|test]\n")), ("demo", (1, unusable))):
+        finished = subprocess.run([script, purpose], env=environment, capture_output=True, text=True)
+        assert (finished.returncode, finished.stderr) == answer
     assert not (tmp_path / ".venv").exists()
 
 
@@ -97,52 +91,40 @@ def test_setup_accepts_the_pythons_that_the_package_and_its_classifiers_do() -> 
     assert named == KNOWN_PYTHONS[::-1]
 
 
-@pytest.mark.parametrize(
-    ("there", "taken"),
-    [
-        (("python3.15", "python3.14", "python3.11", "python3"), "python3.14"),  # python3 is 3.15
-        (("python3.15", "python3.12", "python3"), "python3.12"),
-        (("python3.15", "python3"), "python3"),
-        (("python3.10",), ""),
-    ],
-)
+def called(folder: Path, *functions: str, **environment: str) -> tuple[bool, str]:
+    """Whether the last of setup's own functions succeeds, with nothing on the path but a folder, and what it says."""
+    text = SETUP.read_text()
+    parts = [re.search(r"^readonly known_pythons=.*$", text, re.MULTILINE)[0]]
+    parts += [re.search(rf"^{name}\(\) {{.*?^}}", text, re.DOTALL | re.MULTILINE)[0] for name in functions]
+    command = ["/bin/bash", "-c", "\n".join([*parts, functions[-1]])]
+    environment["PATH"] = str(folder)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode == 0, done.stdout.strip()
+
+
+PYTHONS = [  # which there are, and which of them is taken; python3 is 3.15
+    (("python3.15", "python3.14", "python3.11", "python3"), "python3.14"),
+    (("python3.15", "python3.12", "python3"), "python3.12"),
+    (("python3.15", "python3"), "python3"),
+    (("python3.10",), ""),
+]
+
+
+@pytest.mark.parametrize(("there", "taken"), PYTHONS)
 def test_setup_takes_the_newest_python_that_it_knows(there: tuple[str, ...], taken: str, tmp_path: Path) -> None:
     """A Python that is too new for the libraries is taken only where there is no other."""
     for name in there:
-        python = tmp_path / name
-        python.write_text(f"#!/bin/sh\n{'exit 1' if name == 'python3.10' else ''}\n")
-        python.chmod(0o755)
-    text = SETUP.read_text()
-    parts = [re.search(r"^readonly known_pythons=.*$", text, re.MULTILINE)[0]]
-    for function in ("right_version", "can_make_venv", "find_python"):
-        parts.append(re.search(rf"^{function}\(\) {{.*?^}}", text, re.DOTALL | re.MULTILINE)[0])
-    command = ["/bin/bash", "-c", "\n".join([*parts, "find_python"])]
-    found = subprocess.run(command, env={"PATH": str(tmp_path)}, capture_output=True, text=True, check=False)
-    assert found.stdout.strip() == (str(tmp_path / taken) if taken else "")
-    assert (found.returncode == 0) == bool(taken)
+        write_program(tmp_path / name, "exit 1" if name == "python3.10" else "")
+    found = called(tmp_path, "right_version", "can_make_venv", "find_python")
+    assert found == (bool(taken), str(tmp_path / taken) if taken else "")
 
 
-def test_setup_looks_for_the_browsers_that_the_tests_do() -> None:
-    assert f"${{CHROMIUM:-{' '.join(browser.NAMES)}}}" in (REPOSITORY / "script" / "setup").read_text()
-
-
-def browsers_found(folder: Path, **environment: str) -> bool:
-    """What setup's own `has_browser` says with nothing else on the path than a folder."""
-    text = (REPOSITORY / "script" / "setup").read_text()
-    function = re.search(r"^has_browser\(\) \{.*?^\}", text, re.DOTALL | re.MULTILINE)[0]
-    command = ["/bin/bash", "-c", f"{function}\nhas_browser"]
-    return subprocess.run(command, env={"PATH": str(folder), **environment}, check=False).returncode == 0
-
-
-def test_setup_takes_a_browser_that_runs_and_no_stub(tmp_path: Path) -> None:
-    assert not browsers_found(tmp_path)
-    stub = tmp_path / "chromium"
-    stub.write_text("#!/bin/sh\necho install the snap >&2; exit 1\n")
-    stub.chmod(0o755)
-    assert not browsers_found(tmp_path)
-    other = tmp_path / "mine"
-    other.write_text("#!/bin/sh\necho Chromium 100\n")
-    other.chmod(0o755)
-    assert browsers_found(tmp_path, CHROMIUM=str(other))
-    stub.write_text(other.read_text())
-    assert browsers_found(tmp_path)
+def test_setup_takes_a_browser_that_runs_and_no_stub_of_those_that_the_tests_look_for(tmp_path: Path) -> None:
+    assert f"${{CHROMIUM:-{' '.join(browser.NAMES)}}}" in SETUP.read_text()
+    assert not called(tmp_path, "has_browser")[0]
+    write_program(tmp_path / "chromium", "echo install the snap >&2; exit 1")
+    assert not called(tmp_path, "has_browser")[0]
+    write_program(tmp_path / "mine", "echo Chromium 100")
+    assert called(tmp_path, "has_browser", CHROMIUM=str(tmp_path / "mine"))[0]
+    write_program(tmp_path / "chromium", "echo Chromium 100")
+    assert called(tmp_path, "has_browser")[0]

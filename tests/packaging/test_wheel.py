@@ -18,8 +18,6 @@ import yaml
 REPOSITORY = Path(__file__).resolve().parents[2]
 EXAMPLES = [REPOSITORY / "tests" / name for name in ("plugin_example", "tracker_example")]
 PLUGINS_PAGE = REPOSITORY / "docs" / "plugins.md"
-
-
 FOREIGN = ("PYTHONPATH", "VIRTUAL_ENV")
 
 
@@ -44,8 +42,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `bin` folder of an environment with the wheel and this one's other packages, not its modsim3d."""
     folder = tmp_path_factory.mktemp("installed")
-    others = folder / "others"
-    others.mkdir()
+    (others := folder / "others").mkdir()
     for entry in Path(sysconfig.get_path("purelib")).iterdir():
         if "modsim3d" not in entry.name:
             (others / entry.name).symlink_to(entry)
@@ -78,20 +75,14 @@ def test_wheel_carries_every_file_of_the_package_and_its_data_and_no_other(wheel
     assert not [name for name in carried if name.endswith(".pyc")]
 
 
-def test_installed_wheel_is_what_python_imports(installed: Path, tmp_path: Path) -> None:
+def test_installed_wheel_is_what_python_imports_and_simulates_a_shipped_scene(installed: Path, tmp_path: Path) -> None:
     printed = run(installed / "python", "-c", "import modsim3d; print(modsim3d.__file__)", cwd=tmp_path)
     assert Path(printed.strip()).is_relative_to(installed.parent / "lib")
-
-
-def test_installed_wheel_simulates_a_shipped_scene(installed: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     run(installed / "modsim3d", "run", "simulation_1", "--steps", "3", "--out", out, cwd=tmp_path)
     assert isinstance(json.loads((out / "run.json").read_text()), dict)
-    annotations = sorted(out.glob("annotations_*.json"))
-    assert annotations
-    assert [len(json.loads(file.read_text())) for file in annotations] == [3] * len(annotations)
-    for table in ("frames", "truth", "detections"):
-        assert (out / f"{table}.parquet").stat().st_size > 0
+    assert {len(json.loads(file.read_text())) for file in out.glob("annotations_*.json")} == {3}
+    assert all((out / f"{table}.parquet").stat().st_size > 0 for table in ("frames", "truth", "detections"))
 
 
 def test_installed_wheel_finds_the_parts_of_an_installed_package(installed: Path, tmp_path: Path) -> None:
