@@ -225,14 +225,15 @@ def write_scene(
     return path
 
 
-def crossing(folder: Path, steps: int = 12) -> Path:
-    """A ship that crosses close by and hides, one after the other, a boat wholly and another in part."""
+def crossing(folder: Path, steps: int = 12, **keys: object) -> Path:
+    """A ship that crosses close by and hides, one after the other, a boat wholly and another in part; keys as those of
+    `write_scene`."""
     boats = {
         "boat": ([10, 4, 3], [[0, 250, 10], [100, 250, 12]]),
         "sail": ([12, 4, 16], [[0, 200, -10], [100, 202, -10]]),
         "ship": ([60, 10, 12], [[0, 75, 60], [10, 140, -60]]),
     }
-    return write_scene(folder, boats, steps)
+    return write_scene(folder, boats, steps, **keys)
 
 
 CLASSES = {"sailboat": "sailboat", "ferry": "ferry", "container_ship": "ferry"}

@@ -1,7 +1,6 @@
 """Labels stay inside the picture and off each other."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -9,12 +8,24 @@ from PIL import Image
 from modsim3d.core.boxes import intersections
 from modsim3d.view.pictures.canvas import Canvas, Label, draw_labels
 
+ORANGE, BOX = (200, 100, 0), (0.0, 0.0, 30.0, 10.0)
 
-def drawn_plates(boxes, width, height, plates):
-    """The number of labels that are drawn; the plates of these are appended."""
-    canvas = Canvas(Image.new("RGB", (width, height)))
-    canvas.plate = lambda x, y, text, colour: plates.append((x, y, *np.add((x, y), canvas.plate_size(text))))
-    return draw_labels(canvas, [Label(tuple(box), "Vessel 0.67", (200, 100, 0)) for box in boxes], boxes)
+
+def drawn(labels, size, keep_clear):
+    """Text and plate of each label that is drawn."""
+    canvas, found = Canvas(Image.new("RGB", size)), []
+    canvas.plate = lambda x, y, text, colour: found.append((text, (x, y, *np.add((x, y), canvas.plate_size(text)))))
+    assert draw_labels(canvas, labels, keep_clear) == len(found)
+    return found
+
+
+def drawn_plates(boxes, width, height):
+    labels = [Label(tuple(box), "Vessel 0.67", ORANGE) for box in boxes]
+    return [plate for _, plate in drawn(labels, (width, height), boxes)]
+
+
+def texts_drawn(labels, size, keep_clear):
+    return [text for text, _ in drawn(labels, size, keep_clear)]
 
 
 @settings(max_examples=50, deadline=None)
@@ -23,8 +34,8 @@ def test_plates_are_in_the_picture_and_share_no_pixel(seed, size, count):
     rng = np.random.default_rng(seed)
     low = rng.uniform(-0.2, 1.1, (count, 2)) * size
     boxes = np.concatenate([low, low + rng.uniform(1, 200, (count, 2))], axis=1).tolist()
-    plates = []
-    assert drawn_plates(boxes, *size, plates) == len(plates) <= count
+    plates = drawn_plates(boxes, *size)
+    assert len(plates) <= count
     for i, (x0, y0, x1, y1) in enumerate(plates):
         assert x0 >= 0 and y0 >= 0 and x1 <= size[0] and y1 <= size[1]
         for a0, b0, a1, b1 in plates[:i]:
@@ -32,12 +43,10 @@ def test_plates_are_in_the_picture_and_share_no_pixel(seed, size, count):
 
 
 def test_a_label_alone_stands_on_its_box_and_one_of_a_box_outside_the_picture_is_left_out():
-    plates = []
-    drawn_plates([[300.0, 200.0, 400.0, 260.0]], 1280, 853, plates)
-    ((x0, _, _, y1),) = plates
+    ((x0, _, _, y1),) = drawn_plates([[300.0, 200.0, 400.0, 260.0]], 1280, 853)
     assert (x0, y1) == (300, 200 - 2)
-    assert drawn_plates([[600.0, 400.0, 630.0, 420.0]] * 8, 1280, 853, []) == 8  # there is room for all
-    assert drawn_plates([[-90.0, 0.0, -10.0, 50.0], [0.0, 900.0, 50.0, 950.0]], 1280, 853, []) == 0
+    assert len(drawn_plates([[600.0, 400.0, 630.0, 420.0]] * 8, 1280, 853)) == 8  # there is room for all
+    assert drawn_plates([[-90.0, 0.0, -10.0, 50.0], [0.0, 900.0, 50.0, 950.0]], 1280, 853) == []
 
 
 def test_places_never_lie_on_taken_ones():
@@ -48,36 +57,26 @@ def test_places_never_lie_on_taken_ones():
 def test_labels_cover_no_boat_where_there_is_room_elsewhere():
     """Thirty boats in two rows: the labels go to the free sea and sky."""
     boats = [[40.0 * i + 20, y, 40.0 * i + 55, y + 30] for i in range(15) for y in (300.0, 350.0)]
-    plates = []
-    assert drawn_plates(boats, 640, 640, plates) == 30
-    assert intersections(np.array(plates)[:, None], np.array(boats)).max() == 0
-
-
-def texts_drawn(labels, size, keep_clear):
-    canvas, texts = Canvas(Image.new("RGB", size)), []
-    canvas.plate = lambda x, y, text, colour: texts.append(text)
-    draw_labels(canvas, labels, keep_clear)
-    return texts
+    plates = np.array(drawn_plates(boats, 640, 640))
+    assert len(plates) == 30 and intersections(plates[:, None], np.array(boats)).max() == 0
 
 
 def test_a_text_is_shortened_only_where_it_would_cover_a_boat():
-    box, beside = (0.0, 0.0, 30.0, 10.0), [(36.0, 0.0, 100.0, 40.0)]
-    label = Label(box, "Vessel 0.67", (200, 100, 0), short="0.67")
+    beside, label = [(36.0, 0.0, 100.0, 40.0)], Label(BOX, "Vessel 0.67", ORANGE, short="0.67")
     assert texts_drawn([label], (100, 40), []) == ["Vessel 0.67"]
     assert texts_drawn([label], (100, 40), beside) == ["0.67"]
-    assert texts_drawn([Label(box, "Vessel 0.67", (200, 100, 0))], (100, 40), beside) == ["Vessel 0.67"]
+    assert texts_drawn([Label(BOX, "Vessel 0.67", ORANGE)], (100, 40), beside) == ["Vessel 0.67"]
 
 
 def test_an_optional_label_takes_no_room_that_another_needs_and_covers_no_boat():
-    box = (0.0, 0.0, 30.0, 10.0)
-    hidden, seen = Label(box, "hidden", (200, 100, 0), optional=True), Label(box, "seen", (200, 100, 0))
+    hidden, seen = Label(BOX, "hidden", ORANGE, optional=True), Label(BOX, "seen", ORANGE)
     assert texts_drawn([hidden, seen], (60, 24), []) == ["seen"]
     assert texts_drawn([hidden], (60, 40), []) == ["hidden"]
     assert texts_drawn([hidden], (60, 40), [(0.0, 0.0, 60.0, 40.0)]) == []
 
 
-@pytest.mark.parametrize("width", [640, 960, 1280])
-def test_words_stand_apart_in_any_size(width):
-    canvas = Canvas(Image.new("RGB", (width, 400)))
-    wide, joined = canvas.plate_size("ship2, 74 % seen")[0], canvas.plate_size("ship2,74%seen")[0]
-    assert (wide - joined) / 3 >= canvas.text_px / 5
+def test_words_stand_apart_in_any_size():
+    for width in (640, 960, 1280):
+        canvas = Canvas(Image.new("RGB", (width, 400)))
+        wide, joined = canvas.plate_size("ship2, 74 % seen")[0], canvas.plate_size("ship2,74%seen")[0]
+        assert (wide - joined) / 3 >= canvas.text_px / 5, width

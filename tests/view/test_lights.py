@@ -1,6 +1,5 @@
 """Lights by night: which ones each kind and size of vessel shows to each bearing, where they are and how far seen."""
 
-import json
 import math
 
 import numpy as np
@@ -72,44 +71,36 @@ def test_lights_by_bearing_none_of_which_is_outside_the_vessel():
             assert (np.abs(light.place[:2]) <= 0.5).all() and 0 < light.place[2] <= 1, case
 
 
-@pytest.mark.parametrize(
-    ("shape", "label", "name", "kind"),
-    [
-        ("", "Vessel", "219000001", Kind.POWER),
-        ("sailboat", "boat", "motorboat", Kind.SAIL),  # the mesh is what one sees
-        ("motorboat", "sailboat", "a", Kind.POWER),
-        ("my_sloop", "Vessel", "a", Kind.SAIL),
-        ("", "Sailing", "a", Kind.SAIL),  # a label of `modsim3d ais --labels type`
-        ("", "Fishing", "a", Kind.POWER),
-        ("", "Vessel", "yacht3", Kind.SAIL),
-        ("", "MotorYacht", "a", Kind.POWER),
-        ("kayak", "boat", "kayak", Kind.OARS),
-        ("", "HighSpeed", "assailant", Kind.POWER),
-        ("sailing_ship", "ship", "a", Kind.SAIL),
-        ("", "MotorSailer", "a", Kind.POWER),
-        ("container_ship", "sailboat", "a", Kind.POWER),
-    ],
-)
-def test_kind_of_a_vessel(shape, label, name, kind):
-    assert lights.kind_of(vessel(10, shape=shape, label=label, name=name)) is kind
+KINDS = [
+    ("", "Vessel", "219000001", Kind.POWER),
+    ("sailboat", "boat", "motorboat", Kind.SAIL),  # the mesh is what one sees
+    ("motorboat", "sailboat", "a", Kind.POWER),
+    ("my_sloop", "Vessel", "a", Kind.SAIL),
+    ("", "Sailing", "a", Kind.SAIL),  # a label of `modsim3d ais --labels type`
+    ("", "Fishing", "a", Kind.POWER),
+    ("", "Vessel", "yacht3", Kind.SAIL),
+    ("", "MotorYacht", "a", Kind.POWER),
+    ("kayak", "boat", "kayak", Kind.OARS),
+    ("", "HighSpeed", "assailant", Kind.POWER),
+    ("sailing_ship", "ship", "a", Kind.SAIL),
+    ("", "MotorSailer", "a", Kind.POWER),
+    ("container_ship", "sailboat", "a", Kind.POWER),
+]
 
 
-def test_a_mesh_has_the_same_name_in_a_scene_and_in_its_copy():
-    in_copy = mesh_name("meshes/sailboat.glb")
-    assert mesh_name("sailboat") == in_copy == "sailboat"
+def test_kind_of_a_vessel_whose_mesh_has_the_same_name_in_a_scene_and_in_its_copy():
+    for shape, label, name, kind in KINDS:
+        assert lights.kind_of(vessel(10, shape=shape, label=label, name=name)) is kind, (shape, label, name)
+    assert mesh_name("sailboat") == mesh_name("meshes/sailboat.glb") == "sailboat"
     assert mesh_name({"file": "hulls/my_sloop.stl", "forward": "+x"}) == "my_sloop"
 
 
-@pytest.mark.parametrize(("miles", "candela"), [(1, 0.9), (2, 4.3), (3, 12), (4, 27), (5, 52), (6, 94)])
-def test_intensity_is_that_of_the_rules(miles, candela):
-    """The table of COLREG, Annex I, section 8; at its range a light is the faintest that is seen."""
-    light = Lantern("stern", Colour.WHITE, Sector.STERN, miles, (0, 0, 0))
-    assert light.intensity_cd == pytest.approx(candela, rel=0.06)
-    assert light.illuminance_lux(miles * NAUTICAL_MILE_M) == pytest.approx(THRESHOLD_LUX)
-
-
-def test_ranges_by_length():
-    """Rule 22."""
+def test_intensity_and_ranges_by_length_are_those_of_the_rules():
+    """The table of COLREG, Annex I, section 8, and Rule 22; at its range a light is the faintest that is seen."""
+    for miles, candela in {1: 0.9, 2: 4.3, 3: 12, 4: 27, 5: 52, 6: 94}.items():
+        light = Lantern("stern", Colour.WHITE, Sector.STERN, miles, (0, 0, 0))
+        assert light.intensity_cd == pytest.approx(candela, rel=0.06)
+        assert light.illuminance_lux(miles * NAUTICAL_MILE_M) == pytest.approx(THRESHOLD_LUX)
     for length_m, expected in ((50, (6, 3, 3)), (49, (5, 2, 2)), (20, (5, 2, 2)), (19, (3, 2, 2))):
         ranges = {light.name: light.range_nm for light in lanterns(vessel(length_m), 8 * KNOT_M_S)}
         assert (ranges["masthead"], ranges["port side"], ranges["stern"]) == expected, length_m
@@ -144,12 +135,12 @@ def test_places_of_a_ships_lights(strait):
         assert side[2] - deck <= 0.75 * (fore[2] - deck) and side[0] <= fore[0] and after[0] >= -one.length_m / 2
 
 
-@pytest.mark.parametrize("length_m", [24, 60, 90])
-def test_lights_of_a_trawler_stand_apart(length_m):
+def test_lights_of_a_trawler_stand_apart():
     """Annex I, sections 2 i and 2 j: 2 m between the upper two, and at least twice that down to the sidelights."""
-    found = placed(vessel(length_m, label="trawling"))
-    (upper,), (lower,), (side,) = (found[name] for name in ("upper", "lower", "port side"))
-    assert upper[2] - lower[2] == pytest.approx(2) and lower[2] - side[2] >= 4 - 1e-9
+    for length_m in (24, 60, 90):
+        found = placed(vessel(length_m, label="trawling"))
+        (upper,), (lower,), (side,) = (found[name] for name in ("upper", "lower", "port side"))
+        assert upper[2] - lower[2] == pytest.approx(2) and lower[2] - side[2] >= 4 - 1e-9, length_m
 
 
 def test_the_only_masthead_light_is_before_midships_from_20_m_on_and_a_sail_has_all_three_at_the_top(strait):
@@ -186,28 +177,22 @@ def ship_before_the_camera(folder, heading_deg, place_m):
     return [light.lantern for light in lights_towards(scene.sight(scene.cameras[0], np.array([0])), np.array([5.0]))]
 
 
-def test_a_broad_ship_shows_both_sidelights_to_what_is_right_ahead(tmp_path):
+def test_sectors_begin_at_the_lights_so_that_a_broad_ship_shows_both_sides_to_what_is_right_ahead(tmp_path):
     shown = [{each.name for each in ship_before_the_camera(tmp_path, 180.0, (250, aside))} for aside in (0, 40, -40)]
     assert shown[0] == {"masthead", "port side", "starboard side"}  # at half the beam from either sidelight
     assert shown[1:] == [{"masthead", "port side"}, {"masthead", "starboard side"}]
-
-
-def test_sectors_begin_at_the_lights(tmp_path):
-    """Abeam of the middle of a long ship one is abaft the beam of her forward masthead light, which is far ahead."""
+    # Abeam of the middle of a long ship one is abaft the beam of her forward masthead light, which is far ahead.
     (after,) = [each for each in ship_before_the_camera(tmp_path, 90.0, (60, 0)) if each.name == "masthead"]
     assert after.place[0] < 0
 
 
-def scene_with(folder, wall_at_m, heading_deg=90.0):
+def scene_with(folder, wall_at_m, heading_deg=90.0, steps=12):
     """A boat 250 m ahead of the camera on w1, and a wall before or behind it."""
-    path = crossing(folder)
-    scene = json.loads(path.read_text())
     step = 100 * np.array([math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))])
-    scene["poses"]["tracks"] = {"boat": [[0, 250, 0], [100, 250 + step[0], step[1]]]}
+    tracks = {"boat": [[0, 250, 0], [100, 250 + step[0], step[1]]]}
     ring = [[wall_at_m, -40], [wall_at_m + 2, -40], [wall_at_m + 2, 40], [wall_at_m, 40]]
-    scene["obstacles"] = {"wall": {"polygon_m": ring, "height_m": 30}}
-    path.write_text(json.dumps(scene))
-    return load_scene(path)
+    obstacles = {"wall": {"polygon_m": ring, "height_m": 30}}
+    return load_scene(crossing(folder, steps, poses={"tracks": tracks}, obstacles=obstacles))
 
 
 @pytest.mark.parametrize(("wall_at_m", "hidden"), [(200, True), (290, False)])
@@ -253,8 +238,5 @@ def test_fog_takes_lights_away_and_distance_weakens_them(tmp_path):
 
 
 def test_speed_over_ground_is_unknown_of_absent_vessels_and_of_a_single_step(tmp_path):
-    scene = scene_with(tmp_path, 900)
-    np.testing.assert_allclose(ground_speeds(scene, 3), [1.0, np.nan, np.nan])
-    (alone := tmp_path / "alone").mkdir()
-    (path := crossing(alone)).write_text(json.dumps({**json.loads(path.read_text()), "steps": 1}))
-    assert np.isnan(ground_speeds(load_scene(path), 0)).all()
+    np.testing.assert_allclose(ground_speeds(scene_with(tmp_path, 900), 3), [1.0, np.nan, np.nan])
+    assert np.isnan(ground_speeds(scene_with(tmp_path, 900, steps=1), 0)).all()

@@ -1,11 +1,11 @@
 """The scene from above: geometry first; what maps look like has been looked at."""
 
-import json
 import math
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -24,17 +24,15 @@ from modsim3d.view.map_picture import Map, map_figure, map_height_px, map_pictur
 from tests.scenes import INTRINSICS, crossing
 from tests.view.test_film import view
 
+ISLAND = [[150, 20], [190, 20], [190, 60], [170, 30], [150, 60]]
+BRIDGE = [[240, -60], [244, -60], [244, 60], [240, 60]]
+
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    path = crossing(tmp_path_factory.mktemp("map"))
-    data = json.loads(path.read_text())
-    data["obstacles"] = {
-        "island": {"polygon_m": [[150, 20], [190, 20], [190, 60], [170, 30], [150, 60]], "height_m": 12},
-        "bridge": {"polygon_m": [[240, -60], [244, -60], [244, 60], [240, 60]], "base_m": 20, "height_m": 2},
-    }
-    path.write_text(json.dumps(data))
-    return load_scene(path)
+    obstacles = {"island": {"polygon_m": ISLAND, "height_m": 12}}
+    obstacles["bridge"] = {"polygon_m": BRIDGE, "base_m": 20, "height_m": 2}
+    return load_scene(crossing(tmp_path_factory.mktemp("map"), obstacles=obstacles))
 
 
 @pytest.fixture(scope="module")
@@ -42,23 +40,30 @@ def birds_eye(scene):
     return BirdsEye(scene, scene.steps, (0,))
 
 
+def extent(artist):
+    """The rectangle of an artist in pixels."""
+    return shapely.box(*artist.get_window_extent().extents)
+
+
 @pytest.mark.parametrize("step", [0, 9])
 def test_a_vessel_is_drawn_where_it_is(birds_eye, step):
     figure = map_figure(birds_eye, step, 1000)
     figure.draw_without_rendering()
     places = birds_eye.scene.poses.poses(step, step + 1).positions_m[0, :, :2]
-    pixels = figure.axes[0].transData.transform(places)
     picture = np.asarray(map_picture(birds_eye, step, (1000, map_height_px(birds_eye, 1000))))
-    for index, (x, y) in enumerate(pixels):
+    for index, (x, y) in enumerate(figure.axes[0].transData.transform(places)):
         around = picture[picture.shape[0] - round(y) - 8 : picture.shape[0] - round(y) + 8, round(x) - 8 : round(x) + 8]
         near = np.abs(around.astype(int) - palette.vessel_colour(index)).max(axis=-1) < 12
         assert near.sum() > 8, birds_eye.scene.vessel_names[index]
 
 
-def test_a_hull_has_the_vessels_size_and_heading(scene):
+def test_a_hull_has_the_vessels_size_and_heading_and_an_obstacle_covers_its_polygon(scene):
     for vessel in scene.vessels:
         ring = hull_m(vessel, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # heading along w2
         assert np.ptp(ring, axis=0) == pytest.approx((vessel.beam_m, vessel.length_m))
+    island, bridge = (footprint(obstacle) for obstacle in scene.obstacles)
+    assert island.symmetric_difference(shapely.Polygon(ISLAND)).area == pytest.approx(0, abs=1e-6)
+    assert bridge.area == pytest.approx(480)
 
 
 @pytest.mark.parametrize(("f1", "f2", "a1"), [(1000.0, 1000.0, 400.0), (700.0, 1000.0, 200.0), (100.0, 100.0, 400.0)])
@@ -82,13 +87,6 @@ def test_what_the_camera_sees_is_in_its_field_of_view(birds_eye):
     for vessel, place in zip(scene.vessels, scene.poses.poses(5, 6).positions_m[0], strict=True):
         if wedge.contains(shapely.Point(place[:2])):
             assert vessel.name in seen
-
-
-def test_an_obstacle_covers_its_polygon(scene):
-    island, bridge = (footprint(obstacle) for obstacle in scene.obstacles)
-    expected = shapely.Polygon([[150, 20], [190, 20], [190, 60], [170, 30], [150, 60]])
-    assert shapely.area(island.symmetric_difference(expected)) == pytest.approx(0, abs=1e-6)
-    assert bridge.area == pytest.approx(480)
 
 
 def test_everything_is_on_the_map(birds_eye):
@@ -121,10 +119,8 @@ def test_names_do_not_lie_on_each_other_and_the_legend_covers_no_map(birds_eye):
     figure.draw_without_rendering()
     assert not figure.legends[0].get_window_extent().overlaps(figure.axes[0].get_window_extent())
     known = (*birds_eye.scene.vessel_names, "island", "bridge")
-    notes = [text for text in figure.axes[0].texts if text.get_text() in known and text.get_visible()]
-    assert len(notes) >= 4
-    boxes = [shapely.box(*note.get_window_extent().extents) for note in notes]
-    assert all(boxes[i].intersection(boxes[j]).area == 0 for i in range(len(boxes)) for j in range(i))
+    boxes = [extent(text) for text in figure.axes[0].texts if text.get_text() in known and text.get_visible()]
+    assert len(boxes) >= 4 and all(one.intersection(other).area == 0 for one, other in combinations(boxes, 2))
 
 
 @pytest.mark.parametrize("step", [60, 120])
@@ -139,14 +135,10 @@ def test_a_name_lies_on_no_other_vessel_and_inside_the_map(step):
         vessel.name: shapely.Polygon(axes.transData.transform(hull_m(vessel, rotations[i]) + places[i]))
         for i, vessel in enumerate(scene.vessels)
     }
-    frame, named = shapely.box(*axes.get_window_extent().extents), 0
-    for note in (text for text in axes.texts if text.get_visible()):
-        box = shapely.box(*note.get_window_extent().extents)
-        if note.get_text() in hulls:
-            assert frame.contains(box)
-            assert not any(hull.intersects(box) for name, hull in hulls.items() if name != note.get_text())
-            named += 1
-    assert named == len(hulls)
+    names = {text.get_text(): extent(text) for text in axes.texts if text.get_visible() and text.get_text() in hulls}
+    assert names.keys() == hulls.keys() and all(extent(axes).contains(box) for box in names.values())
+    for of, box in names.items():
+        assert not any(hull.intersects(box) for name, hull in hulls.items() if name != of)
 
 
 @pytest.fixture(scope="module")
@@ -163,15 +155,13 @@ def test_each_vessel_of_a_crowd_is_named_beside_it_or_with_a_line_to_it_and_the_
     names = [name for name in sheet.names.names if name.vessel is not None and name.middle_px is not None]
     assert len(names) >= 0.98 * len(sheet.birds_eye.scene.vessels)
     bodies = {i: shapely.Polygon(sheet.axes.transData.transform(ring)) for i, ring in sheet.names.bodies_m.items()}
-    boxes = {name.vessel: shapely.box(*name.note.get_window_extent().extents) for name in names}
-    lines = [shapely.LineString(line * dpi / 72) for line in sheet.names.leaders.get_segments()]
-    assert lines
-    ended = set()
-    for line in lines:
+    boxes, ended = {name.vessel: extent(name.note) for name in names}, set()
+    for line in (shapely.LineString(line * dpi / 72) for line in sheet.names.leaders.get_segments()):
         (vessel,) = (i for i, box in boxes.items() if box.distance(shapely.Point(line.coords[0])) < 0.1)
         assert bodies[vessel].distance(shapely.Point(line.coords[-1])) < 0.1
         assert not any(box.intersects(line) for i, box in boxes.items() if i != vessel)
         ended.add(vessel)
+    assert ended
     for vessel, box in boxes.items():
         assert vessel in ended or box.distance(bodies[vessel]) < box.length / 4
         assert not any(box.intersects(body) for i, body in bodies.items() if i != vessel)
@@ -191,7 +181,7 @@ def test_no_name_lies_on_a_camera(scene):
         both.show(6)
         dot = shapely.Point(both.sheet.axes.transData.transform(under.mount.position_m[:2]))
         notes = [each.note for each in both.sheet.names.names if each.middle_px is not None]
-        boxes = {note.get_text(): shapely.box(*note.get_window_extent().extents) for note in notes}
+        boxes = {note.get_text(): extent(note) for note in notes}
         assert {"under", name.note.get_text()} <= set(boxes)
         assert not any(box.intersects(dot) for box in boxes.values())
 
@@ -208,10 +198,7 @@ def test_radii_keep_off_names(crowd):
     names.taken_px = np.array([text.get_window_extent().extents for text in shown])
     rings.put_radii()
     crowd.figure.draw_without_rendering()
-    for text in shown:
-        x0, y0, x1, y1 = text.get_window_extent().extents
-        under = names.taken_px
-        assert not ((x0 < under[:, 2]) & (under[:, 0] < x1) & (y0 < under[:, 3]) & (under[:, 1] < y1)).any()
+    assert not any(extent(text).intersection(shapely.box(*under)).area for text in shown for under in names.taken_px)
     names.taken_px = taken
 
 
@@ -235,25 +222,22 @@ def test_far_cameras_and_land_do_not_make_the_map_larger_and_a_camera_near_the_t
 
 @pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
 def test_a_map_is_written_as_its_ending_says_the_same_bytes_each_time(monkeypatch, run, tmp_path, ending):
-    for name in ("a", "b"):
-        assert view(monkeypatch, "map", run, 6, "--out", tmp_path / f"{name}.{ending}", "--width", 640) == 0
-    first, second = ((tmp_path / f"{name}.{ending}").read_bytes() for name in ("a", "b"))
-    assert first == second
+    files = [tmp_path / f"{name}.{ending}" for name in ("a", "b")]
+    for file in files:
+        assert view(monkeypatch, "map", run, 6, "--out", file, "--width", 640) == 0
+    assert sorted(tmp_path.iterdir()) == files and files[0].read_bytes() == files[1].read_bytes()
     if ending == "png":
-        with Image.open(tmp_path / "a.png") as written:
-            assert written.width == 640
+        assert read(files[0]).width == 640
     elif ending == "svg":
-        assert ET.fromstring(first).tag.endswith("svg")
+        assert ET.parse(files[0]).getroot().tag.endswith("svg")
     else:
-        assert first.startswith(b"%PDF")
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"a.{ending}", f"b.{ending}"]
+        assert files[0].read_bytes().startswith(b"%PDF")
 
 
 def test_a_film_of_maps_has_one_map_for_all_cameras(monkeypatch, run, tmp_path):
-    out = tmp_path / "frames"
-    options = ("--kind", "map", "--end", 1, "--format", "png", "--width", 320, "--out", out)
+    options = ("--kind", "map", "--end", 1, "--format", "png", "--width", 320, "--out", tmp_path / "frames")
     assert view(monkeypatch, "film", run, *options) == 0
-    one, other = (np.asarray(read(path)) for path in sorted(out.iterdir()))
+    one, other = (np.asarray(read(path)) for path in sorted((tmp_path / "frames").iterdir()))
     assert one.shape == other.shape and (one != other).any()
 
 
