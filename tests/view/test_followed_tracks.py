@@ -23,25 +23,18 @@ def test_tracks_with_the_boxes_of_the_truth_follow_their_vessels_without_a_switc
     assert none.sentence() == "Tracks of made: 0 tracks on 0 vessels, 0 identity switches, 0 false tracks."
 
 
-def test_two_tracks_that_swap_switch_both_and_move_both(rows):
-    shown = followed(rows, swapped(perfect(rows), BOAT, SAIL, 6))
+def test_two_tracks_that_swap_switch_and_move_a_new_number_switches_and_a_track_alone_that_goes_on_moves(rows):
+    tracks = perfect(rows)
+    shown = followed(rows, swapped(tracks, BOAT, SAIL, 6))
     for marked in (shown.switched, shown.moved):
         first = [shown.tracks.step[(shown.tracks.step >= 6) & (shown.vessel == vessel)].min() for vessel in (0, 1)]
         places = sorted(zip(shown.vessel[marked].tolist(), shown.tracks.step[marked].tolist(), strict=True))
         assert places == [(BOAT, first[0]), (SAIL, first[1])]
     assert "2 identity switches" in shown.sentence()
-
-
-def test_a_new_number_on_the_same_vessel_is_one_switch_and_no_move(rows):
-    tracks = perfect(rows)
     number = np.where((tracks.track == SAIL) & (tracks.step >= 5), 7, tracks.track)
     shown = followed(rows, Tracks.of(1, tracks.frame, number, tracks.boxes_px))
     assert shown.tracks.track[shown.switched].tolist() == [7] and not shown.moved.any()
     assert "4 tracks on 3 vessels, 1 identity switch, 0" in shown.sentence()
-
-
-def test_a_track_that_goes_to_a_vessel_that_none_followed_moves_without_a_switch(rows):
-    tracks = perfect(rows)
     some = tracks.take(((tracks.track == SAIL) & (tracks.step < 2)) | ((tracks.track == 2) & (tracks.step >= 4)))
     shown = followed(rows, Tracks.of(1, some.frame, np.full(len(some), 5), some.boxes_px))
     assert shown.moved.sum() == 1 and not shown.switched.any()

@@ -36,16 +36,14 @@ def seen(tmp_path_factory) -> CameraView:
 
 def with_detection(seen: CameraView, away_px: float, label: str = "Vessel", size: float = 60.0) -> CameraView:
     """The frame with one detection: a square whose upper left corner is away from that of the sail's annotated box."""
-    truth, found = seen.frame.truth, seen.frame.detections
-    truth, found = seen.frame.truth, seen.frame.detections
+    truth, boxes_px = seen.frame.truth, seen.frame.truth.boxes_px.copy()
     sail = truth.vessels.index("sail")
-    corner = truth.boxes_px[sail, :2] + (away_px, 0)
-    boxes_px, errors_px = np.array([[*corner, *(corner + size)]]), np.zeros((1, 4))
+    corner = boxes_px[sail, :2].copy()
+    boxes_px[sail, 2:] = corner + 60.0
+    box_px = np.add([[*corner, *(corner + size)]], (away_px, 0, away_px, 0))
     one = {"labels": (label,), "kinds": ("true",), "vessels": ("sail",), "confidence": np.array([0.7])}
-    only = replace(found, **one, boxes_px=boxes_px, errors_px=errors_px)
-    boxes = truth.boxes_px.copy()
-    boxes[sail] = [*(corner - (away_px, 0)), *(corner - (away_px, 0) + 60.0)]
-    return replace(seen, frame=replace(seen.frame, truth=replace(truth, boxes_px=boxes), detections=only))
+    only = replace(seen.frame.detections, **one, boxes_px=box_px, errors_px=np.zeros((1, 4)))
+    return replace(seen, frame=replace(seen.frame, truth=replace(truth, boxes_px=boxes_px), detections=only))
 
 
 def drawn(camera_view: CameraView, layers: Layers = MARKED) -> np.ndarray:
@@ -63,32 +61,25 @@ def is_alarm(pixels: np.ndarray) -> np.ndarray:
     return np.abs(pixels.astype(int) - palette.ALARM).sum(axis=-1) < 90
 
 
-def test_a_right_detection_is_a_solid_box_without_marks(seen):
-    right = with_detection(seen, 0)
+def test_a_right_detection_is_a_solid_box_without_marks_and_a_wrong_class_fills_its_upper_right_corner(seen):
+    right, wrong = with_detection(seen, 0), with_detection(seen, 0, "Buoy")
     assert frame_outcomes(right.frame) == [NOTHING_WRONG]
-    picture, (x0, y0, x1, _) = drawn(right), box_of(right)
+    picture, (x0, y0, x1, y1) = drawn(right), box_of(right)
     assert (picture[y0, x0:x1] == right.colour("sail")).all() and not is_alarm(picture).any()
     np.testing.assert_array_equal(picture, drawn(right, Layers(detections=True)))
-
-
-def test_a_wrong_class_fills_the_upper_right_corner(seen):
-    wrong = with_detection(seen, 0, "Buoy")
-    picture, (x0, y0, x1, y1) = drawn(wrong), box_of(wrong)
+    picture = drawn(wrong)
     corner = is_alarm(picture[y0 + 1 : y0 + 9, x1 - 9 : x1 - 1])
     assert corner[np.triu_indices(8, 1)].all() and not is_alarm(picture[y0:y1, x0 : x1 - 18]).any()
     assert not is_alarm(drawn(wrong, Layers(detections=True))).any()
 
 
-@pytest.mark.parametrize(("size", "least", "most"), [(60, 0.4, 0.7), (12, 0, 0.8), (16, 0, 0.8), (40, 0, 0.8)])
-def test_a_bad_box_is_dashed_and_has_gaps_when_it_is_small_too(seen, size, least, most):
-    bad = with_detection(seen, 40, size=size)
-    assert frame_outcomes(bad.frame) == [Outcome.BELOW_HALF_IOU]
-    picture, (x0, y0, x1, _) = drawn(bad), box_of(bad)
-    assert least <= (picture[y0, x0:x1] == bad.colour("sail")).all(axis=-1).mean() < most
-    assert not is_alarm(picture).any()
-
-
-def test_a_line_joins_a_box_that_is_off_to_its_vessel(seen):
+def test_a_bad_box_is_dashed_and_has_gaps_when_it_is_small_too_and_a_line_joins_one_that_is_off_to_its_vessel(seen):
+    for size, least, most in ((60, 0.4, 0.7), (12, 0, 0.8), (16, 0, 0.8), (40, 0, 0.8)):
+        bad = with_detection(seen, 40, size=size)
+        assert frame_outcomes(bad.frame) == [Outcome.BELOW_HALF_IOU]
+        picture, (x0, y0, x1, _) = drawn(bad), box_of(bad)
+        assert least <= (picture[y0, x0:x1] == bad.colour("sail")).all(axis=-1).mean() < most
+        assert not is_alarm(picture).any()
     off = with_detection(seen, 200)
     assert frame_outcomes(off.frame) == [Outcome.BELOW_HALF_IOU | Outcome.OFF_VESSEL]
     picture, (x0, y0, x1, y1) = drawn(off), box_of(off)
@@ -108,10 +99,10 @@ def test_the_label_of_a_wrong_class_says_what_the_vessel_is_and_that_of_a_false_
     layers = replace(MARKED, labels=True, false_positives=True)
     drawn(with_detection(seen, 0, "Buoy"), layers)
     drawn(with_detection(seen, 200), layers)
-    one = with_detection(seen, 0)
+    frame = with_detection(seen, 0).frame
     kinds = {"false_positive": "false", "persistent_false_positive": "false", "duplicate": "duplicate"}
     for kind in kinds:
-        drawn(replace(one, frame=replace(one.frame, detections=replace(one.frame.detections, kinds=(kind,)))), layers)
+        drawn(replace(seen, frame=replace(frame, detections=replace(frame.detections, kinds=(kind,)))), layers)
     said = [(label.text, label.colour) for label in labels]
     assert said[:2] == [("Buoy 0.70, is a Vessel", palette.ALARM), ("Vessel 0.70", seen.colour("sail"))]
     assert said[2:] == [(f"{remark}: Vessel 0.70", palette.ALARM) for remark in kinds.values()]
@@ -145,27 +136,22 @@ def test_a_film_has_the_mistakes_of_its_frames_in_its_legend(run):
         assert named == {NAMES[flag] for flag in Outcome if flag & expected} | {"false alarm"}
 
 
-def test_highlights_have_each_kind_of_mistake_that_the_run_has(run):
-    said = []
-    for highlight in pick_highlights(run.finished_tables, run.scene):
-        frame = run.frame(highlight.camera, highlight.step)
-        said.append(contact_sheet._caption(highlight, frame))
+def test_highlights_have_each_kind_of_mistake_that_the_run_has_and_boxes_off_the_largest_vessel(run):
+    said, areas = [], {}
+    highlights = pick_highlights(run.finished_tables, run.scene)
+    for highlight in highlights:
+        said.append(contact_sheet._caption(highlight, run.frame(highlight.camera, highlight.step)))
         x0, y0, x1, y1 = highlight.focus_px
         assert x0 < x1 and y0 < y1
     for ending in ("detected", "with IoU below 0.5", "by a box off the vessel", "missed"):
         assert any(text.endswith(ending) for text in said), ending
     assert any("detected as " in text for text in said) and any(text.startswith("a false alarm") for text in said)
     assert len(set(said)) == len(said)
-
-
-def test_the_highlight_of_boxes_off_their_vessel_shows_the_largest_vessel(run):
-    areas = {}
     for frame in run.frames():
         for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
             if row is not None and outcome & Outcome.OFF_VESSEL:
                 x0, y0, x1, y1 = frame.truth.boxes_px[row]
                 areas[frame.camera, frame.step, frame.truth.vessels[row]] = (x1 - x0) * (y1 - y0)
-    highlights = pick_highlights(run.finished_tables, run.scene)
     chosen = [(each.camera, each.step, each.vessel) for each in highlights if not each.what]  # about a detection
     assert max(areas, key=areas.__getitem__) in chosen
 
@@ -193,12 +179,12 @@ def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_tha
         contact_sheet._tile(highlight, camera_view, PlainIds())
         assert {label.vessel for label in labels} <= {highlight.vessel}
         assert highlight.vessel is not None or len(labels) == 1
-        window = Window.around(highlight.focus_px, camera_view.image_size_px, contact_sheet.PANEL_PX)
+        wide, high = contact_sheet.PANEL_PX
+        window = Window.around(highlight.focus_px, camera_view.image_size_px, (wide, high))
         x0, y0, x1, y1 = window.corners(np.array(highlight.focus_px))
         (((x, y), (right, down), length),) = arrows
         assert x0 - 9 <= x <= x1 + 9 and y0 - 9 <= y <= y1 + 9
-        end = x - right * length, y - down * length
-        assert 0 <= end[0] <= contact_sheet.PANEL_PX[0] and 0 <= end[1] <= contact_sheet.PANEL_PX[1]
+        assert 0 <= x - right * length <= wide and 0 <= y - down * length <= high
         assert "obstacle:" not in contact_sheet._caption(highlight, frame)
 
 
@@ -232,8 +218,8 @@ def test_the_legend_has_the_vessels_that_the_pictures_show(run):
     assert {entry.text.split(": ")[1] for entry in plan.layout(run.scene).entries} == shown
 
 
-@pytest.mark.parametrize(("style", "is_told"), [(RenderStyle(), True), (RenderStyle(shaded=True, night=True), False)])
-def test_films_say_that_weather_is_not_drawn_unless_some_is(run, style, is_told):
+def test_films_say_that_weather_is_not_drawn_unless_some_is(run):
     (step,) = select(run, (0, 1), from_s=0, to_s=0).step_frames()
-    head = FilmRenderer(run.scene, FilmPlan(("detections",), (0, 1), 640, style=style), PlainIds())._head(step)
-    assert "    detector " in head and head.endswith(f"    {WEATHER}") == is_told
+    for style, is_told in ((RenderStyle(), True), (RenderStyle(shaded=True, night=True), False)):
+        head = FilmRenderer(run.scene, FilmPlan(("detections",), (0, 1), 640, style=style), PlainIds())._head(step)
+        assert "    detector " in head and head.endswith(f"    {WEATHER}") == is_told

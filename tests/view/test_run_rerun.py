@@ -1,6 +1,5 @@
 """The recording for Rerun, read back with Rerun's own reader, holds the run."""
 
-import json
 import sys
 from io import BytesIO
 from itertools import combinations
@@ -26,11 +25,8 @@ SOME = 20  # every so many steps of a longer run are recorded
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rerun")
-    path = crossing(folder, STEPS)
-    scene = json.loads(path.read_text())
-    scene["obstacles"] = {"pier": {"polygon_m": [[900, 300], [950, 300], [950, 320], [900, 320]], "height_m": 5}}
-    path.write_text(json.dumps(scene))
-    run_scene(load_scene(str(path), source="analytic"), folder / "run")
+    pier = {"polygon_m": [[900, 300], [950, 300], [950, 320], [900, 320]], "height_m": 5}
+    run_scene(load_scene(crossing(folder, STEPS, obstacles={"pier": pier}), source="analytic"), folder / "run")
     return folder / "run"
 
 
@@ -47,9 +43,8 @@ def read(path):
 
 def views(path):
     """What the viewer shows when it opens a recording: title → kind of view and what is in it."""
-    reader = RrdReader(path)
+    reader, values = RrdReader(path), {}
     (blueprint,) = reader.blueprints()
-    values: dict[str, dict[str, list[object]]] = {}
     for chunk in reader.stream(store=blueprint).to_chunks():
         batch = chunk.to_record_batch()
         for name in (name for name in batch.schema.names if pa.types.is_list(batch.schema.field(name).type)):
@@ -87,16 +82,13 @@ def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, 
     return entity[max(at for at in entity if at is not None and at <= step)]
 
 
-def test_the_viewer_opens_with_the_camera_the_world_misses_and_states(written):
+def test_boxes_and_labels_of_every_shown_frame_are_in_it_and_the_viewer_opens_with_them(run, recording, written):
     assert views(written) == {
         "camera C0": ("2D", ["$origin/**"]),
         "world": ("3D", views(written)["world"][1]),
         "missed and false": ("TimeSeries", ["/counts/C0/missed", "/counts/C0/false"]),
         "performance state of the detector": ("StateTimeline", ["/detector/C0"]),
     }
-
-
-def test_boxes_and_labels_of_every_shown_frame_are_in_it(run, recording):
     frames = {frame.step: frame for frame in open_run(run).frames()}
     image = "/world/cameras/C0/image"
     truth, found = recording[f"{image}/truth"], recording[f"{image}/detections"]
@@ -225,7 +217,7 @@ def test_vessels_move_and_vanish_as_in_the_scene(run, recording):
     assert ever
 
 
-def test_camera_is_a_pinhole_that_looks_where_it_does(run, recording):
+def test_camera_is_a_pinhole_that_looks_where_it_does_and_obstacles_stand_where_they_do(run, recording):
     scene = open_run(run).scene
     (camera,) = scene.cameras
     lens = recording["/world/cameras/C0/image"][None]
@@ -234,21 +226,16 @@ def test_camera_is_a_pinhole_that_looks_where_it_does(run, recording):
     camera_R_world = scene.sight(camera, np.array([0])).camera_poses.camera_R_world[0]
     # Rerun stores matrices column by column: read row by row, this is the transpose of world_R_camera.
     np.testing.assert_allclose(np.reshape(pose["mat3x3"], (3, 3)), camera_R_world, atol=1e-6)
-
-
-def test_obstacles_stand_where_they_do(recording):
     corners = np.array(recording["/world/obstacles/pier"][None]["vertex_positions"]).reshape(-1, 3)
     assert len(corners) == 3 * 12  # a prism over a rectangle
     np.testing.assert_allclose((corners.min(axis=0), corners.max(axis=0)), ((900, 300, 0), (950, 320, 5)))
 
 
-def test_without_the_sdk_the_error_names_the_extra_without_an_empty_bar_before_it(monkeypatch, capsys, run, tmp_path):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "x") == 2
-    assert capsys.readouterr().err == "modsim3d: --format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"
-
-
-def test_file_that_cannot_be_written_is_one_message(monkeypatch, capsys, run, tmp_path):
+def test_a_missing_sdk_or_a_file_for_a_folder_is_one_message(monkeypatch, capsys, run, tmp_path):
     (tmp_path / "file").touch()
     assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "file") == 2
     assert f"{tmp_path / 'file'} is a file, and run.rrd is to be written into a folder" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    assert call(monkeypatch, "export", run, "--format", "rerun", "--out", tmp_path / "x") == 2
+    # Without an empty bar before it.
+    assert capsys.readouterr().err == "modsim3d: --format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'\n"

@@ -31,11 +31,11 @@ CAMERAS = {
 
 def scene_with(folder, keys=None):
     """The crossing with a ferry for a ship, an island, and other keys of its camera."""
-    path = crossing(folder)
+    island = {"polygon_m": [[300, 20], [380, 10], [350, 90]], "height_m": 12}
+    path = crossing(folder, obstacles={"island": island})
     scene = json.loads(path.read_text())
     scene["cameras"]["C0"].update(keys or {})
     scene["vessels"]["ship"]["mesh"] = "ferry"
-    scene["obstacles"] = {"island": {"polygon_m": [[300, 20], [380, 10], [350, 90]], "height_m": 12}}
     path.write_text(json.dumps(scene))
     return load_scene(path)
 
@@ -121,20 +121,15 @@ def test_the_id_pass_goes_on_when_a_shaded_renderer_is_closed_or_forgotten(rende
 MATRIX = np.array([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]])
 
 
-def test_depth_is_that_of_the_face(shaded):
-    corners = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]])
-    faces = LitFaces(corners, np.array([[0.0, 0.0, -1.0]]), np.ones((1, 3)))
-    lit = shaded.draw(faces, MATRIX, 0.1, (100, 100), [], (1, 1, 1))
-    assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
-    assert lit.drawn[48, 50] and not lit.drawn[10, 10]
-
-
-def test_a_face_is_lightest_turned_to_the_lamp(shaded):
-    corners, found = np.array([[[-5.0, -5.0, 5.0], [5.0, -5.0, 5.0], [0.0, 5.0, 5.0]]]), []
+def test_depth_is_that_of_the_face_which_is_lightest_turned_to_the_lamp(shaded):
+    corners, found = np.array([[[-50.0, -50.0, 500.0], [50.0, -50.0, 500.0], [0.0, 50.0, 500.0]]]), []
     for normal in ((0, 0, -1), (0.6, 0, -0.8), (1, 0, 0)):
         faces = LitFaces(corners, np.array([normal], dtype=float), np.full((1, 3), 0.5))
         lamp = Lamp((0.0, 0.0, -1.0), (1, 1, 1), 2.0)
-        found.append(int(shaded.draw(faces, MATRIX, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1)).colour[50, 50, 0]))
+        lit = shaded.draw(faces, MATRIX, 0.1, (100, 100), [lamp], (0.1, 0.1, 0.1))
+        assert lit.depth_m[lit.drawn] == pytest.approx(500, rel=1e-4)
+        assert lit.drawn[48, 50] and not lit.drawn[10, 10]
+        found.append(int(lit.colour[48, 50, 0]))
     assert found[0] > found[1] > found[2] > 0
 
 
@@ -148,9 +143,10 @@ def test_a_face_reflects_by_lamberts_law():
     np.testing.assert_allclose(light[2], 0.05)  # turned away: the light from everywhere is left
 
 
-def test_sky_is_above_the_horizon_and_sea_below(shaded, solids):
+def test_sky_is_above_the_horizon_and_sea_below_and_an_empty_sea_is_drawn_too(shaded, solids):
     picture = painted(shaded, solids)
-    assert picture.shape == (480, 640, 3)
+    nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
+    assert picture.shape == painted(shaded, nobody).shape == (480, 640, 3)
     a, b, c = solids.sea_half_plane
     horizon = round(-(a * 400 + c) / b * 0.8)
     assert picture[horizon - 30, 5].sum() > picture[horizon + 30, 5].sum() + 100
@@ -159,24 +155,15 @@ def test_sky_is_above_the_horizon_and_sea_below(shaded, solids):
     assert deep.sum() < 0.6 * high.sum() and deep[2] > deep[0]
 
 
-def test_a_painter_used_before_draws_the_same_when_the_camera_has_moved(shaded, tmp_path):
-    pictures, used = [], ShadedPictureRenderer(shaded, DAYLIGHT)
-    for pitch in (0.0, 0.1):
-        (folder := tmp_path / f"{pitch}").mkdir()
-        scene = scene_with(folder, {"pose": {"position_m": [0, 0, 20], "pitch_rad": pitch}})
-        solids, window = Solids.at(scene, scene.cameras[0], 3), Window.whole((800, 600), 320)
-        pictures.append(np.asarray(used.picture(solids, window)))
-        np.testing.assert_array_equal(pictures[-1], ShadedPictureRenderer(shaded, DAYLIGHT).picture(solids, window))
-        np.testing.assert_array_equal(pictures[-1], used.picture(solids, window))
-    assert (pictures[0] != pictures[1]).any()
-
-
-def test_a_picture_after_many_is_the_first_one_of_its_step(shaded, scene):
+def test_a_painter_used_before_draws_the_same_at_other_steps_and_when_the_camera_has_moved(shaded, scene, tmp_path):
     """Only the rows that were drawn on are restored."""
-    used, window = ShadedPictureRenderer(shaded, DAYLIGHT), Window.whole((800, 600), 320)
-    for step in (3, 5, 0, 3):
-        solids = Solids.at(scene, scene.cameras[0], step)
-        np.testing.assert_array_equal(used.picture(solids, window), painted(shaded, solids, 320))
+    pictures, used = [], ShadedPictureRenderer(shaded, DAYLIGHT)
+    moved = scene_with(tmp_path, {"pose": {"position_m": [0, 0, 20], "pitch_rad": 0.1}})
+    for of, step in ((scene, 3), (scene, 5), (scene, 0), (scene, 3), (moved, 3), (moved, 3)):
+        solids, window = Solids.at(of, of.cameras[0], step), Window.whole((800, 600), 320)
+        pictures.append(np.asarray(used.picture(solids, window)))
+        np.testing.assert_array_equal(pictures[-1], painted(shaded, solids, 320))
+    assert (pictures[-3] != pictures[-2]).any()
 
 
 def test_sea_and_sky_are_drawn_once_for_a_camera_that_stays(shaded, monkeypatch):
@@ -257,12 +244,7 @@ def test_weather_is_said_to_be_an_illustration(shaded, solids):
     assert rows.min() > 440 and columns.min() == 0
 
 
-@pytest.mark.parametrize("value", [0.0, -5.0, math.inf, math.nan])
-def test_a_visibility_is_a_positive_distance(value):
-    with pytest.raises(ModsimError, match="--look fog"):
-        RenderStyle(shaded=True, visibility_m=value)
-
-
-def test_an_empty_sea_is_drawn_too(shaded, solids):
-    nobody = replace(solids, outlines=solids.outlines.take(np.array([], dtype=np.int64)))
-    assert painted(shaded, nobody, 320).shape == (240, 320, 3)
+def test_a_visibility_is_a_positive_distance():
+    for value in (0.0, -5.0, math.inf, math.nan):
+        with pytest.raises(ModsimError, match="--look fog"):
+            RenderStyle(shaded=True, visibility_m=value)

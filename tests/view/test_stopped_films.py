@@ -73,21 +73,19 @@ def entries(folder):
 def all_end(folder, within_s=20):
     """Whether all encoders that write to a folder end soon: they are asked to when the command does."""
     last_s = time.monotonic() + within_s
-    while encoders_of(folder) and time.monotonic() < last_s:
+    while any(encodes(path, folder) for path in Path("/proc").glob("[0-9]*/cmdline")):
+        if time.monotonic() > last_s:
+            return False
         time.sleep(0.05)
-    return not encoders_of(folder)
+    return True
 
 
-def encoders_of(folder):
-    found = []
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            command = path.read_bytes()
-        except OSError:
-            continue
-        if str(folder).encode() in command and b"ffmpeg" in command:
-            found.append(command)
-    return found
+def encodes(path, folder):
+    try:
+        command = path.read_bytes()
+    except OSError:
+        return False
+    return str(folder).encode() in command and b"ffmpeg" in command
 
 
 @pytest.mark.parametrize(("name", "number"), FILMS)
@@ -101,9 +99,11 @@ def test_a_stopped_film_leaves_nothing(stalled, tmp_path, name, number):
     assert entries(tmp_path) == [] and all_end(tmp_path)
 
 
-def test_a_stopped_film_replaces_nothing(stalled, tmp_path):
+def test_what_is_coming_is_said_before_it_is_drawn_and_a_stopped_film_replaces_nothing(stalled, tmp_path):
     (tmp_path / "film.mp4").write_bytes(b"the film before")
-    drawing = stalled(tmp_path / "film.mp4", "--overwrite")
+    drawing = stalled(tmp_path / "film.mp4", "--overwrite", frame=1)
+    assert drawing.stderr is not None
+    assert drawing.stderr.readline() == "film.mp4: 12 frames, 12.0 s at 5 pictures/s\n"
     drawing.send_signal(signal.SIGTERM)
     drawing.communicate(timeout=60)
     assert entries(tmp_path) == ["film.mp4"] and (tmp_path / "film.mp4").read_bytes() == b"the film before"
@@ -137,11 +137,3 @@ def test_a_killed_film_leaves_what_the_next_one_removes(stalled, run, prepared, 
     command = [prepared, "view", "film", run, "--kind", "detections", "--width", "320", "--out", tmp_path / "film.mp4"]
     subprocess.run(command, check=True, capture_output=True, timeout=60)
     assert entries(tmp_path) == ["film.mp4"]
-
-
-def test_what_is_coming_is_said_before_it_is_drawn(stalled, tmp_path):
-    drawing = stalled(tmp_path / "film.mp4", frame=1)
-    assert drawing.stderr is not None
-    assert drawing.stderr.readline() == "film.mp4: 12 frames, 12.0 s at 5 pictures/s\n"
-    drawing.send_signal(signal.SIGINT)
-    drawing.communicate(timeout=60)

@@ -16,7 +16,6 @@ from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, with_false, wri
 from tests.view.test_run_rerun import read, views
 
 STEPS, WIDTH, STEP = 12, 1600, 9
-FRAME = ("--width", WIDTH, "--layers", "tracks")
 
 
 @pytest.fixture(scope="module")
@@ -30,15 +29,14 @@ def tracks(rows, followed, tmp_path_factory):
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def drawn(monkeypatch, exact_run, out, *options):
-    """The picture of a step under the head line, with two of its pixels for one of the image."""
-    assert call(monkeypatch, "view", "frame", exact_run, STEP, *FRAME, *options, "--out", out) == 0
-    with Image.open(out) as picture:
-        return np.asarray(picture)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
-
-
-def test_a_box_has_its_tracks_colour_a_false_one_that_of_mistakes(monkeypatch, exact_run, followed, tracks, tmp_path):
-    picture = drawn(monkeypatch, exact_run, tmp_path / "a.png", "--tracks", tracks)
+def test_a_box_has_its_tracks_colour_and_trail_and_a_false_one_that_of_mistakes(
+    monkeypatch, capsys, exact_run, followed, tracks, tmp_path
+):
+    options = ("--width", WIDTH, "--layers", "tracks", "--tracks", tracks, "--out", tmp_path / "a.png")
+    assert call(monkeypatch, "view", "frame", exact_run, STEP, *options) == 0
+    assert followed.sentence() in " ".join(capsys.readouterr().out.split())
+    with Image.open(tmp_path / "a.png") as written:  # under the head line, with two pixels for one of the image
+        picture = np.asarray(written)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
     here = followed.rows_of(STEP)
     assert here.stop - here.start >= 3
     for number, (x0, y0, _, y1) in zip(followed.tracks.track[here], followed.tracks.boxes_px[here], strict=True):
@@ -47,13 +45,7 @@ def test_a_box_has_its_tracks_colour_a_false_one_that_of_mistakes(monkeypatch, e
         share = (left == colour).all(axis=-1).mean()
         assert share > (0.4 if number == FALSE_TRACK else 0.6), number  # a false one is dashed
     assert not (picture == palette.TRACKS[6]).all(axis=-1).any()
-
-
-def test_a_track_leaves_a_trail_where_its_centre_was(monkeypatch, exact_run, followed, tracks, tmp_path):
-    picture = drawn(monkeypatch, exact_run, tmp_path / "a.png", "--tracks", tracks)
-    last = slice(*np.searchsorted(followed.tracks.frame, (STEP, STEP + 1)))
-    row = last.start + followed.tracks.track[last].tolist().index(2)
-    trail = followed.trail_px(row)
+    trail = followed.trail_px(here.start + followed.tracks.track[here].tolist().index(2))
     assert len(trail) == 3  # a step a second, two seconds back
     for x, y in (trail[:-1] + trail[1:]) / 2:
         around = picture[int(2 * y) - 2 : int(2 * y) + 3, int(2 * x) - 2 : int(2 * x) + 3]
@@ -76,22 +68,21 @@ def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, 
     assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
 
 
-@pytest.mark.parametrize("task", [("film",), ("frame", 3)])
-def test_tracks_are_refused_where_they_are_not_drawn(monkeypatch, capsys, exact_run, tracks, tmp_path, task):
-    line = ("view", task[0], exact_run, *task[1:], "--kind", "scene", "--tracks", tracks, "--overwrite")
-    assert call(monkeypatch, *line) == 2
-    assert "--tracks works with --kind detections and all" in capsys.readouterr().err
-
-
-def test_tracks_of_an_interrupted_run_are_refused(monkeypatch, capsys, tmp_path, tracks):
+def test_tracks_are_refused_where_they_are_not_drawn_and_of_an_interrupted_run(
+    monkeypatch, capsys, exact_run, tmp_path, tracks
+):
+    for line in (("film", exact_run), ("frame", exact_run, 3)):
+        assert call(monkeypatch, "view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite") == 2
+        assert "--tracks works with --kind detections and all" in capsys.readouterr().err
     cut = interrupt(load_scene(str(crossing(tmp_path, 400)), source="analytic"), tmp_path / "cut")
     for line in (("report", cut), ("export", cut, "--format", "rerun"), ("view", "frame", cut, 0)):
         assert call(monkeypatch, *line, "--tracks", tracks, "--out", tmp_path / "x.png") == 2
         assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
 
 
-def test_rerun_has_the_tracks_with_number_and_vessel(monkeypatch, exact_run, rows, followed, tracks, tmp_path):
+def test_rerun_has_the_tracks_with_number_and_vessel(monkeypatch, capsys, exact_run, rows, followed, tracks, tmp_path):
     assert call(monkeypatch, "export", exact_run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path) == 0
+    assert followed.sentence() in " ".join(capsys.readouterr().out.split())
     found, names = read(tmp_path / "run.rrd"), [*rows.scene.vessel_names, "nothing"]
     for step in range(STEPS):
         here = followed.rows_of(step)
@@ -104,9 +95,3 @@ def test_rerun_has_the_tracks_with_number_and_vessel(monkeypatch, exact_run, row
         assert found["/counts/C0/false_tracks"][step]["scalars"] == [1]
     plot = views(tmp_path / "run.rrd")["tracks, and those on nothing"]
     assert plot == ("TimeSeries", ["/counts/C0/tracks", "/counts/C0/false_tracks"])
-
-
-def test_each_command_says_what_there_is_of_tracks(monkeypatch, capsys, exact_run, followed, tracks, tmp_path):
-    for line in (("export", exact_run, "--format", "rerun"), ("view", "frame", exact_run, STEP)):
-        assert call(monkeypatch, *line, "--tracks", tracks, "--out", tmp_path) == 0
-        assert followed.sentence() in " ".join(capsys.readouterr().out.split())

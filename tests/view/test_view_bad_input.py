@@ -62,13 +62,13 @@ def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, wo
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("kind", ["mp4", "gif", "png"])
-def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path, kind):
-    out = tmp_path / ("film" if kind == "png" else f"film.{kind}")
-    arguments = ("film", run, "--kind", "scene", "--width", 160, "--end", 1, "--format", kind, "--out", out)
-    assert view(monkeypatch, *arguments) == 0
-    assert "--overwrite" in refused(monkeypatch, capsys, *arguments)
-    assert view(monkeypatch, *arguments, "--overwrite") == 0
+def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path):
+    for name, kind in (("film.mp4", "mp4"), ("film.gif", "gif"), ("film", "png")):
+        arguments = ("film", run, "--kind", "scene", "--width", 160, "--end", 1, "--format", kind)
+        arguments += ("--out", tmp_path / name)
+        assert view(monkeypatch, *arguments) == 0
+        assert "--overwrite" in refused(monkeypatch, capsys, *arguments)
+        assert view(monkeypatch, *arguments, "--overwrite") == 0
 
 
 def test_a_folder_that_is_no_run_is_refused_and_one_with_other_things_gets_no_frames(
@@ -101,9 +101,8 @@ def broken_encoder(monkeypatch, folder, script):
 
 def test_an_encoder_that_fails_leaves_nothing(monkeypatch, capsys, run, tmp_path):
     out = broken_encoder(monkeypatch, tmp_path, "echo 'no such encoder' >&2\nexit 1")
-    with warnings.catch_warnings():
-        # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
-        warnings.simplefilter("ignore", ResourceWarning)
+    # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
+    with warnings.catch_warnings(action="ignore", category=ResourceWarning):
         said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", out / "film.mp4")
         gc.collect()
     assert "film.mp4 could not be encoded: no such encoder\n" in said and not list(out.iterdir())
