@@ -1,4 +1,5 @@
-"""Commands and Python of README and the pages of docs run as printed, in order, each page in an empty folder."""
+"""Commands and Python of README and the pages of docs run as printed, in order, each page in an empty folder; and files
+that they name are there."""
 
 import os
 import re
@@ -6,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import typer
@@ -78,3 +80,25 @@ def test_no_command_of_a_page_is_left_out():
             assert language or file, f"{page}: a fence without a language: {text[:60]}"
             if language == "sh":
                 assert all(re.match(r"(script/|pip install |\s*#|$)", line) for line in text.splitlines()), text
+
+
+def test_files_and_rooms_that_documents_name_are_there() -> None:
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md")]
+    readme, contributing, *docs = (page.read_text(encoding="utf-8") for page in pages)
+    named = set(re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.(?:py|md))?|[a-z_]+\.py)`", contributing))
+    assert len(named) > 30
+    named |= {*re.findall(r"\]\(([^)#:]+)\)", readme)}
+    named |= {name for text in (readme, contributing, *docs) for name in re.findall(r"modsim3d/[\w/]+\.\w+", text)}
+    missing = [name for name in named if not any((ROOT / top / name).exists() for top in ("", "modsim3d"))]
+    assert not missing
+
+
+def test_the_tables_of_rooms_are_those_of_the_contract() -> None:
+    """What `script/make_rooms` writes is there already."""
+    path = ROOT / "script" / "make_rooms"
+    module = ModuleType("make_rooms")
+    module.__file__ = str(path)
+    exec(compile(path.read_text(encoding="utf-8"), path, "exec"), vars(module))
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    assert module.page(text) == text
+    assert all(f"`{each.parent.name}/`" in text for each in (ROOT / "modsim3d").glob("*/__init__.py"))

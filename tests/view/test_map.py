@@ -1,4 +1,4 @@
-"""The scene from above: geometry first; what maps look like has been looked at."""
+"""The scene from above, alone and in films: geometry first; what maps look like has been looked at."""
 
 import math
 import subprocess
@@ -19,6 +19,7 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.scene.reading import load_scene
 from modsim3d.view import palette
+from modsim3d.view.films.renderer import MapFilmRenderer
 from modsim3d.view.map_marks import RINGS, BirdsEye, RangeRings, footprint, hull_m, ring_step, view_of
 from modsim3d.view.map_picture import Map, map_figure, map_height_px, map_picture
 from tests.scenes import INTRINSICS, crossing
@@ -283,3 +284,57 @@ def test_without_opengl_scenes_are_plain_and_shaded_ones_refused(monkeypatch, ca
     assert view(monkeypatch, "film", run, *options) == main.BAD_INPUT
     said = capsys.readouterr().err
     assert "libosmesa6" in said and "--look plain" in said
+
+
+ROUNDING = 2  # units of a colour: what stays above what moves is blended by its own 8 bits
+
+
+def birds_eye_of(name, steps):
+    scene = load_scene(name, steps=steps)
+    return BirdsEye(scene, steps, tuple(range(len(scene.cameras))))
+
+
+@pytest.fixture(scope="module", params=["simulation_1", "strait", "simulation_2"])
+def filmed(request):
+    """A camera ashore, one of two on board, and all on board."""
+    return birds_eye_of(request.param, 120)
+
+
+def test_a_frame_is_the_map_drawn_whole(filmed):
+    size = 800, map_height_px(filmed, 800)
+    film = MapFilmRenderer(filmed, size)
+    frames = {step: np.asarray(film.picture(step)).astype(int) for step in (119, 0)}
+    for step, frame in frames.items():
+        whole = np.asarray(map_picture(filmed, step, size)).astype(int)
+        assert np.abs(frame - whole).max() <= ROUNDING
+    assert (np.abs(frames[0] - frames[119]) > ROUNDING).any()
+
+
+def test_only_what_moves_is_drawn_again(filmed):
+    film, drawn = MapFilmRenderer(filmed, (640, map_height_px(filmed, 640))), []
+    sheet = film.map.sheet
+    for artist in film.map.figure.findobj():
+        artist.draw = lambda renderer, artist=artist: drawn.append(artist)
+    for step in (3, 4, 5):
+        film.picture(step)
+    assert len(drawn) == 3 * len(sheet.moving) and set(drawn) == set(sheet.moving)
+    tracks = [line for line in sheet.axes.lines if len(line.get_xdata()) == filmed.steps]
+    assert len(tracks) >= len(filmed.scene.vessels) and not set(tracks) & set(sheet.moving)
+
+
+def test_vessels_that_come_and_go_change_nothing_else():
+    """Their names, tracks and entries in the legend do not move the map."""
+    filmed = birds_eye_of("strait", 120)
+    places = [map_figure(filmed, step, 800).axes[0].get_window_extent().extents for step in (0, 60, 119)]
+    np.testing.assert_array_equal(places, places[:1] * 3)
+
+
+def test_a_vessel_that_is_absent_is_not_drawn(tmp_path):
+    scene = load_scene(crossing(tmp_path))
+    present = scene.poses.poses(0, scene.steps).present
+    (step, *_), (gone, *_) = np.nonzero(~present)
+    filmed = BirdsEye(scene, scene.steps, (0,))
+    film = MapFilmRenderer(filmed, (640, map_height_px(filmed, 640)))
+    film.picture(int(step))
+    shown = {name.vessel for name in film.map.sheet.names.names if name.middle_px is not None}
+    assert int(gone) not in shown and shown >= set(np.flatnonzero(present[step]).tolist())

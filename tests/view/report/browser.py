@@ -2,6 +2,7 @@
 
 import base64
 import fcntl
+import io
 import json
 import os
 import select
@@ -13,6 +14,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars", "--mute-audio",
@@ -120,6 +125,21 @@ class Browser:
             raise RuntimeError(json.dumps(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
+    def text(self, selector: str) -> str:
+        """The text of an element."""
+        return str(self.run(f"document.querySelector({json.dumps(selector)}).textContent"))
+
+    def pixels(self, canvas: str = "picture") -> NDArray[np.uint8]:
+        """All of what a canvas shows, shape (rows, columns, 4)."""
+        data = self.run(f"document.querySelector('#{canvas}').toDataURL()").partition(",")[2]
+        with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+            return np.asarray(image.convert("RGBA"))
+
+    def choose(self, select: str, value: str) -> None:
+        """Choose a value of a list, as a user does."""
+        chosen = f"select.value = {json.dumps(value)}; select.dispatchEvent(new Event('change'));"
+        self.run(f"(select => {{ {chosen} }})(document.querySelector('#{select}'))")
+
     def settle(self) -> None:
         """Let the browser draw, and scroll, what it was asked for."""
         self.run("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
@@ -130,10 +150,10 @@ class Browser:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0,
                       **(text if kind == "keyDown" else {}))  # fmt: skip
 
-    def tab(self) -> None:
-        """Press the Tab key: the focus goes on."""
+    def key(self, name: str, code: int) -> None:
+        """Press a key as the browser itself sees it: Tab moves the focus, Escape closes a dialog."""
         for kind in ("rawKeyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key="Tab", code="Tab", windowsVirtualKeyCode=9)
+            self.call("Input.dispatchKeyEvent", type=kind, key=name, code=name, windowsVirtualKeyCode=code)
 
     def click(self, selector: str, across: float = 0.5, down: float = 0.5) -> None:
         """Press the mouse on an element, at a share of its width and height."""

@@ -1,4 +1,6 @@
-"""Pages for those who use no mouse or do not see them: what axe-core finds, stops of the Tab key, keys on parts."""
+"""Pages for those who use no mouse or do not see them: what axe-core finds, stops of the Tab key, keys."""
+
+from pathlib import Path
 
 import pytest
 
@@ -30,7 +32,7 @@ def stops(browser, most):
     found: list[str] = []
     browser.run("document.activeElement.blur()")
     while len(found) < most:
-        browser.tab()
+        browser.key("Tab", 9)
         found.append(str(browser.run(STOPS)))
         if not found[-1] or found[-1] in found[:-1]:
             return found[:-1]
@@ -81,9 +83,43 @@ def test_keys_move_the_image_that_has_the_focus_and_step_otherwise(browser, page
         browser.press(key)
         assert browser.run("player.followed") == vessels[place]
     browser.press("ArrowRight")
-    said = browser.run("document.querySelector('#hint:not([hidden])').textContent")
+    said = browser.text("#hint:not([hidden])")
     assert "step 52:" in said and names[vessels[0]] in said
     attributes = "['role', 'aria-valuenow', 'aria-valuetext'].map(name => player.timeline.canvas.getAttribute(name))"
     assert browser.run(attributes) == ["slider", "52", said]
     browser.press("Escape")
     assert browser.run("document.querySelector('#hint').hidden")
+
+
+DOCUMENT = Path(__file__).parents[3] / "docs" / "report.md"
+LISTED = """[...document.querySelectorAll('#keys dl div')].map(row =>
+    [row.querySelector('dt').textContent.trim(), row.querySelector('dd').textContent])"""
+
+
+def documented() -> list[list[str]]:
+    lines = DOCUMENT.read_text(encoding="utf-8").partition("## Keys")[2].partition("\n## ")[0].splitlines()
+    rows = [line for line in lines if line.startswith("| ") and not line.startswith(("| Key", "|---"))]
+    return [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+
+
+def test_the_list_of_keys_is_that_of_the_document_takes_the_focus_and_gives_it_back(browser, page):
+    browser.open(page, hash="#step=50")
+    listed = browser.run(LISTED)
+    (of_tracks,) = [row for row in documented() if row[0] == "K"]
+    assert [row for row in documented() if row != of_tracks] == listed
+    browser.run("document.querySelector('#slider').focus()")
+    browser.press("?")
+    assert browser.run("document.querySelector('dialog').matches(':modal')")
+    assert browser.run("document.querySelector('dialog').contains(document.activeElement)")
+    browser.press("ArrowRight")  # belongs to the dialog now
+    assert browser.run("player.index") == 50
+    browser.key("Escape", 27)
+    assert not browser.run("document.querySelector('dialog').open")
+    assert browser.run("document.activeElement.id") == "slider"
+    browser.click("[data-do=keys]")
+    assert browser.run("document.querySelector('dialog').open")
+    browser.press("?")
+    assert not browser.run("document.querySelector('dialog').open")
+    browser.run("document.querySelector('#find').focus()")
+    browser.press("n")  # a letter of the search
+    assert browser.run("[player.index, document.querySelector('#find').value]") == [50, "n"]

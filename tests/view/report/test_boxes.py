@@ -3,9 +3,6 @@
 import numpy as np
 import pytest
 
-from tests.view.report.test_keys import escape
-from tests.view.report.test_page_in_browser import differ, pixels
-
 SEPARATE = """(() => { // a detection that no other box touches, as [step, vessel, x, y of its middle on the canvas]
   for (let index = 0; index < player.recording.length; index++) {
     player.go(index);
@@ -31,7 +28,7 @@ def separate(browser, wrong):
 def assert_ring(browser, truth):
     """White on the left of a vessel."""
     x, y = browser.run(f"(({{ full: [x0, y0, x1, y1] }}) => player.picture.toCanvas(x0, (y0 + y1) / 2))({truth})")
-    left = pixels(browser)[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
+    left = browser.pixels()[int(y), max(int(x) - 13, 0) : int(x) - 4, :3]
     assert (left.min(axis=1) > 240).any()
 
 
@@ -50,7 +47,7 @@ def opened(browser, mistaken_page):
 def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
     index, vessel, _, x, y = separate(opened, wrong=False)
     opened.run(f"player.go({index})")
-    before = pixels(opened)
+    before = opened.pixels()
     opened.hover(*over(opened, x, y))
     tip = opened.run("document.querySelector('.tip').innerText")
     name, found, truth = opened.run(
@@ -68,28 +65,28 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
         "(([x0, y0, x1, y1]) => [...player.picture.toCanvas(x0, y0), ...player.picture.toCanvas(x1, y1)])"
         f"({[*np.minimum(a[:2], b[:2]).tolist(), *np.maximum(a[2:], b[2:]).tolist()]})"
     )
-    changed_rows, changed_columns = np.nonzero(np.any(pixels(opened) != before, axis=-1))
+    changed_rows, changed_columns = np.nonzero(np.any(opened.pixels() != before, axis=-1))
     near = np.abs(changed_columns - (left + right) / 2) < (right - left) / 2 + 200
     near &= np.abs(changed_rows - (top + bottom) / 2) < (bottom - top) / 2 + 90
     assert near.any() and not near.all()  # wider lines, and pale ones
     opened.hover("#slider", 0.5, 0.5)
-    assert opened.run("document.querySelector('.tip').hidden") and not differ(pixels(opened), before)
+    assert opened.run("document.querySelector('.tip').hidden") and np.array_equal(opened.pixels(), before)
 
 
 def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
     index, vessel, _, x, y = separate(opened, wrong=False)
     opened.run(f"player.go({index})")
-    timeline = pixels(opened, "timeline")
+    timeline = opened.pixels("timeline")
     opened.click(*over(opened, x, y))
     assert opened.run("player.followed") == vessel
     name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
-    assert name in opened.run("document.querySelector('#vessels tr.followed').textContent")
-    assert opened.run("document.querySelector('#chosen').textContent").startswith(name)
-    assert differ(pixels(opened, "timeline"), timeline)
+    assert name in opened.text("#vessels tr.followed")
+    assert opened.text("#chosen").startswith(name)
+    assert not np.array_equal(opened.pixels("timeline"), timeline)
     opened.hover("#slider", 0.5, 0.5)
     assert_ring(opened, f"player.stage.frames[0].truths.find(each => each.vessel === {vessel})")
-    escape(opened)
-    assert opened.run("player.followed") is None and not differ(pixels(opened, "timeline"), timeline)
+    opened.key("Escape", 27)
+    assert opened.run("player.followed") is None and np.array_equal(opened.pixels("timeline"), timeline)
     opened.run("player.go(30)")  # a vessel that is chosen on the timeline has the ring too
     row = opened.run(
         "player.timeline.vessels.findIndex(vessel => player.stage.frames[0].truths.some(each => "
@@ -105,13 +102,13 @@ def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
 def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(opened):
     index, _, place, x, y = separate(opened, wrong=True)
     opened.run(f"player.go({index})")
-    closeup = pixels(opened, "closeup")
+    closeup = opened.pixels("closeup")
     opened.click(*over(opened, x, y))
     assert opened.run("[player.alarm, player.followed]") == [place, None]
     found = opened.run(f"player.stage.frames[0].detections[{place}]")
-    said = opened.run("document.querySelector('#chosen').textContent")
+    said = opened.text("#chosen")
     assert "false" in said and f"{found['label']} {found['confidence']:.2f}" in said
-    assert differ(pixels(opened, "closeup"), closeup)
+    assert not np.array_equal(opened.pixels("closeup"), closeup)
     opened.press("ArrowRight")
     assert opened.run("player.alarm") is None
 
@@ -143,5 +140,5 @@ def test_a_tap_chooses_the_vessel_and_says_what_it_is(opened):
     opened.run(f"new Promise(done => {{ {look} }})")
     assert opened.run("player.followed") == vessel
     name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
-    assert opened.run("document.querySelector('#note').textContent").startswith(name)
+    assert opened.text("#note").startswith(name)
     assert opened.run("document.querySelector('.tip').hidden")

@@ -14,7 +14,6 @@ from modsim3d.view import palette
 from modsim3d.view.report.report import write_report
 from tests.scenes import write_scene
 from tests.view.report.sight import CVD, contrast
-from tests.view.report.test_page_in_browser import pixels
 
 DESK, TABLET, PHONE = (1440, 1000), (1024, 768), (390, 844)
 MEASURE = Path(__file__).with_name("layout.js").read_text(encoding="utf-8")
@@ -136,7 +135,7 @@ def test_what_went_wrong_stands_in_rows_of_its_own_whatever_a_vessels_colour(bro
     seen_top, seen, marks = player_value(browser, "[seenTopOf(true), SEEN_PX, MARK_ROW_PX]")
     alarm = tuple(map(int, player_value(browser, "colourOf('--alarm')")[4:-1].split(",")))
     browser.run("player.go(player.recording.length - 1)")  # the playhead stands at the end
-    picture = pixels(browser, "timeline")[:, int(left) + 1 : -12]
+    picture = browser.pixels("timeline")[:, int(left) + 1 : -12]
     found = 0
     for top in (round(row) for row in rows):
         gap_above, gap_below = picture[top + seen_top - 1], picture[top + seen_top + seen]
@@ -155,14 +154,14 @@ def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(b
     assert vessels == BOATS and row >= 14
     whole, shown = browser.run("(p => [p.scrollHeight, p.clientHeight])(player.timeline.panel)")
     assert shown <= 500 < whole
-    before = pixels(browser, "timeline")
+    before = browser.pixels("timeline")
     browser.run(f"player.choose({vessels - 1})")
     browser.settle()
-    after = pixels(browser, "timeline")
+    after = browser.pixels("timeline")
     top, rows_top, rows = browser.run("(t => [t.topOf(t.followed), t.rowsTop, t.rowsPx])(player.timeline)")
     assert rows_top <= top <= rows_top + rows - row
     assert (after[int(rows_top + rows) :] == before[int(rows_top + rows) :]).all()  # the axis
     assert (after[: int(rows_top)] == before[: int(rows_top)]).all()
     assert (after[int(top) : int(top + row), 8:120, 3] > 128).sum() > 30  # the name
     browser.hover("#timeline", 0.5, (top + row / 2) / browser.run("player.timeline.height"))
-    assert f"boat_{vessels - 1}" in browser.run("document.querySelector('#hint').textContent")
+    assert f"boat_{vessels - 1}" in browser.text("#hint")

@@ -1,9 +1,10 @@
-"""The table of a run's page: every column of the truth of the chosen frame, as it is in the run's tables."""
+"""The list of vessels of a run's page, and the tables of all numbers of the chosen frame."""
 
 import math
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+import pytest
 
 STEP = 90
 ROWS = "[...document.querySelectorAll('#{} tr')].map(row => [...row.cells].map(cell => cell.textContent))"
@@ -86,3 +87,54 @@ def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(
     assert browser.run("player.alarm") is None  # that was one of another frame
     browser.run(f"(player.go({STEP}), {click})")
     assert browser.run("player.alarm") == place >= 0
+
+
+LISTED = "[...document.querySelectorAll('#vessels tr')].map(row => row.querySelector('button').textContent)"
+FIND = "(find => {{ find.value = '{}'; find.dispatchEvent(new Event('input')); }})(document.querySelector('#find'))"
+HERE = "player.stage.frames[0].truths"
+VESSELS = "player.recording.facts.vessels"
+
+
+@pytest.fixture
+def opened(browser, mistaken_page):
+    browser.open(mistaken_page, hash="#step=100")
+    return browser
+
+
+def test_the_list_is_sorted_by_what_is_asked_for_and_says_so_and_stays_while_the_run_plays(opened):
+    scene = opened.run(LISTED)
+    opened.click("[data-order=distance]")
+    assert opened.text("th[aria-sort]") == "Distance"
+    here = opened.run(f"{HERE}.toSorted((a, b) => a.depth - b.depth).map(({{ vessel }}) => {VESSELS}[vessel].name)")
+    assert opened.run(LISTED)[: len(here)] == here and set(opened.run(LISTED)) == set(scene)
+    opened.click("[data-order=distance]")
+    assert opened.run("document.querySelector('th[aria-sort]').ariaSort") == "descending"
+    assert opened.run(LISTED)[: len(here)] == here[::-1]  # who is not in the image stays at the end
+    opened.click("[data-order=distance]")
+    assert opened.run(LISTED) == scene and opened.run("document.querySelector('th[aria-sort]')") is None
+    opened.click("[data-order=outcome]")
+    ranks = opened.run(f"{LISTED}.map(name => {HERE}.find(({{ vessel }}) => {VESSELS}[vessel].name === name)?.missed)")
+    missed = ranks.count(True)
+    assert missed > 0 and ranks[:missed] == [True] * missed
+    opened.run("player.go(0)")
+    opened.choose("which", "missed")
+    before = opened.run(LISTED)
+    opened.run("(player.playback.playing = true, player.go(100))")  # as the clock does
+    assert opened.run(LISTED) == before
+    opened.run("player.play(false)")
+    assert opened.run(LISTED) != before
+    opened.choose("which", "all")
+
+
+def test_the_list_shows_only_what_is_asked_for(opened):
+    for which, test in (("here", "true"), ("missed", "missed")):
+        opened.choose("which", which)
+        expected = opened.run(f"{HERE}.filter(({{ missed }}) => {test}).map(({{ vessel }}) => {VESSELS}[vessel].name)")
+        assert sorted(opened.run(LISTED)) == sorted(expected)
+    opened.choose("which", "all")
+    every = opened.run(LISTED)
+    opened.run(FIND.format("BOAT"))
+    assert 0 < len(opened.run(LISTED)) < len(every)
+    labels = opened.run(f"Object.fromEntries({VESSELS}.map(({{ name, label }}) => [name, label]))")
+    assert opened.run(LISTED) == [name for name in every if "boat" in f"{name} {labels[name]}"]
+    assert opened.text("#listed") == f"{len(opened.run(LISTED))} of {len(every)}"

@@ -1,13 +1,10 @@
 """The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
 
-import base64
-import io
 import json
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from modsim3d import load_scene, open_run, run_scene
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
@@ -20,17 +17,6 @@ from tests.view.report.conftest import HOSTILE, STEPS
 
 FLAGS = {"false": Outcome.FALSE_POSITIVE, "mislabelled": Outcome.MISLABELLED}
 FLAGS |= {"bad": Outcome.BELOW_HALF_IOU, "off": Outcome.OFF_VESSEL}
-
-
-def pixels(browser, canvas="picture"):
-    """All of what a canvas shows, shape (rows, columns, 4)."""
-    data = browser.run(f"document.querySelector('#{canvas}').toDataURL()").partition(",")[2]
-    with Image.open(io.BytesIO(base64.b64decode(data))) as image:
-        return np.asarray(image.convert("RGBA"))
-
-
-def differ(a, b):
-    return a.shape != b.shape or bool(np.any(a != b))
 
 
 @pytest.fixture(scope="module")
@@ -48,19 +34,19 @@ def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_a
     browser.open(page, hash=f"#step={crowded}")
     assert browser.run("player.recording.length") == STEPS
     assert browser.run("document.querySelector('#failure').hidden")
-    before = pixels(browser)
+    before = browser.pixels()
     slide = "slider.value = 20; slider.dispatchEvent(new Event('input'));"
     browser.run(f"(slider => {{ {slide} }})(document.querySelector('#slider'))")
     assert browser.run("player.index") == 20
-    assert "step 20 of" in browser.run("document.querySelector('#status').textContent")
-    assert differ(pixels(browser), before)
+    assert "step 20 of" in browser.text("#status")
+    assert not np.array_equal(browser.pixels(), before)
     left, wide = browser.run("[player.timeline.left, player.timeline.wide]")
     across = (left + 0.75 * wide) / (left + wide)
     browser.hover("#timeline", across, 0.1)
     browser.click("#timeline", across, 0.1)
     index = browser.run("player.index")
     assert index == pytest.approx(0.75 * STEPS, abs=1)
-    assert f"step {index}:" in browser.run("document.querySelector('#hint').textContent")
+    assert f"step {index}:" in browser.text("#hint")
     top, row, height, vessels = browser.run("(t => [t.rowsTop, t.rowPx, t.height, t.vessels])(player.timeline)")
     browser.click("#timeline", 0.9, (top + 1.5 * row) / height)
     assert browser.run("player.followed") == vessels[1]
@@ -70,14 +56,14 @@ def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_a
 def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, crowded):
     browser.open(page, hash=f"#step={crowded}")
     browser.press("9")  # false positives may be far from any vessel
-    everything = pixels(browser)
+    everything = browser.pixels()
     names = browser.run("Object.keys(player.shown)")
     assert names == ["silhouettes", "full", "visible", "detections", "false", "missed", "labels", "names"]
     for number, name in enumerate(names, start=1):
         browser.click(f"#layer-{name}")
-        assert differ(pixels(browser), everything), name
+        assert not np.array_equal(browser.pixels(), everything), name
         browser.press(str(number))
-        assert not differ(pixels(browser), everything), name
+        assert np.array_equal(browser.pixels(), everything), name
     rows = "player.recording[name](player.index, player.camera).length"
     own = browser.run(f"['shapes', 'truths', 'detections'].reduce((sum, name) => sum + {rows}, 0)")
     for key in ("ArrowLeft", "ArrowRight"):
@@ -92,7 +78,7 @@ def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, 
     browser.run(f"(() => {{ {only} }})()")
     run = open_run(run_folder)
     (frame,) = [each for each in run.frames(crowded, crowded + 1) if each.camera == "C1"]
-    picture, boxes, looked_at = pixels(browser), frame.truth.full_boxes_px, 0
+    picture, boxes, looked_at = browser.pixels(), frame.truth.full_boxes_px, 0
     for name, box in zip(frame.truth.vessels, boxes, strict=True):
         others = boxes[np.any(boxes != box, axis=1)]
         x, y = (box[:2] + box[2:]) / 2
@@ -135,11 +121,6 @@ def test_keyboard_alone_is_enough(browser, page):
     assert browser.run("[player.index, player.playing]") == [before + 1, False]
 
 
-def choose(browser, select, value):
-    chosen = f"select.value = {json.dumps(value)}; select.dispatchEvent(new Event('change'));"
-    browser.run(f"(select => {{ {chosen} }})(document.querySelector('#{select}'))")
-
-
 def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
     run, occluded, states = open_run(mistaken_folder), {}, []
     names = run.scene.vessel_names
@@ -166,7 +147,7 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
     assert set(kinds) == {kind for kind, found in wrong.items() if found} >= {"hidden", "state", *FLAGS}
     assert sum(before != after for before, after in pairwise(states)) == 1
     for kind in kinds:
-        choose(browser, "kind", kind)
+        browser.choose("kind", kind)
         moments = browser.run("player.moments.list")
         covered = {
             (step, None if moment["vessel"] is None else names[moment["vessel"]])
@@ -178,7 +159,7 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         assert {(moment["until"] + 1, moment["vessel"]) for moment in moments}.isdisjoint(starts)
         listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
         assert listed == ["", *map(str, range(len(moments)))]
-        choose(browser, "moment", str(len(moments) - 1))
+        browser.choose("moment", str(len(moments) - 1))
         assert browser.run("player.index") == moments[-1]["index"]
         if kind != "state":
             assert browser.run("player.followed") == moments[-1]["vessel"]
@@ -186,12 +167,12 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
 
 def test_what_is_wrong_is_in_picture_and_list_and_the_whole_image_comes_for_what_is_outside(browser, mistaken_page):
     browser.open(mistaken_page)
-    choose(browser, "kind", "false")
+    browser.choose("kind", "false")
     browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
     browser.press("n")
     boxes = browser.run("player.recording.detections(player.index, player.camera).filter(each => each.false)")
     assert boxes and all(browser.run(f"player.picture.shows({json.dumps(each['box'])})") for each in boxes)
-    choose(browser, "kind", "mislabelled")
+    browser.choose("kind", "mislabelled")
     browser.press("n")
     vessel = browser.run("player.followed")
     detections = "player.recording.detections(player.index, player.camera)"
@@ -204,17 +185,17 @@ def test_what_is_wrong_is_in_picture_and_list_and_the_whole_image_comes_for_what
     assert plate["colour"] == browser.run("player.recording.facts.colours.alarm")
     chosen = "document.querySelector('#vessels tr.chosen').textContent"
     assert f"as {found['label']}" in browser.run(chosen)
-    choose(browser, "kind", "off")
+    browser.choose("kind", "off")
     browser.press("n")
     assert "off it" in browser.run(chosen)
-    assert "off their vessel" in browser.run("document.querySelector('#status').textContent")
+    assert "off their vessel" in browser.text("#status")
 
 
 def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
     browser.open(mistaken_page)
     for name in ("labels", "false", "missed"):
         browser.click(f"#layer-{name}")
-    choose(browser, "kind", "off")
+    browser.choose("kind", "off")
     apart, place, box, truth = browser.run(
         "player.moments.list.map(({ index, vessel }, place) => {"
         "  const box = player.recording.detections(index, 0).find(each => each.vessel === vessel && !each.false).box;"
@@ -222,13 +203,13 @@ def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
         "  const apart = Math.max(truth[0] - box[2], box[0] - truth[2], truth[1] - box[3], box[1] - truth[3]);"
         "  return [apart, place, box, truth]; }).sort((a, b) => b[0] - a[0])[0]"
     )
-    choose(browser, "moment", str(place))
+    browser.choose("moment", str(place))
     browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
     middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
     end = np.clip(middle, truth[:2], truth[2:])
     assert apart > 3
     column, row = browser.run(f"player.picture.toCanvas({', '.join(map(str, (0.8 * middle + 0.2 * end).tolist()))})")
-    around = pixels(browser)[int(row) - 1 : int(row) + 3, int(column) - 1 : int(column) + 3, :3].reshape(-1, 3)
+    around = browser.pixels()[int(row) - 1 : int(row) + 3, int(column) - 1 : int(column) + 3, :3].reshape(-1, 3)
     assert (np.abs(around.astype(int) - palette.ALARM).sum(axis=1) < 90).any()
 
 
@@ -245,13 +226,13 @@ def test_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page)
 def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     colour = "getComputedStyle(document.body).backgroundColor"
     browser.open(page)
-    light, timeline = browser.run(colour), pixels(browser, "timeline")
+    light, timeline = browser.run(colour), browser.pixels("timeline")
     browser.scheme("dark")
     dark = browser.run(f"new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done({colour}))))")
     assert sum(map(int, dark[4:-1].split(","))) < 150 < 600 < sum(map(int, light[4:-1].split(",")))
-    assert differ(pixels(browser, "timeline"), timeline)
+    assert not np.array_equal(browser.pixels("timeline"), timeline)
     browser.click("#theme")
-    assert browser.run(colour) == light and not differ(pixels(browser, "timeline"), timeline)
+    assert browser.run(colour) == light and np.array_equal(browser.pixels("timeline"), timeline)
 
 
 def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
@@ -260,8 +241,8 @@ def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
         browser.press(key)
     browser.hover("#timeline", 0.5, 0.8)
     assert browser.run("window.hacked") is None and browser.run("document.images.length") == 0
-    assert HOSTILE in browser.run("document.querySelector('#vessels').textContent")
-    assert "{{columns}} & ${name}" in browser.run("document.querySelector('section:nth-of-type(3)').textContent")
+    assert HOSTILE in browser.text("#vessels")
+    assert "{{columns}} & ${name}" in browser.text("section:nth-of-type(3)")
 
 
 def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tmp_path):
@@ -276,7 +257,7 @@ def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tm
 
     def status(step: int) -> str:
         browser.run(f"player.go({step})")
-        return str(browser.run("document.querySelector('#status').textContent"))
+        return str(browser.text("#status"))
 
     assert "no frame yet" in status(1) and browser.run("player.recording.truths(1, 1).length") == 0
     assert "frame" not in status(2)

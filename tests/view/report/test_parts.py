@@ -1,17 +1,18 @@
 """A recording in parts: the same frames, moments and counts wherever it is cut, and what the browser makes of them."""
 
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.view.report import overview, part_columns
-from modsim3d.view.report.overview import Overview, ShownRows, VesselOutcome, steps_in_a_bin
+from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows, VesselOutcome, steps_in_a_bin
 from modsim3d.view.report.packing import StretchesBuilder
 from modsim3d.view.report.recorder import clock, recording, said
 from modsim3d.view.report.report import parts_folder, write_report
@@ -209,7 +210,7 @@ def test_a_part_that_is_missing_is_said(browser, cut_pages, tmp_path):
     (parts_folder(page) / "A-3.js").unlink()
     browser.open(page)
     browser.run(f"player.go({3 * PART})")
-    assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")
+    assert "A-3.js cannot be read" in browser.text("#failure")
     assert browser.run("Promise.resolve(player.go(0)).then(() => document.querySelector('#failure').hidden)")
     wait = "new Promise(done => setTimeout(done, 100))"
     browser.run(f"Promise.resolve(player.go({3 * PART - AROUND})).then(() => {wait})")  # near it
@@ -223,4 +224,40 @@ def test_a_part_that_is_cut_off_is_said(browser, cut_pages, tmp_path):
     (parts_folder(page) / "A-3.js").write_text("", encoding="utf-8")
     browser.open(page)
     browser.run(f"Promise.race([player.go({3 * PART}), new Promise(done => setTimeout(done, 1000))])")
-    assert "A-3.js cannot be read" in browser.run("document.querySelector('#failure').textContent")
+    assert "A-3.js cannot be read" in browser.text("#failure")
+
+
+STEPS, VESSELS = 12, 3
+FRACTIONS = st.sampled_from([None, 0, 250, *(int(limit) + k for limit in (BEGINS, ENDS) for k in (-1, 0, 1))])
+RUNS = st.lists(st.lists(FRACTIONS, min_size=STEPS, max_size=STEPS), min_size=VESSELS, max_size=VESSELS)
+
+
+def slowly(fractions: list[int | None]) -> list[bool]:
+    """Whether one vessel is occluded at each step; it is not where it is not in the image."""
+    occluded, found = False, []
+    for fraction in fractions:
+        occluded = fraction is not None and fraction <= (ENDS if occluded else BEGINS)
+        found.append(occluded)
+    return found
+
+
+@settings(max_examples=60, deadline=None)
+@given(RUNS, st.sets(st.integers(1, STEPS - 1)))
+def test_occlusions_are_those_of_a_loop_over_steps_whatever_the_parts(fractions, cuts):
+    overview = Overview(STEPS, VESSELS, 1)
+    for start, stop in pairwise([0, *sorted(cuts), STEPS]):
+        rows = [(i, v, fractions[v][i]) for i in range(start, stop) for v in range(VESSELS)]
+        overview.add(shown_rows(np.arange(start, stop), [row for row in rows if row[2] is not None]))
+    onsets = overview.stretches("hidden")
+    found = np.zeros((VESSELS, STEPS), dtype=bool)
+    for vessel, first, until in zip(onsets.key, onsets.first, onsets.until, strict=True):
+        found[vessel, first : until + 1] = True
+    np.testing.assert_array_equal(found, [slowly(each) for each in fractions])
+
+
+def shown_rows(index, rows):
+    """One camera at some steps: the step, the vessel and the visible fraction in 250ths of each row of the truth."""
+    at, vessel, fraction = np.array(rows, dtype=np.int64).reshape(-1, 3).T
+    none, every = np.empty(0, dtype=np.int64), np.ones(len(at), dtype=bool)
+    of_truth = (at, vessel, every, ~every, fraction, np.zeros((len(at), 2), dtype=np.int64))
+    return ShownRows(index, np.zeros_like(index), *of_truth, none, none, none.astype(np.uint8))

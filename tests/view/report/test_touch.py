@@ -74,7 +74,7 @@ def test_the_wheel_scrolls_the_page_and_with_control_zooms_towards_the_mouse(bro
     look = f"const look = () => scrollY > {top} ? done(1) : requestAnimationFrame(look); look();"
     browser.run(f"new Promise(done => {{ {look} }})")
     assert browser.run(VIEW) == before
-    assert "wheel zooms" in browser.run("document.querySelector('.how:not([hidden])').textContent")
+    assert "wheel zooms" in browser.text(".how:not([hidden])")
     browser.wheel("#picture", -400, control=True)
     after = browser.run(VIEW)
     assert after["width"] == pytest.approx(before["width"] / np.e, rel=1e-3)

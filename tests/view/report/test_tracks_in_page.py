@@ -8,7 +8,6 @@ from modsim3d.view.report.report import write_report
 from tests.command_line import call
 from tests.view.made_tracks import FALSE_TRACK, write_csv
 from tests.view.report.conftest import FALSE, SWAP
-from tests.view.report.test_page_in_browser import differ, pixels
 from tests.view.report.unpacking import read
 
 LANE = "player.lanes.lanes.find(lane => lane.number === {})"
@@ -29,7 +28,7 @@ def test_each_track_has_a_lane_with_marks_of_a_swap_and_a_false_one_of_nothing(b
         expected = numbers[np.argsort(first, kind="stable")].tolist()
         assert browser.run("player.lanes.lanes.map(lane => lane.number)") == expected and len(expected) > 2
         browser.press("c")
-    assert followed.sentence() in browser.run("document.querySelector('header').textContent")
+    assert followed.sentence() in browser.text("header")
 
 
 def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_there(browser, tracks_page, pair):
@@ -38,21 +37,21 @@ def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_t
     for step, vessel in ((SWAP - 3, pair[0]), (SWAP + 3, pair[1])):
         browser.run("player.lanes.panel.scrollTop = 0")
         x, y = browser.run(f"[player.timeline.x({step} + 0.5), ({at} + 0.4) * 13]")
-        np.testing.assert_array_equal(pixels(browser, "lanes")[int(y), int(x), :3], palette.vessel_colour(vessel))
+        np.testing.assert_array_equal(browser.pixels("lanes")[int(y), int(x), :3], palette.vessel_colour(vessel))
     x, wide = browser.run(f"[player.timeline.x({SWAP + 3.5}), player.timeline.canvas.clientWidth]")
     browser.click("#lanes", x / wide, (at + 0.5) * 13 / high)
     assert browser.run("[player.index, player.followed]") == [SWAP + 3, pair[1]]
-    said = browser.run("document.querySelector('#laneHint').textContent")
+    said = browser.text("#laneHint")
     assert f"step {SWAP + 3}:" in said and f"track {pair[0]} follows " in said
 
 
 def test_boxes_of_tracks_are_hidden_and_shown_by_key_and_by_mouse(browser, tracks_page):
     browser.open(tracks_page, hash=f"#step={SWAP}")
-    with_boxes = pixels(browser)
+    with_boxes = browser.pixels()
     browser.press("k")
-    assert differ(pixels(browser), with_boxes)
+    assert not np.array_equal(browser.pixels(), with_boxes)
     browser.click("#layer-tracks")
-    assert not differ(pixels(browser), with_boxes)
+    assert np.array_equal(browser.pixels(), with_boxes)
     browser.press("ArrowRight")
     assert browser.run("player.index") == SWAP + 1
 
@@ -99,7 +98,7 @@ def test_the_similarity_is_an_option_and_in_the_legend(monkeypatch, browser, run
     options = ("--similarity", "centre:150", "--threshold", 0.3, "--every", 20)
     assert call(monkeypatch, "report", run_folder, "--tracks", file, *options, "--out", out) == 0
     browser.open(out)
-    assert "1 - distance of centres / 150 px below 0.3" in browser.run("document.querySelector('#legend').textContent")
+    assert "1 - distance of centres / 150 px below 0.3" in browser.text("#legend")
 
 
 def test_the_similarity_needs_tracks_and_missing_tracks_are_one_message(monkeypatch, capsys, run_folder, tmp_path):
