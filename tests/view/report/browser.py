@@ -150,6 +150,11 @@ class Browser:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0,
                       **(text if kind == "keyDown" else {}))  # fmt: skip
 
+    def after(self, key: str, script: str) -> Any:
+        """The value of a script after a key."""
+        self.press(key)
+        return self.run(script)
+
     def key(self, name: str, code: int) -> None:
         """Press a key as the browser itself sees it: Tab moves the focus, Escape closes a dialog."""
         for kind in ("rawKeyDown", "keyUp"):
@@ -157,18 +162,18 @@ class Browser:
 
     def click(self, selector: str, across: float = 0.5, down: float = 0.5) -> None:
         """Press the mouse on an element, at a share of its width and height."""
-        x, y = self._place(selector, across, down)
+        x, y = self.place(selector, across, down)
         self.mouse("mouseMoved", x, y)
         for kind in ("mousePressed", "mouseReleased"):
             self.mouse(kind, x, y, button="left", clickCount=1)
 
     def hover(self, selector: str, across: float, down: float) -> None:
-        self.mouse("mouseMoved", *self._place(selector, across, down))
+        self.mouse("mouseMoved", *self.place(selector, across, down))
 
     def wheel(self, selector: str, by: float, control: bool = False) -> None:
         """Turn the wheel over the middle of an element, with or without the Ctrl key."""
         modifiers = 2 if control else 0
-        self.mouse("mouseWheel", *self._place(selector, 0.5, 0.5), deltaX=0, deltaY=by, modifiers=modifiers)
+        self.mouse("mouseWheel", *self.place(selector), deltaX=0, deltaY=by, modifiers=modifiers)
 
     def fingers(self, *places: Sequence[tuple[float, float]]) -> None:
         """Put fingers on the window at the first places, move them to each of the next, and lift them."""
@@ -180,7 +185,8 @@ class Browser:
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
-    def _place(self, selector: str, across: float, down: float) -> tuple[float, float]:
+    def place(self, selector: str, across: float = 0.5, down: float = 0.5) -> tuple[float, float]:
+        """Where an element is that is scrolled into sight, at a share of its width and height."""
         box = self.run(
             f"(() => {{ const e = document.querySelector({json.dumps(selector)}); "
             "e.scrollIntoView({block: 'center', behavior: 'instant'});"

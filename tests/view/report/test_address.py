@@ -39,17 +39,18 @@ def test_the_address_follows_step_camera_vessel_and_layers_and_brings_them_back(
     assert browser.run(SETTLED) == address
     browser.open(page, hash=address)
     shown = "Object.keys(player.shown).filter(name => player.shown[name]).join(',')"
-    state = f"[player.index, player.camera, player.followed, {shown}]"
-    assert browser.run(state) == [120, 1, 2, layers]
-    controls = "[document.querySelector('#layer-silhouettes').checked, document.querySelector('#camera').value]"
-    assert browser.run(controls) == [False, "1"]
+    controls = "document.querySelector('#layer-silhouettes').checked, document.querySelector('#camera').value"
+    state = f"[player.index, player.camera, player.followed, {shown}, {controls}]"
+    assert browser.run(state) == [120, 1, 2, layers, False, "1"]
     browser.run("(location.hash = '#step=50&camera=C1', new Promise(done => setTimeout(done, 50)))")
     usual = "silhouettes,full,visible,detections,false,missed,labels"
-    assert browser.run(state) == [50, 0, None, usual]  # what a link leaves out is as usual, also in an open page
+    # What a link leaves out is as usual, also in an open page.
+    assert browser.run(state) == [50, 0, None, usual, True, "0"]
 
 
-def test_the_link_is_copied_or_offered_in_a_field(browser, page):
+def test_the_link_is_copied_or_offered_in_a_field_and_the_picture_is_saved_with_a_caption(browser, page, tmp_path):
     browser.call("Browser.grantPermissions", permissions=["clipboardReadWrite", "clipboardSanitizedWrite"])
+    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     browser.open(page, hash="#step=40")
     browser.press("ArrowRight")
     browser.click("[data-do=link]")
@@ -60,13 +61,8 @@ def test_the_link_is_copied_or_offered_in_a_field(browser, page):
     field = "(field => [field.value, field.selectionEnd - field.selectionStart])(document.activeElement)"
     link = browser.run("location.href")
     assert browser.run(field) == [link, len(link)]
-
-
-def test_the_picture_is_saved_under_scene_camera_and_step_with_a_caption(browser, page, tmp_path):
-    browser.call("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
-    browser.open(page, hash="#step=40")
     browser.click("[data-do=save]")
-    with Image.open(wait_for(tmp_path / "simulation_3_C1_40.png")) as image:
+    with Image.open(wait_for(tmp_path / "simulation_3_C1_41.png")) as image:
         saved = image.convert("L")
     wide, high = browser.run("[player.pane.canvas.width, player.pane.canvas.height]")
     assert saved.size == (wide, high + 30)

@@ -1,5 +1,7 @@
 """Boxes in the picture of a run's page: what the mouse is over, and what is chosen."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -20,8 +22,9 @@ SEPARATE = """(() => { // a detection that no other box touches, as [step, vesse
 
 
 def separate(browser, wrong):
+    """The first of them; its frame is shown."""
     found = browser.run(SEPARATE.replace("WRONG", str(wrong).lower()))
-    assert found
+    browser.run(f"player.go({found[0]})")
     return found
 
 
@@ -45,8 +48,7 @@ def opened(browser, mistaken_page):
 
 
 def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
-    index, vessel, _, x, y = separate(opened, wrong=False)
-    opened.run(f"player.go({index})")
+    _, vessel, _, x, y = separate(opened, wrong=False)
     before = opened.pixels()
     opened.hover(*over(opened, x, y))
     tip = opened.run("document.querySelector('.tip').innerText")
@@ -61,10 +63,8 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
     shared = np.prod(np.maximum(np.minimum(a[2:], b[2:]) - np.maximum(a[:2], b[:2]), 0))
     iou = shared / (np.prod(a[2:] - a[:2]) + np.prod(b[2:] - b[:2]) - shared)
     assert f"IoU {iou:.2f}" in tip
-    left, top, right, bottom = opened.run(
-        "(([x0, y0, x1, y1]) => [...player.picture.toCanvas(x0, y0), ...player.picture.toCanvas(x1, y1)])"
-        f"({[*np.minimum(a[:2], b[:2]).tolist(), *np.maximum(a[2:], b[2:]).tolist()]})"
-    )
+    corners = np.minimum(a[:2], b[:2]).tolist(), np.maximum(a[2:], b[2:]).tolist()
+    (left, top), (right, bottom) = (opened.run(f"player.picture.toCanvas(...{corner})") for corner in corners)
     changed_rows, changed_columns = np.nonzero(np.any(opened.pixels() != before, axis=-1))
     near = np.abs(changed_columns - (left + right) / 2) < (right - left) / 2 + 200
     near &= np.abs(changed_rows - (top + bottom) / 2) < (bottom - top) / 2 + 90
@@ -74,13 +74,11 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
 
 
 def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
-    index, vessel, _, x, y = separate(opened, wrong=False)
-    opened.run(f"player.go({index})")
+    _, vessel, _, x, y = separate(opened, wrong=False)
     timeline = opened.pixels("timeline")
     opened.click(*over(opened, x, y))
-    assert opened.run("player.followed") == vessel
-    name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
-    assert name in opened.text("#vessels tr.followed")
+    followed, name = opened.run(f"[player.followed, player.recording.facts.vessels[{vessel}].name]")
+    assert followed == vessel and name in opened.text("#vessels tr.followed")
     assert opened.text("#chosen").startswith(name)
     assert not np.array_equal(opened.pixels("timeline"), timeline)
     opened.hover("#slider", 0.5, 0.5)
@@ -100,8 +98,7 @@ def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
 
 
 def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(opened):
-    index, _, place, x, y = separate(opened, wrong=True)
-    opened.run(f"player.go({index})")
+    _, _, place, x, y = separate(opened, wrong=True)
     closeup = opened.pixels("closeup")
     opened.click(*over(opened, x, y))
     assert opened.run("[player.alarm, player.followed]") == [place, None]
@@ -109,36 +106,30 @@ def test_a_press_on_a_false_alarm_shows_its_data_and_the_next_frame_forgets_it(o
     said = opened.text("#chosen")
     assert "false" in said and f"{found['label']} {found['confidence']:.2f}" in said
     assert not np.array_equal(opened.pixels("closeup"), closeup)
-    opened.press("ArrowRight")
-    assert opened.run("player.alarm") is None
+    assert opened.after("ArrowRight", "player.alarm") is None
 
 
 def test_the_smallest_box_under_the_mouse_is_meant_and_a_drag_chooses_nothing(opened):
-    truth = "{ vessel: VESSEL, visible: null, full: BOX, fraction: 0, depth: 9, missed: false, target: BOX }"
-    boxes = [(0, "[0, 0, 90, 90]"), (1, "[10, 10, 40, 40]"), (2, "[20, 20, 80, 80]")]
-    truths = ", ".join(truth.replace("VESSEL", str(vessel)).replace("BOX", box) for vessel, box in boxes)
+    boxes = ([0, 0, 90, 90], [10, 10, 40, 40], [20, 20, 80, 80])
+    truths = [{"vessel": i, "visible": None, "full": boxes[i], "target": boxes[i]} for i in range(3)]
+    truths = [{**truth, "fraction": 0, "depth": 9, "missed": False} for truth in truths]
+    frame = json.dumps({"truths": truths, "detections": []})
     opened.run("player.picture.fit([0, 0, 100, 50])")
-    hit = (
-        "(at => { const { hover } = player.pane; hover.at = player.picture.toCanvas(...at);"
-        f" return hover.find({{ truths: [{truths}], detections: [] }}, player.shown)?.vessel ?? null; }})"
-    )
-    assert [opened.run(f"{hit}([{x}, {x}])") for x in (5, 30, 60, 95)] == [0, 1, 2, None]
+    hit = f"(({{ hover }}) => hover.find({frame}, player.shown)?.vessel ?? null)(player.pane)"
+    move = "player.pane.hover.at = player.picture.toCanvas({0}, {0})"
+    assert [opened.run(f"({move.format(x)}, {hit})") for x in (5, 30, 60, 95)] == [0, 1, 2, None]
     opened.run("(player.pane.hover.at = null, player.home(), player.choose(0))")
-    x, y = opened._place("#picture", 0.5, 0.02)
+    x, y = opened.place("#picture", 0.5, 0.02)
     for kind, dx in (("mousePressed", 0), ("mouseMoved", 40), ("mouseReleased", 40)):
         opened.mouse(kind, x + dx, y, button="left", buttons=1, clickCount=1)
     assert opened.run("player.followed") == 0
 
 
 def test_a_tap_chooses_the_vessel_and_says_what_it_is(opened):
-    index, vessel, _, x, y = separate(opened, wrong=False)
-    opened.run(f"player.go({index})")
-    x, y = opened._place(*over(opened, x, y))
-    opened.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
-    opened.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+    _, vessel, _, x, y = separate(opened, wrong=False)
+    opened.fingers([opened.place(*over(opened, x, y))])
     look = "const look = () => player.followed === null ? setTimeout(look, 20) : done(); look();"
     opened.run(f"new Promise(done => {{ {look} }})")
-    assert opened.run("player.followed") == vessel
-    name = opened.run(f"player.recording.facts.vessels[{vessel}].name")
-    assert opened.text("#note").startswith(name)
+    followed, name = opened.run(f"[player.followed, player.recording.facts.vessels[{vessel}].name]")
+    assert followed == vessel and opened.text("#note").startswith(name)
     assert opened.run("document.querySelector('.tip').hidden")

@@ -19,6 +19,12 @@ DESK, TABLET, PHONE = (1440, 1000), (1024, 768), (390, 844)
 MEASURE = Path(__file__).with_name("layout.js").read_text(encoding="utf-8")
 PLAYER = files("modsim3d.view.report") / "player"
 BOATS = 50
+ONE_MISS = """(context => {
+    const column = {x: 0, seen: 1000, sum: 1000, missed: 1, bad: 0, off: 0, mislabelled: 0};
+    paintStrip(context, [column], 1, 0, '#e69f00', false);
+    const opacity = [...context.getImageData(0, 0, 1, 20).data].filter((_, k) => k % 4 === 3);
+    return [opacity, SEEN_PX + STRIP_GAP_PX + MARK_ROW_PX];
+})(document.createElement('canvas').getContext('2d'))"""
 CUT_OFF = """[...document.querySelectorAll('{} button')].filter((each) => each.scrollWidth > each.clientWidth)
     .map((each) => each.textContent)"""
 
@@ -26,8 +32,7 @@ CUT_OFF = """[...document.querySelectorAll('{} button')].filter((each) => each.s
 @pytest.fixture(scope="module")
 def crowd_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Fifty boats in rows, some with long names, for a few steps."""
-    folder = tmp_path_factory.mktemp("crowd")
-    boats = {}
+    folder, boats = tmp_path_factory.mktemp("crowd"), {}
     for k in range(BOATS):
         way = [[t, 60 + 40 * (k // 8), 8 * (k % 8) - 28 + t / 9] for t in (0, 9)]
         boats[f"boat_{k}" + "_of_the_long_name" * (k % 7 == 0)] = ([10.0, 4.0, 3.0], way)
@@ -70,9 +75,8 @@ def test_at_each_size_nothing_overlaps_or_sticks_out_and_focus_shows_whole(brows
             browser.scheme(scheme)
             browser.settle()
             browser.run("scrollTo(0, 0)")  # where the focus was may be anywhere
-            picture = tmp_path / f"{size[0]}_{scheme}.png"
-            browser.screenshot(picture)
-            with Image.open(picture) as image:
+            browser.screenshot(tmp_path / "page.png")
+            with Image.open(tmp_path / "page.png") as image:
                 assert image.size == size
                 brightness = np.median(np.asarray(image.convert("L"))[:40])
             assert brightness > 200 if scheme == "light" else brightness < 60
@@ -91,37 +95,29 @@ def test_what_matters_is_seen_at_once_and_the_hint_inside_the_window_beside_the_
             place = browser.run(f"(() => {{ {MEASURE}; return layout.seen({json.dumps(name)}); }})()")
             assert 0 <= place["top"] < place["bottom"] <= DESK[1], name
         assert browser.run("player.timeline.canvas.getBoundingClientRect().top") + 60 < DESK[1]
+    corners = "(({ left, top, right, bottom }) => [left, top, right, bottom])"
     for block, down in (("end", 0.97), ("start", 0.03)):
         browser.run(f"(player.timeline.canvas.scrollIntoView({{block: '{block}', behavior: 'instant'}}), 0)")
-        box = browser.run("player.timeline.canvas.getBoundingClientRect().toJSON()")
-        left, top, wide, high = (box[name] for name in ("left", "top", "width", "height"))
+        x0, y0, x1, y1 = browser.run(f"{corners}(player.timeline.canvas.getBoundingClientRect())")
         for across in (0.01, 0.5, 0.995):
-            x, y = left + across * wide, top + down * high
+            x, y = x0 + across * (x1 - x0), y0 + down * (y1 - y0)
             browser.mouse("mouseMoved", x, y)
-            box = browser.run("document.querySelector('#hint:not([hidden])').getBoundingClientRect().toJSON()")
-            assert box["left"] >= 0 and box["top"] >= 0 and box["right"] <= size[0] and box["bottom"] <= size[1]
-            assert not (box["left"] < x < box["right"] and box["top"] < y < box["bottom"])
+            hint = f"{corners}(document.querySelector('#hint:not([hidden])').getBoundingClientRect())"
+            left, top, right, bottom = browser.run(hint)
+            assert left >= 0 and top >= 0 and right <= size[0] and bottom <= size[1]
+            assert not (left < x < right and top < y < bottom)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_texts_and_graphics_stand_out(browser, page, scheme):
     browser.scheme(scheme)
     browser.open(page, DESK)
-    column = "{x: 0, seen: 1000, sum: 1000, missed: 1, bad: 0, off: 0, mislabelled: 0}"
-    opacity, bottom = player_value(
-        browser,
-        "(context => { paintStrip(context, [" + column + "], 1, 0, '#e69f00', false);"
-        " return [[...context.getImageData(0, 0, 1, 20).data].filter((_, k) => k % 4 === 3),"
-        " SEEN_PX + STRIP_GAP_PX + MARK_ROW_PX]; })(document.createElement('canvas').getContext('2d'))",
-    )
+    opacity, bottom = player_value(browser, ONE_MISS)
     assert opacity[bottom - 2 : bottom + 1] == [255, 255, 0]  # one miss among a thousand frames
     assert pale_texts(browser) == []
-    colours = {name: player_value(browser, f"colourOf('--{name}')") for name in
-               ("alarm", "paper", "card", "track", "edge", "accent", "soft", "ink")}  # fmt: skip
-    pairs = (("alarm", "paper"), ("alarm", "track"), ("edge", "paper"), ("edge", "card"), ("accent", "paper"))
-    for mark, behind in pairs:
-        for sight in (None, *CVD):
-            assert contrast(colours[mark], colours[behind], sight) >= 3, (mark, behind, sight)
+    for names in (("alarm", "paper"), ("alarm", "track"), ("edge", "paper"), ("edge", "card"), ("accent", "paper")):
+        mark, behind = (player_value(browser, f"colourOf('--{name}')") for name in names)
+        assert all(contrast(mark, behind, sight) >= 3 for sight in (None, *CVD)), names
     for colour in (each for states in range(1, 7) for each in palette.state_colours(states)):  # under their names
         ink = player_value(browser, f"channels(distinctFrom('{palette.css(colour)}'))")
         assert contrast(ink, colour) >= 4.5
@@ -138,10 +134,8 @@ def test_what_went_wrong_stands_in_rows_of_its_own_whatever_a_vessels_colour(bro
     picture = browser.pixels("timeline")[:, int(left) + 1 : -12]
     found = 0
     for top in (round(row) for row in rows):
-        gap_above, gap_below = picture[top + seen_top - 1], picture[top + seen_top + seen]
-        assert not gap_above.any() and not gap_below.any()
-        of_classes, below = picture[top : top + seen_top - 1], picture[top + seen_top + seen + 1 :][:marks]
-        for part in (of_classes, below):
+        assert not picture[top + seen_top - 1].any() and not picture[top + seen_top + seen].any()  # gaps
+        for part in (picture[top : top + seen_top - 1], picture[top + seen_top + seen + 1 :][:marks]):
             drawn = part[part[..., 3] > 0]
             assert (drawn == (*alarm, 255)).all()
             found += len(drawn)
@@ -150,10 +144,10 @@ def test_what_went_wrong_stands_in_rows_of_its_own_whatever_a_vessels_colour(bro
 
 def test_fifty_vessels_keep_their_names_and_the_rows_scroll_under_a_fixed_axis(browser, crowd_page):
     browser.open(crowd_page, DESK)
-    vessels, row = browser.run("[player.timeline.vessels.length, player.timeline.rowPx]")
-    assert vessels == BOATS and row >= 14
-    whole, shown = browser.run("(p => [p.scrollHeight, p.clientHeight])(player.timeline.panel)")
-    assert shown <= 500 < whole
+    vessels, row, whole, shown = browser.run(
+        "(t => [t.vessels.length, t.rowPx, t.panel.scrollHeight, t.panel.clientHeight])(player.timeline)"
+    )
+    assert vessels == BOATS and row >= 14 and shown <= 500 < whole
     before = browser.pixels("timeline")
     browser.run(f"player.choose({vessels - 1})")
     browser.settle()

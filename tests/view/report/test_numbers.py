@@ -38,8 +38,8 @@ def test_the_table_has_every_column_of_the_truth_and_is_copied_as_cells(browser,
             assert (cells[name] == "") == (value is None), name
             if value is not None:
                 assert math.isclose(float(cells[name]), value, abs_tol=0.51 * 10**-digits, rel_tol=1e-6), name
-        assert [cells["label"], cells["annotated"], cells["detected"]] == [
-            row["label"], str(row["annotated"]).lower(), str(row["detected"]).lower()]  # fmt: skip
+        assert all(cells[name] == str(row[name]).lower() for name in ("annotated", "detected"))
+        assert cells["label"] == row["label"]
         said = dict(part.split(": ") for part in cells["occluded_by"].split(", ") if part)
         assert list(said) == [each["id"] for each in sorted(row["occluded_by"], key=lambda each: -each["px"])]
         for each in row["occluded_by"]:
@@ -67,26 +67,24 @@ def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mi
         assert math.isclose(float(cells["confidence"]), row["confidence"], abs_tol=5.1e-4)
         assert math.isclose(float(cells["x_max_px"]), row["x_max_px"], abs_tol=0.051)
         assert (cells["outcome"] == "false alarm") == (row["kind"] not in ("true", "merged", "split"))
-    said = "document.querySelector('#numbersOf').textContent"
-    assert f"step {STEP}" in browser.run(said)
+    assert f"step {STEP}" in browser.text("#numbersOf")
     browser.run("(player.playback.playing = true, player.go(20))")
-    assert f"step {STEP}" in browser.run(said)
+    assert f"step {STEP}" in browser.text("#numbersOf")
     browser.run("player.play(false)")
-    assert "step 20" in browser.run(said)
+    assert "step 20" in browser.text("#numbersOf")
 
 
 def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(browser, mistaken_page):
     browser.open(mistaken_page, hash=f"#step={STEP}")
     browser.run("(player.playback.playing = true, 0)")  # without a clock
     open_numbers(browser)
-    rows = browser.run(ROWS.format("numbersDetections"))
-    assert len(rows) > 3
+    assert len(browser.run(ROWS.format("numbersDetections"))) > 3
     place = browser.run("player.numbers.detections.findLastIndex(each => each.false)")
     click = f"document.querySelector('#numbersDetections').tBodies[0].rows[{place}].click()"
-    browser.run(f"(player.go(20), {click})")
-    assert browser.run("player.alarm") is None  # that was one of another frame
-    browser.run(f"(player.go({STEP}), {click})")
-    assert browser.run("player.alarm") == place >= 0
+    for step, alarm in ((20, None), (STEP, place)):  # first one of another frame
+        browser.run(f"(player.go({step}), {click})")
+        assert browser.run("player.alarm") == alarm
+    assert place >= 0
 
 
 LISTED = "[...document.querySelectorAll('#vessels tr')].map(row => row.querySelector('button').textContent)"

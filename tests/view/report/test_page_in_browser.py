@@ -1,6 +1,7 @@
 """The page of a run in a real browser: it plays, obeys mouse and keyboard, and asks nobody for anything."""
 
 import json
+from collections import defaultdict
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +13,7 @@ from modsim3d.view import palette
 from modsim3d.view.report.overview import WHOLE
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
-from tests.scenes import crossing
+from tests.scenes import camera_keys, crossing
 from tests.view.report.conftest import HOSTILE, STEPS
 
 FLAGS = {"false": Outcome.FALSE_POSITIVE, "mislabelled": Outcome.MISLABELLED}
@@ -32,32 +33,30 @@ def crowded(run_folder):
 
 def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_and_vessel(browser, page, crowded):
     browser.open(page, hash=f"#step={crowded}")
-    assert browser.run("player.recording.length") == STEPS
-    assert browser.run("document.querySelector('#failure').hidden")
+    assert browser.run("[player.recording.length, document.querySelector('#failure').hidden]") == [STEPS, True]
     before = browser.pixels()
     slide = "slider.value = 20; slider.dispatchEvent(new Event('input'));"
     browser.run(f"(slider => {{ {slide} }})(document.querySelector('#slider'))")
-    assert browser.run("player.index") == 20
-    assert "step 20 of" in browser.text("#status")
+    assert browser.run("player.index") == 20 and "step 20 of" in browser.text("#status")
     assert not np.array_equal(browser.pixels(), before)
     left, wide = browser.run("[player.timeline.left, player.timeline.wide]")
     across = (left + 0.75 * wide) / (left + wide)
     browser.hover("#timeline", across, 0.1)
     browser.click("#timeline", across, 0.1)
     index = browser.run("player.index")
-    assert index == pytest.approx(0.75 * STEPS, abs=1)
-    assert f"step {index}:" in browser.text("#hint")
+    assert index == pytest.approx(0.75 * STEPS, abs=1) and f"step {index}:" in browser.text("#hint")
     top, row, height, vessels = browser.run("(t => [t.rowsTop, t.rowPx, t.height, t.vessels])(player.timeline)")
     browser.click("#timeline", 0.9, (top + 1.5 * row) / height)
     assert browser.run("player.followed") == vessels[1]
     assert [url.partition("#")[0] for url in browser.requests] == [page.resolve().as_uri()]
 
 
-def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, crowded):
+def test_layers_are_hidden_and_shown_by_mouse_and_key_and_silhouettes_have_their_vessels_colour(
+    browser, page, crowded, run_folder
+):
     browser.open(page, hash=f"#step={crowded}")
     browser.press("9")  # false positives may be far from any vessel
-    everything = browser.pixels()
-    names = browser.run("Object.keys(player.shown)")
+    everything, names = browser.pixels(), browser.run("Object.keys(player.shown)")
     assert names == ["silhouettes", "full", "visible", "detections", "false", "missed", "labels", "names"]
     for number, name in enumerate(names, start=1):
         browser.click(f"#layer-{name}")
@@ -66,25 +65,18 @@ def test_every_layer_can_be_hidden_and_shown_by_mouse_and_by_key(browser, page, 
         assert np.array_equal(browser.pixels(), everything), name
     rows = "player.recording[name](player.index, player.camera).length"
     own = browser.run(f"['shapes', 'truths', 'detections'].reduce((sum, name) => sum + {rows}, 0)")
-    for key in ("ArrowLeft", "ArrowRight"):
-        browser.press(key)
-    assert browser.run("player.drawn.rows") == own > 0  # a frame looks at its own rows only
-
-
-def test_silhouettes_cover_the_truth_boxes_in_the_vessels_colour(browser, page, crowded, run_folder):
-    """The colour at the middle of what is seen is its vessel's, where no other vessel's box reaches."""
-    browser.open(page, hash=f"#step={crowded}")
+    browser.press("ArrowLeft")
+    assert browser.after("ArrowRight", "player.drawn.rows") == own > 0  # a frame looks at its own rows only
     only = "for (const name in player.shown) player.shown[name] = name === 'silhouettes'; player.whole();"
     browser.run(f"(() => {{ {only} }})()")
-    run = open_run(run_folder)
-    (frame,) = [each for each in run.frames(crowded, crowded + 1) if each.camera == "C1"]
+    run, seam = open_run(run_folder), 12  # image pixels: the dark line around a silhouette
+    frame = run.frame("C1", crowded)
     picture, boxes, looked_at = browser.pixels(), frame.truth.full_boxes_px, 0
     for name, box in zip(frame.truth.vessels, boxes, strict=True):
         others = boxes[np.any(boxes != box, axis=1)]
         x, y = (box[:2] + box[2:]) / 2
-        seam = 12  # image pixels: the dark line around a silhouette
         if np.any((others[:, 0] - seam <= x) & (x <= others[:, 2] + seam)):
-            continue
+            continue  # the middle may be another's
         column, row = browser.run(f"player.picture.toCanvas({x}, {y})")
         colour = palette.darker(palette.vessel_colour(run.scene.vessel_names.index(name)))
         np.testing.assert_array_equal(picture[int(row), int(column), :3], colour)
@@ -107,24 +99,19 @@ def test_keyboard_alone_is_enough(browser, page):
     assert browser.run("player.index") == first
     missed = browser.run("player.recording.truths(player.index, player.camera).filter(truth => truth.missed)")
     assert browser.run("player.followed") in [truth["vessel"] for truth in missed]
-    browser.press("c")
-    assert browser.run("[player.camera, document.querySelector('#camera').value]") == [1, "1"]
+    assert browser.after("c", "[player.camera, document.querySelector('#camera').value]") == [1, "1"]
     width = browser.run("player.picture.view.width")
-    browser.press("+")
-    assert browser.run("player.picture.view.width") == pytest.approx(width / 1.5)
-    browser.press("9")
-    assert browser.run("player.picture.view.width") >= 2464
+    assert browser.after("+", "player.picture.view.width") == pytest.approx(width / 1.5)
+    assert browser.after("9", "player.picture.view.width") >= 2464
     browser.run("document.querySelector('[data-do=forward]').focus({focusVisible: true})")
     assert browser.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     before = browser.run("player.index")
-    browser.press(" ")  # the button that has the focus
-    assert browser.run("[player.index, player.playing]") == [before + 1, False]
+    assert browser.after(" ", "[player.index, player.playing]") == [before + 1, False]  # the button that has the focus
 
 
 def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, mistaken_folder):
     run, occluded, states = open_run(mistaken_folder), {}, []
-    names = run.scene.vessel_names
-    wrong: dict[str, set[tuple[int, str | None]]] = {}
+    names, wrong = run.scene.vessel_names, defaultdict(set)  # of each kind: steps and vessels
     for frame in (frame for frame in run.frames() if frame.camera == "bow"):
         truth = frame.truth
         # An occlusion begins where 10% are hidden and ends where 98% are seen: flicker neither begins nor ends one.
@@ -135,13 +122,12 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         hidden = np.array(list(occluded.values()))
         states.append(frame.state)
         if frame.state != states[0]:
-            wrong.setdefault("state", set()).add((frame.step, None))
+            wrong["state"].add((frame.step, None))
         for kind, which in (("missed", truth.annotated & ~truth.detected), ("hidden", hidden)):
-            wrong.setdefault(kind, set()).update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
+            wrong[kind].update((frame.step, truth.vessels[i]) for i in np.flatnonzero(which))
         for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
-            for kind, flag in FLAGS.items():
-                if outcome & flag:
-                    wrong.setdefault(kind, set()).add((frame.step, None if row is None else truth.vessels[row]))
+            for kind in (kind for kind, flag in FLAGS.items() if outcome & flag):
+                wrong[kind].add((frame.step, None if row is None else truth.vessels[row]))
     browser.open(mistaken_page)
     kinds = browser.run("[...document.querySelector('#kind').options].map(option => option.value)")
     assert set(kinds) == {kind for kind, found in wrong.items() if found} >= {"hidden", "state", *FLAGS}
@@ -160,35 +146,28 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         listed = browser.run("[...document.querySelector('#moment').options].map(option => option.value)")
         assert listed == ["", *map(str, range(len(moments)))]
         browser.choose("moment", str(len(moments) - 1))
-        assert browser.run("player.index") == moments[-1]["index"]
-        if kind != "state":
-            assert browser.run("player.followed") == moments[-1]["vessel"]
+        index, followed = browser.run("[player.index, player.followed]")
+        assert index == moments[-1]["index"] and (kind == "state" or followed == moments[-1]["vessel"])
 
 
 def test_what_is_wrong_is_in_picture_and_list_and_the_whole_image_comes_for_what_is_outside(browser, mistaken_page):
     browser.open(mistaken_page)
     browser.choose("kind", "false")
     browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
-    browser.press("n")
-    boxes = browser.run("player.recording.detections(player.index, player.camera).filter(each => each.false)")
+    detections = "player.recording.detections(player.index, player.camera)"
+    boxes = browser.after("n", f"{detections}.filter(each => each.false)")
     assert boxes and all(browser.run(f"player.picture.shows({json.dumps(each['box'])})") for each in boxes)
     browser.choose("kind", "mislabelled")
-    browser.press("n")
-    vessel = browser.run("player.followed")
-    detections = "player.recording.detections(player.index, player.camera)"
+    vessel = browser.after("n", "player.followed")
     (found,) = browser.run(f"{detections}.filter(each => each.vessel === {vessel} && !each.false)")
-    label = browser.run(f"player.recording.facts.vessels[{vessel}].label")
-    assert found["label"] != label
+    label, alarm = browser.run(f"(it => [it.vessels[{vessel}].label, it.colours.alarm])(player.recording.facts)")
     said = f"{found['label']} {found['confidence']:.2f}, is a"
     (plate,) = [plate for plate in browser.run("player.picture.plates") if plate["text"].startswith(said)]
-    assert plate["text"].endswith(label)
-    assert plate["colour"] == browser.run("player.recording.facts.colours.alarm")
-    chosen = "document.querySelector('#vessels tr.chosen').textContent"
-    assert f"as {found['label']}" in browser.run(chosen)
+    assert found["label"] != label and plate["text"].endswith(label) and plate["colour"] == alarm
+    assert f"as {found['label']}" in browser.text("#vessels tr.chosen")
     browser.choose("kind", "off")
     browser.press("n")
-    assert "off it" in browser.run(chosen)
-    assert "off their vessel" in browser.text("#status")
+    assert "off it" in browser.text("#vessels tr.chosen") and "off their vessel" in browser.text("#status")
 
 
 def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
@@ -204,23 +183,23 @@ def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
         "  return [apart, place, box, truth]; }).sort((a, b) => b[0] - a[0])[0]"
     )
     browser.choose("moment", str(place))
-    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
-    middle = np.array([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
-    end = np.clip(middle, truth[:2], truth[2:])
     assert apart > 3
-    column, row = browser.run(f"player.picture.toCanvas({', '.join(map(str, (0.8 * middle + 0.2 * end).tolist()))})")
+    browser.run(f"(player.picture.lookAt({json.dumps(box)}, player.pane.size), player.draw())")
+    middle = np.add(box[:2], box[2:]) / 2
+    near = 0.8 * middle + 0.2 * np.clip(middle, truth[:2], truth[2:])
+    column, row = browser.run(f"player.picture.toCanvas(...{near.tolist()})")
     around = browser.pixels()[int(row) - 1 : int(row) + 3, int(column) - 1 : int(column) + 3, :3].reshape(-1, 3)
     assert (np.abs(around.astype(int) - palette.ALARM).sum(axis=1) < 90).any()
 
 
 def test_legend_and_timeline_have_what_the_run_has(browser, page, mistaken_page):
-    legend, height = "document.querySelector('#legend').textContent", "player.timeline.rowsTop"
     browser.open(mistaken_page)
-    assert all(word in browser.run(legend) for word in ("wrong class", "IoU below 0.5", "off its vessel", "missed"))
-    every = browser.run(height)
+    legend, every = browser.text("#legend"), browser.run("player.timeline.rowsTop")
+    assert all(word in legend for word in ("wrong class", "IoU below 0.5", "off its vessel", "missed"))
     browser.open(page)  # its detector has one class
-    assert "wrong class" not in browser.run(legend).partition("Strips")[0]
-    assert "IoU below 0.5" in browser.run(legend) and browser.run(height) < every
+    legend = browser.text("#legend")
+    assert "wrong class" not in legend.partition("Strips")[0] and "IoU below 0.5" in legend
+    assert browser.run("player.timeline.rowsTop") < every
 
 
 def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
@@ -246,22 +225,16 @@ def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
 
 
 def test_a_slow_camera_shows_the_last_frame_that_it_took_and_says_so(browser, tmp_path):
-    path = crossing(tmp_path, 12)
-    scene = json.loads(path.read_text())
-    scene["cameras"]["slow"] = {**scene["cameras"]["C0"], "frame_rate_hz": 0.25, "start_offset_s": 2}
-    scene["annotation"]["source"] = "analytic"
-    path.write_text(json.dumps(scene))
-    run_scene(load_scene(path), tmp_path / "run")
+    usual = camera_keys(pose={"position_m": [0, 0, 10]})
+    cameras = {"C0": usual, "slow": {**usual, "frame_rate_hz": 0.25, "start_offset_s": 2}}
+    run_scene(load_scene(crossing(tmp_path, 12, cameras=cameras), source="analytic"), tmp_path / "run")
     browser.open(write_report(open_run(tmp_path / "run")))
     browser.run("player.look(1)")
-
-    def status(step: int) -> str:
+    said = []
+    for step in (1, 2, 5, 6):
         browser.run(f"player.go({step})")
-        return str(browser.text("#status"))
-
-    assert "no frame yet" in status(1) and browser.run("player.recording.truths(1, 1).length") == 0
-    assert "frame" not in status(2)
-    held, there = status(5), browser.run("JSON.stringify(player.recording.truths(5, 1).map(({ full }) => full))")
-    assert "frame of step 2" in held and "frame" not in status(6)
-    assert there == browser.run("JSON.stringify(player.recording.truths(2, 0).map(({ full }) => full))")
+        said.append(browser.text("#status").partition("frame")[2])
+    assert said[0].startswith(" yet") and said[1] == said[3] == "" and said[2].startswith(" of step 2")
+    places = "((step, camera) => player.recording.truths(step, camera).map(({ full }) => full))"
+    assert browser.run(f"{places}(1, 1)") == [] != browser.run(f"{places}(5, 1)") == browser.run(f"{places}(2, 0)")
     assert browser.run("document.querySelector('#failure').hidden")

@@ -35,11 +35,9 @@ def test_one_clock_plays_from_where_the_user_goes_and_stops_at_the_end(browser, 
     browser.press(" ")
     count = f"(window.ticks = 0, {FRAMES.format(10)}.then(() => window.ticks))"
     assert 8 <= browser.run(count) <= 12  # however often the speed has changed
-    browser.press(" ")
-    assert browser.run(count) == 0
+    assert browser.after(" ", count) == 0
     browser.run(f"(player.playback.setSpeed(50), player.go({STEPS - 40}))")
-    browser.press(" ")
-    assert browser.run("player.playing")
+    assert browser.after(" ", "player.playing")
     browser.run("new Promise(done => { const look = () => player.playing ? setTimeout(look, 20) : done(1); look(); })")
     assert browser.run("player.index") == STEPS - 1
 
@@ -60,14 +58,12 @@ def test_each_kind_has_a_key_that_goes_to_the_next_and_with_shift_to_the_one_bef
         browser.run("player.go(0)")
         places = browser.run(f"player.moments.of(0, '{kind}').map(({{ index }}) => index)")
         later = [index for index in places if index > 0]
-        browser.press(key)
-        assert browser.run("[player.index, document.querySelector('#kind').value]") == [later[0], kind]
+        assert browser.after(key, "[player.index, document.querySelector('#kind').value]") == [later[0], kind]
         if len(later) == 1:
             browser.press(key)
             assert "This is the last" in browser.text("#note")
         else:
-            browser.press(key)
-            assert browser.run("player.index") == later[1], kind
+            assert browser.after(key, "player.index") == later[1], kind
             browser.press(key, shift=True)
         assert browser.run("player.index") == later[0], kind
     browser.run("player.go(0)")

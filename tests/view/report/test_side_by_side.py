@@ -45,8 +45,7 @@ def test_both_runs_show_their_own_detections_and_move_together(browser, both, mi
     assert views[0] == views[1]
     browser.click("#picture2")
     assert browser.run("player.pane.run").startswith("B ")
-    browser.press("c")
-    assert browser.run("player.panes.map(pane => pane.camera)") == [1, 1]
+    assert browser.after("c", "player.panes.map(pane => pane.camera)") == [1, 1]
     assert browser.run("player.timeline.recording.name") == "B"
 
 
@@ -70,8 +69,7 @@ def test_differences_are_moments_lanes_and_labels(browser, both):
     browser.open(page, SIZE)
     first = np.flatnonzero(found.camera == 0)
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
-    browser.press("x")
-    assert browser.run("player.momentRow.kind") == "differs"
+    assert browser.after("x", "player.momentRow.kind") == "differs"
     browser.run("player.momentRow.show(player.moments.choose(0))")
     assert browser.run("player.index") == found.index[first[0]]
     assert browser.run("player.followed") == found.vessel[first[0]]
@@ -107,18 +105,15 @@ def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
     assert left["right"] <= right["left"] and left["top"] == right["top"]
     browser.click("#picture2")
     assert browser.run("[player.camera, player.timeline.camera]") == [1, 1]
-    browser.press("u")  # writes the address
-    assert "camera=bow&beside=quay" in browser.run("location.hash")
-    browser.press("g")
-    assert browser.run("[player.panes.length, document.querySelector('#picture2')]") == [1, None]
+    assert "camera=bow&beside=quay" in browser.after("u", "location.hash")  # writes the address
+    assert browser.after("g", "[player.panes.length, document.querySelector('#picture2')]") == [1, None]
     browser.press("g")  # another camera than the first, and drawn at once
     assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
     image = "document.querySelector('#picture2').toDataURL()"
     drawn = "new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))"
     assert browser.run(image) == browser.run(drawn)
     assert browser.run("document.querySelector('#beside').value") == "quay"
-    browser.press("g")
-    assert browser.run("player.panes.length") == 1
+    assert browser.after("g", "player.panes.length") == 1
 
 
 def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page, mistaken_folder):

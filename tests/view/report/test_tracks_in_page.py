@@ -52,8 +52,7 @@ def test_boxes_of_tracks_are_hidden_and_shown_by_key_and_by_mouse(browser, track
     assert not np.array_equal(browser.pixels(), with_boxes)
     browser.click("#layer-tracks")
     assert np.array_equal(browser.pixels(), with_boxes)
-    browser.press("ArrowRight")
-    assert browser.run("player.index") == SWAP + 1
+    assert browser.after("ArrowRight", "player.index") == SWAP + 1
 
 
 def test_the_panel_scrolls_to_where_a_track_is_and_draws_only_what_is_in_sight(browser, tracks_page):
