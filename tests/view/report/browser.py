@@ -30,13 +30,10 @@ PATIENCE_S = 60.0
 def find_browser() -> str:
     """The browser that `CHROMIUM` names, or the first on the path."""
     asked = os.environ.get("CHROMIUM")
-    found = next(filter(None, map(shutil.which, [asked] if asked else NAMES)), None)
-    if found is None:
-        raise FileNotFoundError(
-            f"{asked or 'Chromium'} was not found: script/setup test installs one where apt has it (Debian); elsewhere "
-            "install Chromium or Chrome, or set CHROMIUM to its path"
-        )
-    return found
+    if found := next(filter(None, map(shutil.which, [asked] if asked else NAMES)), None):
+        return found
+    remedy = "script/setup test installs one where apt has it (Debian); elsewhere install Chromium or Chrome"
+    raise FileNotFoundError(f"{asked or 'Chromium'} was not found: {remedy}, or set CHROMIUM to its path")
 
 
 class Browser:

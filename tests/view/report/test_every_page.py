@@ -58,6 +58,10 @@ def pages(tmp_path_factory):
         os.chdir(before)
 
 
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def block(folder: Path, name: str) -> str:
     """What a page says that it rests on, as its HTML."""
     text = (folder / PAGES[name]).read_text(encoding="utf-8")
@@ -78,14 +82,13 @@ def test_a_page_names_its_command_and_inputs_with_checksums_and_nothing_of_the_m
     (said,) = re.findall(r"<th>Made by</th><td><code>(.*?)</code>", text)
     assert html.unescape(said) == f"modsim3d {COMMANDS[name].partition(' --out')[0]}"
     files = [(path, digest) for what, path, digest in found if Path(path).is_file() and what != "scene of the run"]
-    assert all(hashlib.sha256(Path(path).read_bytes()).hexdigest() == digest for path, digest in files)
-    assert len(files) >= (0 if name == "compare" else 2)
+    assert all(sha256(Path(path)) == digest for path, digest in files) and len(files) >= (0 if name == "compare" else 2)
     assert all(re.fullmatch("[0-9a-f]{64}", digest) for _, _, digest in found) and len(found) > 2
     assert str(pages) not in text and not re.search(r"\d\d:\d\d", text)
-    assert not any(path.startswith("/") for _, path, _ in found)
+    paths = {path for _, path, _ in found}
+    assert not any(path.startswith("/") for path in paths)
     if name in ("verify", "learn", "score", "report"):
-        tables = {f"run/{table}.parquet" for table in ("frames", "truth", "detections")}
-        assert tables < {path for _, path, _ in found}
+        assert {f"run/{table}.parquet" for table in ("frames", "truth", "detections")} < paths
 
 
 def test_pages_have_scene_seeds_and_versions_of_the_run_and_the_checksum_of_what_was_learned(pages: Path) -> None:
@@ -99,13 +102,12 @@ def test_pages_have_scene_seeds_and_versions_of_the_run_and_the_checksum_of_what
     assert "<th>Traffic seeds</th><td>2</td>" in text
     what, path, digest = inputs(pages, "learn")[0]
     assert (what, path) == ("detector file that was learned", "detector.yaml")
-    assert digest == hashlib.sha256((pages / "learn" / path).read_bytes()).hexdigest()
+    assert digest == sha256(pages / "learn" / path)
 
 
 def test_the_same_command_gives_the_same_bytes(pages: Path) -> None:
     for name in ("verify", "compare"):
-        again = COMMANDS[name].replace(f"--out {name}", "--out again")
-        command(again)
+        command(COMMANDS[name].replace(f"--out {name}", "--out again"))
         assert (pages / "again" / f"{name}.html").read_bytes() == (pages / PAGES[name]).read_bytes()
 
 
@@ -119,25 +121,18 @@ def test_a_file_that_was_changed_after_the_run_stands_out(run_folder: Path) -> N
     assert CHANGED not in top_line(Provenance("report of a run", "modsim3d report run", run_inputs(run)))
 
 
-def learned_from(folder: Path, *pairs: tuple[str, str], read: list[str]) -> list[tuple[str, str, str]]:
-    """What a page of learn says of its inputs: what, path and how many files."""
-    truth, detections = zip(*([folder / name for name in pair] for pair in pairs), strict=True)
-    found = Sources(truth, detections, (), tuple(folder / name for name in read), LearnSettings(), "learn").inputs
-    return [(each.what, Path(each.path).relative_to(folder).as_posix(), each.note.partition(", ")[0]) for each in found]
-
-
-def test_a_file_that_is_given_twice_is_listed_twice(tmp_path: Path) -> None:
-    read = ["gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt"]
-    for name in read:
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text(name)
-    found = learned_from(tmp_path, ("gt/labels", "gt/day"), ("gt/labels", "night"), read=read)
-    given = [("ground truth 1", "gt/labels"), ("detections 1", "gt/day"), ("ground truth 2", "gt/labels")]
-    listed = [(*each, "of the sha256sum lines of 1 file") for each in (*given, ("detections 2", "night"))]
-    assert found == [*listed, ("also read", "gt/data.yaml", "")]
-
-
-def test_an_input_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_given_twice_is_listed_twice_and_one_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    read = [tmp_path / name for name in ("gt/labels/1.txt", "gt/data.yaml", "gt/day/1.txt", "night/1.txt")]
+    for path in read:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(path.name)
+    truth, detections = (tmp_path / "gt/labels",) * 2, (tmp_path / "gt/day", tmp_path / "night")
+    found = Sources(truth, detections, (), tuple(read), LearnSettings(), "learn").inputs
+    given = [("ground truth 1", truth[0]), ("detections 1", detections[0])]
+    given += [("ground truth 2", truth[0]), ("detections 2", detections[1])]
+    listed = [(what, str(path), "of the sha256sum lines of 1 file") for what, path in given]
+    said = [(each.what, each.path, each.note.partition(", ")[0]) for each in found]
+    assert said == [*listed, ("also read", str(read[1]), "")]
     with pytest.raises(InputError, match=r"gone\.yaml:\n  cannot be read for its checksum: No such file"):
         file_input("detector file", tmp_path / "gone.yaml")
 

@@ -1,13 +1,10 @@
 """Who is at each pixel of a page is who is there in the ID buffer: obstacles, own bow, holes and lenses too."""
 
-import base64
-import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from PIL import Image
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from modsim3d import Window, load_scene, open_run, run_scene
@@ -57,25 +54,23 @@ def _gate() -> str:
 
 def owners_buffer(scene, camera, step):
     """Owner + 1 at each pixel; zero where nothing is."""
-    width, height = scene.cameras[camera].intrinsics.image_size_px
+    window = Window(0, 0, 1, scene.cameras[camera].intrinsics.image_size_px)
     with open_id_renderer(scene) as id_renderer:
-        ids = Solids.at(scene, scene.cameras[camera], step).ids(Window(0, 0, 1, (width, height)), id_renderer)
-    return ids.astype(np.int64)
+        return Solids.at(scene, scene.cameras[camera], step).ids(window, id_renderer).astype(np.int64)
 
 
 def page_picture(browser, camera, index):
     """What the page paints, as large as the camera's image, shape (rows, columns, 3)."""
-    data = browser.run(f"""(() => {{
+    browser.run(f"""(() => {{
         const {{ recording }} = player, [width, height] = recording.facts.cameras[{camera}].size;
-        const canvas = Object.assign(document.createElement('canvas'), {{ width, height }});
+        const canvas = Object.assign(document.createElement('canvas'), {{ width, height, id: 'painted' }});
         const picture = new player.picture.constructor(canvas);
         Object.assign(picture, {{ ratio: 1, view: {{ x: 0, y: 0, width }} }});
         const frame = {{ shapes: recording.shapes({index}, {camera}), truths: [], detections: [] }};
         picture.draw(recording, {index}, {camera}, {{ silhouettes: true }}, frame);
-        return canvas.toDataURL();
-    }})()""").partition(",")[2]
-    with Image.open(io.BytesIO(base64.b64decode(data))) as image:
-        return np.asarray(image.convert("RGB"))
+        document.body.append(canvas);
+    }})()""")
+    return browser.pixels("painted")[..., :3]
 
 
 @pytest.mark.parametrize(("camera", "step"), [(0, 1), (0, STEPS - 1), (1, STEPS - 1)])
@@ -95,10 +90,6 @@ def test_every_pixel_is_its_owners_as_in_the_id_buffer(browser, crowded_strait, 
     sea_or_sky = np.all(picture == palette.SEA, axis=2) | np.all(picture == palette.SKY, axis=2)
     horizon = minimum_filter(sea_or_sky, EDGE_PX) | ~nobody
     assert np.mean(horizon | sea_or_sky) > 0.995 and len(np.unique(ids[inside])) > 5
-
-
-def test_the_cases_that_are_hard_are_in_the_pictures(crowded_strait):
-    """Own bow, a vessel in a bay, a hole with something behind it."""
-    names = ["", *crowded_strait.scene.occluder_names]
-    shown = {names[owner] for owner in np.unique(owners_buffer(crowded_strait.scene, 0, 1)).tolist()}
-    assert {"own", "obstacle:bay", "obstacle:gate", "obstacle:torn", "kayak", "ferry"} <= shown
+    if (camera, step) == (0, 1):  # own bow, a vessel in a bay, and a hole with something behind it are there
+        shown = {["", *scene.occluder_names][owner] for owner in np.unique(ids).tolist()}
+        assert {"own", "obstacle:bay", "obstacle:gate", "obstacle:torn", "kayak", "ferry"} <= shown

@@ -17,6 +17,9 @@ from tests.scenes import write_scene
 from tests.view.report.test_layout import PHONE, TABLET
 
 SIZE = (1440, 1000)
+WORDS = {outcome: outcome.name.lower().replace("_", " ") for outcome in VesselOutcome}
+WORDS |= {VesselOutcome.BELOW_HALF_IOU: "IoU below 0.5", VesselOutcome.DETECTED: "right"}
+WORDS |= {VesselOutcome.OFF_VESSEL: "off its vessel"}
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +43,7 @@ def test_both_runs_show_their_own_detections_and_move_together(browser, both, mi
     said = "new Promise(done => setTimeout(() => done(document.querySelector('#note').textContent), 300))"
     run, scene = browser.run("[player.pane.run.replace(' ', '-'), player.recording.facts.name]")
     assert browser.run(said) == f"Saved as {scene}_{run}_bow_50.png"
-    browser.press("+")
-    views = browser.run("player.panes.map(pane => pane.picture.view)")
+    views = browser.after("+", "player.panes.map(pane => pane.picture.view)")
     assert views[0] == views[1]
     browser.click("#picture2")
     assert browser.run("player.pane.run").startswith("B ")
@@ -71,20 +73,14 @@ def test_differences_are_moments_lanes_and_labels(browser, both):
     first = first[np.lexsort((found.vessel[first], found.index[first]))]
     assert browser.after("x", "player.momentRow.kind") == "differs"
     browser.run("player.momentRow.show(player.moments.choose(0))")
-    assert browser.run("player.index") == found.index[first[0]]
-    assert browser.run("player.followed") == found.vessel[first[0]]
-    assert browser.run("player.moments.list.length") == len(first)
+    chosen = browser.run("[player.index, player.followed, player.moments.list.length]")
+    assert chosen == [found.index[first[0]], found.vessel[first[0]], len(first)]
     lanes = browser.run("player.differenceLanes.lanes.map(([vessel]) => vessel)")
     assert lanes == sorted(set(found.vessel[first].tolist()))
-    a, b = (VesselOutcome(each) for each in found.outcomes[first[0]])
+    a, b = (WORDS[VesselOutcome(each)] for each in found.outcomes[first[0]])
     labels = browser.run("player.panes.map(pane => pane.picture.plates.map(plate => plate.text))")
-    assert f"B: {_words(b)}" in labels[0] and f"A: {_words(a)}" in labels[1]
+    assert f"B: {b}" in labels[0] and f"A: {a}" in labels[1]
     assert "≠" in browser.run("player.list.rows[player.followed].cells[2].textContent")
-
-
-def _words(outcome: VesselOutcome) -> str:
-    named = {VesselOutcome.BELOW_HALF_IOU: "IoU below 0.5", VesselOutcome.DETECTED: "right"}
-    return named.get(outcome, outcome.name.lower().replace("off_vessel", "off its vessel").replace("_", " "))
 
 
 def test_paired_counts_are_of_all_annotated_vessels(mistaken_folder, other_folder):
@@ -107,9 +103,8 @@ def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
     assert browser.run("[player.camera, player.timeline.camera]") == [1, 1]
     assert "camera=bow&beside=quay" in browser.after("u", "location.hash")  # writes the address
     assert browser.after("g", "[player.panes.length, document.querySelector('#picture2')]") == [1, None]
-    browser.press("g")  # another camera than the first, and drawn at once
-    assert browser.run("player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
-    image = "document.querySelector('#picture2').toDataURL()"
+    assert browser.after("g", "player.panes.map(pane => pane.facts.name)") == ["bow", "quay"]
+    image = "document.querySelector('#picture2').toDataURL()"  # drawn at once
     drawn = "new Promise(done => requestAnimationFrame(() => { player.draw(); done(" + image + ") }))"
     assert browser.run(image) == browser.run(drawn)
     assert browser.run("document.querySelector('#beside').value") == "quay"
@@ -118,12 +113,11 @@ def test_a_second_camera_stands_beside_the_first(browser, mistaken_page):
 
 def test_from_above_vessels_are_where_the_scene_has_them(browser, mistaken_page, mistaken_folder):
     browser.open(mistaken_page, SIZE, "#step=40")
-    run = open_run(mistaken_folder)
-    poses = run.scene.poses.poses(40, 41)
-    for vessel, place in enumerate(browser.run("player.recording.places(40).vessels")):
-        assert (place is not None) == poses.present[0, vessel]
-        if place:
-            np.testing.assert_allclose([place["x"], place["y"]], poses.positions_m[0, vessel, :2], atol=0.006)
+    poses = open_run(mistaken_folder).scene.poses.poses(40, 41)
+    places = browser.run("player.recording.places(40).vessels")
+    assert [place is not None for place in places] == poses.present[0].tolist()
+    shown = [[place["x"], place["y"]] for place in places if place]
+    np.testing.assert_allclose(shown, poses.positions_m[0, poses.present[0], :2], atol=0.006)
     placed = browser.run("player.above.placed")
     chosen, box = placed[0], browser.run("document.querySelector('#above').getBoundingClientRect().toJSON()")
     browser.click("#above", chosen["x"] / box["width"], chosen["y"] / box["height"])
@@ -135,11 +129,10 @@ def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_fol
     out, refused = tmp_path / "two.html", tmp_path / "no.html"
     assert call("report", mistaken_folder, other_folder, "--out", out, "--every", 20)[0] == 0
     assert json.loads(out.read_text().partition('id="facts-B">')[2].partition("</script>")[0])["every"] == 20
-    status, said = call("report", mistaken_folder, run_folder, "--out", refused)
-    assert status == 2 and "show different truth" in " ".join(said.split())
-    status, said = call("report", mistaken_folder, other_folder, "--tracks", "tracks", "--out", refused)
-    assert status == 2 and "--tracks is for one run" in " ".join(said.split())
-    assert not refused.exists()
+    wrong = {"show different truth": (run_folder,), "--tracks is for one run": (other_folder, "--tracks", "tracks")}
+    for words, arguments in wrong.items():
+        status, said = call("report", mistaken_folder, *arguments, "--out", refused)
+        assert status == 2 and words in " ".join(said.split()) and not refused.exists()
 
 
 def test_the_same_runs_give_the_same_bytes_and_an_interrupted_one_without_steps_none(
@@ -169,47 +162,39 @@ def outcome_in(frame: Frame, row: int) -> VesselOutcome:
 @pytest.mark.parametrize("every", [1, 7])
 def test_stretches_are_the_steps_at_which_the_runs_differ(mistaken_folder, other_folder, every):
     first, second = open_run(mistaken_folder), open_run(other_folder)
+    cameras, vessels = [camera.name for camera in first.scene.cameras], first.scene.vessel_names
     frames = {(one.camera, one.step): (one, other) for one, other in zip(first.frames(), second.frames(), strict=True)}
-    expected = set()
-    for camera in (each.name for each in first.scene.cameras):
-        taken = sorted(step for name, step in frames if name == camera)
-        for index, step in enumerate(range(0, first.steps, every)):
-            if (last := max((each for each in taken if each <= step), default=None)) is None:
-                continue
-            one, other = frames[camera, last]
-            for row, vessel in enumerate(one.truth.vessels):
+    expected = []
+    for index, step in enumerate(range(0, first.steps, every)):
+        for camera in cameras:
+            taken = [taken for name, taken in frames if name == camera and taken <= step]
+            one, other = frames[camera, max(taken)] if taken else (None, None)
+            for row, vessel in enumerate(one.truth.vessels if one else ()):
                 pair = outcome_in(one, row), outcome_in(other, row)
                 if pair[0] != pair[1]:
-                    expected.add((camera, vessel, index, *pair))
-    found = differences(recording(first, every).outcomes, recording(second, every).outcomes)
-    cameras, vessels = [camera.name for camera in first.scene.cameras], first.scene.vessel_names
+                    expected.append((camera, vessel, index, *pair))
+    outcomes = recording(first, every).outcomes
+    found = differences(outcomes, recording(second, every).outcomes)
     stretches = zip(found.camera, found.vessel, found.index, found.until, found.outcomes.tolist(), strict=True)
     covered = [
         (cameras[camera], vessels[vessel], index, *pair)
         for camera, vessel, begin, until, pair in stretches
         for index in range(begin, until + 1)
     ]
-    assert len(covered) == len(set(covered)) and set(covered) == expected
-    assert len(expected) > len(found.camera)  # some stretches last
-
-
-def test_a_run_does_not_differ_from_itself_and_has_the_truth_of_another_seed(mistaken_folder, other_folder):
-    run = open_run(mistaken_folder)
-    outcomes = recording(run).outcomes
+    assert sorted(covered) == sorted(expected) and len(expected) > len(found.camera)  # some stretches last
     assert len(differences(outcomes, outcomes).camera) == 0
-    check_same_truth(run, open_run(other_folder))
 
 
-def test_runs_of_other_truth_are_refused_with_what_differs(run_folder, mistaken_folder, tmp_path):
+def test_runs_of_other_truth_are_refused_with_what_differs(run_folder, mistaken_folder, other_folder, tmp_path):
     first = open_run(mistaken_folder)
+    check_same_truth(first, open_run(other_folder))
     with pytest.raises(RunDirectoryError, match=r"show different truth, in the cameras: .*modsim3d detect"):
         check_same_truth(first, open_run(run_folder))
     runs = []
-    for name, far in (("near", 150), ("far", 151)):
-        (tmp_path / name).mkdir()
+    for far in (150, 151):
         boats = {"ferry": ([30.0, 8.0, 9.0], [[0, far, 10], [100, far, 12]])}
-        scene = load_scene(str(write_scene(tmp_path / name, boats, steps=4)), source="analytic")
-        run_scene(scene, tmp_path / name / "run")
-        runs.append(open_run(tmp_path / name / "run"))
+        scene = load_scene(write_scene(tmp_path, boats, steps=4), source="analytic")
+        run_scene(scene, tmp_path / f"{far}")
+        runs.append(open_run(tmp_path / f"{far}"))
     with pytest.raises(RunDirectoryError, match=r"in \w+ of ferry at step 0 of camera \w+: [\d.]+ against [\d.]+\."):
         check_same_truth(*runs)

@@ -5,7 +5,6 @@ import numpy as np
 from modsim3d.runs.stored_run import open_run
 from modsim3d.view import palette
 from modsim3d.view.report.report import write_report
-from tests.command_line import call
 from tests.view.made_tracks import FALSE_TRACK, write_csv
 from tests.view.report.conftest import FALSE, SWAP
 from tests.view.report.unpacking import read
@@ -83,27 +82,24 @@ def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
         assert part not in plain and part in with_tracks
 
 
-def test_command_takes_a_file_and_says_what_is_in_it(monkeypatch, capsys, run_folder, rows, followed, tmp_path):
+def test_command_takes_a_file_and_says_what_is_in_it_with_a_similarity_in_the_legend(
+    call, browser, run_folder, rows, followed, tmp_path
+):
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
-    assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", out, "--every", 20) == 0
-    assert followed.sentence() in " ".join(capsys.readouterr().out.split())
+    status, said = call("report", run_folder, "--tracks", file, "--out", out, "--every", 20)
+    assert status == 0 and followed.sentence() in " ".join(said.split())
     assert read(out).facts["tracks"]["name"] == "made"
-    assert call(monkeypatch, "report", run_folder, "--tracks", file, "--out", file, "--overwrite") == 2
+    options = ("--similarity", "centre:150", "--threshold", 0.3, "--every", 20, "--overwrite")
+    assert call("report", run_folder, "--tracks", file, *options, "--out", out)[0] == 0
+    browser.open(out)
+    assert "1 - distance of centres / 150 px below 0.3" in browser.text("#legend")
+    assert call("report", run_folder, "--tracks", file, "--out", file, "--overwrite")[0] == 2
     assert file.read_text(encoding="utf-8").startswith("camera,")
 
 
-def test_the_similarity_is_an_option_and_in_the_legend(monkeypatch, browser, run_folder, rows, followed, tmp_path):
-    file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
-    options = ("--similarity", "centre:150", "--threshold", 0.3, "--every", 20)
-    assert call(monkeypatch, "report", run_folder, "--tracks", file, *options, "--out", out) == 0
-    browser.open(out)
-    assert "1 - distance of centres / 150 px below 0.3" in browser.text("#legend")
-
-
-def test_the_similarity_needs_tracks_and_missing_tracks_are_one_message(monkeypatch, capsys, run_folder, tmp_path):
+def test_the_similarity_needs_tracks_and_missing_tracks_are_one_message(call, run_folder, tmp_path):
     missing, out = tmp_path / "nowhere", tmp_path / "page.html"
-    for options, said in ((("--threshold", 0.3), "are for --tracks"), (("--tracks", missing), str(missing))):
-        assert call(monkeypatch, "report", run_folder, *options, "--out", out) == 2
-        error = capsys.readouterr().err
-        assert said in error and "Traceback" not in error
+    for options, words in ((("--threshold", 0.3), "are for --tracks"), (("--tracks", missing), str(missing))):
+        status, said = call("report", run_folder, *options, "--out", out)
+        assert status == 2 and words in said and "Traceback" not in said
     assert not out.exists()
