@@ -72,9 +72,7 @@ def wrong_calls() -> dict[str, tuple[Callable[[object], object], str]]:
 
 
 @pytest.mark.parametrize(("name", "call_and_said"), wrong_calls().items())
-def test_what_is_no_path_or_can_be_no_files_name_is_refused_by_the_name_of_the_argument(
-    name, call_and_said, tmp_path, monkeypatch
-):
+def test_what_is_no_path_or_no_files_name_is_refused_by_the_arguments_name(name, call_and_said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     call, said = call_and_said
     for wrong in (3, b"runs/a", 2.5, object()):
@@ -104,9 +102,7 @@ def test_a_shipped_detector_goes_by_its_name():
     assert [state.name for state in scene.detector.states] == ["foggy_cloudy"]
 
 
-def test_a_file_comes_before_the_shipped_detector_of_its_name_and_an_unknown_name_gets_the_nearest(
-    tmp_path, monkeypatch
-):
+def test_a_file_comes_before_the_shipped_detector_of_its_name_and_unknown_ones_get_the_nearest(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("thesis").write_text((DETECTORS / "conditions/foggy_cloudy.yaml").read_text())
     assert [state.name for state in modsim3d.load_detector("thesis").states] == ["foggy_cloudy"]

@@ -136,9 +136,7 @@ def test_a_verified_run_tells_and_writes_its_verdicts_and_names_what_differs(ver
     assert first.index("DIFFERS") < first.index("obeys") and wrong.failed[0].parameter.name in first
 
 
-def test_a_learned_detector_is_that_of_its_file_which_the_command_writes_too(
-    learned, folder, scene, tmp_path, monkeypatch
-):
+def test_a_learned_detector_is_that_of_its_file_and_of_the_command(learned, folder, scene, tmp_path, monkeypatch):
     path, page = learned.write(tmp_path / "learned.yaml")
     assert page == tmp_path / "learned.html" and "<svg" in page.read_text()
     read = modsim3d.load_detector(path)

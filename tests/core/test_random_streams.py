@@ -56,7 +56,7 @@ def test_a_purpose_has_one_width() -> None:
 
 
 @given(st.lists(st.integers(0, 60), max_size=6), st.sampled_from(UNIFORM), st.integers(0, 2**40))
-def test_a_step_has_the_same_numbers_however_steps_are_split_and_whatever_else_is_drawn(
+def test_a_step_has_the_same_numbers_in_parts_and_among_others(
     borders: list[int], purpose: Purpose, first: int
 ) -> None:
     whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)

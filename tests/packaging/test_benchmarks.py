@@ -58,9 +58,7 @@ def test_vessels_never_touch():
     assert not any(intersects(hull, row[:index]).any() for row in hulls for index, hull in enumerate(row))
 
 
-def test_share_of_overlapping_boats_stays_as_they_become_more_and_of_the_dense_scene_most_are_hidden(
-    renderer, tmp_path
-):
+def test_boats_overlap_as_often_when_they_become_more_and_most_of_the_dense_scene_are_hidden(renderer, tmp_path):
     for count in COUNTS:
         shares = looked_at(f"small{count}", scenes.small(count), tmp_path)
         assert shares["in_image"] == count and 0.10 < shares["overlapping"] < 0.15 and 0.04 < shares["hidden"] < 0.08

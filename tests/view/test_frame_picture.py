@@ -173,9 +173,7 @@ def test_id_map_tells_obstacles_apart_and_names_them_in_the_key(renderer):
     assert len({palette.obstacle_colour(i) for i in range(4)}) == 4
 
 
-def test_id_map_has_each_vessels_colour_where_its_id_is_and_its_number_there_or_beside_it(
-    hiding, renderer, monkeypatch
-):
+def test_id_map_has_each_vessels_colour_where_its_id_is_and_its_number_there_or_beside(hiding, renderer, monkeypatch):
     written, beside = [], []
     monkeypatch.setattr(ids_module, "draw_labels", lambda canvas, labels, boxes: beside.extend(labels))
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", lambda draw, at, text, **style: written.append(text))

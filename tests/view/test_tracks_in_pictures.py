@@ -30,7 +30,7 @@ def tracks(rows, followed, tmp_path_factory):
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def test_a_box_has_its_tracks_colour_and_trail_and_a_false_one_that_of_mistakes(
+def test_a_box_has_its_tracks_colour_and_trail_a_false_one_the_alarms(
     monkeypatch, capsys, exact_run, followed, tracks, tmp_path
 ):
     options = ("--width", WIDTH, "--layers", "tracks", "--tracks", tracks, "--out", tmp_path / "a.png")
@@ -69,9 +69,7 @@ def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, 
     assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
 
 
-def test_tracks_are_refused_where_they_are_not_drawn_and_of_an_interrupted_run(
-    monkeypatch, capsys, exact_run, tmp_path, tracks
-):
+def test_tracks_not_drawn_or_of_an_interrupted_run_are_refused(monkeypatch, capsys, exact_run, tmp_path, tracks):
     for line in (("film", exact_run), ("frame", exact_run, 3)):
         assert call(monkeypatch, "view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite") == 2
         assert "--tracks works with --kind detections and all" in capsys.readouterr().err

@@ -71,9 +71,7 @@ def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path):
         assert view(monkeypatch, *arguments, "--overwrite") == 0
 
 
-def test_a_folder_that_is_no_run_is_refused_and_one_with_other_things_gets_no_frames(
-    monkeypatch, capsys, run, tmp_path
-):
+def test_a_folder_that_is_no_run_or_has_other_things_is_refused(monkeypatch, capsys, run, tmp_path):
     assert "no run" in refused(monkeypatch, capsys, "film", tmp_path, "--kind", "ids")
     assert "does not exist" in refused(monkeypatch, capsys, "film", tmp_path / "x", "--kind", "ids")
     (tmp_path / "thesis.pdf").write_text("precious")

@@ -51,9 +51,7 @@ def test_page_asks_for_nothing_but_itself_and_slider_and_timeline_choose_frame_a
     assert [url.partition("#")[0] for url in browser.requests] == [page.resolve().as_uri()]
 
 
-def test_layers_are_hidden_and_shown_by_mouse_and_key_and_silhouettes_have_their_vessels_colour(
-    browser, page, crowded, run_folder
-):
+def test_layers_are_shown_by_mouse_and_key_silhouettes_in_their_vessels_colour(browser, page, crowded, run_folder):
     browser.open(page, hash=f"#step={crowded}")
     browser.press("9")  # false positives may be far from any vessel
     everything, names = browser.pixels(), browser.run("Object.keys(player.shown)")

@@ -107,9 +107,7 @@ def first_said(page):
     return {name: (int(number), meaning) for name, number, meaning in tiles}, warning and list(warning.groups())
 
 
-def test_the_result_comes_first_with_what_shares_are_of_and_a_warning_only_where_many_boxes_are_bad(
-    mistaken_page, mistaken_folder, tmp_path
-):
+def test_the_result_comes_first_with_a_warning_only_where_many_boxes_are_bad(mistaken_page, mistaken_folder, tmp_path):
     counts = json.loads((mistaken_folder / "run.json").read_text())["counts"]
     of_vessels = counts["detected"] - counts["merged"]
     every, annotated = of_vessels + counts["false_positives"], counts["annotated"]
@@ -149,9 +147,7 @@ def test_player_has_the_outcome_and_kind_of_each_detection(mistaken_page, mistak
     assert kinds == [kind for frame in frames for kind in frame.detections.kinds]
 
 
-def test_same_run_gives_the_same_page_with_settings_versions_and_links_to_pages_of_other_commands(
-    page, run_folder, tmp_path
-):
+def test_same_run_gives_the_same_page_with_settings_versions_and_links_to_other_pages(page, run_folder, tmp_path):
     text = page.read_text(encoding="utf-8").replace("<wbr>", "")
     settings = text.partition("All settings of the run</summary>")[2].partition("</table>")[0]
     said = dict(re.findall(r"<tr><th>(.*?)</th><td>(.*?)</td></tr>", settings))

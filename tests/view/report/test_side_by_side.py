@@ -135,9 +135,7 @@ def test_the_command_takes_two_runs(call, mistaken_folder, other_folder, run_fol
         assert status == 2 and words in " ".join(said.split()) and not refused.exists()
 
 
-def test_the_same_runs_give_the_same_bytes_and_an_interrupted_one_without_steps_none(
-    mistaken_folder, other_folder, tmp_path
-):
+def test_the_same_runs_give_the_same_bytes_and_one_without_steps_none(mistaken_folder, other_folder, tmp_path):
     runs = open_run(mistaken_folder), open_run(other_folder)
     pages = [write_side_by_side(*runs, tmp_path / name, every=10) for name in ("once.html", "again.html")]
     assert pages[0].read_bytes() == pages[1].read_bytes()

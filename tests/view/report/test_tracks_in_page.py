@@ -82,9 +82,7 @@ def test_a_page_without_tracks_says_nothing_of_lanes(page, tracks_page):
         assert part not in plain and part in with_tracks
 
 
-def test_command_takes_a_file_and_says_what_is_in_it_with_a_similarity_in_the_legend(
-    call, browser, run_folder, rows, followed, tmp_path
-):
+def test_command_takes_a_file_says_what_is_in_it_and_a_similarity(call, browser, run_folder, rows, followed, tmp_path):
     file, out = write_csv(followed.tracks, rows, tmp_path / "made.csv"), tmp_path / "page.html"
     status, said = call("report", run_folder, "--tracks", file, "--out", out, "--every", 20)
     assert status == 0 and followed.sentence() in " ".join(said.split())
