@@ -1,9 +1,9 @@
 """Pictures and GIF films as they are written, read back with other eyes: by Pillow."""
 
 import io
+from itertools import product
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -13,18 +13,13 @@ from modsim3d.view import palette
 from modsim3d.view.films.files import UNCHANGED, film_palette, quantised, write_gif
 
 
-@pytest.mark.parametrize("size", [(1, 1), (3, 2), (2, 4), (641, 77)])
-@pytest.mark.parametrize("mode", ["RGB", "1", "L"])
-def test_the_pixels_of_a_png_are_those_of_the_picture(mode, size):
-    values = np.random.default_rng(0).integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
-    picture = Image.fromarray(values).convert(mode)
-    for optimize in (False, True):
+def test_the_pixels_of_a_png_are_those_of_the_picture_and_a_jpeg_has_the_quality_that_is_asked_for():
+    sizes, rng = ((1, 1), (3, 2), (2, 4), (641, 77)), np.random.default_rng(0)
+    for mode, size, optimize in product(("RGB", "1", "L"), sizes, (False, True)):
+        picture = Image.fromarray(rng.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)).convert(mode)
         with Image.open(io.BytesIO(encoded(picture, optimize=optimize))) as read:
             assert (read.format, read.mode, read.size) == ("PNG", mode, size)
             np.testing.assert_array_equal(np.asarray(read), np.asarray(picture))
-
-
-def test_a_jpeg_has_the_quality_that_is_asked_for():
     picture = Image.linear_gradient("L").convert("RGB")
     small, large = (encoded(picture, ".jpg", quality=quality) for quality in (30, 95))
     assert len(small) < len(large)
@@ -77,24 +72,20 @@ def test_a_frame_may_last_longer_than_a_gif_can_say():
     assert shown(written(two, [200_000, 5], grey()))[1] == 10 * 200_005
 
 
-def test_the_colours_of_vessels_are_kept_exactly():
-    picture = Image.new("RGB", (60, 40), palette.SEA)
+def test_colours_of_vessels_are_kept_exactly_and_no_pixel_takes_the_place_of_unchanged_ones():
+    picture, rng = Image.new("RGB", (60, 40), palette.SEA), np.random.default_rng(0)
     colours = film_palette([picture])
     for i, colour in enumerate([*palette.VESSELS, palette.ALARM, palette.TRUTH]):
         picture.paste(colour, (5 * i, 0, 5 * i + 5, 5))
     np.testing.assert_array_equal(np.asarray(quantised(picture, colours).convert("RGB")), np.asarray(picture))
-
-
-def test_no_pixel_takes_the_place_of_unchanged_ones():
-    rng = np.random.default_rng(0)
     for pictures in ([Image.new("RGB", (8, 8))], [Image.fromarray(rng.integers(0, 256, (99, 99, 3), dtype=np.uint8))]):
         colours = film_palette(pictures)
         for picture in (*pictures, Image.fromarray(rng.integers(0, 256, (99, 99, 3), dtype=np.uint8))):
             assert np.asarray(quantised(picture, colours)).max() < UNCHANGED
 
 
-def test_only_what_changes_is_stored():
-    rng = np.random.default_rng(0)
+def test_only_what_changes_is_stored_and_frames_are_written_as_they_come():
+    rng, out, lengths = np.random.default_rng(0), io.BytesIO(), []
     frames = [rng.integers(0, UNCHANGED, (200, 200), dtype=np.uint8)]
     for row in range(10):  # far apart, so that the box around them is the whole picture
         frames.append(frames[-1].copy())
@@ -102,14 +93,10 @@ def test_only_what_changes_is_stored():
     first, all_of_them = (len(written(part, [5] * len(part), grey()).fp.getvalue()) for part in (frames[:1], frames))
     assert all_of_them < 1.5 * first
 
-
-def test_frames_are_written_as_they_come():
-    out, lengths = io.BytesIO(), []
-
-    def frames():
+    def coming():
         for level in range(5):
             lengths.append(out.tell())
             yield Image.new("L", (50, 50), level), 5
 
-    write_gif(out, grey(), frames())
+    write_gif(out, grey(), coming())
     assert sorted(set(lengths[1:])) == lengths[1:]

@@ -14,77 +14,72 @@ from modsim3d.cli import main
 from modsim3d.runs import pipeline
 from tests.run_folders import interrupt
 from tests.scenes import write_scene
-from tests.view.test_film import view
 
 
-def refused(monkeypatch, capsys, *arguments) -> str:
-    assert view(monkeypatch, *arguments) == main.BAD_INPUT
-    said = capsys.readouterr()
-    assert "Traceback" not in said.err
-    return said.err
+def refused(call, *arguments) -> str:
+    status, said = call("view", *arguments)
+    assert status == main.BAD_INPUT and "Traceback" not in said
+    return said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("film", "--kind", "ids", "--camera", "C9"), ["no camera 'C9'", "C0"]),
-        (("frame", "99"), ["no step 99", "0 to 11"]),
-        (("frame", "3.5"), ["no frame at 3.5", "step", "0 to 11"]),
-        (("frame", "noon"), ["'noon'", "51.0 or 51s"]),
-        (("frame", "nan"), ["no frame at nan"]),
-        (("film", "--kind", "ids", "--start", "100", "--end", "200"), ["100", "200", "0.0 s to 11.0 s"]),
-        (("film", "--kind", "ids", "--start", "5", "--end", "4"), ["no frames between 5 s and 4 s"]),
-        (("film", "--kind", "ids", "--layers", "truth,ghosts"), ["ghosts", "silhouettes"]),
-        (("film", "--kind", "ids", "--crop", "1,2,3"), ["four", "vessels"]),
-        (("film", "--kind", "ids", "--crop", "0,0,9000,10"), ["C0", "800 × 600"]),
-        (("film", "--kind", "ids", "--width", "641"), ["640 or 642"]),
-        (("film", "--kind", "ids", "--speed", "0"), ["--speed 0"]),
-        (("film", "--kind", "ids", "--speed", "nan"), ["--speed nan"]),
-        (("film", "--kind", "ids", "--out", "film.avi"), [".avi", "mp4"]),
-        (("film", "--kind", "ids", "--out", "film.gif", "--format", "mp4"), ["film.gif contradicts --format mp4"]),
-        (("film", "--kind", "ids", "--out", "nowhere/film.mp4"), ["nowhere", "does not exist"]),
-        (("frame", "3", "--out", "a.jpg"), [".png"]),
-        (("map", "99"), ["no step 99", "0 to 11"]),
-        (("map", "--out", "map.jpg"), [".png, .svg, .pdf"]),
-        (("map", "--camera", "C9"), ["no camera 'C9'"]),
-        (("film", "--kind", "ids", "--look", "night"), ["--look", "not with ids"]),
-        (("film", "--kind", "map", "--look", "shaded"), ["--look", "not with map"]),
-        (("film", "--kind", "scene", "--look", "fog:0"), ["--look fog:0", "metres"]),
-        (("film", "--kind", "scene", "--look", "fog:nan"), ["--look fog:nan"]),
-        (("film", "--kind", "scene", "--look", "fog"), ["--look fog: needs shaded or plain, night, fog:M"]),
-        (("film", "--kind", "scene", "--look", "plain,night"), ["leave out plain"]),
-    ],
-)
-def test_what_is_wrong_is_said(monkeypatch, capsys, run, tmp_path, arguments, words):
+WRONG = [
+    ("film --kind ids --camera C9", ["no camera 'C9'", "C0"]),
+    ("frame 99", ["no step 99", "0 to 11"]),
+    ("frame 3.5", ["no frame at 3.5", "step", "0 to 11"]),
+    ("frame noon", ["'noon'", "51.0 or 51s"]),
+    ("frame nan", ["no frame at nan"]),
+    ("film --kind ids --start 100 --end 200", ["100", "200", "0.0 s to 11.0 s"]),
+    ("film --kind ids --start 5 --end 4", ["no frames between 5 s and 4 s"]),
+    ("film --kind ids --layers truth,ghosts", ["ghosts", "silhouettes"]),
+    ("film --kind ids --crop 1,2,3", ["four", "vessels"]),
+    ("film --kind ids --crop 0,0,9000,10", ["C0", "800 × 600"]),
+    ("film --kind ids --width 641", ["640 or 642"]),
+    ("film --kind ids --speed 0", ["--speed 0"]),
+    ("film --kind ids --speed nan", ["--speed nan"]),
+    ("film --kind ids --out film.avi", [".avi", "mp4"]),
+    ("film --kind ids --out film.gif --format mp4", ["film.gif contradicts --format mp4"]),
+    ("film --kind ids --out nowhere/film.mp4", ["nowhere", "does not exist"]),
+    ("frame 3 --out a.jpg", [".png"]),
+    ("map 99", ["no step 99", "0 to 11"]),
+    ("map --out map.jpg", [".png, .svg, .pdf"]),
+    ("map --camera C9", ["no camera 'C9'"]),
+    ("film --kind ids --look night", ["--look", "not with ids"]),
+    ("film --kind map --look shaded", ["--look", "not with map"]),
+    ("film --kind scene --look fog:0", ["--look fog:0", "metres"]),
+    ("film --kind scene --look fog:nan", ["--look fog:nan"]),
+    ("film --kind scene --look fog", ["--look fog: needs shaded or plain, night, fog:M"]),
+    ("film --kind scene --look plain,night", ["leave out plain"]),
+]
+
+
+@pytest.mark.parametrize(("line", "words"), WRONG)
+def test_what_is_wrong_is_said(monkeypatch, call, run, tmp_path, line, words):
     monkeypatch.chdir(tmp_path)
-    said = refused(monkeypatch, capsys, arguments[0], run, *arguments[1:])
+    task, *options = line.split()
+    said = refused(call, task, run, *options)
     assert all(word in said for word in words), said
     assert not list(tmp_path.iterdir())
 
 
-def test_a_film_is_not_overwritten_unasked(monkeypatch, capsys, run, tmp_path):
+def test_a_film_is_not_overwritten_unasked(call, run, tmp_path):
     for name, kind in (("film.mp4", "mp4"), ("film.gif", "gif"), ("film", "png")):
         arguments = ("film", run, "--kind", "scene", "--width", 160, "--end", 1, "--format", kind)
         arguments += ("--out", tmp_path / name)
-        assert view(monkeypatch, *arguments) == 0
-        assert "--overwrite" in refused(monkeypatch, capsys, *arguments)
-        assert view(monkeypatch, *arguments, "--overwrite") == 0
+        assert call("view", *arguments)[0] == 0
+        assert "--overwrite" in refused(call, *arguments)
+        assert call("view", *arguments, "--overwrite")[0] == 0
 
 
-def test_a_folder_that_is_no_run_or_has_other_things_is_refused(monkeypatch, capsys, run, tmp_path):
-    assert "no run" in refused(monkeypatch, capsys, "film", tmp_path, "--kind", "ids")
-    assert "does not exist" in refused(monkeypatch, capsys, "film", tmp_path / "x", "--kind", "ids")
+def test_a_folder_that_is_no_run_or_has_other_things_and_a_missing_ffmpeg_are_said(monkeypatch, call, run, tmp_path):
+    assert "no run" in refused(call, "film", tmp_path, "--kind", "ids")
+    assert "does not exist" in refused(call, "film", tmp_path / "x", "--kind", "ids")
     (tmp_path / "thesis.pdf").write_text("precious")
     arguments = ("film", run, "--kind", "scene", "--format", "png", "--out", tmp_path, "--overwrite")
-    assert "thesis.pdf" in refused(monkeypatch, capsys, *arguments)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.pdf"]
-
-
-def test_without_ffmpeg_the_extra_is_named_before_anything_is_drawn(monkeypatch, capsys, run, tmp_path):
+    assert "thesis.pdf" in refused(call, *arguments)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", tmp_path / "film.mp4")
+    said = refused(call, "film", run, "--kind", "scene", "--out", tmp_path / "film.mp4")
     assert "pip install 'modsim3d[video]'" in said and "--format gif" in said
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.pdf"]  # before anything is drawn
 
 
 def broken_encoder(monkeypatch, folder, script):
@@ -97,37 +92,36 @@ def broken_encoder(monkeypatch, folder, script):
     return out
 
 
-def test_an_encoder_that_fails_leaves_nothing(monkeypatch, capsys, run, tmp_path):
+def test_an_encoder_that_fails_leaves_nothing(monkeypatch, call, run, tmp_path):
     out = broken_encoder(monkeypatch, tmp_path, "echo 'no such encoder' >&2\nexit 1")
     # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
     with warnings.catch_warnings(action="ignore", category=ResourceWarning):
-        said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--out", out / "film.mp4")
+        said = refused(call, "film", run, "--kind", "scene", "--out", out / "film.mp4")
         gc.collect()
     assert "film.mp4 could not be encoded: no such encoder\n" in said and not list(out.iterdir())
 
 
-def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatch, capsys, run, tmp_path):
+def test_a_film_that_lost_pictures_without_a_word_is_not_put_in_place(monkeypatch, call, run, tmp_path):
     """An encoder that takes every picture, encodes those of the first second, and says that all is well."""
     encoder = imageio_ffmpeg.get_ffmpeg_exe()
     script = f'[ "$1" = -y ] && {{ {encoder} -t 1 "$@"; exec cat >/dev/null; }}\nexec {encoder} "$@"'
     out = broken_encoder(monkeypatch, tmp_path, script)
-    said = refused(monkeypatch, capsys, "film", run, "--kind", "scene", "--width", 160, "--out", out / "film.mp4")
+    said = refused(call, "film", run, "--kind", "scene", "--width", 160, "--out", out / "film.mp4")
     assert re.search(r"film\.mp4 could not be encoded: it has 5 of \d+ pictures", said) and not list(out.iterdir())
 
 
-def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, capsys, tmp_path):
+def test_an_interrupted_run_is_drawn_as_far_as_it_goes_and_says_so(monkeypatch, call, tmp_path):
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 250)
     scene = load_scene(write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, 250, 10], [999, 250, 12]])}, 400))
     cut = interrupt(scene, tmp_path / "cut")
-    arguments = ("film", cut, "--kind", "scene", "--every", 50, "--format", "png", "--width", 160)
-    assert view(monkeypatch, *arguments) == 0
-    assert "interrupted; of 400 steps there are steps 0 to 249" in capsys.readouterr().err
+    options = ("--kind", "scene", "--every", 50, "--format", "png", "--width", 160)
+    status, said = call("view", "film", cut, *options)
+    assert status == 0 and "interrupted; of 400 steps there are steps 0 to 249" in said
     assert len(list((cut / "scene").iterdir())) == 5
-    assert "249" in refused(monkeypatch, capsys, "frame", cut, 300)
-    assert "--resume" in refused(monkeypatch, capsys, "sheet", cut)
+    assert "249" in refused(call, "frame", cut, 300) and "--resume" in refused(call, "sheet", cut)
     shutil.rmtree(cut / "scene")
     for path in (cut / "unfinished").glob("truth_*.npz"):
         path.unlink()
-    assert "not finished a single block" in refused(monkeypatch, capsys, "film", cut, "--kind", "ids")
+    assert "not finished a single block" in refused(call, "film", cut, "--kind", "ids")
     run_scene(scene, cut, resume=True)
     assert (cut / "run.json").exists()
