@@ -1,6 +1,7 @@
 """Lights by night: which ones each kind and size of vessel shows to each bearing, where they are and how far seen."""
 
 import math
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -113,11 +114,11 @@ def strait():
     return load_scene("strait", steps=111)
 
 
-def placed(one, knots=8):
+def placed(one):
     """Places of lights in metres from the vessel's origin, by name; of several masthead lights the fore one first."""
-    found = {}
-    for light in lanterns(one, knots * KNOT_M_S):
-        found.setdefault(light.name, []).append(np.array(light.place) * one.extents_m)
+    found = defaultdict(list)
+    for light in lanterns(one, 8 * KNOT_M_S):
+        found[light.name].append(np.array(light.place) * one.extents_m)
     return found
 
 
@@ -154,10 +155,9 @@ def test_the_only_masthead_light_is_before_midships_from_20_m_on_and_a_sail_has_
 
 def test_strait_by_night(strait):
     """The moment of docs/looks.png, from the bow camera."""
-    solids = Solids.at(strait, strait.cameras[0], 110)
-    shown = {}
+    solids, shown = Solids.at(strait, strait.cameras[0], 110), defaultdict(list)
     for light in lights_towards(solids.sight, ground_speeds(strait, 110)):
-        shown.setdefault(strait.vessel_names[light.vessel], []).append(light.lantern.name)
+        shown[strait.vessel_names[light.vessel]].append(light.lantern.name)
     assert shown == {
         "ferry": ["masthead", "masthead", "starboard side"],
         "container_ship": ["masthead", "masthead", "port side"],

@@ -89,10 +89,10 @@ def test_a_bad_box_is_dashed_and_has_gaps_when_it_is_small_too_and_a_line_joins_
 
 
 @pytest.fixture
-def labels(monkeypatch):
-    collected: list[Label] = []
+def labels(monkeypatch) -> list[Label]:
+    collected = []
     monkeypatch.setattr(frame_picture, "draw_labels", lambda canvas, labels, boxes: collected.extend(labels))
-    yield collected
+    return collected
 
 
 def test_the_label_of_a_wrong_class_says_what_the_vessel_is_and_that_of_a_false_alarm_that_it_is_one(seen, labels):
@@ -158,13 +158,13 @@ def test_highlights_have_each_kind_of_mistake_that_the_run_has_and_boxes_off_the
 
 def test_the_fate_of_the_smaller_vessel_in_a_merged_box_is_said(run):
     frame = next(frame for frame in run.frames() if "merged" in frame.detections.kinds)
-    annotated = [vessel for vessel, known in zip(frame.truth.vessels, frame.truth.annotated, strict=True) if known]
+    annotated = np.array(frame.truth.vessels)[frame.truth.annotated].tolist()
     assert "detected, in one box with another" in [fate(frame, vessel) for vessel in annotated]
 
 
 def test_a_vessel_that_is_hidden_in_part_has_its_share_after_a_comma(seen, labels):
     share = np.full(len(seen.frame.truth), 0.77)
-    truth = replace(seen.frame.truth, visible_fraction=share, detected=np.ones(len(share), dtype=bool))
+    truth = replace(seen.frame.truth, visible_fraction=share, detected=share > 0)
     drawn(replace(seen, frame=replace(seen.frame, truth=truth)), Layers(fractions=True))
     assert {label.text for label in labels} == {f"{name}, 77 % seen" for name in truth.vessels}
 
@@ -189,11 +189,10 @@ def test_each_picture_of_the_sheet_points_at_what_it_is_about_and_names_only_tha
 
 
 def test_a_caption_is_cut_where_it_is_too_long_and_names_what_hides_a_vessel_without_the_prefix_of_files():
-    for text in ("short", 20 * "a long name "):
-        shown = contact_sheet._shortened(text, 17, room := 400)
-        assert text_size(shown, 17)[2] <= room
-        assert shown == text or (shown.endswith("…") and text.startswith(shown[:-1]))
-    assert text_size(shown, 17)[2] > room - 20
+    short, long = "short", 20 * "a long name "
+    cut = contact_sheet._shortened(long, 17, 400)
+    assert contact_sheet._shortened(short, 17, 400) == short
+    assert 380 < text_size(cut, 17)[2] <= 400 and cut.endswith("…") and long.startswith(cut[:-1])
     row = {"occluded_by": [{"id": "obstacle:south_hill", "px": 9.0}], "visible_fraction": 0.5}
     assert contact_sheet._hidden_by(row) == "50 % hidden by south_hill"
 
@@ -206,8 +205,7 @@ def test_an_arrow_covers_no_other_boat_and_stays_in_the_picture():
 
 
 def test_the_legend_has_the_vessels_that_the_pictures_show(run):
-    selection = select(run, (1,), from_s=0, to_s=1)
-    names = run.scene.vessel_names
+    selection, names = select(run, (1,), from_s=0, to_s=1), run.scene.vessel_names
     frames = [frame for step in selection.step_frames() for frame in step.frames if frame is not None]
     shown = {vessel for frame in frames for vessel in frame.truth.vessels}
     assert {names[index] for index in vessels_in(selection)} == shown

@@ -124,8 +124,7 @@ def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
         lines = latest(recording[f"{image}/silhouettes"], step)
         found, truth = dict(zip(lines["labels"], map(np.array, lines["strips"]), strict=True)), frames[step].truth
         for name, box, share in zip(truth.vessels, truth.full_boxes_px, truth.visible_fraction, strict=True):
-            line = found[name]
-            np.testing.assert_allclose([*line.min(axis=0), *line.max(axis=0)], box, atol=scale[0] + 1)
+            np.testing.assert_allclose([*found[name].min(axis=0), *found[name].max(axis=0)], box, atol=scale[0] + 1)
             if share == 1 and (box[2:] - box[:2]).min() > 4 * scale[0]:
                 column, row = ((box[:2] + box[2:]) / 2 / scale[:2]).astype(int)
                 colour = palette.darker(palette.vessel_colour(scene.vessel_names.index(name)))
@@ -133,11 +132,9 @@ def test_the_camera_sees_sky_sea_and_silhouettes(run, recording):
 
 
 def test_a_hole_in_a_silhouette_is_not_filled():
-    picture = Image.new("P", (40, 40), 0)
-    square = np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)])
+    picture, square = Image.new("P", (40, 40), 0), np.array([(0.0, 0), (1, 0), (1, 1), (0, 1)])
     fill(picture, [10 + 5 * square[::-1], 2 + 30 * square], 7)
-    pixels = np.asarray(picture)
-    assert pixels[5, 5] == pixels[20, 20] == 7 and pixels[12, 12] == pixels[38, 38] == 0
+    assert [picture.getpixel((place, place)) for place in (5, 20, 12, 38)] == [7, 7, 0, 0]
 
 
 def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
@@ -155,8 +152,7 @@ def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
                 hidden += not text
                 if text:
                     places.append(np.array([centre[0], centre[1] + half[1]]) / sizes[frame.camera])
-        apart = [np.abs(one - other) for one, other in combinations(places, 2)]
-        assert all((distance >= np.array(TEXT) - 1e-5).any() for distance in apart)
+        assert all((abs(one - other) >= np.array(TEXT) - 1e-5).any() for one, other in combinations(places, 2))
         shown += len(places)
         for name in ("truth", "detections"):
             assert found[f"{image}/{name}"][frame.step]["show_labels"] == [False]
@@ -164,8 +160,7 @@ def test_what_went_wrong_is_named_and_no_two_names_lie_on_each_other(mistaken):
 
 
 def test_states_have_the_colours_of_the_pages(run, recording):
-    scene, detector = open_run(run).scene, recording["/detector/C0"]
-    names = [state.name for state in scene.detector.states]
+    detector, names = recording["/detector/C0"], [state.name for state in open_run(run).scene.detector.states]
     colours = palette.state_colours(len(names))
     assert detector[None]["values"] == names
     assert detector[None]["colors"] == [int.from_bytes(bytes([*colour, 255])) for colour in colours]
@@ -207,9 +202,8 @@ def test_vessels_move_and_vanish_as_in_the_scene(run, recording):
     for index, name in enumerate(scene.vessel_names):
         entity = recording[f"/world/vessels/{name}"]
         for step in range(0, STEPS, EVERY):
-            moved = "translation" in entity.get(step, {})
-            assert moved == poses.present[step, index]
-            if moved:
+            assert ("translation" in entity.get(step, {})) == poses.present[step, index]
+            if poses.present[step, index]:
                 np.testing.assert_allclose(entity[step]["translation"][0], poses.positions_m[step, index], rtol=1e-5)
         vanished, there = [step for step, row in entity.items() if "is_recursive" in row], poses.present[:, index]
         assert vanished == [s for s in range(EVERY, STEPS, EVERY) if there[s - EVERY] and not there[s]]

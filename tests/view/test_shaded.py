@@ -64,20 +64,14 @@ def solids(scene):
     return Solids.at(scene, scene.cameras[0], 3)
 
 
-def edges_at(solids, window):
-    corners = window.to_picture(solids.triangles.corners_px)
-    edges = np.stack([corners, np.roll(corners, -1, 1)], 2).reshape(-1, 2, 2)
-    return shapely.multilinestrings(shapely.linestrings(edges))
-
-
 def vessel_pixels(painter, solids, window, monkeypatch):
     """Where the picture changes with the colour of everything that stands in it."""
     pictures = []
     monkeypatch.setattr(shaded_picture, "REFLECTION", 0.0)
     for colour in ((0, 0, 0), (255, 255, 255)):
         monkeypatch.setattr(shaded_picture, "occluder_colour", lambda occluder, vessels, colour=colour: colour)
-        pictures.append(np.asarray(painter.picture(solids, window, samples=1)).astype(int))
-    return np.abs(pictures[1] - pictures[0]).max(axis=-1) > 0
+        pictures.append(np.asarray(painter.picture(solids, window, samples=1)))
+    return (pictures[1] != pictures[0]).any(axis=-1)
 
 
 @pytest.mark.parametrize(("name", "width"), [*((name, 800) for name in CAMERAS), ("plain", 500)])
@@ -89,7 +83,9 @@ def test_outline_equals_the_id_buffer(renderer, shaded, tmp_path, monkeypatch, n
     drawn = vessel_pixels(ShadedPictureRenderer(shaded, DAYLIGHT), solids, window, monkeypatch)
     assert (ids > 0).sum() > 1000
     rows, columns = np.nonzero(drawn != (ids > 0))
-    away = shapely.distance(edges_at(solids, window), shapely.points(columns + 0.5, rows + 0.5))
+    corners = window.to_picture(solids.triangles.corners_px)
+    edges = shapely.linestrings(np.stack([corners, np.roll(corners, -1, 1)], 2).reshape(-1, 2, 2))
+    away = shapely.distance(shapely.multilinestrings(edges), shapely.points(columns + 0.5, rows + 0.5))
     assert (away <= ROUNDING_PX).all() and len(rows) <= 3
 
 
@@ -196,33 +192,33 @@ def test_programs_are_compiled_for_the_first_picture_only(shaded, scene, monkeyp
 
 def test_vessels_keep_their_hue(renderer, shaded, solids):
     picture, ids = painted(shaded, solids, 800), solids.ids(Window.whole((800, 600), 800), renderer)
-    colours = {value: palette.vessel_colour(value - 1) for value in (1, 2, 3) if (ids == value).sum() > 50}
+    colours = {value: np.array(palette.vessel_colour(value - 1), float) for value in (1, 2, 3)}
+    colours = {value: colour for value, colour in colours.items() if (ids == value).sum() > 50}
     assert len(colours) >= 2
-    for value, colour in colours.items():
+    for value in colours:
         mean = picture[ids == value].mean(axis=0)
-        others = [np.array(other, float) for number, other in colours.items() if number != value]
-        nearness = [mean @ np.array(c, float) / np.linalg.norm(mean) / np.linalg.norm(c) for c in (colour, *others)]
-        assert nearness[0] == max(nearness)
+        assert value == max(colours, key=lambda other: mean @ colours[other] / np.linalg.norm(colours[other]))
 
 
 def test_through_the_lens_the_sea_meets_the_sky_where_directions_are_level(shaded, tmp_path):
     scene = scene_with(tmp_path, {**CAMERAS["lens"], "pose": {"position_m": [0, 0, 20], "pitch_rad": -0.1}})
     solids = Solids.at(scene, scene.cameras[0], 0)
-    window = Window.whole((800, 600), 800)
-    rays = Rays.of(solids.intrinsics, window).camera
+    rays = Rays.of(solids.intrinsics, Window.whole((800, 600), 800)).camera
     exact = solids.intrinsics.unproject(np.array([[20.5, 30.5], [400.5, 300.5], [780.5, 580.5]]), np.ones(3))
     exact /= np.linalg.norm(exact, axis=1, keepdims=True)
     np.testing.assert_allclose(rays[[30, 300, 580], [20, 400, 780]], exact, atol=2e-5)
 
 
-def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility():
+def test_fog_leaves_two_percent_of_the_contrast_at_the_visibility_which_is_a_positive_distance():
     """Koschmieder (1924); WMO takes 0.05 for the optical range, 0.02 gives 3.912 / V."""
     style = RenderStyle(shaded=True, visibility_m=800.0)
     assert style.extinction_per_m == pytest.approx(3.912 / 800, rel=1e-4)
-    air = fogged(np.zeros((1, 3)), np.array([1e9]), style)
-    at_visibility = fogged(np.zeros((1, 3)), np.array([800.0]), style)
+    air, at_visibility = (fogged(np.zeros((1, 3)), np.array([away_m]), style) for away_m in (1e9, 800.0))
     np.testing.assert_allclose((air - at_visibility) / air, 0.02, rtol=1e-4)
     np.testing.assert_array_equal(fogged(np.ones((1, 3)), np.array([0.0]), style), 1)
+    for value in (0.0, -5.0, math.inf, math.nan):
+        with pytest.raises(ModsimError, match="--look fog"):
+            RenderStyle(shaded=True, visibility_m=value)
 
 
 def test_fog_hides_what_is_far_and_night_darkens(renderer, shaded, scene, solids):
@@ -242,9 +238,3 @@ def test_weather_is_said_to_be_an_illustration(shaded, solids):
     off = np.abs(painted(shaded, solids) - painted(shaded, solids, style=nowhere))
     rows, columns = np.nonzero((off > 8).any(axis=-1))
     assert rows.min() > 440 and columns.min() == 0
-
-
-def test_a_visibility_is_a_positive_distance():
-    for value in (0.0, -5.0, math.inf, math.nan):
-        with pytest.raises(ModsimError, match="--look fog"):
-            RenderStyle(shaded=True, visibility_m=value)

@@ -25,6 +25,7 @@ FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "-
          "--force-color-profile=srgb", "--disable-renderer-backgrounding", "--disable-backgrounding-occluded-windows",
          "--disable-background-timer-throttling", "--remote-debugging-pipe")  # fmt: skip
 PATIENCE_S = 60.0
+PLAYER = "Boolean(window.player || document.querySelector('#failure:not([hidden])'))"
 
 
 def find_browser() -> str:
@@ -88,15 +89,8 @@ class Browser:
         elif method == "Network.requestWillBeSent":
             self.requests.append(said["request"]["url"])
 
-    def open(self, path: Path, size: tuple[int, int] = (1280, 900), hash: str = "") -> None:
+    def open(self, path: Path, size: tuple[int, int] = (1280, 900), hash: str = "", ready: str = PLAYER) -> None:
         """Load a file and wait for its player; what was said of the page before is forgotten."""
-        self._load(path, size, hash, "Boolean(window.player || document.querySelector('#failure:not([hidden])'))")
-
-    def visit(self, path: Path, size: tuple[int, int]) -> None:
-        """Load a file that has no player; what was said of the page before is forgotten."""
-        self._load(path, size, "", "document.readyState === 'complete' && location.protocol === 'file:'")
-
-    def _load(self, path: Path, size: tuple[int, int], hash: str, ready: str) -> None:
         self.resize(size)
         self.call("Page.navigate", url="about:blank")
         self.errors.clear()
@@ -107,6 +101,10 @@ class Browser:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"the page is not ready: {self.errors}")
             time.sleep(0.02)
+
+    def visit(self, path: Path, size: tuple[int, int]) -> None:
+        """Load a file that has no player."""
+        self.open(path, size, ready="document.readyState === 'complete' && location.protocol === 'file:'")
 
     def resize(self, size: tuple[int, int]) -> None:
         shape = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}

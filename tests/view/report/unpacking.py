@@ -4,6 +4,7 @@ import base64
 import gzip
 import json
 import re
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ def read(page: Path, name: str = "A") -> Unpacked:
 class _Reader:
     def __init__(self, facts: dict[str, Any], still: list[list[Column]]) -> None:
         self._facts, self._still, self._cameras = facts, still, len(facts["cameras"])
-        self._rows: dict[str, list[Column]] = {}
+        self._rows: defaultdict[str, list[Column]] = defaultdict(list)
         self._outlines: list[list[Column]] = []
         self._numbers: dict[tuple[int, int], int] = {}
         self._shown: list[int] = []
@@ -64,7 +65,7 @@ class _Reader:
         moving, part_steps = _outlines(part), self._facts["partSteps"]
         self._stored += len(part["state"])
         for each in ("placed", "place", "heading", "cameraPlaced", "cameraPlace", "cameraLooks"):
-            self._gather(each, part[each])
+            self._rows[each].append(part[each])
         steps = self._facts["steps"][number * part_steps :][: len(part["frame"]) // self._cameras]
         taken = part["taken"].tolist() if "taken" in part else np.repeat(steps, self._cameras).tolist()
         self._taken += taken
@@ -74,26 +75,21 @@ class _Reader:
             if step < 0:
                 first, stop = part["truthStart"][frame : frame + 2].tolist()
                 assert first == stop
-            elif self._shown[-1] == len(self._rows.get("state", [])):
+            elif self._shown[-1] == len(self._rows["state"]):
                 self._frame(part, frame, moving)
 
-    def _gather(self, name: str, values: Column) -> None:
-        self._rows.setdefault(name, []).append(values)
-
     def _frame(self, part: dict[str, Column], frame: int, moving: list[list[Column]]) -> None:
-        self._gather("state", part["state"][frame : frame + 1])
-        self._gather("horizon", part["horizon"].reshape(-1, 3)[frame])
+        self._rows["state"].append(part["state"][frame : frame + 1])
+        self._rows["horizon"].append(part["horizon"].reshape(-1, 3)[frame])
         for start in TABLES.keys() & part.keys():
             first, stop = part[start][frame : frame + 2].tolist()
-            self._gather(start, np.array([stop - first]))
+            self._rows[start].append(np.array([stop - first]))
             for column in TABLES[start]:
                 width = 4 if column in ("full", "visible", "box", "trackBox") else 1
-                self._gather(column, part[column][width * first : width * stop])
+                self._rows[column].append(part[column][width * first : width * stop])
         first, stop = part["shapeStart"][frame : frame + 2].tolist()
-        self._outlines += [
-            self._still[outline - STILL] if outline >= STILL else moving[outline]
-            for outline in part["outline"][first:stop].tolist()
-        ]
+        numbers = part["outline"][first:stop].tolist()
+        self._outlines += [self._still[each - STILL] if each >= STILL else moving[each] for each in numbers]
 
     def unpacked(self, overview: dict[str, Column]) -> Unpacked:
         columns = {column: np.concatenate(values) for column, values in self._rows.items()}
