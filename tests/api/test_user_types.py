@@ -49,22 +49,13 @@ there is to read, are left out: nothing that a user writes here has a type of th
 
 
 def test_strict_types_hold_for_a_user(tmp_path: Path) -> None:
-    user = tmp_path / "user.py"
-    user.write_text(USER)
-    wrong = tmp_path / "wrong.py"
-    wrong.write_text("import modsim3d\n\n" + "".join(WRONG))
-    done = mypy(tmp_path, user, wrong)
-    found = [line for line in done.stdout.splitlines() if ": error:" in line]
-    assert [line for line in found if "wrong.py" not in line] == []
-    for number, said in enumerate(WRONG.values(), 3):
-        assert any(f"wrong.py:{number}:" in line and said in line for line in found), done.stdout
-
-
-def mypy(folder: Path, *files: Path) -> subprocess.CompletedProcess[str]:
-    settings = folder / "mypy.ini"
-    settings.write_text(SETTINGS)
-    command = [sys.executable, "-m", "mypy", "--config-file", str(settings), "--cache-dir", str(folder / "cache")]
+    wrong = "import modsim3d\n\n" + "".join(WRONG)
+    for name, text in (("user.py", USER), ("wrong.py", wrong), ("mypy.ini", SETTINGS)):
+        (tmp_path / name).write_text(text)
     paths = {**os.environ, "MYPYPATH": str(Path(modsim3d.__file__).parents[1])}
-    return subprocess.run(
-        [*command, *map(str, files)], capture_output=True, text=True, check=False, cwd=folder, env=paths
-    )
+    command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--cache-dir", "cache", "user.py", "wrong.py"]
+    said = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=paths).stdout
+    found = [line for line in said.splitlines() if ": error:" in line]
+    assert [line for line in found if "wrong.py" not in line] == []
+    for number, words in enumerate(WRONG.values(), 3):
+        assert any(f"wrong.py:{number}:" in line and words in line for line in found), said

@@ -1,6 +1,7 @@
 """The campaign of faults: its model of a disk that loses power, its reading of strace, and its stored result."""
 
 import random
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -19,22 +20,20 @@ def escaped(text: object) -> str:
 
 def trace(folder: Path, *, fsync_file: bool, fsync_folder: bool) -> str:
     """A file is written beside its place, and renamed."""
-    partial, final = f'"{escaped(folder / "partial")}"', f'"{escaped(folder / "final")}"'
-    fd = f"3<{escaped(folder / 'partial')}>"
+    root, partial, final = (escaped(path) for path in ("/", folder / "partial", folder / "final"))
+    fd, folder_fd = f"3<{partial}>", f"4<{escaped(folder)}>"
     lines = [
-        f"7 openat(AT_FDCWD<{escaped('/')}>, {partial}, O_WRONLY|O_CREAT|O_TRUNC, 0666) = {fd}",
+        f'7 openat(AT_FDCWD<{root}>, "{partial}", O_WRONLY|O_CREAT|O_TRUNC, 0666) = {fd}',
         f'7 write({fd}, "{escaped("whole")}", 5) = 5',
-        *([f"7 fsync({fd}) = 0"] if fsync_file else []),
+        f"7 fsync({fd}) = 0" if fsync_file else "",
         f"7 close({fd}) = 0",
-        f"7 rename({partial}, {final} <unfinished ...>",
+        f'7 rename("{partial}", "{final}" <unfinished ...>',
         "8 close(9) = 0",
         "7 <... rename resumed>) = 0",
+        f'7 openat(AT_FDCWD<{root}>, "{escaped(folder)}", O_RDONLY|O_DIRECTORY) = {folder_fd}',
+        f"7 fsync({folder_fd}) = 0" if fsync_folder else "",
     ]
-    if fsync_folder:
-        fd = f"4<{escaped(folder)}>"
-        lines.append(f'7 openat(AT_FDCWD<{escaped("/")}>, "{escaped(folder)}", O_RDONLY|O_DIRECTORY) = {fd}')
-        lines.append(f"7 fsync({fd}) = 0")
-    return "\n".join(lines)
+    return "\n".join(filter(None, lines))
 
 
 @pytest.mark.parametrize("fsync_file", [False, True])
@@ -43,15 +42,13 @@ def test_after_a_power_cut_only_what_was_fsynced_is_sure_to_be_there(tmp_path, f
     folder = tmp_path / "disk"
     folder.mkdir()
     (folder / "final").write_bytes(b"old")
-    left = set()
-    for seed in range(40):
-        disk = Disk(folder)
-        for call in parse(trace(folder, fsync_file=fsync_file, fsync_folder=fsync_folder)):
-            disk.replay(call)
-        for lost in Lost:
-            target = tmp_path / f"{seed} {lost.name}"
-            disk.crash(random.Random(seed), lost, target)
-            left.add((target / "final").read_bytes())
+    left, disk = set(), Disk(folder)
+    for call in parse(trace(folder, fsync_file=fsync_file, fsync_folder=fsync_folder)):
+        disk.replay(call)
+    for seed, lost in product(range(40), Lost):
+        target = tmp_path / f"{seed} {lost.name}"
+        disk.crash(random.Random(seed), lost, target)
+        left.add((target / "final").read_bytes())
     assert b"whole" in left and (b"old" in left) == (not fsync_folder)
     assert (b"" in left and bytes(5) in left) == (not fsync_file)
     assert left <= {b"whole", b"old"} or not fsync_file

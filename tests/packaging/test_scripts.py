@@ -15,8 +15,8 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 SETUP = REPOSITORY / "script" / "setup"
 KNOWN_PYTHONS = re.search(r"known_pythons=\((.*)\)", SETUP.read_text())[1].split()
 CHECKS = ("ruff", "mypy", "lint-imports", "pytest")
-IN_BASH = [path for path in (*(REPOSITORY / "script").iterdir(), REPOSITORY / ".ci" / "run") if path.is_file()]
-IN_BASH = [path for path in IN_BASH if path.read_text().startswith("#!/usr/bin/env bash\n")]
+FILES = (path for path in (*(REPOSITORY / "script").iterdir(), REPOSITORY / ".ci" / "run") if path.is_file())
+IN_BASH = [path for path in FILES if path.read_text().startswith("#!/usr/bin/env bash\n")]
 
 
 def copy_of(name: str, folder: Path) -> Path:

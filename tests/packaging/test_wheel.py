@@ -32,10 +32,9 @@ def run(*command: str | Path, cwd: Path) -> str:
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
-    build = (sys.executable, "-m", "build", "--wheel", "--no-isolation")
-    run(*build, "--outdir", folder, REPOSITORY, cwd=folder)
-    (built,) = folder.glob("modsim3d-*.whl")
-    return built
+    build = (sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder)
+    run(*build, REPOSITORY, cwd=folder)
+    return next(folder.glob("modsim3d-*.whl"))
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +49,8 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     venv.create(environment, symlinks=True)
     (site_packages,) = environment.glob("lib/python3*/site-packages")
     (site_packages / "others.pth").write_text(f"{others}\n")
-    python = environment / "bin" / "python"
     # Without an index, pip fails if the wheel asks for anything that is not there.
-    pip = (sys.executable, "-m", "pip", "--python", python)
+    pip = (sys.executable, "-m", "pip", "--python", environment / "bin" / "python")
     run(*pip, "install", "--quiet", "--no-index", "--no-compile", wheel, cwd=folder)
     return environment / "bin"
 
@@ -102,6 +100,6 @@ def test_installed_wheel_finds_the_parts_of_an_installed_package(installed: Path
     used = json.loads((tmp_path / "run" / "run.json").read_text())["plugins"]
     assert set(used) == {"modsim3d.pose_sources:drift", "modsim3d.wave_levels:swell", "modsim3d.shapes:barge"}
     assert set(used.values()) == {"modsim3d-drift 1.0"}
-    own_ship = pq.read_table(tmp_path / "run" / "ownship.parquet").to_pylist()
-    assert [own_ship[-1][axis] for axis in ("w1_m", "w2_m")] == pytest.approx([9.9 * 0.5, 9.9 * 0.1])
-    assert own_ship[-1]["pitch_rad"] != 0
+    *_, own_ship = pq.read_table(tmp_path / "run" / "ownship.parquet").to_pylist()
+    assert [own_ship[axis] for axis in ("w1_m", "w2_m")] == pytest.approx([9.9 * 0.5, 9.9 * 0.1])
+    assert own_ship["pitch_rad"] != 0

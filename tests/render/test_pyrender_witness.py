@@ -122,14 +122,12 @@ def test_pixels_on_the_edge_that_two_triangles_share_belong_to_one_of_them(rende
 
 
 def test_seg_images_of_random_scenes_differ_only_where_an_edge_is_within_rounding_of_the_centre(renderer, seg_images):
-    differing, shown = 0, []
-    for seed in RANDOM:
-        name = f"random {seed}"
+    differing = shown = 0
+    for name in (f"random {seed}" for seed in RANDOM):
         image = id_image(renderer, name)
         rows, columns = np.nonzero(image != seg_images[name])
-        outlines = outlines_at(scenes()[name][0])
-        edges = shapely.union_all(shapely.boundary(image_silhouettes(outlines, INTRINSICS)))
+        silhouettes = image_silhouettes(outlines_at(scenes()[name][0]), INTRINSICS)
+        edges = shapely.union_all(shapely.boundary(silhouettes))
         assert (shapely.distance(edges, shapely.points(columns + 0.5, rows + 0.5)) <= ROUNDING_PX).all()
-        shown.append(len(np.unique(image)) - 1)
-        differing += len(rows)
-    assert sum(shown) > 50 and differing <= 5  # of 3.8 million; measured: 1
+        differing, shown = differing + len(rows), shown + len(np.unique(image)) - 1
+    assert shown > 50 and differing <= 5  # of 3.8 million; measured: 1

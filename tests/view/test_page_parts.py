@@ -55,16 +55,20 @@ def test_spaces_that_align_an_interval_belong_to_it_and_a_checksum_between_numbe
     assert '<td class="number broken">6c5565f7c7d53c2a<wbr>0301052c9311c889<wbr>' in written
 
 
+def lines(svg):
+    """Points of each line of a drawing, shape (n, 2)."""
+    texts = re.findall(r'<polyline points="([^"]*)"', svg)
+    return [np.array([point.split(",") for point in text.split()], dtype=float) for text in texts]
+
+
 def test_an_ellipse_stays_inside_the_axes():
     rng = np.random.default_rng(0)
     groups = {"many": rng.normal(0, 1, (5000, 2)), "few": rng.normal(0, 1, (40, 2)) * (6, 1)}
     svg = error_scatter(groups, ["red", "blue"], "e_x", "e_y")
-    left, width = (float(re.search(rf'<rect[^>]* {name}="([\d.]+)"', svg).group(1)) for name in ("x", "width"))
-    ellipses = re.findall(r'<polyline points="([^"]+)"', svg)
+    left, width = (float(re.search(rf'<rect[^>]* {name}="([\d.]+)"', svg)[1]) for name in ("x", "width"))
+    ellipses = lines(svg)
     assert len(ellipses) == 2
-    for points in ellipses:
-        across = [float(pair.split(",")[0]) for pair in points.split()]
-        assert left < min(across) and max(across) < left + width
+    assert all(left < ellipse[:, 0].min() and ellipse[:, 0].max() < left + width for ellipse in ellipses)
 
 
 def test_a_drawing_is_the_same_in_each_process(monkeypatch):
@@ -72,20 +76,15 @@ def test_a_drawing_is_the_same_in_each_process(monkeypatch):
     assert len({Axes((0, 1), (0, 1)).drawing("", "a title", "x", "y") for _ in range(2)}) == 1
 
 
-def points(svg):
-    text = re.search(r'<polyline points="([^"]*)"', svg).group(1)
-    return np.array([part.split(",") for part in text.split()], dtype=float)
-
-
 def test_a_curve_is_drawn_where_it_moves_however_many_false_detections_follow():
     recall = np.concatenate([np.linspace(0.002, 0.8, 400), np.full(200_000, 0.8)])
     precision = np.concatenate([1 - 0.2 * np.linspace(0, 1, 400) ** 2, 320 / np.arange(400, 200_400)])
-    drawn = points(precision_recall({"usual": (recall, precision)}, ["red"]))
+    (drawn,) = lines(precision_recall({"usual": (recall, precision)}, ["red"]))
     assert len(drawn) <= 802 and np.abs(np.diff(drawn, axis=0)).max() < 5  # of 374 by 252
     axes = Axes((0, 1), (0, 1.02))
     for end in (0, -1):
         np.testing.assert_allclose(drawn[end], axes.place(recall[end], precision[end]), atol=0.06)
-    assert len(points(precision_recall({"one point": (np.array([0.5]), np.array([1.0]))}, ["red"]))) == 1
+    assert len(lines(precision_recall({"one point": (np.array([0.5]), np.array([1.0]))}, ["red"]))[0]) == 1
 
 
 def test_states_have_the_ramp_of_the_palette_on_a_timeline():
