@@ -31,8 +31,15 @@ ELSEWHERE = {
 HEAVY = ("OpenGL", "matplotlib", "PIL", "pyarrow", "trimesh", "typer", "rich", "supervision")
 
 
-def python(*lines: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+SIMULATES = f"""
+import sys, modsim3d
+dir(modsim3d)
+print([m for m in {HEAVY} if m in sys.modules])
+scene = modsim3d.load_scene("simulation_1", steps=3, source="analytic")
+frames = list(modsim3d.simulate_frames(scene))
+repr(frames), repr(scene), scene._repr_html_()
+print([m for m in ("OpenGL", "matplotlib", "pyarrow", "supervision") if m in sys.modules], len(frames))
+"""
 
 
 def test_dir_lists_the_names_which_are_there_and_no_modules_and_others_are_attribute_errors() -> None:
@@ -45,25 +52,9 @@ def test_dir_lists_the_names_which_are_there_and_no_modules_and_others_are_attri
     assert {"learn", "verify"} <= modules and set(modsim3d.__all__) & modules == set()
 
 
-def test_import_loads_nothing_heavy() -> None:
-    done = python("import sys, modsim3d", "dir(modsim3d)", f"print([m for m in {HEAVY} if m in sys.modules])")
-    assert done.stdout.strip() == "[]", done.stderr
-
-
-def test_simulation_in_memory_needs_neither_tables_nor_pictures_nor_opengl() -> None:
-    done = python(
-        "import sys, modsim3d",
-        'scene = modsim3d.load_scene("simulation_1", steps=3, source="analytic")',
-        "frames = list(modsim3d.simulate_frames(scene))",
-        "repr(frames), repr(scene), scene._repr_html_()",
-        "print([m for m in ('OpenGL', 'matplotlib', 'pyarrow', 'supervision') if m in sys.modules], len(frames))",
-    )
-    assert done.stdout.strip() == "[] 3", done.stderr
-
-
-def test_the_example_of_the_package_runs() -> None:
-    failed, tried = doctest.testmod(modsim3d)
-    assert (failed, tried) == (0, 3)
+def test_import_loads_nothing_heavy_nor_does_simulation_in_memory_and_the_example_runs() -> None:
+    assert subprocess.check_output([sys.executable, "-c", SIMULATES], text=True).splitlines() == ["[]", "[] 3"]
+    assert tuple(doctest.testmod(modsim3d)) == (0, 3)
 
 
 def public_parts() -> dict[str, object]:

@@ -94,7 +94,7 @@ def test_a_live_scene_is_shown_without_waiting_for_its_steps_and_names_are_escap
     assert "<script" not in live._repr_html_() and "<script>" in Page(live._repr_html_()).text
 
 
-def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown, monkeypatch):
+def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown, result, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     for each in shown:
         text, page = repr(each), Page(each._repr_html_())
@@ -102,6 +102,9 @@ def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown,
         assert len(text) < LONGEST_REPR + len(str(getattr(each, "folder", "")))
         assert page.open == [] and "table" in page.tags
     assert "<" not in Page(shown[0]._repr_html_()).text
+    frames, truth = (modsim3d.open_run(result.folder).table(name) for name in ("frames", "truth"))
+    assert f"frames {len(frames)}," in repr(result)
+    assert f"detected {np.count_nonzero(truth['detected'])}," in repr(result)
 
 
 def test_a_frame_is_its_picture_where_it_can_be_drawn(frame, monkeypatch):
@@ -111,12 +114,6 @@ def test_a_frame_is_its_picture_where_it_can_be_drawn(frame, monkeypatch):
     text = Page(frame._repr_html_()).text
     for name in (*frame.truth.vessels, *frame.detections.labels, "false_positive", frame.camera):
         assert name in text
-
-
-def test_the_counts_of_a_result_are_those_of_its_tables(result):
-    run = modsim3d.open_run(result.folder)
-    assert f"frames {len(run.table('frames'))}," in repr(result)
-    assert f"detected {np.count_nonzero(run.table('truth')['detected'])}," in repr(result)
 
 
 def test_a_verified_run_tells_and_writes_its_verdicts_and_names_what_differs(verified, thesis_folder, tmp_path):
@@ -166,12 +163,9 @@ def test_learning_from_a_run_goes_by_provenance_and_from_its_files_by_iou(folder
     assert json.loads(truth.read_bytes())["images"]
 
 
-def test_lost_matches_are_warned_of(thesis_folder):
+def test_states_are_made_of_conditions_and_lost_matches_are_warned_of(thesis_folder):
     learned = modsim3d.learn_detector(run=thesis_folder, match="confidence", replicates=20)
     assert "WARNING: " in repr(learned) and "<b>Warning: " in learned._repr_html_()
-
-
-def test_states_are_made_of_conditions(thesis_folder):
     seen = set(modsim3d.open_run(thesis_folder).table("frames")["state"].to_pylist())
     assert seen < {"excellent", "good", "bad"}
     given = {"fair": ["excellent", "good", "bad"], "foul": "terrible"}

@@ -44,7 +44,9 @@ def test_two_purposes_share_neither_a_text_nor_what_they_are_for() -> None:
     assert len({purpose.meaning for purpose in Purpose}) == len(Purpose)
 
 
-def test_a_purpose_has_one_width() -> None:
+def test_a_purpose_has_one_width_and_a_seed_is_not_negative() -> None:
+    with pytest.raises(ValueError, match="non-negative"):
+        Streams(-1)
     assert Streams(3).uniforms(Purpose.BOX_ERROR, "C0", "a", first=0, count=1).shape == (1, 4)
     with pytest.raises(ValueError, match="AGENTS has a generator for each step and no uniform numbers"):
         Streams(3).uniforms(Purpose.AGENTS, first=0, count=1)
@@ -151,17 +153,12 @@ def test_numbers_of_many_generators_are_those_of_each(times: int, some, first: i
     assert np.array_equal(ours, np.reshape(each, (len(rows), first + count))[:, first:])
 
 
-def test_numbers_are_the_same_in_every_process() -> None:
+def test_numbers_are_the_same_in_every_process_and_normals_are_finite() -> None:
     numbers = Streams(2023).uniforms(Purpose.CONFIDENCE, "C0", "vessel1", first=12, count=1)
     assert numbers.tolist() == [[0.18153337862538155, 0.694646420313789]]
     generator = Streams(2023).generator(Purpose.BOX_ERROR_REDRAW, "C0", "vessel1", step=12)
     assert generator.random(2).tolist() == [0.10250895715086494, 0.07279324687871547]
-
-
-def test_the_normal_of_zero_is_finite_and_a_negative_seed_is_refused() -> None:
     assert normals(np.array([0.0, 0.5])).tolist() == pytest.approx([-8.2924, 0.0], abs=1e-4)
-    with pytest.raises(ValueError, match="non-negative"):
-        Streams(-1)
 
 
 WORD, HALF_WORD = st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1)

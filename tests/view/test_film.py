@@ -122,7 +122,7 @@ def test_a_step_and_its_time_give_the_same_picture_which_is_drawn_from_the_direc
     assert len({path.read_bytes() for path in tmp_path.glob("*.png")}) == 1
 
 
-def test_cameras_stand_side_by_side(monkeypatch, two_cameras, tmp_path):
+def test_cameras_stand_side_by_side_without_what_shows_no_vessel_on_request(monkeypatch, two_cameras, tmp_path, capsys):
     options = ("--kind", "scene", "--out")
     assert view(monkeypatch, "frame", two_cameras, 0, *options, tmp_path / "both.png") == 0
     alone = ("--camera", "left", "--width", 1000, *options, tmp_path / "left.png")
@@ -130,9 +130,6 @@ def test_cameras_stand_side_by_side(monkeypatch, two_cameras, tmp_path):
     with Image.open(tmp_path / "both.png") as both, Image.open(tmp_path / "left.png") as left:
         assert (both.width, left.width) == (1920, 1000) and both.height % 2 == left.height % 2 == 0
         assert abs(left.height - 1000 * 301 / 400) < 120
-
-
-def test_only_with_vessels_leaves_out_what_shows_none(monkeypatch, two_cameras, tmp_path, capsys):
     arguments = ("film", two_cameras, "--kind", "scene", "--only-with-vessels", "--format", "png", "--width", 320)
     assert view(monkeypatch, *arguments, "--out", tmp_path / "both") == 0
     assert 0 < len(list((tmp_path / "both").iterdir())) <= STEPS

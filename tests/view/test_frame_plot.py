@@ -77,10 +77,14 @@ def test_the_image_or_every_vessel_fills_the_figure_above_the_legend(frame, zoom
     assert image.width > 0.8 * figure.bbox.width and figure.bbox.height - image.height < 1.5 * figure.dpi
 
 
-def test_a_frame_that_was_pickled_draws_itself_and_one_without_a_scene_says_where_to_take_one_from(frame):
+def test_a_pickled_frame_draws_itself_and_one_without_scene_or_matplotlib_says_what_it_needs(frame, monkeypatch):
     assert pickle.loads(pickle.dumps(frame)).plot().axes
     with pytest.raises(ModsimError, match="simulate_frames"):
         replace(frame, scene=None).plot()
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.delitem(sys.modules, "modsim3d.view.frame_plot")
+    with pytest.raises(ModsimError, match=r"modsim3d\[view\]"):
+        frame.plot()
 
 
 def test_plot_draws_on_axes_that_it_is_given_also_of_a_figure_within_a_figure(frame):
@@ -96,10 +100,3 @@ def test_part_of_the_image_below_the_horizon_has_the_area_that_it_should():
     for plane, area in (((0, 1, -30), 700), ((0, -1, 30), 300), ((0, 0, 1), 1000), ((0, 0, -1), 0)):
         x, y = below_horizon(corners, corners, np.array(plane, dtype=float)).T
         assert abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2 == pytest.approx(area), plane
-
-
-def test_without_matplotlib_the_error_names_the_extra(frame, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    monkeypatch.delitem(sys.modules, "modsim3d.view.frame_plot")
-    with pytest.raises(ModsimError, match=r"modsim3d\[view\]"):
-        frame.plot()

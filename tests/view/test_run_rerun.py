@@ -196,7 +196,7 @@ def test_detections_say_what_is_wrong_with_them(mistaken):
     assert said == {flag.name for flag in Outcome}
 
 
-def test_vessels_move_and_vanish_as_in_the_scene(run, recording):
+def test_vessels_cameras_and_obstacles_stand_in_the_world_as_in_the_scene(run, recording):
     scene, ever = open_run(run).scene, []
     poses = scene.poses.poses(0, STEPS)
     for index, name in enumerate(scene.vessel_names):
@@ -209,10 +209,6 @@ def test_vessels_move_and_vanish_as_in_the_scene(run, recording):
         assert vanished == [s for s in range(EVERY, STEPS, EVERY) if there[s - EVERY] and not there[s]]
         ever += vanished
     assert ever
-
-
-def test_camera_is_a_pinhole_that_looks_where_it_does_and_obstacles_stand_where_they_do(run, recording):
-    scene = open_run(run).scene
     (camera,) = scene.cameras
     lens = recording["/world/cameras/C0/image"][None]
     np.testing.assert_allclose(np.reshape(lens["image_from_camera"], (3, 3)).T, camera.intrinsics.matrix, rtol=1e-6)

@@ -103,13 +103,17 @@ def follow(rows, tracks, *similarity):
     return FollowedTracks.of(as_set(tracks), rows, Similarity(*similarity))
 
 
-def test_tracks_with_the_boxes_of_the_truth_follow_their_vessels_without_a_switch(rows):
+def test_tracks_with_the_boxes_of_the_truth_follow_their_vessels_without_a_switch_and_trail_them(rows):
     shown = follow(rows, perfect(rows))
     np.testing.assert_array_equal(shown.vessel, shown.tracks.track)
     assert not (shown.switched | shown.moved | shown.unscored | shown.false).any()
     assert shown.sentence() == "Tracks of made: 3 tracks on 3 vessels, 0 identity switches, 0 false tracks."
     none = follow(rows, perfect(rows).take(np.zeros(0, dtype=np.int64)))
     assert none.sentence() == "Tracks of made: 0 tracks on 0 vessels, 0 identity switches, 0 false tracks."
+    row = int(np.flatnonzero((shown.tracks.track == SAIL) & (shown.tracks.step == 2))[0])
+    mine = shown.tracks.take((shown.tracks.track == SAIL) & (shown.tracks.step <= 2))  # two seconds of a step each
+    centres = (mine.boxes_px[:, :2] + mine.boxes_px[:, 2:]) / 2
+    np.testing.assert_allclose(shown.trail_px(row), centres[::-1], rtol=1e-12)
 
 
 def test_two_tracks_that_swap_switch_and_move_a_new_number_switches_and_a_track_alone_that_goes_on_moves(rows):
@@ -129,11 +133,15 @@ def test_two_tracks_that_swap_switch_and_move_a_new_number_switches_and_a_track_
     assert shown.moved.sum() == 1 and not shown.switched.any()
 
 
-def test_a_track_where_no_vessel_is_follows_nothing_and_is_false(rows):
+def test_a_track_where_no_vessel_is_is_false_and_one_beside_its_vessel_follows_it_by_distance_only(rows):
     shown = follow(rows, with_false(perfect(rows), range(3, 6)))
     np.testing.assert_array_equal(shown.false, shown.tracks.track == FALSE_TRACK)
     assert shown.vessel[shown.false].tolist() == [NOBODY] * 3
     assert shown.sentence().endswith("4 tracks on 3 vessels, 0 identity switches, 1 false track.")
+    tracks = perfect(rows).take(perfect(rows).track == 2)
+    beside = tracks.boxes_px + np.tile((tracks.boxes_px[:, 2] - tracks.boxes_px[:, 0])[:, None], 4) * (1, 0, 1, 0)
+    moved = Tracks.of(1, tracks.frame, tracks.track, beside)
+    assert follow(rows, moved).false.all() and not follow(rows, moved, "centre", 2000.0, 0.1).false.any()
 
 
 def test_a_track_that_stays_on_a_hidden_vessel_is_on_it_and_unscored(rows):
@@ -144,18 +152,3 @@ def test_a_track_that_stays_on_a_hidden_vessel_is_on_it_and_unscored(rows):
     kept = shown.tracks.take(shown.unscored)
     assert set(zip(kept.frame.tolist(), kept.track.tolist(), strict=True)) == on
     np.testing.assert_array_equal(shown.vessel[shown.unscored], kept.track)
-
-
-def test_a_trail_holds_the_centres_of_the_last_two_seconds_of_its_track(rows):
-    shown = follow(rows, perfect(rows))
-    row = int(np.flatnonzero((shown.tracks.track == SAIL) & (shown.tracks.step == 2))[0])
-    mine = shown.tracks.take((shown.tracks.track == SAIL) & (shown.tracks.step <= 2))  # a step a second
-    expected = ((mine.boxes_px[:, :2] + mine.boxes_px[:, 2:]) / 2)[::-1]
-    np.testing.assert_allclose(shown.trail_px(row), expected, rtol=1e-12)
-
-
-def test_a_box_beside_its_vessel_follows_it_by_distance_and_not_by_overlap(rows):
-    tracks = perfect(rows).take(perfect(rows).track == 2)
-    beside = tracks.boxes_px + np.tile((tracks.boxes_px[:, 2] - tracks.boxes_px[:, 0])[:, None], 4) * (1, 0, 1, 0)
-    moved = Tracks.of(1, tracks.frame, tracks.track, beside)
-    assert follow(rows, moved).false.all() and not follow(rows, moved, "centre", 2000.0, 0.1).false.any()

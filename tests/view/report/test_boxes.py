@@ -47,7 +47,7 @@ def opened(browser, mistaken_page):
     return browser
 
 
-def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
+def test_a_box_under_the_mouse_is_described_and_a_press_chooses_its_vessel_everywhere_until_escape(opened):
     _, vessel, _, x, y = separate(opened, wrong=False)
     before = opened.pixels()
     opened.hover(*over(opened, x, y))
@@ -71,14 +71,9 @@ def test_a_box_under_the_mouse_is_described_and_the_others_fade(opened):
     assert near.any() and not near.all()  # wider lines, and pale ones
     opened.hover("#slider", 0.5, 0.5)
     assert opened.run("document.querySelector('.tip').hidden") and np.array_equal(opened.pixels(), before)
-
-
-def test_a_press_chooses_the_vessel_everywhere_and_escape_chooses_none(opened):
-    _, vessel, _, x, y = separate(opened, wrong=False)
     timeline = opened.pixels("timeline")
     opened.click(*over(opened, x, y))
-    followed, name = opened.run(f"[player.followed, player.recording.facts.vessels[{vessel}].name]")
-    assert followed == vessel and name in opened.text("#vessels tr.followed")
+    assert opened.run("player.followed") == vessel and name in opened.text("#vessels tr.followed")
     assert opened.text("#chosen").startswith(name)
     assert not np.array_equal(opened.pixels("timeline"), timeline)
     opened.hover("#slider", 0.5, 0.5)

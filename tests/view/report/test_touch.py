@@ -24,7 +24,7 @@ def within_reach(browser):
     return bool(in_image and whole / 20 * 0.999 <= width <= whole * 1.001)
 
 
-def test_one_finger_scrolls_the_page_over_the_image_and_over_the_timeline(phone):
+def test_one_finger_scrolls_the_page_over_image_and_timeline_where_a_tap_or_a_way_sideways_seeks(phone):
     for selector in ("#picture", "#timeline"):
         x, y = phone.place(selector)
         before, *same = phone.run(f"[scrollY, {VIEW}, player.index]")
@@ -32,6 +32,12 @@ def test_one_finger_scrolls_the_page_over_the_image_and_over_the_timeline(phone)
         phone.settle()
         scrolled, *now = phone.run(f"[scrollY, {VIEW}, player.index]")
         assert scrolled > before + 100 and now == same, selector
+    x, y = phone.place("#timeline", 0.8, 0.1)
+    at = "player.timeline.indexAt({} - player.timeline.canvas.getBoundingClientRect().left)"
+    phone.fingers([(x, y)])
+    assert phone.run("player.index") == phone.run(at.format(x))
+    phone.fingers(*([(x - left, y)] for left in range(0, 61, 10)))
+    assert phone.run("player.index") == phone.run(at.format(x - 60)) < phone.run(at.format(x))
 
 
 def test_two_fingers_zoom_and_move_the_image_and_not_the_page(phone):
@@ -49,15 +55,6 @@ def test_two_fingers_zoom_and_move_the_image_and_not_the_page(phone):
     phone.fingers([(x, y)])
     phone.fingers([(x, y)])
     assert phone.run(VIEW) == before
-
-
-def test_a_tap_on_the_timeline_shows_the_moment_and_a_finger_sideways_seeks(phone):
-    x, y = phone.place("#timeline", 0.8, 0.1)
-    at = "player.timeline.indexAt({} - player.timeline.canvas.getBoundingClientRect().left)"
-    phone.fingers([(x, y)])
-    assert phone.run("player.index") == phone.run(at.format(x))
-    phone.fingers(*([(x - left, y)] for left in range(0, 61, 10)))
-    assert phone.run("player.index") == phone.run(at.format(x - 60)) < phone.run(at.format(x))
 
 
 def test_the_wheel_scrolls_the_page_and_with_control_zooms_towards_the_mouse(browser, page):

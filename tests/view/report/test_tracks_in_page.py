@@ -44,7 +44,7 @@ def test_a_lane_has_the_colour_of_the_vessel_that_it_follows_and_a_click_jumps_t
     assert f"step {SWAP + 3}:" in said and f"track {pair[0]} follows " in said
 
 
-def test_boxes_of_tracks_are_hidden_and_shown_by_key_and_by_mouse(browser, tracks_page):
+def test_boxes_of_tracks_are_shown_by_key_and_mouse_and_lanes_scroll_into_sight(browser, tracks_page):
     browser.open(tracks_page, hash=f"#step={SWAP}")
     with_boxes = browser.pixels()
     browser.press("k")
@@ -52,10 +52,7 @@ def test_boxes_of_tracks_are_hidden_and_shown_by_key_and_by_mouse(browser, track
     browser.click("#layer-tracks")
     assert np.array_equal(browser.pixels(), with_boxes)
     assert browser.after("ArrowRight", "player.index") == SWAP + 1
-
-
-def test_the_panel_scrolls_to_where_a_track_is_and_draws_only_what_is_in_sight(browser, tracks_page):
-    browser.open(tracks_page, hash="#step=0")
+    browser.run("player.go(0)")
     browser.run(
         "(({ lanes }) => { const [lane] = lanes.lanes, empty = { ...lane, stretches: [], marks: [] };"
         " const short = { ...empty, stretches: [{ from: 9, to: 10, vessel: null, pale: false }] };"
