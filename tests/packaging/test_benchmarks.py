@@ -75,11 +75,6 @@ def test_boxes_in_an_id_image_are_half_open_and_none_where_an_id_is_not():
     assert pyrender_pass.boxes_in(np.zeros((6, 8), dtype=np.uint8), 2) == [None, None]
 
 
-def test_times_the_limit_is_the_time_over_that_of_filling_what_was_drawn(tmp_path):
-    trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1e9)
-    assert trial.times_limit(3.0, 2e9) == "1.50" and trial.times_limit(3.0, 0) == "nothing is drawn"
-
-
 def test_files_that_differ_or_are_missing_are_found(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name / "inner").mkdir(parents=True)
@@ -90,9 +85,11 @@ def test_files_that_differ_or_are_missing_are_found(tmp_path):
     assert differing_files(tmp_path / "a", tmp_path / "b") == {"alone", "inner/other"}
 
 
-def test_numbers_have_three_digits():
+def test_numbers_have_three_digits_also_those_of_a_time_over_that_of_filling_what_was_drawn(tmp_path):
     values = [significant(value) for value in (0, 0.0123456, 1.5, 68.04, 123.4, 12345)]
     assert values == ["0", "0.0123", "1.50", "68.0", "123", "12,300"]
+    trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1e9)
+    assert trial.times_limit(3.0, 2e9) == "1.50" and trial.times_limit(3.0, 0) == "nothing is drawn"
 
 
 def test_a_quick_trial_prints_a_row_and_writes_nothing(monkeypatch, capsys):

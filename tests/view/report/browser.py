@@ -141,9 +141,8 @@ class Browser:
 
     def press(self, key: str, shift: bool = False) -> None:
         text = {"text": key} if len(key) == 1 else {}
-        for kind in ("keyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0,
-                      **(text if kind == "keyDown" else {}))  # fmt: skip
+        for kind, more in (("keyDown", text), ("keyUp", {})):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, modifiers=8 if shift else 0, **more)
 
     def after(self, key: str, script: str) -> Any:
         """The value of a script after a key."""
@@ -189,10 +188,9 @@ class Browser:
         )
         return box[0] + across * box[2], box[1] + down * box[3]
 
-    def screenshot(self, path: Path, whole: bool = False) -> None:
-        """What is seen, or the whole page, as PNG."""
-        answer = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(answer["data"]))
+    def screenshot(self, path: Path) -> None:
+        """What is seen, as PNG."""
+        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
 
 @contextmanager

@@ -9,13 +9,11 @@ from modsim3d import RunRows, detect_run, load_scene, open_run, run_scene
 from modsim3d.tracks.tracks import Similarity
 from modsim3d.view.followed_tracks import FollowedTracks
 from modsim3d.view.report.report import write_report
-from tests.scenes import write_scene
 from tests.view.made_tracks import as_set, perfect, swapped, with_false
 from tests.view.report.browser import Browser, open_browser
 
 STEPS = 260
 SWAP, FALSE = 100, range(40, 60)  # steps at which made tracks change their vessels, and in which one follows nothing
-HOSTILE = "<script>window.hacked = 1</script>"
 
 
 @pytest.fixture(scope="session")
@@ -24,19 +22,6 @@ def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "run"
     run_scene(load_scene("simulation_3", mode=2, seed=5, steps=STEPS, source="analytic"), folder)
     return folder
-
-
-@pytest.fixture(scope="session")
-def hostile_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Vessels whose names are HTML, script and template."""
-    folder = tmp_path_factory.mktemp("hostile")
-    boats = {
-        HOSTILE: ([10.0, 4.0, 3.0], [[0, 150, 10], [100, 150, 12]]),
-        "</script><img src=x onerror='window.hacked = 2'>": ([30.0, 8.0, 9.0], [[0, 100, 30], [12, 100, -30]]),
-        "{{columns}} & ${name}": ([8.0, 3.0, 2.0], [[0, 220, -10], [100, 200, -10]]),
-    }
-    run_scene(load_scene(str(write_scene(folder, boats, steps=12)), source="analytic"), folder / "run")
-    return folder / "run"
 
 
 @pytest.fixture(scope="session")

@@ -13,8 +13,8 @@ from modsim3d.view import palette
 from modsim3d.view.report.overview import WHOLE
 from modsim3d.view.report.part_columns import in_250ths
 from modsim3d.view.report.report import write_report
-from tests.scenes import camera_keys, crossing
-from tests.view.report.conftest import HOSTILE, STEPS
+from tests.scenes import camera_keys, crossing, write_scene
+from tests.view.report.conftest import STEPS
 
 FLAGS = {"false": Outcome.FALSE_POSITIVE, "mislabelled": Outcome.MISLABELLED}
 FLAGS |= {"bad": Outcome.BELOW_HALF_IOU, "off": Outcome.OFF_VESSEL}
@@ -148,7 +148,7 @@ def test_moments_of_a_kind_are_the_frames_of_that_kind(browser, mistaken_page, m
         assert index == moments[-1]["index"] and (kind == "state" or followed == moments[-1]["vessel"])
 
 
-def test_what_is_wrong_is_in_picture_and_list_and_the_whole_image_comes_for_what_is_outside(browser, mistaken_page):
+def test_what_is_wrong_is_in_picture_and_list_and_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
     browser.open(mistaken_page)
     browser.choose("kind", "false")
     browser.run("(player.picture.fit([0, 0, 20, 10]), 0)")
@@ -166,13 +166,8 @@ def test_what_is_wrong_is_in_picture_and_list_and_the_whole_image_comes_for_what
     browser.choose("kind", "off")
     browser.press("n")
     assert "off it" in browser.text("#vessels tr.chosen") and "off their vessel" in browser.text("#status")
-
-
-def test_a_line_joins_a_box_that_is_off_to_its_vessel(browser, mistaken_page):
-    browser.open(mistaken_page)
-    for name in ("labels", "false", "missed"):
+    for name in ("labels", "false", "missed"):  # so that nothing else is red
         browser.click(f"#layer-{name}")
-    browser.choose("kind", "off")
     apart, place, box, truth = browser.run(
         "player.moments.list.map(({ index, vessel }, place) => {"
         "  const box = player.recording.detections(index, 0).find(each => each.vessel === vessel && !each.false).box;"
@@ -212,13 +207,19 @@ def test_scheme_of_the_system_applies_and_the_button_changes_it(browser, page):
     assert browser.run(colour) == light and np.array_equal(browser.pixels("timeline"), timeline)
 
 
-def test_names_are_text_whatever_they_hold(browser, hostile_folder, tmp_path):
-    browser.open(write_report(open_run(hostile_folder), tmp_path / "page.html"))
+def test_names_are_text_whatever_they_hold(browser, tmp_path):
+    boats = {
+        "<script>window.hacked = 1</script>": ([10.0, 4.0, 3.0], [[0, 150, 10], [100, 150, 12]]),
+        "</script><img src=x onerror='window.hacked = 2'>": ([30.0, 8.0, 9.0], [[0, 100, 30], [12, 100, -30]]),
+        "{{columns}} & ${name}": ([8.0, 3.0, 2.0], [[0, 220, -10], [100, 200, -10]]),
+    }
+    run_scene(load_scene(write_scene(tmp_path, boats, steps=12), source="analytic"), tmp_path / "run")
+    browser.open(write_report(open_run(tmp_path / "run")))
     for key in ("v", "v", "End", "Home"):
         browser.press(key)
     browser.hover("#timeline", 0.5, 0.8)
-    assert browser.run("window.hacked") is None and browser.run("document.images.length") == 0
-    assert HOSTILE in browser.text("#vessels")
+    assert browser.run("[window.hacked, document.images.length]") == [None, 0]
+    assert all(name in browser.text("#vessels") for name in boats)
     assert "{{columns}} & ${name}" in browser.text("section:nth-of-type(3)")
 
 
