@@ -1,7 +1,6 @@
 """Frames: their time, classes and tables, and what `supervision` takes of them."""
 
 import importlib.util
-import json
 import sys
 import types
 import warnings
@@ -15,8 +14,7 @@ import pytest
 import modsim3d
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.file.reading import shipped_detectors
-
-ZERO_ATTITUDE = {"roll_rad": 0, "pitch_rad": 0, "yaw_rad": 0}
+from tests.scenes import write_scene
 
 
 @dataclass
@@ -57,22 +55,6 @@ def frames(scene):
     return list(modsim3d.simulate_frames(scene))
 
 
-@pytest.fixture(scope="module")
-def labelled(tmp_path_factory):
-    """Frames of a scene with a vessel of each of three labels, whose detector confuses them."""
-    path = tmp_path_factory.mktemp("labelled") / "scene.json"
-    labels = modsim3d.load_detector("three_labels").labels
-    vessels = {f"v{i}": {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": labels[i]} for i in range(3)}
-    lens = {"focal_length_m": 0.006, "pixel_size_m": [5e-6, 5e-6], "principal_point_px": [960, 540]}
-    camera = {**lens, "image_size_px": [1920, 1080], "pose": {"position_m": [0, 0, 9], **ZERO_ATTITUDE}}
-    tracks = {f"v{i}": [[0, 100, 40 * (i - 1)], [50, 120, 40 * (i - 1)]] for i in range(3)}
-    content = {"steps": 100, "time_step_s": 0.5, "vessels": vessels, "poses": {"tracks": tracks}}
-    content |= {"cameras": {"quay": camera}, "detector": str(shipped_detectors()["three_labels"])}
-    path.write_text(json.dumps({**content, "annotation": {"source": "analytic"}}))
-    scene = modsim3d.load_scene(path)
-    return scene, list(modsim3d.simulate_frames(scene))
-
-
 def test_time_is_counted_in_seconds_from_the_first_step_and_read_back_like_classes(scene, frames, folder):
     assert frames[0].time_s == 0
     for made, read in zip(frames, modsim3d.open_run(folder).frames(), strict=True):
@@ -83,8 +65,14 @@ def test_time_is_counted_in_seconds_from_the_first_step_and_read_back_like_class
         np.testing.assert_array_equal(made.detections.class_id, read.detections.class_id)
 
 
-def test_class_id_is_the_place_of_the_label_in_the_detectors(labelled):
-    scene, frames = labelled
+def test_class_id_is_the_place_of_the_label_in_the_detectors(tmp_path):
+    """Of a scene with a vessel of each of three labels, whose detector confuses them."""
+    labels = modsim3d.load_detector("three_labels").labels
+    vessels = {f"v{i}": {"length_m": 10, "beam_m": 4, "air_draft_m": 5, "label": labels[i]} for i in range(3)}
+    tracks = {f"v{i}": [[0, 100, 20 * (i - 1)], [100, 120, 20 * (i - 1)]] for i in range(3)}
+    keys = {"vessels": vessels, "poses": {"tracks": tracks}, "detector": str(shipped_detectors()["three_labels"])}
+    scene = modsim3d.load_scene(write_scene(tmp_path, {}, 100, **keys), source="analytic")
+    frames = list(modsim3d.simulate_frames(scene))
     assert {tuple(frame.truth.class_id) for frame in frames} == {(0, 1, 2)}
     assert {i for frame in frames for i in frame.detections.class_id} == {0, 1, 2}
     for frame in frames:

@@ -28,6 +28,13 @@ ELSEWHERE = {
     *("speeds_m_s", "truncated_errors", "verify_evidence"),
 }
 """Functions that pages beside docs/python.md show."""
+RESULTS = (
+    *("detector.model.DetectorModel", "detector.model.PerformanceState", "learn.learning.LearnResult"),
+    *("runs.blocks.Frame", "runs.blocks.FrameDetections", "runs.blocks.FrameTruth", "runs.run.RunResult"),
+    *("runs.stored_run.StoredRun", "scene.copy.SceneCopy", "scene.sight.Snapshot"),
+    *("tracking.track_run.TrackResult", "verify.verify_run.VerifiedRun"),
+)
+"""Classes of what functions at the top level give."""
 HEAVY = ("OpenGL", "matplotlib", "PIL", "pyarrow", "trimesh", "typer", "rich", "supervision")
 
 
@@ -59,19 +66,9 @@ def test_import_loads_nothing_heavy_nor_does_simulation_in_memory_and_the_exampl
 
 def public_parts() -> dict[str, object]:
     """All that is reached from the top level: the names, the classes of their results, and the methods of these."""
-    results = {
-        "modsim3d.detector.model": ("DetectorModel", "PerformanceState"),
-        "modsim3d.learn.learning": ("LearnResult",),
-        "modsim3d.runs.blocks": ("Frame", "FrameDetections", "FrameTruth"),
-        "modsim3d.runs.run": ("RunResult",),
-        "modsim3d.runs.stored_run": ("StoredRun",),
-        "modsim3d.scene.copy": ("SceneCopy",),
-        "modsim3d.scene.sight": ("Snapshot",),
-        "modsim3d.tracking.track_run": ("TrackResult",),
-        "modsim3d.verify.verify_run": ("VerifiedRun",),
-    }
     parts: dict[str, object] = {name: getattr(modsim3d, name) for name in modsim3d.__all__}
-    parts |= {name: getattr(import_module(module), name) for module, names in results.items() for name in names}
+    for module, _, name in (result.rpartition(".") for result in RESULTS):
+        parts[name] = getattr(import_module(f"modsim3d.{module}"), name)
     for name, part in list(parts.items()):
         if inspect.isclass(part):
             methods = {key: member for key, member in vars(part).items() if not key.startswith("_")}
@@ -128,9 +125,5 @@ def test_a_functions_docstring_has_an_example_and_says_what_it_raises() -> None:
         text = inspect.getdoc(getattr(modsim3d, name)) or ""
         assert "\nRaises:\n" in text and "TypeError:" in text, name
         tree = ast.walk(ast.parse(dedent(text.split("\n\n")[1])))
-        used = {node.attr for node in tree if isinstance(node, ast.Attribute) and _is_modsim3d(node)}
+        used = {node.attr for node in tree if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "modsim3d"}
         assert name in used and used <= NAMES, name
-
-
-def _is_modsim3d(node: ast.Attribute) -> bool:
-    return isinstance(node.value, ast.Name) and node.value.id == "modsim3d"

@@ -18,8 +18,6 @@ from modsim3d.learn.model_selection import RICHER
 from modsim3d.world.poses.replay import LivePoses
 from tests.command_line import call
 
-LONGEST_REPR = 300
-
 
 @pytest.fixture(scope="module")
 def frame(folder):
@@ -99,7 +97,7 @@ def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown,
     for each in shown:
         text, page = repr(each), Page(each._repr_html_())
         assert text.startswith(f"<{type(each).__name__}") and text.endswith(">") and "array(" not in text
-        assert len(text) < LONGEST_REPR + len(str(getattr(each, "folder", "")))
+        assert len(text) < 300 + len(str(getattr(each, "folder", "")))
         assert page.open == [] and "table" in page.tags
     assert "<" not in Page(shown[0]._repr_html_()).text
     frames, truth = (modsim3d.open_run(result.folder).table(name) for name in ("frames", "truth"))

@@ -20,8 +20,7 @@ FILES = {"small": scenes.small, "dense": scenes.dense}
 
 
 def looked_at(name: str, text: str, tmp_path) -> dict[str, float]:
-    trial = Bench(quick=True, folder=tmp_path, bytes_per_s=1.0)
-    return child.shares(trial.scene(name, text))
+    return child.shares(Bench(quick=True, folder=tmp_path, bytes_per_s=1.0).scene(name, text))
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in HERE.glob("*.py")))

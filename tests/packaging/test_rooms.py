@@ -9,8 +9,7 @@ from pathlib import Path
 import modsim3d
 
 ROOT = Path(modsim3d.__file__).parent
-LAZY_NAMES = "modsim3d"
-"""The names of the package itself are imported when they are first used, from everywhere to everywhere."""
+LAZY_NAMES = "modsim3d"  # its names are imported when they are first used, from everywhere to everywhere
 
 
 def test_imports_go_one_way() -> None:

@@ -18,12 +18,11 @@ import yaml
 REPOSITORY = Path(__file__).resolve().parents[2]
 EXAMPLES = [REPOSITORY / "tests" / name for name in ("plugin_example", "tracker_example")]
 PLUGINS_PAGE = REPOSITORY / "docs" / "plugins.md"
-FOREIGN = ("PYTHONPATH", "VIRTUAL_ENV")
 
 
 def run(*command: str | Path, cwd: Path) -> str:
     """The standard output of a command that must succeed, run without this process's Python settings."""
-    environment = {key: value for key, value in os.environ.items() if key not in FOREIGN}
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")}
     finished = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True)
     assert finished.returncode == 0, f"{command} failed:\n{finished.stdout}\n{finished.stderr}"
     return finished.stdout
@@ -64,8 +63,8 @@ def files_in(folder: str) -> set[str]:
 def test_wheel_carries_every_file_of_the_package_and_its_data_and_no_other(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         carried = set(archive.namelist())
-    data = files_in("scenes") | files_in("meshes")
-    assert {f"modsim3d/_data/{name}" for name in data} | files_in("modsim3d") <= carried
+    data = {f"modsim3d/_data/{name}" for folder in ("scenes", "meshes") for name in files_in(folder)}
+    assert data | files_in("modsim3d") <= carried
     suffixes = {Path(path).suffix for path in files_in("modsim3d")}
     assert suffixes >= {".py", ".html", ".css", ".js", ".yaml"} and "modsim3d/py.typed" in carried
     top_level = {Path(name).parts[0] for name in carried}

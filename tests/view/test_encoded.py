@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from modsim3d.io.atomic_write import encoded
 from modsim3d.view import palette
@@ -43,10 +43,9 @@ def grey():
 def shown(film):
     """The frames of a film, and how long all of them last."""
     frames, total = [], 0
-    for index in range(getattr(film, "n_frames", 1)):
-        film.seek(index)
-        frames.append(np.asarray(film.convert("L")))
-        total += film.info["duration"]
+    for frame in ImageSequence.Iterator(film):
+        frames.append(np.asarray(frame.convert("L")))
+        total += frame.info["duration"]
     return frames, total
 
 

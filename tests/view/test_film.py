@@ -1,6 +1,5 @@
 """Films of a run, read back, and how long each frame is shown."""
 
-import json
 import re
 import shutil
 import struct
@@ -19,19 +18,10 @@ from modsim3d.view import palette
 from modsim3d.view.films.plan import MIN_RATE, FilmLayout, Timetable, crop_to_vessels
 from modsim3d.view.pictures import id_buffer
 from tests.command_line import call
-from tests.scenes import crossing
+from tests.scenes import camera_keys, crossing
 from tests.view.test_encoded import shown
 
 STEPS = 12
-
-
-@pytest.fixture(scope="module")
-def two_cameras(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("two")
-    usual = json.loads(crossing(folder, STEPS).read_text())["cameras"]["C0"]
-    left = {**usual, "pose": {**usual["pose"], "yaw_rad": 1.5}, "image_size_px": [400, 301]}  # nothing is there
-    run_scene(load_scene(crossing(folder, STEPS, cameras={"C0": usual, "left": left})), folder / "run")
-    return folder / "run"
 
 
 def view(monkeypatch, *arguments):
@@ -122,7 +112,11 @@ def test_a_step_and_its_time_give_the_same_picture_which_is_drawn_from_the_direc
     assert len({path.read_bytes() for path in tmp_path.glob("*.png")}) == 1
 
 
-def test_cameras_stand_side_by_side_without_what_shows_no_vessel_on_request(monkeypatch, two_cameras, tmp_path, capsys):
+def test_cameras_stand_side_by_side_without_what_shows_no_vessel_on_request(monkeypatch, tmp_path, capsys):
+    aside, two_cameras = {"position_m": [0, 0, 10], "yaw_rad": 1.5}, tmp_path / "run"  # nothing is aside
+    cameras = {"C0": camera_keys(pose={"position_m": [0, 0, 10]})}
+    cameras["left"] = camera_keys(pose=aside, image_size_px=[400, 301])
+    run_scene(load_scene(crossing(tmp_path, STEPS, cameras=cameras)), two_cameras)
     options = ("--kind", "scene", "--out")
     assert view(monkeypatch, "frame", two_cameras, 0, *options, tmp_path / "both.png") == 0
     alone = ("--camera", "left", "--width", 1000, *options, tmp_path / "left.png")

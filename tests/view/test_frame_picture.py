@@ -35,8 +35,7 @@ def camera_views(scene) -> list[CameraView]:
 @pytest.fixture(scope="module")
 def hiding(camera_views) -> CameraView:
     """The ship hides a boat in part."""
-    fractions = [np.append(s.frame.truth.visible_fraction, 1.0).min() for s in camera_views]
-    return next(s for s, fraction in zip(camera_views, fractions, strict=True) if 0.05 < fraction < 0.95)
+    return next(view for view in camera_views if 0.05 < min(view.frame.truth.visible_fraction, default=1.0) < 0.95)
 
 
 def count(picture: Image.Image, colour) -> int:

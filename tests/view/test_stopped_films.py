@@ -31,10 +31,6 @@ STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 FILMS = [*(("film.mp4", number) for number in STOPS), ("film.gif", signal.SIGTERM), ("film", signal.SIGINT)]
 
 
-def until_there_is(path):
-    return f"while not os.path.exists({str(path)!r}): time.sleep(0.01)"
-
-
 @pytest.fixture
 def stalled(run, prepared, tmp_path_factory):
     """A function that starts a command, which then has drawn some frames of a film."""
@@ -120,7 +116,8 @@ def test_a_film_of_several_workers_can_be_stopped(stalled, tmp_path_factory, tmp
     """Frame 3, as each worker counts its own; a worker ends what it does, without a word.
     A terminal that is closed sends its signal to the whole group."""
     go_on = tmp_path_factory.mktemp("go") / "on"  # which workers wait for in the middle of a film
-    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then=until_there_is(go_on), alone=True)
+    waiting = f"while not os.path.exists({str(go_on)!r}): time.sleep(0.01)"
+    drawing = stalled(tmp_path / "film.mp4", "--workers", "2", frame=3, then=waiting, alone=True)
     (os.killpg if number == signal.SIGHUP else os.kill)(drawing.pid, number)
     go_on.touch()
     _, said = drawing.communicate(timeout=60)

@@ -4,7 +4,6 @@ import math
 
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-import pytest
 
 STEP = 90
 ROWS = "[...document.querySelectorAll('#{} tr')].map(row => [...row.cells].map(cell => cell.textContent))"
@@ -15,7 +14,7 @@ DIGITS = {**dict.fromkeys(TENTHS, 1), "visible_fraction": 4, "in_frame_fraction"
 
 
 def open_numbers(browser):
-    """Press the key and wait until the tables are filled: a browser tells later that a part was opened."""
+    """Press the key and wait until the tables are filled: a browser tells later that a part was browser."""
     browser.press("d")
     filled = "player.numbers.detections ? done(1) : setTimeout(look, 5)"
     browser.run(f"new Promise(done => {{ const look = () => {filled}; look(); }})")
@@ -93,46 +92,42 @@ HERE = "player.stage.frames[0].truths"
 VESSELS = "player.recording.facts.vessels"
 
 
-@pytest.fixture
-def opened(browser, mistaken_page):
+def test_the_list_is_sorted_by_what_is_asked_for_and_says_so_and_stays_while_the_run_plays(browser, mistaken_page):
     browser.open(mistaken_page, hash="#step=100")
-    return browser
-
-
-def test_the_list_is_sorted_by_what_is_asked_for_and_says_so_and_stays_while_the_run_plays(opened):
-    scene = opened.run(LISTED)
-    opened.click("[data-order=distance]")
-    assert opened.text("th[aria-sort]") == "Distance"
-    here = opened.run(f"{HERE}.toSorted((a, b) => a.depth - b.depth).map(({{ vessel }}) => {VESSELS}[vessel].name)")
-    assert opened.run(LISTED)[: len(here)] == here and set(opened.run(LISTED)) == set(scene)
-    opened.click("[data-order=distance]")
-    assert opened.run("document.querySelector('th[aria-sort]').ariaSort") == "descending"
-    assert opened.run(LISTED)[: len(here)] == here[::-1]  # who is not in the image stays at the end
-    opened.click("[data-order=distance]")
-    assert opened.run(LISTED) == scene and opened.run("document.querySelector('th[aria-sort]')") is None
-    opened.click("[data-order=outcome]")
-    ranks = opened.run(f"{LISTED}.map(name => {HERE}.find(({{ vessel }}) => {VESSELS}[vessel].name === name)?.missed)")
+    scene = browser.run(LISTED)
+    browser.click("[data-order=distance]")
+    assert browser.text("th[aria-sort]") == "Distance"
+    here = browser.run(f"{HERE}.toSorted((a, b) => a.depth - b.depth).map(({{ vessel }}) => {VESSELS}[vessel].name)")
+    assert browser.run(LISTED)[: len(here)] == here and set(browser.run(LISTED)) == set(scene)
+    browser.click("[data-order=distance]")
+    assert browser.run("document.querySelector('th[aria-sort]').ariaSort") == "descending"
+    assert browser.run(LISTED)[: len(here)] == here[::-1]  # who is not in the image stays at the end
+    browser.click("[data-order=distance]")
+    assert browser.run(LISTED) == scene and browser.run("document.querySelector('th[aria-sort]')") is None
+    browser.click("[data-order=outcome]")
+    ranks = browser.run(f"{LISTED}.map(name => {HERE}.find(({{ vessel }}) => {VESSELS}[vessel].name === name)?.missed)")
     missed = ranks.count(True)
     assert missed > 0 and ranks[:missed] == [True] * missed
-    opened.run("player.go(0)")
-    opened.choose("which", "missed")
-    before = opened.run(LISTED)
-    opened.run("(player.playback.playing = true, player.go(100))")  # as the clock does
-    assert opened.run(LISTED) == before
-    opened.run("player.play(false)")
-    assert opened.run(LISTED) != before
-    opened.choose("which", "all")
+    browser.run("player.go(0)")
+    browser.choose("which", "missed")
+    before = browser.run(LISTED)
+    browser.run("(player.playback.playing = true, player.go(100))")  # as the clock does
+    assert browser.run(LISTED) == before
+    browser.run("player.play(false)")
+    assert browser.run(LISTED) != before
+    browser.choose("which", "all")
 
 
-def test_the_list_shows_only_what_is_asked_for(opened):
+def test_the_list_shows_only_what_is_asked_for(browser, mistaken_page):
+    browser.open(mistaken_page, hash="#step=100")
     for which, test in (("here", "true"), ("missed", "missed")):
-        opened.choose("which", which)
-        expected = opened.run(f"{HERE}.filter(({{ missed }}) => {test}).map(({{ vessel }}) => {VESSELS}[vessel].name)")
-        assert sorted(opened.run(LISTED)) == sorted(expected)
-    opened.choose("which", "all")
-    every = opened.run(LISTED)
-    opened.run(FIND.format("BOAT"))
-    assert 0 < len(opened.run(LISTED)) < len(every)
-    labels = opened.run(f"Object.fromEntries({VESSELS}.map(({{ name, label }}) => [name, label]))")
-    assert opened.run(LISTED) == [name for name in every if "boat" in f"{name} {labels[name]}"]
-    assert opened.text("#listed") == f"{len(opened.run(LISTED))} of {len(every)}"
+        browser.choose("which", which)
+        expected = browser.run(f"{HERE}.filter(({{ missed }}) => {test}).map(({{ vessel }}) => {VESSELS}[vessel].name)")
+        assert sorted(browser.run(LISTED)) == sorted(expected)
+    browser.choose("which", "all")
+    every = browser.run(LISTED)
+    browser.run(FIND.format("BOAT"))
+    assert 0 < len(browser.run(LISTED)) < len(every)
+    labels = browser.run(f"Object.fromEntries({VESSELS}.map(({{ name, label }}) => [name, label]))")
+    assert browser.run(LISTED) == [name for name in every if "boat" in f"{name} {labels[name]}"]
+    assert browser.text("#listed") == f"{len(browser.run(LISTED))} of {len(every)}"

@@ -139,8 +139,7 @@ def test_the_result_comes_first_with_a_warning_only_where_many_boxes_are_bad(mis
 
 
 def test_player_has_the_outcome_and_kind_of_each_detection(mistaken_page, mistaken_folder):
-    facts, columns = unpack(mistaken_page)
-    frames = list(open_run(mistaken_folder).frames())
+    (facts, columns), frames = unpack(mistaken_page), list(open_run(mistaken_folder).frames())
     assert facts["outcomes"] == {flag.name: flag.value for flag in Outcome}
     assert columns["outcome"].tolist() == [outcome for frame in frames for outcome in frame_outcomes(frame)]
     kinds = [facts["kinds"][kind] for kind in columns["kind"]]
