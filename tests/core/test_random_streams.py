@@ -64,9 +64,9 @@ def test_a_step_has_the_same_numbers_in_parts_and_among_others(
     whole = Streams(3).uniforms(purpose, "C0", first=first, count=60)
     streams, parts = Streams(3), []
     for a, b in itertools.pairwise([0, *sorted(borders), 60]):
-        parts.append(streams.uniforms(purpose, "C0", first=first + a, count=b - a))
         streams.uniforms(purpose, "b", first=0, count=3)
         streams.generator(Purpose.AGENTS, "C0", step=0).random(7)
+        parts.append(streams.uniforms(purpose, "C0", first=first + a, count=b - a))
     assert np.array_equal(np.concatenate(parts), whole)
 
 

@@ -100,3 +100,4 @@ def test_part_of_the_image_below_the_horizon_has_the_area_that_it_should():
     for plane, area in (((0, 1, -30), 700), ((0, -1, 30), 300), ((0, 0, 1), 1000), ((0, 0, -1), 0)):
         x, y = below_horizon(corners, corners, np.array(plane, dtype=float)).T
         assert abs(np.dot(x, np.roll(y, 1)) - np.dot(y, np.roll(x, 1))) / 2 == pytest.approx(area), plane
+        assert ((y >= 0) & (y <= 100)).all(), plane
