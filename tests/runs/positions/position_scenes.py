@@ -17,11 +17,8 @@ def detector(**box_error: Any) -> dict[str, Any]:
     """A detector with two states of different errors, which misses a fifth in one and half in the other."""
     laws = {"clear": ([1, 2, -3, 4], COVARIANCE, 0.8), "haze": ([-4, 5, 2, -2], OTHER_COVARIANCE, 0.5)}
     return {
-        "labels": ["Boat", "Ship"],
-        "confidence_threshold": 0.2,
-        "initial_state": "clear",
-        "transition_matrix": [[0.9, 0.3], [0.1, 0.7]],
-        "false_positives": {"model": "calibrated"},
+        "labels": ["Boat", "Ship"], "confidence_threshold": 0.2, "initial_state": "clear",
+        "transition_matrix": [[0.9, 0.3], [0.1, 0.7]], "false_positives": {"model": "calibrated"},
         "states": {
             name: {
                 "confusion": [[share, 0], [0, share], [1 - share, 1 - share]],
@@ -32,7 +29,7 @@ def detector(**box_error: Any) -> dict[str, Any]:
             }
             for name, (mean, covariance, share) in laws.items()
         },
-    }
+    }  # fmt: skip
 
 
 def position_scene(**keys: Any) -> Scene:
@@ -43,12 +40,7 @@ def position_scene(**keys: Any) -> Scene:
     positions[:, 1] = np.stack([300 + 2 * steps, 40 + 0 * steps], axis=1)
     positions[:, 2] = [400, 20]
     mount = {"vessel": "flagship", "position_m": [8, 1, 7], "roll_rad": 0.1, "pitch_rad": 0.05, "yaw_rad": 0.1}
-    imu = {
-        "attitude_noise_rad": 0.004,
-        "attitude_bias_rad": 0.003,
-        "heading_noise_rad": 0.01,
-        "heading_bias_rad": 0.005,
-    }
+    attitude = {"attitude_noise_rad": 0.004, "attitude_bias_rad": 0.003}
     data: dict[str, Any] = {
         "seed": 3,
         "vessels": {
@@ -62,8 +54,7 @@ def position_scene(**keys: Any) -> Scene:
             "shore": {**LENS, "pose": {"position_m": [-50, 30, 20], "pitch_rad": 0.05}},
         },
         "waves": {"spectrum": "jonswap", "significant_height_m": 1.0, "peak_period_s": 5.0, "direction_rad": 1.0},
-        "imu": imu,
-        "annotation": {"source": "analytic"},
-        "detector": detector(),
-    }
+        "imu": {**attitude, "heading_noise_rad": 0.01, "heading_bias_rad": 0.005},
+        "annotation": {"source": "analytic"}, "detector": detector(),
+    }  # fmt: skip
     return Scene.from_dict(data | keys)

@@ -43,9 +43,8 @@ def box_with(box: Array, errors: Array) -> Array:
 
 def one_by_one(scene: Scene, camera: str, step: int, box: Array) -> tuple[float, float, Array]:
     """Bearing of the centre, and inverse range and place of the foot, by solving for the point of the sea."""
-    place = scene.at(step)
     index = [each.name for each in scene.cameras].index(camera)
-    pose = place.sights[index].camera_poses
+    pose = scene.at(step).sights[index].camera_poses
     rotation, centre = pose.camera_R_world[0], pose.positions_m[0]
     lens = scene.cameras[index].intrinsics
     middle, foot = [(box[0] + box[2]) / 2, (box[1] + box[3]) / 2], [(box[0] + box[2]) / 2, box[3]]
@@ -71,22 +70,18 @@ def test_boxes_without_errors_are_where_their_rays_meet_the_sea(sharp: Scene, ca
             assert np.isnan(found.positions_m[row]).all()
 
 
-def test_the_mean_error_is_taken_out(sharp: Scene) -> None:
-    mean = np.array([4.0, -3, 10, 6])
-    biased = position_scene(detector=detector(mean=mean.tolist(), **EXACT), imu={})
-    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, box_with(BOXES, mean))
-    np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad)
-    np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m)
-
-
-def test_relative_errors_are_taken_out_of_the_true_size(sharp: Scene) -> None:
-    """To first order in the mean: the true size is the detected one less its mean error."""
-    mean = np.array([0.02, -0.01, 0.05, 0.03])
-    biased = position_scene(detector=detector(unit="relative", mean=mean.tolist(), **EXACT), imu={})
-    moved = box_with(BOXES, mean * np.tile(BOXES[:, 2:] - BOXES[:, :2], 2))
-    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, moved)
-    np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad, atol=1e-4)
-    np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m, atol=2e-5)
+@pytest.mark.parametrize(("unit", "mean", "atol_rad", "atol_per_m"), [
+    ("px", [4.0, -3, 10, 6], 0, 0), ("relative", [0.02, -0.01, 0.05, 0.03], 1e-4, 2e-5)
+])  # fmt: skip
+def test_the_mean_error_is_taken_out(
+    sharp: Scene, unit: str, mean: list[float], atol_rad: float, atol_per_m: float
+) -> None:
+    """A relative one to first order: the true size is the detected one less its mean error."""
+    biased = position_scene(detector=detector(unit=unit, mean=mean, **EXACT), imu={})
+    errors = np.array(mean) * (1 if unit == "px" else np.tile(BOXES[:, 2:] - BOXES[:, :2], 2))
+    expected, found = locate(sharp, "shore", 0, BOXES), locate(biased, "shore", 0, box_with(BOXES, errors))
+    np.testing.assert_allclose(found.bearing_rad, expected.bearing_rad, atol=atol_rad)
+    np.testing.assert_allclose(found.inverse_range_per_m, expected.inverse_range_per_m, atol=atol_per_m)
 
 
 def test_shares_of_states_are_those_of_the_long_run_weighted_by_detections() -> None:
@@ -164,12 +159,16 @@ def test_poses_from_a_perfect_unit_are_the_true_ones(composition: str) -> None:
         np.testing.assert_allclose(rebuilt.positions_m, true.positions_m, atol=1e-9)
 
 
+def with_shore_mount(scene: Scene, **angles: float) -> Scene:
+    """The scene with the camera ashore alone, turned."""
+    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
+    return replace(scene, cameras=(replace(shore, mount=replace(shore.mount, **angles)),))
+
+
 def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None:
     """They jump from π to −π there; derivatives must not."""
     boxes = np.array([620.0, 370, 660, 430]) + np.linspace(-0.6, 0.6, 13)[:, None] * [1, 0, 1, 0]
-    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
-    back = replace(scene, cameras=(replace(shore, mount=replace(shore.mount, yaw_rad=np.pi)),))
-    ahead, behind = (locate(each, "shore", 0, boxes) for each in (scene, back))
+    ahead, behind = (locate(each, "shore", 0, boxes) for each in (scene, with_shore_mount(scene, yaw_rad=np.pi)))
     assert (np.abs(behind.bearing_rad) > 3.1).all() and len({*np.sign(behind.bearing_rad)}) == 2
     np.testing.assert_allclose(behind.bearing_std_rad, ahead.bearing_std_rad, rtol=1e-6)
     np.testing.assert_allclose(behind.covariance_rad_per_m, ahead.covariance_rad_per_m, rtol=1e-3, atol=1e-12)
@@ -178,10 +177,10 @@ def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None
 def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
     boxes = np.array([[0.0, 400, 60, 460], [1200, 400, 1280, 460], [600, 700, 700, 800], [600, 0, 700, 450.0]])
     found = locate(scene, "shore", 0, boxes)
-    np.testing.assert_array_equal(np.isnan(found.bearing_rad), [True, True, False, False])
-    np.testing.assert_array_equal(np.isnan(found.bearing_std_rad), [True, True, False, False])
-    np.testing.assert_array_equal(np.isnan(found.inverse_range_per_m), [False, False, True, False])
-    np.testing.assert_array_equal(np.isnan(found.covariance_rad_per_m), [True, True, True, False])
+    missing = np.isnan(
+        [found.bearing_rad, found.bearing_std_rad, found.inverse_range_per_m, found.covariance_rad_per_m]
+    )
+    assert missing.tolist() == [[True, True, False, False]] * 2 + [[False, False, True, False], [True] * 3 + [False]]
     assert np.isnan(found.positions_m[:3]).all()
 
 
@@ -190,8 +189,8 @@ def test_the_error_of_the_box_of_a_cut_vessel_does_not_make_it_whole(scene: Scen
     """The true box ends at the image's edge; detected ones end anywhere around it, and then are cut there."""
     width, height = scene.cameras[1].intrinsics.image_size_px
     cut, whole = np.array([600.0, 400, 700, 480]), np.array([600.0, 400, 700, 480])
-    lines = {0: 0.0, 2: float(width), 3: float(height)}
-    cut[side], cut[side - 2] = lines[side], lines[side] - np.sign(side - 1) * 100
+    edge = {0: 0, 2: width, 3: height}[side]
+    cut[side], cut[side - 2] = edge, edge - np.sign(side - 1) * 100
     law, draws = scene.detector.states[0].box_error, np.random.default_rng(5)
     errors = draws.multivariate_normal(law.mean, law.covariance, FEW_DRAWS)
     given = []
@@ -201,13 +200,10 @@ def test_the_error_of_the_box_of_a_cut_vessel_does_not_make_it_whole(scene: Scen
     assert given[0] < 0.01 and given[1] == 1
 
 
-@pytest.mark.parametrize(
-    ("roll_deg", "given"), [(0, True), (44, True), (-44, True), (46, False), (-90, False), (180, False)]
-)
-def test_boxes_of_a_camera_on_its_side_have_a_bearing_and_no_foot(scene: Scene, roll_deg: float, given: bool) -> None:
-    (shore,) = (camera for camera in scene.cameras if camera.name == "shore")
-    rolled = replace(shore, mount=replace(shore.mount, roll_rad=np.deg2rad(roll_deg)))
-    found = locate(replace(scene, cameras=(rolled,)), "shore", 0, np.array([[600.0, 420, 660, 480]]))
+@pytest.mark.parametrize("roll_deg", [0, 44, -44, 46, -90, 180])
+def test_boxes_of_a_camera_on_its_side_have_a_bearing_and_no_foot(scene: Scene, roll_deg: float) -> None:
+    rolled = with_shore_mount(scene, roll_rad=np.deg2rad(roll_deg))
+    found, given = locate(rolled, "shore", 0, np.array([[600.0, 420, 660, 480]])), abs(roll_deg) < 45
     assert np.isfinite(found.bearing_rad).all() and np.isfinite(found.bearing_std_rad).all()
     assert np.isfinite(found.inverse_range_per_m).all() == np.isfinite(found.inverse_range_std_per_m).all() == given
     assert given or np.isnan(found.positions_m).all()
@@ -233,8 +229,7 @@ def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene
     errors, exact, tails = drawn_errors(scene, DRAWS), position_scene(detector=NO_ERRORS), {}
     for bottom in (760.0, 362.0):  # a position is given, and not
         box = np.array([600.0, bottom - 40, 660, bottom])
-        boxes = box_with(box, errors)
-        truth, found = locate(exact, "shore", 0, box[None]), locate(scene, "shore", 0, boxes)
+        truth, found = locate(exact, "shore", 0, box[None]), locate(scene, "shore", 0, box_with(box, errors))
         inverse, estimate = truth.inverse_range_per_m[0], found.inverse_range_per_m
         share = found.inverse_range_std_per_m[0] / inverse
         assert (share < MAX_RANGE_ERROR) == (bottom == 760)
@@ -257,9 +252,8 @@ def test_rows_do_not_depend_on_each_other(scene: Scene) -> None:
     assert locate(scene, "bow", 0, np.empty((0, 4))).position_covariances_m2.shape == (0, 2, 2)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
+def test_what_cannot_be_located_is_said(scene: Scene) -> None:
+    for change, said in (
         ({"camera": "stern"}, "there is no camera 'stern'"),
         ({"step": STEPS}, f"there is no step {STEPS}; the scene has steps 0 to {STEPS - 1}"),
         ({"step": -1}, "there is no step -1"),
@@ -267,14 +261,8 @@ def test_rows_do_not_depend_on_each_other(scene: Scene) -> None:
         ({"step": [0, 1]}, "step: one whole number is needed, or 4"),
         ({"boxes_px": [1, 2, 3, 4]}, r"boxes_px: boxes of shape \(n, 4\) are needed \(got \(4,\)\)"),
         ({"attitude": "guessed"}, "attitude: 'guessed' is neither 'true' nor 'measured'"),
-    ],
-)
-def test_what_cannot_be_located_is_said(scene: Scene, change: dict[str, Any], said: str) -> None:
-    arguments: dict[str, Any] = {"camera": "bow", "step": 0, "boxes_px": BOXES} | change
-    with pytest.raises(ModsimError, match=said):
-        modsim3d.locate(scene, **arguments)
-
-
-def test_a_scene_is_needed() -> None:
+    ):
+        with pytest.raises(ModsimError, match=said):
+            modsim3d.locate(scene, **{"camera": "bow", "step": 0, "boxes_px": BOXES, **change})
     with pytest.raises(TypeError, match="scene: a Scene is needed"):
         modsim3d.locate("strait", "bow", 0, BOXES)  # type: ignore[arg-type]

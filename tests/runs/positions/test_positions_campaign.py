@@ -16,7 +16,7 @@ def stored() -> dict[str, Any]:
     return json.loads((OUT / "positions.json").read_text(encoding="utf-8"))
 
 
-def test_the_stored_result_is_complete_and_within_bounds(stored: dict[str, Any]) -> None:
+def test_the_stored_result_is_complete_and_within_bounds_that_can_be_missed(stored: dict[str, Any]) -> None:
     assert problems(stored["rows"]) == [] and stored["seeds"] == SEEDS and stored["most_range_error"] == MAX_RANGE_ERROR
     seen = {(row["scene"], row["sea"], row["attitude"], row["errors"]) for row in stored["rows"]}
     assert {name for name, *_ in seen} == set(SCENES) and len(SCENES) == 5
@@ -25,9 +25,6 @@ def test_the_stored_result_is_complete_and_within_bounds(stored: dict[str, Any])
         assert attitudes in ({"ashore"}, {"true", "measured"})
         assert set(product([name], ("flat", "curved"), attitudes, (1.0, 0.2))) <= seen
     assert (OUT / "positions.md").read_text(encoding="utf-8") == page(stored)
-
-
-def test_the_bounds_can_be_missed(stored: dict[str, Any]) -> None:
     row = stored["rows"][0]
     for change in ({"mean": 0.3}, {"std": 1.2}, {"inside": 0.9}):
         assert len(problems([row | {"bearing": row["bearing"] | change}])) == 1
@@ -78,10 +75,9 @@ def test_the_page_has_the_numbers_of_the_stored_result(stored: dict[str, Any], e
     if errors == 1.0:
         assert {row["scene"] for row in rows if row["given"]} == {"strait"}
         offsets = {line.split(" | ")[0].strip("| "): line.split(" | ")[1] for line in lines if line.count(" | ") == 2}
-        for row in rows:
+        for row in (row for row in rows if row["sea"] == "flat"):
             name = row["scene"].replace("simulation_", "Simulation ")
-            if row["sea"] == "flat":
-                assert offsets[name] == f"{row['centre_beyond_foot_m']:.1f} m"
+            assert offsets[name] == f"{row['centre_beyond_foot_m']:.1f} m"
 
 
 def _percents(values: Iterable[float]) -> str:

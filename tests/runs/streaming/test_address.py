@@ -11,33 +11,27 @@ from modsim3d.runs.streaming.lines import Address
 INCOMPLETE = ("", "127.0.0.1", ":5000", "127.0.0.1:", "127.0.0.1:-1", "127.0.0.1:5000/", "::1:5000", "127.0.0.1:٥٠٠٠")
 
 
-@pytest.mark.parametrize(
-    ("text", "address", "loopback"),
-    [
+def test_an_address_is_read_and_written() -> None:
+    for text, address, loopback in (
         ("tcp://127.0.0.1:5000", Address("127.0.0.1", 5000), True),
         ("tcp://localhost:0", Address("127.0.0.1", 0), True),
         ("tcp://[::1]:5000", Address("::1", 5000), True),
         ("tcp://0.0.0.0:65535", Address("0.0.0.0", 65535), False),
         ("tcp://[::]:1", Address("::", 1), False),
-    ],
-)
-def test_an_address_is_read_and_written(text: str, address: Address, loopback: bool) -> None:
-    assert Address.parse(text) == address and address.loopback is loopback
-    assert str(address) == text.replace("localhost", "127.0.0.1")
+    ):
+        assert Address.parse(text) == address and address.loopback is loopback, text
+        assert str(address) == text.replace("localhost", "127.0.0.1")
 
 
-@pytest.mark.parametrize(
-    ("text", "part"),
-    [
-        ("lines.jsonl", "is neither - (standard output) nor tcp://ADDRESS:PORT"),
-        *((text, "is neither -") for text in ("udp://127.0.0.1:5000", "")),
-        *((f"tcp://{text}", "an address and a port are needed") for text in INCOMPLETE),
-        ("tcp://127.0.0.1:65536", "a port is a number from 0 to 65535 (got 65536)"),
-        ("tcp://example.org:5000", "'example.org' is no IP address"),
-        ("tcp://[127.0.0.1]:5000", "'127.0.0.1' is no IP address"),
-        *((f"tcp://{text}:5000", "is no IP address") for text in ("me@127.0.0.1", "127.0.0.256")),
-    ],
-)
+@pytest.mark.parametrize(("text", "part"), [
+    ("lines.jsonl", "is neither - (standard output) nor tcp://ADDRESS:PORT"),
+    *((text, "is neither -") for text in ("udp://127.0.0.1:5000", "")),
+    *((f"tcp://{text}", "an address and a port are needed") for text in INCOMPLETE),
+    ("tcp://127.0.0.1:65536", "a port is a number from 0 to 65535 (got 65536)"),
+    ("tcp://example.org:5000", "'example.org' is no IP address"),
+    ("tcp://[127.0.0.1]:5000", "'127.0.0.1' is no IP address"),
+    *((f"tcp://{text}:5000", "is no IP address") for text in ("me@127.0.0.1", "127.0.0.256")),
+])  # fmt: skip
 def test_what_is_no_address_is_told(text: str, part: str) -> None:
     with pytest.raises(ModsimError) as caught:
         Address.parse(text)

@@ -5,7 +5,6 @@ import json
 import re
 from collections import defaultdict
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -15,7 +14,7 @@ from modsim3d import Scene, load_scene, run_scene
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.streaming.lines import Pace, StepLines, header_line, short_collections, step_lines
 
-STEPS = 12
+STEPS, ANGLES = 12, ("roll", "pitch", "heading")
 ROOT = Path(__file__).resolve().parents[3]
 PREFIX = re.compile(rb'\{"camera":("[^"]*"),"frames_in_step":([0-9]+),(?:"attitude_rad":[^]]*],)?')
 
@@ -52,17 +51,14 @@ def test_they_are_the_lines_of_a_runs_files_byte_for_byte(scene: Scene, streamed
     assert list(step_lines(scene, one_by_one=True)) == streamed
 
 
-def test_cameras_on_board_have_the_attitude_that_the_runs_own_ship_measures(
+def test_steps_come_in_order_with_their_numbers_of_lines_and_the_attitude_of_own_ship_on_board(
     streamed: list[StepLines], run: Path
 ) -> None:
+    columns = pq.read_table(run / "ownship.parquet", columns=[f"measured_{angle}_rad" for angle in ANGLES])
+    measured = [list(row.values()) for row in columns.to_pylist()]
     entries = [json.loads(line) for step in streamed for line in step.lines]
-    rows = pq.read_table(run / "ownship.parquet").to_pylist()
-    measured = [[row[f"measured_{angle}_rad"] for angle in ("roll", "pitch", "heading")] for row in rows]
     assert [entry["attitude_rad"] for entry in entries if entry["camera"] == "bow"] == measured
     assert all("attitude_rad" not in entry for entry in entries if entry["camera"] == "quay")
-
-
-def test_steps_come_in_order_and_say_how_many_lines_they_have(streamed: list[StepLines]) -> None:
     assert [step.step for step in streamed] == list(range(STEPS))
     for step in streamed:
         entries = [json.loads(line) for line in step.lines]
@@ -85,25 +81,22 @@ def test_a_detector_that_needs_all_targets_gives_the_lines_of_its_run(tmp_path: 
     assert lines["bow"] == (tmp_path / "run" / "tracker_input_bow.jsonl").read_bytes()
 
 
-def test_nothing_of_the_truth_is_in_them(scene: Scene, streamed: list[StepLines]) -> None:
+def test_the_header_has_the_scene_files_numbers_and_nothing_in_the_stream_is_of_the_truth(
+    scene: Scene, streamed: list[StepLines]
+) -> None:
     text = b"".join(line for step in streamed for line in step.lines).decode()
     own = {scene.vessel_names[index] for index in scene.own_ships}
     targets = set(scene.vessel_names) - set(scene.detector.labels)
     assert not [word for word in (*targets, *KINDS[1:], "vessel", "kind") if f'"{word}' in text]
     assert not [word for word in targets - own if f'"{word}"' in header_line(scene).decode()]
-
-
-def test_the_header_has_the_scene_files_numbers(scene: Scene) -> None:
     header = json.loads(header_line(scene))
     assert (header["scene"], header["steps"], header["labels"]) == ("strait", STEPS, list(scene.detector.labels))
     file = yaml.safe_load((ROOT / "scenes" / "strait.yaml").read_text())["cameras"]
     assert list(header["cameras"]) == list(file)
     for name, given in file.items():
-        told: dict[str, Any] = header["cameras"][name]
-        place = "mount" if "mount" in given else "pose"
+        told, place = header["cameras"][name], "mount" if "mount" in given else "pose"
         assert told[place].items() >= given[place].items()
-        expected = given["image_size_px"], given.get("frame_rate_hz")
-        assert (told["image_size_px"], told["frame_rate_hz"]) == expected
+        assert (told["image_size_px"], told["frame_rate_hz"]) == (given["image_size_px"], given.get("frame_rate_hz"))
         assert told["focal_px"] == pytest.approx([given["focal_length_m"] / size for size in given["pixel_size_m"]])
 
 

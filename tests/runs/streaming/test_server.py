@@ -77,13 +77,13 @@ def send_all(server: LineServer, lines: list[bytes] = LINES) -> None:
 
 def test_two_readers_get_every_line_and_one_that_comes_late_gets_those_that_are_kept() -> None:
     with serve() as server:
-        readers = [Background(lambda: rest_of(connect(server)))]
+        first = Background(lambda: rest_of(connect(server)))
         server.wait_for_reader()
         send_all(server, LINES[:3000])
-        readers.append(Background(lambda: rest_of(connect(server, small=True))))
+        late = Background(lambda: rest_of(connect(server, small=True)))
         send_all(server, LINES[3000:])
         server.finish()
-        assert [reader.result() for reader in readers] == [[HEADER, *LINES]] * 2
+        assert first.result() == late.result() == [HEADER, *LINES]
 
 
 def test_the_slowest_reader_holds_the_stream_up_and_loses_nothing() -> None:
@@ -127,8 +127,7 @@ def test_a_reader_that_takes_nothing_is_disconnected_with_a_word() -> None:
         with pytest.raises(NobodyReads):
             send_all(server)
             server.finish()
-    (word,) = said
-    assert "has taken nothing for 0.3 s, and is disconnected" in word
+    assert len(said) == 1 and "has taken nothing for 0.3 s, and is disconnected" in said[0]
 
 
 def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
@@ -197,8 +196,7 @@ def test_an_end_with_lines_on_the_way_is_no_reader_that_has_everything() -> None
 
 
 def test_a_reader_that_ends_its_own_side_first_gets_everything() -> None:
-    """As `nc -N` does with an empty standard input."""
-    with serve() as server:
+    with serve() as server:  # as `nc -N` does with an empty standard input
         reader = connect(server)
         reader.shutdown(socket.SHUT_WR)
         reading = Background(lambda: rest_of(reader))
