@@ -56,13 +56,6 @@ def test_counts_of_each_camera_are_those_of_its_frames(scene: Scene, result: Run
         assert slow["detected"] > slow["below_half_iou"] > slow["off_vessel"] > 20
 
 
-def test_large_errors_put_boxes_off_their_vessels(tmp_path: Path) -> None:
-    scene = load_scene("simulation_1", mode=2, steps=60, source="analytic")
-    slow = sum((Counter(counted(frame)) for frame in simulate_frames(scene)), Counter[str]())
-    counts = asdict(run_scene(scene, tmp_path / "run").counts)
-    assert {name: counts[name] for name in slow} == slow and slow["below_half_iou"] > slow["off_vessel"] > 20
-
-
 def test_run_json_has_the_counts_of_all_cameras_and_of_each(result: RunResult) -> None:
     data = json.loads((result.folder / "run.json").read_text())
     assert data["counts"] == asdict(result.counts)
@@ -74,11 +67,9 @@ def test_run_json_has_the_counts_of_all_cameras_and_of_each(result: RunResult) -
 def test_a_camera_without_counts_is_refused_unless_the_run_is_of_the_format_before(
     result: RunResult, tmp_path: Path
 ) -> None:
-    one = {"bow": asdict(result.camera_counts["bow"])}
-    for name, wrong in {"one": one, "none": None}.items():
+    for name, wrong in {"one": {"bow": asdict(result.camera_counts["bow"])}, "none": None}.items():
         with pytest.raises(RunDirectoryError, match="must have every count of every camera"):
             open_run(edited_run(result.folder, tmp_path / name, camera_counts=wrong))
-    counts = asdict(result.counts)
-    del counts["off_vessel"]
+    counts = {name: count for name, count in asdict(result.counts).items() if name != "off_vessel"}
     old = edited_run(result.folder, tmp_path / "old", format=1, counts=counts, camera_counts=None)
     assert open_run(old).tables()["truth"].equals(open_run(result.folder).tables()["truth"])

@@ -14,7 +14,7 @@ from modsim3d.core.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.block_files import annotation_lines, detection_lines, join_lines
-from modsim3d.runs.files.run_file import frame_lines, list_texts, number_texts, string_texts
+from modsim3d.runs.files.run_file import ROWS_AT_ONCE, frame_lines, list_texts, number_texts, string_texts
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.tracker_view import TrackerDetections, tracker_lines
 from modsim3d.truth.record import annotation_boxes
@@ -48,10 +48,9 @@ def plain_detections(block: Block, part: CameraBlock, scene: Scene) -> list[byte
     for row in np.argsort(np.isin(found.kind, (DUPLICATE, FRAGMENT)), kind="stable").tolist():
         entry, source = entries[found.frame[row]], part.truth_row[row]
         entry[free_key(entry, scene.vessel_names[part.truth.vessel[source]] if source >= 0 else None)] = {
-            "label": scene.detector.labels[found.label[row]],
-            "confidenceScore": confidence[row],
+            "label": scene.detector.labels[found.label[row]], "confidenceScore": confidence[row],
             "bbox": plain_box(boxes[row]),
-        }
+        }  # fmt: skip
     return plain_lines(block, part, entries)
 
 
@@ -87,23 +86,17 @@ def plain_lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) 
     return [orjson.dumps({timestamp: entry}) + b"\n" for timestamp, entry in zip(timestamps, entries, strict=True)]
 
 
-@pytest.mark.parametrize(
-    ("fast", "plain"),
-    [(annotation_lines, plain_annotations), (detection_lines, plain_detections), (tracker_lines, plain_tracker_lines)],
-)
-def test_lines_are_those_of_a_dictionary_for_each_row(made: Made, fast: Callable, plain: Callable) -> None:
+@pytest.mark.parametrize("at_once", [1, 7, ROWS_AT_ONCE])
+@pytest.mark.parametrize(("fast", "plain"), [
+    (annotation_lines, plain_annotations), (detection_lines, plain_detections), (tracker_lines, plain_tracker_lines),
+])  # fmt: skip
+def test_lines_are_those_of_a_dictionary_for_each_row_however_many_are_made_at_once(
+    made: Made, fast: Callable, plain: Callable, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("modsim3d.runs.files.run_file.ROWS_AT_ONCE", at_once)
     scene, block = made
     for part in block.cameras:
         assert fast(block, part, scene) == b"".join(plain(block, part, scene))
-
-
-def test_lines_do_not_depend_on_how_many_rows_are_made_at_once(made: Made, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, block = made
-    functions = (annotation_lines, detection_lines, tracker_lines)
-    whole = [function(block, part, scene) for function in functions for part in block.cameras]
-    for count in (1, 7):
-        monkeypatch.setattr("modsim3d.runs.files.run_file.ROWS_AT_ONCE", count)
-        assert [function(block, part, scene) for function in functions for part in block.cameras] == whole
 
 
 def test_the_scenes_have_second_boxes_false_positives_and_empty_frames(made: Made) -> None:
@@ -122,15 +115,12 @@ def test_names_are_escaped_and_a_missing_depth_is_null(made: Made) -> None:
         assert detection_lines(block, shallow, odd) == b"".join(plain_detections(block, shallow, odd))
 
 
-def test_number_texts_are_the_shortest_that_give_the_number_again() -> None:
+def test_texts_of_numbers_are_the_shortest_that_give_the_number_again_and_of_strings_those_of_each() -> None:
     numbers = [0.0, -0.0, 1e-7, 1e22, 0.1 + 0.2, 1800.0, 5e-324, float("nan")]
     assert number_texts(np.array(numbers)) == [orjson.dumps(number) for number in numbers]
     assert number_texts(np.empty(0)) == []
     assert list_texts(np.array([[1.5, 2.0], [1e-7, np.nan]])) == [b"1.5,2.0", b"1e-7,null"]
     assert list_texts(np.empty((0, 4))) == []
-
-
-def test_string_texts_are_those_of_each_string() -> None:
     for strings in ([], ["0.0"], ['a",\n  "b', "", ",\n  ", "\\", 'ø"', "[\n"]):
         assert string_texts(strings) == [orjson.dumps(string) for string in strings]
 

@@ -19,24 +19,18 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
     return open_run(run_scene(load_scene(mistaken_strait(folder)), folder / "run").folder)
 
 
-@pytest.mark.parametrize(
-    "box, expected",
-    [
+def test_a_box_is_right_bad_or_off_its_vessel_by_iou_and_of_a_false_positive_nothing_else_is_said():
+    for box, expected in (
         (VESSEL, 0),
         ([100, 100, 110, 110], 0),  # IoU is 0.5: not below it
         ([100, 100, 109.9, 110], BAD),
         ([119.9, 109.9, 140, 120], BAD),
         ([120, 100, 140, 110], OFF),  # the boxes share an edge only
         ([300, 100, 320, 110], OFF),
-    ],
-)
-def test_a_box_is_right_bad_or_off_its_vessel_by_iou(box, expected):
-    for mislabelled, flag in ((False, 0), (True, Outcome.MISLABELLED)):
-        (found,) = outcomes(np.array([False]), np.array([mislabelled]), np.array([box]), np.array([VESSEL]))
-        assert found == expected | flag
-
-
-def test_of_a_false_positive_nothing_else_is_said():
+    ):
+        for mislabelled, flag in ((False, 0), (True, Outcome.MISLABELLED)):
+            (found,) = outcomes(np.array([False]), np.array([mislabelled]), np.array([box]), np.array([VESSEL]))
+            assert found == expected | flag, box
     yes, nothing = np.array([True]), np.full((1, 4), np.nan)
     assert outcomes(yes, yes, np.array([VESSEL]), nothing).tolist() == [Outcome.FALSE_POSITIVE]
 

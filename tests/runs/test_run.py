@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ import pytest
 
 import modsim3d
 from modsim3d import RunDirectoryError, load_scene, run_scene, simulate_frames
-from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline
 from tests.run_folders import interrupt, run_files
@@ -42,19 +42,14 @@ def test_without_the_thesis_json_all_other_files_are_the_same_bytes(scene, finis
     assert without.items() <= with_json.items()
 
 
-def test_an_interrupted_run_goes_on_with_and_without_the_thesis_json(tmp_path):
+def test_an_interrupted_run_goes_on_and_a_run_is_replaced_with_and_without_the_thesis_json(tmp_path):
     scene = load_scene("simulation_1", mode=2, steps=300, source="analytic")
     for first, then in ((True, False), (False, True)):
         folder = interrupt(scene, tmp_path / f"{first}", thesis_json=first)
         assert run_scene(scene, folder, resume=True, thesis_json=then).resumed_steps
         assert {path.name for path in folder.iterdir()} == (FILES if then else FILES - THESIS_JSON)
-
-
-def test_replacing_a_run_leaves_no_thesis_json_of_the_old_one(tmp_path):
-    scene = load_scene("simulation_1", steps=2, source="analytic")
-    run_scene(scene, tmp_path / "run")
-    run_scene(scene, tmp_path / "run", overwrite=True, thesis_json=False)
-    assert {path.name for path in (tmp_path / "run").iterdir()} == FILES - THESIS_JSON
+        run_scene(replace(scene, steps=2), folder, overwrite=True, thesis_json=first)
+        assert {path.name for path in folder.iterdir()} == (FILES if first else FILES - THESIS_JSON)
 
 
 def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished, tmp_path):
@@ -65,22 +60,22 @@ def test_same_seed_gives_the_same_bytes_and_another_seed_others(scene, finished,
     assert all(other[name] != data for name, data in run_files(finished).items() if name != "scene/detector.yaml")
 
 
-def test_run_json_holds_no_time_and_no_host(finished):
+def test_run_json_lists_the_promised_files_with_size_and_checksum_and_holds_counts_but_no_time_and_no_host(finished):
     data = json.loads((finished / "run.json").read_text())
     assert (data["seed"], data["counts"]["frames"], len(data["scene_sha256"])) == (0, STEPS, 64)
     assert data["versions"]["modsim3d"] == modsim3d.__version__
     assert {"format", "backend", "annotation", "steps"} <= set(data)
     assert not {"time", "date", "host", "seconds"} & {key.lower() for key in data}
-
-
-def test_run_directory_holds_what_is_promised_and_run_json_lists_it_with_size_and_checksum(finished):
     assert {path.name for path in finished.iterdir()} == FILES
-    listed = json.loads((finished / "run.json").read_text())["files"]
     written = {path for path in finished.rglob("*") if path.is_file() and path.name not in ("run.json", "run.log")}
-    assert list(listed) == sorted(str(path.relative_to(finished)) for path in written)
-    for name, entry in listed.items():
-        data = (finished / name).read_bytes()
-        assert entry == {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    assert list(data["files"]) == sorted(str(path.relative_to(finished)) for path in written)
+    for name, entry in data["files"].items():
+        content = (finished / name).read_bytes()
+        assert entry == {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    counts = data["counts"]
+    assert counts["detected"] + counts["missed"] == counts["annotated"]
+    # The source's errors have a standard deviation of 40–85 px on boxes of 10–80 px.
+    assert counts["below_half_iou"] > 0.9 * counts["detected"] and 0 < counts["redrawn"] < counts["detected"]
 
 
 def test_thesis_json_has_a_key_for_every_step_and_the_figures_fields(finished):
@@ -139,20 +134,6 @@ def test_truth_table_obeys_its_own_arithmetic(finished):
         assert (row["annotated"] == (row["visible_px"] > 0) and row["annotated"]) or not row["detected"]
 
 
-@pytest.mark.parametrize("mode", [0, 1, 2])
-def test_modes_annotate_what_they_say(mode, renderer):
-    scene = load_scene("simulation_1", mode=mode, steps=1500)
-    simulation = pipeline.Simulation(scene, TargetStatistics())
-    truth = pipeline.truth_block(scene, 1200, 1300, renderer)  # holds vessels that are wholly and partly hidden
-    assert (truth.visible_px == 0).any()
-    part = simulation.detect(truth, 1200, 1300).cameras[0]
-    np.testing.assert_array_equal(truth.annotated, (truth.visible_px > 0) | (mode == 0))
-    boxes = truth.visible_boxes_px if mode == 2 else truth.full_boxes_px
-    assert np.isfinite(boxes[part.target_rows]).all()
-    partly = (truth.visible_fraction > 0) & (truth.visible_fraction < 0.7)
-    assert (boxes[partly] != truth.full_boxes_px[partly]).any() == (mode == 2)
-
-
 def test_interrupted_run_goes_on_to_the_same_bytes_with_the_same_settings_only(scene, finished, tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 120)
     folder = interrupt(scene, tmp_path / "killed", blocks=2)
@@ -168,11 +149,10 @@ def test_interrupted_run_goes_on_to_the_same_bytes_with_the_same_settings_only(s
 
 
 def test_python_way_gives_the_same_as_the_files(scene, finished):
-    drawn = pq.read_table(finished / "detections.parquet").to_pylist()
     frames = list(simulate_frames(scene))
     assert len(frames) == STEPS
     boxes = np.concatenate([frame.detections.boxes_px for frame in frames])
-    assert boxes[:, 0].tolist() == [row["x_min_px"] for row in drawn]
+    assert boxes[:, 0].tolist() == pq.read_table(finished / "detections.parquet")["x_min_px"].to_pylist()
     frame = frames[151]
     assert (frame.timestamp, frame.truth.boxes_px.shape) == ("30.2", (5, 4))
     assert frame.truth.vessels == tuple(f"vessel{i}" for i in range(1, 6))
@@ -183,10 +163,8 @@ def test_python_way_gives_the_same_as_the_files(scene, finished):
 
 def test_own_files_run(tmp_path):
     """A user's vessels and poses as in the source's Figures 7.2 and 7.3, with a camera on one of the vessels."""
-    vessels = {
-        "own": {"air_draft_m": 3.0, "beam_m": 4, "length_m": 10, "label": "Vessel"},
-        "other": {"air_draft_m": 5.0, "beam_m": 4.0, "length_m": 12.0, "label": "Vessel"},
-    }
+    own = {"air_draft_m": 3.0, "beam_m": 4, "length_m": 10, "label": "Vessel"}
+    vessels = {"own": own, "other": {"air_draft_m": 5.0, "beam_m": 4.0, "length_m": 12.0, "label": "Vessel"}}
     poses = {
         f"{1700000000 + t}.50": {
             "own": {"center_position_m": [2.0 * t, 0.0, 0.0], "heading_rad": 0.0},
@@ -211,10 +189,3 @@ def test_own_files_run(tmp_path):
     # At step t the other's near side is 74 − 2t m ahead of the camera at most; it moves to port: columns fall.
     columns = [annotations[time]["other"]["bbox"]["centre"]["x"] for time in poses]
     assert columns == sorted(columns, reverse=True)
-
-
-def test_small_errors_match_and_large_errors_are_counted(scene, finished):
-    counts = json.loads((finished / "run.json").read_text())["counts"]
-    assert counts["detected"] + counts["missed"] == counts["annotated"]
-    # The source's errors have a standard deviation of 40–85 px on boxes of 10–80 px.
-    assert counts["below_half_iou"] > 0.9 * counts["detected"] and 0 < counts["redrawn"] < counts["detected"]
