@@ -79,5 +79,4 @@ class Losing(ThisProcess):
 
 
 def html_of_blocks(blocks: Iterable[Block]) -> str:
-    """Blocks as a page shows them."""
     return "\n".join(map(html_of, shown(blocks, Where.PAGE)))

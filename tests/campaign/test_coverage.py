@@ -9,14 +9,13 @@ import pyarrow as pa
 import pytest
 
 import modsim3d
+from modsim3d import RunRows, Scene
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, Bins, coverage_of
 from modsim3d.campaign.work.layers import Blocks, RunLayers, TruthLayer, detected
 from modsim3d.campaign.work.row import column_type, row_of, rules_of
 from modsim3d.runs.pipeline import truth_block
-from modsim3d.runs.run_rows import RunRows
-from modsim3d.scene.scene import Scene
 from tests.scenes import crossing, write_scene
 
 ANALYTIC = {"annotation": {"mode": 2, "source": "analytic"}}
@@ -29,8 +28,8 @@ def rows_in_memory(scene: Scene, blocks: Blocks) -> RunRows:
     return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer(scene, made=blocks)))
 
 
-def rows_of(path: Path, **settings: Any) -> RunRows:
-    scene = modsim3d.load_scene(path, settings=settings)
+def rows_of(path: Path, steps: int | None = None, **settings: Any) -> RunRows:
+    scene = modsim3d.load_scene(path, steps=steps, settings=settings)
     return rows_in_memory(scene, [(truth_block(scene, 0, scene.steps, None), 0, scene.steps)])
 
 
@@ -57,8 +56,7 @@ def test_each_kind_of_encounter_is_counted_once_if_the_run_reaches_it(own_ship: 
     assert found["covered.closest_approach_m"] == pytest.approx(30.0)
     for name, value in found.items():  # counts are whole numbers, and measures are not
         assert column_type(name) == (pa.int64() if isinstance(value, int) else pa.float64()), name
-    scene = modsim3d.load_scene(own_ship, steps=20)
-    short = coverage_of(rows_in_memory(scene, [(truth_block(scene, 0, 20, None), 0, 20)]))
+    short = coverage_of(rows_of(own_ship, 20))
     assert sum(short[name] for name in KINDS.values()) == 0
 
 
@@ -81,8 +79,7 @@ def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Pa
         step, vessel = int(rows.truth_frame[row]), int(rows.truth_vessel[row])
         camera_m = poses.positions_m[step, 0, :2] + np.array([4.0, 0.0])
         ranges_m.append(float(np.hypot(*(poses.positions_m[step, vessel, :2] - camera_m))))
-        x_min, y_min, x_max, y_max = boxes[row]
-        sizes_px.append(float(np.sqrt((x_max - x_min) * (y_max - y_min))))
+        sizes_px.append(float(np.sqrt(np.prod(boxes[row, 2:] - boxes[row, :2]))))
     assert len(ranges_m) > 100
     for bins, values, name in ((RANGES, ranges_m, "range_m"), (SIZES, sizes_px, "size_px")):
         counts = np.histogram(values, [0, *bins.edges, np.inf])[0]
@@ -98,12 +95,10 @@ def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidde
     with closing(RunLayers(keys, tmp_path, tmp_path / "cache")) as layers:
         made = layers.made(Plan.of(keys).run(0))
     row = row_of(0, made, rules_of(keys.score))
-    lengths = {name: row[name] for name in OCCLUSIONS.names}
-    assert sum(lengths.values()) == row["occlusions"] >= 2
-    hidden = (made.rows.numbers("visible_px") == 0) & (made.rows.numbers("silhouette_px") > 0)
-    shown = made.rows.numbers("visible_px") > 0
+    assert sum(row[name] for name in OCCLUSIONS.names) == row["occlusions"] >= 2
+    shown, in_view = made.rows.numbers("visible_px") > 0, made.rows.numbers("silhouette_px") > 0
     assert sum(row[name] for name in RANGES.names) == np.count_nonzero(shown) < len(shown)
-    assert row["covered.hidden_s"] == np.count_nonzero(hidden) > 0  # a frame a second
+    assert row["covered.hidden_s"] == np.count_nonzero(in_view & ~shown) > 0  # a frame a second
 
 
 def test_cameras_ashore_meet_nobody_and_say_so_by_no_column(tmp_path: Path) -> None:

@@ -31,15 +31,12 @@ def lines_of(page: str) -> dict[str, list[str]]:
     return {each[0]: each[1:] for each in cells}
 
 
-def test_all_detectors_and_trackers_over_a_truth_cover_the_same(result: CampaignResult) -> None:
-    names = [name for name in result.table.column_names if name.startswith("covered.")]
-    assert len(set(result.table["truth_key"].to_pylist())) == 1  # the traffic of the harbour is not drawn
-    assert len(set(result.table["detections_key"].to_pylist())) == 3
-    assert len({tuple(row.values()) for row in result.table.select(names).to_pylist()}) == 1
-
-
-def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignResult) -> None:
+def test_a_truth_is_counted_once_however_many_runs_are_over_it_and_what_is_empty_is_not_covered(result):
     table, page = result.table, html_of_blocks(coverage_sections(result.folder, result.table))
+    assert len(set(table["truth_key"].to_pylist())) == 1  # the traffic of the harbour is not drawn
+    assert len(set(table["detections_key"].to_pylist())) == 3
+    names = [name for name in table.column_names if name.startswith("covered.")]
+    assert len({tuple(row.values()) for row in table.select(names).to_pylist()}) == 1  # over a truth it is the same
     lines = lines_of(page)
     assert "6 of 6 runs are done, over 1 different truth and 1 traffic seed." in page
     assert "The traffic of harbour is not drawn: it is the same for every seed, and counts as one." in page
@@ -47,17 +44,11 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it(result: CampaignR
     assert lines["200 to 500 m"] == [f"{frames:,}", "6", "1"]
     assert lines["Vessel"] == [f"{table['covered.vessels.Vessel'][0].as_py()}", "6", "1"]
     assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
-
-
-def test_what_is_empty_is_listed_as_not_covered_and_settings_of_both_trackers_are_there(result: CampaignResult) -> None:
-    page = html_of_blocks(coverage_sections(result.folder, result.table))
-    lines = lines_of(page)
     assert lines["5000 m and more"] == ["–", "–", "–"]
     assert re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
     assert re.search(r"<li>Sea: [^<]*moderate \(1.25 to 2.5 m\)", page)
-    assert "there is no own ship that could meet another" in page
     assert re.search(rf"<li>{RATE}: no draw from ", page)
-    assert "no claim is made about it" in page
+    assert "there is no own ship that could meet another" in page and "no claim is made about it" in page
     assert "lost_s 9" in lines["patient"][2] and "lost_s 9" not in lines["sort"][2]
     assert lines["sort"][-1] == "all"
 
@@ -94,20 +85,19 @@ def test_a_trace_shows_the_first_of_very_many_verdicts_and_may_have_none(result:
     page = html_of_blocks(trace_sections(result.folder, result.table, verdicts))
     assert "200. hota" in page and "201. hota" not in page
     assert "100 more are in verdicts.json." in page
-    page = html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), []))
+    nothing = result.table.slice(0, 0)
+    page = html_of_blocks(trace_sections(result.folder, nothing, []))
     assert "no requirements" in page and "campaign reproduce" in page
-    assert "none" in html_of_blocks(trace_sections(result.folder, result.table.slice(0, 0), verdicts[:1]))
+    assert "none" in html_of_blocks(trace_sections(result.folder, nothing, verdicts[:1]))
 
 
 def test_numbers_are_said_in_few_words() -> None:
     for numbers, said in (
-        ([], "none"),
-        ([7], "7"),
-        ([0, 1, 2, 3], "0–3 (4 of them)"),
+        ([], "none"), ([7], "7"), ([0, 1, 2, 3], "0–3 (4 of them)"),
         ([0, 4, 8, 12, 16], "0, 4, … 16 (5 of them, 4 apart)"),
         ([0, 1, 4, 5, 9], "0–1, 4–5, 9 (5 of them)"),
         ([*range(0, 6), *range(9, 40, 3)], "0–5, 9, 12, 15, 18, 21 and 6 ranges more (17 of them)"),
-    ):
+    ):  # fmt: skip
         assert numbers_in_words(np.array(numbers, dtype=np.int64)) == said
 
 

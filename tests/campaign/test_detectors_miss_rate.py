@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d import load_detector, run_scene
+from modsim3d import InputError, load_detector, load_scene, run_scene
 from modsim3d.campaign.work.layers import RunLayers
-from modsim3d.core.errors import InputError
 from modsim3d.detector.file.writing import with_miss_rate
 from modsim3d.runs.files.tables import flags
-from modsim3d.scene.reading import load_scene
 from modsim3d.scene.settings import choose_detector
 from tests.campaign.campaigns import checked_campaign
 
@@ -31,11 +29,13 @@ def test_every_label_is_missed_at_the_rate_and_the_other_rows_keep_their_proport
         np.testing.assert_allclose(after[:-1] / after[:-1].sum(axis=0), before[:-1] / before[:-1].sum(axis=0))
 
 
-def test_the_rate_of_a_state_is_set_after_that_of_all_and_after_the_matrix() -> None:
+def test_the_rate_of_a_state_is_set_after_that_of_all_and_after_the_matrix_and_kept_with_a_run(tmp_path: Path) -> None:
     rates = {"detector.states.good.miss_rate": 0.3, "detector.miss_rate": 0.1}
-    scene = load_scene("harbour", steps=5, settings={**rates, "detector.states.bad.confusion": [[0.2], [0.8]]})
-    missed = {state.name: float(state.confusion[-1, 0]) for state in scene.detector.states}
-    assert missed == pytest.approx({"excellent": 0.1, "good": 0.3, "bad": 0.1, "terrible": 0.1})
+    scene = load_scene("harbour", steps=2, settings={**rates, "detector.states.bad.confusion": [[0.2], [0.8]]})
+    run_scene(scene, tmp_path / "run")
+    for detector in (scene.detector, load_detector(tmp_path / "run/scene/detector.yaml")):
+        missed = {state.name: float(state.confusion[-1, 0]) for state in detector.states}
+        assert missed == pytest.approx({"excellent": 0.1, "good": 0.3, "bad": 0.1, "terrible": 0.1})
 
 
 @pytest.mark.parametrize(("settings", "said"), [
@@ -54,19 +54,12 @@ def test_what_is_no_miss_rate_is_refused(settings: dict[str, Any], said: str) ->
 
 def test_the_measured_miss_rate_of_a_run_is_the_one_that_was_set(tmp_path: Path) -> None:
     """Within an exact interval of 99.9 %; every performance state has the rate, and nothing else makes a miss."""
-    rates = [0.1, 0.4]
-    vary = [{"grid": {"detector.miss_rate": rates}}]
+    vary = [{"grid": {"detector.miss_rate": [0.1, 0.4]}}]
     campaign = checked_campaign(tmp_path, scene="harbour", steps=80, vary=vary, trackers=["reference"])
     with closing(RunLayers(campaign.file.keys, tmp_path, tmp_path / "cache")) as layers:
-        for number, rate in enumerate(rates):
+        for number, rate in enumerate((0.1, 0.4)):
             truth = layers.made(campaign.plan.run(number)).rows.truth
             there = flags(truth, "annotated")
             missed = int((there & ~flags(truth, "detected")).sum())
             interval = stats.binomtest(missed, int(there.sum())).proportion_ci(0.999)
             assert there.sum() > 300 and interval.low <= rate <= interval.high
-
-
-def test_a_miss_rate_is_a_key_of_every_command(tmp_path: Path) -> None:
-    run_scene(load_scene("harbour", steps=2, settings={"detector.miss_rate": 0.25}), tmp_path / "run")
-    states = load_detector(tmp_path / "run/scene/detector.yaml").states
-    assert [state.confusion[-1, 0] for state in states] == [0.25] * 4

@@ -2,17 +2,17 @@
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
-from modsim3d.campaign.campaign import open_campaign
+from modsim3d import ModsimError, open_campaign
 from modsim3d.campaign.folder import LIST, planned
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.workers import ThisProcess
-from modsim3d.core.errors import ModsimError
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
 from tests.campaign.small_campaign import small_campaign
 from tests.cli.conftest import Modsim3d
@@ -46,33 +46,34 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
-def test_a_file_that_was_changed_after_the_end_is_refused_by_its_name(ended: Path, name: str) -> None:
-    path = ended / name
+@contextmanager
+def changed(path: Path, change: Callable[[Path], object]) -> Iterator[None]:
     before = path.read_bytes() if path.exists() else None
-    open_campaign(ended)
-    CHANGES[name](path)
+    change(path)
     try:
-        for attempt in (lambda: open_campaign(ended), lambda: run_campaign_file(ended.parent, **KEYS)):
-            with pytest.raises(ModsimError, match=f"^{path} (was changed|cannot be read)"):
-                attempt()
+        yield
     finally:
         path.unlink(missing_ok=True)
         if before is not None:
             path.write_bytes(before)
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_file_that_was_changed_after_the_end_is_refused_by_its_name(ended: Path, name: str) -> None:
+    open_campaign(ended)
+    with changed(ended / name, CHANGES[name]):
+        for attempt in (lambda: open_campaign(ended), lambda: run_campaign_file(ended.parent, **KEYS)):
+            with pytest.raises(ModsimError, match=f"^{ended / name} (was changed|cannot be read)"):
+                attempt()
     assert open_campaign(ended).finished
 
 
 @pytest.mark.parametrize("files", ['{"../x": 5}', '{"x": {"bytes": 5}}', '{"x": ["bytes", "sha256"]}', '["x"]', "5"])
 def test_a_list_of_another_form_is_refused_as_a_damaged_one(ended: Path, files: str) -> None:
     path = ended / "results" / LIST
-    before = path.read_bytes()
-    path.write_text(f'{{"files": {files}}}')
-    try:
-        with pytest.raises(ModsimError, match=f"^{path} cannot be read, or a file that it lists: .*; remove"):
-            open_campaign(ended)
-    finally:
-        path.write_bytes(before)
+    damaged = pytest.raises(ModsimError, match=f"^{path} cannot be read, or a file that it lists: .*; remove")
+    with changed(path, lambda path: path.write_text(f'{{"files": {files}}}')), damaged:
+        open_campaign(ended)
 
 
 def test_the_list_has_every_file_but_the_log(ended: Path) -> None:

@@ -31,6 +31,11 @@ def problems(tmp_path: Path, text: str) -> tuple[str, ...]:
     (HARBOUR + "vary: [{grid: {state: [good]}, pairs: {x: [1]}}]\n", ["vary[0]: give exactly one of grid, pairs"]),
     (HARBOUR + "require: [{score: hota}]\n", ["require[0]: give either at_least or at_most"]),
     (HARBOUR + "score: {similarity: centre}\n", ["score: similarity centre needs scale_px"]),
+    (HARBOUR + "vary: [{pairs: {a: [1, 2], b: [1]}}]\n", ["as many values"]),
+    (HARBOUR + "vary: [{uniform: {a: [2, 1]}}]\n", ["below high"]),
+    (HARBOUR + "vary: [{uniform: {a: {low: 0, high: 1, scale: log}}}]\n", ["above 0"]),
+    (HARBOUR + "vary: [{uniform: {a: [1, 2, 3]}}]\n", ["two numbers"]),
+    (HARBOUR + "seed: 0\n", ["greater than or equal to 1"]),
     (HARBOUR + "vary: [{list: [{steps: 3}]}]\n", ["vary: 'steps' cannot be varied here: the key steps"]),
     (HARBOUR + "vary: [{grid: {state: [good]}}, {pairs: {state: [bad]}}]\n", ["'state' is varied by two factors"]),
     (HARBOUR + "vary: [{grid: {state: [good, god]}}]\n", ["vary: state 'god': unknown state 'god' (did you mean"]),
@@ -64,10 +69,12 @@ def test_a_refused_value_of_many_conditions_is_named_once_and_both_ends_of_a_ran
 
 def test_a_plan_that_is_too_large_is_refused_with_its_number(tmp_path: Path) -> None:
     many = ", ".join(f"k{n}: [1,2,3,4,5,6,7,8,9,0]" for n in range(7))
-    (found,) = problems(tmp_path, HARBOUR + f"vary: [{{grid: {{{many}}}}}]\n")
-    assert "10,000,000 conditions" in found
-    (found,) = problems(tmp_path, HARBOUR + "seeds: {traffic: 1000000, detector: 10}\n")
-    assert "10,000,000 runs, and at most 5,000,000 are possible" in found
+    for line, said in (
+        (f"vary: [{{grid: {{{many}}}}}]\n", "10,000,000 conditions"),
+        ("seeds: {traffic: 1000000, detector: 10}\n", "10,000,000 runs, and at most 5,000,000 are possible"),
+    ):
+        (found,) = problems(tmp_path, HARBOUR + line)
+        assert said in found
 
 
 def test_nothing_is_written_for_a_wrong_file(tmp_path: Path, modsim3d: Modsim3d) -> None:
@@ -85,8 +92,6 @@ def test_a_shipped_campaign_has_no_problem_and_another_name_a_hint() -> None:
     with pytest.raises(InputError, match=r"no shipped campaign has this name .*example"):
         read_campaign("exmple")
 
-
-# ---- keys that nothing reads -------------------------------------------------------------------------------------
 
 STRAIT = "scene: strait\nsteps: 3\ntrackers: [reference]\n"
 

@@ -30,7 +30,7 @@ def table_for(plan, crashed=(), seed=1):
     return with_plan(hand_made_tables.table_of_runs(rows, crashed), plan)
 
 
-def test_a_mean_and_its_interval_are_over_traffic_seeds():
+def test_a_mean_and_its_interval_are_over_traffic_seeds_and_one_value_gives_no_interval():
     plan = plan_of(5)
     table = table_for(plan)
     found = over_seeds(seed_cells(plan, table, "hota"))
@@ -40,9 +40,6 @@ def test_a_mean_and_its_interval_are_over_traffic_seeds():
     low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
     assert [found.mean[4, 1], found.low[4, 1], found.high[4, 1]] == pytest.approx([np.mean(values), low, high])
     assert (len(rows), found.seeds[4, 1]) == (10, 5)
-
-
-def test_one_value_gives_no_interval():
     for values in ([0.4], [0.7, 0.7, 0.7], []):
         found = over_seeds(np.array(values, dtype=float)[:, None])
         assert np.isnan([found.low[0], found.high[0]]).all(), values
@@ -80,12 +77,15 @@ def test_drawn_numbers_are_put_into_stretches_that_hold_them():
     assert np.all((ends[:, 0] <= 1.01 * drawn.numbers[:, 0]) & (drawn.numbers[:, 0] <= 1.01 * ends[:, 1]))
 
 
-def test_what_does_not_vary_has_no_chart_and_what_changes_together_says_so():
+def test_what_does_not_vary_has_no_chart_nor_has_an_empty_table_and_what_changes_together_says_so():
     pairs = {"pairs": {"state": ["clear", "haze"], "detector.rate": [0.1, 0.3]}}
     plan = plan_of(3, [pairs, {"grid": {"waves.spectrum": ["jonswap"]}}])
-    html = html_of_blocks(sections(plan, table_for(plan)))
+    table = table_for(plan)
+    html = html_of_blocks(sections(plan, table))
     assert "waves.spectrum" not in html and "Two at a time" not in html
     assert "By state. It changes together with detector.rate" in html
+    nothing = table.slice(0, 0)
+    assert sections(plan, nothing) == [] and seed_cells(plan, nothing, "hota").shape == (0, 2, 2)
 
 
 def test_each_cell_of_a_heat_map_has_its_number():
@@ -105,16 +105,9 @@ def test_a_mean_on_the_threshold_stands_on_the_dashed_line_and_an_interval_has_t
     drawn = strip(ChartInterval(0.5, 0.4, 0.6), 0.5, True, (0.0, 2.0), "")
     disc = re.search(r'<path d="M([\d.]+) 12.0m-4 0', drawn)[1]
     assert re.search(r'<line x1="([\d.]+)"[^>]*dasharray', drawn)[1] == disc
-    assert three_digits_with_interval(14.125, 11.354, 16.896) == "14.1 [11.4, 16.9]"
-    assert three_digits_with_interval(9.4, 0.51, 10.7) == "9.40 [0.51, 10.70]"
-    assert three_digits_with_interval(-0.4, -0.5, 0.25) == "−0.400 [−0.500, 0.250]"
-    assert three_digits_with_interval(0.4, None, None) == "0.400"
-
-
-def test_an_empty_table_has_no_means_and_no_charts():
-    plan = plan_of(2)
-    table = table_for(plan).slice(0, 0)
-    assert sections(plan, table) == [] and seed_cells(plan, table, "hota").shape == (0, 6, 2)
+    numbers = (14.125, 11.354, 16.896), (9.4, 0.51, 10.7), (-0.4, -0.5, 0.25), (0.4, None, None)
+    said = ["14.1 [11.4, 16.9]", "9.40 [0.51, 10.70]", "−0.400 [−0.500, 0.250]", "0.400"]
+    assert [three_digits_with_interval(*each) for each in numbers] == said
 
 
 def test_the_side_that_is_bad_is_that_of_a_requirement_on_a_share_of_seeds_too():

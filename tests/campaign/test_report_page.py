@@ -79,14 +79,11 @@ def test_a_row_says_only_what_its_interval_does_not():
     assert re.search(r"<th>0\.0\d+ to 1; shaded: at least 0\.950</th>", html)  # the axis of a share ends at 1
 
 
-def test_the_verdict_stands_before_all_numbers(html, campaign):
+def test_the_verdict_stands_before_all_numbers_and_the_page_names_what_they_mean_and_needs_no_network(campaign, html):
     assert campaign.finished
     body = html.partition("<body>")[2]
     assert "requirement" in (lead := re.search(r'<p class="lead">(.*?)</p>', body)[1])
     assert body.index(lead) < body.index("This traffic only") < body.index("<h2>Requirements") < body.index("<h2>Means")
-
-
-def test_a_page_names_what_seeds_change_axes_and_broken_requirements_and_needs_no_network(html, campaign):
     assert "Seeds change the detector and the waves; no result speaks of other traffic." in html
     assert "HOTA (0 to 1)" in html and "<h2>Scores against what is varied</h2>" in html
     assert re.search(r"<h3>Run \d+: reference, HOTA \S+ \(requirement 1\)</h3>", html)

@@ -11,6 +11,7 @@ from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.row import SCORES
 from tests.campaign.campaigns import count_calls, run_campaign_file
 
+Made = tuple[list[dict[str, Any]], Counter[str]]
 STEPS = 12
 RATE = "detector.states.excellent.false_discovery_rate"
 WAVES = [{"level": "small", "apply_to": "all"}, {"level": "large", "apply_to": "all"}]
@@ -22,7 +23,7 @@ KEYS: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any]], Counter[str]]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """The rows of a campaign, and how often each layer was made for them."""
     with pytest.MonkeyPatch.context() as patch:
         names = {"truth_block": "truth", "Simulation": "detections", "tracked": "tracks"}
@@ -30,24 +31,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any]]
         return run_campaign_file(tmp_path_factory.mktemp("rows"), **KEYS).table.to_pylist(), counts
 
 
-@pytest.fixture
-def rows(made: tuple[list[dict[str, Any]], Counter[str]]) -> list[dict[str, Any]]:
-    return made[0]
-
-
-def test_truth_and_detections_are_made_once(made: tuple[list[dict[str, Any]], Counter[str]]) -> None:
-    assert made[1] == {"truth": 2 * 2, "detections": 2 * 2 * 2 * 2, "tracks": 32}
-
-
-def test_every_run_of_the_plan_has_a_row_in_its_order(rows: list[dict[str, Any]]) -> None:
-    assert [row["run"] for row in rows] == list(range(2 * 2 * 2 * 2 * 2))
-    assert {row["status"] for row in rows} == {"done"}
-    assert {row["tracker"] for row in rows} == {"reference", "patient"}
-
-
 @pytest.mark.parametrize("number", [0, 21, 31])
-def test_a_row_has_the_scores_of_an_ordinary_run(number: int, rows: list[dict[str, Any]], tmp_path: Path) -> None:
-    row = rows[number]
+def test_a_row_has_the_scores_of_an_ordinary_run(number: int, made: Made, tmp_path: Path) -> None:
+    row = made[0][number]
     settings = {"waves": WAVES[row["condition"] // 2], RATE: row[RATE]}
     seeds = {"seed": row["traffic_seed"], "detector_seed": row["detector_seed"]}
     modsim3d.run_scene(modsim3d.load_scene("harbour", steps=STEPS, settings=settings, **seeds), tmp_path / "run")
@@ -57,7 +43,11 @@ def test_a_row_has_the_scores_of_an_ordinary_run(number: int, rows: list[dict[st
     assert {key: row[key] for key in SCORES} == {key: scores[key] for key in SCORES}
 
 
-def test_layers_are_shared_by_the_runs_that_have_them_in_common(rows: list[dict[str, Any]]) -> None:
+def test_every_run_has_a_row_and_layers_are_made_once_for_the_runs_that_have_them_in_common(made: Made) -> None:
+    rows, counts = made
+    assert counts == {"truth": 2 * 2, "detections": 2 * 2 * 2 * 2, "tracks": 32}
+    assert [row["run"] for row in rows] == list(range(2 * 2 * 2 * 2 * 2))
+    assert {(row["status"], row["tracker"]) for row in rows} == {("done", "reference"), ("done", "patient")}
     for key, count, part in (
         ("truth_key", 4, lambda row: (row["traffic_seed"], row["condition"] // 2)),
         ("detections_key", 16, lambda row: (row["detector_seed"], row["condition"])),

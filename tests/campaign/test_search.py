@@ -60,7 +60,7 @@ def result(campaign: CheckedCampaign, told: list[Progress]) -> SearchResult:
     return run_search(campaign, campaign.file.base / "found", ThisProcess, progress=told.append)
 
 
-def test_every_trial_is_within_the_limits_and_refused_values_are_no_failures(result: SearchResult) -> None:
+def test_every_trial_is_within_the_limits_and_counted_and_refused_values_are_no_failures(result, told):
     rows = result.table.to_pylist()
     assert [row["run"] for row in rows] == list(range(12))
     for row in rows:
@@ -70,33 +70,24 @@ def test_every_trial_is_within_the_limits_and_refused_values_are_no_failures(res
         assert (row["hota"] is None) == (row["error"] is not None) == (row["status"] == "refused")
         assert row["error"] is None or "leaves room for" in row["error"]
     assert {row["status"] for row in rows} == {"done", "refused"}
-
-
-def test_progress_counts_trials_and_no_file_is_among_the_results(result: SearchResult, told: list[Progress]) -> None:
     assert [(each.done, each.total, each.crashed) for each in told] == [(done, 12, 0) for done in range(1, 13)]
     assert told[-1].left_s == 0
     files = {path.name for path in result.folder.path.iterdir() if not path.name.startswith(".")}
     assert files == {"campaign.yaml", "plan.json", "campaign.log", "search"}
 
 
-def test_a_search_that_ended_is_not_made_again_and_leaves_no_task(
-    campaign: CheckedCampaign, result: SearchResult
-) -> None:
+def test_a_search_that_ended_is_not_made_again_and_leaves_no_task(campaign, result):
     (result.folder.done / "left").mkdir(parents=True)  # as if it was killed at its very end
     assert run_search(campaign, result.folder.path, no_engine).table.equals(result.table)
     assert not result.folder.done.exists()
 
 
-def test_the_worst_comes_first_with_the_command_that_makes_it_again(result: SearchResult) -> None:
+def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_folder(result: SearchResult) -> None:
     worst = result.findings[0]
     known = result.table["hota"].drop_null().to_pylist()
     assert [each.value for each in result.findings] == sorted(known)[:5]
     assert worst.again.startswith(f"modsim3d campaign reproduce {result.folder.path} {worst.number} --out ")
     assert f"lowest hota {worst.value:.4g} in trial {worst.number}" in str(result) and str(result).endswith(NO_RATE)
-
-
-def test_a_trial_is_made_again_from_the_folder(result: SearchResult) -> None:
-    worst = result.findings[0]
     run = trial_run(result.folder.path, worst.number)
     row = row_of(run.number, remade(result.folder, run.number), rules_of(result.folder.keys.score))
     assert (row["hota"], run.condition.values) == (worst.value, worst.values)
@@ -115,9 +106,7 @@ def test_a_score_that_was_damaged_on_the_disk_is_told(result: SearchResult, tmp_
         search_table(opened_campaign(folder))
 
 
-def test_an_interrupted_search_ends_with_the_same_bytes_whichever_engine(
-    campaign: CheckedCampaign, result: SearchResult, tmp_path: Path
-) -> None:
+def test_an_interrupted_search_ends_with_the_same_bytes_whichever_engine(campaign, result, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         run_search(campaign, tmp_path, ThisProcess, progress=lambda now: interrupt() if now.done == 6 else None)
     so_far = search_table(opened_campaign(tmp_path))

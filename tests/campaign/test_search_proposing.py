@@ -35,11 +35,8 @@ def test_no_point_is_outside_of_its_range(low: float, width: float, log: bool, s
     high, scale = low * (1 + width), "log" if log else "linear"
     if not low < high:
         return
-    numbers = {
-        "x": {"low": low, "high": high, "scale": scale},
-        "n": {"low": 2, "high": 4, "whole": True, "scale": scale},
-    }
-    over = {**numbers, "c": {"choices": [None, "a", [1, 2]]}}
+    over = {"x": {"low": low, "high": high, "scale": scale}, "c": {"choices": [None, "a", [1, 2]]}}
+    over |= {"n": {"low": 2, "high": 4, "whole": True, "scale": scale}}
     search = search_of(over=over, budget=24, batch=12, seeds=3)
     first = proposed(search, seed, 0, [])
     points = first + proposed(search, seed, 1, tried_of(first, lambda point: -point.places["x"]))
@@ -51,7 +48,7 @@ def test_no_point_is_outside_of_its_range(low: float, width: float, log: bool, s
         assert point.seed_index in (0, 1, 2)
 
 
-def test_a_batch_follows_from_the_seed_its_number_and_the_scores_before_it() -> None:
+def test_a_batch_follows_from_the_seed_its_number_and_the_scores_before_it_of_which_crashes_are_none() -> None:
     search = search_of(over={"x": [0, 1], "y": [0, 1]})
     known = tried_of(proposed(search, 1, 0, []), lambda point: point.places["x"])
     other = tried_of(proposed(search, 1, 0, []), lambda point: point.places["y"])
@@ -59,11 +56,10 @@ def test_a_batch_follows_from_the_seed_its_number_and_the_scores_before_it() -> 
     assert proposed(search, 1, 1, known) != proposed(search, 1, 1, other)
     assert proposed(search, 1, 0, []) != proposed(search, 2, 0, [])
     assert len({point.places["x"] for batch in (0, 1) for point in proposed(search, 1, batch, [])}) == 20
-
-
-def test_the_last_batch_is_what_is_left_of_the_budget() -> None:
-    search = search_of(budget=25)
-    assert [len(proposed(search, 1, batch, [])) for batch in range(3)] == [10, 10, 5]
+    crashes = tried_of(proposed(search, 2, 0, []), None, crashed=True)
+    assert proposed(search, 1, 2, [*known, *crashes]) == proposed(search, 1, 2, known)
+    sizes = [len(proposed(search_of(budget=25), 1, batch, [])) for batch in range(3)]
+    assert sizes == [10, 10, 5]  # the last one is what is left of the budget
 
 
 @pytest.mark.parametrize("goal", ["minimise", "maximise"])
@@ -75,18 +71,8 @@ def test_a_search_comes_closer_to_the_worst_point(goal: str) -> None:
     assert mean(distances[-20:]) < 0.4 * mean(distances[:20])
 
 
-def test_a_seed_that_is_bad_is_tried_more_often() -> None:
+def test_a_seed_that_is_bad_is_tried_more_often_and_points_that_the_scene_refuses_are_avoided() -> None:
     found = run(search_of(seeds=4), 1, lambda point: float(point.seed_index != 2) + point.places["x"])
     assert sum(each.point.seed_index == 2 for each in found[-40:]) > 15  # 10 by chance
-
-
-def test_points_that_the_scene_refuses_are_avoided() -> None:
     found = run(search_of(), 1, lambda point: None if point.places["x"] > 0.5 else point.places["x"])
     assert sum(each.value is None for each in found[-20:]) < sum(each.value is None for each in found[:20]) / 2
-
-
-def test_crashes_do_not_steer() -> None:
-    search = search_of()
-    first = tried_of(proposed(search, 1, 0, []), lambda point: point.places["x"])
-    crashes = tried_of(proposed(search, 2, 0, []), None, crashed=True)
-    assert proposed(search, 1, 2, [*first, *crashes]) == proposed(search, 1, 2, first)

@@ -28,18 +28,13 @@ def scores():
     return pq.read_table(STORED)
 
 
-def test_the_committed_page_is_what_the_command_makes_of_its_figures(figures):
+def test_the_committed_page_is_of_its_figures_and_means_are_judged_from_the_seeds_on_that_they_found(figures):
+    """None on two seeds, and the usual scores from ten on."""
     assert (CAMPAIGNS / "sequences.md").read_text(encoding="utf-8") == sequences.text(figures)
-
-
-def test_means_are_judged_from_the_seeds_on_that_the_command_found(figures):
     found, differences = figures["resampled"], figures["differences"]
-    seeds = {"confidences": found["confidences"], "seeds": found["offers"] | differences["offers"]}
-    assert measured_offers() == seeds
-
-
-def test_no_mean_is_judged_on_two_seeds_and_the_usual_scores_are_from_ten():
-    seeds, place = measured_offers()["seeds"], measured_offers()["confidences"].index(0.95)
+    seeds = found["offers"] | differences["offers"]
+    assert measured_offers() == {"confidences": found["confidences"], "seeds": seeds}
+    place = found["confidences"].index(0.95)
     assert all(each is None or each >= 3 for offer in seeds.values() for bound in offer.values() for each in bound)
     assert all(seeds[score][bound][place] <= 10 for score, bound in REQUIRED.items())
 
@@ -79,14 +74,11 @@ def test_an_offer_begins_behind_the_last_number_of_seeds_that_fails():
     assert offers([*cells, cell(50, 0.5, "bay")], 20_000, JUDGED_ON)["hota"]["low"] == [3, 10, 10, 30]
 
 
-def test_resampled_bounds_are_those_of_verdicts():
+def test_resampled_bounds_are_those_of_verdicts_and_powers_are_compared_where_students_t_has_ninety_percent():
     drawn = np.random.default_rng(1).gamma(1.0, 1.0, (50, 8))
     mean, deviation, skewness = resampled_means.moments(drawn)
     high = -corrected_bounds(-mean, deviation, skewness, 8, 0.05, 0.0)
     assert high == pytest.approx([-float(skewed_bounds(-each, 0.05, 0.0)) for each in drawn])
-
-
-def test_powers_are_compared_where_students_t_has_ninety_percent():
     values = np.random.default_rng(2).normal(resampled_means.threshold_distance(10), 1.0, (20_000, 10))
     met = stats.ttest_1samp(values, 0.0, axis=1, alternative="greater").pvalue <= 0.05
     assert met.mean() == pytest.approx(0.9, abs=0.007)

@@ -37,14 +37,11 @@ def test_the_needed_seeds_are_the_fewest_whose_exact_bound_reaches_the_share(sha
         assert exact_bounds(needed - 1 - failures, needed - 1, 1 - confidence)[0] < share + 1e-12
 
 
-def test_the_mixture_is_the_integral_of_the_likelihood_over_jeffreys_prior():
+def test_capitals_are_the_integral_of_the_likelihood_over_jeffreys_prior_and_the_sum_of_what_stakes_came_to():
     right = np.array([True, True, False, True])
     shares = np.sin(np.linspace(0, np.pi / 2, 200_001)) ** 2  # equally likely by beta(1/2, 1/2)
     expected = np.log(np.mean(shares**3 * (1 - shares))) - np.log(0.7**3 * 0.3)
     assert bounds.mixture_log_capital(right, 0.7)[-1] == pytest.approx(expected, abs=1e-5)
-
-
-def test_the_capital_is_the_sum_of_what_each_stake_came_to():
     values, mean = np.array([0.9, 0.2, 0.7]), 0.6
     weights = 1 / np.arange(1, len(bounds.STAKES) + 1)
     came_to = [np.prod([1 + stake * (value - mean) / mean for value in values]) for stake in bounds.STAKES]
@@ -106,14 +103,11 @@ def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
     assert t_bounds(np.array([1.0]), 0.05) is None
 
 
-@given(
-    st.lists(st.floats(0, 0.9), min_size=3, max_size=40),
-    st.floats(0.01, 0.3),
-    st.sampled_from([(1.0, bounds.VARIATION), (math.inf, bounds.VARIATION), (0.0, bounds.VARIATION_FROM_ZERO)]),
-)
-def test_a_bound_of_skewed_values_is_the_lesser_of_those_of_halls_cubic_and_of_a_skewness_by_the_spread(
-    values, alpha, limit
-):
+LIMITS = (1.0, bounds.VARIATION), (math.inf, bounds.VARIATION), (0.0, bounds.VARIATION_FROM_ZERO)
+
+
+@given(st.lists(st.floats(0, 0.9), min_size=3, max_size=40), st.floats(0.01, 0.3), st.sampled_from(LIMITS))
+def test_a_bound_of_skewed_values_is_the_lesser_of_halls_cubic_and_of_a_skewness_by_the_spread(values, alpha, limit):
     greatest, variation = limit
     values = np.array(values) - (0 if greatest else 1)
     mean, deviation, count = values.mean(), values.std(ddof=1), len(values)

@@ -53,8 +53,7 @@ def test_a_difference_is_judged_by_that_of_each_traffic_seed(requirement, differ
 
 
 def test_the_bound_of_a_difference_lies_between_minus_and_plus_the_span_of_the_score():
-    values = values_of(0.0)
-    verdict = one(NO_WORSE, values)
+    verdict = one(NO_WORSE, values := values_of(0.0))
     assert verdict.low == pytest.approx(float(skewed_bounds(values[:, 1] - values[:, 0], 0.05, 1.0)))
     assert "siap_completeness of new minus old at least -0.02" in verdict.text
 
@@ -84,8 +83,7 @@ def test_a_lost_run_or_an_infinite_value_is_wrong_with_in_and_leaves_a_mean_with
 @pytest.mark.parametrize("lazy", ["old", "new"])
 def test_a_managed_score_must_rest_on_enough_of_both_trackers(lazy):
     requirement = {"score": "rmse_px", "of": "new", "minus": "old", "at_most": 1, "in": 0.5}
-    plan = plan_of(6, [requirement], TRACKERS)
-    assert "resting_on" in warnings_of(plan)[0]
+    assert "resting_on" in warnings_of(plan_of(6, [requirement], TRACKERS))[0]
     plan = plan_of(6, [{**requirement, "resting_on": 0.8}], TRACKERS)
     few, many = {"misses": 8, "true_positives": 2}, {"misses": 0, "true_positives": 10}
     rows = [few if name == lazy else many for name in ("old", "new")] + [many] * 10
@@ -97,8 +95,7 @@ def test_a_difference_that_no_tracks_at_all_would_meet_says_so():
     requirement = {"score": "id_switches", "of": "new", "minus": "old", "at_most": 0, "in": 0.5}
     fewer, worse = np.tile([3, 2], (SEEDS, 1)), np.tile([0, 1], (SEEDS, 1))
     assert one(requirement, fewer, score="id_switches").met_without_tracks
-    no_worse_than_none = {**requirement, "at_most": -1}
-    assert not one(no_worse_than_none, worse, score="id_switches").met_without_tracks
+    assert not one({**requirement, "at_most": -1}, worse, score="id_switches").met_without_tracks
 
 
 @pytest.mark.parametrize(("requirement", "said"), [
@@ -114,15 +111,12 @@ def test_a_difference_that_names_no_two_trackers_is_one_clear_error(requirement,
     assert said in problem
 
 
-def test_a_difference_has_one_verdict_in_each_condition():
+def test_a_difference_has_one_verdict_in_each_condition_and_beyond_what_its_score_can_give_is_never_met():
     vary = [{"grid": {"state": ["good", "bad"]}}]
     plan = plan_of(5, [NO_WORSE, {**NO_WORSE, "where": {"state": "bad"}}], TRACKERS, vary=vary)
     assert [len(cases_of(plan, each)) for each in plan.keys.require] == [2, 1]
     words = requirement_in_words(plan.keys.require[1])
     assert words.startswith("mean siap_completeness of new minus old at least -0.02, where state bad")
-
-
-def test_a_difference_beyond_what_its_score_can_give_can_never_be_met():
     (said,) = warnings_of(plan_of(50, [{**NO_WORSE, "at_least": 1.2}], TRACKERS))
     assert "siap_completeness of new minus old is never above 1" in said
     assert warnings_of(plan_of(SEEDS, [NO_WORSE], TRACKERS)) == []

@@ -26,9 +26,8 @@ def verdicts_of(wrong, seeds, confidence=0.95, stop="once", level="family"):
 def test_a_verdict_alone_is_judged_at_its_own_level_and_two_at_half_of_it():
     assert [each.outcome for each in verdicts_of([0], 29)] == ["met"]
     both = clean_seeds_needed(0.9, 0.975)
-    assert [each.outcome for each in verdicts_of([0, 0], both - 1)] == ["undecided"] * 2
-    assert [each.outcome for each in verdicts_of([0, 0], both)] == ["met"] * 2
-    assert [each.outcome for each in verdicts_of([0, 0], both - 1, level="each")] == ["met"] * 2
+    for fewer, level, outcome in ((1, "family", "undecided"), (0, "family", "met"), (1, "each", "met")):
+        assert [each.outcome for each in verdicts_of([0, 0], both - fewer, level=level)] == [outcome] * 2
 
 
 def test_what_is_met_leaves_the_rest_of_the_level_to_the_others():
@@ -39,9 +38,7 @@ def test_what_is_met_leaves_the_rest_of_the_level_to_the_others():
     assert (second.outcome, second.confidence) == ("met", pytest.approx(0.95))
     assert "97.5 % confidence" in first.why and "Judged at 95 %, by Holm" in second.why
     assert [each.outcome for each in verdicts_of([1, 1], 46)] == ["undecided"] * 2
-
-
-def test_met_and_failed_step_down_by_themselves():
+    # Met and failed step down by themselves.
     outcomes = [(each.outcome, round(each.confidence, 6)) for each in verdicts_of([0, 40, 4], 46)]
     assert outcomes == [("met", 0.983333), ("failed", 0.983333), ("undecided", 0.975)]
 
@@ -69,15 +66,12 @@ def test_a_mean_beyond_the_confidences_that_were_measured_is_undecided_and_says_
     assert len(warnings_of(plan)) == 6 and warnings_of(plan_of(60, require[:5], level="family")) == []
 
 
-def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach():
+def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach_and_levels_say_whose_they_are():
     seeds = clean_seeds_needed(0.9, 0.975)
     assert warnings_of(plan_of(seeds, [CLEAN] * 2, level="family")) == []
     assert len(warnings_of(plan_of(seeds - 1, [CLEAN] * 2, level="family"))) == 2
     (first, _) = needed_seeds(plan_of(5, [CLEAN] * 2, level="family"), {}, None)
     assert first.seeds == seeds
-
-
-def test_levels_say_that_they_are_those_of_the_family():
     levels = levels_of(plan_of(5, [CLEAN] * 4, level="family"))
     assert (levels.met, levels.any_wrong) == (pytest.approx(0.05), pytest.approx(0.1))
     said = " ".join(levels.sentences())

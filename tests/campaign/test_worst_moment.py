@@ -1,6 +1,7 @@
 """The moment at which a run went wrong, on hand-made truth and tracks."""
 
 from modsim3d.campaign.work.worst_moment import FALSE, LOST, SWITCHED, Mistakes, worst_frame, worst_moment_s
+from modsim3d.tracking.scores.scored import Scored
 from tests.tracking.hand_made import box, hand_made
 
 STEPS = 40
@@ -14,46 +15,44 @@ def followed(vessel: int, x: float, lost: range = range(0), switch: int = STEPS)
     return truth, tracks
 
 
+def scored_of(*vessels: tuple[list[tuple], list[tuple]], step_s: float = 1.0) -> Scored:
+    truth, tracks = ([row for vessel in vessels for row in vessel[part]] for part in (0, 1))
+    return hand_made(truth, tracks, STEPS, step_s=step_s)
+
+
 def test_nothing_is_wrong_where_every_vessel_is_followed_or_not_scored() -> None:
     hidden = [(step, 0, box(), 0.0) for step in range(STEPS)]
     on_it = [(step, 3, box()) for step in range(STEPS)]
-    for truth, tracks in (followed(0, 0), ([], []), (hidden, []), (hidden, on_it)):
-        assert worst_moment_s(hand_made(truth, tracks, STEPS)) is None
+    for vessel in (followed(0, 0), ([], []), (hidden, []), (hidden, on_it)):
+        assert worst_moment_s(scored_of(vessel)) is None
 
 
 def test_it_is_in_the_middle_of_the_time_in_which_a_vessel_is_lost() -> None:
-    truth, tracks = followed(0, 0, range(20, 23))
-    assert worst_moment_s(hand_made(truth, tracks, STEPS)) == 21.0
-    assert worst_moment_s(hand_made(truth, tracks, STEPS, step_s=0.5)) == 10.5  # seconds, not steps
+    lost = followed(0, 0, range(20, 23))
+    assert worst_moment_s(scored_of(lost)) == 21.0
+    assert worst_moment_s(scored_of(lost, step_s=0.5)) == 10.5  # seconds, not steps
 
 
 def test_two_vessels_that_are_lost_together_are_worse_than_one_for_longer() -> None:
-    one, two = followed(0, 0, range(2, 6)), followed(1, 100, range(30, 33))
-    three = followed(2, 200, range(30, 33))
-    scored = hand_made(one[0] + two[0] + three[0], one[1] + two[1] + three[1], STEPS)
-    assert worst_moment_s(scored) == 31.0
+    together = [followed(vessel, 100 * vessel, range(30, 33)) for vessel in (1, 2)]
+    assert worst_moment_s(scored_of(followed(0, 0, range(2, 6)), *together)) == 31.0
 
 
 def test_a_vessel_that_is_lost_all_the_time_does_not_hide_what_happens_to_another() -> None:
-    never, short = followed(0, 0, range(STEPS)), followed(1, 100, range(25, 27))
-    moment_s = worst_moment_s(hand_made(never[0] + short[0], never[1] + short[1], STEPS))
+    moment_s = worst_moment_s(scored_of(followed(0, 0, range(STEPS)), followed(1, 100, range(25, 27))))
     assert moment_s is not None and 22 <= moment_s <= 28
 
 
 def test_the_time_until_new_vessels_are_followed_counts_only_where_nothing_else_is_wrong() -> None:
     late = [followed(vessel, 100 * vessel, range(3)) for vessel in range(3)]
-    truth, tracks = [row for each, _ in late for row in each], [row for _, each in late for row in each]
-    assert worst_moment_s(hand_made(truth, tracks, STEPS)) == 0.0
-    other = followed(3, 300, range(20, 22))
-    assert worst_moment_s(hand_made(truth + other[0], tracks + other[1], STEPS)) == 20.0
-    never = followed(4, 500, range(STEPS))
-    moment_s = worst_moment_s(hand_made(truth + never[0], tracks + never[1], STEPS))
+    assert worst_moment_s(scored_of(*late)) == 0.0
+    assert worst_moment_s(scored_of(*late, followed(3, 300, range(20, 22)))) == 20.0
+    moment_s = worst_moment_s(scored_of(*late, followed(4, 500, range(STEPS))))
     assert moment_s is not None and moment_s >= 5  # a vessel that is 5 s old should be followed
 
 
 def test_an_identity_switch_is_found_among_short_losses() -> None:
-    switch, short = followed(0, 0, switch=30), followed(1, 100, range(5, 7))
-    scored = hand_made(switch[0] + short[0], switch[1] + short[1], STEPS)
+    scored = scored_of(followed(0, 0, switch=30), followed(1, 100, range(5, 7)))
     assert worst_moment_s(scored) == 30.0
     mistakes = Mistakes.of(scored)
     assert mistakes.kind.tolist() == [LOST, LOST, SWITCHED]

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from modsim3d import ModsimError, load_scene, run_scene
 from modsim3d.campaign import reproduce, worst_film
 from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.keys import CampaignKeys
@@ -24,11 +25,8 @@ from modsim3d.campaign.work import layers
 from modsim3d.campaign.work.row import row_of, rules_of
 from modsim3d.campaign.work.worst_moment import Mistakes
 from modsim3d.campaign.worst_film import in_words, moment_picture
-from modsim3d.core.errors import ModsimError
 from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
-from modsim3d.runs.run import run_scene
-from modsim3d.scene.reading import load_scene
 from tests.campaign.campaigns import interrupt, run_campaign_file
 from tests.cli.conftest import Modsim3d
 from tests.tracking.hand_made import box, hand_made
@@ -88,27 +86,21 @@ def values(campaign: CampaignResult, score: str, tracker: str | None = None, con
     return [row[score] for row in rows if tracker is None or (row["tracker"], row["condition"]) == (tracker, condition)]
 
 
-def test_runs_that_crashed_come_first_with_their_error(campaign: CampaignResult) -> None:
-    first = found(campaign)[0]
+def test_without_requirements_runs_that_crashed_come_first_and_then_the_lowest_hota(campaign: CampaignResult) -> None:
+    first, *rest = found(campaign, count=4)
     assert (first.number, first.score, first.value, first.moment_s, first.film) == (CRASHES, "status", None, None, "")
     assert first.error == "ValueError: the filter has lost its mind"
+    lowest = sorted(values(campaign, "hota"))[:3]
+    assert [(each.score, each.value) for each in rest] == [("hota", value) for value in lowest]
 
 
-def test_without_requirements_the_lowest_hota_comes_first(campaign: CampaignResult) -> None:
-    rest = [(each.score, each.value) for each in found(campaign, count=4)[1:]]
-    assert rest == [("hota", value) for value in sorted(values(campaign, "hota"))[:3]]
-
-
-def test_failed_requirements_take_turns_and_come_before_undecided_ones(campaign: CampaignResult) -> None:
+def test_failed_requirements_take_turns_and_come_before_undecided_ones_and_no_run_is_named_twice(campaign):
     failed = verdict(1, "failed", "hasty", 1), verdict(0, "failed", "hasty", 0)
     first, second, *_ = found(campaign, verdict(0, "undecided"), *failed)[1:]
     assert (first.score, first.value) == ("false_track_s", max(values(campaign, "false_track_s", "hasty", 1)))
     assert (second.score, second.value) == ("hota", min(values(campaign, "hota", "hasty", 0)))
     undecided = [each for each in found(campaign, verdict(0, "undecided"), *failed, count=99) if each.tracker == "sort"]
     assert [each.value for each in undecided[-4:]] == sorted(values(campaign, "hota", "sort", 0))
-
-
-def test_no_run_is_named_twice(campaign: CampaignResult) -> None:
     every = found(campaign, verdict(0, "failed"), verdict(1, "failed"), verdict(0, "met", "hasty"), count=99)
     numbers = [each.number for each in every]
     assert len(numbers) == len(set(numbers)) == 9
@@ -119,31 +111,27 @@ def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> N
     requirement = {"score": "hota", "where": {"state": ["good", "bad"]}, "at_least": 0.5}
     keys = CampaignKeys.model_validate({"scene": "harbour", "trackers": ["sort"], "require": [requirement]})
     folder = CampaignFolder(tmp_path, {}, Plan.of(keys))
-    same = {name: [0] * 4 for name in ("condition", "traffic_seed", "detector_seed")}
+    same = {"condition": 0, "traffic_seed": 0, "detector_seed": 0, "status": "done", "tracker": "sort", "worst_s": 1.0}
     scores = {"state.good.hota": [0.9, 0.5, 0.3, None], "state.bad.hota": [0.9, 0.1, 0.8, None]}
-    facts = {"run": [0, 1, 2, 3], "status": ["done"] * 4, "tracker": ["sort"] * 4, "worst_s": [1.0] * 4}
-    table = pa.table({**facts, **same, "hota": [0.1, 0.9, 0.9, 0.9], **scores})
+    facts = {"run": [0, 1, 2, 3], **{name: [value] * 4 for name, value in same.items()}}
+    table = pa.table({**facts, "hota": [0.1, 0.9, 0.9, 0.9], **scores})
     worst = worst_runs(folder, table, [verdict(0, "failed")])
     assert [each.number for each in worst] == [1, 2, 0]  # nothing is known of the last one in these states
 
 
-def test_a_run_that_is_made_again_has_the_row_of_the_campaign(campaign: CampaignResult) -> None:
-    worst = found(campaign)[1]
-    row = row_of(worst.number, remade(campaign.folder, worst.number), rules_of(campaign.folder.keys.score))
-    stored = campaign.table.to_pylist()[worst.number]
-    assert {name: stored[name] for name in row} == row
-    assert row["worst_s"] == worst.moment_s
-
-
-def test_the_picture_shows_the_tracks_at_the_moment(campaign: CampaignResult) -> None:
+def test_a_run_made_again_has_the_row_of_the_campaign_and_its_picture_shows_the_tracks_at_the_moment(campaign):
     worst, rules = found(campaign)[1], rules_of(campaign.folder.keys.score)
     made = remade(campaign.folder, worst.number)
-    assert worst.moment_s is not None
+    row, stored = row_of(worst.number, made, rules), campaign.table.to_pylist()[worst.number]
+    assert {name: stored[name] for name in row} == row
+    assert row["worst_s"] == worst.moment_s is not None
     pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
     assert np.asarray(pictures[0]).shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000
     assert not np.array_equal(*map(np.asarray, pictures))
     none = replace(made, tracks=made.tracks.take(np.empty(0, dtype=np.int64)))
     assert moment_picture(none, worst.moment_s, 640, rules) != pictures[0]
+    with pytest.raises(ModsimError, match=r"has runs 0 to 15 \(got 16\)"):
+        remade(campaign.folder, 16)
 
 
 def test_the_head_of_the_picture_says_what_is_wrong() -> None:
@@ -155,29 +143,19 @@ def test_the_head_of_the_picture_says_what_is_wrong() -> None:
     assert in_words(Mistakes.of(scored).in_frame(3), names) == wanted
 
 
-def test_a_number_beyond_the_plan_is_told(campaign: CampaignResult) -> None:
-    with pytest.raises(ModsimError, match=r"has runs 0 to 15 \(got 16\)"):
-        remade(campaign.folder, 16)
-
-
-def test_the_command_makes_the_run_that_the_options_of_run_make(
-    campaign: CampaignResult, again: Modsim3d, modsim3d: Modsim3d, tmp_path: Path
-) -> None:
+def test_the_command_makes_the_run_that_the_options_of_run_make(campaign, again, modsim3d, tmp_path):
     said, out = again(15), tmp_path / "again"
     assert said.status == 0 and "Every column is as in the campaign." in said.out
     assert f"modsim3d score {out} {out}_tracks --similarity centre:200.0" in said.out
     planned = campaign.folder.plan.run(15)
-    settings = {"detector.operating_threshold": 0.2}
-    seeds = {"seed": planned.traffic_seed, "detector_seed": planned.detector_seed}
-    run_scene(load_scene("harbour", steps=20, state="terrible", settings=settings, **seeds), tmp_path / "plain")
+    keys = {"settings": {"detector.operating_threshold": 0.2}, "detector_seed": planned.detector_seed}
+    run_scene(load_scene("harbour", steps=20, state="terrible", seed=planned.traffic_seed, **keys), tmp_path / "plain")
     assert files_in(out) == files_in(tmp_path / "plain")
     said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre:200", "--json")
     assert json.loads(said.out)["trackers"][0]["hota"] == campaign.table["hota"][15].as_py()
 
 
-def test_the_command_that_films_follows_the_one_that_makes_the_run_again(
-    campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_that_films_follows_the_one_that_makes_the_run_again(campaign, modsim3d, tmp_path, monkeypatch):
     monkeypatch.setattr(worst_film, "AROUND_S", 0.5)
     worst = found(replace(campaign, folder=replace(campaign.folder, path=tmp_path / "c")))[1]
     shutil.copytree(campaign.folder.path, tmp_path / "c")

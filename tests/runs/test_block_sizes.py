@@ -37,16 +37,12 @@ def test_truth_and_detections_are_the_same_bits_in_blocks_of_one_step_and_of_man
         np.testing.assert_equal(boxes[0], boxes[other])
 
 
-def test_one_horizon_is_the_same_bits_as_among_many():
+def test_one_horizon_and_one_silhouette_are_the_same_bits_as_among_many():
     rng = np.random.default_rng(3)
     rotations = camera_R_parent(*rng.normal(0, 0.2, (3, 200)))
     lens = Intrinsics((2855.4, 2855.4), (1232.0, 1028.0), (2464, 2056), skew=3.0)
     alone = [lens.sea_half_plane(rotations[step]) for step in range(200)]
     np.testing.assert_array_equal(lens.sea_half_plane(rotations), alone)
-
-
-def test_one_silhouette_is_the_same_bits_as_among_many():
-    rng = np.random.default_rng(4)
     places = [((rng.uniform(50, 500), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)) for _ in range(15)]
     boats = [(vessel(f"v{i}"), *place) for i, place in enumerate(places)]
     together = outlines_of(boats)

@@ -3,7 +3,6 @@
 import json
 from collections import Counter, defaultdict
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,9 +63,7 @@ def test_run_json_has_the_counts_of_all_cameras_and_of_each(result: RunResult) -
         assert data["counts"][name] == sum(counts[name] for counts in data["camera_counts"].values()), name
 
 
-def test_a_camera_without_counts_is_refused_unless_the_run_is_of_the_format_before(
-    result: RunResult, tmp_path: Path
-) -> None:
+def test_a_camera_without_counts_is_refused_unless_the_run_is_of_the_format_before(result, tmp_path):
     for name, wrong in {"one": {"bow": asdict(result.camera_counts["bow"])}, "none": None}.items():
         with pytest.raises(RunDirectoryError, match="must have every count of every camera"):
             open_run(edited_run(result.folder, tmp_path / name, camera_counts=wrong))

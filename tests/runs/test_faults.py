@@ -98,9 +98,7 @@ def test_a_table_that_could_not_be_written_is_closed_without_another_error(rows,
 
 
 @pytest.mark.parametrize("size", [2, 5_000, 20_000])
-def test_a_run_goes_on_after_files_could_not_grow_which_are_closed_without_another_error(
-    size, scene, whole, tmp_path, monkeypatch
-):
+def test_a_run_goes_on_after_files_could_not_grow_and_all_are_closed(size, scene, whole, tmp_path, monkeypatch):
     assert max(map(len, whole.values())) > 20_000
     unraisable = []
     monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
@@ -118,9 +116,7 @@ class PowerCutError(Exception):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.8, 0.9, 0.99])
-def test_a_run_goes_on_after_a_power_cut_that_emptied_what_was_not_on_the_disk(
-    share, calls, scene, whole, tmp_path, monkeypatch
-):
+def test_a_run_goes_on_after_a_power_cut_that_emptied_unsynced_files(share, calls, scene, whole, tmp_path, monkeypatch):
     """The worst that a file system may do: every rename has reached the disk, but of files only what was fsynced."""
     on_disk: dict[int, bytes] = {}  # by inode
     seen = []
@@ -161,29 +157,21 @@ def flipped(data: bytes) -> bytes:
 
 DAMAGES = {
     **{"empty": lambda data: b"", "cut": lambda data: data[:5000], "without its last byte": lambda data: data[:-1]},
-    **{"one bit": flipped, "zeros": lambda data: bytes(len(data))},
+    **{"one bit": flipped, "zeros": lambda data: bytes(len(data)), "none": lambda data: data},
     "another file": lambda data: b"PK\x03\x04" + data[:-4],
 }
 
 
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_block_is_made_anew_and_told(scene, whole, tmp_path, capsys, damage):
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_block_is_made_anew_and_told_and_a_whole_one_is_taken(scene, whole, tmp_path, capsys, name):
     block, _ = interrupted(scene, tmp_path / "run")
-    block.write_bytes(damage(block.read_bytes()))
-    result = run_scene(scene, tmp_path / "run", resume=True)
-    assert (result.damaged_blocks, result.resumed_steps) == (1, BLOCK)
+    block.write_bytes(DAMAGES[name](block.read_bytes()))
+    result, damaged = run_scene(scene, tmp_path / "run", resume=True), name != "none"
+    assert (result.damaged_blocks, result.resumed_steps) == ((1, BLOCK) if damaged else (0, 2 * BLOCK))
     assert run_files(tmp_path / "run") == whole
-    assert "1 damaged blocks of it made anew" in (tmp_path / "run/run.log").read_text()
+    assert ("1 damaged blocks of it made anew" in (tmp_path / "run/run.log").read_text()) == damaged
     print_summary(scene, result, sheet=False)
-    assert "blocks of the interrupted run, made anew" in capsys.readouterr().out
-
-
-def test_blocks_that_are_whole_are_taken_and_nothing_is_told(scene, whole, tmp_path):
-    interrupted(scene, tmp_path / "run")
-    result = run_scene(scene, tmp_path / "run", resume=True)
-    assert (result.damaged_blocks, result.resumed_steps) == (0, 2 * BLOCK)
-    assert run_files(tmp_path / "run") == whole
-    assert "damaged" not in (tmp_path / "run" / "run.log").read_text()
+    assert ("blocks of the interrupted run, made anew" in capsys.readouterr().out) == damaged
 
 
 def test_an_interrupted_run_shows_the_steps_before_a_damaged_block(scene, tmp_path):

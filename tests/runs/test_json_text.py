@@ -1,8 +1,7 @@
 """The JSON of a run, made from columns, against the plain way: a dictionary for each row, written by orjson."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -90,24 +89,18 @@ def plain_lines(block: Block, part: CameraBlock, entries: list[dict[str, Any]]) 
 @pytest.mark.parametrize(("fast", "plain"), [
     (annotation_lines, plain_annotations), (detection_lines, plain_detections), (tracker_lines, plain_tracker_lines),
 ])  # fmt: skip
-def test_lines_are_those_of_a_dictionary_for_each_row_however_many_are_made_at_once(
-    made: Made, fast: Callable, plain: Callable, at_once: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lines_are_those_of_a_dictionary_for_each_row_however_many_at_once(made, fast, plain, at_once, monkeypatch):
     monkeypatch.setattr("modsim3d.runs.files.run_file.ROWS_AT_ONCE", at_once)
     scene, block = made
     for part in block.cameras:
         assert fast(block, part, scene) == b"".join(plain(block, part, scene))
 
 
-def test_the_scenes_have_second_boxes_false_positives_and_empty_frames(made: Made) -> None:
+def test_names_are_escaped_also_of_second_boxes_and_a_missing_depth_is_null(made: Made) -> None:
     scene, block = made
     text = b"".join(detection_lines(block, part, scene) for part in block.cameras)
     assert (b'#2":' in text and b'"false_positive_1":' in text) == (scene.name == "strait")
-    assert (b":{}}" in text) == (scene.name == "simulation_3")
-
-
-def test_names_are_escaped_and_a_missing_depth_is_null(made: Made) -> None:
-    scene, block = made
+    assert (b":{}}" in text) == (scene.name == "simulation_3")  # and frames without anything
     odd = replace(scene, vessels=tuple(replace(vessel, name=f'"ø\n{vessel.name}') for vessel in scene.vessels))
     for part in block.cameras:
         shallow = replace(part, truth=replace(part.truth, depth_m=np.full(len(part.truth), np.nan)))
@@ -136,9 +129,7 @@ def test_a_line_holds_the_rows_of_its_frame_and_may_be_empty() -> None:
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 7, 1 << 22])
 @pytest.mark.parametrize("entries", [[], [{}], [{}, {"a": {"b": "}\n{"}}, {}], [{"a": 1}] * 9])
-def test_joined_lines_are_one_object(
-    entries: list[dict[str, Any]], at_a_time: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_joined_lines_are_one_object(entries, at_a_time, tmp_path, monkeypatch):
     monkeypatch.setattr("modsim3d.runs.files.block_files.JOINED_BYTES", at_a_time)
     content = {str(number): entry for number, entry in enumerate(entries)}
     lines = tmp_path / "lines.jsonl"

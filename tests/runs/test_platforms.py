@@ -1,6 +1,5 @@
 """A small sample of `script/campaign platforms`: an older processor gives the same detections."""
 
-from pathlib import Path
 from typing import Any
 
 from benchmarks.campaigns.platforms import Platform, campaign, markdown, platforms
@@ -12,9 +11,7 @@ def page(row: dict[str, Any]) -> str:
     return markdown({"platforms": [row], "scenes": [], "steps": 1, "reference": "", "files": 1})
 
 
-def test_an_older_processor_gives_the_same_files_in_waves_the_same_detections_and_another_seed_is_noticed(
-    tmp_path: Path,
-) -> None:
+def test_an_older_processor_gives_the_same_files_in_waves_the_same_detections_and_another_seed_is_noticed(tmp_path):
     compared = [Platform("here"), OLDEST, Platform("another seed", options=("--detector-seed", "8"))]
     older, other = campaign(compared, ["simulation_1", "strait"], 12, tmp_path)
     assert (older["platform"], older["variables"]) == (OLDEST.name, OLDEST.variables)

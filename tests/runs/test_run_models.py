@@ -60,9 +60,7 @@ def test_two_workers_write_the_bytes_of_one(call: Call, folder: Path, run: Path)
     assert run_files(folder / "two") == run_files(run)
 
 
-def test_an_interrupted_run_has_a_page_and_goes_on_to_the_same_bytes(
-    call: Call, folder: Path, run: Path, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_has_a_page_and_goes_on_to_the_same_bytes(call, folder, run, scene, monkeypatch):
     monkeypatch.setattr(simulate, "MAX_BLOCK_STEPS", 250)
     interrupt(scene, folder / "cut")
     assert call("report", folder / "cut")[0] == 0
@@ -75,9 +73,7 @@ def test_an_interrupted_run_has_a_page_and_goes_on_to_the_same_bytes(
     assert run_files(folder / "cut") == run_files(run)
 
 
-def test_frames_in_memory_are_those_of_the_run_with_detections_of_every_kind_and_second_boxes_have_numbered_names(
-    run: Path, scene: Scene
-) -> None:
+def test_frames_in_memory_are_those_of_the_run_with_every_kind_and_second_boxes_have_numbered_names(run, scene):
     table = pq.read_table(run / "detections.parquet").to_pylist()
     assert {row["kind"] for row in table} == set(KINDS)
     confidence = np.concatenate([frame.detections.confidence for frame in modsim3d.simulate_frames(scene)])
@@ -110,11 +106,3 @@ def test_the_bias_of_truncation_is_in_the_run_file(tmp_path: Path) -> None:
     sampling = 4 * errors.std() / np.sqrt(len(errors)) + 3 * excellent["mean_standard_error"][2]  # of errors and boxes
     assert abs(errors.mean() - excellent["mean"][2]) < sampling + integration
     assert excellent["mean_shift"][2] > 30 and excellent["detections"] == len(errors)
-
-
-def test_a_contact_sheet_is_drawn_with_the_run_and_of_a_finished_one(call: Call, folder: Path, run: Path) -> None:
-    assert call("run", folder / "scene.yaml", "--steps", 100, "--out", folder / "drawn")[0] == 0
-    assert call("view", "sheet", run)[0] == 0
-    for sheet in (folder / "drawn" / "contact_sheet.png", run / "contact_sheet.png"):
-        assert sheet.stat().st_size > 10_000
-    (run / "contact_sheet.png").unlink()

@@ -26,9 +26,7 @@ def told_to_a_tracker(path: Path) -> tuple[list[float], dict[int, list[dict[str,
 
 
 @pytest.mark.parametrize("camera", ["bow", "quay"])
-def test_a_tracker_gets_every_detection_of_every_frame_and_nothing_of_the_truth(
-    strait_run: StoredRun, camera: str
-) -> None:
+def test_a_tracker_gets_every_detection_of_every_frame_and_nothing_of_the_truth(strait_run, camera):
     path = strait_run.folder / f"tracker_input_{camera}.jsonl"
     times_s, seen = told_to_a_tracker(path)
     frames = [frame for frame in strait_run.frames() if frame.camera == camera]

@@ -108,9 +108,7 @@ def ignore_near_plane(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("error", [*PLANTED, "near plane ignored"])
-def test_a_planted_error_stops_a_run_that_is_checked(
-    error: str, scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_planted_error_stops_a_run_that_is_checked(error, scene, tmp_path, monkeypatch):
     if error in PLANTED:
         plant(monkeypatch, error)
     else:
@@ -137,12 +135,10 @@ def test_truth_that_is_wrong_is_not_kept(scene: Scene, tmp_path: Path) -> None:
     (1, {"cameras": 4}, 3), (1, {"cameras": 2}, 2),
 ])  # fmt: skip
 @pytest.mark.parametrize("check", ["sample", "all"])
-def test_frames_that_exist_are_checked_and_the_first_drawn_whole(
-    steps: int, changes: dict[str, Any], frames: int, check: str, tmp_path: Path
-) -> None:
+def test_frames_that_exist_are_checked_and_the_first_drawn_whole(steps, changes, frames, check, tmp_path):
     result = run_scene(load_scene(write_boats(tmp_path, steps, check=check, **changes)), tmp_path / "run")
-    assert result.checked is not None and result.checked.whole_frames == 1
-    assert result.checked.frames == (frames if check == "sample" else result.counts.frames)
+    expected = frames if check == "sample" else result.counts.frames
+    assert (result.checked.whole_frames, result.checked.frames) == (1, expected)
 
 
 def test_streams_check_frames_that_exist(tmp_path: Path) -> None:
@@ -163,12 +159,11 @@ def test_the_row_says_what_was_drawn() -> None:
 
 def test_a_run_without_an_error_is_checked_and_says_so_and_detect_repeats_it(scene: Scene, tmp_path: Path) -> None:
     checked = run_scene(scene, tmp_path / "run").checked
-    assert checked is not None
     assert detect_run(tmp_path / "run", tmp_path / "second", seed=3).checked == checked
     for name in ("run", "second"):
         assert json.loads((tmp_path / name / "run.json").read_text())["crosscheck"] == asdict(checked)
-    assert (checked.frames, checked.whole_frames, checked.empty_frames, checked.tie_pixels) == (3, 1, 0, 0)
-    assert checked.vessels == 3 * len(BOATS)
+    counts = checked.frames, checked.whole_frames, checked.empty_frames, checked.tie_pixels, checked.vessels
+    assert counts == (3, 1, 0, 0, 3 * len(BOATS))
     assert checked.from_buffers == 4 * 3  # the raft, and what crosses the near plane
     assert checked.from_spans + checked.from_buffers == 4 * len(BOATS)
     assert 0 < checked.largest_box_px < 1
@@ -177,7 +172,6 @@ def test_a_run_without_an_error_is_checked_and_says_so_and_detect_repeats_it(sce
 def test_all_checks_every_frame_and_off_none(scene: Scene, tmp_path: Path) -> None:
     every = replace(scene, annotation=replace(scene.annotation, check="all"))
     found, none = run_scene(every, tmp_path / "all").checked, run_scene(unchecked(scene), tmp_path / "off").checked
-    assert found is not None and none is not None
     assert (found.frames, none.frames, none.from_spans + none.from_buffers) == (4, 0, 4 * len(BOATS))
     for name in ("truth", "detections", "frames"):
         one, other = ((tmp_path / run / f"{name}.parquet").read_bytes() for run in ("all", "off"))
@@ -188,8 +182,7 @@ def test_a_lens_and_full_images_are_checked_too(tmp_path: Path) -> None:
     path = write_boats(tmp_path, camera={"distortion": {"k1": -0.1}}, supersample=2)
     bent = run_scene(load_scene(path), tmp_path / "bent").checked
     whole = run_scene(load_scene(write_boats(tmp_path, render="full")), tmp_path / "whole").checked
-    assert bent is not None and whole is not None and bent.from_spans == whole.from_spans == 0
-    assert bent.vessels == whole.vessels == 3 * len(BOATS)
+    assert [(each.from_spans, each.vessels) for each in (bent, whole)] == [(0, 3 * len(BOATS))] * 2
 
 
 def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: Path, monkeypatch: Any) -> None:
@@ -207,7 +200,7 @@ def test_ties_are_looked_for_once_and_only_where_something_is_hidden(tmp_path: P
 
     monkeypatch.setattr(comparison, "possible_ids", counted)
     checked = run_scene(load_scene(path), tmp_path / "run").checked
-    assert checked is not None and len(looked_at) <= checked.vessels
+    assert len(looked_at) <= checked.vessels
     truth = modsim3d.open_run(tmp_path / "run").table("truth").to_pylist()
     hidden = sum(row["silhouette_px"] - row["visible_px"] for row in truth)
     assert 0 < sum(looked_at) <= 2 * hidden
@@ -233,21 +226,16 @@ def test_the_sample_does_not_depend_on_workers_blocks_or_interruptions(tmp_path:
     assert resumed.resumed_steps and resumed.checked == plain.checked
 
 
-def test_a_detector_that_needs_target_statistics_sees_no_truth_that_is_wrong(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_detector_that_needs_target_statistics_sees_no_truth_that_is_wrong(tmp_path, monkeypatch):
     scene = load_scene(write_boats(tmp_path))
     monkeypatch.setattr(type(scene.detector), "needs_target_statistics", property(lambda _: True))
-    checked = run_scene(scene, tmp_path / "good").checked
-    assert checked is not None and checked.frames == 3
+    assert run_scene(scene, tmp_path / "good").checked.frames == 3
     plant(monkeypatch, "box one pixel off")
     with pytest.raises(TruthCheckError):
         run_scene(scene, tmp_path / "bad")
 
 
-def test_frames_in_memory_and_streams_are_checked_from_the_first_on(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_in_memory_and_streams_are_checked_from_the_first_on(scene, monkeypatch):
     plant(monkeypatch, "box one pixel off")
     with pytest.raises(TruthCheckError, match="step 0"):
         next(iter(simulate_frames(scene)))
@@ -262,9 +250,7 @@ def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
     assert frame_count(replace(scene, steps=5)) == 3 and frame_count(replace(scene, steps=150_000)) > 30
 
 
-def test_the_command_names_vessel_and_command_and_draws_the_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
-) -> None:
+def test_the_command_names_vessel_and_command_and_draws_the_picture(tmp_path, monkeypatch, call):
     plant(monkeypatch, "span off by one")
     (tmp_path / "my boats").mkdir()
     path = write_boats(tmp_path / "my boats", supersample=2)

@@ -13,9 +13,7 @@ from tests.campaign.engines.campaigns import Campaigns
 
 
 @pytest.mark.parametrize("package", ["fragile", "numpy"])
-def test_a_worker_with_other_versions_is_refused(
-    campaigns: Campaigns, out: Path, monkeypatch: pytest.MonkeyPatch, package: str
-) -> None:
+def test_a_worker_with_other_versions_is_refused(campaigns, out, monkeypatch, package):
     here, _ = campaigns.planned(out)
     check_worker(here.work)
     here_is, other = serving.version(package), {**serving.versions(), "numpy": "9.9"}

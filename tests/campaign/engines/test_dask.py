@@ -36,9 +36,7 @@ def test_a_client_that_was_killed_goes_on_to_the_same_bytes(campaigns: Campaigns
     campaigns.check_end(out, lambda: DaskEngine(shared.address))
 
 
-def test_a_run_ends_its_process_the_worker_stays_and_what_is_not_wanted_any_more_is_ended_at_once(
-    campaigns: Campaigns, shared: Cluster, out: Path
-) -> None:
+def test_a_run_ends_its_process_the_worker_stays_and_what_is_not_wanted_is_ended_at_once(campaigns, shared, out):
     _, tasks = campaigns.planned(out)
     _, (both,) = campaigns.planned(out.with_name("fatal"), "fatal")
     engine, fatal = DaskEngine(shared.address), replace(both, runs=both.runs[1:])

@@ -20,9 +20,7 @@ CRASHES = {
 }
 
 
-def test_a_run_that_ends_its_process_once_has_crashed_and_one_that_is_killed_is_tried_again(
-    campaigns: Campaigns, doomed: Path, out: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_that_ends_its_process_has_crashed_and_one_that_is_killed_is_tried_again(campaigns, doomed, out, capfd):
     result = campaigns.run("mortal", lambda: ProcessPool(1), out)
     rows = {row["tracker"]: row for row in result.table.to_pylist()}
     assert {path.name for path in doomed.iterdir()} == {*MORTAL}
@@ -47,14 +45,11 @@ def test_a_worker_that_is_lost_without_a_word_is_noted_with_its_runs(campaigns: 
     assert "2 workers (its Dask worker was lost 2×); runs under way: 0, 1, " in str(killed_sentence(result.folder))
 
 
-def test_a_run_that_closes_the_pipe_and_goes_on_has_crashed(
-    campaigns: Campaigns, doomed: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("name", "said"), [
+    ("deaf", "the run ended its worker process (it closed the pipe)"),
+    ("leaving", "ModsimError: the plug-in 'mortal' of fragile 1.0 failed: SystemExit: 5 (fragile.py, line"),
+])  # fmt: skip
+def test_a_run_that_closes_the_pipe_or_calls_sys_exit_has_crashed(campaigns, doomed, out, monkeypatch, name, said):
     monkeypatch.setattr("modsim3d.campaign.workers._END_S", 0.3)
-    result = campaigns.run("deaf", lambda: ProcessPool(1), out)
-    assert result.table["error"].to_pylist() == ["the run ended its worker process (it closed the pipe)"]
-
-
-def test_a_run_whose_tracker_calls_sys_exit_crashes_as_any_other(campaigns: Campaigns, doomed: Path, out: Path) -> None:
-    (error,) = campaigns.run("leaving", lambda: ProcessPool(1), out).table["error"].to_pylist()
-    assert error.startswith("ModsimError: the plug-in 'mortal' of fragile 1.0 failed: SystemExit: 5 (fragile.py, line")
+    (error,) = campaigns.run(name, lambda: ProcessPool(1), out).table["error"].to_pylist()
+    assert error.startswith(said)

@@ -44,9 +44,7 @@ def test_a_signal_to_all_processes_stops_the_campaign_and_crashes_no_run(campaig
 
 
 @pytest.mark.parametrize(("number", "count"), [(signal.SIGKILL, 2), (signal.SIGINT, 1)])
-def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(
-    campaigns: Campaigns, out: Path, number: signal.Signals, count: int
-) -> None:
+def test_all_processes_end_with_the_main_one_and_the_same_command_goes_on(campaigns, out, number, count):
     with campaigns.holding() as waiting, campaigns.coordinator(str(count), out) as coordinator:
         workers = waiting(count)
         coordinator.send_signal(number)

@@ -45,26 +45,21 @@ def half(campaigns: Campaigns, made: CampaignFolder, tmp_path: Path) -> Iterator
     campaigns.check_end(tmp_path / "out")
 
 
-def test_a_cut_off_file_is_made_again_and_what_is_half_written_or_of_another_plan_is_nothing(half: Path) -> None:
+def test_a_damaged_file_is_made_again_and_what_is_half_written_or_of_another_plan_is_nothing(half: Path) -> None:
     damaged = min((half / "done").iterdir())
-    damaged.write_bytes(damaged.read_bytes()[:-100])
+    whole = damaged.read_bytes()
+    flips = (*range(0, len(whole), 61), len(whole) - 1)  # in values, descriptions of columns, and the checksum
+    flipped = (whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :] for place in flips)
+    for each in (*flipped, whole[:-100]):
+        damaged.write_bytes(each)
+        assert task.stored_report(damaged) is None
     (half / "done" / ".000000008_0.rows.0").write_bytes(b"PAR1")
     (half / ".results.0" / "scene=harbour").mkdir(parents=True)
     rows = task.table_of([crashed_row(number, "of another plan") for number in (4, 1_000)])
     task.store(half / "done" / "000000004_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
 
 
-def test_a_file_with_a_flipped_bit_anywhere_is_made_again(half: Path) -> None:
-    damaged = min((half / "done").iterdir())
-    whole = damaged.read_bytes()
-    for place in (*range(0, len(whole), 61), len(whole) - 1):  # values, descriptions of columns, and the checksum
-        damaged.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        assert task.stored_report(damaged) is None
-
-
-def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(
-    half: Path, campaigns: Campaigns, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(half, campaigns, monkeypatch):
     def full(descriptor: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -75,9 +70,7 @@ def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(
     assert sorted((half / "done").iterdir()) == before
 
 
-def test_a_crash_between_any_two_steps_of_the_end(
-    campaigns: Campaigns, made: CampaignFolder, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_crash_between_any_two_steps_of_the_end(campaigns, made, out, monkeypatch):
     campaign = campaigns.checked()
     steps = 0
     while True:
@@ -104,9 +97,7 @@ def test_a_crash_between_any_two_steps_of_the_end(
     assert steps > len(STEPS)
 
 
-def test_results_in_place_beside_rows_that_were_not_removed_and_two_processes_that_end_at_once(
-    half: Path, campaigns: Campaigns, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_beside_rows_that_were_not_removed_and_two_processes_that_end_at_once(half, campaigns, monkeypatch):
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(running, "remove_done", interrupt)
         campaigns.run("plain", ThisProcess, half)

@@ -73,9 +73,7 @@ def test_boxes_without_errors_are_where_their_rays_meet_the_sea(sharp: Scene, ca
 @pytest.mark.parametrize(("unit", "mean", "atol_rad", "atol_per_m"), [
     ("px", [4.0, -3, 10, 6], 0, 0), ("relative", [0.02, -0.01, 0.05, 0.03], 1e-4, 2e-5)
 ])  # fmt: skip
-def test_the_mean_error_is_taken_out(
-    sharp: Scene, unit: str, mean: list[float], atol_rad: float, atol_per_m: float
-) -> None:
+def test_the_mean_error_is_taken_out(sharp, unit, mean, atol_rad, atol_per_m):
     """A relative one to first order: the true size is the detected one less its mean error."""
     biased = position_scene(detector=detector(unit=unit, mean=mean, **EXACT), imu={})
     errors = np.array(mean) * (1 if unit == "px" else np.tile(BOXES[:, 2:] - BOXES[:, :2], 2))

@@ -51,9 +51,7 @@ def test_they_are_the_lines_of_a_runs_files_byte_for_byte(scene: Scene, streamed
     assert list(step_lines(scene, one_by_one=True)) == streamed
 
 
-def test_steps_come_in_order_with_their_numbers_of_lines_and_the_attitude_of_own_ship_on_board(
-    streamed: list[StepLines], run: Path
-) -> None:
+def test_steps_come_in_order_with_their_numbers_of_lines_and_the_attitude_of_own_ship_on_board(streamed, run):
     columns = pq.read_table(run / "ownship.parquet", columns=[f"measured_{angle}_rad" for angle in ANGLES])
     measured = [list(row.values()) for row in columns.to_pylist()]
     entries = [json.loads(line) for step in streamed for line in step.lines]
@@ -81,9 +79,7 @@ def test_a_detector_that_needs_all_targets_gives_the_lines_of_its_run(tmp_path: 
     assert lines["bow"] == (tmp_path / "run" / "tracker_input_bow.jsonl").read_bytes()
 
 
-def test_the_header_has_the_scene_files_numbers_and_nothing_in_the_stream_is_of_the_truth(
-    scene: Scene, streamed: list[StepLines]
-) -> None:
+def test_the_header_has_the_scene_files_numbers_keys_are_documented_and_nothing_is_of_the_truth(scene, streamed):
     text = b"".join(line for step in streamed for line in step.lines).decode()
     own = {scene.vessel_names[index] for index in scene.own_ships}
     targets = set(scene.vessel_names) - set(scene.detector.labels)
@@ -98,12 +94,8 @@ def test_the_header_has_the_scene_files_numbers_and_nothing_in_the_stream_is_of_
         assert told[place].items() >= given[place].items()
         assert (told["image_size_px"], told["frame_rate_hz"]) == (given["image_size_px"], given.get("frame_rate_hz"))
         assert told["focal_px"] == pytest.approx([given["focal_length_m"] / size for size in given["pixel_size_m"]])
-
-
-def test_its_keys_are_documented(scene: Scene, streamed: list[StepLines]) -> None:
     section = (ROOT / "docs" / "json.md").read_text().split("## stream\n")[1].split("\n## ")[0]
     documented = {key for row in re.findall(r"^\| (`.*?`) \|", section, re.M) for key in re.findall(r"`(\w+)`", row)}
-    header = json.loads(header_line(scene))
     keys = {*header, *(key for camera in header["cameras"].values() for key in camera)}
     assert documented == keys | {key for step in streamed for line in step.lines for key in json.loads(line)}
 

@@ -32,7 +32,8 @@ def our_calls(profile: cProfile.Profile) -> int:
     return sum(count for file, count in by_caller if Path(file).is_relative_to(PACKAGE))
 
 
-def test_a_step_of_four_vessels_takes_few_calls_and_one_without_fewer(scene: Scene) -> None:
+def test_a_step_of_four_vessels_takes_few_calls_and_one_without_fewer_and_no_renderer(scene: Scene) -> None:
+    assert not len(truth_block(scene, EMPTY, EMPTY + COUNTED, renderer=None))
     blocks, done = simulate_blocks(scene, 1), 0
     for first, vessels, most_calls in ((EMPTY, 0, 470), (BUSY, 4, 1130)):
         for _ in range(done, first):
@@ -42,10 +43,6 @@ def test_a_step_of_four_vessels_takes_few_calls_and_one_without_fewer(scene: Sce
         assert [len(block.cameras[0].truth) for block in counted] == [vessels] * COUNTED
         assert our_calls(profile) / COUNTED < most_calls
         done = first + COUNTED
-
-
-def test_where_nothing_is_in_view_nothing_need_be_drawn(scene: Scene) -> None:
-    assert not len(truth_block(scene, EMPTY, EMPTY + COUNTED, renderer=None))
 
 
 def test_a_renderer_that_is_prepared_draws_as_fast_the_first_time_as_later(scene: Scene) -> None:
