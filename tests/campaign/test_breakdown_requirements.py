@@ -12,7 +12,7 @@ from modsim3d.campaign.work.row import rules_of
 from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.scores.scoring import scores_of
-from tests.campaign.campaigns import campaign_file, checked_campaign, problems_of, run_campaign_file
+from tests.campaign.campaigns import campaign_file, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
 
 RECALL = {"score": "recall", "at_least": 0.8, "in": 0.5}
@@ -81,34 +81,6 @@ def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs
     assert verdict.outcome == "undecided" and "ask for a share of seeds with `in`" in verdict.why
     (warning,) = warnings_of(plan)
     assert f"a mean of {score} by {group} was not measured to hold" in warning
-
-
-TWO_CAMERAS = {"scene": "simulation_3", "steps": 6, "trackers": ["reference"]}
-
-
-@pytest.mark.parametrize(("requirement", "said"), [
-    ({**RECALL, "where": {"visible_fraction": "half"}},
-     "visible_fraction: there is no 'half' (known: 1, 0.75 to 1, 0.5 to 0.75, 0.25 to 0.5, below 0.25)"),
-    ({**RECALL, "where": {"range": 7}}, "range: there is no 7 (known: 0 to 100, 100 to 200, 200 to 400, 400 to"),
-    ({**RECALL, "score": "hota", "where": {"camera": "bow"}}, "camera: there is no 'bow' (known: "),
-    ({**RECALL, "where": {"range": "0 to 100", "size": "0 to 16"}},
-     "where: range and size each divide the runs, and only one may: leave all but one out"),
-    (RECALL, "score: recall is known of parts of the runs only: `where` needs one of visible_fraction, occlusion"),
-    ({**SURVIVED, "where": {"size": "0 to 16"}}, "score: occlusions_survived is not known by size (known: recall)"),
-    ({**RECALL, "where": {"camera": "C1"}}, "recall is not known by camera (known: hota, deta, assa, mota, idf1)"),
-    ({**SURVIVED, "score": "hota"}, "hota is not known by occlusion (known: recall, occlusions_survived)"),
-])  # fmt: skip
-def test_a_part_that_no_run_has_and_a_score_that_it_does_not_have_are_one_problem(requirement, said, tmp_path) -> None:
-    (problem,) = problems_of(tmp_path, **TWO_CAMERAS, require=[requirement])
-    assert said in problem
-
-
-def test_the_only_camera_is_no_part(tmp_path) -> None:
-    keys = {**TWO_CAMERAS, "scene": "harbour"}
-    (said,) = problems_of(tmp_path, **keys, require=[{"score": "hota", "at_least": 0.4, "where": {"camera": "quay"}}])
-    assert "the scene of condition 0 has no other camera: leave it out" in said
-    whole = {**RECALL, "where": {"visible_fraction": 1}}  # the bin is called "1", and YAML reads a number
-    assert checked_campaign(tmp_path, **keys, require=[whole]).plan.keys.require[0].score == "recall"
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -19,7 +19,9 @@ from scipy import stats
 import modsim3d as package
 from modsim3d import ModsimError, OutputError, Verdict
 from modsim3d.campaign.folder import opened_campaign
+from modsim3d.campaign.means import same_detections
 from modsim3d.campaign.report.campaign_page import crash_sections
+from modsim3d.campaign.report.search_page import write_page
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.workers import ThisProcess
 from modsim3d.cli.campaign_run import exit_status
@@ -200,9 +202,7 @@ def test_a_campaign_shows_itself(finished: Path, begun: Path) -> None:
     assert "not finished" in repr(package.open_campaign(begun))
 
 
-def test_another_plan_and_layers_among_the_rows_are_refused_and_python_refuses_wrong_arguments(
-    modsim3d, file, finished, tmp_path
-):
+def test_another_plan_and_layers_among_the_rows_are_refused_as_python_does(modsim3d, file, finished, tmp_path):
     other = campaign_file(tmp_path, "other.yaml", **{**KEYS, "seeds": {"traffic": 4}})
     said = modsim3d("campaign", "run", other, "--out", finished)
     assert said.status == 2 and "another plan: seeds.traffic is 3 there and 4 now" in said.err
@@ -219,6 +219,31 @@ def test_another_plan_and_layers_among_the_rows_are_refused_and_python_refuses_w
     assert not (tmp_path / "out").exists()
 
 
+SAME = "the detections are the same in all runs"
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_conditions_with_the_same_detections_are_told_in_print_in_json_and_on_the_page(modsim3d, tmp_path):
+    low = {"grid": {"detector.operating_threshold": [0.2, 0.21]}}  # nothing is as low
+    file = campaign_file(tmp_path, scene="harbour", steps=3, trackers=["reference"], vary=[low])
+    said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
+    assert said.status == 0 and SAME in " ".join(said.err.split())
+    again = modsim3d("campaign", "run", file, "--out", tmp_path / "out", "--json")
+    (warning,) = [text for text in json.loads(again.out)["warnings"] if SAME in text]
+    assert "runs with detector.operating_threshold 0.2, detector.operating_threshold 0.21: what differs" in warning
+    write_page(opened_campaign(tmp_path / "out"), tmp_path / "page.html")
+    assert SAME.capitalize() in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("key", "values"), [
+    ("detector.operating_threshold", [0.2, 0.65]), ("tracker.lost_s", [1, 2]), ("state", ["excellent", "bad"])
+])  # fmt: skip
+def test_conditions_that_differ_and_settings_of_trackers_are_not_told(tmp_path, key, values):
+    keys = {"steps": 3, "trackers": ["reference"], "vary": [{"grid": {key: values}}]}
+    found = run_campaign_file(tmp_path, **{**SMALL, **keys})
+    assert same_detections(found.folder.plan, found.table) == []
+
+
 NEEDY = {
     **SMALL,
     "trackers": ["sort", {"tracker": "sort", "name": "late", "set": {"minimum_consecutive_frames": 19}}],
@@ -229,28 +254,17 @@ NEEDY = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def needy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a campaign in which one tracker reports nothing at all; its file is beside it."""
-    return run_campaign_file(tmp_path_factory.mktemp("needy"), "needy.yaml", **NEEDY).folder.path
-
-
-def verdicts_in(folder: Path) -> list[dict[str, Any]]:
-    return list(json.loads((folder / "verdicts.json").read_text())["verdicts"])
-
-
-def test_a_tracker_that_reports_nothing_meets_nothing_that_it_is_scored_on(needy: Path) -> None:
-    found = {(each["text"].split()[0], each["tracker"]): each for each in verdicts_in(needy)}
+def test_a_tracker_that_reports_nothing_meets_no_score_and_terminal_and_page_say_so(modsim3d, tmp_path, monkeypatch):
+    folder = run_campaign_file(tmp_path, "needy.yaml", **NEEDY).folder.path
+    verdicts = json.loads((folder / "verdicts.json").read_text())["verdicts"]
+    found = {(each["text"].split()[0], each["tracker"]): each for each in verdicts}
     outcomes = {key: each["outcome"] for key, each in found.items()}
     assert [outcomes[score, "sort"] for score in ("hota", "assa", "rmse_px")] == ["met", "undecided", "undecided"]
     assert [outcomes[score, "late"] for score in ("assa", "rmse_px")] == ["failed", "failed"]
     assert (found["assa", "late"]["nothing"], found["assa", "late"]["seeds"]) == (3, 3)
-    assert all(each["this_traffic_only"] for each in found.values())
+    assert all(each["this_traffic_only"] for each in verdicts)
     assert found["false_positives", "sort"]["met_without_tracks"] and not found["hota", "sort"]["met_without_tracks"]
-
-
-def test_terminal_and_page_say_what_is_left_out_and_a_mean_has_one_interval(modsim3d, needy, tmp_path, monkeypatch):
-    said = modsim3d("campaign", "run", needy.with_suffix(".yaml"), "--out", needy)
+    said = modsim3d("campaign", "run", tmp_path / "needy.yaml", "--out", folder)
     text = " ".join(said.out.split())
     assert said.status == 1 and "sort, ? undecided: Over 3 traffic seeds" in text
     assert "No tracks at all would meet it too" in text
@@ -262,9 +276,9 @@ def test_terminal_and_page_say_what_is_left_out_and_a_mean_has_one_interval(mods
     assert not any(cell.startswith("[") for cell in line.split()[2:6])  # HOTA, AssA, RMSE and false positives
     never = "can never be met by this plan: rmse_px is a mean over what the tracker manages"
     assert never in " ".join(said.err.split())
-    assert said.out.count(f"{verdicts_in(needy)[0]['estimate']:.3f}") >= 2  # with the verdict, and among the means
+    assert said.out.count(f"{verdicts[0]['estimate']:.3f}") >= 2  # with the verdict, and among the means
     monkeypatch.setattr("modsim3d.campaign.report.campaign_page.WORST", 1)  # drawing them is most of the time
-    assert modsim3d("campaign", "report", needy, "--out", tmp_path / "page.html").status == 0
+    assert modsim3d("campaign", "report", folder, "--out", tmp_path / "page.html").status == 0
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "mean [interval, each end 95 %]" in text and "those of the requirements, above" in text
     assert "runs with nothing to score" in text and "No tracks at all would meet it too" in text

@@ -4,7 +4,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import pytest
 
 from modsim3d.campaign.folder import opened_campaign
@@ -98,9 +97,8 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_fol
 def test_a_score_that_was_damaged_on_the_disk_is_told(result: SearchResult, tmp_path: Path) -> None:
     folder = shutil.copytree(result.folder.path, tmp_path / "damaged")
     file = folder / "search" / "part-00000.parquet"
-    hota = pq.ParquetFile(file).metadata.row_group(0).column(result.table.column_names.index("hota"))
     content = bytearray(file.read_bytes())
-    content[hota.data_page_offset - 20] ^= 255  # of the values themselves, which lie before the page that names them
+    content[len(content) // 3] ^= 255
     file.write_bytes(content)
     with pytest.raises(ModsimError, match=r"part-00000\.parquet was changed after the campaign ended"):
         search_table(opened_campaign(folder))

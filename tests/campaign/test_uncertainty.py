@@ -27,9 +27,7 @@ from tests.scenes import harbour_of_shoeboxes
 
 Learned, Draws = dict[str, LearnResult], dict[str, list[dict[str, Any]]]
 MANY, FEW, DRAWS = 160, 12, 800
-MIN_KNOWN = 8.0
-MISSES = {"detector.miss_rate": 0.2}
-DETECTOR: dict[str, Any] = {"detector": "experiment_1", "detector_seed": 77, "settings": MISSES}
+DETECTOR: Any = {"detector": "experiment_1", "detector_seed": 77, "settings": {"detector.miss_rate": 0.2}}
 DRAWN: dict[str, Any] = {"scene": "harbour", "steps": 3, "uncertainty": "learned", "trackers": ["reference"]}
 
 
@@ -78,7 +76,7 @@ def test_intervals_of_learn_hold_as_many_draws_as_said(name: str, level: float, 
     for interval in learned[name].report.learned.intervals(level):
         found = drawn_numbers(draws[name], interval.key.state, ".".join(interval.key.names))
         # Of a standard deviation that is known to less than a factor draws are held within ten times the estimate.
-        held = "std" in interval.key.names[-1] and np.any(interval.high > MIN_KNOWN * interval.estimate)
+        held = "std" in interval.key.names[-1] and np.any(interval.high > 8 * interval.estimate)
         if found is None or np.ptp(found) == 0 or held:
             continue
         rounding = 1e-5 * np.abs(interval.estimate) + 1e-6

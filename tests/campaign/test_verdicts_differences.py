@@ -15,7 +15,7 @@ from modsim3d.campaign.verdicts.bounds import skewed_bounds
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import measured_offers, seeds_needed, warnings_of
 from modsim3d.cli.campaign_text import requirement_in_words
-from tests.campaign.campaigns import html_of_blocks, problems_of, run_campaign_file
+from tests.campaign.campaigns import html_of_blocks, run_campaign_file
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 NO_WORSE = {"score": "siap_completeness", "of": "new", "minus": "old", "at_least": -0.02}
@@ -96,19 +96,6 @@ def test_a_difference_that_no_tracks_at_all_would_meet_says_so():
     fewer, worse = np.tile([3, 2], (SEEDS, 1)), np.tile([0, 1], (SEEDS, 1))
     assert one(requirement, fewer, score="id_switches").met_without_tracks
     assert not one({**requirement, "at_most": -1}, worse, score="id_switches").met_without_tracks
-
-
-@pytest.mark.parametrize(("requirement", "said"), [
-    ({"minus": None}, "require[0]: a difference needs both of and minus"),
-    ({"of": "newest"}, "require[0].of: there is no tracker 'newest' (did you mean 'new'?)"),
-    ({"minus": "ancient"}, "require[0].minus: there is no tracker 'ancient' (known: old, new)"),
-    ({"minus": "new"}, "require[0]: of and minus are both 'new'"),
-    ({"where": {"tracker": "new"}}, "require[0]: a difference names its trackers with of and minus"),
-])  # fmt: skip
-def test_a_difference_that_names_no_two_trackers_is_one_clear_error(requirement, said, tmp_path):
-    keys = {"scene": "harbour", "steps": 5, "trackers": [*TRACKERS]}
-    (problem,) = problems_of(tmp_path, **keys, require=[{**NO_WORSE, **requirement}])
-    assert said in problem
 
 
 def test_a_difference_has_one_verdict_in_each_condition_and_beyond_what_its_score_can_give_is_never_met():

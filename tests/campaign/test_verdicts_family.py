@@ -7,7 +7,6 @@ from modsim3d.campaign.done_rows import needed_seeds
 from modsim3d.campaign.verdicts.bounds import clean_seeds_needed
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import levels_of, warnings_of
-from tests.campaign.campaigns import problems_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.9}
@@ -76,9 +75,3 @@ def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach_and_levels_
     assert (levels.met, levels.any_wrong) == (pytest.approx(0.05), pytest.approx(0.1))
     said = " ".join(levels.sentences())
     assert "that one or more of the 4 verdicts are met wrongly is at most 5 %" in said and "by Holm" in said
-
-
-def test_a_family_has_one_confidence(tmp_path):
-    keys = {"scene": "harbour", "steps": 5, "trackers": ["sort"], "level": "family"}
-    (said,) = problems_of(tmp_path, **keys, require=[CLEAN, {**CLEAN, "confidence": 0.9}])
-    assert said == "level: family has one confidence for all requirements, and these have 0.9 and 0.95"

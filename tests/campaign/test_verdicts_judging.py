@@ -90,6 +90,9 @@ VERDICTS = {
     "seeds without a value are counted apart and named": Case(
         HOTA, [0.7, np.nan, 0.72, 0.71, np.nan], "met", {"seeds": 3, "undefined": 2}, ("1000001, 1000004",)),
     "as many seeds as a mean needs": Case(HOTA, ENOUGH, "met"),
+    "two seeds are too few for any mean": Case(
+        {"score": "id_switches", "at_most": 90}, [70, 71], "undecided", {"low": None, "high": None},
+        ("traffic seeds with a value, and has 2",)),
     "seeds without a value count neither for those that a mean needs": Case(
         HOTA, [np.nan, *ENOUGH[1:]], "undecided", why=(f"and has {NEEDED - 1}",)),
     "a mean whose bound was never measured to hold": Case(
@@ -205,15 +208,6 @@ def test_a_mean_at_the_end_of_its_score_and_a_value_beyond_it_can_never_be_met(r
     assert warnings_of(plan)
     best = 1.0 if "at_least" in requirement else 0.0
     assert one(plan_of(50, [requirement], stop=stop), "hota", [best] * 50).outcome != "met"
-
-
-@pytest.mark.parametrize("requirement", [HOTA, {"score": "id_switches", "at_most": 90}])
-def test_a_mean_is_never_met_on_two_seeds(requirement):
-    plan = plan_of(2, [requirement])
-    (said,) = warnings_of(plan)
-    verdict = one(plan, requirement["score"], [70, 71] if requirement["score"] == "id_switches" else [0.7, 0.71])
-    assert (verdict.outcome, verdict.low, verdict.high) == ("undecided", None, None)
-    assert "needs" in said and "traffic seeds with a value, and has 2" in verdict.why
 
 
 def test_the_seeds_between_two_measured_confidences_are_those_that_both_need(monkeypatch):

@@ -29,6 +29,7 @@ from modsim3d.io.atomic_write import encoded
 from modsim3d.runs.files.run_directory import RunDirectory
 from tests.campaign.campaigns import interrupt, run_campaign_file
 from tests.cli.conftest import Modsim3d
+from tests.run_folders import run_files
 from tests.tracking.hand_made import box, hand_made
 
 CAMPAIGN: dict[str, Any] = {
@@ -65,12 +66,6 @@ def again(campaign: CampaignResult, modsim3d: Modsim3d, tmp_path: Path) -> Modsi
     """The command that makes a run of the campaign again, into the folder `again`, with more options."""
     line = "campaign", "reproduce", campaign.folder.path
     return lambda number, *options: modsim3d(*line, number, "--out", tmp_path / "again", *options)
-
-
-def files_in(folder: Path) -> dict[Path, bytes]:
-    """The files of a run directory but its log, which names times."""
-    files = (path for path in folder.rglob("*") if path.is_file() and path.name != "run.log")
-    return {path.relative_to(folder): path.read_bytes() for path in files}
 
 
 def verdict(requirement: int, outcome: Outcome, tracker: str = "sort", condition: int = 0) -> Verdict:
@@ -150,31 +145,37 @@ def test_the_command_makes_the_run_that_the_options_of_run_make(campaign, again,
     planned = campaign.folder.plan.run(15)
     keys = {"settings": {"detector.operating_threshold": 0.2}, "detector_seed": planned.detector_seed}
     run_scene(load_scene("harbour", steps=20, state="terrible", seed=planned.traffic_seed, **keys), tmp_path / "plain")
-    assert files_in(out) == files_in(tmp_path / "plain")
+    assert run_files(out) == run_files(tmp_path / "plain")
     said = modsim3d("score", out, f"{out}_tracks", "--similarity", "centre:200", "--json")
     assert json.loads(said.out)["trackers"][0]["hota"] == campaign.table["hota"][15].as_py()
 
 
-def test_the_command_that_films_follows_the_one_that_makes_the_run_again(campaign, modsim3d, tmp_path, monkeypatch):
+def test_the_command_that_films_the_moment_follows_the_one_that_makes_a_run(campaign, modsim3d, tmp_path, monkeypatch):
     monkeypatch.setattr(worst_film, "AROUND_S", 0.5)
     worst = found(replace(campaign, folder=replace(campaign.folder, path=tmp_path / "c")))[1]
     shutil.copytree(campaign.folder.path, tmp_path / "c")
+    film = shlex.split(worst.film)[1:]
     assert modsim3d(*shlex.split(worst.again)[1:]).status == 0
     out = tmp_path / "c" / "runs" / str(worst.number)
     log, tracks = out / "run.log", out.with_name(f"{out.name}_tracks") / "tracks.json"
     before = log.stat().st_mtime_ns, tracks.stat().st_mtime_ns
-    said = modsim3d(*shlex.split(worst.film)[1:])
+    said = modsim3d(*film)
     assert said.status == 0, said.err
-    assert f"{out} was there already" in said.out and (out / "detections.mp4").is_file()
+    assert f"{out} was there already" in said.out and (out / "detections.mp4").stat().st_size > 10_000
     assert (log.stat().st_mtime_ns, tracks.stat().st_mtime_ns) == before
     assert "Every column is as in the campaign." in said.out
-    again = modsim3d(*shlex.split(worst.film)[1:])
+    again = modsim3d(*film)
     assert again.status == 2 and "detections.mp4 exists: use --overwrite" in again.err
-    assert modsim3d(*shlex.split(worst.film)[1:], "--overwrite").status == 0
-    assert log.stat().st_mtime_ns > before[0]
+    filmed = json.loads(modsim3d(*film, "--overwrite", "--json").out)["film"]
+    assert (filmed["path"], log.stat().st_mtime_ns > before[0]) == (str(out / "detections.mp4"), True)
+    assert (filmed["from_s"], filmed["to_s"]) == (worst.moment_s - 0.5, worst.moment_s + 0.5)
 
 
-def test_another_run_or_the_tracks_of_another_tracker_are_refused(again: Modsim3d, tmp_path: Path) -> None:
+def test_an_interrupted_run_is_gone_on_with_and_another_run_or_tracker_is_refused(again, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "finish", interrupt)
+        said = again(2)
+    assert said.status == 130 and "the same command goes on" in said.err
     assert again(2).status == 0
     out, (other_tracker, other_seed, other_state) = tmp_path / "again", map(again, (3, 0, 6))
     assert other_tracker.status == other_seed.status == other_state.status == 2
@@ -187,22 +188,6 @@ def test_another_run_or_the_tracks_of_another_tracker_are_refused(again: Modsim3
         assert again(2).status == 2
         table.write_bytes(content)
     assert again(2).status == 0
-
-
-def test_an_interrupted_run_is_gone_on_with(again: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as patch:
-        patch.setattr(RunDirectory, "finish", interrupt)
-        said = again(2)
-    assert said.status == 130 and "the same command goes on" in said.err
-    assert again(2).status == 0
-
-
-def test_the_film_is_of_the_moment(campaign: CampaignResult, again: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worst_film, "AROUND_S", 1.0)
-    filmed = json.loads(again(15, "--film", "--json").out)["film"]
-    moment_s = campaign.table["worst_s"][15].as_py()
-    assert Path(filmed["path"]).stat().st_size > 10_000
-    assert (filmed["from_s"], filmed["to_s"]) == (moment_s - 1, moment_s + 1)
 
 
 def test_a_run_that_crashed_crashes_again(again: Modsim3d, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,14 +35,12 @@ def first(tmp_path_factory) -> Path:
 
 
 def test_bytes_are_those_of_a_whole_run_where_the_truth_has_no_seed(tmp_path):
-    scene = harbour(tmp_path)
-    keys = {"mode": 2, "steps": 20, "source": "analytic"}
+    scene, keys = harbour(tmp_path), {"mode": 2, "steps": 20, "source": "analytic"}
     run_scene(load_scene(scene, **keys), tmp_path / "first")
     run_scene(load_scene(scene, **keys, seed=7, detector=EXPERIMENT), tmp_path / "whole")
     for workers in (1, 2):
-        out = tmp_path / f"new{workers}"
-        detect_run(open_run(tmp_path / "first"), out, detector=EXPERIMENT, seed=7, workers=workers)
-        assert run_files(out) == run_files(tmp_path / "whole")
+        detect_run(tmp_path / "first", tmp_path / f"{workers}", detector=EXPERIMENT, seed=7, workers=workers)
+        assert run_files(tmp_path / f"{workers}") == run_files(tmp_path / "whole")
 
 
 def test_short_blocks_give_the_same_bytes_and_read_the_truth_once(first, tmp_path, monkeypatch):
@@ -97,8 +95,7 @@ def test_a_detector_that_does_not_know_the_labels_and_the_folder_of_the_run_itse
 
 
 def test_truth_that_other_versions_made_is_named(first, tmp_path):
-    run = open_run(first)
-    run.settings["versions"] = {**run.settings["versions"], "numpy": "1.0"}
+    (run := open_run(first)).settings["versions"] |= {"numpy": "1.0"}
     detect_run(run, tmp_path / "new")
     assert open_run(tmp_path / "new").settings["truth_versions"]["numpy"] == "1.0"
 

@@ -13,7 +13,7 @@ from modsim3d.core.boxes import centre_form
 from modsim3d.detector.records import DUPLICATE, FRAGMENT
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.block_files import annotation_lines, detection_lines, join_lines
-from modsim3d.runs.files.run_file import ROWS_AT_ONCE, frame_lines, list_texts, number_texts, string_texts
+from modsim3d.runs.files.run_file import ROWS_AT_ONCE, list_texts, number_texts, string_texts
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.tracker_view import TrackerDetections, tracker_lines
 from modsim3d.truth.record import annotation_boxes
@@ -116,15 +116,6 @@ def test_texts_of_numbers_are_the_shortest_that_give_the_number_again_and_of_str
     assert list_texts(np.empty((0, 4))) == []
     for strings in ([], ["0.0"], ['a",\n  "b', "", ",\n  ", "\\", 'ø"', "[\n"]):
         assert string_texts(strings) == [orjson.dumps(string) for string in strings]
-
-
-def test_a_line_holds_the_rows_of_its_frame_and_may_be_empty() -> None:
-    none = np.empty(0, dtype=np.int64)
-    assert frame_lines([], b"}\n", none) == b""
-    assert frame_lines([b"a{", b"b{"], b"}\n", none, b"x", []) == b"a{}\nb{}\n"
-    frame = np.array([1, 1, 3])
-    lines = frame_lines([b"a{", b"b{", b"c{", b"d{", b"e{"], b"}\n", frame, b"x", [b"1", b"2", b"3"])
-    assert lines == b"a{}\nb{x1,x2}\nc{}\nd{x3}\ne{}\n"
 
 
 @pytest.mark.parametrize("at_a_time", [1, 2, 7, 1 << 22])

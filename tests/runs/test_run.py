@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +12,8 @@ import pytest
 
 import modsim3d
 from modsim3d import RunDirectoryError, load_scene, run_scene, simulate_frames
-from modsim3d.io.input_files import data_folder
 from modsim3d.runs import pipeline
+from tests.cli.bad_input.builders import GOOD, Inputs, at, lens
 from tests.run_folders import interrupt, run_files
 
 STEPS = 300
@@ -155,29 +154,14 @@ def test_python_way_gives_the_same_as_the_files(scene, finished):
 
 def test_own_files_run(tmp_path):
     """A user's vessels and poses as in the source's Figures 7.2 and 7.3, with a camera on one of the vessels."""
-    own = {"air_draft_m": 3.0, "beam_m": 4, "length_m": 10, "label": "Vessel"}
-    vessels = {"own": own, "other": {"air_draft_m": 5.0, "beam_m": 4.0, "length_m": 12.0, "label": "Vessel"}}
-    poses = {
-        f"{1700000000 + t}.50": {
-            "own": {"center_position_m": [2.0 * t, 0.0, 0.0], "heading_rad": 0.0},
-            "other": {"center_position_m": [80.0, 2.0 * t - 3, 0.0], "heading_rad": 1.5707963267948966},
-        }
-        for t in range(5)
-    }
-    (tmp_path / "vessels.json").write_text(json.dumps(vessels))
-    (tmp_path / "poses.json").write_text(json.dumps(poses))
-    shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", tmp_path / "detector.yaml")
-    (tmp_path / "scene.yaml").write_text(
-        "vessels: vessels.json\nposes: {file: poses.json}\ndetector: detector.yaml\n"
-        "cameras:\n  bow:\n    focal_length_m: 0.0237\n    pixel_size_m: [1.0e-5, 0.83e-5]\n"
-        "    principal_point_px: [1232, 1028]\n    image_size_px: [2464, 2056]\n"
-        "    mount: {vessel: own, position_m: [4, 0, 3], pitch_rad: 0.02}\n"
-        "annotation: {mode: 2}\n"
-    )
-    counts = run_scene(load_scene(tmp_path / "scene.yaml"), tmp_path / "out").counts
+    bow = lens(mount={"vessel": "vehicle1", "position_m": [4, 0, 3], "pitch_rad": 0.02}, pixel_size_m=[1e-5, 0.83e-5])
+    times = [f"{1700000000 + t}.50" for t in range(5)]
+    poses = {t: {"vehicle1": at(2.0 * i, 0), "vehicle2": at(80, 2.0 * i - 3, np.pi / 2)} for i, t in enumerate(times)}
+    scene = Inputs(tmp_path, {**GOOD, "scene": {**GOOD["scene"], "cameras": {"bow": bow}}, "poses": poses}).write()
+    counts = run_scene(load_scene(scene), tmp_path / "out").counts
     assert counts.frames == counts.annotated == 5
     annotations = json.loads((tmp_path / "out" / "annotations_bow.json").read_text())
-    assert list(annotations) == list(poses)
+    assert list(annotations) == times
     # At step t the other's near side is 74 − 2t m ahead of the camera at most; it moves to port: columns fall.
-    columns = [annotations[time]["other"]["bbox"]["centre"]["x"] for time in poses]
+    columns = [places["vehicle2"]["bbox"]["centre"]["x"] for places in annotations.values()]
     assert columns == sorted(columns, reverse=True)

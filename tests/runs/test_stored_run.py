@@ -19,8 +19,6 @@ from tests.run_folders import edited_run, interrupt
 from tests.scenes import write_scene
 
 BLOCK, STEPS = 100, 120  # two blocks
-BEHIND = {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}
-"""A boat that no camera sees."""
 
 
 @pytest.fixture(scope="module")
@@ -89,20 +87,18 @@ def test_a_step_in_two_row_groups_is_read_whole(finished, tmp_path, monkeypatch)
         assert len(found[name]) == -(-STEPS // 70) and pa.concat_tables(found[name]).equals(table), name
 
 
-def test_steps_at_which_nothing_is_seen_read_back_as_empty_frames(tmp_path):
-    run_scene(load_scene(write_scene(tmp_path, BEHIND, 1)), tmp_path / "run")
-    (frame,) = open_run(tmp_path / "run").frames()
-    assert len(frame.truth) == len(frame.detections) == 0
-
-
 def test_an_interrupted_run_gives_the_steps_that_it_has_kept(scene, finished, tmp_path):
     run = open_run(interrupt(scene, tmp_path / "cut"))
     assert not run.finished and 0 < run.steps < STEPS
     assert_same_frames(run.frames(), [f for f in open_run(finished).frames() if f.step < run.steps])
 
 
-def test_an_interrupted_run_whose_detector_lacks_a_vessel_says_so(tmp_path):
-    path = write_scene(tmp_path, BEHIND, 3)
+def test_a_step_without_vessels_is_read_back_as_an_empty_frame_and_a_detector_that_lacks_them_says_so(tmp_path):
+    boat_behind = {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}
+    path = write_scene(tmp_path, boat_behind, 1)
+    run_scene(load_scene(path), tmp_path / "empty")
+    (frame,) = open_run(tmp_path / "empty").frames()
+    assert len(frame.truth) == len(frame.detections) == 0
     false_positives = {"model": "per_image", "rate": 2}
     detector = yaml.safe_load((tmp_path / "detector.yaml").read_text()) | {"false_positives": false_positives}
     (tmp_path / "detector.yaml").write_text(json.dumps(detector))

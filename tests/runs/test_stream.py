@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import re
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from modsim3d import InputError, ModsimError, load_scene, open_run, run_scene, s
 from modsim3d.runs.files import tables
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.poses.replay import LivePoses, follow, read_steps
+from tests.cli.bad_input.builders import at
 from tests.scenes import camera_keys, write_scene
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,9 +28,7 @@ STEPS = 40
 def line(step, *names):
     """Own ship drives along w1 with a camera at its bow; the others are ahead of it."""
     places = {"own": (0.2 * step, 0.0, 0.1), "a": (70 + 0.3 * step, 4 - 0.1 * step, 1.0), "b": (90, 0.1 * step, -2.0)}
-    entries = {
-        name: {"center_position_m": [*places[name][:2], 0], "heading_rad": places[name][2] + step / 7} for name in names
-    }
+    entries = {name: at(*places[name][:2], places[name][2] + step / 7) for name in names}
     entries["own"]["heading_rad"] = 0.0
     return json.dumps({f"{step / 10}": entries}) + "\n"
 
@@ -43,10 +41,8 @@ def lines(steps=STEPS):
 
 def scene_of(folder, poses, source="analytic", **keys):
     boats = {name: ([8, 4, 2], []) for name in ("own", "a", "b")}
-    cameras = {
-        "C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2]}),
-        "shore": camera_keys(pose={"position_m": [-30, 3, 9]}),
-    }
+    cameras = {"C0": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 2]})}
+    cameras |= {"shore": camera_keys(pose={"position_m": [-30, 3, 9]})}
     waves = {"level": "large", "apply_to": "all"}
     usual = {"cameras": cameras, "annotation": {"mode": 2, "source": source}, "waves": waves}
     return write_scene(folder, boats, keys.pop("steps", None), time_step_s=None, poses=poses, **usual | keys)
@@ -76,15 +72,14 @@ def test_a_live_run_writes_the_bytes_of_a_run_from_a_pose_file(tmp_path, stdin, 
     assert run_scene(live_scene(tmp_path, source=source), tmp_path / "live").steps == STEPS
     whole = {time: places for each in text for time, places in json.loads(each).items()}
     (tmp_path / "poses.json").write_text(json.dumps(whole))
-    run_scene(load_scene(scene_of(tmp_path, {"file": "poses.json"}, source)), tmp_path / "file")
-    assert content(tmp_path / "live") == content(tmp_path / "file")
-    run_scene(load_scene(scene_of(tmp_path, {"file": "live/poses.jsonl"}, source)), tmp_path / "again")
-    assert content(tmp_path / "again") == content(tmp_path / "file")
+    for name, file in (("file", "poses.json"), ("again", "live/poses.jsonl")):
+        run_scene(load_scene(scene_of(tmp_path, {"file": file}, source)), tmp_path / name)
+    run_scene(open_run(tmp_path / "live").scene, tmp_path / "from_copy")
+    for name in ("live", "again", "from_copy"):
+        assert content(tmp_path / name) == content(tmp_path / "file"), name
     stdin((tmp_path / "live" / "poses.jsonl").read_text())
     run_scene(live_scene(tmp_path, source=source), tmp_path / "live_again")
     assert content(tmp_path / "live_again", ("run.log",)) == content(tmp_path / "live", ("run.log",))
-    run_scene(open_run(tmp_path / "live").scene, tmp_path / "from_copy")
-    assert content(tmp_path / "from_copy") == content(tmp_path / "file")
     truth = json.loads((tmp_path / "live" / "annotations_shore.json").read_text())
     assert {frozenset(entries) for entries in truth.values()} >= {frozenset({"own"}), frozenset({"own", "a", "b"})}
 
@@ -140,19 +135,6 @@ def test_loading_and_checking_read_nothing(call, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "stdin", Stdin())
     status, said = call("check", "scene", path)
     assert status == 0 and "as they come" in said and load_scene(path).live
-
-
-def test_a_pipe_gives_a_frame_for_each_line(tmp_path, monkeypatch):
-    read, write = os.pipe()
-    with os.fdopen(read) as reader, os.fdopen(write, "w") as writer:
-        monkeypatch.setattr(sys, "stdin", reader)
-        frames = simulate_frames(live_scene(tmp_path))
-        for step in range(5):
-            writer.write(line(step, "own", "a"))
-            writer.flush()
-            assert [next(frames).step, next(frames).step] == [step, step]  # hangs if it reads ahead
-        writer.close()
-        assert next(frames, None) is None
 
 
 def test_what_has_come_can_be_simulated_again_and_a_stream_without_a_line_is_an_error(tmp_path, stdin):

@@ -41,12 +41,15 @@ cli.main()
 """
 
 
+def started(command, **environment):
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, **pipes, env={**os.environ, **environment})
+
+
 def test_worker_that_dies_fails_the_run_with_one_error_and_loses_no_finished_block(tmp_path, monkeypatch):
     command = [sys.executable, "-c", STALLING_WORKER, "run", "simulation_2", "--no-sheet", "--steps", "55"]
-    command += ["--workers", "2", "--out", str(tmp_path / "run")]
     single = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    running = subprocess.Popen(command, **pipes, text=True, env={**os.environ, **single})
+    running = started([*command, "--workers", "2", "--out", tmp_path / "run"], **single)
     parts = tmp_path / "run" / "unfinished"
     wait_for(lambda: list(parts.glob("truth_*.npz")), running)
     (worker,) = Path(f"/proc/{running.pid}/task/{running.pid}/children").read_text().split()
@@ -85,10 +88,8 @@ def test_workers_without_a_renderer_say_what_one_process_says(prepared, tmp_path
 def test_interrupted_command_says_how_to_go_on(prepared, tmp_path):
     # A scene of many blocks, so that it cannot be done before this process has seen the first of them.
     command = [prepared, "run", "simulation_2", "--no-sheet", "--set", "annotation.render=full"]
-    command += ["--out", tmp_path / "run"]
     (tmp_path / "first.py").write_text(SHORT_BLOCKS)
-    environment = {**os.environ, "FIRST": str(tmp_path / "first.py")}
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    running = started([*command, "--out", tmp_path / "run"], FIRST=str(tmp_path / "first.py"))
     wait_for(lambda: list((tmp_path / "run" / "unfinished").glob("truth_*.npz")), running)
     running.send_signal(signal.SIGINT)
     try:
@@ -109,9 +110,8 @@ def test_script_without_a_main_guard_runs_once(tmp_path):
     # As a user has it: with the threads of the libraries, so that workers cannot be copies of the process.
     single = ("OPENBLAS_NUM_THREADS", "JE_ARROW_MALLOC_CONF")
     environment = {name: value for name, value in os.environ.items() if name not in single}
-    done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, timeout=60, check=False, env=environment
-    )
+    how = {"capture_output": True, "text": True, "timeout": 60, "env": environment}
+    done = subprocess.run([sys.executable, script], check=False, **how)
     assert (done.returncode, done.stdout) == (0, "begins\n"), done.stderr
     assert (tmp_path / "run" / "run.json").exists()
 

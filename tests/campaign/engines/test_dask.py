@@ -66,15 +66,12 @@ def test_a_run_ending_its_process_has_crashed(campaigns: Campaigns, doomed: Path
     assert "1 worker (SIGKILL 1×); runs under way: 2 (" in str(killed_sentence(result.folder))
 
 
-def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_scheduler_is_told_and_a_task_whose_workers_were_lost_too_often_is_tried_again(monkeypatch) -> None:
+    from distributed import KilledWorker
+
     monkeypatch.setattr("modsim3d.campaign.dask.CONNECT_S", 0.2)
     with pytest.raises(ModsimError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1"):
         DaskEngine(f"tcp://127.0.0.1:{free_port()}")
-
-
-def test_a_task_whose_workers_were_lost_too_often_is_tried_again() -> None:
-    from distributed import KilledWorker
-
     _raise_unless_killed(KilledWorker("task", None, 3))
     with pytest.raises(ModsimError, match="a Dask worker cannot do a task: MemoryError: too large"):
         _raise_unless_killed(MemoryError("too large"))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.folder import killed_sentence
+from modsim3d.campaign.folder import killed_sentence, opened_campaign
 from modsim3d.campaign.report.campaign_page import cautions
 from modsim3d.campaign.workers import ProcessPool, ThisProcess
 from modsim3d.core.document import Text
@@ -32,17 +32,12 @@ def test_a_run_that_ends_its_process_has_crashed_and_one_that_is_killed_is_tried
     assert campaigns.run("mortal", ThisProcess, out).table.equals(result.table)
 
 
-def test_only_a_kill_is_told_and_it_changes_no_byte(campaigns: Campaigns, doomed: Path, out: Path) -> None:
-    killed, undisturbed = (campaigns.run("killed", lambda: ProcessPool(1), out / name).folder for name in "ab")
-    assert content(killed.path) == content(undisturbed.path)
-    assert killed_sentence(killed) is not None and killed_sentence(undisturbed) is None
-
-
 def test_a_worker_that_is_lost_without_a_word_is_noted_with_its_runs(campaigns: Campaigns, out: Path) -> None:
     first_two = iter([True, True])
     result = campaigns.run("plain", lambda: Losing(lambda task: next(first_two, False)), out)
     assert content(out) == campaigns.reference
     assert "2 workers (its Dask worker was lost 2×); runs under way: 0, 1, " in str(killed_sentence(result.folder))
+    assert killed_sentence(opened_campaign(campaigns.folder / "reference")) is None
 
 
 @pytest.mark.parametrize(("name", "said"), [
