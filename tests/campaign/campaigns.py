@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
+from random import Random
 from types import ModuleType
 from typing import Any
 
@@ -65,6 +66,18 @@ def interrupt(*_: object, **__: object) -> None:
 
 def no_engine(*_: object) -> Engine:
     raise AssertionError("there is nothing to do")
+
+
+class Shuffled(ThisProcess):
+    """Does tasks in another order than they come in, as many workers do."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.width, self._chance = width, Random(width)
+
+    def next(self) -> tuple[Task, TaskReport | Death]:
+        self._chance.shuffle(self._waiting)
+        return super().next()
 
 
 class Losing(ThisProcess):

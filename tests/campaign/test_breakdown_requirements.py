@@ -86,13 +86,10 @@ def test_no_mean_of_a_part_of_the_runs_is_met_by_what_was_measured_of_whole_runs
 @pytest.mark.usefixtures("in_this_process")
 def test_the_terminal_and_the_page_name_the_part_and_a_mean_has_one_interval(modsim3d, tmp_path, monkeypatch):
     monkeypatch.setattr("modsim3d.campaign.report.campaign_page.WORST", 1)  # drawing them is most of the time
-    require = [
-        {"score": "recall", "at_least": 0.1, "where": {"range": ["100 to 200", "400 to 800"]}},
-        {"score": "hota", "at_least": 0.1, "where": {"state": ["excellent", "terrible"]}},
-    ]
+    recall = {"score": "recall", "at_least": 0.1, "where": {"range": ["100 to 200", "400 to 800"]}}
+    require = [recall, {"score": "hota", "at_least": 0.1, "where": {"state": ["excellent", "terrible"]}}]
     keys = {"scene": "harbour", "steps": 20, "seeds": {"traffic": 2}, "trackers": ["reference"]}
-    file = campaign_file(tmp_path, **keys, require=require)
-    said = modsim3d("campaign", "run", file, "--out", tmp_path / "out")
+    said = modsim3d("campaign", "run", campaign_file(tmp_path, **keys, require=require), "--out", tmp_path / "out")
     assert said.status in (1, 3), said.err
     _, _, means = said.out.partition("Means")
     assert "those of the requirements, above" in " ".join(means.split())

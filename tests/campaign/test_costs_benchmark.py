@@ -14,8 +14,7 @@ MORE = Coordinated(100_000, 5_000, 5 * 10**7, 40.0, 5.0, 7 * 10**8, 5 * 10**7, 2
 
 def test_the_timed_campaign_has_1000_runs_of_300_steps_and_a_fifth_of_them_are_run_twice() -> None:
     plan = Plan.of(read_campaign(CAMPAIGN).keys)
-    assert (len(plan), plan.keys.steps) == (1000, 300)
-    assert FULL.pair_seeds * plan.runs_by_seed == 200
+    assert (len(plan), plan.keys.steps) == (1000, 300) and FULL.pair_seeds * plan.runs_by_seed == 200
 
 
 def test_a_million_runs_are_worked_out_from_a_run_and_a_task() -> None:

@@ -16,11 +16,10 @@ from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, Bi
 from modsim3d.campaign.work.layers import Blocks, RunLayers, TruthLayer, detected
 from modsim3d.campaign.work.row import column_type, row_of, rules_of
 from modsim3d.runs.pipeline import truth_block
-from tests.scenes import crossing, write_scene
+from tests.scenes import camera_keys, crossing, write_scene
 
-ANALYTIC = {"annotation": {"mode": 2, "source": "analytic"}}
-LENS = {"focal_length_m": 0.01, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [400, 300]}
-ON_BOARD = {"bow": {**LENS, "image_size_px": [800, 600], "mount": {"vessel": "own", "position_m": [4, 0, 6]}}}
+KEYS = {"annotation": {"mode": 2, "source": "analytic"}}
+KEYS |= {"cameras": {"bow": camera_keys(mount={"vessel": "own", "position_m": [4, 0, 6]})}}
 BOAT = [10, 4, 3]
 
 
@@ -46,18 +45,33 @@ def own_ship(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "far": (BOAT, [[0, 260, 2200], [100, 240, 2200]]),
         "leaving": (BOAT, [[0, -20, -90], [100, -400, -90]]),
     }
-    return write_scene(tmp_path_factory.mktemp("own_ship"), boats, 101, cameras=ON_BOARD, **ANALYTIC)
+    return write_scene(tmp_path_factory.mktemp("own_ship"), boats, 101, **KEYS)
 
 
-def test_each_kind_of_encounter_is_counted_once_if_the_run_reaches_it(own_ship: Path) -> None:
-    found = coverage_of(rows_of(own_ship))
+def test_each_encounter_is_counted_once_and_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship):
+    rows = rows_of(own_ship)
+    found, visible = coverage_of(rows), rows.numbers("visible_px") > 0
     assert {name: found[name] for name in KINDS.values()} == dict.fromkeys(KINDS.values(), 1)
     assert found["met.seen"] == 4  # the one that overtakes comes up behind the camera
     assert found["covered.closest_approach_m"] == pytest.approx(30.0)
     for name, value in found.items():  # counts are whole numbers, and measures are not
         assert column_type(name) == (pa.int64() if isinstance(value, int) else pa.float64()), name
     short = coverage_of(rows_of(own_ship, 20))
-    assert sum(short[name] for name in KINDS.values()) == 0
+    assert sum(short[name] for name in KINDS.values()) == 0  # the run does not reach them
+    boxes, poses = rows.annotated_boxes_px, rows.scene.poses.poses(0, rows.steps)
+    ranges_m, sizes_px = [], []
+    for row in np.flatnonzero(visible).tolist():
+        step, vessel = int(rows.truth_frame[row]), int(rows.truth_vessel[row])
+        camera_m = poses.positions_m[step, 0, :2] + np.array([4.0, 0.0])
+        ranges_m.append(float(np.hypot(*(poses.positions_m[step, vessel, :2] - camera_m))))
+        sizes_px.append(float(np.sqrt(np.prod(boxes[row, 2:] - boxes[row, :2]))))
+    assert len(ranges_m) > 100
+    for bins, values, name in ((RANGES, ranges_m, "range_m"), (SIZES, sizes_px, "size_px")):
+        assert [found[each] for each in bins.names] == np.histogram(values, [0, *bins.edges, np.inf])[0].tolist()
+        ends = found[f"covered.least_{name}"], found[f"covered.most_{name}"]
+        assert ends == pytest.approx((min(values), max(values)))
+    assert found["covered.vessels_at_once"] == max(np.bincount(rows.truth_frame[visible]))
+    assert found["covered.vessels.Vessel"] == len(set(rows.truth_vessel[visible].tolist()))
 
 
 def test_drawn_traffic_meets_own_ship_as_it_was_asked_to() -> None:
@@ -70,26 +84,6 @@ def test_drawn_traffic_meets_own_ship_as_it_was_asked_to() -> None:
     assert len(asked) >= 4 and all(found[name] >= 1 for name in asked)
 
 
-def test_ranges_and_sizes_are_those_of_a_loop_over_the_visible_rows(own_ship: Path) -> None:
-    rows = rows_of(own_ship)
-    found, visible = coverage_of(rows), rows.numbers("visible_px") > 0
-    boxes, poses = rows.annotated_boxes_px, rows.scene.poses.poses(0, rows.steps)
-    ranges_m, sizes_px = [], []
-    for row in np.flatnonzero(visible).tolist():
-        step, vessel = int(rows.truth_frame[row]), int(rows.truth_vessel[row])
-        camera_m = poses.positions_m[step, 0, :2] + np.array([4.0, 0.0])
-        ranges_m.append(float(np.hypot(*(poses.positions_m[step, vessel, :2] - camera_m))))
-        sizes_px.append(float(np.sqrt(np.prod(boxes[row, 2:] - boxes[row, :2]))))
-    assert len(ranges_m) > 100
-    for bins, values, name in ((RANGES, ranges_m, "range_m"), (SIZES, sizes_px, "size_px")):
-        counts = np.histogram(values, [0, *bins.edges, np.inf])[0]
-        assert [found[each] for each in bins.names] == counts.tolist()
-        ends = found[f"covered.least_{name}"], found[f"covered.most_{name}"]
-        assert ends == pytest.approx((min(values), max(values)))
-    assert found["covered.vessels_at_once"] == max(np.bincount(rows.truth_frame[visible]))
-    assert found["covered.vessels.Vessel"] == len(set(rows.truth_vessel[visible].tolist()))
-
-
 def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidden_rows(tmp_path: Path) -> None:
     keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
     with closing(RunLayers(keys, tmp_path, tmp_path / "cache")) as layers:
@@ -99,10 +93,7 @@ def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidde
     shown, in_view = made.rows.numbers("visible_px") > 0, made.rows.numbers("silhouette_px") > 0
     assert sum(row[name] for name in RANGES.names) == np.count_nonzero(shown) < len(shown)
     assert row["covered.hidden_s"] == np.count_nonzero(in_view & ~shown) > 0  # a frame a second
-
-
-def test_cameras_ashore_meet_nobody_and_say_so_by_no_column(tmp_path: Path) -> None:
-    found = coverage_of(rows_of(crossing(tmp_path), **{"annotation.source": "analytic"}))
+    found = coverage_of(made.rows)  # a camera ashore meets nobody, and says so by no column
     assert not [name for name in found if name.startswith("met.") or name == "covered.closest_approach_m"]
     assert found["covered.wave_height_m"] == found["covered.camera_roll_rad"] == 0
 

@@ -44,13 +44,11 @@ def test_a_truth_is_counted_once_however_many_runs_are_over_it_and_what_is_empty
     assert lines["200 to 500 m"] == [f"{frames:,}", "6", "1"]
     assert lines["Vessel"] == [f"{table['covered.vessels.Vessel'][0].as_py()}", "6", "1"]
     assert lines["excellent"] == [f"{3 * 20}", "6", "3"]  # the states are drawn by each of three detector seeds
-    assert lines["5000 m and more"] == ["–", "–", "–"]
-    assert re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
+    assert lines["5000 m and more"] == ["–", "–", "–"] and re.search(r"<li>Range: [^<]*5000 m and more</li>", page)
     assert re.search(r"<li>Sea: [^<]*moderate \(1.25 to 2.5 m\)", page)
     assert re.search(rf"<li>{RATE}: no draw from ", page)
     assert "there is no own ship that could meet another" in page and "no claim is made about it" in page
-    assert "lost_s 9" in lines["patient"][2] and "lost_s 9" not in lines["sort"][2]
-    assert lines["sort"][-1] == "all"
+    assert "lost_s 9" in lines["patient"][2] and "lost_s 9" not in lines["sort"][2] and lines["sort"][-1] == "all"
 
 
 def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
@@ -59,8 +57,7 @@ def test_runs_that_crashed_cover_nothing(result: CampaignResult) -> None:
         return html_of_blocks(coverage_sections(result.folder, table))
 
     one = page("crashed", *["done"] * 5)
-    assert "5 of 6 runs are done" in one and "1 more crashed" in one
-    assert lines_of(one)["200 to 500 m"][1] == "5"
+    assert "5 of 6 runs are done" in one and "1 more crashed" in one and lines_of(one)["200 to 500 m"][1] == "5"
     assert "0 of 6 runs are done" in page(*["crashed"] * 6)
 
 
@@ -73,8 +70,7 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
     assert "1. hota &lt; 1 &amp; more" in page and facts["sha256"] in page
     assert condition["truth_sha256"][:16] in page and condition["detector_sha256"][:16] in page
     versions = {**facts["versions"], **condition["trackers"]["sort"]["versions"]}
-    assert "trackers" in versions
-    assert all(lines_of(page)[name] == [version] for name, version in versions.items())
+    assert "trackers" in versions and all(lines_of(page)[name] == [version] for name, version in versions.items())
     assert f"modsim3d campaign reproduce {result.folder.path} 0 --out run_0" in page
     assert f"modsim3d campaign run {result.folder.path}/campaign.yaml --out campaign_again" in page
     assert f"{RATE} differ from seed to seed" in page
@@ -83,8 +79,7 @@ def test_a_verdict_is_traced_to_its_runs_seeds_checksums_and_commands(result: Ca
 def test_a_trace_shows_the_first_of_very_many_verdicts_and_may_have_none(result: CampaignResult) -> None:
     verdicts = [Verdict(place, "hota", "sort", 0, "met", "", 0.95, 0.5, 0.4, 0.6, 3) for place in range(300)]
     page = html_of_blocks(trace_sections(result.folder, result.table, verdicts))
-    assert "200. hota" in page and "201. hota" not in page
-    assert "100 more are in verdicts.json." in page
+    assert "200. hota" in page and "201. hota" not in page and "100 more are in verdicts.json." in page
     nothing = result.table.slice(0, 0)
     page = html_of_blocks(trace_sections(result.folder, nothing, []))
     assert "no requirements" in page and "campaign reproduce" in page

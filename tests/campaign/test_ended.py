@@ -32,8 +32,7 @@ def replaced(path: Path, old: str, new: str) -> None:
 
 def other_scores(path: Path) -> None:
     table = pq.read_table(path, partitioning=None)
-    place = table.column_names.index("hota")
-    pq.write_table(table.set_column(place, "hota", [[0.99] * len(table)]), path)
+    pq.write_table(table.set_column(table.column_names.index("hota"), "hota", [[0.99] * len(table)]), path)
 
 
 CHANGES: dict[str, Callable[[Path], object]] = {

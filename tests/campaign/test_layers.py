@@ -18,9 +18,6 @@ from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.record import Truth
 from tests.campaign.campaigns import count_calls, run_campaign_file
 
-Made = Counter[str]
-ALL = "truth detections tracks"
-
 
 def run(folder: Path, name: str, trackers: str, keep: str = "", cache: Path | None = None) -> CampaignResult:
     keys = {"scene": "harbour", "steps": 15, "seeds": {"traffic": 1, "detector": 2}}
@@ -34,7 +31,7 @@ def bytes_of(result: CampaignResult) -> list[bytes]:
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
     """A campaign that has kept all layers."""
-    return run(tmp_path_factory.mktemp("layers"), "kept", "reference sort", ALL)
+    return run(tmp_path_factory.mktemp("layers"), "kept", "reference sort", "truth detections tracks")
 
 
 @pytest.fixture
@@ -44,19 +41,17 @@ def cache(kept: CampaignResult, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> Made:
+def made(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     """How often each layer is made."""
-    names = {"truth_block": "truth", "detected": "detections", "tracked": "tracks"}
-    return count_calls(monkeypatch, layers, names)
+    return count_calls(monkeypatch, layers, {"truth_block": "truth", "detected": "detections", "tracked": "tracks"})
 
 
-def test_a_second_campaign_makes_tracks_only(kept: CampaignResult, cache: Path, made: Made, tmp_path: Path) -> None:
+def test_a_second_campaign_makes_tracks_only(kept, cache, made, tmp_path):
     with_cache = run(tmp_path, "with", "ocsort sort", cache=cache)
     assert made == {"tracks": 2}  # those of ocsort
     without = run(tmp_path, "without", "ocsort sort")
     assert made["truth"] == 1 and made["detections"] == 2
-    assert with_cache.table.equals(without.table)
-    assert bytes_of(with_cache) == bytes_of(without)
+    assert with_cache.table.equals(without.table) and bytes_of(with_cache) == bytes_of(without)
     tables = (each.table.select(["tracker", "hota"]).to_pylist() for each in (kept, without))
     sort, again = ([row["hota"] for row in table if row["tracker"] == "sort"] for table in tables)
     assert sort == again
@@ -76,24 +71,21 @@ def test_a_layer_that_cannot_be_kept_ends_the_campaign_and_crashes_no_run(tmp_pa
 
 
 @pytest.mark.parametrize("layer", ["truth", "detections", "tracks"])
-def test_a_damaged_layer_is_remade(kept: CampaignResult, cache: Path, made: Made, tmp_path: Path, layer: str) -> None:
+def test_a_damaged_layer_is_remade(kept, cache, made, tmp_path, layer):
     first, second, *_ = sorted((cache / layer).rglob("*.parquet")) * 2
     content = bytearray(first.read_bytes())
     content[len(content) // 3] ^= 0xFF  # in a page: the file still opens
     first.write_bytes(content)
     second.write_bytes(second.read_bytes()[:40])
-    assert run(tmp_path, "again", "reference sort", layer, cache).table.equals(kept.table)
-    assert set(made) == {layer}
+    assert run(tmp_path, "again", "reference sort", layer, cache).table.equals(kept.table) and set(made) == {layer}
     made.clear()
-    assert run(tmp_path, "repaired", "reference sort", cache=cache).table.equals(kept.table)
-    assert not made
+    assert run(tmp_path, "repaired", "reference sort", cache=cache).table.equals(kept.table) and not made
 
 
-def test_a_layer_of_another_run_is_not_taken(cache: Path, made: Made, kept: CampaignResult, tmp_path: Path) -> None:
+def test_a_layer_of_another_run_is_not_taken(cache, made, kept, tmp_path):
     one, other, *_ = sorted(path.parent for path in (cache / "tracks").rglob("tracks.parquet"))
     shutil.copy(one / "tracks.parquet", other / "tracks.parquet")
-    assert run(tmp_path, "again", "reference sort", cache=cache).table.equals(kept.table)
-    assert made == {"tracks": 1}
+    assert run(tmp_path, "again", "reference sort", cache=cache).table.equals(kept.table) and made == {"tracks": 1}
 
 
 def test_many_may_write_the_same_layer_at_once(tmp_path: Path) -> None:

@@ -40,8 +40,7 @@ def test_runs_are_in_order_and_all_that_is_compared_meets_the_same_seeds_and_no_
     for run in runs:
         by_place.setdefault((run.condition_index, run.tracker.label), []).append((run.traffic_seed, run.detector_seed))
     assert len({tuple(seeds) for seeds in by_place.values()}) == 1
-    assert len({run.traffic_seed for run in runs}) == 4
-    assert len({run.detector_seed for run in runs}) == 12
+    assert len({run.traffic_seed for run in runs}) == 4 and len({run.detector_seed for run in runs}) == 12
     others = plan_of(seed=8, seeds={"traffic": 4}).runs(range(8))
     assert {run.traffic_seed for run in others}.isdisjoint(run.traffic_seed for run in runs)
 
@@ -67,12 +66,10 @@ def test_a_latin_hypercube_has_one_point_in_each_layer_of_each_key() -> None:
 
 @given(share=st.floats(0, 1, exclude_max=True), low=st.integers(-5, 5), width=st.integers(1, 9))
 def test_drawn_values_stay_in_their_range(share: float, low: int, width: int) -> None:
-    whole = Range(low=float(low), high=float(low + width), whole=True)
-    value = value_at(whole, share)
+    value = value_at(Range(low=float(low), high=float(low + width), whole=True), share)
     assert isinstance(value, int) and low <= value <= low + width
     assert low <= value_at(Range(low=float(low), high=float(low + width)), share) <= low + width
-    decade = Range(low=0.1, high=10.0, scale="log")
-    assert 0.1 <= value_at(decade, share) <= 10
+    assert 0.1 <= value_at(Range(low=0.1, high=10.0, scale="log"), share) <= 10
     assert value_at(Range(choices=["a", "b"]), share) == ("a" if share < 0.5 else "b")
 
 

@@ -22,19 +22,12 @@ def one(requirement, expected=None, **keys):
     return found
 
 
-def test_a_share_needs_its_clean_seeds_and_more_if_one_is_wrong():
-    once, sequential = one(CLEAN), one(CLEAN, stop="sequential")
-    assert (once.seeds, sequential.seeds) == (299, 680)
-    assert "473 if one is not" in once.why
-
-
 @pytest.mark.parametrize(("requirement", "sign"), [
     ({"score": "hota", "at_least": 0.63}, 1), ({"score": "hota", "at_most": 0.77}, -1),
 ])  # fmt: skip
 def test_a_mean_needs_the_least_seeds_with_which_its_bound_is_beyond_the_threshold_in_four_of_five(requirement, sign):
     seeds = one(requirement, {"hota": Expected(0.7, 0.1)}).seeds
-    rng = np.random.default_rng(5)
-    limits = {1: 1.0, -1: 0.0}
+    rng, limits = np.random.default_rng(5), {1: 1.0, -1: 0.0}
 
     def met(count):
         values = sign * rng.normal(0.7, 0.1, (4_000, count))
@@ -45,12 +38,13 @@ def test_a_mean_needs_the_least_seeds_with_which_its_bound_is_beyond_the_thresho
     assert 15 <= seeds <= 25
 
 
-def test_a_mean_on_the_wrong_side_never_and_without_a_spread_it_is_said_what_is_missing(monkeypatch):
+def test_a_share_needs_its_clean_seeds_and_a_mean_its_spread_or_is_never_met_on_the_wrong_side(monkeypatch):
+    once, sequential = one(CLEAN), one(CLEAN, stop="sequential")
+    assert (once.seeds, sequential.seeds) == (299, 680) and "473 if one is not" in once.why
     never, unknown = one(HOTA, {"hota": Expected(0.6, 0.1)}), one(HOTA)
     assert never.seeds is None and never.why.startswith("never: the expected mean, 0.6, is not above")
     assert unknown.seeds is None and "--expect 'hota=MEAN:SPREAD'" in unknown.why and "--like DIR" in unknown.why
-    sequential = one(HOTA, {"hota": Expected(0.7, 0.1)}, stop="sequential")
-    assert 20 <= sequential.seeds <= 50  # with a bound of its own
+    assert 20 <= one(HOTA, {"hota": Expected(0.7, 0.1)}, stop="sequential").seeds <= 50  # with a bound of its own
     monkeypatch.setattr("modsim3d.campaign.verdicts.wording.offered_from", lambda *_: 30)
     assert one(HOTA, {"hota": Expected(0.9, 0.01)}).seeds == 30  # the least seeds of offers count
 

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -63,16 +64,13 @@ def sentence(*outcomes):
     return verdict_sentence(plan, [verdict(place, outcome) for place, outcome in enumerate(outcomes)])
 
 
-def test_the_first_sentence_counts_requirements():
+def test_the_first_sentence_counts_requirements_of_which_one_that_failed_in_one_condition_has_failed():
     assert sentence("met", "met") == "✓ All 2 requirements are met, at 95 % confidence each."
     each = "✗ Not met: of 3 requirements 1 failed, 1 is undecided and 1 is met, at 95 % confidence each."
     assert sentence("met", "failed", "undecided") == each
     assert sentence("undecided") == "? Not decided: the requirement is undecided, at 95 % confidence each."
     assert sentence("failed", "failed").startswith("✗ Not met: all 2 requirements failed, at")
     assert "no requirements" in sentence()
-
-
-def test_a_requirement_that_failed_in_one_condition_has_failed():
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5}])
     found = [verdict(0, "met"), verdict(0, "failed", condition=1, why="Too low <here>.", crashed=1)]
     assert verdict_sentence(plan, found).startswith("✗ Not met")
@@ -88,8 +86,7 @@ def noted(*rows):
 
 def test_a_row_says_only_what_its_interval_does_not():
     below = {"estimate": 0.4, "low": 0.3, "high": 0.45}
-    assert noted(below) == 0
-    assert noted(below | {"low": None, "high": None}) == 1
+    assert noted(below) == 0 and noted(below | {"low": None, "high": None}) == 1
     assert noted(below | {"undefined": 2}) == 1
     assert noted(below | {"high": 0.49996}) == 1  # printed as 0.500, the threshold
     plan = plan_of(2, require=[{"score": "hota", "at_least": 0.5, "in": 0.95}])
@@ -117,8 +114,7 @@ def test_keys_that_are_set_for_all_runs_are_named():
 
 
 def test_an_unfinished_campaign_says_so_first(campaign, tmp_path):
-    other = CampaignFolder(tmp_path, campaign.facts, campaign.plan)
-    page = campaign_page(other, table_of([]), [])
+    page = campaign_page(CampaignFolder(tmp_path, campaign.facts, campaign.plan), table_of([]), [])
     assert '<p class="lead">Not finished: 0 of 4 runs are done, and nothing on this page is a verdict.</p>' in page
 
 
@@ -160,8 +156,7 @@ def test_a_mean_and_its_interval_are_over_traffic_seeds_and_one_value_gives_no_i
 def test_a_crashed_run_is_in_no_mean_and_is_counted_and_means_of_a_sequential_campaign_prove_nothing():
     plan, sequential = plan_of(3), plan_of(3, stop="sequential")
     crashed = {1, 3}  # both detector seeds of the first seed, condition 0, bytetrack
-    found = over_seeds(seed_cells(plan, table_for(plan, crashed), "hota"))
-    assert found.seeds[0].tolist() == [3, 2]
+    assert over_seeds(seed_cells(plan, table_for(plan, crashed), "hota")).seeds[0].tolist() == [3, 2]
     assert "crashed runs" in html_of_blocks(mean_sections(plan, table_for(plan, crashed)))
     once, in_sequence = (html_of_blocks(mean_sections(each, table_for(each))) for each in (plan, sequential))
     assert "crashed runs" not in once and "these intervals describe and prove nothing" not in once
@@ -207,12 +202,10 @@ def test_each_cell_of_a_heat_map_has_its_number():
     table = table_for(plan)
     html = html_of_blocks(sections(plan, table)).partition("Two at a time")[2]
     shown, rows = re.findall(r'<td class="number"[^>]* style="[^"]*">([\d.]+)', html), table.to_pylist()
-    wanted = [
-        np.mean([r["hota"] for r in rows if (r["condition"], r["tracker"]) == (condition, tracker)])
-        for tracker in ("sort", "bytetrack")
-        for condition in range(6)
-    ]
-    assert [float(text) for text in shown] == pytest.approx(wanted, abs=6e-4)
+    assert len(shown) == 2 * 6
+    for text, cell in zip(shown, product(("sort", "bytetrack"), range(6)), strict=True):
+        wanted = np.mean([row["hota"] for row in rows if (row["tracker"], row["condition"]) == cell])
+        assert float(text) == pytest.approx(wanted, abs=6e-4), cell
 
 
 def test_a_mean_on_the_threshold_stands_on_the_dashed_line_and_an_interval_has_the_decimals_of_its_mean():

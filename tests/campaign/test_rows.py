@@ -26,8 +26,7 @@ KEYS: dict[str, Any] = {
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """The rows of a campaign, and how often each layer was made for them."""
     with pytest.MonkeyPatch.context() as patch:
-        names = {"truth_block": "truth", "Simulation": "detections", "tracked": "tracks"}
-        counts = count_calls(patch, layers, names)
+        counts = count_calls(patch, layers, {"truth_block": "truth", "Simulation": "detections", "tracked": "tracks"})
         return run_campaign_file(tmp_path_factory.mktemp("rows"), **KEYS).table.to_pylist(), counts
 
 
@@ -59,5 +58,4 @@ def test_every_run_has_a_row_and_layers_are_made_once_for_the_runs_that_have_the
 
 def test_one_truth_serves_all_seeds_where_it_does_not_depend_on_them(tmp_path: Path) -> None:
     table = run_campaign_file(tmp_path, **{**KEYS, "steps": 3, "vary": []}).table
-    counts = [len(table[name].unique()) for name in ("traffic_seed", "truth_key", "detections_key")]
-    assert counts == [2, 1, 4]
+    assert [len(table[name].unique()) for name in ("traffic_seed", "truth_key", "detections_key")] == [2, 1, 4]

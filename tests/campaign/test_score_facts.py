@@ -19,12 +19,11 @@ from tests.tracking.hand_made import Seen, Tracked, box, hand_made
 
 KEYS, CASE, STEPS = ScoreKeys(), Case(0, 0), 8
 MANAGED = [name for name in SCORES if facts_of(name).managed]
-OF_FAULTS = [name for name in SCORES if facts_of(name).of_faults]
+
 NEAR, HARD = [box(10 + k, 10, 40, 40) for k in range(STEPS)], [box(200 + k, 100) for k in range(STEPS)]
-HIDDEN = {3: 0.2, 4: 0.0}
-"""Visible fractions of the hard vessel; it is wholly visible otherwise."""
+
 TRUTH = [(k, 0, NEAR[k]) for k in range(STEPS)]
-TRUTH += [Seen(k, 1, HARD[k], HIDDEN.get(k, 1.0)) for k in range(STEPS)]
+TRUTH += [Seen(k, 1, HARD[k], {3: 0.2, 4: 0.0}.get(k, 1.0)) for k in range(STEPS)]  # which is hidden for two steps
 SURE = ((4.0, 0.0), (0.0, 4.0))
 
 
@@ -33,7 +32,6 @@ def track(number, boxes, frames=range(STEPS)):
 
 
 EASIEST, PERFECT = track(7, NEAR), [*track(7, NEAR), *track(8, HARD)]
-TRACKERS = {"empty": [], "one frame": track(7, NEAR, [2]), "easiest vessel": EASIEST, "perfect": PERFECT}
 
 
 def runs_of(truth, tracks, score, resting_on=None):
@@ -51,8 +49,7 @@ def scored(truth, tracks):
 def test_without_tracks_a_score_has_its_value_or_it_is_the_trackers_fault(score):
     runs, column = runs_of(TRUTH, [], score)
     value, known = float(runs.values[0, 0]), without_tracks(score, KEYS, column)
-    assert bool(runs.nothing.all()) == facts_of(score).managed
-    assert math.isnan(value) == facts_of(score).managed
+    assert bool(runs.nothing.all()) == math.isnan(value) == facts_of(score).managed
     if facts_of(score).without_tracks is not None:
         assert value == facts_of(score).without_tracks
     if known is not None:
@@ -65,8 +62,7 @@ def test_without_tracks_a_score_has_its_value_or_it_is_the_trackers_fault(score)
 @pytest.mark.parametrize("score", SCORES)
 def test_without_vessels_no_score_is_the_trackers_fault(score, tracks):
     runs, _ = runs_of([], tracks, score)
-    assert not runs.nothing.any()
-    assert runs.undefined.all() == np.isnan(runs.values).all()
+    assert not runs.nothing.any() and runs.undefined.all() == np.isnan(runs.values).all()
 
 
 @pytest.mark.parametrize("score", SCORES)
@@ -74,7 +70,7 @@ def test_a_perfect_tracker_is_never_at_fault_and_rests_on_everything(score):
     runs, _ = runs_of(TRUTH, PERFECT, score, resting_on=1)
     least, greatest = score_bounds(score, KEYS)
     assert not runs.nothing.any() and runs.rests_on == 1
-    assert bool(runs.undefined.all()) == (score in OF_FAULTS)  # nothing went wrong
+    assert bool(runs.undefined.all()) == facts_of(score).of_faults  # nothing went wrong
     assert runs.undefined.all() or least <= runs.values[0, 0] <= greatest
 
 
@@ -86,12 +82,12 @@ def test_an_occlusion_that_no_tracker_could_survive_is_nobodys_fault(hidden):
     assert runs.undefined.all() and not runs.nothing.any()
 
 
-@pytest.mark.parametrize("name", ["one frame", "easiest vessel"])
+@pytest.mark.parametrize("tracks", [track(7, NEAR, [2]), EASIEST], ids=["one frame", "easiest vessel"])
 @pytest.mark.parametrize("score", SCORES)
-def test_a_tracker_that_gives_up_rests_on_a_share_and_is_at_fault_where_more_is_asked_for(score, name):
-    runs, _ = runs_of(TRUTH, TRACKERS[name], score)
+def test_a_tracker_that_gives_up_rests_on_a_share_and_is_at_fault_where_more_is_asked_for(score, tracks):
+    runs, _ = runs_of(TRUTH, tracks, score)
     assert runs.rests_on is not None and runs.rests_on <= 0.6
-    assert runs_of(TRUTH, TRACKERS[name], score, resting_on=0.7)[0].nothing.all()
+    assert runs_of(TRUTH, tracks, score, resting_on=0.7)[0].nothing.all()
     assert bool(runs.nothing.any()) == (score == "occlusions_survived")  # the other vessel has the one occlusion
 
 
@@ -127,8 +123,7 @@ def test_a_tracker_that_gives_nothing_in_4_of_12_seeds_meets_nothing(score, shar
     good, side = good_of(score)
     values = [None if run % 3 == 0 else good + 0.001 * run for run in range(12)]
     (verdict,) = judged(plan_of(12, [{"score": score, **side, **share}]), rows_with(score, values))
-    assert verdict.outcome != "met"
-    assert (verdict.seeds, verdict.nothing, verdict.undefined) == (12, 4, 0)
+    assert verdict.outcome != "met" and (verdict.seeds, verdict.nothing, verdict.undefined) == (12, 4, 0)
     assert "In 4 runs the tracker gave nothing" in verdict.why
     if "in" in share:
         assert verdict.estimate == pytest.approx(8 / 12)

@@ -14,10 +14,9 @@ from modsim3d.campaign.search_folder import search_table, trial_run
 from modsim3d.campaign.work import task as tasks
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import row_of, rules_of
-from modsim3d.campaign.work.task import Task, TaskReport
-from modsim3d.campaign.workers import Death, ThisProcess
+from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import InputError, ModsimError
-from tests.campaign.campaigns import Losing, checked_campaign, interrupt, no_engine
+from tests.campaign.campaigns import Losing, Shuffled, checked_campaign, interrupt, no_engine
 
 pytest.importorskip("optuna")
 RATE = "detector.states.good.false_discovery_rate"
@@ -32,16 +31,6 @@ SEARCH: dict[str, Any] = {
     "budget": 12, "batch": 4, "seeds": 3,
 }  # fmt: skip
 FILE: dict[str, Any] = {"scenes": ["harbour"], "steps": 12, "trackers": ["sort"], "search": SEARCH}
-
-
-class Backwards(ThisProcess):
-    """Does the latest task first, and wants many at once."""
-
-    width = 2
-
-    def next(self) -> tuple[Task, TaskReport | Death]:
-        self._waiting.insert(0, self._waiting.pop())
-        return super().next()
 
 
 @pytest.fixture(scope="module")
@@ -82,16 +71,15 @@ def test_a_search_that_ended_is_not_made_again_and_leaves_no_task(campaign, resu
 
 
 def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_folder(result: SearchResult) -> None:
-    worst = result.findings[0]
-    known = result.table["hota"].drop_null().to_pylist()
-    assert [each.value for each in result.findings] == sorted(known)[:5]
-    assert worst.again.startswith(f"modsim3d campaign reproduce {result.folder.path} {worst.number} --out ")
+    worst, folder = result.findings[0], result.folder
+    assert [each.value for each in result.findings] == sorted(result.table["hota"].drop_null().to_pylist())[:5]
+    assert worst.again.startswith(f"modsim3d campaign reproduce {folder.path} {worst.number} --out ")
     assert f"lowest hota {worst.value:.4g} in trial {worst.number}" in str(result) and str(result).endswith(NO_RATE)
-    run = trial_run(result.folder.path, worst.number)
-    row = row_of(run.number, remade(result.folder, run.number), rules_of(result.folder.keys.score))
+    run = trial_run(folder.path, worst.number)
+    row = row_of(run.number, remade(folder, run.number), rules_of(folder.keys.score))
     assert (row["hota"], run.condition.values) == (worst.value, worst.values)
     with pytest.raises(ModsimError, match=r"has no trial 12 \(there: 0 to 11\)"):
-        trial_run(result.folder.path, 12)
+        trial_run(folder.path, 12)
 
 
 def test_a_score_that_was_damaged_on_the_disk_is_told(result: SearchResult, tmp_path: Path) -> None:
@@ -110,7 +98,7 @@ def test_an_interrupted_search_ends_with_the_same_bytes_whichever_engine(campaig
     so_far = search_table(opened_campaign(tmp_path))
     assert so_far.equals(result.table.slice(0, 6).select(so_far.column_names))
     assert trial_run(tmp_path, 7) == trial_run(result.folder.path, 7)
-    run_search(campaign, tmp_path, Backwards)
+    run_search(campaign, tmp_path, lambda: Shuffled(2))
     parts = [folder / "search" / "part-00000.parquet" for folder in (tmp_path, result.folder.path)]
     assert parts[0].read_bytes() == parts[1].read_bytes()
 
@@ -126,8 +114,7 @@ def test_crashes_come_first_and_end_nothing(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr(tasks, "row_of", crashing)
     campaign = checked_campaign(tmp_path, **{**FILE, "search": keys})
     found = run_search(campaign, tmp_path / "out", lambda: Losing(lambda task: task.runs[0].number == 3))
-    crashes = [(each.number, each.error) for each in found.findings[:2]]
-    assert crashes == [(2, "ZeroDivisionError: no boxes"), (3, DIED)]
+    assert [(each.number, each.error) for each in found.findings[:2]] == [(2, "ZeroDivisionError: no boxes"), (3, DIED)]
     assert all(each.error is None for each in found.findings[2:]) and "2 crashed" in str(found)
 
 

@@ -39,13 +39,10 @@ def test_no_point_is_outside_of_its_range(low: float, width: float, log: bool, s
     over |= {"n": {"low": 2, "high": 4, "whole": True, "scale": scale}}
     search = search_of(over=over, budget=24, batch=12, seeds=3)
     first = proposed(search, seed, 0, [])
-    points = first + proposed(search, seed, 1, tried_of(first, lambda point: -point.places["x"]))
-    for point in points:
+    for point in first + proposed(search, seed, 1, tried_of(first, lambda point: -point.places["x"])):
         values = point.values(search.over)
-        assert low <= values["x"] <= high
-        assert values["n"] in (2, 3, 4) and isinstance(values["n"], int)
-        assert values["c"] in (None, "a", [1, 2])
-        assert point.seed_index in (0, 1, 2)
+        assert low <= values["x"] <= high and values["n"] in (2, 3, 4) and isinstance(values["n"], int)
+        assert values["c"] in (None, "a", [1, 2]) and point.seed_index in (0, 1, 2)
 
 
 def test_a_batch_follows_from_the_seed_its_number_and_the_scores_before_it_of_which_crashes_are_none() -> None:

@@ -12,13 +12,6 @@ from modsim3d.campaign.verdicts import bounds
 from modsim3d.core.statistics import exact_bounds, t_bounds
 
 ALPHA = 0.05
-MANY = 100_000
-UNIT = (0.0, 1.0)
-
-
-def test_99_percent_at_95_percent_confidence_needs_299_clean_seeds_and_473_with_one_failure():
-    assert [bounds.clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
-    assert bounds.clean_seeds_needed_sequential(0.99, 0.95) == 680
 
 
 @given(st.integers(1, 400), st.data(), st.floats(0.005, 0.5))
@@ -77,7 +70,7 @@ def test_bounds_of_a_share_exclude_what_the_capital_excludes(right, alpha):
 @pytest.mark.parametrize("stop", ["once", "sequential"])
 @pytest.mark.parametrize("clean", [True, False])
 def test_a_hundred_thousand_seeds_all_alike_give_finite_bounds(stop, clean):
-    found = bounds.share_bounds(np.full(MANY, clean), 0.95, stop)
+    found = bounds.share_bounds(np.full(100_000, clean), 0.95, stop)
     low, high = (found.low, found.high) if clean else (1 - found.high, 1 - found.low)
     assert 1 - 2e-4 < low < 1 and high == 1
 
@@ -91,16 +84,15 @@ def test_ten_thousand_values_all_alike_give_finite_bounds():
 def test_a_mean_close_to_its_greatest_value_needs_as_many_seeds_as_it_says():
     needed = bounds.perfect_seeds_needed(0.99, 0.95)
     enough, fewer = (bounds.betting_bounds(np.ones(count), ALPHA)[0] for count in (needed, needed - 1))
-    assert enough >= 0.99 > fewer
-    assert math.isinf(bounds.perfect_seeds_needed(1.0, 0.95))
+    assert enough >= 0.99 > fewer and math.isinf(bounds.perfect_seeds_needed(1.0, 0.95))
 
 
-def test_t_bounds_are_those_of_a_textbook_and_say_nothing_of_equal_values():
+def test_t_bounds_are_those_of_a_textbook_and_no_bound_says_anything_of_equal_values_or_one():
     # Student (1908): the additional hours of sleep by ten patients; two-sided 90 % as two one-sided 95 %
     hours = np.array([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
     assert t_bounds(hours, 0.05) == pytest.approx((1.169, 3.491), abs=0.001)
-    assert t_bounds(np.full(10, 0.1), 0.05) is None
-    assert t_bounds(np.array([1.0]), 0.05) is None
+    assert t_bounds(np.full(10, 0.1), 0.05) is None and t_bounds(np.array([1.0]), 0.05) is None
+    assert bounds.skewed_bounds(np.full(10, 0.1), ALPHA) == bounds.skewed_bounds(np.array([1.0]), ALPHA) == -math.inf
 
 
 LIMITS = (1.0, bounds.VARIATION), (math.inf, bounds.VARIATION), (0.0, bounds.VARIATION_FROM_ZERO)
@@ -126,24 +118,19 @@ def test_a_bound_of_skewed_values_is_the_lesser_of_halls_cubic_and_of_a_skewness
     assert float(bounds.skewed_bounds(values, alpha, greatest)) == pytest.approx(min(expected), rel=1e-5, abs=1e-5)
 
 
-def test_a_bound_of_skewed_values_errs_as_often_as_it_may_where_t_errs_twice_as_often():
+def test_a_bound_of_skewed_values_errs_as_often_as_it_may_where_t_errs_twice_as_often_and_has_no_unit():
     values = np.random.default_rng(5).gamma(2.0, 0.5, (20_000, 20))
     high = -bounds.skewed_bounds(-values, ALPHA, 0.0)
     half = stats.t.ppf(1 - ALPHA, 19) * values.std(axis=1, ddof=1) / math.sqrt(20)
     assert np.mean(values.mean(axis=1) + half <= 1) > 0.08
     assert np.mean(high <= 1) <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(values))
-
-
-def test_a_bound_of_skewed_values_says_nothing_of_equal_values_or_one_and_does_not_depend_on_the_unit():
-    assert bounds.skewed_bounds(np.full(10, 0.1), ALPHA) == bounds.skewed_bounds(np.array([1.0]), ALPHA) == -math.inf
-    values = np.array([[0.2, 0.3, 0.9], [0.5, 0.4, 0.1]])
-    large = bounds.skewed_bounds(1e6 * values, ALPHA, 1e6)
-    assert large == pytest.approx(1e6 * bounds.skewed_bounds(values, ALPHA, 1.0))
+    few = np.array([[0.2, 0.3, 0.9], [0.5, 0.4, 0.1]])
+    assert bounds.skewed_bounds(1e6 * few, ALPHA, 1e6) == pytest.approx(1e6 * bounds.skewed_bounds(few, ALPHA, 1.0))
 
 
 def test_bounds_that_contradict_each_other_stay_where_they_were_before():
     values = np.concatenate([np.ones(60), np.zeros(200)])
-    found = bounds.mean_bounds(values, values, 0.95, "sequential", UNIT)
+    found = bounds.mean_bounds(values, values, 0.95, "sequential", (0.0, 1.0))
     assert found.low <= found.high
     low, high = bounds.betting_bounds(values, ALPHA)
     assert low > high and found.low == low
@@ -160,12 +147,13 @@ def test_a_sequence_of_a_share_errs_at_most_five_percent_however_often_it_is_loo
     assert ever.mean() <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(ever))
 
 
-def test_looking_at_exact_bounds_at_299_and_at_473_errs_more_than_five_percent():
+def test_99_percent_need_299_clean_seeds_or_473_with_one_failure_and_looking_at_both_errs_more_than_five_percent():
+    assert [bounds.clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
+    assert bounds.clean_seeds_needed_sequential(0.99, 0.95) == 680
     right = campaigns(np.random.default_rng(2), 0.99, 473, 20_000)
     met = [(~right[:, :size]).sum(axis=1) <= failures for size, failures in ((299, 0), (473, 1))]
     once, twice = met[0].mean(), (met[0] | met[1]).mean()
-    assert once == pytest.approx(0.05, abs=0.005)
-    assert twice == pytest.approx(0.076, abs=0.006)
+    assert once == pytest.approx(0.05, abs=0.005) and twice == pytest.approx(0.076, abs=0.006)
 
 
 @pytest.mark.parametrize("draw", ["two-point", "beta"])

@@ -119,18 +119,14 @@ def test_a_requirement_is_judged_by_all_runs(case):
 ])  # fmt: skip
 def test_a_mean_is_judged_on_the_side_that_the_requirement_names(mean, least, most, stop):
     plan = plan_of(100, [HOTA, {"score": "hota", "at_most": 0.6}], stop=stop)
-    verdicts = judged(plan, table_of_scores(plan, "hota", around(mean, 0.05)))
-    assert [each.outcome for each in verdicts] == [least, most]
+    assert [each.outcome for each in judged(plan, table_of_scores(plan, "hota", around(mean, 0.05)))] == [least, most]
 
 
-def test_seeds_in_which_nothing_went_wrong_are_left_out_and_fail_nothing():
+def test_seeds_in_which_nothing_went_wrong_fail_nothing_and_one_with_a_run_of_nothing_is_wrong():
     plan = plan_of(4, [{"score": "mean_track_break_s", "at_most": 3, "resting_on": 0.5}])
     (verdict,) = judged(plan, table_of_runs({"appearances": 2, "established": 2 * (run > 0)} for run in range(4)))
     assert (verdict.outcome, verdict.nothing, verdict.undefined) == ("undecided", 1, 3)
     assert "nothing of that kind went wrong" in verdict.why
-
-
-def test_a_run_whose_tracker_gave_nothing_makes_its_seed_wrong_beside_one_that_is_right():
     plan = plan_of(2, [{"score": "detpr", "at_least": 0.6, "in": 0.5}], detector=2)
     (verdict,) = judged(plan, table_of_runs({"appearances": 3, "detpr": detpr} for detpr in (0.9, None, 0.9, 0.9)))
     assert (verdict.estimate, verdict.nothing, verdict.undefined, verdict.left_out) == (0.5, 1, 0, 0)
@@ -181,8 +177,7 @@ def test_rows_behind_a_missing_one_do_not_count_and_a_crashed_run_rests_on_nothi
     table = table_of_scores(plan, "id_switches", [0] * 20)
     assert judged(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))[0].seeds == 5
     values, share = np.array([[1.0], [np.nan], [2.0]]), np.array([[0.8], [np.nan], [0.4]])
-    runs = Runs(values, np.isnan(values), np.zeros((3, 1), dtype=bool), share)
-    assert runs.rests_on == pytest.approx(0.4)
+    assert Runs(values, np.isnan(values), np.zeros((3, 1), dtype=bool), share).rests_on == pytest.approx(0.4)
 
 
 def test_a_plan_that_is_too_small_is_said_so_before_it_starts():
@@ -204,8 +199,7 @@ def test_a_plan_that_is_too_small_is_said_so_before_it_starts():
     {"score": "hota", "at_least": 1}, {"score": "hota", "at_most": 0}, {"score": "hota", "at_least": 1.2, "in": 0.5},
 ])  # fmt: skip
 def test_a_mean_at_the_end_of_its_score_and_a_value_beyond_it_can_never_be_met(requirement, stop):
-    plan = plan_of(5_000, [requirement], stop=stop)
-    assert warnings_of(plan)
+    assert warnings_of(plan_of(5_000, [requirement], stop=stop))
     best = 1.0 if "at_least" in requirement else 0.0
     assert one(plan_of(50, [requirement], stop=stop), "hota", [best] * 50).outcome != "met"
 
@@ -227,8 +221,7 @@ def test_seeds_that_never_reach_a_state_are_left_out_and_the_state_is_named():
 
 
 def test_pairing_takes_off_what_both_trackers_share():
-    plan = plan_of(40, [], ("bytetrack", "sort"))
-    rng = np.random.default_rng(4)
+    plan, rng = plan_of(40, [], ("bytetrack", "sort")), np.random.default_rng(4)
     traffic, own = rng.normal(0.6, 0.05, (40, 1)), rng.normal(0, 0.01, (40, 2))
     values = traffic + own + [0.03, 0.0]
     (found,) = paired(plan, table_of_scores(plan, "hota", values), "hota")
@@ -249,16 +242,14 @@ def test_a_sequential_difference_has_an_interval_only_if_the_score_has_bounds_an
     assert unbounded.low is unbounded.high is None and unbounded.mean == pytest.approx(0.5)
     alike, values = plan_of(3, [], ("bytetrack", "sort")), np.array([[0.9, 0.8], [0.7, 0.6], [0.4, 0.3]])
     (found,) = paired(alike, table_of_scores(alike, "hota", values), "hota")
-    assert found.mean == pytest.approx(0.1)
-    assert found.low is found.high is found.variance_ratio is None
+    assert found.mean == pytest.approx(0.1) and found.low is found.high is found.variance_ratio is None
 
 
 def test_a_run_that_crashed_or_has_nothing_to_score_widens_a_paired_difference_and_does_not_drop_out():
     plan = plan_of(100, [], ("bytetrack", "sort"))
     values = np.tile([[0.7, 0.5], [0.68, 0.5]], (50, 1))
     whole, lost = (paired(plan, table_of_scores(plan, "hota", values, crashed), "hota")[0] for crashed in ((), (6,)))
-    assert (lost.crashed, lost.seeds) == (1, 99)
-    assert lost.low < whole.low and lost.high > whole.high
+    assert (lost.crashed, lost.seeds) == (1, 99) and lost.low < whole.low and lost.high > whole.high
     assa = (None if run == 7 else 0.7 + run % 4 / 100 for run in range(100))
     table = table_of_runs({"appearances": 2, "assa": each} for each in assa)
     (found,) = paired(plan_of(50, [], ("bytetrack", "sort")), table, "assa")

@@ -5,7 +5,6 @@ from modsim3d.tracking.scores.scored import Scored
 from tests.tracking.hand_made import box, hand_made
 
 STEPS = 40
-FAR = box(400, 400)
 
 
 def followed(vessel: int, x: float, lost: range = range(0), switch: int = STEPS) -> tuple[list[tuple], list[tuple]]:
@@ -33,12 +32,9 @@ def test_it_is_in_the_middle_of_the_time_in_which_a_vessel_is_lost() -> None:
     assert worst_moment_s(scored_of(lost, step_s=0.5)) == 10.5  # seconds, not steps
 
 
-def test_two_vessels_that_are_lost_together_are_worse_than_one_for_longer() -> None:
+def test_two_vessels_that_are_lost_together_are_worse_than_one_for_longer_and_one_lost_always_hides_nothing() -> None:
     together = [followed(vessel, 100 * vessel, range(30, 33)) for vessel in (1, 2)]
     assert worst_moment_s(scored_of(followed(0, 0, range(2, 6)), *together)) == 31.0
-
-
-def test_a_vessel_that_is_lost_all_the_time_does_not_hide_what_happens_to_another() -> None:
     moment_s = worst_moment_s(scored_of(followed(0, 0, range(STEPS)), followed(1, 100, range(25, 27))))
     assert moment_s is not None and 22 <= moment_s <= 28
 
@@ -62,7 +58,7 @@ def test_an_identity_switch_is_found_among_short_losses() -> None:
 def test_a_track_on_nothing_is_a_mistake_in_the_camera_that_has_it() -> None:
     truth, tracks = followed(0, 0)
     truth, tracks = [(2 * step, *row) for step, *row in truth], [(2 * step, *row) for step, *row in tracks]
-    false = [(2 * step + 1, 7, FAR) for step in range(30, 33)]
+    false = [(2 * step + 1, 7, box(400, 400)) for step in range(30, 33)]
     scored = hand_made(truth, tracks + false, STEPS, cameras=2)
     assert worst_moment_s(scored) == 31.0
     mistakes = Mistakes.of(scored)

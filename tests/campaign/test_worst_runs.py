@@ -39,8 +39,7 @@ CAMPAIGN: dict[str, Any] = {
     "score": {"similarity": "centre", "scale_px": 200},
     "require": [{"score": "hota", "at_least": 0.9}, {"score": "false_track_s", "at_most": 0}],
 }  # fmt: skip
-CRASHES = 5
-"""Number of the run that crashes."""
+CRASHES = 5  # the number of the run that crashes
 
 
 def crash(*_: object) -> None:
@@ -109,8 +108,7 @@ def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> N
     same = {"condition": 0, "traffic_seed": 0, "detector_seed": 0, "status": "done", "tracker": "sort", "worst_s": 1.0}
     scores = {"state.good.hota": [0.9, 0.5, 0.3, None], "state.bad.hota": [0.9, 0.1, 0.8, None]}
     facts = {"run": [0, 1, 2, 3], **{name: [value] * 4 for name, value in same.items()}}
-    table = pa.table({**facts, "hota": [0.1, 0.9, 0.9, 0.9], **scores})
-    worst = worst_runs(folder, table, [verdict(0, "failed")])
+    worst = worst_runs(folder, pa.table({**facts, "hota": [0.1, 0.9, 0.9, 0.9], **scores}), [verdict(0, "failed")])
     assert [each.number for each in worst] == [1, 2, 0]  # nothing is known of the last one in these states
 
 
@@ -118,8 +116,7 @@ def test_a_run_made_again_has_the_row_of_the_campaign_and_its_picture_shows_the_
     worst, rules = found(campaign)[1], rules_of(campaign.folder.keys.score)
     made = remade(campaign.folder, worst.number)
     row, stored = row_of(worst.number, made, rules), campaign.table.to_pylist()[worst.number]
-    assert {name: stored[name] for name in row} == row
-    assert row["worst_s"] == worst.moment_s is not None
+    assert {name: stored[name] for name in row} == row and row["worst_s"] == worst.moment_s is not None
     pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
     assert np.asarray(pictures[0]).shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000
     assert not np.array_equal(*map(np.asarray, pictures))
@@ -175,8 +172,7 @@ def test_an_interrupted_run_is_gone_on_with_and_another_run_or_tracker_is_refuse
     with monkeypatch.context() as patch:
         patch.setattr(RunDirectory, "finish", interrupt)
         said = again(2)
-    assert said.status == 130 and "the same command goes on" in said.err
-    assert again(2).status == 0
+    assert said.status == 130 and "the same command goes on" in said.err and again(2).status == 0
     out, (other_tracker, other_seed, other_state) = tmp_path / "again", map(again, (3, 0, 6))
     assert other_tracker.status == other_seed.status == other_state.status == 2
     assert "tracks.parquet exists: use --overwrite" in other_tracker.err
@@ -205,6 +201,5 @@ def test_a_run_that_comes_out_otherwise_names_the_versions(again: Modsim3d, monk
     monkeypatch.setattr(reproduce, "versions", lambda: {**now, "numpy": "9.9"})
     monkeypatch.setattr(reproduce, "row_of", lambda *made: {**row_of(*made), "hota": 0.5})
     said = again(0)
-    assert said.status == 1
-    assert "1 columns are not as in the campaign: hota." in said.out
+    assert said.status == 1 and "1 columns are not as in the campaign: hota." in said.out
     assert f"The campaign was made with other versions: numpy {now['numpy']} → 9.9." in said.out

@@ -15,7 +15,6 @@ from modsim3d.runs.camera_sequences import blind_at_first
 from modsim3d.scene.reading import load_scene, shipped_scenes
 from tests.cli.bad_input.builders import at, lens
 
-DETECTOR = Path(__file__).parents[2] / "scenes" / "detectors" / "thesis.yaml"
 SIZE = {"length_m": 12.0, "beam_m": 4.0, "air_draft_m": 3.0, "label": "Vessel"}
 BOATS = {"one": (100.0, 5.0), "two": (150.0, -8.0)}
 Keys, Boats = dict[str, Any], dict[str, tuple[float, float]]
@@ -29,7 +28,7 @@ def scene_of(folder: Path, mount: Keys, boats: Boats | None = None, **more: Any)
         "steps": 12, "time_step_s": 0.5, "vessels": dict.fromkeys(("own", *boats), SIZE),
         "poses": {"tracks": {"own": [[0, 0, 0], [6, 6, 0]], **tracks}},
         "cameras": {"bow": lens(mount={"vessel": "own", "position_m": [4.0, 0.0, 4.0], **mount})},
-        "annotation": {"mode": 2, "source": "analytic"}, "detector": str(DETECTOR), **more,
+        "annotation": {"mode": 2, "source": "analytic"}, "detector": "thesis", **more,
     }  # fmt: skip
     (folder / "scene.yaml").write_text(yaml.dump({key: value for key, value in content.items() if value is not None}))
     return load_scene(folder / "scene.yaml")

@@ -45,8 +45,7 @@ def test_one_horizon_and_one_silhouette_are_the_same_bits_as_among_many():
     np.testing.assert_array_equal(lens.sea_half_plane(rotations), alone)
     places = [((rng.uniform(50, 500), rng.uniform(-20, 20)), rng.uniform(-np.pi, np.pi)) for _ in range(15)]
     boats = [(vessel(f"v{i}"), *place) for i, place in enumerate(places)]
-    together = outlines_of(boats)
-    alone = [outlines_of([boat]) for boat in boats]
+    together, alone = outlines_of(boats), [outlines_of([boat]) for boat in boats]
     assert len(together) == 15
     (part,) = together.parts
     np.testing.assert_array_equal(part.vertices_px, np.concatenate([one.parts[0].vertices_px for one in alone]))

@@ -100,13 +100,10 @@ def test_truth_that_other_versions_made_is_named(first, tmp_path):
     assert open_run(tmp_path / "new").settings["truth_versions"]["numpy"] == "1.0"
 
 
-def test_an_interrupted_run_is_refused(call, tmp_path):
+def test_the_command_writes_a_run_and_says_what_is_in_it_and_refuses_an_interrupted_one(call, first, tmp_path):
     interrupt(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut")
     status, said = call("detect", tmp_path / "cut", "--out", tmp_path / "new")
     assert status == 2 and "interrupted run" in said
-
-
-def test_the_command_writes_a_run_and_says_what_is_in_it(call, first, tmp_path):
     detector = tmp_path / "mine.yml"
     shutil.copy(ORIGINAL, detector)
     status, said = call("detect", first, "--detector", detector, "--detector-seed", 3, "--out", tmp_path / "new")

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -35,32 +36,29 @@ def scene():
         yield load_scene("simulation_1", source="analytic", steps=STEPS)
 
 
-@pytest.fixture(scope="module")
-def whole(scene, tmp_path_factory) -> dict[str, bytes]:
-    return run_files(run_scene(scene, tmp_path_factory.mktemp("whole") / "run").folder)
+def watch(monkeypatch: pytest.MonkeyPatch, name: str, before: Callable[[int, Any], None]) -> None:
+    """Call something before each call of a function of `os`, with the number of the call and its first argument."""
+    function, numbers = getattr(os, name), count(1)
 
+    def watched(*arguments: Any, **named: Any) -> Any:
+        before(next(numbers), arguments[0])
+        return function(*arguments, **named)
 
-class Counted:
-    """Stands for a function of `os`; calls what it is told to before each call of the function."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, name: str, before: Callable[[int, Any], None]) -> None:
-        self.calls = 0
-        self._function, self._before = getattr(os, name), before
-        monkeypatch.setattr(os, name, self)
-
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        self.calls += 1
-        self._before(self.calls, arguments[0])
-        return self._function(*arguments, **named)
+    monkeypatch.setattr(os, name, watched)
 
 
 @pytest.fixture(scope="module")
-def calls(scene, tmp_path_factory) -> dict[str, int]:
-    """How often an undisturbed run calls each function."""
+def calls() -> dict[str, int]:
+    """How often the undisturbed run of `whole` calls each function."""
+    return {}
+
+
+@pytest.fixture(scope="module")
+def whole(scene, calls, tmp_path_factory) -> dict[str, bytes]:
     with pytest.MonkeyPatch.context() as watched:
-        counted = {name: Counted(watched, name, lambda call, _: None) for name in ("fsync", "replace")}
-        run_scene(scene, tmp_path_factory.mktemp("counted") / "run")
-    return {name: each.calls for name, each in counted.items()}
+        for name in ("fsync", "replace"):
+            watch(watched, name, lambda call, _, name=name: calls.update({name: call}))
+        return run_files(run_scene(scene, tmp_path_factory.mktemp("whole") / "run").folder)
 
 
 @pytest.mark.parametrize("name", ["fsync", "replace"])
@@ -71,7 +69,7 @@ def test_a_run_goes_on_after_a_call_that_failed(name, share, calls, scene, whole
             raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     with monkeypatch.context() as broken, pytest.raises(ModsimError, match="Input/output error"):
-        Counted(broken, name, fail)
+        watch(broken, name, fail)
         run_scene(scene, tmp_path / "run")
     run_scene(scene, tmp_path / "run", resume=True)
     assert run_files(tmp_path / "run") == whole
@@ -133,8 +131,8 @@ def test_a_run_goes_on_after_a_power_cut_that_emptied_unsynced_files(share, call
             on_disk[os.fstat(descriptor).st_ino] = path.read_bytes()
 
     with monkeypatch.context() as watched, pytest.raises(PowerCutError):
-        Counted(watched, "fsync", keep)
-        Counted(watched, "replace", cut)
+        watch(watched, "fsync", keep)
+        watch(watched, "replace", cut)
         run_scene(scene, tmp_path / "run")
     for path in [path for path in (tmp_path / "run").rglob("*") if path.is_file()]:
         path.write_bytes(on_disk.get(path.stat().st_ino, b""))
@@ -196,7 +194,7 @@ def test_a_kept_block_of_another_run_or_of_other_steps_is_made_anew(scene, whole
 def test_the_names_of_folders_that_are_made_are_on_the_disk_too(scene, tmp_path, monkeypatch):
     synced = set()
     with monkeypatch.context() as watched:
-        Counted(watched, "fsync", lambda _, descriptor: synced.add(os.fstat(descriptor).st_ino))
+        watch(watched, "fsync", lambda _, descriptor: synced.add(os.fstat(descriptor).st_ino))
         run_scene(scene, tmp_path / "runs" / "first")
         write_files({tmp_path / "files" / "first" / "file": "text"})
     for folder in ("", "runs", "runs/first", "runs/first/scene", "files", "files/first"):

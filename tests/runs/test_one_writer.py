@@ -49,17 +49,14 @@ def test_a_second_process_is_refused_by_name_and_the_first_run_is_whole(prepared
         first.send_signal(signal.SIGCONT)
     assert second.returncode == 2 and "Traceback" not in second.stderr
     assert f"is being written by modsim3d run, process {first.pid} on {os.uname().nodename}" in second.stderr
-    assert first.wait(LONG_S) == 0
-    assert run_files(tmp_path / "run", LOCK_FILE) == whole
+    assert first.wait(LONG_S) == 0 and run_files(tmp_path / "run", LOCK_FILE) == whole
 
 
 def test_a_folder_is_free_at_once_when_its_writer_and_workers_were_killed(prepared, tmp_path, whole):
-    first = stopped_after_a_block(tmp_path / "run", "--workers", 2, by=signal.SIGKILL)
-    first.wait(LONG_S)
+    stopped_after_a_block(tmp_path / "run", "--workers", 2, by=signal.SIGKILL).wait(LONG_S)
     second = done(prepared, *RUN, "--out", tmp_path / "run", "--resume", "--workers", 2)
     assert second.returncode == 0, second.stderr
-    assert run_files(tmp_path / "run", LOCK_FILE) == whole
-    assert not (tmp_path / "run" / LOCK_FILE).exists()
+    assert run_files(tmp_path / "run", LOCK_FILE) == whole and not (tmp_path / "run" / LOCK_FILE).exists()
 
 
 def test_detect_is_refused_while_another_process_writes(prepared, tmp_path):

@@ -15,7 +15,6 @@ from tests.scenes import mistaken_strait
 
 VESSEL = [100.0, 100.0, 120.0, 110.0]
 BAD, OFF = Outcome.BELOW_HALF_IOU, Outcome.BELOW_HALF_IOU | Outcome.OFF_VESSEL
-OF_A_VESSEL = ("true", "merged", "split")
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +51,7 @@ def test_a_box_is_right_bad_or_off_its_vessel_by_iou_and_of_a_false_positive_not
 
 def test_rows_and_frames_agree(run):
     rows = RunRows.of(run)
-    by_frame = [outcome for frame in run.frames() for outcome in frame_outcomes(frame)]
-    assert by_frame == rows.outcomes.tolist()
+    assert [outcome for frame in run.frames() for outcome in frame_outcomes(frame)] == rows.outcomes.tolist()
     vessels = rows.truth_vessel[rows.detected_row[rows.detected_row >= 0]]
     of_frames = [frame.truth.vessels[row] for frame in run.frames() for row in detected_rows(frame) if row is not None]
     assert [run.scene.vessel_names[vessel] for vessel in vessels] == of_frames
@@ -85,7 +83,7 @@ def test_a_second_box_of_a_vessel_is_a_false_positive_and_so_is_all_in_a_frame_w
 def counted(frame):
     truth, found = frame.truth, frame.detections
     of_vessel = dict(zip(truth.vessels, range(len(truth)), strict=True))
-    mine = [i for i in range(len(found)) if found.kinds[i] in OF_A_VESSEL]
+    mine = [i for i in range(len(found)) if found.kinds[i] in ("true", "merged", "split")]
     rows = [of_vessel[found.vessels[i]] for i in mine]
     overlaps = [float(iou(found.boxes_px[i], truth.boxes_px[row])) for i, row in zip(mine, rows, strict=True)]
     return {

@@ -31,8 +31,7 @@ def run(stored: Path, tmp_path: Path) -> Path:
 
 
 def edited(run: Path, **changes: object) -> None:
-    settings = json.loads((run / "run.json").read_text())
-    (run / "run.json").write_text(json.dumps({**settings, **changes}))
+    (run / "run.json").write_text(json.dumps({**json.loads((run / "run.json").read_text()), **changes}))
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -44,18 +43,15 @@ def test_a_run_repeats(call: Call, run: Path, workers: int) -> None:
     assert f"all {files} files are the same" in said and "made with other versions" not in said
 
 
-def test_a_run_of_the_detector_alone_and_one_without_the_thesis_json_repeat(stored: Path, tmp_path: Path) -> None:
+def test_runs_of_the_detector_alone_without_the_thesis_json_and_live_ones_repeat(stored, tmp_path, monkeypatch):
     detect_run(open_run(stored), tmp_path / "other", seed=9)
     assert repeat_run(read_finished(tmp_path / "other"), tmp_path / "again").same
     run_scene(load_scene("simulation_1", steps=5, source="analytic"), tmp_path / "run", thesis_json=False)
     assert repeat_run(read_finished(tmp_path / "run"), tmp_path / "without").same
     assert [path.name for path in (tmp_path / "without").glob("*.json")] == ["run.json"]
-
-
-def test_a_live_run_repeats_from_the_poses_that_came(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO("".join(lines()).encode())))
     run_scene(live_scene(tmp_path), tmp_path / "live")
-    found = repeat_run(read_finished(tmp_path / "live"), tmp_path / "again")
+    found = repeat_run(read_finished(tmp_path / "live"), tmp_path / "from_poses")
     assert found.same, found
     assert "poses.jsonl" in {file.name for file in found.files if file.is_input}
 
@@ -107,8 +103,7 @@ def test_an_interrupted_run_is_refused(call: Call, run: Path) -> None:
     (run / "run.json").rename(run / "unfinished" / "settings.json")
     before = sorted(run.rglob("*"))
     status, said = call("check", "repeat", run)
-    assert status == 2 and "interrupted" in said and "Traceback" not in said
-    assert sorted(run.rglob("*")) == before
+    assert status == 2 and "interrupted" in said and "Traceback" not in said and sorted(run.rglob("*")) == before
 
 
 def test_differences_of_tables_are_told_by_column(tmp_path: Path) -> None:

@@ -118,8 +118,7 @@ def test_frames_table_counts_what_the_others_hold_and_truth_obeys_its_own_arithm
     rows = truth.to_pylist()
     assert any(row["occluded_by"] for row in rows)
     for row in rows:
-        covered = sum(entry["px"] for entry in row["occluded_by"])
-        assert row["visible_px"] + covered == row["silhouette_px"]
+        assert row["visible_px"] + sum(entry["px"] for entry in row["occluded_by"]) == row["silhouette_px"]
         assert math.isclose(row["visible_fraction"], row["visible_px"] / row["silhouette_px"])
         assert (row["visible_x_min_px"] is None) == (row["visible_px"] == 0)
         assert (row["annotated"] == (row["visible_px"] > 0) and row["annotated"]) or not row["detected"]

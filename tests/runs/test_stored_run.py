@@ -94,8 +94,7 @@ def test_an_interrupted_run_gives_the_steps_that_it_has_kept(scene, finished, tm
 
 
 def test_a_step_without_vessels_is_read_back_as_an_empty_frame_and_a_detector_that_lacks_them_says_so(tmp_path):
-    boat_behind = {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}
-    path = write_scene(tmp_path, boat_behind, 1)
+    path = write_scene(tmp_path, {"boat": ([10, 4, 3], [[0, -50, 0], [10, -60, 0]])}, 1)
     run_scene(load_scene(path), tmp_path / "empty")
     (frame,) = open_run(tmp_path / "empty").frames()
     assert len(frame.truth) == len(frame.detections) == 0

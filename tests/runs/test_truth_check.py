@@ -165,8 +165,7 @@ def test_a_run_without_an_error_is_checked_and_says_so_and_detect_repeats_it(sce
     counts = checked.frames, checked.whole_frames, checked.empty_frames, checked.tie_pixels, checked.vessels
     assert counts == (3, 1, 0, 0, 3 * len(BOATS))
     assert checked.from_buffers == 4 * 3  # the raft, and what crosses the near plane
-    assert checked.from_spans + checked.from_buffers == 4 * len(BOATS)
-    assert 0 < checked.largest_box_px < 1
+    assert checked.from_spans + checked.from_buffers == 4 * len(BOATS) and 0 < checked.largest_box_px < 1
 
 
 def test_all_checks_every_frame_and_off_none(scene: Scene, tmp_path: Path) -> None:
@@ -250,7 +249,7 @@ def test_another_seed_samples_other_frames_and_longer_runs_more() -> None:
     assert frame_count(replace(scene, steps=5)) == 3 and frame_count(replace(scene, steps=150_000)) > 30
 
 
-def test_the_command_names_vessel_and_command_and_draws_the_picture(tmp_path, monkeypatch, call):
+def test_the_command_names_vessel_and_draws_it_and_gives_a_command_if_the_scene_has_a_file(tmp_path, monkeypatch, call):
     plant(monkeypatch, "span off by one")
     (tmp_path / "my boats").mkdir()
     path = write_boats(tmp_path / "my boats", supersample=2)
@@ -258,16 +257,10 @@ def test_the_command_names_vessel_and_command_and_draws_the_picture(tmp_path, mo
     parts = "silhouette pixels", f"run '{path}' --seed", "view frame unchecked", "cross_check.png"
     for part in (*parts, "--set annotation.supersample=2"):
         assert part in " ".join(said.split())
-    assert status == 2
-    assert (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
-
-
-def test_no_command_is_given_for_a_scene_without_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plant(monkeypatch, "span off by one")
-    content = json.loads(write_boats(tmp_path).read_text())
-    monkeypatch.chdir(tmp_path)
+    assert status == 2 and (tmp_path / "run" / "unfinished" / "cross_check.png").is_file()
+    monkeypatch.chdir(path.parent)
     with pytest.raises(TruthCheckError) as stopped:
-        run_scene(modsim3d.Scene.from_dict(content), tmp_path / "run")
+        run_scene(Scene.from_dict(json.loads(path.read_text())), tmp_path / "no_file")
     assert "modsim3d run" not in str(stopped.value)
 
 

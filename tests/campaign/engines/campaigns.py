@@ -16,10 +16,9 @@ from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.task import Task
 from modsim3d.campaign.workers import Engine, ThisProcess
+from tests.run_folders import run_files
 
-PATIENCE_S = 60.0
-MORTAL = ("exit", "nothing", "segfault", "kill", "term", "interrupt")
-"""How the tracker `mortal` ends its process, once for each of these."""
+MORTAL = ("exit", "nothing", "segfault", "kill", "term", "interrupt")  # ends of the process of the tracker `mortal`
 _DEATHS = ", ".join(f"{{tracker: mortal, name: {how}, set: {{how: {how}}}}}" for how in MORTAL)
 _SHORT = "scene: harbour\nsteps: 3\n"
 _VARIED = _SHORT + "vary: [{grid: {waves.level: [small]}}]\n"
@@ -95,12 +94,11 @@ class Campaigns:
 
 def content(folder: Path) -> Content:
     """All files of a campaign's folder by their paths; the log names times."""
-    files = {str(path.relative_to(folder)): path for path in folder.rglob("*") if path.is_file()}
-    return {name: path.read_bytes() for name, path in files.items() if name != "campaign.log"}
+    return run_files(folder, "campaign.log")
 
 
 def waited_for(what: Callable[[], object]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + 60
     while not what():
         assert time.monotonic() < deadline, "it did not happen"
         time.sleep(0.01)

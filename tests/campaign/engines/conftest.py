@@ -9,6 +9,7 @@ import pytest
 
 from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.engines.campaigns import Campaigns
+from tests.plugin_site import Site
 
 TRACKER = """
 import ctypes, os, signal, sys, time
@@ -60,14 +61,10 @@ DEATHS = {
 @pytest.fixture(scope="session")
 def campaigns(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Campaigns]:
     folder = tmp_path_factory.mktemp("engines")
-    site, info = folder / "site", folder / "site" / "fragile-1.0.dist-info"
-    info.mkdir(parents=True)
-    (site / "fragile.py").write_text(TRACKER, encoding="utf-8")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: fragile\nVersion: 1.0\n")
-    points = "fragile = fragile:Fragile\nmortal = fragile:Mortal\n"
-    (info / "entry_points.txt").write_text(f"[modsim3d.trackers]\n{points}")
+    site, points = folder / "site", {"fragile": "fragile:Fragile", "mortal": "fragile:Mortal"}
+    site.mkdir()
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(site)
+        Site(site, patch).add("fragile", "1.0", "fragile", TRACKER, {"modsim3d.trackers": points})
         patch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(Path(__file__).resolve().parents[3])]))
         patch.setenv("FRAGILE_HOLD", str(folder / "hold"))
         made = Campaigns(folder)

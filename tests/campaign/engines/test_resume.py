@@ -71,8 +71,7 @@ def test_a_full_disk_is_told_and_nothing_that_is_done_is_lost(half, campaigns, m
 
 
 def test_a_crash_between_any_two_steps_of_the_end(campaigns, made, out, monkeypatch):
-    campaign = campaigns.checked()
-    steps = 0
+    campaign, steps = campaigns.checked(), 0
     while True:
         out, left = shutil.copytree(made.path, out.with_name(f"out{steps}")), steps
 

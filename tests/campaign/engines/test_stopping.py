@@ -1,6 +1,5 @@
 """A campaign that stops when all is decided counts the same runs whoever makes them, in whatever order."""
 
-import random
 from functools import partial
 from pathlib import Path
 
@@ -10,28 +9,14 @@ import pytest
 from modsim3d.campaign import running
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.task import Task, TaskReport
-from modsim3d.campaign.workers import Death, ThisProcess
-from tests.campaign.campaigns import Losing
+from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import Losing, Shuffled
 from tests.campaign.engines.campaigns import Campaigns, Content, content
-
-
-class Shuffled(ThisProcess):
-    """Does tasks in another order than they come in, as many workers do."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.width, self._chance = width, random.Random(width)
-
-    def next(self) -> tuple[Task, TaskReport | Death]:
-        self._chance.shuffle(self._waiting)
-        return super().next()
 
 
 def decided_by_the_second_seed(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     seeds = len(set(table["traffic_seed"].to_pylist()))
-    outcome = "met" if seeds >= 2 else "undecided"
-    return (Verdict(0, "", "", 0, outcome, "", 0.95, None, None, None, seeds),)
+    return (Verdict(0, "", "", 0, "met" if seeds >= 2 else "undecided", "", 0.95, None, None, None, seeds),)
 
 
 @pytest.fixture
@@ -72,5 +57,4 @@ def test_a_campaign_killed_beyond_its_end_counts_no_more(campaigns: Campaigns, o
 def test_a_run_that_always_ends_its_process_is_reported_and_the_rest_goes_on(campaigns: Campaigns, out: Path) -> None:
     deadly = partial(Losing, lambda task: any(run.tracker.label == "fatal" for run in task.runs))
     table = campaigns.run("fatal", deadly, out).table
-    assert table["status"].to_pylist() == ["done", "crashed"]
-    assert table["error"].to_pylist() == [None, running.DIED]
+    assert table["status"].to_pylist() == ["done", "crashed"] and table["error"].to_pylist() == [None, running.DIED]

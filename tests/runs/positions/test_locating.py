@@ -124,8 +124,7 @@ def test_covariances_are_those_of_drawn_errors(scene: Scene, sea: str, camera: s
     seen = np.cov(np.concatenate([(view.bearing_rad, view.inverse_range_per_m) for view in views], axis=1))
     tolerance = 4 * np.sqrt(2 / (seeds if on_board else FEW_DRAWS))
     np.testing.assert_allclose(np.sqrt(np.diag(seen)) / stated, 1, atol=tolerance / 2 + 0.01)
-    correlation = (seen[0, 1] - place.covariance_rad_per_m[0]) / stated.prod()
-    assert abs(correlation) < tolerance + 0.01
+    assert abs((seen[0, 1] - place.covariance_rad_per_m[0]) / stated.prod()) < tolerance + 0.01
 
 
 def test_a_heading_error_turns_bearings_and_nothing_else(scene: Scene) -> None:
@@ -175,11 +174,9 @@ def test_bearings_about_half_a_turn_have_the_same_variance(scene: Scene) -> None
 def test_a_box_that_is_cut_has_no_middle_or_no_foot(scene: Scene) -> None:
     boxes = np.array([[0.0, 400, 60, 460], [1200, 400, 1280, 460], [600, 700, 700, 800], [600, 0, 700, 450.0]])
     found = locate(scene, "shore", 0, boxes)
-    missing = np.isnan(
-        [found.bearing_rad, found.bearing_std_rad, found.inverse_range_per_m, found.covariance_rad_per_m]
-    )
-    assert missing.tolist() == [[True, True, False, False]] * 2 + [[False, False, True, False], [True] * 3 + [False]]
-    assert np.isnan(found.positions_m[:3]).all()
+    columns = found.bearing_rad, found.bearing_std_rad, found.inverse_range_per_m, found.covariance_rad_per_m
+    expected = [[True, True, False, False]] * 2 + [[False, False, True, False], [True, True, True, False]]
+    assert np.isnan(columns).tolist() == expected and np.isnan(found.positions_m[:3]).all()
 
 
 @pytest.mark.parametrize("side", [0, 2, 3])
@@ -229,13 +226,11 @@ def test_first_order_ellipses_hold_where_they_are_given_and_not_far_beyond(scene
         box = np.array([600.0, bottom - 40, 660, bottom])
         truth, found = locate(exact, "shore", 0, box[None]), locate(scene, "shore", 0, box_with(box, errors))
         inverse, estimate = truth.inverse_range_per_m[0], found.inverse_range_per_m
-        share = found.inverse_range_std_per_m[0] / inverse
-        assert (share < MAX_RANGE_ERROR) == (bottom == 760)
+        assert (found.inverse_range_std_per_m[0] / inverse < MAX_RANGE_ERROR) == (bottom == 760)
         error = (1 / estimate - 1 / inverse) * estimate**2 / found.inverse_range_std_per_m
         error[estimate <= 0] = np.inf
         tails[bottom] = np.mean(error < -INSIDE), np.mean(error > INSIDE)
-    assert abs(sum(tails[760.0]) - 0.05) < 0.01
-    assert tails[362.0][0] > 2 * 0.025 > 0.01 > tails[362.0][1]
+    assert abs(sum(tails[760.0]) - 0.05) < 0.01 and tails[362.0][0] > 2 * 0.025 > 0.01 > tails[362.0][1]
 
 
 def test_rows_do_not_depend_on_each_other(scene: Scene) -> None:

@@ -29,10 +29,7 @@ def test_the_stored_result_is_complete_and_within_bounds_that_can_be_missed(stor
     for change in ({"mean": 0.3}, {"std": 1.2}, {"inside": 0.9}):
         assert len(problems([row | {"bearing": row["bearing"] | change}])) == 1
     assert len(problems([row | {"given": 5000, "inside_given": 0.9}])) == 1
-
-
-def test_where_no_position_is_given_it_would_be_wrong(stored: dict[str, Any]) -> None:
-    """In Simulation 1 with the thesis's errors: too many are short, hardly one far, and the more so the greater ε."""
+    # Where no position is given it would be wrong, as in Simulation 1 with the thesis's errors.
     (row,) = (row for row in stored["rows"] if (row["scene"], row["sea"], row["errors"]) == ("simulation_1", "flat", 1))
     assert row["given"] == 0 and row["inside_others"] < 0.92
     for name in SCENES:

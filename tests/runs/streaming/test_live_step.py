@@ -14,8 +14,7 @@ from modsim3d import Scene, load_scene
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import open_renderer, simulate_blocks, truth_block
 
-BUSY, EMPTY = 110, 20
-"""A step of Simulation 2 with four vessels in the image, as those after it; and one with none."""
+BUSY, EMPTY = 110, 20  # steps of Simulation 2 with four vessels in the image, as in those after it, and with none
 COUNTED = 5
 PACKAGE = Path(modsim3d.__file__).parent
 

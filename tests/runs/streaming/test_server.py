@@ -15,11 +15,9 @@ from modsim3d.runs.streaming import server as server_module
 from modsim3d.runs.streaming.lines import Address
 from modsim3d.runs.streaming.server import LineServer, NobodyReads, Reader, ReaderGone
 
-LONG_S = 120.0
-"""What no test waits for unless something is wrong."""
+LONG_S = 120.0  # what no test waits for unless something is wrong
 HEADER = b"header\n"
-LINES = [b"%d %s\n" % (number, b"x" * 500) for number in range(6000)]
-"""3 MB: more than the buffers of two sockets hold."""
+LINES = [b"%d %s\n" % (number, b"x" * 500) for number in range(6000)]  # 3 MB: more than the buffers of two sockets
 
 
 def serve(wait_s: float = LONG_S, **options: object) -> LineServer:
@@ -136,8 +134,7 @@ def test_a_reader_that_crashed_gets_everything_when_it_is_back() -> None:
         ending = Background(server.finish)
         crashed.close()  # with lines unread: the system tells the sender
         assert gone.wait(LONG_S)
-        assert rest_of(connect(server)) == [HEADER, *LINES[:100]]
-        assert ending.result() is None
+        assert rest_of(connect(server)) == [HEADER, *LINES[:100]] and ending.result() is None
 
 
 def test_a_stream_that_nobody_takes_ends() -> None:
@@ -172,8 +169,7 @@ def test_a_reader_that_sends_after_the_last_line_still_gets_all_lines() -> None:
         for _ in range(3):  # a closed connection would answer with a reset, which costs it what it has not read
             reader.sendall(b"more, please\n")
             time.sleep(0.1)
-        assert rest_of(reader) == [HEADER, *LINES[:100]]
-        assert ending.result() is None
+        assert rest_of(reader) == [HEADER, *LINES[:100]] and ending.result() is None
 
 
 def test_an_end_with_lines_on_the_way_is_no_reader_that_has_everything() -> None:
