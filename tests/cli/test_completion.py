@@ -55,32 +55,20 @@ def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
     return [answer.split("\n") if answer.strip() else [] for answer in answers]
 
 
-def test_scene_completes_shipped_names_and_scene_files(folder: Path) -> None:
-    (offered,) = completions(folder, ("bash", "run", "s"))
+def test_commands_options_values_and_scenes_are_completed_and_files_left_to_the_shell(folder: Path) -> None:
+    line = ("bash", "run", "strait")
+    asked = [("bash", "run", "s"), ("bash", ""), (*line, "--det"), (*line, "--source", "r")]
+    asked += [("zsh", "run", "st"), ("fish", "run", "st"), ("bash", "track", "run", "--tracker", "s")]
+    paths = [("run", "sc"), ("run", "scenes/"), ("check", "run", ""), ("run", "x", "--out", "")]
+    shells = [(shell, *each) for shell in ("bash", "zsh", "fish") for each in paths]
+    scenes, commands, options, values, zsh, fish, trackers, *files = completions(folder, *asked, *shells)
     shipped = ["simulation_1", "simulation_2", "simulation_3", "strait"]
-    assert [word for word in offered if word] == [*shipped, "simple.json", "strange.yaml"]
-
-
-def test_the_shell_itself_completes_files_and_folders(folder: Path) -> None:
-    words = [("run", "sc"), ("run", "scenes/"), ("check", "run", ""), ("run", "x", "--out", "")]
-    asked = [(shell, *each) for shell in ("bash", "zsh", "fish") for each in words]
-    offered = completions(folder, *asked)
-    assert [first[:1] for first in offered] == [[]] * 4 + [["_files"]] * 4 + [[]] * 4
-
-
-def test_commands_options_and_values_are_completed(folder: Path) -> None:
-    in_bash = (("bash", ""), ("bash", "run", "strait", "--det"), ("bash", "run", "strait", "--source", "r"))
-    commands, options, values, zsh, fish = completions(folder, *in_bash, ("zsh", "run", "st"), ("fish", "run", "st"))
+    assert [word for word in scenes if word] == [*shipped, "simple.json", "strange.yaml"]
     assert {"run", "learn", "scenes"} <= set(commands)
-    assert "--detector-seed" in options
-    assert "rectangles" in values
-    assert any("strait" in line for line in zsh)
-    assert "strait" in fish
-
-
-def test_names_of_trackers_are_completed(folder: Path) -> None:
-    (offered,) = completions(folder, ("bash", "track", "run", "--tracker", "s"))
-    assert [word for word in offered if word] == ["sort", "stonesoup_gnn", "stonesoup_jpda"]
+    assert "--detector-seed" in options and "rectangles" in values
+    assert any("strait" in line for line in zsh) and "strait" in fish
+    assert [word for word in trackers if word] == ["sort", "stonesoup_gnn", "stonesoup_jpda"]
+    assert [first[:1] for first in files] == [[]] * 4 + [["_files"]] * 4 + [[]] * 4
 
 
 SHELL_IS_NAMED = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1", "PYTHONPATH": str(Path(__file__).parents[2])}

@@ -41,22 +41,10 @@ def test_every_command_and_group_has_help(modsim3d: Modsim3d, monkeypatch: pytes
         assert said == modsim3d(*name.split(), "--help") and "Usage: modsim3d" in said.out
         assert "<bool>" not in said.out
         assert max(map(len, said.out.splitlines())) <= 80, name
-
-
-def test_the_command_line_and_its_groups_alone_show_their_help(modsim3d: Modsim3d) -> None:
     for name in ("", *GROUPS):
         said = modsim3d(*name.split())
         assert said.status == 2 and "Usage: modsim3d" in said.out + said.err
         assert " -h " in said.out + said.err
-
-
-def test_the_help_of_an_option_can_be_read_alone() -> None:
-    for name, parameter in OPTIONS:
-        words = (parameter.help or "").rstrip(".").split()
-        assert parameter.help.endswith("."), (name, parameter.name)
-        assert len(words) >= 3, (name, parameter.name)
-        strange = words[0] in ("Of", "For", "The", "May", "In", "When", "Also", "Added")
-        assert not strange or parameter.name == "verbose", (name, parameter.name)
 
 
 def options_by_name() -> dict[str, dict[str, Any]]:
@@ -68,55 +56,46 @@ def options_by_name() -> dict[str, dict[str, Any]]:
     return found
 
 
-def test_at_most_sixteen_names_stand_at_the_top() -> None:
+def test_commands_and_options_are_few() -> None:
     assert len(GROUP.commands) <= 16
-
-
-def test_at_most_ninety_five_names_of_options_are_to_be_known() -> None:
     assert len(options_by_name()) <= 95
-
-
-def test_no_command_but_learning_has_more_than_twenty_options() -> None:
     for name, command in LEAVES.items():
         options = [each for each in command.params if each.param_type_name == "option" and each.name != "help"]
         assert len(options) <= 20 or name.startswith("learn"), name
 
 
-def test_an_option_means_the_same_in_every_command() -> None:
+def test_the_help_of_an_option_can_be_read_alone_and_means_the_same_in_every_command() -> None:
     """It takes the same kind of value, and its help begins with the same word; `--out` has a test of its own."""
+    for name, parameter in OPTIONS:
+        words = (parameter.help or "").rstrip(".").split()
+        assert parameter.help.endswith(".") and len(words) >= 3, (name, parameter.name)
+        strange = words[0] in ("Of", "For", "The", "May", "In", "When", "Also", "Added")
+        assert not strange or parameter.name == "verbose", (name, parameter.name)
     for name, commands in options_by_name().items():
         first = {(parameter.help or "").split()[0].rstrip(",:") for parameter in commands.values()}
         taken = {parameter.metavar for parameter in commands.values()}
         assert (len(first), len(taken)) == (1, 1) or name == "--out", (name, first, taken)
 
 
-def test_an_old_name_answers_with_the_new_one(modsim3d: Modsim3d) -> None:
+def test_an_old_name_answers_with_a_new_one_that_is_there(modsim3d: Modsim3d) -> None:
     for old, new in OLD_NAMES.items():
         said = modsim3d(*old.split(" ")[:1], "x", *old.split(" ")[1:], "y")
-        assert said.status == 2 and said.out == ""
-        assert said.err == f"modsim3d: modsim3d {old} is {f'now: modsim3d {new}' if new else 'no more'}\n"
-
-
-def test_a_new_name_is_one_that_is_there() -> None:
-    for old, new in OLD_NAMES.items():
+        told = f"modsim3d: modsim3d {old} is {f'now: modsim3d {new}' if new else 'no more'}\n"
+        assert said == (2, "", told)
         words = new.split()
         assert not new or any(name.split() == words[: len(name.split())] for name in LEAVES), old
         for option in (word for word in words if word.startswith("--")):
             assert option in options_by_name(), old
 
 
-def test_a_new_command_does_not_take_the_old_options(modsim3d: Modsim3d) -> None:
+def test_a_new_command_does_not_take_the_old_options_nor_a_misspelt_name(modsim3d: Modsim3d) -> None:
     said = modsim3d("view", "film", "run", "--visibility=800")
     new = "modsim3d: modsim3d view --visibility is now: modsim3d view film --look fog:M\n"
     assert (said.status, said.err) == (2, new)
     said = modsim3d("campaign", "example", "--out", "folder")
     assert (said.status, said.err) == (2, "modsim3d: modsim3d campaign is now: modsim3d campaign run CAMPAIGN\n")
-
-
-def test_a_misspelt_command_of_a_group_names_the_one_that_was_meant(modsim3d: Modsim3d) -> None:
     said = modsim3d("campaign", "stauts", "runs/example")
-    assert said.status == 2
-    assert "status" in said.err and "is now" not in said.err
+    assert said.status == 2 and "status" in said.err and "is now" not in said.err
 
 
 def test_learn_names_every_model_that_can_be_left_out() -> None:

@@ -17,9 +17,8 @@ from modsim3d.runs.counts import Counts
 from modsim3d.runs.run import RunResult
 from tests.cli.conftest import WITHOUT_OVERWRITE, Modsim3d, Said
 
-COMMANDS = (
-    *("run", "detect", "check scene", "scenes", "check run", "check repeat", "check truth", "learn", "track", "score"),
-)
+COMMANDS = ("run", "detect", "check scene", "scenes", "check run", "check repeat", "check truth", "learn", "track")
+COMMANDS += ("score",)
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
 
 
@@ -118,19 +117,12 @@ def test_the_objects_say_what_the_text_says(modsim3d, lines, run, tmp_path):
     assert Path(scenes["harbour"]).is_file()
 
 
-def test_text_of_an_input_cannot_command_the_terminal(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+def test_text_of_an_input_cannot_command_the_terminal_and_what_is_no_number_is_null(capsysbinary) -> None:
     hostile = "a\x1b[2J\x9b1m\u202eb\x7fø\U000e0041"
     terminal.ask_json(True)
-    terminal.say_json({"name": hostile})
+    terminal.say_json({"name": hostile, "a": math.nan, "b": -math.inf, "c": np.float64(1.5), "d": Path("x/y")})
     terminal.start_afresh()
     line = capsysbinary.readouterr().out.decode("utf-8")
-    assert json.loads(line) == {"name": hostile}
+    assert json.loads(line) == {"name": hostile, "a": None, "b": None, "c": 1.5, "d": "x/y"}
     assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\U000e0000-\U000e007f]", line)
     assert "ø" in line
-
-
-def test_what_is_no_number_is_null(capsysbinary: pytest.CaptureFixture[bytes]) -> None:
-    terminal.ask_json(True)
-    terminal.say_json({"a": math.nan, "b": -math.inf, "c": np.float64(1.5), "d": Path("x/y")})
-    terminal.start_afresh()
-    assert json.loads(capsysbinary.readouterr().out) == {"a": None, "b": None, "c": 1.5, "d": "x/y"}

@@ -27,14 +27,12 @@ def test_a_file_is_put_into_a_folder_under_its_usual_name(modsim3d, run, tmp_pat
     assert said.status == 2 and f"{tmp_path / folder / name} exists: use --overwrite" in said.err
 
 
-def test_a_learned_detector_and_its_page_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
+def test_a_learned_detector_and_an_export_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
     assert modsim3d("learn", run, "--replicates", 20, "--out", tmp_path).status == 0
     assert {path.name for path in tmp_path.iterdir()} == {"detector.yaml", "detector.html", "detector.uncertainty.json"}
-
-
-def test_export_writes_a_format_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
-    assert modsim3d("export", run, "--format", "coco", "--out", tmp_path / "new" / "folder").status == 0
-    assert {path.name for path in (tmp_path / "new" / "folder").iterdir()} == {"gt.json", "dt.json"}
+    assert modsim3d("export", run, "--format", "coco", "--out", folder).status == 0
+    assert {path.name for path in folder.iterdir()} == {"gt.json", "dt.json"}
     for arguments, part in (
         (("--format", "voc", "--out", tmp_path), "coco"),
         (("--out", tmp_path), "--format"),

@@ -45,13 +45,10 @@ def test_verbose_names_the_opengl_that_draws(modsim3d, lines, command):
     assert "\nOpenGL    " in modsim3d(*arguments, "-v").err
 
 
-def test_both_are_refused(modsim3d: Modsim3d, run: Path) -> None:
+def test_both_are_refused_and_errors_not_silenced(modsim3d: Modsim3d, run: Path) -> None:
     for flags in (("-q", "-v"), ("-v", "-q"), ("-qv",)):
         said = modsim3d("check", "run", run, *flags)
         assert said.status == 2
         assert said.err.endswith("modsim3d: --quiet and --verbose contradict each other: leave one out\n")
-
-
-def test_errors_are_not_silenced(modsim3d: Modsim3d) -> None:
     said = modsim3d("check", "scene", "nowhere.yaml", "-q")
     assert (said.status, said.out) == (2, "") and "no such file" in said.err

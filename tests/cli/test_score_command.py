@@ -36,19 +36,13 @@ def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(mods
     assert set(found["trackers"][0]) > {"hota", "deta", "assa", "mota", "idf1", "id_switches", "gospa", "by_class"}
 
 
-def test_where_vessels_are_lost_is_a_table_at_80_columns(modsim3d, run, tracks, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    lines = modsim3d("score", run, tracks).out.splitlines()
-    first = lines.index("Where reference loses vessels")
-    names = lines[first + 1]
-    assert names.split() == ["by", "vessel-frames", "recall", "association"]
-    table = lines[first + 2 : lines.index("", first)]
-    assert table[0].split()[:3] == ["visible", "fraction", "1"] and all(len(line) <= 80 for line in table)
-
-
-def test_detector_seeds_are_a_table_at_80_columns(modsim3d, run, tracks, monkeypatch):
+def test_where_vessels_are_lost_and_detector_seeds_are_tables_at_80_columns(modsim3d, run, tracks, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     lines = modsim3d("score", run, tracks, "--seeds", 2).out.splitlines()
+    first = lines.index("Where reference loses vessels")
+    assert lines[first + 1].split() == ["by", "vessel-frames", "recall", "association"]
+    table = lines[first + 2 : lines.index("", first)]
+    assert table[0].split()[:3] == ["visible", "fraction", "1"] and all(len(line) <= 80 for line in table)
     first = lines.index("Detector seeds")
     header = next(place for place in range(first, len(lines)) if lines[place].startswith("tracker"))
     assert lines[header].split()[:4] == ["tracker", "score", "mean", "standard"]

@@ -154,13 +154,6 @@ def test_in_real_time_the_same_lines_take_the_scenes_time(modsim3d: Modsim3d, st
     assert modsim3d("stream", stored, "--realtime", "--steps", 2, "-q").err == ""
 
 
-def test_a_detector_that_needs_all_targets_cannot_have_live_poses(modsim3d: Modsim3d, live: Path) -> None:
-    dropout = "{model: logistic, anchor: state_rate, distance_m: {per_doubling: 1, reference: 50}}"
-    said = modsim3d("stream", live, "--set", f"detector.dropout={dropout}")
-    assert (said.status, said.out) == (2, "")
-    assert "detector: holds rates over the whole scene (anchor: state_rate)" in said.err
-
-
 def test_live_poses_go_to_readers_step_by_step_who_may_leave_come_back_and_send(live: Path, start: Start) -> None:
     process = start(live, "--to", "tcp://127.0.0.1:0")
     address = listening(process)
@@ -198,33 +191,30 @@ def test_a_reader_of_standard_output_that_goes_away_ends_it_quietly(live: Path, 
     assert end_of(process)[2] == ""
 
 
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
-        (("--to", "lines.jsonl"), "--to 'lines.jsonl': is neither - (standard output) nor tcp://ADDRESS:PORT"),
-        (("--to", "tcp://127.0.0.1:70000"), "a port is a number from 0 to 65535 (got 70000)"),
-        (("--to", "tcp://192.0.2.1:5000"), "--to tcp://192.0.2.1:5000: cannot listen there"),
-        (("--to", "tcp://127.0.0.1:0", "--wait", "0"), "--wait 0: give a number of seconds above 0"),
-        (("--to", "tcp://127.0.0.1:0", "--wait", "nan"), "--wait nan: give a number of seconds above 0"),
-        (("--wait", "5"), "--wait is for readers that connect"),
-        (("--to", "tcp://127.0.0.1:0", "--wait", "0.01"), "nobody has connected for 0.01 s"),
-        (("--state", "nowhere"), "nowhere"),
-    ],
+WRONG = (
+    ("--to lines.jsonl", "--to 'lines.jsonl': is neither - (standard output) nor tcp://ADDRESS:PORT"),
+    ("--to tcp://127.0.0.1:70000", "a port is a number from 0 to 65535 (got 70000)"),
+    ("--to tcp://192.0.2.1:5000", "--to tcp://192.0.2.1:5000: cannot listen there"),
+    ("--to tcp://127.0.0.1:0 --wait 0", "--wait 0: give a number of seconds above 0"),
+    ("--to tcp://127.0.0.1:0 --wait nan", "--wait nan: give a number of seconds above 0"),
+    ("--wait 5", "--wait is for readers that connect"),
+    ("--to tcp://127.0.0.1:0 --wait 0.01", "nobody has connected for 0.01 s"),
+    ("--state nowhere", "nowhere"),
 )
-def test_wrong_options_are_told(modsim3d: Modsim3d, stored: Path, arguments: tuple[str, ...], part: str) -> None:
-    said = modsim3d("stream", stored, *arguments)
+
+
+@pytest.mark.parametrize(("options", "part"), WRONG)
+def test_wrong_options_are_told(modsim3d: Modsim3d, stored: Path, options: str, part: str) -> None:
+    said = modsim3d("stream", stored, *options.split())
     assert said.status == 2
     assert part in said.err and said.err.startswith("modsim3d: ") and said.err.count("modsim3d: ") == 1
 
 
-def test_a_port_that_is_taken_is_told(modsim3d: Modsim3d, stored: Path) -> None:
+def test_a_port_that_is_taken_and_one_that_other_computers_reach_are_told(modsim3d: Modsim3d, stored: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         said = modsim3d("stream", stored, "--to", f"tcp://127.0.0.1:{taken.getsockname()[1]}")
     assert (said.status, said.out) == (2, "")
     assert "cannot listen there: Address already in use; port 0 takes any free port" in said.err
-
-
-def test_other_computers_get_it_only_when_asked_for_and_that_is_said(modsim3d: Modsim3d, stored: Path) -> None:
     said = modsim3d("stream", stored, "--to", "tcp://0.0.0.0:0", "--wait", "0.01")
     assert said.err.startswith("warning: whoever reaches this computer at tcp://0.0.0.0:")
 

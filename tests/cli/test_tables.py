@@ -1,6 +1,7 @@
 """Tables lose no column and break no word, at any width and in a pipe."""
 
 import io
+import itertools
 import os
 import pty
 import re
@@ -15,7 +16,6 @@ from modsim3d.cli.shared import print_path
 from modsim3d.cli.terminal import open_console
 from modsim3d.cli.terminal_tables import print_prose, print_table
 
-WIDTHS = (40, 60, 80, 120, 200)
 CELLS = st.text("ab1/._-é漢 ", max_size=30).map(lambda text: " ".join(text.split()))
 
 
@@ -41,49 +41,32 @@ def test_every_word_of_every_cell_is_printed_whole_and_in_order(rows, width, wit
     assert not any(line.endswith(" ") for line in lines)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_a_file_name_and_a_number_are_never_broken(width: int) -> None:
+def test_a_file_name_and_a_number_are_never_broken() -> None:
     name = "/a/very/long/path/" + "x" * 90 + "/scene.yaml"
     rows = [(name, "0.2111 … 1", "some words that explain what this is about, at length"), ("b", "2", "c")]
-    for header in ((), ("file", "interval", "meaning")):
+    for width, header in itertools.product((40, 60, 80, 120, 200), ((), ("file", "interval", "meaning"))):
         text = "\n".join(printed(width, "title", rows, header=header))
-        assert name in text and "0.2111 … 1" in text
+        assert name in text and "0.2111 … 1" in text, (width, header)
 
 
-def test_a_table_that_fits_has_its_columns_one_below_the_other() -> None:
+def test_columns_stand_one_below_the_other_and_what_does_not_fit_below_its_row_with_their_names() -> None:
     lines = printed(40, "title", [("a", "1"), ("long", "22")], header=("name", "number"), right=(1,))
     assert lines == ["", "title", "name  number", "a          1", "long      22"]
-
-
-def test_what_does_not_fit_stands_below_with_the_names_of_its_columns() -> None:
     rows = [("parameter_with_a_name", "0.99", "0.2 … 1", "obeys"), ("other", "1", "–", "DIFFERS")]
-    header = ("parameter", "asked", "interval", "verdict")
-    assert printed(36, "", rows, header=header, at_edge=3) == [
-        "parameter_with_a_name          obeys",
-        "    asked 0.99  interval 0.2 … 1",
-        "other                        DIFFERS",
-        "    asked 1",
-    ]
-
-
-def test_names_of_columns_on_two_lines_stand_on_one_below_a_row() -> None:
-    header = ("camera", "frames", "false\nalarms")
+    lines = printed(36, "", rows, header=("parameter", "asked", "interval", "verdict"), at_edge=3)
+    assert lines[:2] == ["parameter_with_a_name          obeys", "    asked 0.99  interval 0.2 … 1"]
+    assert lines[2:] == ["other                        DIFFERS", "    asked 1"]
+    header = ("camera", "frames", "false\nalarms")  # whose lines stand on one below a row
     lines = printed(22, "", [("bow", "40", "10")], header=header)
     assert lines == ["camera  frames  false", "                alarms", "bow     40      10"]
     lines = printed(22, "", [("a_long_name", "40", "10")], header=header)
     assert lines == ["a_long_name", "    frames 40", "    false alarms 10"]
-
-
-def test_cells_are_broken_where_they_may_be_before_rows_are() -> None:
-    rows = [("state", "0.5 [0.1, 0.9]", "0.6 [0.2, 0.8]")]
-    found = printed(29, "", rows, header=("", "recall", "F1"), breaks=[lambda cell: cell.replace(" [", "\n[")])
-    assert found == ["       recall      F1", "state  0.5         0.6", "       [0.1, 0.9]  [0.2, 0.8]"]
-
-
-def test_prose_is_broken_between_words() -> None:
-    file = io.StringIO()
-    print_prose(open_console(file=file, width=20), "the file /a/b/c/d/e/f/g/h.yaml is well", indent=2)
-    assert file.getvalue() == "  the file\n  /a/b/c/d/e/f/g/h.yaml\n  is well\n"
+    rows = [("visible", "all", "10"), ("", "half", "2")]  # neither a line nor a space for what has no name
+    lines = printed(16, "", rows, header=("by", "", "recall of boxes"))
+    assert lines == ["visible", "    all", "    recall of", "    boxes 10", "    half", "    recall of", "    boxes 2"]
+    rows = [("state", "0.5 [0.1, 0.9]", "0.6 [0.2, 0.8]")]  # cells are broken where they may be before rows are
+    lines = printed(29, "", rows, header=("", "recall", "F1"), breaks=[lambda cell: cell.replace(" [", "\n[")])
+    assert lines == ["       recall      F1", "state  0.5         0.6", "       [0.1, 0.9]  [0.2, 0.8]"]
 
 
 @pytest.mark.parametrize("width", [60, 80, 120, None])
@@ -124,14 +107,11 @@ def test_an_error_in_a_pipe_is_not_broken_whatever_columns_says(modsim3d, monkey
     assert modsim3d("check", "scene", "nowhere.yaml").err.count("\n") == 2
 
 
-def test_a_long_path_stands_on_a_line_of_its_own() -> None:
+def test_a_long_path_stands_on_a_line_of_its_own_and_prose_is_broken_between_words() -> None:
     file, path = io.StringIO(), Path("a_folder/" * 8)
     console = open_console(file=file, width=60)
     print_path(console, "run directory", Path("runs/first"))
     print_path(console, "run directory", path)
-    assert file.getvalue() == f"run directory  runs/first\nrun directory\n{path}\n"
-
-
-def test_a_row_without_a_name_has_no_empty_line_and_no_space_for_a_column_without_a_name() -> None:
-    lines = printed(16, "", [("visible", "all", "10"), ("", "half", "2")], header=("by", "", "recall of boxes"))
-    assert lines == ["visible", "    all", "    recall of", "    boxes 10", "    half", "    recall of", "    boxes 2"]
+    print_prose(open_console(file=file, width=20), "the file /a/b/c/d/e/f/g/h.yaml is well", indent=2)
+    prose = "  the file\n  /a/b/c/d/e/f/g/h.yaml\n  is well\n"
+    assert file.getvalue() == f"run directory  runs/first\nrun directory\n{path}\n{prose}"

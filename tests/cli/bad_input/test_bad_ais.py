@@ -12,7 +12,6 @@ from modsim3d.scene.ais.messages import reachable
 from modsim3d.scene.ais.options import time_text
 from modsim3d.scene.ais.read_csv import read_csv, recognise
 from modsim3d.scene.ais.read_nmea import MAX_PENDING, read_nmea
-from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import ReportedTrack, resample, steps_near
 from tests.cli.bad_input.builders import Call, refusal
 from tests.scene.ais.ais_builders import OLD_HEADER, SAMPLES, old_file, only, row, traffic_of
@@ -92,31 +91,36 @@ def test_rows_are_numbered_as_in_the_file(tmp_path, rows, header, left):
 
 
 @pytest.mark.parametrize("time", ["0001-01-04T10:00:00", "9999-12-31T23:59:59", "1969-12-31T23:59:59"])
-def test_a_year_without_ais_costs_its_row_only(tmp_path: Path, time: str) -> None:
-    wrong = row(30).replace("2024-01-04T10:00:30", time)
-    traffic = traffic_of(old_file(tmp_path, *(row(second) for second in range(0, 300, 10)), wrong))
+def test_a_year_without_ais_costs_its_row_only_and_a_name_without_end_is_cut(tmp_path: Path, time: str) -> None:
+    rows = [row(second) for second in range(0, 300, 10)]
+    traffic = traffic_of(old_file(tmp_path, *rows, row(30).replace("2024-01-04T10:00:30", time)))
     assert (traffic.dropped["unreadable"], len(only(traffic).steps)) == (1, 291)
+    named = row(30).replace(",X,", "," + "N" * 100_000 + ",")
+    assert len(only(traffic_of(old_file(tmp_path, *rows, named))).hull.name) <= 120
 
 
-def test_a_name_without_end_is_cut(tmp_path: Path) -> None:
-    wrong = row(30).replace(",X,", "," + "N" * 100_000 + ",")
-    traffic = traffic_of(old_file(tmp_path, *(row(second) for second in range(0, 300, 10)), wrong))
-    assert len(only(traffic).hull.name) <= 120
+HEADER, REPORT = DANISH.split(b"\n")[0], tagged("c:1423133048")
+NO_FORMAT, BOMB = "is none of the formats that are read", "unpacks to more than 100 times its own size"
+NO_LOGS: dict[str, tuple[Callable[[], bytes], str]] = {
+    "passwd": (lambda: b"root:x:0:0:secret:/root:/bin/bash\n" * 40, NO_FORMAT),
+    "escape": (lambda: b"\x1b[31msecret\n", NO_FORMAT),
+    "png": (lambda: b"\x89PNG\r\n\x1a\nsecret" + bytes(range(256)) * 40, NO_FORMAT),
+    "zeros": (lambda: b"\0" * 5_000_000, NO_FORMAT),
+    "no lines": (lambda: b"secret" * 1_000_000, NO_FORMAT),
+    "blank rows": (lambda: gzip.compress(HEADER + b"\n" * 30_000_000, 1), BOMB),
+    "blank lines": (lambda: gzip.compress(REPORT.encode() + b"\n" * 30_000_000, 1), BOMB),
+    "cut off": (lambda: gzip.compress(DANISH)[:-100], "is not a complete gzip file"),
+    "short rows": (lambda: HEADER + b"\n" + b"a,b\n" * 60_000, "too much of it cannot be read: more than 50,000 rows"),
+    "empty rows": (lambda: HEADER + b"\n" + (b"x" + b"," * 25 + b"\n") * 20_000, "too much of it cannot be read"),
+    "many columns": (lambda: HEADER.strip() + b"," * 600 + b"\n", "has 626 columns, more than 500"),
+    "no column": (lambda: b"MMSI,LAT,LON,\x1b[31m" + b"x" * 10_000 + b"\n1,2,3,4\n", "has no column BaseDateTime"),
+    "thirty years": (lambda: (tagged("c:633133048") + REPORT).encode(), "790,000,001 steps, more than 1,000,000"),
+}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"root:x:0:0:secret:/root:/bin/bash\n" * 40,
-        b"\x1b[31msecret\n",
-        b"\x89PNG\r\n\x1a\nsecret" + bytes(range(256)) * 40,
-        b"\0" * 5_000_000,
-        b"secret" * 1_000_000,
-    ],
-    ids=["passwd", "escape", "png", "zeros", "no lines"],
-)
-def test_what_is_no_log_is_refused_without_its_content(refuse: Refuse, content: bytes) -> None:
-    assert "secret" not in refuse(content, "is none of the formats that are read")
+@pytest.mark.parametrize(("content", "part"), NO_LOGS.values(), ids=NO_LOGS)
+def test_what_is_no_log_is_refused_early_and_without_its_content(refuse: Refuse, content, part: str) -> None:
+    assert "secret" not in refuse(content(), part)
 
 
 def test_pipes_and_folders_are_refused(tmp_path: Path, refuse: Refuse) -> None:
@@ -126,29 +130,12 @@ def test_pipes_and_folders_are_refused(tmp_path: Path, refuse: Refuse) -> None:
     refuse(tmp_path / "folder", "this is a folder, a file was expected")
 
 
-@pytest.mark.parametrize("head", [DANISH.split(b"\n")[0] + b"\n", tagged("c:1423133048").encode()])
-def test_blank_lines_without_end_are_refused(refuse: Refuse, head: bytes) -> None:
-    refuse(gzip.compress(head + b"\n" * 30_000_000, 1), "unpacks to more than 100 times its own size")
-
-
-def test_a_gzipped_log_that_is_cut_off_is_refused(refuse: Refuse) -> None:
-    refuse(gzip.compress(DANISH)[:-100], "is not a complete gzip file")
-
-
-def test_a_table_of_other_rows_is_given_up_early(refuse: Refuse) -> None:
-    header = DANISH.split(b"\n")[0] + b"\n"
-    refuse(header + b"a,b\n" * 60_000, "too much of it cannot be read: more than 50,000 rows")
-    refuse(header + b"," * 25 + b"\n" + (b"x" + b"," * 25 + b"\n") * 20_000, "too much of it cannot be read")
-    refuse(header.strip() + b"," * 600 + b"\n", "has 626 columns, more than 500")
-    refuse(b"MMSI,LAT,LON,\x1b[31m" + b"x" * 10_000 + b"\n1,2,3,4\n", "has no column BaseDateTime")
-
-
 @pytest.mark.parametrize("digits", [11, 17, 400])
 def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse, digits: int) -> None:
     wrong = tagged("c:" + "9" * digits)
     refuse((wrong * 3).encode(), "has no times", "in seconds or milliseconds")
     path = tmp_path / "log"
-    path.write_text(tagged("c:1423133048") + wrong)
+    path.write_text(REPORT + wrong)
     (chunk,) = read_nmea(path)
     assert (len(chunk.positions), dict(chunk.dropped)) == (1, {"no_time": 1})
 
@@ -156,41 +143,28 @@ def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        (("--time-step", "1e-300"), "--time-step: must be above 0, from 1e-06 to 1e+09 (got 1e-300)"),
-        (("--duration", "1e300"), "--duration: must be above 0, from 1e-06 to 1e+09"),
-        (("--max-speed", "1e308"), "--max-speed: must be above 0"),
-        (("--max-gap", "1e308"), "--max-gap: must be above 0"),
-        (("--start", "0001-01-01T00:00:00+14:00"), "more than 1,000,000: choose --start"),
-        (("--start", "9999-12-31T23:59:59-14:00", "--duration", "1e9"), "no positions of ships"),
-        (("--origin", "1e300,1e300"), "--origin: latitude 1e+300 is beyond ±90"),
-        (("--origin", "x" * 100_000), "--origin: LAT,LON in degrees is needed (got 'xxx"),
-        (("--label", "x" * 100_000), "--label: GROUP=LABEL is needed"),
-        (("--start", "x" * 100_000), "--start: a time such as"),
+        ("--time-step 1e-300", "--time-step: must be above 0, from 1e-06 to 1e+09 (got 1e-300)"),
+        ("--duration 1e300", "--duration: must be above 0, from 1e-06 to 1e+09"),
+        ("--max-speed 1e308", "--max-speed: must be above 0"),
+        ("--max-gap 1e308", "--max-gap: must be above 0"),
+        ("--start 0001-01-01T00:00:00+14:00", "more than 1,000,000: choose --start"),
+        ("--start 9999-12-31T23:59:59-14:00 --duration 1e9", "no positions of ships"),
+        ("--origin 1e300,1e300", "--origin: latitude 1e+300 is beyond ±90"),
+        (f"--origin {'x' * 100_000}", "--origin: LAT,LON in degrees is needed (got 'xxx"),
+        (f"--label {'x' * 100_000}", "--label: GROUP=LABEL is needed"),
+        (f"--start {'x' * 100_000}", "--start: a time such as"),
     ],
+    ids=lambda text: text[:40],
 )
-def test_absurd_options_are_refused(refuse: Refuse, options: tuple[str, ...], part: str) -> None:
-    refuse(SAMPLES / "receiver.nmea", part, options=options)
+def test_absurd_options_are_refused(refuse: Refuse, options: str, part: str) -> None:
+    refuse(SAMPLES / "receiver.nmea", part, options=tuple(options.split()))
 
 
-def test_every_time_has_a_text() -> None:
+def test_every_time_has_a_text_and_vessels_of_two_reports_cost_two_steps_however_far_apart(tmp_path: Path) -> None:
     assert time_text(1704362400.0) == "2024-01-04T10:00:00Z"
     assert [time_text(sign * 1e300) for sign in (1, -1)] == ["1e+300 s after 1970", "-1e+300 s after 1970"]
-
-
-def test_two_reports_thirty_years_apart_are_refused(refuse: Refuse) -> None:
-    log = tagged("c:633133048") + tagged("c:1423133048")
-    refuse(log.encode(), "790,000,001 steps, more than 1,000,000")
-
-
-def far_apart(folder: Path, vessels: int) -> AisTraffic:
-    """Vessels of two reports each, eleven days apart, at a million steps."""
-    rows = [row(0, mmsi=219000000 + k) for k in range(vessels)]
-    rows += [text.replace("2024-01-04", "2024-01-15") for text in rows]
-    return traffic_of(old_file(folder, *rows))
-
-
-def test_vessels_of_two_reports_cost_two_steps_however_long_the_scene_is(tmp_path: Path) -> None:
-    traffic = far_apart(tmp_path, 50)
+    rows = [row(0, mmsi=219000000 + k) for k in range(50)]
+    traffic = traffic_of(old_file(tmp_path, *rows, *(text.replace("2024-01-04", "2024-01-15") for text in rows)))
     assert len(traffic.grid.times_s) == 950_401
     assert sum(vessel.places_m.nbytes for vessel in traffic.vessels) == 50 * 2 * 16
 
@@ -217,28 +191,23 @@ def test_two_vessels_that_share_an_identity_all_day_are_told_apart_in_pieces() -
     assert np.flatnonzero(~reachable(times, places, 10.0)).tolist() == list(range(1, number, 3))
 
 
-def test_messages_that_never_end_do_not_stay_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    payload = "55?MbV02;H;s<HtKR20EHE:0@T4@Dn2222222216L961O5Gf0NSQEp6ClRp8,0"
+def test_messages_that_never_end_do_not_stay_in_memory_nor_parts_beyond_the_number_of_parts(tmp_path, monkeypatch):
+    payload, path = "55?MbV02;H;s<HtKR20EHE:0@T4@Dn2222222216L961O5Gf0NSQEp6ClRp8,0", tmp_path / "log"
+    wrong = [sentence(f"AIVDM,{count},{number},1,A,55?MbV02,0") for count, number in ((2, 3), (99, 1), (0, 0))]
+    path.write_text("".join(f"1423133048 {line}\n" for line in wrong) + REPORT)
+    (chunk,) = read_nmea(path)
+    assert (sum(chunk.dropped.values()), len(chunk.positions)) == (3, 1)
     lines = [f"1423133048 {sentence(f'AIVDM,2,1,{k % 10},{k},{payload}')}\n" for k in range(3000)]
-    path = tmp_path / "log"
-    path.write_text("".join([*lines, tagged("c:1423133048")]))
+    path.write_text("".join([*lines, REPORT]))
     monkeypatch.setattr("modsim3d.scene.ais.read_nmea.CHUNK_MESSAGES", 1)
     first, last = read_nmea(path)
     assert first.dropped["incomplete"] == 3000 - MAX_PENDING
     assert (last.dropped["incomplete"], len(first.positions)) == (MAX_PENDING, 1)
 
 
-def test_a_part_beyond_the_number_of_parts_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log"
-    wrong = [sentence(f"AIVDM,{count},{number},1,A,55?MbV02,0") for count, number in ((2, 3), (99, 1), (0, 0))]
-    path.write_text("".join(f"1423133048 {line}\n" for line in wrong) + tagged("c:1423133048"))
-    (chunk,) = read_nmea(path)
-    assert (sum(chunk.dropped.values()), len(chunk.positions)) == (3, 1)
-
-
 @pytest.mark.parametrize("filling", ["a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"])
 def test_a_line_that_is_no_sentence_is_searched_in_time_that_grows_with_its_length(tmp_path, filling):
     line = (filling * 1000)[:900] + "!" + TYPE_1
-    (tmp_path / "log").write_text(tagged("c:1423133048") + f"{line}\n" * 2000)
+    (tmp_path / "log").write_text(REPORT + f"{line}\n" * 2000)
     (chunk,) = read_nmea(tmp_path / "log")  # each such line took five seconds once
     assert len(chunk.positions) >= 1

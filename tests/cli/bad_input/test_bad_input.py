@@ -15,16 +15,15 @@ def test_the_scene_that_these_tests_spoil_is_good(inputs: Inputs, call: Call) ->
 
 
 CONFUSION, ERRORS = "states/clear/confusion", "states/clear/box_error/covariance"
+TURNED, SKEW = [[0.9, 0.1], [0.2, 0.8]], [[100.0, 7, 0, 0], *COVARIANCE[1:]]
+INDEFINITE = [[4.0, 5, 0, 0], [5, 4, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+VESSEL = GOOD["vessels"]["vehicle2"]
+EXACTLY = "poses: give exactly one of file, circular, tracks, agents, traffic, stream"
 WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     # unknown, missing and misspelt
     ("scene", "sed", 3, "sed: unknown key (did you mean 'seed'?)"),
     ("scene", "annotation/mod", 3, "annotation.mod: unknown key (did you mean 'mode'?)"),
-    (
-        "scene",
-        "cameras/C0/focal_lenght_m",
-        1,
-        ("cameras.C0.focal_lenght_m: unknown key", "did you mean 'focal_length_m'?"),
-    ),
+    ("scene", "cameras/C0/focal_lenght_m", 1, ("C0.focal_lenght_m: unknown key", "did you mean 'focal_length_m'?")),
     ("scene", "cameras/C0/mount/pitch", 1, "cameras.C0.mount.pitch: unknown key (did you mean 'pitch_rad'?)"),
     ("scene", "detector", DELETED, "detector: missing"),
     ("scene", "cameras/shore/image_size_px", DELETED, "cameras.shore.image_size_px: missing"),
@@ -91,53 +90,23 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     # probabilities
     ("detector", "confidence_threshold", 1.2, "confidence_threshold: Input should be less than or equal to 1"),
     ("detector", "confidence_threshold", float("nan"), ("confidence_threshold:", "(got nan)")),
-    (
-        "detector",
-        CONFUSION,
-        [[0.9], [0.2]],
-        "detector.yaml: states.clear.confusion: column 'Vessel' sums to 1.1, must sum to 1",
-    ),
-    (
-        "detector",
-        CONFUSION,
-        [[1.5], [-0.5]],
-        ("states.clear.confusion[0][0]: Input should be less than or equal to 1 (got 1.5)", "confusion[1][0]"),
-    ),
+    ("detector", CONFUSION, [[0.9], [0.2]], "states.clear.confusion: column 'Vessel' sums to 1.1, must sum to 1"),
+    ("detector", CONFUSION, [[1.5], [-0.5]], ("clear.confusion[0][0]: Input should be less than", "confusion[1][0]")),
     ("detector", CONFUSION, [[0.9, 0.1]], ("confusion: is 1 × 2, must be 2 × 1", "must be transposed")),
-    (
-        "detector",
-        "transition_matrix",
-        [[0.9, 0.1], [0.2, 0.8]],
-        ("transition_matrix: its rows sum to one and its columns do not", "must be transposed"),
-    ),
+    ("detector", "transition_matrix", TURNED, ("its rows sum to one and its columns do not", "must be transposed")),
     ("detector", "transition_matrix", [[0.9, 0.3], [0.1, 0.8]], "column 'fog' sums to 1.1, must sum to 1"),
     ("detector", "states/clear/false_discovery_rate", 1, "states.clear.false_discovery_rate: is 1, must be below 1"),
     ("detector", "states/clear/false_discovery_rate", -0.1, "false_discovery_rate: is -0.1, must be from 0 to 0.99"),
     ("detector", "states/clear/false_positive_labels", [0.7], "states.clear.false_positive_labels: sums to 0.7"),
     # covariance
-    (
-        "detector",
-        ERRORS,
-        [[100.0, 7, 0, 0], *COVARIANCE[1:]],
-        "states.clear.box_error.covariance: is not symmetric: row e_x, column e_y is 7, row e_y, column e_x is 5",
-    ),
-    (
-        "detector",
-        ERRORS,
-        [[4.0, 5, 0, 0], [5, 4, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
-        ("covariance: is not positive semi-definite", "its smallest eigenvalue is -1, must be at least 0"),
-    ),
+    ("detector", ERRORS, SKEW, "is not symmetric: row e_x, column e_y is 7, row e_y, column e_x is 5"),
+    ("detector", ERRORS, INDEFINITE, ("covariance: is not positive semi-", "eigenvalue is -1, must be at least 0")),
     # names
-    ("vessels", "vehicle#2", GOOD["vessels"]["vehicle2"], "vehicle#2: a vessel's ID must not hold '#'"),
-    (
-        "vessels",
-        "false_positive_1",
-        GOOD["vessels"]["vehicle2"],
-        "false_positive_1: a vessel's ID must not begin with 'false_positive_'",
-    ),
-    ("vessels", "obstacle:quay", GOOD["vessels"]["vehicle2"], "must not begin with 'obstacle:'"),
-    ("vessels", "", GOOD["vessels"]["vehicle2"], "a vessel's ID must not be empty"),
-    ("vessels", "a\nb", GOOD["vessels"]["vehicle2"], "a vessel's ID must be printable text (got 'a\\nb')"),
+    ("vessels", "vehicle#2", VESSEL, "vehicle#2: a vessel's ID must not hold '#'"),
+    ("vessels", "false_positive_1", VESSEL, "false_positive_1: a vessel's ID must not begin with 'false_positive_'"),
+    ("vessels", "obstacle:quay", VESSEL, "must not begin with 'obstacle:'"),
+    ("vessels", "", VESSEL, "a vessel's ID must not be empty"),
+    ("vessels", "a\nb", VESSEL, "a vessel's ID must be printable text (got 'a\\nb')"),
     ("scene", "cameras/a\\b", lens(pose=ASHORE), "cameras.a\\b: a camera's name goes into file names"),
     ("scene", "cameras/..", lens(pose=ASHORE), "a camera's name goes into file names"),
     ("scene", "cameras/" + "x" * 300, lens(pose=ASHORE), "at most 100 letters"),
@@ -146,12 +115,7 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("scene", "cameras/shore/pose/yaw_rad", -180, "cameras.shore.pose.yaw_rad: -180 is more than a whole turn"),
     ("scene", "waves", {"spectrum": "jonswap", "direction_rad": 90}, "waves.direction_rad: 90 is more than"),
     ("scene", "obstacles", {"a": {"mesh": "ferry", "heading_rad": 45}}, "obstacles.a.heading_rad: 45 is more than"),
-    (
-        "scene",
-        "cameras/C0/mount/roll_rad",
-        2,
-        "cameras.C0.mount.roll_rad: 2 is more than a right angle: in degrees that is 115; for 2° give 0.03491",
-    ),
+    ("scene", "cameras/C0/mount/roll_rad", 2, "a right angle: in degrees that is 115; for 2° give 0.03491"),
     ("scene", "cameras/C0/mount/pitch_rad", -3.14159, "pitch_rad: -3.14159 is more than a right angle"),
     ("scene", "cameras/shore/pose/pitch_rad", 1.6, "pitch_rad: 1.6 is more than a right angle: in degrees that is 92"),
     ("scene", "cameras/shore/pose/roll_rad", 3, "roll_rad: 3 is more than a right angle: in degrees that is 172"),
@@ -162,14 +126,9 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("scene", "cameras/shore/mount", GOOD["scene"]["cameras"]["C0"]["mount"], "cameras.shore.mount: give exactly"),
     ("scene", "cameras/shore/pose", DELETED, "cameras.shore.mount: give exactly one of pose (ashore) and mount"),
     ("scene", "poses", CIRCULAR, "poses: circular has no times of its own: give steps and time_step_s"),
-    (
-        "scene",
-        "poses",
-        {"file": "poses.json", **CIRCULAR},
-        "poses: give exactly one of file, circular, tracks, agents, traffic, stream (got circular, file)",
-    ),
-    ("scene", "poses", {}, "poses: give exactly one of file, circular, tracks, agents, traffic, stream"),
-    ("scene", "poses", {"file": None}, "poses: give exactly one of file, circular, tracks, agents, traffic, stream"),
+    ("scene", "poses", {"file": "poses.json", **CIRCULAR}, f"{EXACTLY} (got circular, file)"),
+    ("scene", "poses", {}, EXACTLY),
+    ("scene", "poses", {"file": None}, EXACTLY),
     ("scene", "poses", {"circlar": {}}, ("poses.circlar: nothing is called", "did you mean 'circular'?")),
     ("scene", "poses", {"file": 5}, "poses.file: text is needed (got 5)"),
     ("scene", "poses", [], "poses: a mapping of keys is needed (got [])"),
@@ -217,28 +176,26 @@ def test_camera_inside_a_vessel_names_both_and_the_time(inputs: Inputs, refused:
     assert call("check", "scene", inputs.write())[0] == 0
 
 
-def test_rings_that_do_not_fit_name_the_vessel_and_its_size(inputs: Inputs, refused: Refused) -> None:
-    inputs.data["scene"].update(poses={"circular": {"radius_m": [5, 9], "rotation_rate_rad_s": [0, 1]}}, time_step_s=1)
-    inputs.data["scene"].update(steps=5)
+def test_steps_beyond_the_pose_file_and_rings_that_do_not_fit_are_told(inputs: Inputs, refused: Refused) -> None:
+    refused(inputs.write(), "steps: 9 asked for, but the pose file has 4", options=("--steps", 9))
+    rings = {"circular": {"radius_m": [5, 9], "rotation_rate_rad_s": [0, 1]}}
+    inputs.data["scene"].update(poses=rings, time_step_s=1, steps=5)
     refused(inputs.write(), "poses.circular: no free ring for vessel 'vehicle2' (8.0 m × 4.0 m) between radii 5.0 and")
 
 
 @pytest.mark.parametrize(
     ("times", "part"),
     [
-        (["0.0", "2.0", "1.0"], "1.0: timestamps must increase, but '1.0' comes after '2.0'"),
-        (["0.0", "1.0", "1.00"], "1.00: timestamps must increase, but '1.00' is the same time as '1.0'"),
-        (["0.0", "1e0", "1.0"], "'1.0' is the same time as '1e0'"),
-        (["0.0", "soon"], "soon: a timestamp must be a number of seconds (got 'soon')"),
-        (["0.0", "nan"], "nan: a timestamp must be a number of seconds"),
-        (["0.0", "inf"], "inf: a timestamp must be a number of seconds"),
-        (["0.0", "1e999"], "1e999: a timestamp must be a number of seconds"),
-        (["0.0", "1_0"], "1_0: a timestamp must be a number of seconds"),
-        (["0.0", ""], "a timestamp must be a number of seconds (got '')"),
+        (["2.0", "1.0"], "1.0: timestamps must increase, but '1.0' comes after '2.0'"),
+        (["1.0", "1.00"], "1.00: timestamps must increase, but '1.00' is the same time as '1.0'"),
+        (["1e0", "1.0"], "'1.0' is the same time as '1e0'"),
+        (["soon"], "soon: a timestamp must be a number of seconds (got 'soon')"),
+        *([[text], f"{text}: a timestamp must be a number of seconds"] for text in ("nan", "inf", "1e999", "1_0")),
+        ([""], "a timestamp must be a number of seconds (got '')"),
     ],
 )
 def test_times_that_do_not_increase_are_told(inputs: Inputs, refused: Refused, times: list[str], part: str) -> None:
-    inputs.data["poses"] = {time: {"vehicle1": at(0, 0)} for time in times}
+    inputs.data["poses"] = {time: {"vehicle1": at(0, 0)} for time in ("0.0", *times)}
     refused(inputs.write(), part)
 
 
@@ -255,10 +212,6 @@ def test_a_mistake_in_every_line_does_not_fill_the_screen(inputs: Inputs, refuse
     inputs.data["poses"] = {f"{t}.0": {"vehicle1": at(t, 0), "vehicel2": at(0, 9)} for t in range(1000)}
     said = refused(inputs.write(), "0.0.vehicel2: no vessel 'vehicel2'", "the rest was not checked")
     assert said.count("\n") < 30
-
-
-def test_more_steps_than_the_pose_file_has_are_told(inputs: Inputs, refused: Refused) -> None:
-    refused(inputs.write(), "steps: 9 asked for, but the pose file has 4", options=("--steps", 9))
 
 
 WRONG_TEXTS: list[tuple[str, bytes, str | tuple[str, ...]]] = [
@@ -314,48 +267,28 @@ def test_numbers_and_booleans_are_those_of_yaml_1_2(inputs: Inputs, call: Call, 
     refused(scene, "annotation.allow_camera_inside: true or false is needed (got 'no')")
 
 
-def test_enormous_aliases_are_told_without_being_written_out(inputs: Inputs, refused: Refused) -> None:
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 30)]
-    scene = inputs.write()
-    scene.write_text("\n".join([*lines, "seed: *a29", "vessels: *a29"]))
-    assert len(refused(scene, "more than 200,000 values once its aliases (*) and merge keys (<<)")) < 1000
-
-
 def test_mistakes_in_every_file_are_told_at_once(inputs: Inputs, refused: Refused) -> None:
-    for file, path, value in [
-        ("scene", "sed", 1),
-        ("scene", "cameras/C0/mount/vessel", "vehicle9"),
-        ("scene", "cameras/shore/mount", {"vessel": "vehicle1", "position_m": [0, 0, 0]}),
-        ("vessels", "vehicle2/beam_m", -1),
-        ("vessels", "vehicle1/label", "Boat"),
-        ("poses", "3.0/vehicle2/heading_rad", "east"),
-        ("poses", "3.0/vehicle7", at(0, 0)),
-        ("detector", "confidence_threshold", 7),
-        ("detector", "states/fog/confusion", [[0.5], [0.4]]),
-    ]:
+    both = {"vessel": "vehicle1", "position_m": [0, 0, 0]}
+    mistakes: list[tuple[str, str, Any, str]] = [
+        ("scene", "sed", 1, "sed: unknown key"),
+        ("scene", "cameras/C0/mount/vessel", "vehicle9", "cameras.C0.mount.vessel: no vessel 'vehicle9'"),
+        ("scene", "cameras/shore/mount", both, "cameras.shore.mount: give exactly one"),
+        ("vessels", "vehicle2/beam_m", -1, "vessels.json: vehicle2.beam_m: Input"),
+        ("poses", "3.0/vehicle2/heading_rad", "east", "poses.json: 3.0.vehicle2.heading_rad: a finite number"),
+        ("poses", "3.0/vehicle7", at(0, 0), "poses.json: 3.0.vehicle7: no vessel 'vehicle7'"),
+        ("detector", "confidence_threshold", 7, "detector.yaml: confidence_threshold: Input"),
+        ("detector", "states/fog/confusion", [[0.5], [0.4]], "detector.yaml: states.fog.confusion: column 'Vessel' su"),
+    ]
+    for file, path, value, _ in mistakes:
         inputs.set(file, path, value)
-    said = refused(
-        inputs.write(),
-        "sed: unknown key",
-        "cameras.C0.mount.vessel: no vessel 'vehicle9'",
-        "cameras.shore.mount: give exactly one",
-        "vessels.json: vehicle2.beam_m: Input",
-        "poses.json: 3.0.vehicle2.heading_rad: a finite number",
-        "poses.json: 3.0.vehicle7: no vessel 'vehicle7'",
-        "detector.yaml: confidence_threshold: Input",
-        "detector.yaml: states.fog.confusion: column 'Vessel' sums to 0.9",
-    )
-    assert "vehicle1.heading" not in said
+    assert "vehicle1.heading" not in refused(inputs.write(), *(part for *_, part in mistakes))
 
 
-def test_misspelt_label_is_told_beside_another_mistake_in_the_vessels(inputs: Inputs, refused: Refused) -> None:
+def test_labels_and_poses_are_looked_at_though_vessels_are_wrong_or_missing(inputs: Inputs, refused: Refused) -> None:
     inputs.set("vessels", "vehicle2/beam_m", -1)
     inputs.set("vessels", "vehicle1/label", "Boat")
-    refused(inputs.write(), "vehicle2.beam_m: Input", "vehicle1.label: 'Boat' is not one of the detector's labels")
-
-
-def test_pose_file_is_looked_at_when_the_vessels_are_missing(inputs: Inputs, refused: Refused) -> None:
-    inputs.set("scene", "vessels", "gone.json")
     inputs.set("poses", "3.0/vehicle2/heading_rad", "east")
-    refused(inputs.write(), "gone.json: no such file", "3.0.vehicle2.heading_rad: a finite number")
+    heading = "3.0.vehicle2.heading_rad: a finite number"
+    refused(inputs.write(), "vehicle2.beam_m: Input", "vehicle1.label: 'Boat' is not one of the detector's", heading)
+    inputs.set("scene", "vessels", "gone.json")
+    refused(inputs.write(), "gone.json: no such file", heading)

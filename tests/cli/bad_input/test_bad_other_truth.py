@@ -1,6 +1,5 @@
 """A labelled video that a detector cannot work on, and options that do not fit, get one clear error."""
 
-import copy
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,7 @@ from modsim3d.formats.labelled_video.detect_truth import detect_truth
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import Call, places, refusal
-from tests.cli.bad_input.test_bad_labelled_sets import TRUTH, WRONG
+from tests.cli.bad_input.test_bad_labelled_sets import TRUTH, WRONG, changed
 from tests.detector_variants import variant
 
 LINE = "1,3,10,20,30,40,1,1,0.5\n"
@@ -51,12 +50,8 @@ MOT: dict[str, tuple[str, tuple[object, ...], str]] = {
     "a track twice": (LINE * 2, KNOWN, "gt.txt line 2: identity 3 is in frame 1 already"),
     "detections": ("1,-1,10,20,30,40,0.9\n", KNOWN, "have no track"),
     "some classes": (LINE + "2,3,10,20,30,40,1,-1,1\n", KNOWN, "line 2: has no class in its eighth column, but other"),
-    "unknown classes": (
-        TWO,
-        KNOWN,
-        "class 2 is not one of the detector's labels (known: Vessel)\n  give --labels A,B,... with a label of the "
-        "detector for each class from 1 to 2; - for one that is not to be detected",
-    ),
+    "unknown classes": (TWO, KNOWN, "class 2 is not one of the detector's labels (known: Vessel)\n  give --labels A,B"),
+    "how to name them": (TWO, KNOWN, "a label of the detector for each class from 1 to 2; - for one that is not to be"),
     "too few labels": (TWO, (*KNOWN, "--labels", "Vessel"), "--labels:\n  does not say what class 2 is"),
     "a label like one": (LINE, (*KNOWN, "--labels", "Vesel"), "'Vesel' is not one of the detector's labels (did you"),
     "a place without a label": (LINE, (*KNOWN, "--labels", "Vessel,,Vessel"), "'' is not one of the detector's labels"),
@@ -83,39 +78,22 @@ def test_a_mot_sequence_that_cannot_be_worked_on_is_refused(refuse, truth, optio
     refuse(truth, options, part)
 
 
-def changed(*paths: tuple[tuple[Any, ...], Any]) -> dict[str, Any]:
-    data = copy.deepcopy({**TRUTH, "images": [TRUTH["images"][0], {**TRUTH["images"][0], "id": 2, "time_s": 0.6}]})
-    for path, value in paths:
-        section: Any = data
-        for key in path[:-1]:
-            section = section[key]
-        section[path[-1]] = value
-    return data
+TWICE = {**TRUTH, "images": [TRUTH["images"][0], {**TRUTH["images"][0], "id": 2, "time_s": 0.6}]}
+ALIKE = changed(changed(TWICE, ("images", 0, "sequence"), "a/b"), ("images", 1, "sequence"), "A_B")
+SAME_TIME = "images 'a.png' and 'a.png' have the same time, 0.5 s: if they are of different videos, name these in seque"
 
 
 LABEL = ("--labels", "Vessel", *THESIS)
-COCO: dict[str, tuple[dict[str, Any], tuple[object, ...], str]] = {
-    "other labels": (
-        changed(),
-        THESIS,
-        "labels:\n  category 'boat' is not one of the detector's labels (known: Vessel)\n  give --labels A,B,... with "
-        "a label of the detector in the order of the file (boat); - for one",
-    ),
-    "too many labels": (changed(), (*LABEL[:1], "Vessel,-", *THESIS), "names 2 categories, and the file has 1"),
-    "equal times": (
-        changed((("images", 1, "time_s"), 0.5)),
-        LABEL,
-        "images 'a.png' and 'a.png' have the same time, 0.5 s: if they are of different videos, name these in sequence",
-    ),
-    "no time": (changed((("images", 1, "time_s"), None)), LABEL, "1 of 2 images have no time"),
-    "two sizes": (changed((("images", 1, "width"), 320)), LABEL, "images are 640 × 480 and 320 × 480 px"),
-    "no track": (changed((("annotations", 0, "track_id"), None)), LABEL, "each needs a track_id in COCO"),
-    "names alike": (
-        changed((("images", 0, "sequence"), "a/b"), (("images", 1, "sequence"), "A_B")),
-        LABEL,
-        "sequences 'a/b' and 'A_B' would have files of one name: rename one of them",
-    ),
-    "results": ([], LABEL, "a list: is it the results file?"),  # type: ignore[dict-item]
+COCO: dict[str, tuple[Any, tuple[object, ...], str]] = {
+    "other labels": (TWICE, THESIS, "labels:\n  category 'boat' is not one of the detector's labels (known: Vessel)\n"),
+    "how to name them": (TWICE, THESIS, "A,B,... with a label of the detector in the order of the file (boat); - for"),
+    "too many labels": (TWICE, ("--labels", "Vessel,-", *THESIS), "names 2 categories, and the file has 1"),
+    "equal times": (changed(TWICE, ("images", 1, "time_s"), 0.5), LABEL, SAME_TIME),
+    "no time": (changed(TWICE, ("images", 1, "time_s"), None), LABEL, "1 of 2 images have no time"),
+    "two sizes": (changed(TWICE, ("images", 1, "width"), 320), LABEL, "images are 640 × 480 and 320 × 480 px"),
+    "no track": (changed(TWICE, ("annotations", 0, "track_id"), None), LABEL, "each needs a track_id in COCO"),
+    "names alike": (ALIKE, LABEL, "sequences 'a/b' and 'A_B' would have files of one name: rename one of them"),
+    "results": ([], LABEL, "a list: is it the results file?"),
 }
 
 
@@ -140,11 +118,8 @@ NEEDS: dict[str, tuple[str, str]] = {
 def test_what_a_detector_needs_of_a_scene_is_asked_for_by_its_key_and_can_be_left_out_as_it_says(
     refuse: Refuse, call: Call, tmp_path: Path, name: str, parts: tuple[str, str]
 ) -> None:
-    data = variant(name) if name not in ("band", "far") else variant("plain")
-    if name == "band":
-        data["false_positives"] = {"placement": "horizon_band", "band_px": 50}
-    if name == "far":
-        data["false_positives"] = {"far_half_px": 50}
+    false = {"band": {"placement": "horizon_band", "band_px": 50}, "far": {"far_half_px": 50}}.get(name)
+    data = variant("plain") | {"false_positives": false} if false else variant(name)
     (tmp_path / "detector.yaml").write_text(json.dumps(data))
     options = (*SIZE, *RATE, "--detector", tmp_path / "detector.yaml")
     said = refuse(LINE, options, f"detector {tmp_path / 'detector.yaml'}:\n  ", *parts)
@@ -161,16 +136,10 @@ def test_either_a_run_or_a_truth_is_given_and_options_of_the_other_are_refused(i
         refusal(call, ("detect", *line, *out), "give either RUN, a finished run, or --truth FILE")
     for option in (("--labels", "a"), SIZE, RATE, ("--horizon", "4"), ("--skip-bad",)):
         refusal(call, ("detect", tmp_path / "run", *option, *out), f"{option[0]} is for --truth: a run says it itself")
-    refusal(
-        call,
-        ("detect", "--truth", tmp_path / "run", *KNOWN, *out),
-        "is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON",
-    )
-    refusal(
-        call,
-        ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "run", "--overwrite"),
-        "holds a run: choose another folder",
-    )
+    line = ("detect", "--truth", tmp_path / "run", *KNOWN, *out)
+    refusal(call, line, "is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON")
+    line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "run", "--overwrite")
+    refusal(call, line, "holds a run: choose another folder")
     assert not (tmp_path / "out").exists()
 
 
@@ -208,15 +177,14 @@ def test_wrong_lines_are_left_out_with_skip_bad(call: Call, tmp_path: Path) -> N
     assert status == 0 and "1 entries left out, the first because gt.txt line 2: must be numbers" in said
 
 
-READ = (
-    *("id", "width", "height", "file_name", "time_s", "sequence", "bbox", "track_id", "visible_fraction", "distance_m"),
-)
+READ = ("id", "width", "height", "file_name", "time_s", "sequence", "bbox", "track_id", "visible_fraction")
+READ += ("distance_m",)
 
 
 @pytest.mark.parametrize("path", [path for path in places(TRUTH) if path[-1] in READ and len(path) == 3], ids=str)
 def test_any_value_of_a_coco_file_is_worked_on_or_refused(tmp_path: Path, path: tuple[Any, ...]) -> None:
     for number, value in enumerate(WRONG):
-        (tmp_path / "gt.json").write_text(json.dumps(changed((path, value))))
+        (tmp_path / "gt.json").write_text(json.dumps(changed(TWICE, path, value)))
         try:
             detect_truth(tmp_path / "gt.json", tmp_path / str(number), detector="thesis", labels=("Vessel",))
         except ModsimError as error:

@@ -21,6 +21,16 @@ def voyage(run: Path) -> tuple[object, ...]:
     return ("learn-voyage", scene_file(run), "--detections", run, "--match", "centre", *QUICK, "--fixed", "all")
 
 
+def labelled(run: Path) -> tuple[object, ...]:
+    truth, detector = run.parent / "coco" / "gt.json", run / "scene" / "detector.yaml"
+    return ("detect", "--truth", truth, "--detector", detector)
+
+
+def guess(run: Path) -> tuple[object, ...]:
+    conditions = ("--from-condition", "noon_clear", "--to-condition", "foggy_cloudy")
+    return ("learn", "--detector", run / "scene" / "detector.yaml", *conditions)
+
+
 Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
 WRITERS: dict[str, tuple[str, Line]] = {
@@ -32,13 +42,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "export: ais": ("ais.nmea", lambda run, out: ("export", run, "--format", "ais", "--out", out.parent)),
     "export: mot": ("frames.csv", lambda run, out: ("export", run, "--format", "mot", "--out", out.parent)),
     "export: yolo": ("data.yaml", lambda run, out: ("export", run, "--format", "yolo", "--out", out.parent)),
-    "detect: truth": (
-        "dt.json",
-        lambda run, out: (
-            *("detect", "--truth", run.parent / "coco" / "gt.json", "--detector", run / "scene" / "detector.yaml"),
-            *("--out", out.parent),
-        ),
-    ),
+    "detect: truth": ("dt.json", lambda run, out: (*labelled(run), "--out", out.parent)),
     "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
     "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
     "campaign table": ("means.csv", lambda run, out: ("campaign", "table", small_campaign(run.parent), "--out", out)),
@@ -50,13 +54,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
         lambda run, out: (*voyage(run), "--out", out.with_name("d.yaml"), "--write-scene", out.parent),
     ),
     "learn: page": ("d.html", lambda run, out: ("learn", run, *QUICK, "--out", out.with_name("d.yaml"))),
-    "learn: guess": (
-        "guess.yaml",
-        lambda run, out: (
-            *("learn", "--detector", run / "scene" / "detector.yaml", "--from-condition", "noon_clear"),
-            *("--to-condition", "foggy_cloudy", "--out", out),
-        ),
-    ),
+    "learn: guess": ("guess.yaml", lambda run, out: (*guess(run), "--out", out)),
     "view frame": ("picture.png", lambda run, out: ("view", "frame", run, 3, "--width", 160, "--out", out)),
     "view map": ("map.png", lambda run, out: ("view", "map", run, "--width", 160, "--out", out)),
     "view film": ("film.gif", lambda run, out: ("view", "film", run, *SHORT, "--width", 160, "--out", out)),
@@ -94,10 +92,8 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
     "view sheet": (("contact_sheet.png",), lambda run: ("view", "sheet", run)),
 }
 """What a command writes into the run directory unless told otherwise."""
-READ = {
-    *("scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"),
-    *("images", "attitude", "like", "runs"),
-}
+READ = {"scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"}
+READ |= {"images", "attitude", "like", "runs"}
 """Parameters that name what is read."""
 WRITTEN = {"out", "cache", "write_scene"}
 """Parameters that name what is written."""
