@@ -7,40 +7,37 @@ import pytest
 from modsim3d.io.overwrite_guard import locked_file
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import content
 from tests.cli.conftest import Modsim3d
 from tests.scenes import crossing
 
 
 def export(modsim3d: Modsim3d, run: Path, out: Path, *more: object) -> str:
     """Assert that an export is refused, and that what is in the folder stays; what it says."""
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    before = content(out)
     said = modsim3d("export", run, "--out", out, *more)
     assert said.status == 2 and not said.out
     assert len(said.err.splitlines()) == 1 and "Traceback" not in said.err
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    assert content(out) == before
     return said.err
 
 
-@pytest.mark.parametrize("name", ["mot", "yolo"])
-def test_masks_go_with_coco_alone(modsim3d: Modsim3d, run: Path, tmp_path: Path, name: str) -> None:
-    said = export(modsim3d, run, tmp_path, "--format", name, "--masks")
-    assert f"--masks goes with --format coco, not with {name}" in said
-
-
-@pytest.mark.parametrize("name", ["coco", "mot", "yolo"])
-def test_a_camera_that_is_not_there_is_told(modsim3d: Modsim3d, run: Path, tmp_path: Path, name: str) -> None:
-    assert "has no camera 'C7'; it has: C0" in export(modsim3d, run, tmp_path, "--format", name, "--camera", "C7")
-
-
-def test_masks_need_a_truth_of_pixels(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
+def test_masks_go_with_coco_alone_and_need_a_truth_in_pixels_of_the_image(modsim3d, run, tmp_path: Path) -> None:
+    for name in ("mot", "yolo"):
+        said = export(modsim3d, run, tmp_path, "--format", name, "--masks")
+        assert f"--masks goes with --format coco, not with {name}" in said
     said = export(modsim3d, run, tmp_path, "--format", "coco", "--masks")
     assert "source is analytic: run the scene with --source rendered" in said
-
-
-def test_masks_need_the_pixels_of_the_image(modsim3d: Modsim3d, tmp_path: Path) -> None:
     run_scene(load_scene(crossing(tmp_path, 2), supersample=2), tmp_path / "run")
     said = export(modsim3d, tmp_path / "run", tmp_path / "out", "--format", "coco", "--masks")
     assert "supersample 2: run the scene with --set annotation.supersample=1" in said
+
+
+def test_a_camera_that_is_not_there_and_a_folder_that_another_process_writes_are_told(modsim3d, run, tmp_path) -> None:
+    for name in ("coco", "mot", "yolo"):
+        assert "has no camera 'C7'; it has: C0" in export(modsim3d, run, tmp_path, "--format", name, "--camera", "C7")
+    with locked_file(tmp_path / "predictions"):
+        assert "predictions is being written by" in export(modsim3d, run, tmp_path, "--format", "yolo")
 
 
 @pytest.mark.parametrize(
@@ -73,8 +70,3 @@ def test_sequences_of_another_export_are_not_left_among_the_new_ones(modsim3d, r
     old.write_text("1,1,1,1,5,5,1,1,1\n")
     said = export(modsim3d, run, tmp_path, "--format", "mot", "--overwrite")
     assert f"{set_} holds another sequence (old): choose another folder" in said
-
-
-def test_a_folder_that_another_process_writes_is_left_alone(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
-    with locked_file(tmp_path / "predictions"):
-        assert "predictions is being written by" in export(modsim3d, run, tmp_path, "--format", "yolo")

@@ -53,12 +53,9 @@ def test_what_ros_cannot_say_is_told_before_anything_is_written(call: Call, tmp_
     run_scene(scene(**changes), tmp_path / "run")
     refusal(call, ("export", tmp_path / "run", "--format", "mcap", "--out", tmp_path / "out"), part)
     assert not (tmp_path / "out").exists()
-
-
-def test_cameras_with_one_name_in_ros_are_exported_one_by_one(call: Call, tmp_path) -> None:
-    run_scene(scene(cameras=("bow.1", "bow-1")), tmp_path / "run")
-    line = ("export", tmp_path / "run", "--format", "mcap", "--out", tmp_path / "out", "--camera", "bow-1")
-    assert call(*line)[0] == 0
+    if "cameras" in changes:  # one by one they are exported
+        line = ("export", tmp_path / "run", "--format", "mcap", "--out", tmp_path / "out", "--camera", "bow-1")
+        assert call(*line)[0] == 0
 
 
 @pytest.mark.parametrize("name", FILES)

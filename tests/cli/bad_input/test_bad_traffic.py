@@ -61,10 +61,9 @@ def test_wrong_traffic_is_one_error_that_names_its_key(tmp_path: Path, refused: 
 
 
 def test_a_wrong_setting_of_the_section_names_the_option(tmp_path: Path, refused: Refused) -> None:
-    for key, value, said in (
-        ("poses.traffic.lanes.west.per_hour", -1, "Input should be"),
-        ("poses.traffic.lanes.est.per_hour", 1, "poses.traffic.lanes has no 'est' (did you mean 'west'?)"),
-    ):
+    missing = "poses.traffic.lanes has no 'est' (did you mean 'west'?)"
+    for lane, value, said in (("west", -1, "Input should be"), ("est", 1, missing)):
+        key = f"poses.traffic.lanes.{lane}.per_hour"
         refused(written(tmp_path), f"--set {key}: {said}", options=("--set", f"{key}={value}"))
 
 

@@ -18,9 +18,8 @@ from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.world.poses.replay import load_poses, read_steps
 from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused, at, refusal
 
-ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 30)
-)
+NINE = "a{i}: &a{i} [*a{k}, *a{k}, *a{k}, *a{k}, *a{k}, *a{k}, *a{k}, *a{k}, *a{k}]\n"
+ALIASES = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(NINE.format(i=i, k=i - 1) for i in range(1, 30))
 MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 11))
 TOP_ALIASES = "- &a0 [x, x]\n" + "".join(f"- &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
 LONG_ALIAS = f"a: &a {'x' * 100_000}\nb: [{', '.join(['*a'] * 1000)}]\n"
@@ -100,46 +99,32 @@ def test_a_line_of_a_stream_has_a_budget_of_values() -> None:
         list(read_steps([line], "poses from standard input", ["v"]))
 
 
-@pytest.mark.parametrize("file", ["scene", "vessels", "poses", "detector"])
-def test_a_pipe_is_refused_and_not_waited_for(inputs: Inputs, refused: Refused, file: str) -> None:
-    scene = inputs.write()
-    inputs.path(file).unlink()
-    os.mkfifo(inputs.path(file))
-    refused(scene, f"{inputs.path(file).name}:", "this is a pipe, a file was expected")
-
-
-def test_a_pipe_is_refused_as_a_mesh(inputs: Inputs, refused: Refused) -> None:
+def test_pipes_devices_and_sockets_are_refused_and_not_waited_for(inputs: Inputs, refused: Refused) -> None:
+    for file in ("scene", "vessels", "poses", "detector"):
+        scene = inputs.write()
+        inputs.path(file).unlink()
+        os.mkfifo(inputs.path(file))
+        refused(scene, f"{inputs.path(file).name}:", "this is a pipe, a file was expected")
+        inputs.path(file).unlink()
     inputs.set("vessels", "vehicle2/mesh", "hull.stl")
-    scene = inputs.write()
     os.mkfifo(inputs.folder / "hull.stl")
-    refused(scene, "vehicle2.mesh: 'hull.stl' is no ordinary file")
-
-
-def test_devices_and_sockets_are_refused(tmp_path: Path) -> None:
+    refused(inputs.write(), "vehicle2.mesh: 'hull.stl' is no ordinary file")
     with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(tmp_path / "s"))
-        for path, part in (("/dev/zero", "this is a device"), (str(tmp_path / "s"), "cannot be read")):
+        listening.bind(str(inputs.folder / "s"))
+        for path, part in (("/dev/zero", "this is a device"), (inputs.folder / "s", "cannot be read")):
             with pytest.raises(InputError, match=part):
                 read_text(Path(path), "file")
 
 
-@pytest.mark.parametrize(
-    ("text", "part"),
-    [
-        ("!!binary aGk=", "line 2, column 8: the tag !!binary is not read"),
-        ("!!set {a, b}", "line 2, column 8: the tag !!set is not read"),
-        ("!!omap [a: 1]", "line 2, column 8: the tag !!omap is not read"),
-        ("!!timestamp 2001-01-01", "line 2, column 8: the tag !!timestamp is not read"),
-        ("!!python/name:os.system", "line 2, column 8: the tag !!python/name:os.system is not read"),
-        ("!mine [a]", "line 2, column 8: the tag !mine is not read"),
-        ("!!map [a]", "line 2, column 8: a mapping is expected, but found a sequence"),
-    ],
-)
 @pytest.mark.parametrize("file", ["scene", "detector"])
-def test_yaml_has_the_types_of_its_core_schema_only(inputs, refused, file, text, part):
+def test_yaml_has_the_types_of_its_core_schema_only(inputs, refused, file):
     scene = inputs.write()
-    inputs.path(file).write_text(f"a: 1\nlabel: {text}\n")
-    refused(scene, part)
+    tags = {"!!binary": "aGk=", "!!set": "{a, b}", "!!omap": "[a: 1]", "!!timestamp": "2001-01-01", "!mine": "[a]"}
+    for tag, text in {**tags, "!!python/name:os.system": ""}.items():
+        inputs.path(file).write_text(f"a: 1\nlabel: {tag} {text}\n")
+        refused(scene, f"line 2, column 8: the tag {tag} is not read")
+    inputs.path(file).write_text("a: 1\nlabel: !!map [a]\n")
+    refused(scene, "line 2, column 8: a mapping is expected, but found a sequence")
 
 
 @pytest.mark.parametrize("number", ["1e400", "-1e400", "1" * 400, "Infinity", "NaN"])
@@ -176,20 +161,15 @@ def test_long_names_lose_their_middle(inputs: Inputs, refused: Refused) -> None:
 
 
 @pytest.mark.parametrize("file", ["scene", "vessels", "poses", "detector"])
-@pytest.mark.parametrize("text", ["root:secret:0:0\nother:secret", '"secret"', "- secret", "secret", "[secret]"])
-def test_a_file_of_another_kind_is_not_repeated(inputs: Inputs, refused: Refused, file: str, text: str) -> None:
+def test_a_file_of_another_kind_is_not_repeated(inputs: Inputs, refused: Refused, file: str) -> None:
     scene = inputs.write()
-    inputs.path(file).write_text(text)
-    assert "secret" not in refused(scene)
+    for text in ("root:secret:0:0\nother:secret", '"secret"', "- secret", "secret", "[secret]"):
+        inputs.path(file).write_text(text)
+        assert "secret" not in refused(scene)
 
 
-def test_a_file_of_another_kind_is_not_repeated_as_a_sequence(call: Call, inputs: Inputs, tmp_path: Path) -> None:
-    run, out = tmp_path / "run", tmp_path / "out.yaml"
-    call("run", inputs.write(), "--out", run, "--no-sheet")
+def test_nor_is_one_that_is_given_as_a_sequence(call: Call, inputs: Inputs, tmp_path: Path) -> None:
+    call("run", inputs.write(), "--out", tmp_path / "run", "--no-sheet")
     (tmp_path / "file").write_text("root:secret:0:0\nother:secret\n")
-    said = refusal(
-        call,
-        ("learn", run, "--out", out, "--sequence", tmp_path / "file", "--interval", 1),
-        "--sequence:\n  names no state in any line",
-    )
-    assert "secret" not in said
+    line = ("learn", tmp_path / "run", "--out", tmp_path / "out.yaml", "--sequence", tmp_path / "file", "--interval", 1)
+    assert "secret" not in refusal(call, line, "--sequence:\n  names no state in any line")

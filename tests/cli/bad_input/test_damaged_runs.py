@@ -68,12 +68,10 @@ def read(run: Path, name: str) -> pa.Table:
 
 def relist(run: Path) -> None:
     """Let `run.json` list the files as they are now, so that only their content can be wrong."""
-    settings = json.loads((run / "run.json").read_text())
-    for name in settings["files"]:
-        if (run / name).is_file():
-            data = (run / name).read_bytes()
-            settings["files"][name] = {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    (run / "run.json").write_text(json.dumps(settings))
+    files = json.loads((run / "run.json").read_text())["files"]
+    data = {name: (run / name).read_bytes() for name in files if (run / name).is_file()}
+    listed = {name: {"bytes": len(each), "sha256": hashlib.sha256(each).hexdigest()} for name, each in data.items()}
+    change_settings(run, files=files | listed)
 
 
 def replace_table(run: Path, name: str, table: pa.Table) -> None:
@@ -179,12 +177,11 @@ def test_the_good_run_is_read_by_every_command(call, run, tmp_path):
 
 
 def test_a_changed_table_of_the_same_size_is_refused_where_it_is_read_whole(call, run, tmp_path):
-    table = read(run, "truth")
+    table, files = read(run, "truth"), json.loads((run / "run.json").read_text())["files"]
     depth = pa.array([value + 1 for value in table["depth_m"].to_pylist()])
-    settings = json.loads((run / "run.json").read_text())
     replace_table(run, "truth", table.set_column(table.column_names.index("depth_m"), "depth_m", depth))
-    settings["files"]["truth.parquet"]["bytes"] = (run / "truth.parquet").stat().st_size
-    (run / "run.json").write_text(json.dumps(settings))
+    files["truth.parquet"]["bytes"] = (run / "truth.parquet").stat().st_size
+    change_settings(run, files=files)
     for command in ("verify", "detect", "export", "report"):
         said = assert_refused(call, run, command, tmp_path / "out")
         assert "truth.parquet was changed after the run" in said
@@ -208,11 +205,6 @@ def damage_of(rng: random.Random, run: Path) -> tuple[str, Damage]:
     data = (run / f"{name}.parquet").read_bytes()
     setting = rng.choice(sorted(json.loads((run / "run.json").read_text()).keys() - {"truth_versions", "files"}))
 
-    def change_setting(run: Path) -> None:
-        settings = json.loads((run / "run.json").read_text())
-        settings[setting] = [float("nan")]
-        (run / "run.json").write_text(json.dumps(settings))
-
     def write(new: pa.Table) -> Damage:
         return lambda run: replace_table(run, name, new)
 
@@ -228,7 +220,7 @@ def damage_of(rng: random.Random, run: Path) -> tuple[str, Damage]:
             (f"{name} twice", write(pa.concat_tables([table, table]))),
             (f"{name} without its first row", write(table.slice(1))),
             (f"{name} cut", cut),
-            (f"{setting} of another type", change_setting),
+            (f"{setting} of another type", lambda run: change_settings(run, **{setting: [float("nan")]})),
         )
     )
 
@@ -242,28 +234,30 @@ def test_a_damaged_run_is_one_error(call, run, tmp_path, seed):
     assert "is not what a run has written" in said or "by the counts of run.json" in said, what
 
 
-@pytest.mark.parametrize("content", ["", "{", "[1]", '{"scene": "scene", "scene": 2}', "\x00", '{"scene": "../run"}'])
-def test_a_run_file_that_no_run_has_written_is_refused(call, run, tmp_path, content):
-    (run / "run.json").write_text(content)
-    assert "run.json is not what a run has written" in assert_refused(call, run, "verify", tmp_path / "out")
-
-
-@pytest.mark.parametrize("name", ["9" * 5000, "é" * 200, "truth/" * 50])
-def test_a_listed_name_that_no_file_can_have_is_refused(call, run, tmp_path, name):
-    content = json.loads((run / "run.json").read_text())
-    content["files"][name] = {"bytes": 1, "sha256": "0" * 64}
-    (run / "run.json").write_text(json.dumps(content))
-    said = assert_refused(call, run, "verify", tmp_path / "out")
-    assert ("no path in a run directory" in said or "is missing" in said) and len(said) < 2000
-
-
-@pytest.mark.parametrize("name", ["seed", "steps", "cameras", "annotation", "detector_seed"])
-def test_settings_of_another_scene_are_refused(run, name):
+def change_settings(run: Path, **entries: Any) -> None:
     settings = json.loads((run / "run.json").read_text())
-    settings[name] = {"cameras": ["bow"], "annotation": {"mode": 1}}.get(name, 7)
-    (run / "run.json").write_text(json.dumps(settings))
-    with pytest.raises(RunDirectoryError, match=rf"run\.json: {name}.* is .* in the run's copy of its scene"):
-        open_run(run)
+    (run / "run.json").write_text(json.dumps(settings | entries))
+
+
+def test_a_run_file_that_no_run_has_written_is_refused(call, run, tmp_path):
+    files = json.loads((run / "run.json").read_text())["files"]
+    for name in ("9" * 5000, "é" * 200, "truth/" * 50):  # no file can have it
+        change_settings(run, files=files | {name: {"bytes": 1, "sha256": "0" * 64}})
+        said = assert_refused(call, run, "verify", tmp_path / "out")
+        assert ("no path in a run directory" in said or "is missing" in said) and len(said) < 2000, name
+    for text in ("", "{", "[1]", '{"scene": "scene", "scene": 2}', "\x00", '{"scene": "../run"}'):
+        (run / "run.json").write_text(text)
+        said = assert_refused(call, run, "verify", tmp_path / "out")
+        assert "run.json is not what a run has written" in said, text
+
+
+def test_settings_of_another_scene_are_refused(run):
+    settings = (run / "run.json").read_text()
+    for name in ("seed", "steps", "cameras", "annotation", "detector_seed"):
+        change_settings(run, **{name: {"cameras": ["bow"], "annotation": {"mode": 1}}.get(name, 7)})
+        with pytest.raises(RunDirectoryError, match=rf"run\.json: {name}.* is .* in the run's copy of its scene"):
+            open_run(run)
+        (run / "run.json").write_text(settings)
 
 
 def test_a_changed_copy_of_the_scene_is_refused(call, run, tmp_path):

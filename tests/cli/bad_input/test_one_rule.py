@@ -14,7 +14,7 @@ from modsim3d.cli import main
 from modsim3d.core.errors import OutputError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.io.overwrite_guard import check_free
+from modsim3d.io.overwrite_guard import check_free, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.campaign.small_campaign import small_campaign
@@ -56,11 +56,8 @@ def test_the_tables_of_these_tests_have_every_command_and_every_path_that_one_is
         assert paths <= writers.READ | writers.WRITTEN, f"{name}: is it read or written?"
         writes = name not in writers.NO_WRITERS
         replaces = "overwrite" in {each.name for each in parameters}
-        assert (
-            writes
-            == (bool(paths & writers.WRITTEN) or name in writers.INTO_RUNS)
-            == (replaces or name in writers.CONTINUING)
-        ), name
+        assert writes == (bool(paths & writers.WRITTEN) or name in writers.INTO_RUNS), name
+        assert writes == (replaces or name in writers.CONTINUING), name
         optional = {each.name for each in parameters if each.default is None}
         # The first three write nothing without it, and the page of a campaign does not lie in a run.
         if name in named and "out" in optional and name not in writers.NO_DEFAULT:
@@ -97,11 +94,11 @@ def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, 
     refusal(call, (*line(run, out), "--overwrite"), f"{out} is read by this command", kept=tmp_path)
 
 
-@pytest.mark.parametrize("spelled", ["run/../run/truth.parquet", "./run//truth.parquet", "folder/truth.parquet"])
-def test_what_a_command_reads_stays_however_it_is_spelled(run, call, tmp_path, monkeypatch, spelled):
+def test_what_a_command_reads_stays_however_it_is_spelled(run, call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("folder").symlink_to(run)
-    refusal(call, ("report", "run", "--out", spelled, "--overwrite"), "is read by this command", kept=tmp_path)
+    for spelled in ("run/../run/truth.parquet", "./run//truth.parquet", "folder/truth.parquet"):
+        refusal(call, ("report", "run", "--out", spelled, "--overwrite"), "is read by this command", kept=tmp_path)
 
 
 def test_files_are_the_same_by_what_they_are_and_not_by_their_names(tmp_path, monkeypatch) -> None:
@@ -202,13 +199,8 @@ def test_a_vessels_file_among_the_files_that_a_run_replaces_stays(inputs: Inputs
     else:
         inside.rename(out / "unfinished" / "detections_C0.jsonl")
         os.link(out / "unfinished" / "detections_C0.jsonl", given)
-    vessels = inputs.data.pop("vessels")
-    before = content(out)
-    status, said = call("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet")
-    assert vessels
-    assert status == 2
-    assert "this run reads it" in said
-    assert content(out) == before
+    assert inputs.data.pop("vessels")
+    refusal(call, ("run", inputs.write(), "--out", out, "--overwrite", "--no-sheet"), "this run reads it", kept=out)
 
 
 @pytest.mark.parametrize("name", ["poses.jsonl", "unfinished/poses.jsonl"])
@@ -234,9 +226,7 @@ def test_a_run_does_not_replace_a_file_that_a_hard_link_leads_to(inputs: Inputs,
     refusal(call, line, "this run reads it", kept=tmp_path)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in writers.FOLDER_WRITERS if name != "campaign reproduce"]
-)  # reuses its own
+@pytest.mark.parametrize("name", sorted({*writers.FOLDER_WRITERS} - {"campaign reproduce"}))  # reuses its own
 def test_a_folder_that_holds_something_is_refused_without_overwrite(run: Path, call: Call, tmp_path, name) -> None:
     lines = {
         "run": ("run", tmp_path / "scene.yaml", "--steps", 3, "--source", "analytic", "--no-sheet"),
@@ -254,14 +244,18 @@ def test_a_folder_that_holds_something_is_refused_without_overwrite(run: Path, c
     assert content(tmp_path / "mine") == {"notes.txt": b"mine"}
 
 
-@pytest.mark.parametrize("how", HOW.values(), ids=HOW)
-def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path, how) -> None:
+def test_an_ais_log_stays_whatever_leads_to_it(call: Call, tmp_path) -> None:
     out, log = tmp_path / "scene", tmp_path / "log.csv"
     shutil.copy(SAMPLES / "danish.csv", log)
     assert call("ais", log, "--out", out)[0] == 0
-    (out / "vessels.json").unlink()
-    how(out / "vessels.json", log)
-    refusal(call, ("ais", log, "--out", out, "--overwrite"), "is read by this command", kept=tmp_path)
+    for how in HOW.values():
+        (out / "vessels.json").unlink()
+        how(out / "vessels.json", log)
+        refusal(call, ("ais", log, "--out", out, "--overwrite"), "is read by this command", kept=tmp_path)
+    shutil.copy(log, out / "report.json")
+    refusal(call, ("ais", out / "report.json", "--out", out, "--overwrite"), "is read by this command", kept=out)
+    with locked_folder(out):
+        refusal(call, ("ais", SAMPLES / "danish.csv", "--out", out, "--overwrite"), "is being written by", kept=out)
 
 
 @pytest.mark.parametrize("name", writers.NO_WRITERS)
@@ -278,10 +272,6 @@ def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_pa
 def test_a_detector_from_a_pipe_is_called_a_pipe(inputs: Inputs, call: Call, tmp_path) -> None:
     """As the shell gives for `--detector <(cat file)`."""
     reading, writing = os.pipe()
-    try:
-        status, said = call("run", inputs.write(), "--out", tmp_path / "run", "--detector", f"/dev/fd/{reading}")
-    finally:
-        os.close(reading)
-        os.close(writing)
-    assert status == 2
-    assert f"detector /dev/fd/{reading}: this is a pipe, a file was expected" in said
+    line = ("run", inputs.write(), "--out", tmp_path / "run", "--detector", f"/dev/fd/{reading}")
+    with os.fdopen(reading), os.fdopen(writing, "w"):
+        refusal(call, line, f"detector /dev/fd/{reading}: this is a pipe, a file was expected")

@@ -19,12 +19,7 @@ from tests.cli.bad_input.writers import scene_file
 from tests.run_folders import interrupt, run_files
 
 SMALL = ("--camera", "C0", "--width", "160")
-NOTES = {
-    "notes.txt": "mine",
-    "scene/notes.txt": "mine too",
-    "mine/frame_000001.png": "no film",
-    "report_parts/a": "mine",
-}
+NOTES = {"notes.txt": "mine", "scene/notes.txt": "mine too", "report_parts/a": "mine", "mine/frame_000001.png": "mine"}
 
 
 def write(folder: Path, files: dict[str, str]) -> dict[str, bytes]:
@@ -80,19 +75,18 @@ def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path,
     assert run_files(out) == run_files(tmp_path / "new") | notes
 
 
-def run_without_a_list(scene: Path, out: Path) -> None:
-    """A run as a version that did not list the files in `run.json` has written it."""
-    run_scene(load_scene(scene), out)
-    run = json.loads((out / "run.json").read_text())
-    del run["files"]
-    for later in out.glob("tracker_input_*"):
-        later.unlink()
-    (out / "run.json").write_text(json.dumps(run))
-
-
 def test_a_run_of_a_version_without_a_list_of_files_is_replaced_too(inputs, tmp_path):
-    out, scene = tmp_path / "run", inputs.write()
-    run_without_a_list(scene, out)
+    out, beside, scene = tmp_path / "run", tmp_path / "beside", inputs.write()
+    for folder in (out, beside):
+        run_scene(load_scene(scene), folder)
+        run = json.loads((folder / "run.json").read_text())
+        del run["files"]
+        for later in folder.glob("tracker_input_*"):
+            later.unlink()
+        (folder / "run.json").write_text(json.dumps(run))
+    notes = write(beside, {"scene/vessels.json": "mine", "scene/notes.txt": "mine"})  # beside the copy of its scene
+    run_scene(load_scene(scene), beside, overwrite=True)
+    assert notes.items() <= run_files(beside).items()
     notes = write(out, {"notes.txt": "mine"})
     assert open_run(out).finished
     inputs.data["scene"]["cameras"].pop("shore")
@@ -122,38 +116,31 @@ def test_a_run_does_not_replace_what_it_reads(inputs, tmp_path, call, file):
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
 def test_an_interrupted_run_is_not_replaced_by_a_run_of_its_own_copy(inputs, tmp_path, call, option):
-    out = tmp_path / "run"
-    interrupt(load_scene(inputs.write()), out)
+    out = interrupt(load_scene(inputs.write()), tmp_path / "run")
     scene = scene_file(out / "unfinished")
     refusal(call, ("run", scene, "--out", out, option), f"{scene} belongs to the run in", kept=out)
 
 
 @pytest.mark.parametrize("name", ["truth.parquet", "scene/detector.yaml", "scene"])
 def test_a_file_in_the_way_that_no_run_has_written_is_named_and_stays(inputs, tmp_path, call, name):
-    interrupt(load_scene(inputs.write()), tmp_path / "run")
-    write(tmp_path / "run", {name: "mine"})
-    refusal(
-        call,
-        ("run", inputs.path("scene"), "--out", tmp_path / "run", "--resume"),
-        f"{tmp_path / 'run' / name} is in the way",
-        kept=tmp_path / "run",
-    )
+    out = interrupt(load_scene(inputs.write()), tmp_path / "run")
+    write(out, {name: "mine"})
+    line = ("run", inputs.path("scene"), "--out", out, "--resume")
+    refusal(call, line, f"{out / name} is in the way", kept=out)
 
 
-@pytest.mark.parametrize("inside", ["", "second", "scene/second"])
-def test_detect_does_not_write_into_the_run_that_it_reads(inputs, tmp_path, inside):
+def test_detect_does_not_write_into_the_run_that_it_reads(inputs, tmp_path):
     run_scene(load_scene(inputs.write()), tmp_path / "run")
     before = run_files(tmp_path / "run")
     (tmp_path / "link").symlink_to(tmp_path / "run")
-    with pytest.raises(RunDirectoryError, match="the truth is read from"):
-        detect_run(open_run(tmp_path / "run"), tmp_path / "link" / inside, overwrite=True)
-    assert run_files(tmp_path / "run") == before
+    for inside in ("", "second", "scene/second"):
+        with pytest.raises(RunDirectoryError, match="the truth is read from"):
+            detect_run(open_run(tmp_path / "run"), tmp_path / "link" / inside, overwrite=True)
+        assert run_files(tmp_path / "run") == before
 
 
 @pytest.mark.parametrize("calls", range(1, 11))
-def test_killed_anywhere_while_files_are_put_in_place_it_becomes_the_new_run_or_another(
-    inputs, tmp_path, monkeypatch, calls
-):
+def test_killed_while_files_are_put_in_place_it_becomes_the_new_run_or_another(inputs, tmp_path, monkeypatch, calls):
     """Killed before any of the renames of the end, and then either resumed or replaced by a third run."""
     scene = inputs.write()
     run_scene(load_scene("strait", steps=2, source="analytic"), tmp_path / "run")  # other cameras, other files
@@ -185,27 +172,20 @@ def test_no_file_outside_a_folder_is_removed_whatever_a_list_names(tmp_path):
     for name in ("in/own.json", "outside.json", "elsewhere/linked.json"):
         write(tmp_path, {name: "mine"})
     (tmp_path / "in" / "link").symlink_to(tmp_path / "elsewhere")
-    names = [
-        "own.json",
-        "../outside.json",
-        str(tmp_path / "outside.json"),
-        "link/linked.json",
-        "link/../../outside.json",
-    ]
-    remove_files(tmp_path / "in", names)
+    names = ("own.json", "../outside.json", "link/linked.json", "link/../../outside.json")
+    remove_files(tmp_path / "in", [*names, str(tmp_path / "outside.json")])
     assert run_files(tmp_path).keys() == {"outside.json", "elsewhere/linked.json"}
 
 
-@pytest.mark.parametrize("name", ["a\0b/c", "unfinished/truth.parquet", "a" * 300])
-def test_a_list_of_files_that_no_run_has_written_does_not_hinder_the_new_run(inputs, tmp_path, name):
+def test_a_list_of_files_that_no_run_has_written_does_not_hinder_the_new_run(inputs, tmp_path):
     out, scene = tmp_path / "run", inputs.write()
     run_scene(load_scene(scene), out)
-    before = run_files(out)
-    run = json.loads((out / "run.json").read_text())
-    run["files"][name] = {"bytes": 0, "sha256": "0" * 64}
-    (out / "run.json").write_text(json.dumps(run))
-    run_scene(load_scene(scene), out, overwrite=True)
-    assert run_files(out) == before
+    before, run = run_files(out), json.loads((out / "run.json").read_text())
+    for name in ("a\0b/c", "unfinished/truth.parquet", "a" * 300):
+        listed = run["files"] | {name: {"bytes": 0, "sha256": "0" * 64}}
+        (out / "run.json").write_text(json.dumps(run | {"files": listed}))
+        run_scene(load_scene(scene), out, overwrite=True)
+        assert run_files(out) == before, name
 
 
 def test_a_run_whose_scene_folder_also_holds_other_files_is_opened_and_replaced(inputs, tmp_path, call):
@@ -215,14 +195,6 @@ def test_a_run_whose_scene_folder_also_holds_other_files_is_opened_and_replaced(
     for arguments in (("check", "repeat", out), ("run", scene, "--out", out, "--overwrite"), ("report", out)):
         status, said = call(*arguments)
         assert status == 0, said
-    assert notes.items() <= run_files(out).items()
-
-
-def test_of_a_run_without_a_list_the_files_beside_the_copy_of_its_scene_stay(inputs, tmp_path):
-    out, scene = tmp_path / "run", inputs.write()
-    run_without_a_list(scene, out)
-    notes = write(out, {"scene/vessels.json": "mine", "scene/notes.txt": "mine"})
-    run_scene(load_scene(scene), out, overwrite=True)
     assert notes.items() <= run_files(out).items()
 
 

@@ -26,5 +26,4 @@ def test_auto_is_taken(inputs: Inputs, call: Call, tmp_path: Path, monkeypatch: 
     assert status == 0, said
     assert asked
     asked.clear()
-    assert call("check", "repeat", tmp_path / "run", "--workers", "auto")[0] == 0
-    assert asked
+    assert call("check", "repeat", tmp_path / "run", "--workers", "auto")[0] == 0 and asked
