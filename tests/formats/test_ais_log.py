@@ -42,7 +42,6 @@ SHORE = camera_keys(400, 300, pose={"position_m": [-900, -900, 20]})
 def tracks():
     """Positions and headings of the vessels of `SIZES`, shapes (T, N, 2) and (T, N)."""
     t = np.arange(STEPS) * STEP_S
-    zero = np.zeros(STEPS)
     circle = np.deg2rad(t)
     straight = {"own": (0.0, 0.0, 5.0, 0.0), "big ship": (200.0, 400.0, 6.0, 6.0), "sloop": (300.0, -200.0, -3.0, 1.0)}
     straight |= {"anchored": (500.0, -600.0, 0.0, 0.0), "visitor": (-200.0, 900.0, 0.0, -7.0)}
@@ -50,7 +49,7 @@ def tracks():
     places, headings = {}, {}
     for name, (w1, w2, v1, v2) in straight.items():
         places[name] = np.stack([w1 + v1 * t, w2 + v2 * t], axis=-1)
-        headings[name] = zero + np.arctan2(v2, v1)
+        headings[name] = np.full(STEPS, np.arctan2(v2, v1))
     places["turner"] = np.stack([900 + 250 * np.cos(circle), 900 + 250 * np.sin(circle)], axis=-1)
     headings["turner"] = circle + np.pi / 2
     away = (t < 60) | ((t > 200) & (t < 300)) | (t > 430)
@@ -126,8 +125,15 @@ def vessels(out):
     return {int(row["mmsi"]): row["vessel"] for row in rows if row["mmsi"]}
 
 
-def positions(log, mmsi=None):
-    return [each for each in log if each.message.msg_type in (1, 3, 18) and mmsi in (None, each.message.mmsi)]
+def positions(log, vessels=None, name=None):
+    """Reports of position, of a vessel or of all."""
+    found = [each for each in log if each.message.msg_type in (1, 3, 18)]
+    return [each for each in found if name is None or vessels[each.message.mmsi] == name]
+
+
+def sent(scene: Scene, steps: int) -> list[Any]:
+    """What the vessels of a scene without an own ship send."""
+    return list(reports(scene, steps, stations(scene, ())))
 
 
 def fix_s(line) -> int:
@@ -162,20 +168,15 @@ def test_each_vessel_sends_as_its_class_does(log, vessels, out):
     assert rows["219000001"]["mmsi"] == "219000001"
 
 
-def test_vessels_send_as_often_as_they_should(log, vessels):
+def test_vessels_send_as_often_as_they_should_while_they_are_there(log, vessels):
     """Interval 3⅓ s, and 6 s twice, as far as nothing is lost; 500 s with a tenth of the reports lost."""
     for name, interval in (("turner", 10 / 3), ("big ship", 6.0), ("219000001", 2.0)):
-        count = len([each for each in positions(log) if vessels[each.message.mmsi] == name])
         low, high = stats.binom.ppf([1e-4, 1 - 1e-4], round(STEPS / interval), 0.9)
-        assert low - 3 <= count <= high + 1
-    assert 2 <= len([each for each in positions(log) if vessels[each.message.mmsi] == "anchored"]) <= 3
-    assert 11 <= len([each for each in positions(log) if vessels[each.message.mmsi] == "sloop"]) <= 17
-
-
-def test_a_vessel_sends_only_while_it_is_there(log, vessels):
-    seconds = np.array([fix_s(each) for each in positions(log) if vessels[each.message.mmsi] == "visitor"])
-    there = ((seconds >= 60) & (seconds <= 200)) | ((seconds >= 300) & (seconds <= 430))
-    assert there.all()
+        assert low - 3 <= len(positions(log, vessels, name)) <= high + 1
+    assert 2 <= len(positions(log, vessels, "anchored")) <= 3
+    assert 11 <= len(positions(log, vessels, "sloop")) <= 17
+    seconds = np.array([fix_s(each) for each in positions(log, vessels, "visitor")])
+    assert (((seconds >= 60) & (seconds <= 200)) | ((seconds >= 300) & (seconds <= 430))).all()
     assert (seconds < 200).sum() > 10 and (seconds >= 300).sum() > 10
 
 
@@ -208,7 +209,7 @@ def test_reports_lie_about_the_truth_as_far_as_the_noise_explains(log, vessels):
 
 def test_speed_course_and_turn_are_over_ground(log, vessels):
     def of(name, field):
-        return np.array([getattr(each.message, field) for each in positions(log) if vessels[each.message.mmsi] == name])
+        return np.array([getattr(each.message, field) for each in positions(log, vessels, name)])
 
     knots = np.sqrt(72) * 3600 / 1852
     assert of("big ship", "speed").mean() == pytest.approx(knots, abs=0.1)
@@ -224,10 +225,8 @@ def test_speed_course_and_turn_are_over_ground(log, vessels):
 def test_no_truth_is_in_the_log(out, log):
     text = (out / "ais.nmea").read_bytes()
     decoded = " ".join(str(each.message) for each in log)
-    for name in SIZES:
-        if name != "219000001":
-            assert name.encode() not in text.lower()
-            assert name.upper() not in decoded.upper()
+    for name in SIZES.keys() - {"219000001"}:
+        assert name.encode() not in text.lower() and name.upper() not in decoded.upper()
     assert {each.message.shipname.split()[0] for each in log if each.message.msg_type == 5} == {"SIM"}
 
 
@@ -239,23 +238,14 @@ def test_the_same_run_gives_the_same_bytes_and_another_seed_others(run, out, tmp
     assert first == again != other
 
 
-def test_another_vessel_changes_no_other_vessels_reports():
-    everyone = scene_of(200)
-    fewer = scene_of(200, ais={"vessels": {"sloop": "none", "own": "none"}, "drop_out": 0.1})
-    kept = set(reports(fewer, 200, stations(fewer, ())))
-    assert kept < set(reports(everyone, 200, stations(everyone, ())))
-
-
-def test_a_curved_sea_changes_nothing():
-    flat, curved = scene_of(100), scene_of(100, sea="curved")
-    assert list(reports(flat, 100, stations(flat, ()))) == list(reports(curved, 100, stations(curved, ())))
-
-
-def test_blocks_of_steps_do_not_show(monkeypatch):
-    scene = scene_of(100, waves={"level": "large", "apply_to": "all"})
-    whole = list(reports(scene, 100, stations(scene, ())))
+def test_neither_another_vessel_nor_a_curved_sea_nor_blocks_of_steps_show_in_reports(monkeypatch):
+    everyone, waves = sent(scene_of(200), 200), {"level": "large", "apply_to": "all"}
+    without = {"vessels": {"sloop": "none", "own": "none"}, "drop_out": 0.1}
+    assert set(sent(scene_of(200, ais=without), 200)) < set(everyone)
+    assert sent(scene_of(200, sea="curved"), 200) == everyone
+    whole = sent(scene_of(100, waves=waves), 100)
     monkeypatch.setattr("modsim3d.formats.writing.ais.sensors.BLOCK_STEPS", 7)
-    assert list(reports(scene, 100, stations(scene, ()))) == whole
+    assert sent(scene_of(100, waves=waves), 100) == whole
 
 
 def test_no_random_number_is_used_twice(monkeypatch):
@@ -267,19 +257,16 @@ def test_no_random_number_is_used_twice(monkeypatch):
         return uniforms(self, purpose, *names, first=first, count=count)
 
     monkeypatch.setattr(Streams, "uniforms", recorded)
-    scene = scene_of()
-    assert list(reports(scene, STEPS, stations(scene, ())))
+    assert sent(scene_of(), STEPS)
     assert len(drawn) == len(set(drawn)) > 0
 
 
 def test_a_track_is_steady_where_the_heading_passes_the_world_s_first_axis():
-    scene = scene_of()
-    turner = [station for station in stations(scene, ()) if station.name == "turner"]
-    ((stay,),) = stays(scene, STEPS, turner)
+    turner = [station for station in stations(scene_of(), ()) if station.name == "turner"]
+    ((stay,),) = stays(scene_of(), STEPS, turner)
     assert np.rad2deg(stay.turn_rad_s) == pytest.approx(1.0, abs=1e-6)
     assert np.linalg.norm(stay.velocity_m_s, axis=1) == pytest.approx(np.deg2rad(1) * np.hypot(250, 15), rel=1e-3)
-    assert np.rad2deg(np.ptp(stay.heading_rad)) == pytest.approx(STEPS - 1)
-    assert not stay.at_rest
+    assert np.rad2deg(np.ptp(stay.heading_rad)) == pytest.approx(STEPS - 1) and not stay.at_rest
 
 
 def test_what_is_lost_is_others():
@@ -323,8 +310,11 @@ def test_a_scene_of_modsim3d_ais_knows_where_it_lies(monkeypatch, tmp_path, caps
     assert made.origin == ORIGIN
     run_scene(made, tmp_path / "run")
     capsys.readouterr()
+    document = json.loads((tmp_path / "run" / "scene" / "scene.json").read_text())
+    assert document["origin"] == {"latitude_deg": 56.03, "longitude_deg": 12.65}
     assert command(monkeypatch, "export", tmp_path / "run", "--format", "ais", "--out", tmp_path / "out") == 0
     assert not capsys.readouterr().err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ais.nmea", "ais_truth.csv"}
     found = read((tmp_path / "out" / "ais.nmea").read_bytes())
     known = {int(name) for name in made.vessel_names}
     assert {each.message.mmsi for each in found} <= known and found
@@ -337,15 +327,12 @@ def exported(scene: Scene, folder) -> list[Line]:
     return read((folder / "out" / "ais.nmea").read_bytes())
 
 
-def test_a_scene_in_which_nobody_sends_gives_an_empty_log(tmp_path):
+def test_a_scene_in_which_nobody_sends_and_one_of_one_step_give_a_log(tmp_path):
     nobody = {"vessels": dict.fromkeys(SIZES, "none")}
-    assert not exported(scene_of(ais=nobody, steps=5), tmp_path)
-    assert (tmp_path / "out" / "ais.nmea").read_bytes() == b""
-    assert (tmp_path / "out" / "ais_truth.csv").read_text().count("none") == len(SIZES)
-
-
-def test_a_run_of_one_step_and_a_vessel_that_is_there_at_one_step(tmp_path):
-    (own, *_) = [each for each in exported(scene_of(steps=1), tmp_path) if each.own]
+    assert not exported(scene_of(ais=nobody, steps=5), tmp_path / "nobody")
+    assert (tmp_path / "nobody" / "out" / "ais.nmea").read_bytes() == b""
+    assert (tmp_path / "nobody" / "out" / "ais_truth.csv").read_text().count("none") == len(SIZES)
+    (own, *_) = [each for each in exported(scene_of(steps=1), tmp_path / "one") if each.own]
     assert (own.message.speed, own.message.course, own.time_s) == (102.3, 360.0, EPOCH_S)
 
 
@@ -384,12 +371,3 @@ def test_a_log_has_one_own_ship(tmp_path, monkeypatch, capsys):
     assert [row["vessel"] for row in rows if row["own_ship"] == "1"] == ["turner"]
     with pytest.raises(ModsimError, match="one own ship"):
         files(ExportRequest(open_run(tmp_path / "run"), (0, 1)))
-
-
-def test_the_command_writes_both_files_and_says_where_the_scene_lies(run, tmp_path, monkeypatch, capsys):
-    scene = json.loads((run / "scene" / "scene.json").read_text())
-    assert scene["origin"] == {"latitude_deg": 56.03, "longitude_deg": 12.65}
-    assert command(monkeypatch, "export", run, "--format", "ais", "--out", tmp_path) == 0
-    assert {path.name for path in tmp_path.iterdir()} == {"ais.nmea", "ais_truth.csv"}
-    assert command(monkeypatch, "export", run, "--format", "ais", "--out", tmp_path) == 2
-    assert "--overwrite" in capsys.readouterr().err

@@ -35,21 +35,17 @@ USUAL += [("Fishing", 15, False, ("A", 30)), ("Fishing", 14.9, False, ("B", 30))
 USUAL += [("HighSpeed", 30, False, ("A", 40)), ("Cargo", 130, False, ("A", 70)), ("Tug", 12, False, ("A", 52))]
 
 
-@pytest.mark.parametrize(("label", "length_m", "own", "expected"), USUAL)
-def test_class_and_type_follow_label_and_size(label, length_m, own, expected):
-    assert sensors.usual(Vessel("x", label, length_m, 3, 3), own) == expected
+def test_class_and_type_follow_label_and_size():
+    for label, length_m, own, expected in USUAL:
+        assert sensors.usual(Vessel("x", label, length_m, 3, 3), own) == expected, label
 
 
-def test_an_id_that_is_a_ships_number_stays_and_all_others_get_numbers_of_no_country():
+def test_an_id_that_is_a_ships_number_stays_and_all_others_get_numbers_of_no_country_each_its_own():
     names = ["219000001", "own", "982190001", "119000001", "21900000", "", "kutter æøå"]
     numbers = sensors.mmsi_of(names)
     assert (numbers[0], numbers[2]) == (219000001, 982190001)
-    made_up = [numbers[k] for k in (1, 3, 4, 5, 6)]
-    assert all(number // 1_000_000 == 799 for number in made_up)
+    assert all(numbers[k] // 1_000_000 == 799 for k in (1, 3, 4, 5, 6))
     assert sensors.mmsi_of(["other", "own"])[1] == numbers[1]
-
-
-def test_no_two_vessels_have_one_number():
     names = [f"vessel {k}" for k in range(3000)]
     numbers = sensors.mmsi_of(names)
     assert len(set(numbers)) == len(names)
@@ -75,12 +71,12 @@ INTERVALS += [(13.9, "A", False, 10), (14.1, "A", False, 6), (22.9, "A", False, 
 INTERVALS += [(np.nan, "A", False, 10), (1.9, "B", False, 180), (2.1, "B", False, 30), (40, "B", False, 30)]
 
 
-@pytest.mark.parametrize(("speed_kn", "ais_class", "at_rest", "expected"), INTERVALS)
-def test_intervals_are_those_of_the_standard(speed_kn, ais_class, at_rest, expected):
+def test_intervals_are_those_of_the_standard():
     """ITU-R M.1371-5, annex 1, tables 1 and 2."""
-    found = reporting.rate(seen(10, speed_kn), ais_class, at_rest)
-    assert (found.intervals_s == expected).all()
-    assert (found.between == (expected == 180 and ais_class == "A")).all()
+    for speed_kn, ais_class, at_rest, expected in INTERVALS:
+        found = reporting.rate(seen(10, speed_kn), ais_class, at_rest)
+        assert (found.intervals_s == expected).all(), (speed_kn, ais_class)
+        assert (found.between == (expected == 180 and ais_class == "A")).all()
 
 
 @pytest.mark.parametrize(("speed_kn", "expected"), [(5, 10 / 3), (18, 2), (30, 2)])
@@ -203,11 +199,8 @@ def test_speed_course_and_heading_scatter_about_the_truth():
 @pytest.mark.parametrize("origin", [(0.0, 0.0), (56.0, 12.6), (-70.0, 179.999), (78.2, -15.0)])
 def test_headings_are_from_true_north_where_the_vessel_is(origin):
     """North of a place, found by a step along its meridian, against the world's second axis."""
-    stay = resting(np.array([0]))
-    stay = sensors.Stay(
-        stay.times_s, 0.0, np.array([[30_000.0, 8000.0]]), stay.velocity_m_s, *([np.zeros(1)] * 2), True
-    )
-    errors = sensors.Noise.of("x", Streams(0), 401)
+    motion = np.array([[30_000.0, 8000.0]]), np.zeros((1, 2)), np.zeros(1), np.zeros(1)
+    stay, errors = sensors.Stay(np.array([0]), 0.0, *motion, True), sensors.Noise.of("x", Streams(0), 401)
     found = sensors.measured(stay, errors, origin, 0.0)
     step = local_metres(found.latitude_deg + np.array([0.0, 1e-4]), found.longitude_deg.repeat(2), origin)
     east, north = np.diff(step, axis=0)[0]
@@ -250,7 +243,7 @@ def test_places_come_back_within_half_a_step_in_all_quarters_of_the_earth():
         assert abs(message.lon - longitude[row]) <= 0.5 / 600_000 + 5e-7
 
 
-def test_what_is_not_known_is_sent_as_not_available():
+def test_what_is_not_known_is_sent_as_not_available_and_no_speed_is():
     found = seen(1, speed_kn=np.nan, course_deg=np.full(1, np.nan), heading_deg=359.6)
     message = sent(log.position_fields(station(length_m=30), found, 0, True, False))
     assert (message.speed, message.course, message.heading, message.turn) == (102.3, 360.0, 0, log.NO_TURN)
@@ -258,24 +251,19 @@ def test_what_is_not_known_is_sent_as_not_available():
     boat = sent(log.position_fields(station("B"), found, 0, True, False))
     assert (boat.speed, boat.course, boat.heading) == (102.3, 360.0, 511)
     assert boat.cs and boat.radio == 917510  # as carrier-sense stations send it
+    for speed_kn in (500.0, 102.3):
+        assert sent(log.position_fields(station(), seen(1, speed_kn=speed_kn), 0, False, False)).speed == 102.2
 
 
-def test_no_speed_is_taken_for_one_that_is_not_available():
-    assert sent(log.position_fields(station(), seen(1, speed_kn=500.0), 0, False, False)).speed == 102.2
-    assert sent(log.position_fields(station(), seen(1, speed_kn=102.3), 0, False, False)).speed == 102.2
-
-
-@pytest.mark.parametrize("turn", [0, 0.01, 1, 10, 126.9, 127, 128, 127.5, 500, 708, 5000])
-@pytest.mark.parametrize("side", [1, -1])
-def test_rate_of_turn_is_sent_as_its_root_positive_to_starboard(turn, side):
-    bits = log.payload(log.position_fields(station(), seen(1, turn_deg_min=np.full(1, side * turn)), 0, False, False))[
-        0
-    ]
-    values = [value - 48 if value < 88 else value - 56 for value in bits.encode()]
-    number = int("".join(f"{value:06b}" for value in values)[42:50], 2)
-    number -= 256 if number > 127 else 0
-    assert number == side * min(round(4.733 * np.sqrt(turn)), 126)
-    assert abs(log.turn_field(side * turn)) <= 708.8
+def test_rate_of_turn_is_sent_as_its_root_positive_to_starboard():
+    for turn in (0, 0.01, 1, 10, 126.9, 127, 128, 127.5, 500, 708, 5000):
+        for side in (1, -1):
+            fields = log.position_fields(station(), seen(1, turn_deg_min=np.full(1, side * turn)), 0, False, False)
+            values = [value - 48 if value < 88 else value - 56 for value in log.payload(fields)[0].encode()]
+            number = int("".join(f"{value:06b}" for value in values)[42:50], 2)
+            number -= 256 if number > 127 else 0
+            assert number == side * min(round(4.733 * np.sqrt(turn)), 126), (turn, side)
+            assert abs(log.turn_field(side * turn)) <= 708.8
 
 
 def test_static_data_come_back_without_the_vessels_id():

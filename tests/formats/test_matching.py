@@ -106,16 +106,9 @@ MATCHES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", MATCHES)
-def test_matches_are_those_of_the_rule(case):
-    boats, seen, rule, matches = MATCHES[case]
-    assert match(one_image(boats, seen), rule).annotation.tolist() == matches
-
-
-def test_rules_by_centres_say_in_which_order_they_match():
-    apart = "centres at most 25 px apart, "
-    assert str(BY_CENTRE) == f"{apart}the nearest corners first"
-    assert str(BY_CENTRE.for_average_precision) == f"{apart}in order of confidence"
+def test_matches_are_those_of_the_rule():
+    for case, (boats, seen, rule, matches) in MATCHES.items():
+        assert match(one_image(boats, seen), rule).annotation.tolist() == matches, case
 
 
 def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
@@ -129,17 +122,19 @@ def test_what_is_ignored_neither_counts_as_missed_nor_as_false():
     assert match(one_image([[0, 0, 400, 40]], seen, [True]), Rule("centre")).counts.tolist() == [False, False, True]
 
 
-def test_provenance_needs_a_run():
-    labelled = random_set(3)
-    with pytest.raises(ModsimError, match="needs simulated runs"):
-        match(labelled, Rule("provenance"))
-
-
-@pytest.mark.parametrize("at_once", [1, 7, PAIRS_AT_ONCE])
-def test_pairs_of_images_are_all_there_however_they_are_split(at_once, monkeypatch):
-    monkeypatch.setattr("modsim3d.formats.matching.PAIRS_AT_ONCE", at_once)
+def test_pairs_of_images_are_all_there_however_they_are_split(monkeypatch):
     rng = np.random.default_rng(1)
     first, second = np.sort(rng.integers(0, 9, 20)), np.sort(rng.integers(0, 9, 15))
-    pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]
     every = [(i, j) for i in range(20) for j in range(15) if first[i] == second[j]]
-    assert pairs == every
+    for at_once in (1, 7, PAIRS_AT_ONCE):
+        monkeypatch.setattr("modsim3d.formats.matching.PAIRS_AT_ONCE", at_once)
+        pairs = [pair for a, b in image_pairs(first, second, 9) for pair in zip(a.tolist(), b.tolist(), strict=True)]
+        assert pairs == every
+
+
+def test_rules_by_centres_say_in_which_order_they_match_and_provenance_needs_a_run():
+    apart = "centres at most 25 px apart, "
+    assert str(BY_CENTRE) == f"{apart}the nearest corners first"
+    assert str(BY_CENTRE.for_average_precision) == f"{apart}in order of confidence"
+    with pytest.raises(ModsimError, match="needs simulated runs"):
+        match(random_set(3), Rule("provenance"))
