@@ -7,9 +7,10 @@ import numpy as np
 
 import modsim3d as package
 from modsim3d.io.validation import conditions_in
+from tests.cli.bad_input.builders import content
 from tests.cli.conftest import Modsim3d
 from tests.cli.test_json import documented, parsed
-from tests.formats.labelled_video.videos import coco, content, mot, write
+from tests.formats.labelled_video.videos import coco, mot, write
 
 
 def test_in_fog_more_is_missed_and_one_option_says_so(tmp_path: Path, modsim3d: Modsim3d) -> None:

@@ -39,8 +39,7 @@ def test_what_is_no_horizon_is_none():
 
 def test_images_that_say_their_horizon_keep_it():
     labelled = random_set(0, image_count=2)
-    own = np.array([UNKNOWN, (0.0, 1.0, -50.0)])
-    labelled = replace(labelled, images=images(2, half_planes=own))
+    labelled = replace(labelled, images=images(2, half_planes=np.array([UNKNOWN, (0.0, 1.0, -50.0)])))
     assert with_horizon(labelled, None) is labelled
     found = with_horizon(labelled, (200.0,)).images.half_planes
     np.testing.assert_array_equal(found, [[0, 1, -200], [0, 1, -50]])
@@ -49,10 +48,9 @@ def test_images_that_say_their_horizon_keep_it():
 
 
 def test_files_without_a_horizon_take_that_of_the_option(tmp_path):
-    (tmp_path / "gt.txt").write_text("1,3,10,20,30,40,1,1,0.5\n")
-    (tmp_path / "det.txt").write_text("1,-1,12,20,30,40,0.9\n")
+    files = tmp_path / "gt.txt", tmp_path / "det.txt"
+    for path, line in zip(files, ("1,3,10,20,30,40,1,1,0.5\n", "1,-1,12,20,30,40,0.9\n"), strict=True):
+        path.write_text(line)
     options = ReadOptions(image_size_px=(640, 480), frame_rate_hz=5, horizon=(0, 200, 640, 264))
-    labelled = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", options)
-    np.testing.assert_allclose(labelled.images.half_planes, [[-0.1, 1, -200]])
-    plain = read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", replace(options, horizon=None))
-    assert np.isnan(plain.images.half_planes).all()
+    np.testing.assert_allclose(read_pair("day", *files, options).images.half_planes, [[-0.1, 1, -200]])
+    assert np.isnan(read_pair("day", *files, replace(options, horizon=None)).images.half_planes).all()

@@ -29,10 +29,9 @@ RESULTS = [
 
 
 def written(tmp_path, truth=TRUTH, results=RESULTS):
-    gt, dt = tmp_path / "gt.json", tmp_path / "dt.json"
-    gt.write_text(truth if isinstance(truth, str) else json.dumps(truth))
-    dt.write_text(results if isinstance(results, str) else json.dumps(results))
-    return gt, dt
+    for name, content in (("gt.json", truth), ("dt.json", results)):
+        (tmp_path / name).write_text(content if isinstance(content, str) else json.dumps(content))
+    return tmp_path / "gt.json", tmp_path / "dt.json"
 
 
 def read(tmp_path, truth=TRUTH, results=RESULTS, **given):
@@ -41,38 +40,29 @@ def read(tmp_path, truth=TRUTH, results=RESULTS, **given):
 
 def test_coco_with_ids_that_are_not_zero_to_k(tmp_path):
     labelled = read(tmp_path)
+    truth, found = labelled.annotations, labelled.results
     assert labelled.labels == ("ferry", "kayak")
     assert labelled.images.names == ("7", "b.png")  # in the order of the IDs, as COCO's tools have it
-    assert labelled.annotations.image.tolist() == [0, 1, 1]
-    assert labelled.annotations.label.tolist() == [0, 1, 0]
-    assert labelled.annotations.boxes_px[1].tolist() == [10, 20, 40, 60]
-    assert labelled.annotations.crowd.tolist() == labelled.annotations.ignored.tolist() == [False, False, True]
-    assert labelled.annotations.identity.tolist() == [-1, -1, 0]
-    assert labelled.annotations.visible_fraction[0] == 0.25 and labelled.annotations.depth_m[0] == 80
-    assert labelled.results.label.tolist() == [1, 0]
-    assert labelled.results.confidence.tolist() == [1, 0.75]
-    assert labelled.results.probabilities[0].tolist() == [0.1, 0.9]
-    assert np.isnan(labelled.results.probabilities[1]).all()
-
-
-def test_a_condition_that_an_image_leaves_empty_is_that_of_the_pair(tmp_path):
+    assert (truth.image.tolist(), truth.label.tolist()) == ([0, 1, 1], [0, 1, 0])
+    assert truth.boxes_px[1].tolist() == [10, 20, 40, 60]
+    assert truth.crowd.tolist() == truth.ignored.tolist() == [False, False, True]
+    assert truth.identity.tolist() == [-1, -1, 0]
+    assert truth.visible_fraction[0] == 0.25 and truth.depth_m[0] == 80
+    assert (found.label.tolist(), found.confidence.tolist()) == ([1, 0], [1, 0.75])
+    assert found.probabilities[0].tolist() == [0.1, 0.9] and np.isnan(found.probabilities[1]).all()
+    # a condition that an image leaves empty is that of the pair
     images = [{**TRUTH["images"][0], "condition": None}, {**TRUTH["images"][1], "condition": "fog"}]
     assert read(tmp_path, {**TRUTH, "images": images}).conditions == ("fog", "day")
-
-
-def test_images_without_annotations_and_without_results_are_there(tmp_path):
     empty = read(tmp_path, {**TRUTH, "annotations": []}, [])
-    assert len(empty.images) == 2 and len(empty.annotations) == 0 and len(empty.results) == 0
+    assert (len(empty.images), len(empty.annotations), len(empty.results)) == (2, 0, 0)
 
 
 def changed(where, **keys):
     truth, results = deepcopy(TRUTH), deepcopy(RESULTS)
     entry = results[where] if isinstance(where, int) else truth[where[0]][where[1]]
-    for key, value in keys.items():
-        if value is None:
-            del entry[key]
-        else:
-            entry[key] = value
+    new = {key: value for key, value in (entry | keys).items() if value is not None}
+    entry.clear()
+    entry.update(new)
     return truth, results
 
 
@@ -124,36 +114,31 @@ def test_every_problem_at_once_and_entries_left_out_when_asked(tmp_path):
     assert len(labelled.results) == 3 and "29 entries left out, the first because [0]" in labelled.notes[0]
 
 
-@pytest.mark.parametrize(("where", "keys"), [(("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})])
-def test_an_entry_that_is_left_out_is_not_there(where, keys, tmp_path):
-    truth, results = changed(where, **keys)
-    results = [entry for entry in results if entry["image_id"] == 30]
-    labelled = read(tmp_path, truth, results, skip_bad=True)
-    assert len(labelled.annotations) == 2 and np.isnan(labelled.annotations.depth_m).all()
-    assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
+def test_an_entry_that_is_left_out_is_not_there(tmp_path):
+    for where, keys in ((("annotations", 2), {"distance_m": -4}), (("images", 1), {"width": 0})):
+        truth, results = changed(where, **keys)
+        labelled = read(tmp_path, truth, [entry for entry in results if entry["image_id"] == 30], skip_bad=True)
+        assert len(labelled.annotations) == 2 and np.isnan(labelled.annotations.depth_m).all()
+        assert (labelled.images.sizes_px > 0).all() and "ground truth" in labelled.notes[0]
 
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_coco_written_and_read_is_the_same(seed, tmp_path_factory):
     labelled = random_set(seed)
-    box = lambda corners: [corners[0], corners[1], corners[2] - corners[0], corners[3] - corners[1]]  # noqa: E731
     truth, found = labelled.annotations, labelled.results
+
+    def entries(rows, **more):
+        boxes = np.hstack([rows.boxes_px[:, :2], rows.boxes_px[:, 2:] - rows.boxes_px[:, :2]])
+        columns = {"image_id": rows.image, "category_id": rows.label, "bbox": boxes, **more}
+        return [{key: column[k].tolist() for key, column in columns.items()} for k in range(len(rows))]
+
     gt = {
         "images": [{"id": k, "width": 600, "height": 600} for k in range(len(labelled.images))],
         "categories": [{"id": k, "name": name} for k, name in enumerate(labelled.labels)],
-        "annotations": [
-            {"image_id": int(truth.image[t]), "category_id": int(truth.label[t]),
-             "bbox": box(truth.boxes_px[t].tolist()), "iscrowd": int(truth.crowd[t]), "ignore": int(truth.ignored[t])}
-            for t in range(len(truth))
-        ],
-    }  # fmt: skip
-    dt = [
-        {"image_id": int(found.image[d]), "category_id": int(found.label[d]), "bbox": box(found.boxes_px[d].tolist()),
-         "score": float(found.confidence[d])}
-        for d in range(len(found))
-    ]  # fmt: skip
-    again = read(tmp_path_factory.mktemp("coco"), gt, dt)
+        "annotations": entries(truth, iscrowd=truth.crowd.astype(int), ignore=truth.ignored.astype(int)),
+    }
+    again = read(tmp_path_factory.mktemp("coco"), gt, entries(found, score=found.confidence))
     for part in ("annotations", "results"):
         for name, column in vars(getattr(labelled, part)).items():
             if isinstance(column, np.ndarray):
@@ -170,12 +155,11 @@ def test_mot(tmp_path):
     assert labelled.labels == ("boat",)
     assert labelled.images.time_s.tolist() == pytest.approx([0, 0.2, 0.4, 0.6])
     assert labelled.images.sizes_px[0].tolist() == [1920, 1080]
-    assert labelled.annotations.boxes_px[0].tolist() == [9, 19, 39, 59]  # the format counts pixels from 1
-    assert labelled.results.boxes_px[1].tolist() == [11, 19, 41, 59]
-    assert labelled.annotations.identity.tolist() == [0, 0, 1]
-    assert labelled.annotations.ignored.tolist() == [False, False, True]
-    assert labelled.annotations.visible_fraction.tolist() == [0.5, 1, 1]
-    assert labelled.results.image.tolist() == [0, 1]
+    truth, found = labelled.annotations, labelled.results
+    assert truth.boxes_px[0].tolist() == [9, 19, 39, 59]  # the format counts pixels from 1
+    assert (found.boxes_px[1].tolist(), found.image.tolist()) == ([11, 19, 41, 59], [0, 1])
+    assert (truth.identity.tolist(), truth.ignored.tolist()) == ([0, 0, 1], [False, False, True])
+    assert truth.visible_fraction.tolist() == [0.5, 1, 1]
     wrong = "0,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
     (tmp_path / "det.txt").write_text(wrong)
     with pytest.raises(InputError) as raised:
@@ -195,26 +179,25 @@ def mot(tmp_path, truth="1,3,10,20,30,40,1,1,0.5\n", detections="1,-1,12,20,30,4
 
 def test_an_empty_column_of_mot_does_not_shift_the_others_and_frames_are_no_times(tmp_path):
     assert len(mot(tmp_path, detections="1,-1,12,20,30,40,0.9,\n").results) == 1
-    with pytest.raises(InputError, match=r"det.txt line 1: must be numbers \(got '1,-1,,12"):
-        mot(tmp_path, detections="1,-1,,12,20,30,40,0.9\n")
-    with pytest.raises(InputError, match=r"gt.txt line 1: frame must be a whole number from 1 to"):
-        mot(tmp_path, truth="1700000000000,3,10,20,30,40,1,1,0.5\n")
-
-
-@pytest.mark.parametrize("entry", ["frameRate=0", "frameRate=nan", "imWidth=0", "imHeight=-5", "seqLength=-1"])
-def test_a_sequence_without_size_or_rate_is_refused(entry, tmp_path):
-    values = {"imWidth": "640", "imHeight": "480", "frameRate": "5", "seqLength": "3"} | dict([entry.split("=")])
-    lines = "\n".join(f"{key}={value}" for key, value in values.items())
-    (tmp_path / "seqinfo.ini").write_text(f"[Sequence]\n{lines}\n")
-    with pytest.raises(InputError, match=rf"{entry.split('=')[0]}: must be (above|from) 0"):
-        mot(tmp_path)
-
-
-def test_mot_with_classes(tmp_path):
+    for said, wrong in (
+        (r"det.txt line 1: must be numbers \(got '1,-1,,12", {"detections": "1,-1,,12,20,30,40,0.9\n"}),
+        ("gt.txt line 1: frame must be a whole number from 1 to", {"truth": "1700000000000,3,10,20,30,40,1,1,0.5\n"}),
+    ):
+        with pytest.raises(InputError, match=said):
+            mot(tmp_path, **wrong)
     truth = "1,3,10,20,30,40,1,2,1\n1,4,100,20,30,40,1,5,1\n"
     labelled = mot(tmp_path, truth, "1,-1,12,20,30,40,0.9,5,-1,-1\n", labels=("a", "b"))
     assert labelled.labels == ("b", "class_5")
-    assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [1]
+    assert (labelled.annotations.label.tolist(), labelled.results.label.tolist()) == ([0, 1], [1])
+
+
+def test_a_sequence_without_size_or_rate_is_refused(tmp_path):
+    for entry in ("frameRate=0", "frameRate=nan", "imWidth=0", "imHeight=-5", "seqLength=-1"):
+        values = {"imWidth": "640", "imHeight": "480", "frameRate": "5", "seqLength": "3"} | dict([entry.split("=")])
+        lines = "\n".join(f"{key}={value}" for key, value in values.items())
+        (tmp_path / "seqinfo.ini").write_text(f"[Sequence]\n{lines}\n")
+        with pytest.raises(InputError, match=rf"{entry.split('=')[0]}: must be (above|from) 0"):
+            mot(tmp_path)
 
 
 def test_yolo(tmp_path):

@@ -59,28 +59,21 @@ def test_an_image_is_named_by_its_id_or_by_its_file_and_what_may_be_either_is_to
     assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
-def test_a_file_name_that_two_images_have_stands_for_neither(tmp_path):
+def test_a_file_name_that_two_images_have_stands_for_neither_and_ids_may_be_text(tmp_path):
     files = coco(tmp_path, [result("a"), result("b")], ("one/a.jpg", "two/a.jpg", "b.jpg"))
     refused(r"\[0\]: unknown image_id 'a'", *files)
-
-
-def test_ids_of_images_may_be_text(tmp_path):
     truth, detections = coco(tmp_path, [result("north")])
-    content = json.loads(truth.read_text())
-    content["images"] = [{"id": name, "width": 640, "height": 480} for name in ("south", "north")]
-    content["annotations"][0]["image_id"] = "south"
-    truth.write_text(json.dumps(content))
+    images = [{"id": name, "width": 640, "height": 480} for name in ("south", "north")]
+    box = {"image_id": "south", "category_id": 1, "bbox": [1, 2, 30, 40]}
+    truth.write_text(json.dumps(json.loads(truth.read_text()) | {"images": images, "annotations": [box]}))
     labelled = read_pair("day", truth, detections)
     assert labelled.images.names == ("north", "south") and labelled.results.image.tolist() == [0]
 
 
 def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path):
     files = coco(tmp_path, [result(11, 0), result(12, 1)])
-    with pytest.raises(InputError) as raised:
-        read_pair("day", *files)
-    unknown, hint = raised.value.problems
-    assert unknown == "[0]: unknown category_id 0 (known: 1, 2)"
-    assert hint == "category IDs are off by one: --category-offset 1 would set them right"
+    hint = "category IDs are off by one: --category-offset 1 would set them right"
+    refused(rf"\[0\]: unknown category_id 0 \(known: 1, 2\)\n  {hint}\Z", *files)
     assert read_pair("day", *files, ReadOptions(category_offset=1)).results.label.tolist() == [0, 1]
     refused(r"\[1\]: unknown category_id 7 .*\Z", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())
 
@@ -99,36 +92,27 @@ def test_frame_numbers_are_no_times_unless_the_rate_is_given(tmp_path):
     assert read_pair("day", *files, ReadOptions(frame_rate_hz=10)).images.time_s.tolist() == [0.5] * 3
 
 
-def test_a_track_that_is_twice_in_an_image_is_refused(tmp_path):
+def test_a_track_that_is_twice_in_an_image_is_refused_and_below_zero_nobodys(tmp_path):
     twice = [{"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], "track_id": 4}] * 2
-    with pytest.raises(InputError, match=r"annotations\[1\]: identity 4 is in the image 11 already"):
-        read_pair("day", *coco(tmp_path, [], annotations=twice), ReadOptions())
-    (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n1,4,60,20,30,40,1,1,1\n")
-    (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
-    with pytest.raises(InputError, match=r"gt.txt line 2: identity 4 is in frame 1 already"):
-        read_pair("day", tmp_path / "gt.txt", tmp_path / "det.txt", ReadOptions(image_size_px=(640, 480)))
-
-
-def test_a_track_below_zero_is_nobodys(tmp_path):
-    boxes = [{"image_id": 11, "category_id": 1, "bbox": [x, 2, 30, 40], "track_id": -1} for x in (1, 50)]
-    labelled = read_pair("day", *coco(tmp_path, [result(11)], annotations=boxes), ReadOptions())
+    refused(r"annotations\[1\]: identity 4 is in the image 11 already", *coco(tmp_path, [], annotations=twice))
+    nobody = [entry | {"track_id": -1} for entry in twice]
+    labelled = read_pair("day", *coco(tmp_path, [result(11)], annotations=nobody), ReadOptions())
     assert labelled.annotations.identity.tolist() == [-1, -1]
 
 
-def of_track(tmp_path, **keys):
-    box = {"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], **keys}
-    return read_truth(coco(tmp_path, [], annotations=[box])[0], ReadOptions())[0]
-
-
 def test_a_whole_number_is_a_track_however_it_is_written_and_other_numbers_are_none(tmp_path):
+    def of_track(**keys):
+        box = {"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], **keys}
+        return read_truth(coco(tmp_path, [], annotations=[box])[0], ReadOptions())[0]
+
     for key, value in (("track_id", 4.0), ("instance_id", 4.0), *(("track_id", v) for v in (219012340.0, 219000000))):
-        found = of_track(tmp_path, **{key: value})
+        found = of_track(**{key: value})
         assert found.ids.identities == (int(value),) and found.annotations.identity.tolist() == [0]
-    with pytest.raises(InputError, match=r"track_id is a number in scientific notation.*\(got 2.19e\+08\)"):
-        of_track(tmp_path, track_id=2.19e8)
-    for track in (1.5, True, [4]):
-        with pytest.raises(InputError, match=r"annotations\[0\]: track_id must be a whole number or a text \(got"):
-            of_track(tmp_path, track_id=track)
+    whole = r"annotations\[0\]: track_id must be a whole number or a text \(got"
+    scientific = r"track_id is a number in scientific notation.*\(got 2.19e\+08\)"
+    for track, said in ((2.19e8, scientific), (1.5, whole), (True, whole), ([4], whole)):
+        with pytest.raises(InputError, match=said):
+            of_track(track_id=track)
 
 
 def test_tracks_that_single_precision_holds_by_chance_are_read():
@@ -139,9 +123,9 @@ def test_tracks_that_single_precision_holds_by_chance_are_read():
 
 
 def test_mot_frames_have_times_where_the_rate_is_known(tmp_path):
-    (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
-    (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
     files = tmp_path / "gt.txt", tmp_path / "det.txt"
+    files[0].write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
+    files[1].write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
     labelled = read_pair("day", *files, ReadOptions(image_size_px=(640, 480)))
     assert np.isnan(labelled.images.time_s).all() and "--frame-rate" in labelled.notes[0]
     labelled = read_pair("day", *files, ReadOptions(image_size_px=(640, 480), frame_rate_hz=4))
@@ -164,21 +148,18 @@ def yolo(tmp_path):
 
 
 def test_yolos_images_say_how_large_and_how_many_they_are_and_its_data_what_they_show(yolo):
-    labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", ReadOptions())
+    folders = yolo / "set" / "labels" / "val", yolo / "predict"
+    labelled = read_pair("day", *folders, ReadOptions())
     assert labelled.images.names == ("a", "b", "empty")
     assert labelled.images.sizes_px.tolist() == [[200, 100], [400, 300], [640, 480]]
     assert labelled.labels == ("kayak", "ferry")
     assert labelled.annotations.boxes_px.tolist() == [[50, 25, 150, 75], [100, 75, 300, 225]]
     assert labelled.results.boxes_px.tolist() == [[100, 75, 300, 225]]
-
-
-def test_a_photograph_that_is_to_be_turned_is_as_large_as_it_is_shown(yolo):
-    photo = Image.new("RGB", (200, 100))
+    photo = Image.new("RGB", (200, 100))  # one that is to be turned is as large as it is shown
     turned = photo.getexif()
     turned[274] = 6
     photo.save(yolo / "set" / "images" / "val" / "a.jpg", exif=turned)
-    labelled = read_pair("day", yolo / "set" / "labels" / "val", yolo / "predict", ReadOptions())
-    assert labelled.images.sizes_px[0].tolist() == [100, 200]
+    assert read_pair("day", *folders, ReadOptions()).images.sizes_px[0].tolist() == [100, 200]
 
 
 def test_the_size_of_an_image_is_known_without_its_pixels_and_too_large_ones_are_refused(yolo, monkeypatch):

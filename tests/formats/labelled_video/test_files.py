@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -16,10 +17,20 @@ from modsim3d.formats.labelled_video import detecting
 from modsim3d.formats.labelled_video.detecting import TABLES
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
+from tests.cli.bad_input.builders import content
 from tests.detector_variants import variant
-from tests.formats.labelled_video.videos import TRACKS, coco, content, mot, rows, write
+from tests.formats.labelled_video.videos import TRACKS, coco, mot, rows, write
 
 TWO = {"left": 30, "right": 20}
+
+
+def detected(folder: Path, text: str) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
+    """The table of truth and the notes over lines of MOT, in images of 640 × 480 px."""
+    folder.mkdir()
+    (folder / "gt.txt").write_text(text)
+    options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
+    result = modsim3d.detect_truth(folder / "gt.txt", folder / "out", detector="thesis", **options)
+    return rows(folder / "out" / "truth.parquet"), result.notes
 
 
 def test_a_mot_sequence_comes_out_as_one_that_evaluators_find(tmp_path: Path) -> None:
@@ -36,6 +47,10 @@ def test_a_mot_sequence_comes_out_as_one_that_evaluators_find(tmp_path: Path) ->
     sides = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
     asked = sorted((row["step"], [round(row[side], 2) for side in sides]) for row in table)
     assert np.allclose([box for _, box in found], [box for _, box in asked], atol=0.02)
+    for name, columns in TABLES.items():
+        schema = pq.read_schema(tmp_path / "out" / f"{name}.parquet")
+        assert schema.names == [column.name for column in columns]
+        assert all(field.metadata[b"description"] for field in schema)
 
 
 def test_coco_results_have_the_ids_of_the_file_and_its_owner_reads_them(tmp_path: Path) -> None:
@@ -75,9 +90,7 @@ def test_what_a_tracker_reads_names_no_track_and_its_order_tells_nothing(tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["MOT", "COCO"])
-def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(
-    tmp_path: Path, monkeypatch, kind: str
-) -> None:
+def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(tmp_path, monkeypatch, kind) -> None:
     truth = mot(tmp_path / "bay") if kind == "MOT" else write(tmp_path / "gt.json", coco(TWO))
     write(tmp_path / "detector.yaml", variant("persistence of misses and box errors, 10 s"))
     due = {"detector.gates.update_interval_s": 0.4}
@@ -101,14 +114,6 @@ def test_detections_of_a_sequence_do_not_depend_on_how_the_file_lists_it(tmp_pat
         assert (tmp_path / "0" / name).read_bytes() == (tmp_path / "1" / name).read_bytes(), name
     found = [(tmp_path / "0" / f"tracker_input_{name}.jsonl").read_text().splitlines()[0] for name in TWO]
     assert found[0] != found[1]
-
-
-def test_every_column_of_the_tables_has_its_unit_and_meaning(tmp_path: Path) -> None:
-    modsim3d.detect_truth(mot(tmp_path / "bay"), tmp_path / "out", detector="thesis")
-    for name, columns in TABLES.items():
-        schema = pq.read_schema(tmp_path / "out" / f"{name}.parquet")
-        assert schema.names == [column.name for column in columns]
-        assert all(field.metadata[b"description"] for field in schema)
 
 
 def test_flags_and_classes_of_mot_say_what_is_no_target(tmp_path: Path) -> None:
@@ -140,32 +145,21 @@ def test_visibility_comes_from_the_file_or_from_overlap_and_the_result_says_whic
     assert min(row["visible_fraction"] for row in rows(tmp_path / "2" / "truth.parquet")) < 0.9
     nowhere = modsim3d.detect_truth(mot(tmp_path / "c", visible=",0"), tmp_path / "3", detector="thesis")
     assert (nowhere.counts.annotated, nowhere.counts.fully_hidden) == (0, 120)
-
-
-def test_a_box_that_is_not_to_be_detected_hides_others_all_the_same(tmp_path: Path) -> None:
-    (tmp_path / "gt.txt").write_text("1,1,101,101,40,40,1,1\n1,2,121,111,40,40,0,1\n")
-    options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
-    modsim3d.detect_truth(tmp_path / "gt.txt", tmp_path / "out", detector="thesis", **options)
-    (row,) = rows(tmp_path / "out" / "truth.parquet")
-    assert (row["visible_fraction"], row["from_overlap"], row["annotated"]) == (1 - 20 * 30 / 40**2, True, True)
-
-
-def test_a_visibility_of_one_everywhere_among_boxes_that_cover_each_other_is_doubted(tmp_path: Path) -> None:
-    truth = mot(tmp_path / "bay")
+    truth = mot(tmp_path / "d")  # 1 everywhere, though boxes cover each other
     truth.write_text(truth.read_text() + "\n1,1,30,230,120,60,1,1,1\n1,2,30,210,120,60,1,1,1\n")
-    result = modsim3d.detect_truth(truth, tmp_path / "out", detector="thesis")
-    assert any("visibility is 1 everywhere, but other boxes cover more than half" in note for note in result.notes)
+    doubted = modsim3d.detect_truth(truth, tmp_path / "4", detector="thesis")
+    assert any("visibility is 1 everywhere, but other boxes cover more than half" in note for note in doubted.notes)
 
 
-def test_boxes_are_cut_at_the_image_and_those_outside_are_left_out(tmp_path: Path) -> None:
-    truth = tmp_path / "gt.txt"
-    truth.write_text("1,1,-19,101,60,40,1,1,1\n1,2,701,100,50,50,1,1,1\n2,1,621,461,60,40,1,1,1\n")
-    options = {"image_size_px": (640, 480), "frame_rate_hz": 10}
-    result = modsim3d.detect_truth(truth, tmp_path / "out", detector="thesis", **options)
+def test_boxes_are_cut_at_the_image_and_hidden_by_those_that_are_not_to_be_detected(tmp_path: Path) -> None:
+    text = "1,1,101,101,40,40,1,1\n1,2,121,111,40,40,0,1\n"
+    (row,), _ = detected(tmp_path / "hidden", text)
+    assert (row["visible_fraction"], row["from_overlap"], row["annotated"]) == (1 - 20 * 30 / 40**2, True, True)
+    text = "1,1,-19,101,60,40,1,1,1\n1,2,701,100,50,50,1,1,1\n2,1,621,461,60,40,1,1,1\n"
+    table, notes = detected(tmp_path / "cut", text)
     sides = [f"full_{side}_px" for side in ("x_min", "y_min", "x_max", "y_max")]
-    table = rows(tmp_path / "out" / "truth.parquet")
     assert [[row[side] for side in sides] for row in table] == [[0, 100, 40, 140], [620, 460, 640, 480]]
-    assert "1 of 3 boxes are left out: outside their image" in result.notes
+    assert "1 of 3 boxes are left out: outside their image" in notes
 
 
 def test_keys_below_detector_are_set_and_kept_in_the_summary(tmp_path: Path) -> None:

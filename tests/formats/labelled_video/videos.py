@@ -52,7 +52,3 @@ def write(path: Path, content: dict[str, Any]) -> Path:
 def rows(path: Path) -> list[dict[str, Any]]:
     table: list[dict[str, Any]] = pq.read_table(path).to_pylist()
     return table
-
-
-def content(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}

@@ -1,10 +1,11 @@
-"""What is visible of boxes, from the boxes alone."""
+"""Labels of the detector for the classes of a file, and what is visible of boxes, from the boxes alone."""
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.formats.labelled_video.targets import visible_fractions
+from modsim3d.formats.labelled_video.detect_truth import class_numbers
+from modsim3d.formats.labelled_video.targets import FileClasses, to_labels, visible_fractions
 
 SIDE = 12
 CORNER = st.integers(0, SIDE - 1)
@@ -44,3 +45,19 @@ def test_boxes_of_other_images_and_of_the_same_foot_hide_nothing() -> None:
 def test_the_foot_counts_where_it_was_before_the_box_was_cut() -> None:
     boxes = np.array([[0.0, 0, 10, 10], [5, 0, 15, 10]])
     assert visible_fractions(np.zeros(2, dtype=np.int64), boxes, np.array([14.0, 11.0])).tolist() == [1, 0.5]
+
+
+def test_classes_of_mot_are_known_by_the_names_that_learning_gives_them() -> None:
+    classes = FileClasses("MOT", ("class_1", "class_2", "class_3"), (1, 2, 3))
+    used = np.array([True, False, True])
+    labels = ("class_3", "class_1", "class_9")
+    found, notes = to_labels(classes, used, None, labels)
+    assert (found.tolist(), notes) == ([1, -1, 0], [])
+    assert class_numbers(classes, found.tolist(), labels) == {"class_3": 3, "class_1": 1, "class_9": 4}
+
+
+def test_several_categories_may_be_one_label_whose_number_is_that_of_the_first() -> None:
+    classes = FileClasses("COCO", ("ferry", "tug", "buoy"), (7, 5, 6))
+    found, _ = to_labels(classes, np.array([True, True, True]), ("ship", "ship", "-"), ("boat", "ship"))
+    assert found.tolist() == [1, 1, -1]
+    assert class_numbers(classes, found.tolist(), ("boat", "ship", "kayak")) == {"boat": 8, "ship": 7, "kayak": 9}
