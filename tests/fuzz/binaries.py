@@ -15,7 +15,7 @@ import numpy as np
 from modsim3d.runs.files.block_files import DIGEST_BYTES
 from tests.fuzz.structures import change_structure
 from tests.fuzz.texts import WORDS, change_bytes
-from tests.fuzz.values import CELLS, FLOATS, INTEGERS, JSON
+from tests.fuzz.values import CELLS, FLOATS, INTEGERS
 
 SINGLES = tuple(value for value in FLOATS if not 3.4e38 < abs(value) < np.inf)
 """Numbers that have a place in single precision."""
@@ -31,7 +31,7 @@ def change_glb(rng: random.Random, content: bytes, others: list[bytes]) -> bytes
     if rng.random() < 0.25:
         rest = rest[:8] + overwrite_numbers(rng, rest[8:])
     else:
-        text = change_structure(rng, text.rstrip(b" \0"), JSON)
+        text = change_structure(rng, text.rstrip(b" \0"), others)
     text += b" " * (-len(text) % 4)
     claimed = rng.choice(WORDS) if rng.random() < 0.05 else len(text)
     whole = rng.choice(WORDS) if rng.random() < 0.05 else 20 + len(text) + len(rest)
@@ -127,9 +127,8 @@ def change_archive(rng: random.Random, content: bytes, others: list[bytes]) -> b
 
 
 def _other_array(rng: random.Random, array: Any) -> Any:
-    return rng.choice((*[_other_values] * 4, *[_other_shape] * 4, _other_kind, _other_kind, lambda rng, array: None))(
-        rng, array
-    )
+    changes = (*[_other_values] * 4, *[_other_shape] * 4, _other_kind, _other_kind, lambda rng, array: None)
+    return rng.choice(changes)(rng, array)
 
 
 def _other_kind(rng: random.Random, array: Any) -> Any:
@@ -143,15 +142,9 @@ def _other_shape(rng: random.Random, array: Any) -> Any:
     """The array cut, repeated, emptied, reversed, or with more or fewer axes."""
     if not array.ndim:
         return array.reshape(1)
-    return rng.choice(
-        (
-            array[: len(array) // 2],
-            array[::-1],
-            np.concatenate([array] * rng.choice((2, 50))),
-            np.zeros((0, *array.shape[1:]), dtype=array.dtype),
-            array.reshape(-1) if array.ndim > 1 else array.reshape(-1, 1),
-        )
-    )
+    longer, empty = np.concatenate([array] * rng.choice((2, 50))), np.zeros((0, *array.shape[1:]), dtype=array.dtype)
+    turned = array.reshape(-1) if array.ndim > 1 else array.reshape(-1, 1)
+    return rng.choice((array[: len(array) // 2], array[::-1], longer, empty, turned))
 
 
 def _other_values(rng: random.Random, array: Any) -> Any:
@@ -159,12 +152,10 @@ def _other_values(rng: random.Random, array: Any) -> Any:
     if not array.size:
         return np.zeros(3)
     changed = array.copy()
-    if array.dtype == bool:
-        odd: Any = not changed.flat[0]
-    else:
-        odd = rng.choice(
-            [number for number in INTEGERS if abs(number) < 2**63] if array.dtype.kind in "iu" else SINGLES
-        )
+    whole = [number for number in INTEGERS if abs(number) < 2**63]
+    odd: Any = not changed.flat[0]
+    if array.dtype != bool:
+        odd = rng.choice(whole if array.dtype.kind in "iu" else SINGLES)
     changed.flat[:] = odd if rng.random() < 0.3 else changed.flat[:]
     changed.flat[rng.randrange(array.size)] = odd
     return changed

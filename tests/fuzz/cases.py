@@ -4,21 +4,23 @@ import gzip
 import random
 import zlib
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import PurePosixPath
 
 from tests.fuzz import binaries
 from tests.fuzz.corpora import Files
 from tests.fuzz.readers import READERS
-from tests.fuzz.structures import change_json, change_json_line, change_yaml
+from tests.fuzz.structures import change_json_line, change_structure
 from tests.fuzz.tables import change_table
 from tests.fuzz.texts import change_bytes, change_cell, change_line, change_packed, change_whole
+from tests.fuzz.values import YAML
 
 Change = Callable[[random.Random, bytes, list[bytes]], bytes | None]
 
 _TEXT: tuple[Change, ...] = (change_cell, change_cell, change_cell, change_line, change_line, change_bytes)
 _BY_ENDING: dict[str, tuple[Change, ...]] = {
-    ".json": (*[change_json] * 6, change_bytes, change_line, change_cell),
-    ".yaml": (*[change_yaml] * 6, change_bytes, change_line, change_cell),
+    ".json": (*[change_structure] * 6, change_bytes, change_line, change_cell),
+    ".yaml": (*[partial(change_structure, form=YAML)] * 6, change_bytes, change_line, change_cell),
     ".jsonl": (*[change_json_line] * 5, change_bytes, change_line, change_line, change_cell),
     ".glb": (*[binaries.change_glb] * 5, change_bytes),
     ".stl": (binaries.change_binary_stl, binaries.change_binary_stl, change_bytes, change_cell),
@@ -89,11 +91,7 @@ def _changed(rng: random.Random, name: str, content: bytes, others: list[bytes])
             inner = gzip.decompress(content)
         except (OSError, EOFError, zlib.error):
             inner = content
-        changed = _one_of(rng, _BY_ENDING.get(path.with_suffix("").suffix, _TEXT))(rng, inner, others)
+        changed = rng.choice(_BY_ENDING.get(path.with_suffix("").suffix, _TEXT))(rng, inner, others)
         return None if changed is None else gzip.compress(changed, 1, mtime=0)
     changes: Sequence[Change] = (change_bytes,) if packed else _BY_ENDING.get(path.suffix, _TEXT)
-    return _one_of(rng, changes)(rng, content, others)
-
-
-def _one_of(rng: random.Random, changes: Sequence[Change]) -> Change:
-    return rng.choice(changes)
+    return rng.choice(changes)(rng, content, others)

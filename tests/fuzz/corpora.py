@@ -40,12 +40,9 @@ def _obj(names: str = "") -> bytes:
 
 
 def _text_stl() -> bytes:
-    facets = (
-        "facet normal 0 0 0\n outer loop\n"
-        + "".join("  vertex {:g} {:g} {:g}\n".format(*_CORNERS[corner].tolist()) for corner in face)
-        + " endloop\nendfacet\n"
-        for face in _FACES
-    )
+    corners = ["  vertex {:g} {:g} {:g}\n".format(*corner) for corner in _CORNERS.tolist()]
+    loops = ("".join(corners[corner] for corner in face) for face in _FACES)
+    facets = (f"facet normal 0 0 0\n outer loop\n{loop} endloop\nendfacet\n" for loop in loops)
     return ("solid hull\n" + "".join(facets) + "endsolid hull\n").encode()
 
 
@@ -116,12 +113,10 @@ def scenes() -> tuple[Files, ...]:
         {**_small_scene({"poses": {"stream": {"file": "live.jsonl", "timeout_s": 0}}}, "json"), "live.jsonl": lines},
         {**_small_scene({"poses": {"file": "poses.jsonl.gz"}}), "poses.jsonl.gz": gzip.compress(lines, mtime=0)},
     ]
-    shipped: Files = {
-        "scene.yaml": _shipped("simulation_1.yaml"),
-        "detectors/thesis.yaml": _shipped("detectors/thesis.yaml"),
-    }
-    coastal: Files = {**shipped, "detectors/coastal.yaml": _shipped("detectors/coastal.yaml")}
-    strait: Files = {**coastal, "scene.yaml": _shipped("strait.yaml").replace(b"steps: 300", b"steps: 20")}
+    shipped: Files = {"scene.yaml": _shipped("simulation_1.yaml")}
+    shipped |= {"detectors/thesis.yaml": _shipped("detectors/thesis.yaml")}
+    strait: Files = {**shipped, "scene.yaml": _shipped("strait.yaml").replace(b"steps: 300", b"steps: 20")}
+    strait |= {"detectors/coastal.yaml": _shipped("detectors/coastal.yaml")}
     return (*named, *named, shipped, strait)
 
 
@@ -141,12 +136,9 @@ def poses() -> tuple[Files, ...]:
     """Pose files: JSON, JSON Lines, and both packed."""
     whole = json.dumps(GOOD["poses"], indent=1).encode()
     lines = b"\n".join(_json({time: entries}) for time, entries in GOOD["poses"].items())
-    return (
-        {"poses.json": whole},
-        {"poses.jsonl": lines},
-        {"poses.json.gz": gzip.compress(whole, mtime=0)},
-        {"poses.jsonl.gz": gzip.compress(lines, mtime=0)},
-    )
+    plain = {"poses.json": whole, "poses.jsonl": lines}
+    packed = {f"{name}.gz": gzip.compress(content, mtime=0) for name, content in plain.items()}
+    return tuple({name: content} for name, content in (plain | packed).items())
 
 
 @cache
@@ -200,10 +192,8 @@ def yolo() -> tuple[Files, ...]:
     """Folders of labels and predictions, with images of several kinds, and names in either file."""
     labels: Files = {"set/labels/a.txt": b"0 0.5 0.5 0.2 0.25\n1 0.25 0.3 0.1 0.1\n", "set/labels/b.txt": b""}
     labels["set/labels/c.txt"] = b"1 0.75 0.5 0.3 0.2\n"
-    found: Files = {
-        "found/a.txt": b"0 0.5 0.52 0.2 0.25 0.875\n1 0.2 0.3 0.1 0.1 0.5\n",
-        "found/c.txt": b"0 0.7 0.5 0.3 0.2 0.25\n",
-    }
+    found: Files = {"found/a.txt": b"0 0.5 0.52 0.2 0.25 0.875\n1 0.2 0.3 0.1 0.1 0.5\n"}
+    found["found/c.txt"] = b"0 0.7 0.5 0.3 0.2 0.25\n"
     data = b"path: ../set\ntrain: images\nval: images\nnames:\n  0: kayak\n  1: ferry\n"
     kinds = (("png", "jpeg", "bmp"), ("webp", "tiff", "png"))
     images: list[Files] = [

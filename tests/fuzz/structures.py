@@ -56,33 +56,22 @@ def written(tree: Any) -> bytes:
     def _key(key: Any) -> str:
         return marked(key) if isinstance(key, Literal) else key if isinstance(key, str) else str(key)
 
-    text = _MARK.sub(
-        lambda found: bytes.fromhex(found[1]).decode("utf-8", "surrogatepass"), json.dumps(marked(tree), default=str)
-    )
-    return text.encode("utf-8", "surrogatepass")
+    text = json.dumps(marked(tree), default=str)
+    plain = _MARK.sub(lambda found: bytes.fromhex(found[1]).decode("utf-8", "surrogatepass"), text)
+    return plain.encode("utf-8", "surrogatepass")
 
 
-def change_structure(rng: random.Random, content: bytes, form: str) -> bytes:
-    """The file with one thing changed; its bytes are changed if it holds no mapping or list any more."""
+def change_structure(rng: random.Random, content: bytes, others: list[bytes], form: str = JSON) -> bytes:
+    """The file with one thing changed, YAML in flow style; its bytes if it holds no mapping or list any more."""
     tree = _parsed(content, form)
     return written(_changed(rng, tree, form)) if isinstance(tree, dict | list) else change_bytes(rng, content, [])
-
-
-def change_json(rng: random.Random, content: bytes, others: list[bytes]) -> bytes:
-    """One thing changed in a JSON file."""
-    return change_structure(rng, content, JSON)
-
-
-def change_yaml(rng: random.Random, content: bytes, others: list[bytes]) -> bytes:
-    """One thing changed in a YAML file, which is in flow style afterwards."""
-    return change_structure(rng, content, YAML)
 
 
 def change_json_line(rng: random.Random, content: bytes, others: list[bytes]) -> bytes:
     """One thing changed in one line of a file of JSON Lines."""
     lines = content.split(b"\n")
     place = rng.randrange(len(lines))
-    lines[place] = change_structure(rng, lines[place], JSON)
+    lines[place] = change_structure(rng, lines[place], others)
     return b"\n".join(lines)
 
 
@@ -111,17 +100,14 @@ def _twice(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> A
 
 
 def _rename(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> Any:
-    name = rng.choice(
-        (rng.choice(TEXTS), f"{place}x", f"{place}"[:-1], f" {place}", f"{place}".upper(), rng.choice(list(node)))
-    )
+    text = f"{place}"
+    name = rng.choice((rng.choice(TEXTS), f"{text}x", text[:-1], f" {text}", text.upper(), rng.choice(list(node))))
     return {name if key == place else key: value for key, value in node.items()}
 
 
 def _raw_key(rng: random.Random, node: dict[Any, Any], place: Any, form: str) -> Any:
-    keys = (
-        *("1", "null", "~", "[1]", "{a: 1}", "<<", "? x", "!!int 1", "*a", "&a b", "1.5", "true", ".nan", "2024-01-01"),
-    )
-    key = Literal(rng.choice(keys) if form == YAML else rng.choice(("1", "null", "'a'", "a", "")))
+    keys = ("1", "null", "~", "[1]", "{a: 1}", "<<", "? x", "!!int 1", "*a", "&a b", "1.5", "true", ".nan")
+    key = Literal(rng.choice((*keys, "2024-01-01") if form == YAML else ("1", "null", "'a'", "a", "")))
     return {**node, key: node[place]}
 
 

@@ -11,9 +11,8 @@ import pyarrow.parquet as pq
 from tests.fuzz.texts import change_bytes
 from tests.fuzz.values import FLOATS, INTEGERS, TEXTS
 
-_TYPES = (
-    *(pa.string(), pa.int8(), pa.int32(), pa.int64(), pa.uint64(), pa.float32(), pa.float64(), pa.bool_(), pa.null()),
-)
+_INTEGERS = (pa.int8(), pa.int32(), pa.int64(), pa.uint64())
+_TYPES = (pa.string(), *_INTEGERS, pa.float32(), pa.float64(), pa.bool_(), pa.null())
 _OTHER_TYPES = (pa.binary(), pa.large_string(), pa.decimal128(20, 2), pa.timestamp("us"), pa.list_(pa.int64()))
 
 

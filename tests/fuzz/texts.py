@@ -103,25 +103,15 @@ def change_whole(rng: random.Random, content: bytes, others: list[bytes]) -> byt
     text = content.decode("utf-8", "replace")
     return rng.choice(
         (
-            lambda: b"",
-            lambda: None,
-            lambda: b"\n\n \n",
-            lambda: b"\xef\xbb\xbf" + content,
-            lambda: text.encode("utf-16"),
-            lambda: text.encode("utf-32"),
-            lambda: content.replace(b"\n", b"\r\n"),
-            lambda: content.replace(b"\n", b"\r"),
-            lambda: content.replace(b"\n", b" "),
-            lambda: content.replace(b",", b";"),
-            lambda: content + content,
-            lambda: bytes(len(content)),
-            lambda: _pack(content) if not packed else content,
-            lambda: _pack(content)[: rng.randrange(1, 60)],
-            lambda: _pack(content) + rng.randbytes(20),
-            lambda: _pack(content) + _pack(content),
+            *(lambda: b"", lambda: None, lambda: b"\n\n \n", lambda: b"\xef\xbb\xbf" + content),
+            *(lambda: text.encode("utf-16"), lambda: text.encode("utf-32")),
+            *(lambda: content.replace(b"\n", b"\r\n"), lambda: content.replace(b"\n", b"\r")),
+            *(lambda: content.replace(b"\n", b" "), lambda: content.replace(b",", b";")),
+            *(lambda: content + content, lambda: bytes(len(content))),
+            *(lambda: _pack(content) if not packed else content, lambda: _pack(content)[: rng.randrange(1, 60)]),
+            *(lambda: _pack(content) + rng.randbytes(20), lambda: _pack(content) + _pack(content)),
             lambda: rng.choice(others) if others else content,
-            lambda: rng.choice(MAGIC) + content,
-            lambda: rng.choice(MAGIC),
+            *(lambda: rng.choice(MAGIC) + content, lambda: rng.choice(MAGIC)),
         )
     )()
 

@@ -36,19 +36,10 @@ def odd_number(rng: random.Random, value: float) -> Any:
         return rng.choice(NUMBERS)
     return rng.choice(
         (
-            lambda: -value,
-            lambda: value * rng.choice((0.5, 0.999, 1.001, 2)),
-            lambda: value * (1 + 1e-12),
-            lambda: 0,
-            lambda: value + rng.choice((-1, 1)),
-            lambda: value * 10.0 ** rng.randint(-12, 12),
-            lambda: float(value),
-            lambda: round(value),
-            lambda: str(value),
-            lambda: [value],
-            lambda: rng.uniform(-10, 10),
-            lambda: rng.randint(-3, 20),
-            lambda: rng.choice(NUMBERS),
+            *(lambda: -value, lambda: value * rng.choice((0.5, 0.999, 1.001, 2)), lambda: value * (1 + 1e-12)),
+            *(lambda: 0, lambda: value + rng.choice((-1, 1)), lambda: value * 10.0 ** rng.randint(-12, 12)),
+            *(lambda: float(value), lambda: round(value), lambda: str(value), lambda: [value]),
+            *(lambda: rng.uniform(-10, 10), lambda: rng.randint(-3, 20), lambda: rng.choice(NUMBERS)),
         )
     )()
 
