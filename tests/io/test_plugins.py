@@ -105,19 +105,20 @@ def problems_of(path):
 
 def test_wrong_keys_and_names_of_plugins_are_told_with_their_path_and_what_there_is(site, tmp_path):
     site.add_project(EXAMPLE)
-    (first, second) = problems_of(scene_with(tmp_path, {"drift": {"gap": 3}}))
-    assert first == "poses.drift.current_m_s: missing"
-    assert second == "poses.drift.gap: unknown key (did you mean 'gap_m'?)"
+    unknown = "poses.drift.gap: unknown key (did you mean 'gap_m'?)"
+    assert problems_of(scene_with(tmp_path, {"drift": {"gap": 3}})) == ("poses.drift.current_m_s: missing", unknown)
     assert plugin_names(POSE_SOURCES) == ("drift",)
-    (problem,) = problems_of(scene_with(tmp_path, {"drft": {}}))
-    assert problem.startswith("poses.drft: nothing is called 'drft' here") and "did you mean 'drift'?" in problem
-    (problem,) = problems_of(scene_with(tmp_path, {"zzz": {}}))
-    assert "known: file, circular" in problem and "drift" in problem
-    (problem,) = problems_of(scene_with(tmp_path, waves={"level": "hugely"}))
-    assert problem.startswith("waves.level: ") and "did you mean 'huge'?" in problem
-    site.add("other", "2.0", "other", "class Drift: ...", {POSE_SOURCES: {"drift": "other:Drift"}})
-    (problem,) = problems_of(scene_with(tmp_path, DRIFT))
-    assert problem.startswith("poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'")
+    twice = "poses.drift: modsim3d-drift 1.0 and other 2.0 both bring a plug-in 'drift'"
+    for poses, waves, parts in (
+        ({"drft": {}}, None, ("poses.drft: nothing is called 'drft' here", "did you mean 'drift'?")),
+        ({"zzz": {}}, None, ("known: file, circular", "drift")),
+        (None, {"level": "hugely"}, ("waves.level: ", "did you mean 'huge'?")),
+        (DRIFT, None, (twice,)),
+    ):
+        if poses == DRIFT:
+            site.add("other", "2.0", "other", "class Drift: ...", {POSE_SOURCES: {"drift": "other:Drift"}})
+        (problem,) = problems_of(scene_with(tmp_path, poses, waves))
+        assert all(part in problem for part in parts), problem
 
 
 HEAD = "from modsim3d.plugins import Poses, PosesByTime, SourceKeys, Strict\nimport numpy as np\n"
@@ -161,12 +162,12 @@ def test_a_plugin_that_does_not_do_what_it_must_is_told_in_one_message(site, tmp
     site.add("drift", "0.1", "broken_drift", source, {POSE_SOURCES: {"drift": "broken_drift:Drift"}})
     with pytest.raises(ModsimError) as caught:
         load_scene(scene_with(tmp_path, {"drift": {}}))
-    assert part in str(caught.value)
-    assert "drift" in str(caught.value)
-    assert len(str(caught.value).splitlines()) <= 2
+    said = str(caught.value)
+    assert part in said and "drift" in said and len(said.splitlines()) <= 2
 
 
-def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
+def test_wave_level_of_a_plugin_gives_its_axes_and_own_levels_need_no_plugin(site, tmp_path):
+    assert [find_level(level) for level in LEVELS] == [(level_axes(level), None) for level in LEVELS]
     site.add("my-sea", "0.3", "my_sea", MODULE, {WAVE_LEVELS: {"swell": "my_sea:SWELL", "wrong": "my_sea:Axis"}})
     axes, plugin = find_level("swell")
     assert axes == (Axis(0.99, 0.995, 4e-5), Axis(0.99, 0.995, 6e-5), Axis(sigma_rad=1e-5))
@@ -176,10 +177,6 @@ def test_wave_level_of_a_plugin_gives_its_axes(site, tmp_path):
     assert np.ptp(scene.waves.motion.angles("a", np.arange(5.0), np.arange(5))[:, 1]) > 0
     (problem,) = problems_of(scene_with(tmp_path, waves={"level": "wrong"}))
     assert "must be three modsim3d.plugins.Axis, for roll, pitch, yaw" in problem
-
-
-def test_own_wave_levels_need_no_plugin():
-    assert [find_level(level) for level in LEVELS] == [(level_axes(level), None) for level in LEVELS]
 
 
 def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
@@ -197,9 +194,8 @@ def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
         ("bargee", "did you mean 'barge'?"),
         ("ferryy", "did you mean 'ferry'?"),
     ):
-        with pytest.raises(InputError, match=r"vessels\.a\.shape") as caught:
+        with pytest.raises(InputError, match=rf"vessels\.a\.shape(.|\n)*{re.escape(part)}"):
             find_shape(name, "vessels.a.shape", ("ferry",))
-        assert part in str(caught.value)
 
 
 def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_shape_and_names_its_package(site, tmp_path):
@@ -215,26 +211,22 @@ def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_shape_and_names_it
         load_scene(path, settings={"vessels.boat.mesh": "bargee"})
 
 
-@pytest.mark.parametrize(
-    ("change", "part"),
-    [
-        (lambda v, f: (v[:, :2], f), "vertices must be finite, of shape (K, 3)"),
-        (lambda v, f: (v * np.nan, f), "vertices must be finite"),
-        (lambda v, f: (v, f[:, :2]), "faces must be vertex indices of shape (F, 3)"),
-        (lambda v, f: (v, f.astype(float)), "faces must be vertex indices"),
-        (lambda v, f: (v, f[:0]), "faces must be vertex indices"),
-        (lambda v, f: (v, f + 1), "faces name vertices 0 to 7 (got 1 to 8)"),
-        (lambda v, f: (2 * v, f), "it must fill the box from [-0.5, -0.5, 0.0] to [0.5, 0.5, 1.0]"),
-        (lambda v, f: (v * [1, 1, 0.5], f), "it must fill the box"),
-        (lambda v, f: (v, f[1:]), "its surface is not closed"),
-        (lambda v, f: (v, np.concatenate([f, f[:1]])), "its surface is not closed"),
-        (lambda v, f: (v, f[:, ::-1]), "its faces point inwards"),
-    ],
-)
-def test_what_is_no_shape_of_a_vessel_is_told(change, part):
-    vertices, faces = shoebox().vertices, shoebox().faces
-    assert part in shape_problem(*change(vertices, faces))
+def test_what_is_no_shape_of_a_vessel_is_told():
+    vertices, faces = v, f = shoebox().vertices, shoebox().faces
     assert shape_problem(vertices, faces) is None
+    numbers, closed = "faces must be vertex indices", "its surface is not closed"
+    box = "it must fill the box from [-0.5, -0.5, 0.0] to [0.5, 0.5, 1.0]"
+    for part, *shape in (
+        ("vertices must be finite, of shape (K, 3)", v[:, :2], f),
+        ("vertices must be finite", v * np.nan, f),
+        ("faces must be vertex indices of shape (F, 3)", v, f[:, :2]),
+        *((numbers, v, f.astype(float)), (numbers, v, f[:0])),
+        ("faces name vertices 0 to 7 (got 1 to 8)", v, f + 1),
+        *((box, 2 * v, f), ("it must fill the box", v * [1, 1, 0.5], f)),
+        *((closed, v, f[1:]), (closed, v, np.concatenate([f, f[:1]]))),
+        ("its faces point inwards", v, f[:, ::-1]),
+    ):
+        assert part in shape_problem(*shape), part
 
 
 LIVE = """
@@ -261,24 +253,21 @@ class Radio(SourceKeys, Strict):
 """
 
 
-@pytest.mark.parametrize(
-    ("fault", "part"),
-    [
-        ("raises", "the plug-in 'radio' of my-radio 2 failed: OSError: no signal (my_radio.py, line"),
-        ("shape", "the plug-in 'radio' of my-radio 2: present must be an array of bool (1, 2), not bool (1, 3)"),
-        ("time", "radio:\n  step 3: 0.5: timestamps must increase"),
-    ],
-)
-def test_live_source_of_a_plugin_runs_and_its_faults_are_told(site, tmp_path, fault, part):
+def test_live_source_of_a_plugin_runs_and_its_faults_are_told(site, tmp_path):
     site.add("my-radio", "2", "my_radio", LIVE, {POSE_SOURCES: {"radio": "my_radio:Radio"}})
     scene = load_scene(scene_with(tmp_path, {"radio": {}}, steps=9))
     assert scene.live
     assert [frame.timestamp for frame in simulate_frames(scene)] == ["0.0", "1.0", "2.0", "3.0"]
-    frames = simulate_frames(load_scene(scene_with(tmp_path, {"radio": {"fault": fault}}, steps=9)))
-    assert [next(frames).step, next(frames).step] == [0, 1]
-    with pytest.raises(ModsimError) as caught:
-        next(frames)
-    assert part in str(caught.value)
+    of_radio = "the plug-in 'radio' of my-radio 2"
+    for fault, part in (
+        ("raises", f"{of_radio} failed: OSError: no signal (my_radio.py, line"),
+        ("shape", f"{of_radio}: present must be an array of bool (1, 2), not bool (1, 3)"),
+        ("time", "radio:\n  step 3: 0.5: timestamps must increase"),
+    ):
+        frames = simulate_frames(load_scene(scene_with(tmp_path, {"radio": {"fault": fault}}, steps=9)))
+        assert [next(frames).step, next(frames).step] == [0, 1]
+        with pytest.raises(ModsimError, match=re.escape(part)):
+            next(frames)
 
 
 LOGGED = """

@@ -26,6 +26,8 @@ def test_masks_go_with_coco_alone_and_need_a_truth_in_pixels_of_the_image(modsim
     for name in ("mot", "yolo"):
         said = export(modsim3d, run, tmp_path, "--format", name, "--masks")
         assert f"--masks goes with --format coco, not with {name}" in said
+    said = export(modsim3d, run, tmp_path, "--format", "coco", "--true-attitude")
+    assert "--true-attitude goes with --format csv, not with coco" in said
     said = export(modsim3d, run, tmp_path, "--format", "coco", "--masks")
     assert "source is analytic: run the scene with --source rendered" in said
     run_scene(load_scene(crossing(tmp_path, 2), supersample=2), tmp_path / "run")

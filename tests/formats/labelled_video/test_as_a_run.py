@@ -44,14 +44,13 @@ def top_left_form(box: list[float]) -> list[float]:
 def as_coco(run: Path, folder: Path) -> Path:
     """The truth of a run under its own names, its rows in no order."""
     truth = [row for row in rows(run / "truth.parquet") if row["annotated"]]
-    frames = rows(run / "frames.parquet")
+    size = {"width": 1920, "height": 1080}
     labels = sorted({row["label"] for row in truth})
     content = {
         "categories": [{"id": 3 * k + 5, "name": name} for k, name in enumerate(labels)],
         "images": [
-            {"id": 1000 - frame["step"], "width": 1920, "height": 1080, "sequence": frame["camera"]}
-            | {"time_s": float(frame["timestamp"])}
-            for frame in frames
+            {"id": 1000 - frame["step"], "time_s": float(frame["timestamp"]), "sequence": frame["camera"]} | size
+            for frame in rows(run / "frames.parquet")
         ],
         "annotations": [
             {"image_id": 1000 - row["step"], "category_id": 3 * labels.index(row["label"]) + 5}
@@ -96,16 +95,16 @@ def test_over_a_runs_truth_under_its_names_each_detection_is_that_of_the_run(run
 
 
 @pytest.fixture(scope="module")
-def busy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]], list[dict[str, Any]]]:
+def busy(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """A long MOT sequence of many boxes, half of them half hidden, with what a detector of one state made of it."""
-    folder = tmp_path_factory.mktemp("busy")
-    rng = np.random.default_rng(1)
-    lines = []
-    for frame in range(1, 301):
-        for track in range(40):
-            x, y = rng.uniform(900, 4000), rng.uniform(600, 3000)
-            lines.append(f"{frame},{track},{x:.2f},{y:.2f},900,500,1,1,{1 if track % 2 else 0.5}")
-    (folder / "gt.txt").write_text("\n".join(lines))
+    folder, rng = tmp_path_factory.mktemp("busy"), np.random.default_rng(1)
+    places = rng.uniform((900, 600), (4000, 3000), (300, 40, 2))
+    lines = [
+        f"{frame + 1},{track},{x:.2f},{y:.2f},900,500,1,1,{1 if track % 2 else 0.5}\n"
+        for frame, of_frame in enumerate(places)
+        for track, (x, y) in enumerate(of_frame)
+    ]
+    (folder / "gt.txt").write_text("".join(lines))
     data = thesis_data() | {
         "initial_state": "good",
         "transition_matrix": np.eye(4).tolist(),
@@ -114,38 +113,27 @@ def busy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str,
     (folder / "detector.yaml").write_text(yaml.safe_dump(data))
     options = {"image_size_px": (6000, 4000), "frame_rate_hz": 10}
     detect_truth(folder / "gt.txt", folder / "out", detector=folder / "detector.yaml", seed=3, **options)
-    return folder, rows(folder / "out" / "truth.parquet"), rows(folder / "out" / "detections.parquet")
+    return rows(folder / "out" / "truth.parquet"), rows(folder / "out" / "detections.parquet")
 
 
-def good() -> dict[str, Any]:
-    state: dict[str, Any] = thesis_data()["states"]["good"]
-    return state
-
-
-@pytest.mark.parametrize(("visible", "odds"), [(1.0, 1.0), (0.5, 4.0)])
-def test_misses_follow_the_visibility_of_the_file_as_the_detector_file_says(busy, visible: float, odds: float) -> None:
-    seen = [row["detected"] for row in busy[1] if row["visible_fraction"] == visible]
-    rate = good()["confusion"][-1][0]
-    asked = odds * rate / (1 - rate) / (1 + odds * rate / (1 - rate))
-    assert len(seen) == 6000
-    assert stats.binomtest(len(seen) - sum(seen), len(seen), asked).pvalue > ALPHA
-
-
-def test_box_errors_have_the_moments_of_the_detector_file(busy) -> None:
-    errors = np.array([[row[key] for key in ERRORS] for row in busy[2] if row["kind"] == "true"])
-    error = good()["box_error"]
-    mean, covariance = np.array(error["mean"]), np.array(error["covariance"])
+def test_misses_box_errors_and_false_alarms_are_those_of_the_detector_file(busy) -> None:
+    truth, detections = busy
+    good = thesis_data()["states"]["good"]
+    for visible, odds in ((1.0, 1.0), (0.5, 4.0)):
+        seen = [row["detected"] for row in truth if row["visible_fraction"] == visible]
+        rate = good["confusion"][-1][0]
+        asked = odds * rate / (1 - rate) / (1 + odds * rate / (1 - rate))
+        assert len(seen) == 6000
+        assert stats.binomtest(len(seen) - sum(seen), len(seen), asked).pvalue > ALPHA
+    errors = np.array([[row[key] for key in ERRORS] for row in detections if row["kind"] == "true"])
+    mean, variance = np.array(good["box_error"]["mean"]), np.diag(good["box_error"]["covariance"])
     count = len(errors)
-    assert np.all(np.abs(errors.mean(axis=0) - mean) < 6 * np.sqrt(np.diag(covariance) / count))
-    ratio = np.var(errors, axis=0) / np.diag(covariance)
-    assert np.all(np.abs(ratio - 1) < 6 * np.sqrt(2 / count))
-
-
-def test_false_alarms_are_the_share_of_the_detector_file(busy) -> None:
-    false = sum(row["vessel"] is None for row in busy[2])
-    rate, true = good()["false_discovery_rate"], len(busy[2]) - false
-    mean = true * rate / (1 - rate)
-    assert abs(false - mean) < 6 * np.sqrt(mean)
+    assert np.all(np.abs(errors.mean(axis=0) - mean) < 6 * np.sqrt(variance / count))
+    assert np.all(np.abs(np.var(errors, axis=0) / variance - 1) < 6 * np.sqrt(2 / count))
+    false = sum(row["vessel"] is None for row in detections)
+    rate, true = good["false_discovery_rate"], len(detections) - false
+    expected = true * rate / (1 - rate)
+    assert abs(false - expected) < 6 * np.sqrt(expected)
 
 
 def test_a_run_exported_and_detected_again_has_the_same_rates(run: Path, tmp_path: Path) -> None:
