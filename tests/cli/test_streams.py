@@ -16,24 +16,17 @@ def bash(line: str, *arguments: object, program: object = PROGRAM) -> subprocess
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
-def other_detector(run: Path, folder: Path) -> Path:
-    """A detector file that the run does not obey."""
-    text = next((run / "scene").glob("detector.*")).read_text()
-    path = folder / "other.yaml"
-    path.write_text(text.replace("mean: 0.67", "mean: 0.2"))
-    assert path.read_text() != text
-    return path
-
-
 @pytest.mark.parametrize("options", ["", "--json"])
 @pytest.mark.parametrize("obeys", [True, False])
 @pytest.mark.parametrize("reader", ["head -1", "true"])
 def test_the_status_of_verify_is_its_verdict_whoever_reads(run, prepared, tmp_path, reader, obeys, options):
-    detector = next((run / "scene").glob("detector.*")) if obeys else other_detector(run, tmp_path)
-    line = (
-        f'MODSIM3D check run "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null; echo ${{PIPESTATUS[0]}}'
-    )
-    done = bash(line, run, detector, tmp_path / "out", program=prepared)
+    detector = next((run / "scene").glob("detector.*"))
+    if not obeys:
+        text, detector = detector.read_text(), tmp_path / "other.yaml"
+        detector.write_text(text.replace("mean: 0.67", "mean: 0.2"))
+        assert detector.read_text() != text
+    line = f'MODSIM3D check run "$1" --detector "$2" --out "$3" {options} | {reader} >/dev/null'
+    done = bash(f"{line}; echo ${{PIPESTATUS[0]}}", run, detector, tmp_path / "out", program=prepared)
     assert done.stdout == f"{0 if obeys else 1}\n" and done.stderr == ""
     assert json.loads((tmp_path / "out" / "verify.json").read_text())["obeys"] is obeys
 
@@ -55,29 +48,17 @@ def test_no_program_minds_a_reader_that_goes_away(arguments: str, unbuffered: st
     assert (done.stdout, done.stderr) == ("0\n", "")
 
 
-def test_a_run_whose_bar_and_summary_nobody_reads_is_finished(scene: Path, prepared: Path, tmp_path: Path) -> None:
+def test_a_command_does_its_work_and_errors_keep_their_status_whoever_reads(scene, run, prepared, tmp_path) -> None:
     line = 'MODSIM3D run "$1" --source analytic --no-sheet --out "$2" 2>&1 | true; echo ${PIPESTATUS[0]}'
     assert bash(line, scene, tmp_path / "run", program=prepared).stdout == "0\n"
     assert (tmp_path / "run" / "run.json").exists()
-
-
-def test_an_error_keeps_its_status_when_nobody_reads() -> None:
+    done = bash('MODSIM3D check run "$1" --out "$2" --json | head -1', run, tmp_path / "json", program=prepared)
+    assert json.loads(done.stdout)["command"] == "check run"
+    done = bash('MODSIM3D check run "$1" --out "$2" >&-', run, tmp_path / "closed")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "closed" / "verify.json").exists()
     done = bash("MODSIM3D check scene nowhere.yaml 2>&1 | true; echo ${PIPESTATUS[0]}")
     assert done.stdout == "2\n"
-
-
-def test_the_first_line_of_json_is_the_whole_object(run: Path, prepared: Path, tmp_path: Path) -> None:
-    done = bash('MODSIM3D check run "$1" --out "$2" --json | head -1', run, tmp_path, program=prepared)
-    assert json.loads(done.stdout)["command"] == "check run"
-
-
-def test_output_that_a_full_disk_loses_is_an_error() -> None:
     done = bash("MODSIM3D scenes > /dev/full")
-    assert done.returncode == 2
-    assert done.stderr == "modsim3d: standard output cannot be written to: No space left on device\n"
-
-
-def test_without_standard_output_a_command_does_its_work(run: Path, tmp_path: Path) -> None:
-    done = bash('MODSIM3D check run "$1" --out "$2" >&-', run, tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert (tmp_path / "verify.json").exists()
+    full = "modsim3d: standard output cannot be written to: No space left on device\n"
+    assert (done.returncode, done.stderr) == (2, full)

@@ -1,5 +1,7 @@
 """The parts of what vessels would send by AIS: who carries what, when it is sent, how it is measured and encoded."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from pyais import decode
@@ -79,35 +81,28 @@ def test_intervals_are_those_of_the_standard():
         assert (found.between == (expected == 180 and ais_class == "A")).all()
 
 
-@pytest.mark.parametrize(("speed_kn", "expected"), [(5, 10 / 3), (18, 2), (30, 2)])
-def test_a_ship_that_changes_course_sends_more_often(speed_kn, expected):
-    found = reporting.rate(seen(120, speed_kn, heading_deg=np.arange(120.0)), "A", False)
-    assert (found.intervals_s[60:] == expected).all()
-    assert (found.between[60:] == (speed_kn < 23)).all()
+def test_a_ship_that_changes_course_sends_more_often():
+    """It changes course when it is more than 5° from the mean of half a minute."""
+    for speed_kn, expected in ((5, 10 / 3), (18, 2), (30, 2)):
+        found = reporting.rate(seen(120, speed_kn, heading_deg=np.arange(120.0)), "A", False)
+        assert (found.intervals_s[60:] == expected).all()
+        assert (found.between[60:] == (speed_kn < 23)).all()
     assert (reporting.rate(seen(120, 5, heading_deg=np.arange(120.0)), "B", False).intervals_s == 30).all()
-
-
-def test_a_change_of_course_is_more_than_five_degrees_from_the_mean_of_half_a_minute():
     heading = np.concatenate([np.zeros(60), np.full(100, 6.0)])  # the mean is 5° behind for 5 s: 6 · 25/30 = 5
     changing = reporting.changes_course(seen(160, heading_deg=heading))
     assert np.flatnonzero(changing).tolist() == list(range(60, 60 + 4 + 20 + 1 - 1))
     assert not reporting.changes_course(seen(160, heading_deg=heading * 0.8)).any()
 
 
-def test_a_slower_ship_keeps_its_interval_for_three_minutes():
+def test_a_slower_ship_keeps_its_interval_for_three_minutes_and_a_shorter_one_ends_it_at_once():
     speed = np.concatenate([np.full(100, 20.0), np.full(400, 5.0)])
     found = reporting.rate(seen(500, speed), "A", False).intervals_s
-    assert (found[:280] == 6).all()
-    assert (found[280:] == 10).all()
+    assert (found == np.where(np.arange(500) < 280, 6, 10)).all()
     faster = reporting.rate(seen(500, speed[::-1]), "A", False).intervals_s
     assert (faster == np.where(np.arange(500) < 400, 10, 6)).all()
-
-
-def test_a_shorter_interval_ends_a_longer_one_at_once():
     times, intervals = np.arange(100, 400), np.concatenate([np.full(150, 180.0), np.full(150, 10.0)])
     due = reporting.due_times(times, intervals, 399.0, phase=0.5)
-    assert due[:4].tolist() == [190.0, 250.0, 260.0, 270.0]
-    assert due[-1] == 390.0
+    assert due[:4].tolist() == [190.0, 250.0, 260.0, 270.0] and due[-1] == 390.0
     assert reporting.due_times(times, intervals[::-1], 399.0, phase=0.0).tolist() == list(range(110, 250, 10))
 
 
@@ -220,25 +215,18 @@ def test_places_and_local_metres_undo_each_other(origin):
     assert len(none[0]) == len(none[1]) == 0
 
 
-@pytest.mark.parametrize("ais_class", ["A", "B"])
-def test_every_speed_and_course_comes_back_as_it_was_sent(ais_class):
-    tenths = np.arange(1023)
-    found = seen(1023, speed_kn=tenths / 10 + 0.04, course_deg=tenths * 3.6 - 1800.0)
-    for row in range(0, 1023, 3):
-        message = sent(log.position_fields(station(ais_class), found, row, False, False))
+def test_speeds_courses_and_places_come_back_as_they_were_sent():
+    tenths, rng = np.arange(1023), np.random.default_rng(8)
+    latitude, longitude = rng.uniform(-90, 90, 1023), rng.uniform(-180, 180, 1023)  # in all quarters of the earth
+    motion = {"speed_kn": tenths / 10 + 0.04, "course_deg": tenths * 3.6 - 1800.0}
+    found = seen(1023, latitude_deg=latitude, longitude_deg=longitude, **motion)
+    for row, ais_class in product(range(0, 1023, 3), "AB"):
+        anchored = row % 2 == 1
+        message = sent(log.position_fields(station(ais_class), found, row, False, anchored))
         assert message.speed == tenths[row] / 10
         assert message.course == round(10 * found.course_deg[row]) % 3600 / 10
         assert message.second == row % 60
-        assert message.msg_type == (1 if ais_class == "A" else 18)
-
-
-def test_places_come_back_within_half_a_step_in_all_quarters_of_the_earth():
-    rng = np.random.default_rng(8)
-    latitude, longitude = rng.uniform(-90, 90, 100), rng.uniform(-180, 180, 100)
-    found = seen(100, latitude_deg=latitude, longitude_deg=longitude)
-    for row in range(100):
-        message = sent(log.position_fields(station(), found, row, False, True))
-        assert message.msg_type == 3
+        assert message.msg_type == (18 if ais_class == "B" else 3 if anchored else 1)
         assert abs(message.lat - latitude[row]) <= 0.5 / 600_000 + 5e-7  # the decoder rounds to six decimals
         assert abs(message.lon - longitude[row]) <= 0.5 / 600_000 + 5e-7
 

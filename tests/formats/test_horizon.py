@@ -22,15 +22,12 @@ def test_a_horizon_that_is_written_is_read_back(roll, below, width):
     np.testing.assert_allclose(corners @ again * np.cos(roll), corners @ sea, atol=1e-3)
 
 
-def test_a_row_two_rows_and_two_points_are_the_same_line():
+def test_a_row_two_rows_and_two_points_are_the_same_line_and_what_is_no_horizon_is_none():
     lines = [read_horizon(value, 640.0) for value in (300, [300, 300], [0, 300, 10, 300])]
     assert lines == [tuple(half_plane(300, []))] * 3
     a, b, c = read_horizon([200, 264], 640.0)
     assert [a * x + b * y + c for x, y in ((0, 200), (320, 232), (640, 264))] == pytest.approx([0, 0, 0])
     assert b > 0  # the sea is below
-
-
-def test_what_is_no_horizon_is_none():
     for value in ("300", True, [], [1, 2, 3], [5, 1, 5, 9], [1, None], 1e8, [float("nan")] * 2):
         assert read_horizon(value, 640.0) is None, value
     for sea in (UNKNOWN, (0.0, 0.0, 1.0), (1.0, 0.0, -300.0), (0.0, -1.0, 300.0)):  # the sea is below no line

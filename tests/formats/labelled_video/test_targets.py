@@ -36,28 +36,21 @@ def test_a_box_is_hidden_by_all_boxes_with_a_lower_foot_as_painting_shows(given_
     assert np.allclose(again, found[shuffled], atol=1e-12)
 
 
-def test_boxes_of_other_images_and_of_the_same_foot_hide_nothing() -> None:
+def test_boxes_of_other_images_and_of_the_same_foot_which_may_be_cut_hide_nothing() -> None:
     boxes = np.tile([[0.0, 0.0, 10.0, 10.0]], (3, 1))
     assert visible_fractions(np.array([0, 0, 1]), boxes, boxes[:, 3]).tolist() == [1, 1, 1]
     assert visible_fractions(np.array([0, 0, 1]), boxes, np.array([9.0, 10.0, 99.0])).tolist() == [0, 1, 1]
-
-
-def test_the_foot_counts_where_it_was_before_the_box_was_cut() -> None:
-    boxes = np.array([[0.0, 0, 10, 10], [5, 0, 15, 10]])
+    boxes = np.array([[0.0, 0, 10, 10], [5, 0, 15, 10]])  # the foot counts where it was before the box was cut
     assert visible_fractions(np.zeros(2, dtype=np.int64), boxes, np.array([14.0, 11.0])).tolist() == [1, 0.5]
 
 
-def test_classes_of_mot_are_known_by_the_names_that_learning_gives_them() -> None:
+def test_classes_of_mot_have_the_names_that_learning_gives_them_and_several_may_be_one_label() -> None:
     classes = FileClasses("MOT", ("class_1", "class_2", "class_3"), (1, 2, 3))
-    used = np.array([True, False, True])
     labels = ("class_3", "class_1", "class_9")
-    found, notes = to_labels(classes, used, None, labels)
+    found, notes = to_labels(classes, np.array([True, False, True]), None, labels)
     assert (found.tolist(), notes) == ([1, -1, 0], [])
     assert class_numbers(classes, found.tolist(), labels) == {"class_3": 3, "class_1": 1, "class_9": 4}
-
-
-def test_several_categories_may_be_one_label_whose_number_is_that_of_the_first() -> None:
-    classes = FileClasses("COCO", ("ferry", "tug", "buoy"), (7, 5, 6))
+    classes = FileClasses("COCO", ("ferry", "tug", "buoy"), (7, 5, 6))  # whose label's number is that of the first
     found, _ = to_labels(classes, np.array([True, True, True]), ("ship", "ship", "-"), ("boat", "ship"))
     assert found.tolist() == [1, 1, -1]
     assert class_numbers(classes, found.tolist(), ("boat", "ship", "kayak")) == {"boat": 8, "ship": 7, "kayak": 9}
