@@ -46,9 +46,8 @@ def completions(folder: Path, *asked: tuple[str, ...]) -> list[list[str]]:
         for shell, *words in asked
     ]
     command = [sys.executable, "-c", SCRIPT]
-    done = subprocess.run(
-        command, input=json.dumps(environments), capture_output=True, text=True, timeout=120, check=True, cwd=folder
-    )
+    text, options = json.dumps(environments), {"capture_output": True, "text": True, "timeout": 120, "check": True}
+    done = subprocess.run(command, input=text, cwd=folder, **options)
     assert done.stderr.strip() == "", "loaded for a completion"
     *answers, rest = done.stdout.split("\0")
     assert rest == "" and len(answers) == len(asked)

@@ -30,9 +30,8 @@ def test_the_command_says_what_python_says(tmp_path: Path, modsim3d: Modsim3d) -
     line = ("--truth", truth, "--detector", "thesis", "--detector-seed", 4, "--frame-rate", 5, "--labels", "Vessel,-")
     said = modsim3d("detect", *line, "--horizon", 150, "--out", tmp_path / "a")
     assert said.status == 0, said.err
-    result = package.detect_truth(
-        *(truth, tmp_path / "b"), detector="thesis", seed=4, frame_rate_hz=5, labels=("Vessel", "-"), horizon=150
-    )
+    options = {"detector": "thesis", "seed": 4, "frame_rate_hz": 5, "labels": ("Vessel", "-"), "horizon": 150}
+    result = package.detect_truth(truth, tmp_path / "b", **options)
     assert content(tmp_path / "a") == content(tmp_path / "b")
     words = said.out.split()
     assert words[words.index("missed") + 1] == str(result.counts.missed)

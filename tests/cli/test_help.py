@@ -27,9 +27,7 @@ def leaves(group: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 LEAVES = dict(leaves(GROUP))
-OPTIONS = [
-    (name, parameter) for name, command in LEAVES.items() for parameter in command.params if parameter.name != "help"
-]
+OPTIONS = [(name, each) for name, command in LEAVES.items() for each in command.params if each.name != "help"]
 HEAVY = ("numpy", "scipy", "pyarrow", "OpenGL", "matplotlib", "PIL", "trimesh", "shapely", "pyrender")
 
 

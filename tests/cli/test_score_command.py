@@ -54,9 +54,8 @@ def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
     assert usage.count("RUN") == usage.count("TRACKS") == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks):
+    for options, said in (
         (("--similarity", "centre"), "similarity centre needs scale_px"),
         (("--similarity", "iou:10"), "a scale is for similarity centre"),
         (("--threshold", 0), "--threshold must be above 0 and at most 1 (got 0)"),
@@ -66,9 +65,7 @@ def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
         (("--gospa", "70:a"), "--gospa 70:a: needs a cutoff"),
         (("--gate", 5), "--gate is for tracks in the world, and none are given"),
         (("--seeds", 1), "--seeds must be from 2 to 1000 (got 1)"),
-    ],
-)
-def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks, options, said):
-    found = modsim3d("score", run, tracks, *options)
-    assert (found.status, found.out) == (2, "")
-    assert said in found.err and found.err.count("\n") == 1
+    ):
+        found = modsim3d("score", run, tracks, *options)
+        assert (found.status, found.out) == (2, "")
+        assert said in found.err and found.err.count("\n") == 1

@@ -89,9 +89,8 @@ def test_verify_has_every_number_at_any_width(modsim3d, monkeypatch, run, tmp_pa
 def test_an_error_on_a_terminal_is_broken_between_words(prepared: Path, width: int) -> None:
     command = [prepared, "check", "scene", "nowhere/at_all/in_this_folder.yaml"]
     ours, theirs = pty.openpty()
-    done = subprocess.run(
-        command, stderr=theirs, timeout=120, check=False, env={**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
-    )
+    environment = {**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
+    done = subprocess.run(command, stderr=theirs, timeout=120, check=False, env=environment)
     os.close(theirs)
     said = os.read(ours, 10_000).decode().replace("\r\n", "\n")
     os.close(ours)

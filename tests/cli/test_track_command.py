@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import pytest
-
 from modsim3d.tracking.trackers.names import BUILT_IN
 from tests.cli.conftest import Modsim3d
 
@@ -21,22 +19,19 @@ def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(modsim3
     assert lines[-1] == f"  modsim3d score {run} '{out}'"
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
+def test_wrong_options_are_one_message_and_leave_nothing(modsim3d, run, tmp_path):
+    for options, part in (
         (("--tracker", "nosuch"), f"known: {', '.join(BUILT_IN)}"),
         (("--tracker", "refrence"), "did you mean 'reference'?"),
         (("--set", "confirm_hit=2"), "confirm_hit: unknown key (did you mean 'confirm_hits'?)"),
         (("--set", "confirm_hits=many"), "confirm_hits: "),
         (("--set", "confirm_hits"), "--set confirm_hits:\n  a key and a value are needed, as in lost_s=2.5"),
         (("--set", "confirm_hits=[1"), "--set confirm_hits:"),
-    ],
-)
-def test_wrong_options_are_one_message_and_leave_nothing(modsim3d, run, tmp_path, options, part):
-    said = modsim3d("track", run, *options, "--out", tmp_path / "out")
-    assert (said.status, said.out) == (2, "")
-    assert part in said.err and "Traceback" not in said.err
-    assert not (tmp_path / "out").exists()
+    ):
+        said = modsim3d("track", run, *options, "--out", tmp_path / "out")
+        assert (said.status, said.out) == (2, "")
+        assert part in said.err and "Traceback" not in said.err
+        assert not (tmp_path / "out").exists()
 
 
 def test_tracks_of_nothing_have_no_median_time(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:

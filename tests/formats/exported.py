@@ -30,20 +30,12 @@ def exported_run(folder: Path, **annotation: object) -> StoredRun:
     detector["labels"] = list(LABELS)
     (folder / "rich.yaml").write_text(yaml.safe_dump(detector), encoding="utf-8")
     sides = ("length_m", "beam_m", "air_draft_m")
-    vessels = {
-        name: {**dict(zip(sides, size, strict=True)), "label": label} for name, (size, label, _) in VESSELS.items()
-    }
+    hulls = {name: {**dict(zip(sides, size, strict=True)), "label": kind} for name, (size, kind, _) in VESSELS.items()}
     lens = {"focal_length_m": 0.01, "pixel_size_m": [2e-5, 2e-5]}
     wide = {"principal_point_px": [200, 150], "image_size_px": [400, 300], "pose": {"position_m": [0, 0, 10]}}
     late = {"principal_point_px": [160, 100], "image_size_px": [320, 201], "frame_rate_hz": 0.4, "start_offset_s": 3}
     late["pose"] = {"position_m": [20, -90, 6], "yaw_rad": 0.9}
-    path = write_scene(
-        folder,
-        {name: (size, track) for name, (size, _, track) in VESSELS.items()},
-        STEPS,
-        vessels=vessels,
-        cameras={"name": lens | wide, "quay.2": lens | late},
-        annotation={"mode": 2, "source": "rendered"} | annotation,
-        detector="rich.yaml",
-    )
+    placed = {name: (size, track) for name, (size, _, track) in VESSELS.items()}
+    keys = {"vessels": hulls, "cameras": {"name": lens | wide, "quay.2": lens | late}, "detector": "rich.yaml"}
+    path = write_scene(folder, placed, STEPS, annotation={"mode": 2, "source": "rendered"} | annotation, **keys)
     return open_run(run_scene(load_scene(path), folder / "run").folder)

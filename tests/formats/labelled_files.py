@@ -28,6 +28,7 @@ CHANGES: dict[str, Change] = {
     "larger": lambda x, y, w, h: (2 * x, 2 * y, 2 * w, 2 * h),
 }
 """What files may have of a left, top, width and height; those of YOLO have centres, where `centres` is right."""
+RIGHT, CENTRES = CHANGES["right"], CHANGES["centres"]
 
 
 @dataclass(frozen=True)
@@ -70,8 +71,8 @@ def coco(folder: Path, video: Video, truth: Change, detections: Change, size: tu
 def mot(
     folder: Path,
     video: Video,
-    truth: Change = CHANGES["right"],
-    detections: Change = CHANGES["right"],
+    truth: Change = RIGHT,
+    detections: Change = RIGHT,
     size: tuple[int, int] = (WIDTH, HEIGHT),
     tail: Callable[[int, int], str] = lambda k, j: "1,1,1",
     found_tail: str = "0.9,-1,-1,-1",
@@ -94,9 +95,7 @@ def mot(
     return folder / "gt.txt", folder / "det.txt"
 
 
-def yolo(
-    folder: Path, video: Video, truth: Change = CHANGES["centres"], detections: Change = CHANGES["centres"]
-) -> Any:
+def yolo(folder: Path, video: Video, truth: Change = CENTRES, detections: Change = CENTRES) -> Any:
     """The same; shares of the image."""
     for name, boxes, change, end in (("set/labels", video.true, truth, ""), ("p", video.found, detections, " 0.9")):
         (folder / name).mkdir(parents=True, exist_ok=True)

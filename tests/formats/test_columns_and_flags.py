@@ -84,26 +84,23 @@ def test_places_in_the_world_are_neither_classes_nor_visibility(tmp_path, place,
         read_mot(tmp_path, tail=lambda k, j: f"1,{place + 0.7 * j:g},0.9")
 
 
-@pytest.mark.parametrize(
-    ("mark", "told"),
-    [
+def test_separators_of_spreadsheets_and_decimal_commas_are_named(tmp_path):
+    for mark, told in (
         (lambda text: text.replace(",", ";"), "its cells have semicolons between them, must have commas"),
         (lambda text: text.replace(",", "\t"), "its cells have tabs between them, must have commas"),
         (lambda text: f"sep=,\n{text}", "line 1 is for spreadsheets alone, leave it out"),
         (lambda text: "sep=;\n" + text.replace(",", ";"), "line 1 is for spreadsheets alone, leave it out"),
         (lambda text: text.replace(",", ";").replace(".", ","), "must have commas, and points in numbers"),
         (lambda text: text.replace(",", "\t").replace(".", ","), "must have commas, and points in numbers"),
-    ],
-)
-def test_separators_of_spreadsheets_and_decimal_commas_are_named(tmp_path, mark, told):
-    for wrong in (0, 1):
-        files = mot(tmp_path, VIDEO)
-        files[wrong].write_text(mark(files[wrong].read_text()))
-        refused(told, *files)
-    folders = yolo(tmp_path, VIDEO)
-    for text in ("0,0.5,0.5,0.1,0.1\n", "0 0,5 0,5 0,1 0,1\n"):
-        (folders[0] / "labels" / "003.txt").write_text(text)
-        refused(r"must be numbers.*: commas stand neither between nor in them", *folders, SIZED)
+    ):
+        for wrong in (0, 1):
+            files = mot(tmp_path, VIDEO)
+            files[wrong].write_text(mark(files[wrong].read_text()))
+            refused(told, *files)
+        folders = yolo(tmp_path, VIDEO)
+        for text in ("0,0.5,0.5,0.1,0.1\n", "0 0,5 0,5 0,1 0,1\n"):
+            (folders[0] / "labels" / "003.txt").write_text(text)
+            refused(r"must be numbers.*: commas stand neither between nor in them", *folders, SIZED)
 
 
 def test_columns_of_other_data_sets_are_no_visibility_and_what_is_read_is_told(tmp_path):
@@ -228,21 +225,18 @@ def test_cvats_folders_are_read_as_they_are_and_classes_without_names_are_told(t
         assert labelled.labels == NAMES and ("without" in labelled.images.names) is (folder == truth)
 
 
-@pytest.mark.parametrize(
-    ("file", "text", "told"),
-    [("data.yaml", "names: boat sailboat ship\n", r"names: must be a list of names \(got 'boat sailboat ship'\)"),
-     ("dataset.yaml", "names: 3\n", r"names: must be a list of names \(got 3\)"),
-     ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name"),
-     ("data.yaml", 'names: [boat, "", ship]\n', "the class 1, counted from 0, has no name"),
-     ("data.yaml", "names: [boat, ~, ship]\n", "the class 1, counted from 0, has no name"),
-     ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the first class would be '# classes'"),
-     ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the first class would be '0: boat'"),
-     ("obj.names", "0 boat\n1 sailboat\n2 ship\n", "the first class would be '0 boat'")],
-)  # fmt: skip
-def test_files_of_names_that_have_none_are_refused(tmp_path, file, text, told):
-    folders = yolo(tmp_path, VIDEO)
-    (folders[0] / file).write_text(text)
-    refused(told, *folders, SIZED)
+def test_files_of_names_that_have_none_are_refused(tmp_path):
+    for file, text, told in (
+        ("dataset.yaml", "names: 3\n", r"names: must be a list of names \(got 3\)"),
+        ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name"),
+        ("data.yaml", 'names: [boat, "", ship]\n', "the class 1, counted from 0, has no name"),
+        ("data.yaml", "names: [boat, ~, ship]\n", "the class 1, counted from 0, has no name"),
+        ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the first class would be '# classes'"),
+        ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the first class would be '0: boat'"),
+    ):
+        folders = yolo(tmp_path, VIDEO)
+        (folders[0] / file).write_text(text)
+        refused(told, *folders, SIZED)
 
 
 def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tmp_path):

@@ -70,9 +70,7 @@ def test_the_page_lists_the_columns_of_every_file_and_worked_out_numbers_have_ni
 
 
 @pytest.mark.parametrize("camera", ["bow", "shore"])
-def test_every_frame_has_the_pose_of_its_camera_and_every_detection_lies_where_its_rounded_box_is_located(
-    run: StoredRun, exported: Path, camera: str
-) -> None:
+def test_frames_have_the_pose_of_their_camera_and_detections_lie_where_rounded_boxes_are(run, exported, camera) -> None:
     table = read(exported / f"frames_{camera}.csv")
     assert numbers(table, "step").tolist() == list(range(run.steps))
     assert table["timestamp"] == list(run.scene.timestamps(0, run.steps))

@@ -35,28 +35,27 @@ def result(image_id, category_id=1, **more):
 NUMBERED = ("000010.jpg", "000011.jpg", "000012.jpg")
 
 
-@pytest.mark.parametrize(
-    ("names", "results", "rows", "doubtful"),
-    [
+def test_an_image_is_named_by_its_id_or_its_file_and_what_may_be_either_told(tmp_path):
+    for names, results, rows, doubtful in (
         (NAMES, [result("frame_002"), result("frame_000")], [0, 2], False),  # ultralytics: the name without its ending
         (tuple(f"images/val/{name}" for name in NAMES), [result("frame_002"), result("frame_000")], [0, 2], False),
         (NAMES, [result("frame_002.jpg"), result("frame_000.jpg")], [0, 2], False),
         (("000100.jpg", "000101.jpg", "000102.jpg"), [result(102), result(100)], [0, 2], False),  # ultralytics too
         (NAMES, [result(13), result(11)], [0, 2], False),  # detectron2 and mmdetection: the ID
-        (("000012.jpg", "000013.jpg", "000011.jpg"),
-         [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")], [0, 2], False),
+        (
+            ("000012.jpg", "000013.jpg", "000011.jpg"),
+            [result(11, file_name="000011.jpg"), result(12, file_name="000012.jpg")],
+            [0, 2],
+            False,
+        ),
         (NUMBERED, [result(11), result(12)], [0, 1], True),
         (NUMBERED, [result(11), result(13)], [0, 2], False),
         (NUMBERED, [result(10), result(11)], [0, 1], False),
         (NUMBERED, [result(11, file_name="000011.jpg")], [1], False),
-    ],
-)  # fmt: skip
-def test_an_image_is_named_by_its_id_or_by_its_file_and_what_may_be_either_is_told(
-    names, results, rows, doubtful, tmp_path
-):
-    labelled = read_pair("day", *coco(tmp_path, results, names))
-    assert labelled.results.image.tolist() == rows and set(labelled.results.confidence) == {0.87512}
-    assert any("the name of another's file" in note for note in labelled.notes) == doubtful
+    ):
+        labelled = read_pair("day", *coco(tmp_path, results, names))
+        assert labelled.results.image.tolist() == rows and set(labelled.results.confidence) == {0.87512}, results
+        assert any("the name of another's file" in note for note in labelled.notes) == doubtful
 
 
 def test_a_file_name_that_two_images_have_stands_for_neither_and_ids_may_be_text(tmp_path):

@@ -124,11 +124,8 @@ def scenes() -> tuple[Files, ...]:
 def vessels() -> tuple[Files, ...]:
     """Vessels files."""
     more = {**GOOD["vessels"], "hulk": {**GOOD["vessels"]["vehicle1"], "mesh": {"file": "hull.obj", "up": "+z"}}}
-    return tuple(
-        {"vessels.json": json.dumps(content, indent=indent).encode()}
-        for content in (GOOD["vessels"], more)
-        for indent in (None, 1)
-    )
+    texts = [json.dumps(content, indent=indent) for content in (GOOD["vessels"], more) for indent in (None, 1)]
+    return tuple({"vessels.json": text.encode()} for text in texts)
 
 
 @cache
@@ -171,9 +168,8 @@ def mot() -> tuple[Files, ...]:
     found = [(frame, -1, x + 1, y, w, h, 0.5) for frame, _, x, y, w, h in rows]
     plain = "".join(f"{','.join(map(str, row))},-1,-1,-1\n" for row in found)
     classes = "".join(f"{','.join(map(str, row))},{1 + k % 2},-1\n" for k, row in enumerate(found))
-    return tuple(
-        {"seqinfo.ini": info, "gt/gt.txt": truth.encode(), "det/det.txt": text.encode()} for text in (plain, classes)
-    )
+    files = {"seqinfo.ini": info, "gt/gt.txt": truth.encode()}
+    return tuple({**files, "det/det.txt": text.encode()} for text in (plain, classes))
 
 
 @cache
@@ -195,10 +191,9 @@ def yolo() -> tuple[Files, ...]:
     found: Files = {"found/a.txt": b"0 0.5 0.52 0.2 0.25 0.875\n1 0.2 0.3 0.1 0.1 0.5\n"}
     found["found/c.txt"] = b"0 0.7 0.5 0.3 0.2 0.25\n"
     data = b"path: ../set\ntrain: images\nval: images\nnames:\n  0: kayak\n  1: ferry\n"
-    kinds = (("png", "jpeg", "bmp"), ("webp", "tiff", "png"))
     images: list[Files] = [
         {f"set/images/{stem}.{kind}": _picture(kind.upper()) for stem, kind in zip("abc", each, strict=True)}
-        for each in kinds
+        for each in (("png", "jpeg", "bmp"), ("webp", "tiff", "png"))
     ]
     return (
         {**labels, **found, **images[0], "set/data.yaml": data},

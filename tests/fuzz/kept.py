@@ -23,9 +23,8 @@ def kept_inputs(reader: str) -> list[dict[str, Any]]:
 
 def files_of_kept(reader: str, entry: dict[str, Any]) -> Files:
     """The files of an input that is kept."""
-    files = {
-        name: content for name, content in READERS[reader].bases()[entry["base"]].items() if name not in entry["gone"]
-    }
+    good = READERS[reader].bases()[entry["base"]]
+    files = {name: content for name, content in good.items() if name not in entry["gone"]}
     return {**files, **{name: _unpacked(content) for name, content in entry["files"].items()}}
 
 

@@ -80,9 +80,8 @@ def _odd(rng: random.Random, kind: Any) -> Any:
     if pa.types.is_boolean(kind):
         return rng.choice((True, False))
     if pa.types.is_list(kind):
-        return rng.choice(
-            ([], None, [{"id": "nobody", "px": 1}], [{"id": None, "px": None}], [None], [{"id": "", "px": -5}] * 40)
-        )
+        nobody, nothing, many = [{"id": "nobody", "px": 1}], [{"id": None, "px": None}], [{"id": "", "px": -5}] * 40
+        return rng.choice(([], None, nobody, nothing, [None], many))
     return rng.choice(TEXTS).replace("\ud800", "?")
 
 

@@ -16,10 +16,8 @@ def _spelled_out(value: Any) -> Any:
     return value
 
 
-_TABLE = {
-    name: tuple(map(_spelled_out, values))
-    for name, values in json.loads((Path(__file__).parent / "odd_values.json").read_text(encoding="utf-8")).items()
-}
+_FILE = json.loads((Path(__file__).parent / "odd_values.json").read_text(encoding="utf-8"))
+_TABLE = {name: tuple(map(_spelled_out, values)) for name, values in _FILE.items()}
 INTEGERS, FLOATS, TEXTS, OTHERS = (_TABLE[name] for name in ("integers", "floats", "texts", "others"))
 NUMBERS = INTEGERS + FLOATS
 CELLS, MAGIC = (tuple(text.encode("latin-1") for text in _TABLE[name]) for name in ("cells", "magic"))

@@ -285,9 +285,8 @@ def page(outcomes: dict[tuple[str, str], str]) -> str:
             cells.append(told + f" +{counts['SILENT']}" * bool(counts["SILENT"]) if counts else "")
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     whole = Counter(outcomes.values())
-    told = (
-        f"{whole['refused']} are refused, {whole['noted']} named in a remark and {whole['read']} read as they are meant"
-    )
+    counts = [whole[each] for each in ("refused", "noted", "read")]
+    told = "{} are refused, {} named in a remark and {} read as they are meant".format(*counts)
     lines += ["", f"Of {whole.total()} conditions {told}.", ""]
     lines += [f"{whole['SILENT']} cannot be told from a right file:", ""]
     for reason in dict.fromkeys(UNDECIDABLE.values()):

@@ -130,10 +130,8 @@ WRONG_SHAPE = (
     "  def poses(self, f, s): return Poses(np.ones((s - f, 1), bool), np.zeros((s - f, 1, 3)), np.zeros((s - f, 1)))\n"
     + BUILD + "P()"
 )  # fmt: skip
-BAD_VALIDATOR = (
-    HEAD + "from pydantic import model_validator\nclass Drift(PosesByTime):\n  @model_validator(mode='after')\n"
-    "  def look(self): return self.nothing"
-)
+VALIDATOR = "from pydantic import model_validator\nclass Drift(PosesByTime):\n  @model_validator(mode='after')\n"
+BAD_VALIDATOR = f"{HEAD}{VALIDATOR}  def look(self): return self.nothing"
 BROKEN = {
     "missing_import": ("import no_such_module_here", "ModuleNotFoundError: No module named 'no_such_module_here'"),
     "syntax": ("class Drift(:\n", "SyntaxError"),

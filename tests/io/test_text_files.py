@@ -19,10 +19,8 @@ from modsim3d.world.poses.replay import load_poses
 
 NAME = "b\u00e5t"
 POSE = '{"%s": {"b\u00e5t": {"center_position_m": [0, 0, 0], "heading_rad": 0}}}\n'
-CAMERA = (
-    "{focal_length_m: 0.008, pixel_size_m: [5.0e-6, 5.0e-6], principal_point_px: [960, 540], "
-    "image_size_px: [1920, 1080], pose: {position_m: [-50, 0, 5]}}"
-)
+LENS = "focal_length_m: 0.008, pixel_size_m: [5.0e-6, 5.0e-6], principal_point_px: [960, 540]"
+CAMERA = f"{{{LENS}, image_size_px: [1920, 1080], pose: {{position_m: [-50, 0, 5]}}}}"
 SCENE = (
     "steps: 2\ntime_step_s: 0.5\n"
     "vessels: {own: {length_m: 10, beam_m: 4, air_draft_m: 3, label: b\u00e5t}}\n"

@@ -18,13 +18,8 @@ def at(w1: float, w2: float, heading_rad: float = 0.0) -> dict[str, Any]:
 
 
 def lens(**place: Any) -> dict[str, Any]:
-    return {
-        "focal_length_m": 0.0237,
-        "pixel_size_m": [1.0e-5, 1.0e-5],
-        "principal_point_px": [320, 240],
-        "image_size_px": [640, 480],
-        **place,
-    }
+    picture = {"principal_point_px": [320, 240], "image_size_px": [640, 480]}
+    return {"focal_length_m": 0.0237, "pixel_size_m": [1.0e-5, 1.0e-5], **picture, **place}
 
 
 ASHORE = {"position_m": [-60.0, 0.0, 4.0]}

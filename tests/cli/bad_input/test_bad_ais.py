@@ -61,42 +61,35 @@ def chunk_of(path):
     return chunk
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
+def test_a_byte_that_is_no_text_costs_its_row_only(tmp_path):
+    for change in (
         lambda cells: [cells[0], b"\xff", cells[2], b"\xff", *cells[4:]],
         lambda cells: [*cells, b"\xff", b"\xff"],
         lambda cells: [b"\0\xff" * 40, *cells[1:]],
-    ],
-)
-def test_a_byte_that_is_no_text_costs_its_row_only(tmp_path, change):
-    (tmp_path / "log.csv").write_bytes(spoilt(5, change))
-    chunk, whole = chunk_of(tmp_path / "log.csv"), chunk_of(SAMPLES / "danish.csv")
-    assert chunk.dropped["unreadable"] == 1
-    assert set(whole.positions.row.tolist()) - set(chunk.positions.row.tolist()) == {6}
+    ):
+        (tmp_path / "log.csv").write_bytes(spoilt(5, change))
+        chunk, whole = chunk_of(tmp_path / "log.csv"), chunk_of(SAMPLES / "danish.csv")
+        assert chunk.dropped["unreadable"] == 1
+        assert set(whole.positions.row.tolist()) - set(chunk.positions.row.tolist()) == {6}
 
 
-@pytest.mark.parametrize(
-    ("rows", "header", "left"),
-    [
+def test_rows_are_numbered_as_in_the_file(tmp_path):
+    for rows, header, left in (
         ((row(0), row(10).replace(",X,", ",X\rY,"), row(20), row(30, speed="fast")), OLD_HEADER, [2, 3, 4]),
         ((row(0), row(10, speed="fast")), "\n \n" + OLD_HEADER, [4]),
-    ],
-    ids=["a carriage return within a row", "blank rows before the header"],
-)
-def test_rows_are_numbered_as_in_the_file(tmp_path, rows, header, left):
-    chunk = chunk_of(old_file(tmp_path, *rows, header=header))
-    assert chunk.positions.row.tolist() == left
-    assert chunk.problems[0].startswith("row 5: SOG is not a number")
+    ):
+        chunk = chunk_of(old_file(tmp_path, *rows, header=header))
+        assert chunk.positions.row.tolist() == left
+        assert chunk.problems[0].startswith("row 5: SOG is not a number")
 
 
-@pytest.mark.parametrize("time", ["0001-01-04T10:00:00", "9999-12-31T23:59:59", "1969-12-31T23:59:59"])
-def test_a_year_without_ais_costs_its_row_only_and_a_name_without_end_is_cut(tmp_path: Path, time: str) -> None:
-    rows = [row(second) for second in range(0, 300, 10)]
-    traffic = traffic_of(old_file(tmp_path, *rows, row(30).replace("2024-01-04T10:00:30", time)))
-    assert (traffic.dropped["unreadable"], len(only(traffic).steps)) == (1, 291)
-    named = row(30).replace(",X,", "," + "N" * 100_000 + ",")
-    assert len(only(traffic_of(old_file(tmp_path, *rows, named))).hull.name) <= 120
+def test_a_year_without_ais_costs_its_row_only_and_a_name_without_end_is_cut(tmp_path: Path) -> None:
+    for time in ("0001-01-04T10:00:00", "9999-12-31T23:59:59", "1969-12-31T23:59:59"):
+        rows = [row(second) for second in range(0, 300, 10)]
+        traffic = traffic_of(old_file(tmp_path, *rows, row(30).replace("2024-01-04T10:00:30", time)))
+        assert (traffic.dropped["unreadable"], len(only(traffic).steps)) == (1, 291)
+        named = row(30).replace(",X,", "," + "N" * 100_000 + ",")
+        assert len(only(traffic_of(old_file(tmp_path, *rows, named))).hull.name) <= 120
 
 
 HEADER, REPORT = DANISH.split(b"\n")[0], tagged("c:1423133048")
@@ -130,19 +123,18 @@ def test_pipes_and_folders_are_refused(tmp_path: Path, refuse: Refuse) -> None:
     refuse(tmp_path / "folder", "this is a folder, a file was expected")
 
 
-@pytest.mark.parametrize("digits", [11, 17, 400])
-def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse, digits: int) -> None:
-    wrong = tagged("c:" + "9" * digits)
-    refuse((wrong * 3).encode(), "has no times", "in seconds or milliseconds")
-    path = tmp_path / "log"
-    path.write_text(REPORT + wrong)
-    (chunk,) = read_nmea(path)
-    assert (len(chunk.positions), dict(chunk.dropped)) == (1, {"no_time": 1})
+def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse) -> None:
+    for digits in (11, 17, 400):
+        wrong = tagged("c:" + "9" * digits)
+        refuse((wrong * 3).encode(), "has no times", "in seconds or milliseconds")
+        path = tmp_path / "log"
+        path.write_text(REPORT + wrong)
+        (chunk,) = read_nmea(path)
+        assert (len(chunk.positions), dict(chunk.dropped)) == (1, {"no_time": 1})
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
+def test_absurd_options_are_refused(refuse: Refuse) -> None:
+    for options, part in (
         ("--time-step 1e-300", "--time-step: must be above 0, from 1e-06 to 1e+09 (got 1e-300)"),
         ("--duration 1e300", "--duration: must be above 0, from 1e-06 to 1e+09"),
         ("--max-speed 1e308", "--max-speed: must be above 0"),
@@ -153,11 +145,8 @@ def test_a_time_tag_of_too_many_digits_is_no_time(tmp_path: Path, refuse: Refuse
         (f"--origin {'x' * 100_000}", "--origin: LAT,LON in degrees is needed (got 'xxx"),
         (f"--label {'x' * 100_000}", "--label: GROUP=LABEL is needed"),
         (f"--start {'x' * 100_000}", "--start: a time such as"),
-    ],
-    ids=lambda text: text[:40],
-)
-def test_absurd_options_are_refused(refuse: Refuse, options: str, part: str) -> None:
-    refuse(SAMPLES / "receiver.nmea", part, options=tuple(options.split()))
+    ):
+        refuse(SAMPLES / "receiver.nmea", part, options=tuple(options.split()))
 
 
 def test_every_time_has_a_text_and_vessels_of_two_reports_cost_two_steps_however_far_apart(tmp_path: Path) -> None:
@@ -205,9 +194,9 @@ def test_messages_that_never_end_do_not_stay_in_memory_nor_parts_beyond_the_numb
     assert (last.dropped["incomplete"], len(first.positions)) == (MAX_PENDING, 1)
 
 
-@pytest.mark.parametrize("filling", ["a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"])
-def test_a_line_that_is_no_sentence_is_searched_in_time_that_grows_with_its_length(tmp_path, filling):
-    line = (filling * 1000)[:900] + "!" + TYPE_1
-    (tmp_path / "log").write_text(REPORT + f"{line}\n" * 2000)
-    (chunk,) = read_nmea(tmp_path / "log")  # each such line took five seconds once
-    assert len(chunk.positions) >= 1
+def test_a_line_that_is_no_sentence_is_searched_in_time_that_grows_with_its_length(tmp_path):
+    for filling in ("a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"):
+        line = (filling * 1000)[:900] + "!" + TYPE_1
+        (tmp_path / "log").write_text(REPORT + f"{line}\n" * 2000)
+        (chunk,) = read_nmea(tmp_path / "log")  # each such line took five seconds once
+        assert len(chunk.positions) >= 1

@@ -18,9 +18,8 @@ from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs, content, refusal
 
 
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
+def test_wrong_arguments_exit_with_two(call, tmp_path, monkeypatch):
+    for arguments, part in (
         ("run simulation_1 --mode 3", "--mode"),
         ("run simulation_1 --steps 0", "--steps"),
         ("run simulation_1 --seed -1", "--seed"),
@@ -33,14 +32,11 @@ from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs, 
         ("check scene .", "this is a folder"),
         (f"check scene {'x' * 5000}", "File name too long"),
         ("check scene /dev/null", "this is a device, a file was expected"),
-    ],
-    ids=lambda value: value[:40],
-)
-def test_wrong_arguments_exit_with_two(call, arguments, part, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    assert part in re.sub(r"\x1b\[[0-9;]*m", "", refusal(call, arguments.split()))
-    assert not list(tmp_path.iterdir())
+    ):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("COLUMNS", "200")
+        assert part in re.sub(r"\x1b\[[0-9;]*m", "", refusal(call, arguments.split()))
+        assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_with_a_shipped_scenes_name_does_not_hide_it(call, tmp_path, monkeypatch):

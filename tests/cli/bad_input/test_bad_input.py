@@ -11,7 +11,7 @@ from tests.cli.bad_input.builders import ASHORE, CIRCULAR, COVARIANCE, DELETED, 
 CONFUSION, ERRORS = "states/clear/confusion", "states/clear/box_error/covariance"
 TURNED, SKEW = [[0.9, 0.1], [0.2, 0.8]], [[100.0, 7, 0, 0], *COVARIANCE[1:]]
 INDEFINITE = [[4.0, 5, 0, 0], [5, 4, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-VESSEL = GOOD["vessels"]["vehicle2"]
+VESSEL, SHORE = GOOD["vessels"]["vehicle2"], lens(pose=ASHORE)
 EXACTLY = "poses: give exactly one of file, circular, tracks, agents, traffic, stream"
 WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     # unknown, missing and misspelt
@@ -80,7 +80,7 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("scene", "cameras/C0/skew", True, "cameras.C0.skew: Input should be a valid number (got true)"),
     ("scene", "vessels", [1], "vessels: a file or a mapping of vessel ID to vessel is needed (got [1])"),
     ("scene", "vessels", {1: GOOD["vessels"]["vehicle1"]}, "vessels: a vessel's ID must be text: put 1 in quotes"),
-    ("scene", "cameras", {7: lens(pose=ASHORE)}, "cameras.7: a name must be text: put it in quotes"),
+    ("scene", "cameras", {7: SHORE}, "cameras.7: a name must be text: put it in quotes"),
     # probabilities
     ("detector", "confidence_threshold", 1.2, "confidence_threshold: Input should be less than or equal to 1"),
     ("detector", "confidence_threshold", float("nan"), ("confidence_threshold:", "(got nan)")),
@@ -105,7 +105,7 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
         ("scene", f"cameras/{name}", lens(pose=ASHORE), "a camera's name goes into file names")
         for name in ("a\\b", "..")
     ),
-    ("scene", "cameras/" + "x" * 300, lens(pose=ASHORE), "at most 100 letters"),
+    ("scene", "cameras/" + "x" * 300, SHORE, "at most 100 letters"),
     # degrees
     ("scene", "cameras/C0/mount/pitch_rad", 10, "pitch_rad: 10 is more than a whole turn: angles are in radians"),
     ("scene", "cameras/shore/pose/yaw_rad", -180, "cameras.shore.pose.yaw_rad: -180 is more than a whole turn"),
@@ -177,28 +177,24 @@ def test_steps_beyond_the_pose_file_and_rings_that_do_not_fit_are_told(inputs: I
     refused(inputs.write(), "poses.circular: no free ring for vessel 'vehicle2' (8.0 m × 4.0 m) between radii 5.0 and")
 
 
-@pytest.mark.parametrize(
-    ("times", "part"),
-    [
+def test_times_that_do_not_increase_are_told(inputs: Inputs, refused: Refused) -> None:
+    for times, part in (
         (["2.0", "1.0"], "1.0: timestamps must increase, but '1.0' comes after '2.0'"),
         (["1.0", "1.00"], "1.00: timestamps must increase, but '1.00' is the same time as '1.0'"),
         (["1e0", "1.0"], "'1.0' is the same time as '1e0'"),
         (["soon"], "soon: a timestamp must be a number of seconds (got 'soon')"),
         *([[text], f"{text}: a timestamp must be a number of seconds"] for text in ("nan", "inf", "1e999", "1_0")),
         ([""], "a timestamp must be a number of seconds (got '')"),
-    ],
-)
-def test_times_that_do_not_increase_are_told(inputs: Inputs, refused: Refused, times: list[str], part: str) -> None:
-    inputs.data["poses"] = {time: {"vehicle1": at(0, 0)} for time in ("0.0", *times)}
-    refused(inputs.write(), part)
+    ):
+        inputs.data["poses"] = {time: {"vehicle1": at(0, 0)} for time in ("0.0", *times)}
+        refused(inputs.write(), part)
 
 
 def test_repeated_json_keys_are_told_with_their_place(inputs: Inputs, refused: Refused) -> None:
     scene = inputs.write()
     pose = json.dumps(at(0, 0))
-    inputs.path("poses").write_text(
-        f'{{"0.0": {{"vehicle1": {pose}}}, "1.0": {{"vehicle1": {pose}, "vehicle1": {pose}}}, "0.0": {{}}}}'
-    )
+    later = f'"1.0": {{"vehicle1": {pose}, "vehicle1": {pose}}}'
+    inputs.path("poses").write_text(f'{{"0.0": {{"vehicle1": {pose}}}, {later}, "0.0": {{}}}}')
     refused(scene, "1.0.vehicle1: the key 'vehicle1' appears twice", "0.0: the key '0.0' appears twice")
 
 

@@ -83,37 +83,30 @@ def test_a_frame_far_beyond_the_lines_is_refused_unless_seq_length_says_how_long
     assert len(read_pair("night", *pair, ReadOptions()).images) == 360_000
 
 
-@pytest.mark.parametrize(
-    ("truth", "found", "part"),
-    [
+def test_lines_of_mot_that_are_none_are_refused(tmp_path, refuse):
+    for truth, found, part in (
         (LINE.replace(",3,", ",1e300,"), FOUND, "gt.txt line 1: identity must be at most 1e+15 (got 1e+300)"),
         (LINE.replace("1,1,0.5", "1,1e18,0.5"), FOUND.strip() + ",1e18\n", "class must be at most 10000 (got 1e+18)"),
         (LINE + "1," * 50_000, FOUND, "gt.txt line 2: has 100,000 characters, must have at most 10,000"),
         (LINE + "1,\0\x1b[31m\n", FOUND, r"gt.txt line 2: must be numbers (got '1,\x00\x1b[31m')"),
         (LINE + "1,1,1\n" * 20_000, FOUND, "10,000 in all so far; the rest was not read"),
-    ],
-    ids=["identity", "class", "long line", "control characters", "all wrong"],
-)
-def test_lines_of_mot_that_are_none_are_refused(tmp_path, refuse, truth, found, part):
-    refuse(*mot(tmp_path, truth, found), part, options=SIZE)
+    ):
+        refuse(*mot(tmp_path, truth, found), part, options=SIZE)
 
 
 SIDES = "[Sequence]\nimWidth=640\nimHeight=480\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "part"),
-    [
+def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse) -> None:
+    for text, part in (
         ("root:x:0:0:secret\n", "needs imWidth and imHeight under [Sequence]"),
         (SIDES.replace("640", "%(imWidth)s"), "imWidth: must be above 0, and at most 1e+07"),
         (f"{SIDES}seqLength=10000000\n", "seqLength: must be from 0 to 1e+06"),
         (f"{SIDES}seqLength={'1' * 5000}", "seqLength: must be from 0 to 1e+06"),
         (SIDES.replace("640", "1" * 400), "imWidth: must be above 0, and at most 1e+07"),
-    ],
-)
-def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse, text: str, part: str) -> None:
-    (tmp_path / "seqinfo.ini").write_text(text)
-    assert "secret" not in refuse(*mot(tmp_path), "seqinfo.ini", part)
+    ):
+        (tmp_path / "seqinfo.ini").write_text(text)
+        assert "secret" not in refuse(*mot(tmp_path), "seqinfo.ini", part)
 
 
 def test_a_class_far_beyond_the_others_costs_one_class(tmp_path: Path) -> None:
@@ -162,20 +155,17 @@ def test_any_value_anywhere_in_coco_is_read_or_refused(tmp_path: Path, path: tup
                 assert len(str(error)) < 5000 and str(error).replace("\n", "").isprintable()
 
 
-@pytest.mark.parametrize(
-    ("part", "name", "value", "told"),
-    [
+def test_numbers_of_400_digits_are_refused_with_their_place(tmp_path, refuse):
+    for part, name, value, told in (
         ("images", "width", HUGE, "images[0]: width and height must be pixels"),
         ("images", "time_s", HUGE, "images[0]: time_s and frame_id must be numbers"),
         ("annotations", "bbox", [HUGE, 20, 30, 40], "annotations[0]: bbox must be in pixels, at most 1e+07"),
         ("annotations", "distance_m", HUGE, "annotations[0]: distance_m must be 0 or more"),
         ("annotations", "track_id", "x" * 10_000, ""),
-    ],
-)
-def test_numbers_of_400_digits_are_refused_with_their_place(tmp_path, refuse, part, name, value, told):
-    truth = changed(TRUTH, (part, 0, name), value)
-    truth["annotations"] *= 2
-    refuse(*coco(tmp_path, truth), told)
+    ):
+        truth = changed(TRUTH, (part, 0, name), value)
+        truth["annotations"] *= 2
+        refuse(*coco(tmp_path, truth), told)
 
 
 def test_a_file_name_of_5000_digits_is_read_and_names_that_no_file_can_hold_are_refused(tmp_path, refuse) -> None:

@@ -2,14 +2,11 @@
 
 from pathlib import Path
 
-import pytest
-
 from tests.cli.bad_input.builders import Call, Inputs, refusal
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
+def test_a_wrong_setting_is_one_error(inputs, call, tmp_path):
+    for options, part in (
         (["--set", "foo"], "--set foo: a key and a value are needed, as in waves.level=large"),
         (["--set", "=3"], "--set =3: a key and a value are needed"),
         (["--set", "seed=[1"], "--set seed: line 1, column 3: while parsing a flow sequence"),
@@ -26,15 +23,12 @@ from tests.cli.bad_input.builders import Call, Inputs, refusal
         (["--from", "conditions"], "--from conditions: is a detector in place of the scene's: --state says which one"),
         (["--state", "fog", "--from", "conditions"], "there is no 'fog' (known: foggy_clear, foggy_cloudy)"),
         (["--state", "clear", "--from", "nowhere"], "detectors in nowhere: there are none"),
-    ],
-    ids=lambda value: " ".join(value)[:40] if isinstance(value, list) else "",
-)
-def test_a_wrong_setting_is_one_error(inputs, call, options, part, tmp_path):
-    scene, out = inputs.write(), tmp_path / "out"
-    for command in (["check", "scene", str(scene)], ["run", str(scene), "--out", str(out)]):
-        said = refusal(call, (*command, *options))
-        assert part in " ".join(said.split())
-        assert not out.exists()
+    ):
+        scene, out = inputs.write(), tmp_path / "out"
+        for command in (["check", "scene", str(scene)], ["run", str(scene), "--out", str(out)]):
+            said = refusal(call, (*command, *options))
+            assert part in " ".join(said.split())
+            assert not out.exists()
 
 
 def test_a_detector_and_a_condition_in_its_place_are_refused(inputs: Inputs, call: Call, tmp_path: Path) -> None:

@@ -24,9 +24,7 @@ from tests.run_folders import interrupt
 from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
 
-COMMANDS = {
-    name: list(inspect.signature(function, eval_str=True).parameters.values()) for _, name, function, _ in main.COMMANDS
-}
+COMMANDS = {name: [*inspect.signature(each, eval_str=True).parameters.values()] for _, name, each, _ in main.COMMANDS}
 
 
 @pytest.fixture(scope="module")

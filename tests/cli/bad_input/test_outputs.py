@@ -14,7 +14,7 @@ from modsim3d.io.overwrite_guard import locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs, refusal
-from tests.cli.bad_input.writers import TRACKS, WRITERS, Line
+from tests.cli.bad_input.writers import TRACKS, WRITERS
 from tests.run_folders import run_files
 from tests.scenes import crossing
 
@@ -29,9 +29,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("name", "line"), WRITERS.values(), ids=WRITERS)
-def test_a_file_is_replaced_only_with_overwrite_and_while_nobody_else_writes_it(
-    run: Path, call: Call, tmp_path: Path, name: str, line: Line
-) -> None:
+def test_a_file_is_replaced_only_with_overwrite_and_while_nobody_writes_it(run, call: Call, tmp_path, name, line):
     out = tmp_path / "out" / name
     with locked_file(out):
         refusal(call, (*line(run, out), "--overwrite"), f"{out} is being written by ")
@@ -67,9 +65,8 @@ def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, cal
         path.write_bytes(b"mine")
     listed = (run / "run.json").read_text()
     entry = f'{{"bytes": 4, "sha256": "{hashlib.sha256(b"mine").hexdigest()}"}}'
-    (run / "run.json").write_text(
-        listed.replace('"files": {', f'"files": {{"listed.png": {entry}, "listed.gif": {entry},')
-    )
+    files = f'"files": {{"listed.png": {entry}, "listed.gif": {entry},'
+    (run / "run.json").write_text(listed.replace('"files": {', files))
     if not (run.parent / "link").exists():
         (run.parent / "link").symlink_to(run.parent / "coco")
     before = run_files(run.parent)
@@ -116,9 +113,7 @@ FULL = [
 
 
 @pytest.mark.parametrize(("name", "words"), FULL, ids=[name for name, _ in FULL])
-def test_on_a_full_disk_the_file_that_was_there_stays_and_the_one_asked_for_is_named(
-    run, prepared, tmp_path, name, words
-):
+def test_on_a_full_disk_the_file_that_was_there_stays_and_the_new_one_is_named(run, prepared, tmp_path, name, words):
     out = tmp_path / name
     if name == "film":
         out.mkdir()

@@ -76,25 +76,23 @@ def test_any_encoding_of_the_output_will_do(inputs, call, prepared, tmp_path, en
     assert process("scenes", PYTHONIOENCODING=encoding).returncode == 0
 
 
-@pytest.mark.parametrize("megabytes", [50, 400])
-def test_too_little_address_space_is_one_line(megabytes: int) -> None:
-    done = process("check", "scene", "simulation_1", prefix=f"ulimit -v {megabytes * 1024};")
-    limited = f"modsim3d: the address space is limited to {megabytes} MB (ulimit -v): "
-    told = f"{limited}at least 1024 MB are needed to load the libraries\n"
-    assert (done.returncode, done.stderr.decode()) == (2, told)
+def test_too_little_address_space_is_one_line() -> None:
+    for megabytes in (50, 400):
+        done = process("check", "scene", "simulation_1", prefix=f"ulimit -v {megabytes * 1024};")
+        limited = f"modsim3d: the address space is limited to {megabytes} MB (ulimit -v): "
+        told = f"{limited}at least 1024 MB are needed to load the libraries\n"
+        assert (done.returncode, done.stderr.decode()) == (2, told)
 
 
-@pytest.mark.parametrize(
-    ("error", "part"),
-    [
+def test_lack_of_memory_and_of_libraries_is_one_line(call, monkeypatch):
+    for error, part in (
         (MemoryError(), "modsim3d: there is not enough memory"),
         (ImportError("libx.so: failed to map segment"), "modsim3d: a library cannot be loaded: libx.so: failed to map"),
-    ],
-)
-def test_lack_of_memory_and_of_libraries_is_one_line(call, monkeypatch, error, part):
-    def fail(*_: object, **__: object) -> None:
-        raise error
+    ):
 
-    monkeypatch.setattr("modsim3d.scene.reading.load_scene", fail)
-    said = refusal(call, ("check", "scene", "simulation_1"))
-    assert said.startswith(part) and said.count("\n") == 1
+        def fail(*_: object, error: Exception = error, **__: object) -> None:
+            raise error
+
+        monkeypatch.setattr("modsim3d.scene.reading.load_scene", fail)
+        said = refusal(call, ("check", "scene", "simulation_1"))
+        assert said.startswith(part) and said.count("\n") == 1
