@@ -8,10 +8,10 @@ from functools import partial
 from pathlib import PurePosixPath
 
 from tests.fuzz import binaries
+from tests.fuzz.binaries import change_table
 from tests.fuzz.corpora import Files
 from tests.fuzz.readers import READERS
 from tests.fuzz.structures import change_json_line, change_structure
-from tests.fuzz.tables import change_table
 from tests.fuzz.texts import change_bytes, change_cell, change_line, change_packed, change_whole
 from tests.fuzz.values import YAML
 

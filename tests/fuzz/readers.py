@@ -31,8 +31,7 @@ from modsim3d.world.poses.replay import LivePoses, StreamKeys, load_poses
 from modsim3d.world.vessels import Vessel, load_mapping, parse_vessels
 from tests.cli.bad_input.builders import GOOD
 from tests.fuzz import corpora
-from tests.fuzz.corpora import Files
-from tests.fuzz.runs import reseal, stored_runs, write_files
+from tests.fuzz.corpora import Files, reseal, stored_runs, write_files
 from tests.scenes import outlines_of
 
 STEPS = 2

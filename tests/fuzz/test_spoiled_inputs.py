@@ -7,10 +7,10 @@ import pytest
 
 from modsim3d.core.errors import InputError, ModsimError
 from tests.fuzz.cases import files_of
+from tests.fuzz.corpora import write_files
 from tests.fuzz.kept import files_of_kept, kept_inputs
 from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, outcome_of, printed
 from tests.fuzz.readers import READERS
-from tests.fuzz.runs import write_files
 from tests.fuzz.workers import Result, tried, within_limits
 
 SAMPLE = 20

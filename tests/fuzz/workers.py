@@ -18,9 +18,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from tests.fuzz.cases import files_of
+from tests.fuzz.corpora import write_files
 from tests.fuzz.outcomes import FAILED, Outcome, outcome_of, place_of
 from tests.fuzz.readers import READERS
-from tests.fuzz.runs import write_files
 
 MAX_CPU_S = 2.0
 MAX_BYTES = 10**9

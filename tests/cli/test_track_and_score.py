@@ -1,4 +1,4 @@
-"""`modsim3d score` prints trackers beside references, the rules, and where vessels are lost."""
+"""`modsim3d track` and `modsim3d score`: what they print and what they refuse."""
 
 import json
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from modsim3d.tracking.track_run import track_run
+from modsim3d.tracking.trackers.names import BUILT_IN
 from tests.cli.conftest import Modsim3d
 
 
@@ -69,3 +70,38 @@ def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks):
         found = modsim3d("score", run, tracks, *options)
         assert (found.status, found.out) == (2, "")
         assert said in found.err and found.err.count("\n") == 1
+
+
+def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(modsim3d, run, tmp_path):
+    out = tmp_path / "my tracks"
+    said = modsim3d("track", run, "--set", "confirm_hits=1", "--out", out)
+    assert said.status == 0
+    lines = said.out.splitlines()
+    assert lines[0].startswith("reference (confirm_hits=1): modsim3d ") and "confirm_hits" in lines[0].split(";")[1]
+    header, row = lines[lines.index("tracks") + 1 :][:2]
+    assert header.split() == ["camera", "frames", "detections", "tracks", "boxes", "median", "track"]
+    assert row.split()[:2] == ["C0", "40"]
+    assert f"  {out / 'tracks.parquet'}" in lines and f"  {out / 'tracks.json'}" in lines
+    assert lines[-1] == f"  modsim3d score {run} '{out}'"
+
+
+def test_wrong_options_are_one_message_and_leave_nothing(modsim3d, run, tmp_path):
+    for options, part in (
+        (("--tracker", "nosuch"), f"known: {', '.join(BUILT_IN)}"),
+        (("--tracker", "refrence"), "did you mean 'reference'?"),
+        (("--set", "confirm_hit=2"), "confirm_hit: unknown key (did you mean 'confirm_hits'?)"),
+        (("--set", "confirm_hits=many"), "confirm_hits: "),
+        (("--set", "confirm_hits"), "--set confirm_hits:\n  a key and a value are needed, as in lost_s=2.5"),
+        (("--set", "confirm_hits=[1"), "--set confirm_hits:"),
+    ):
+        said = modsim3d("track", run, *options, "--out", tmp_path / "out")
+        assert (said.status, said.out) == (2, "")
+        assert part in said.err and "Traceback" not in said.err
+        assert not (tmp_path / "out").exists()
+
+
+def test_tracks_of_nothing_have_no_median_time(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
+    said = modsim3d("track", run, "--set", "start_confidence=1.0", "--set", "confirm_hits=100", "--out", tmp_path / "t")
+    assert said.status == 0
+    row = next(line for line in said.out.splitlines() if line.startswith("C0 "))
+    assert row.split()[3:] == ["0", "0", "-"]
