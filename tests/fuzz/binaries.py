@@ -17,8 +17,7 @@ import pyarrow.parquet as pq
 
 from modsim3d.runs.files.block_files import DIGEST_BYTES
 from tests.fuzz.structures import change_structure
-from tests.fuzz.texts import WORDS, change_bytes
-from tests.fuzz.values import CELLS, FLOATS, INTEGERS, TEXTS
+from tests.fuzz.texts import CELLS, FLOATS, INTEGERS, TEXTS, WORDS, change_bytes
 
 SINGLES = tuple(value for value in FLOATS if not 3.4e38 < abs(value) < np.inf)
 """Numbers that have a place in single precision."""

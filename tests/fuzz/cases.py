@@ -12,8 +12,7 @@ from tests.fuzz.binaries import change_table
 from tests.fuzz.corpora import Files
 from tests.fuzz.readers import READERS
 from tests.fuzz.structures import change_json_line, change_structure
-from tests.fuzz.texts import change_bytes, change_cell, change_line, change_packed, change_whole
-from tests.fuzz.values import YAML
+from tests.fuzz.texts import YAML, change_bytes, change_cell, change_line, change_packed, change_whole
 
 Change = Callable[[random.Random, bytes, list[bytes]], bytes | None]
 

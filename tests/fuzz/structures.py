@@ -10,8 +10,7 @@ from typing import Any
 
 import yaml
 
-from tests.fuzz.texts import change_bytes
-from tests.fuzz.values import JSON, TEXTS, YAML, Literal, odd_value
+from tests.fuzz.texts import JSON, TEXTS, YAML, Literal, change_bytes, odd_value
 
 REPEATS = (2, 3, 3, 3, 10, 10, 10, 30, 30, 1000)
 _DEEPER = 0.88

@@ -1,10 +1,14 @@
-"""One rule for all commands: what exists is refused without --overwrite, and what is read is never written over."""
+"""One rule for all commands: none loses a file that it reads, none that it was not told to replace, none halfway."""
 
+import hashlib
 import inspect
 import json
 import os
+import resource
 import shutil
+import subprocess
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,13 +18,13 @@ from modsim3d.cli import main
 from modsim3d.core.errors import OutputError
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.writing.coco import write_coco
-from modsim3d.io.overwrite_guard import check_free, locked_folder
+from modsim3d.io.overwrite_guard import check_free, locked_file, locked_folder
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.campaign.small_campaign import small_campaign
 from tests.cli.bad_input import writers
-from tests.cli.bad_input.builders import Call, Inputs, content, refusal
-from tests.run_folders import interrupt
+from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs, content, refusal
+from tests.run_folders import interrupt, run_files
 from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
 
@@ -35,6 +39,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_coco(labelled_run(folder / "run")[0], folder / "coco")
     (folder / "tracks.csv").write_text(writers.TRACKS)
     return folder
+
+
+@pytest.fixture(scope="module")
+def stored(finished: Path) -> Path:
+    """The run itself, for tests that leave it as it is."""
+    return finished / "run"
 
 
 @pytest.fixture
@@ -273,3 +283,142 @@ def test_a_detector_from_a_pipe_is_called_a_pipe(inputs: Inputs, call: Call, tmp
     line = ("run", inputs.write(), "--out", tmp_path / "run", "--detector", f"/dev/fd/{reading}")
     with os.fdopen(reading), os.fdopen(writing, "w"):
         refusal(call, line, f"detector /dev/fd/{reading}: this is a pipe, a file was expected")
+
+
+@pytest.mark.parametrize(("name", "line"), writers.WRITERS.values(), ids=writers.WRITERS)
+def test_a_file_is_replaced_only_with_overwrite_and_while_nobody_writes_it(stored, call: Call, tmp_path, name, line):
+    out = tmp_path / "out" / name
+    with locked_file(out):
+        refusal(call, (*line(stored, out), "--overwrite"), f"{out} is being written by ")
+    assert run_files(out.parent) == {}
+    out.parent.mkdir(exist_ok=True)
+    out.write_text("mine")
+    refusal(call, line(stored, out), f"{out} exists: use --overwrite")
+    assert run_files(out.parent) == {name: b"mine"}
+    status, said = call(*line(stored, out), "--overwrite")
+    assert status in (0, 1), said
+    assert out.read_bytes() != b"mine"
+    assert not [path.name for path in out.parent.iterdir() if path.name.startswith(".")]
+    (tmp_path / "file").write_text("mine")  # a folder of this name cannot be made
+    said = refusal(call, line(stored, tmp_path / "file" / name), str(tmp_path / "file"))
+    assert ".partial" not in said and ".lock" not in said
+    assert (tmp_path / "file").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        lambda run: ("report", run, "--out", run / "truth.parquet"),
+        lambda run: ("view", "frame", run, 3, "--out", run / "listed.png"),
+        lambda run: ("view", "film", run, "--kind", "ids", "--out", run / "listed.gif"),
+        lambda run: ("learn", run, "--out", run / "run.json"),
+        lambda run: ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
+        lambda run: ("learn", *pair(run), "--out", run.parent / "link" / "dt.json"),
+        lambda run: ("check", "run", run, "--detector", run.parent / "coco/verify.json", "--out", run.parent / "coco"),
+    ],
+)
+def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, tmp_path, line) -> None:
+    for path in (run / "listed.png", run / "listed.gif", tmp_path / "coco" / "verify.json"):
+        path.write_bytes(b"mine")
+    (tmp_path / "link").symlink_to(tmp_path / "coco")
+    settings = json.loads((run / "run.json").read_text())
+    entry = {"bytes": 4, "sha256": hashlib.sha256(b"mine").hexdigest()}
+    files = {"listed.png": entry, "listed.gif": entry, **settings["files"]}
+    (run / "run.json").write_text(json.dumps({**settings, "files": files}))
+    said = "is read by this command, so it is not written over"
+    refusal(call, (*line(run), "--overwrite"), said, kept=tmp_path)
+
+
+def pair(run: Path) -> tuple[object, ...]:
+    return ("--truth", run.parent / "coco" / "gt.json", "--detections", run.parent / "coco" / "dt.json")
+
+
+def test_only_regular_files_are_written(stored, call: Call, tmp_path) -> None:
+    (tmp_path / "device").symlink_to("/dev/null")
+    (tmp_path / "folder" / "report.html").mkdir(parents=True)
+    (tmp_path / "circle").symlink_to("circle")
+    for name in ("device", "folder"):
+        refusal(call, ("report", stored, "--out", tmp_path / name, "--overwrite"), "choose another name")
+    assert Path("/dev/null").is_char_device()
+    for line in (("report", stored), ("export", stored, "--format", "coco")):
+        refusal(call, (*line, "--out", tmp_path / "circle"), str(tmp_path / "circle"))
+
+
+def test_a_link_is_written_through_and_a_page_is_not_written_into_the_detector_file(
+    stored, call: Call, tmp_path
+) -> None:
+    (tmp_path / "d.html").symlink_to("d.yaml")
+    refusal(call, ("learn", stored, "--out", tmp_path / "d.yaml"), "the page would be written over the detector file")
+    assert run_files(tmp_path) == {}
+    (tmp_path / "link.html").symlink_to(tmp_path / "page.html")
+    assert call("report", stored, "--out", tmp_path / "link.html")[0] == 0
+    assert (tmp_path / "link.html").is_symlink()
+    assert (tmp_path / "page.html").stat().st_size > 1000
+
+
+FULL = [
+    ("page.html", ("report",)),
+    ("picture.png", ("view frame", "3")),
+    ("map.png", ("view map",)),
+    ("film.gif", ("view film", "--kind", "ids", "--width", "320")),
+    ("film.mp4", ("view film", "--kind", "ids", "--width", "320")),
+    ("film", ("view film", "--kind", "detections", "--format", "png", "--width", "1600")),
+]
+
+
+@pytest.mark.parametrize(("name", "words"), FULL, ids=[name for name, _ in FULL])
+def test_on_a_full_disk_the_file_that_was_there_stays_and_the_new_one_is_named(stored, prepared, tmp_path, name, words):
+    out = tmp_path / name
+    if name == "film":
+        out.mkdir()
+    (out / "frame_000000.png" if name == "film" else out).write_bytes(b"before")
+    before = run_files(tmp_path)
+    command, *options = words
+    line = [prepared, *command.split(), str(stored), *options, "--out", str(out), "--overwrite"]
+    small_files = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (1000, 1000))
+    done = subprocess.run(line, capture_output=True, text=True, timeout=120, check=False, preexec_fn=small_files)
+    assert done.returncode == 2, done.stderr
+    assert f"modsim3d: {out} c" in done.stderr  # cannot be written to, could not be encoded
+    assert "Traceback" not in done.stderr and ".partial" not in done.stderr
+    assert run_files(tmp_path) == before
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("kind", ["gif", "mp4", "png"])
+def test_an_interrupted_film_leaves_what_was_there(stored, call: Call, tmp_path, monkeypatch, kind):
+    out = tmp_path / ("film" if kind == "png" else f"film.{kind}")
+    line = ("view", "film", stored, "--kind", "ids", "--width", 160, "--every", 5, "--format", kind, "--out", out)
+    assert call(*line)[0] == 0
+    before = run_files(tmp_path)
+    drawn = []
+
+    def interrupt(*_: object, **__: object) -> None:
+        drawn.append(1)
+        if len(drawn) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("rich.progress.Progress.update", interrupt)
+    status, said = call(*line, "--overwrite")
+    assert status == 130
+    assert "no film was written" in said
+    assert run_files(tmp_path) == before
+
+
+def test_a_film_killed_between_its_last_two_renames_is_found_again(tmp_path):
+    from modsim3d.io.atomic_write import put_folder_in_place
+
+    (tmp_path / ".film.replaced").mkdir()
+    (tmp_path / ".film.replaced" / "frame_000001.png").write_text("old")
+    with pytest.raises(KeyboardInterrupt), put_folder_in_place(tmp_path / "film", "frame_*.png"):
+        raise KeyboardInterrupt
+    assert run_files(tmp_path) == {"film/frame_000001.png": b"old"}
+    with put_folder_in_place(tmp_path / "film", "frame_*.png") as partial:
+        (partial / "frame_000002.png").write_text("new")
+    assert run_files(tmp_path) == {"film/frame_000002.png": b"new"}
+
+
+def test_a_run_is_refused_with_exit_status_two_while_its_folder_is_written(inputs: Inputs, call: Call, tmp_path):
+    inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 3, "time_step_s": 0.5}
+    with locked_folder(tmp_path / "run"):
+        refusal(call, ("run", inputs.write(), "--out", tmp_path / "run"), "is being written by")
+    assert not (tmp_path / "run").exists()
