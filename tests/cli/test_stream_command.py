@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import pytest
 
@@ -44,11 +44,6 @@ def start(prepared: Path) -> Iterator[Start]:
         process.communicate()
 
 
-def output(process: subprocess.Popen[bytes]) -> IO[bytes]:
-    assert process.stdout is not None
-    return process.stdout
-
-
 def give(process: subprocess.Popen[bytes], text: str) -> None:
     assert process.stdin is not None
     process.stdin.write(text.encode())
@@ -63,7 +58,7 @@ def end_of(process: subprocess.Popen[bytes]) -> tuple[int, bytes, str]:
 
 def listening(process: subprocess.Popen[bytes]) -> tuple[str, int]:
     """The address that a process listens on."""
-    said = output(process).readline().decode()
+    said = process.stdout.readline().decode()
     assert said.startswith("listening on tcp://127.0.0.1:"), said
     return "127.0.0.1", int(said.rpartition(":")[2])
 
@@ -101,7 +96,7 @@ def stored(tmp_path: Path) -> Path:
 
 def test_one_step_in_one_step_out_and_a_garbled_line_ends_it_after_the_lines_before(live, tmp_path, start):
     process = start(live, "-q")
-    stdout = output(process)
+    stdout = process.stdout
     assert json.loads(stdout.readline())["steps"] is None
     answers = b""
     for text in lines(3):
@@ -136,7 +131,7 @@ def test_ctrl_c_ends_it_while_it_waits_for_poses(live: Path, start: Start) -> No
 
 def test_it_can_be_told_to_stop_while_its_pipe_is_full(start: Start) -> None:
     process = start("strait", "--set", "annotation.source=analytic")
-    stdout = output(process)
+    stdout = process.stdout
     assert stdout.read(1) == b"{"
     process.send_signal(signal.SIGTERM)
     assert process.wait(LONG_S) == 143, "standard output is still open, and full"
@@ -178,7 +173,7 @@ def test_live_poses_go_to_readers_step_by_step_who_may_leave_come_back_and_send(
 def test_a_reader_of_standard_output_that_goes_away_ends_it_quietly(live: Path, start: Start) -> None:
     process = start(live)
     give(process, line(0, "own"))
-    stdout = output(process)
+    stdout = process.stdout
     assert json.loads(stdout.readline())["steps"] is None
     stdout.close()
     process.stdout = None
