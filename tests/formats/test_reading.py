@@ -194,15 +194,6 @@ def test_an_empty_column_of_mot_does_not_shift_the_others_and_frames_are_no_time
     assert (labelled.annotations.label.tolist(), labelled.results.label.tolist()) == ([0, 1], [1])
 
 
-def test_a_sequence_without_size_or_rate_is_refused(tmp_path):
-    for entry in ("frameRate=0", "frameRate=nan", "imWidth=0", "imHeight=-5", "seqLength=-1"):
-        values = {"imWidth": "640", "imHeight": "480", "frameRate": "5", "seqLength": "3"} | dict([entry.split("=")])
-        lines = "\n".join(f"{key}={value}" for key, value in values.items())
-        (tmp_path / "seqinfo.ini").write_text(f"[Sequence]\n{lines}\n")
-        with pytest.raises(InputError, match=rf"{entry.split('=')[0]}: must be (above|from) 0"):
-            mot(tmp_path)
-
-
 def test_yolo(tmp_path):
     truth, predictions = tmp_path / "set", tmp_path / "predictions"
     (truth / "labels").mkdir(parents=True)

@@ -84,13 +84,6 @@ def test_what_was_meant_is_looked_for_only_in_what_is_shown(tmp_path, monkeypatc
     assert len(asked) == 20  # among thousands of images each takes a tenth of a second
 
 
-def test_frame_numbers_are_no_times_unless_the_rate_is_given(tmp_path):
-    files = coco(tmp_path, [result(11)], images={"video_id": 3, "frame_id": 5})
-    plain = read_pair("day", *files, ReadOptions())
-    assert np.isnan(plain.images.time_s).all() and "--frame-rate" in plain.notes[0]
-    assert read_pair("day", *files, ReadOptions(frame_rate_hz=10)).images.time_s.tolist() == [0.5] * 3
-
-
 def test_a_track_that_is_twice_in_an_image_is_refused_and_below_zero_nobodys(tmp_path):
     twice = [{"image_id": 11, "category_id": 1, "bbox": [1, 2, 30, 40], "track_id": 4}] * 2
     refused(r"annotations\[1\]: identity 4 is in the image 11 already", *coco(tmp_path, [], annotations=twice))
@@ -121,14 +114,18 @@ def test_tracks_that_single_precision_holds_by_chance_are_read():
     assert not are_rounded([*range(100), *map(str, mmsi), 10**400])
 
 
-def test_mot_frames_have_times_where_the_rate_is_known(tmp_path):
-    files = tmp_path / "gt.txt", tmp_path / "det.txt"
-    files[0].write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
-    files[1].write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
-    labelled = read_pair("day", *files, ReadOptions(image_size_px=(640, 480)))
-    assert np.isnan(labelled.images.time_s).all() and "--frame-rate" in labelled.notes[0]
-    labelled = read_pair("day", *files, ReadOptions(image_size_px=(640, 480), frame_rate_hz=4))
-    assert labelled.images.time_s.tolist() == [0, 0.25, 0.5] and not any("--frame-rate" in n for n in labelled.notes)
+def test_frame_numbers_are_no_times_unless_the_rate_is_given(tmp_path):
+    (tmp_path / "gt.txt").write_text("1,4,10,20,30,40,1,1,1\n3,4,60,20,30,40,1,1,1\n")
+    (tmp_path / "det.txt").write_text("1,-1,10,20,30,40,0.9,-1,-1,-1\n")
+    mot, numbered = (tmp_path / "gt.txt", tmp_path / "det.txt"), {"video_id": 3, "frame_id": 5}
+    for files, rate_hz, times in (
+        (coco(tmp_path, [result(11)], images=numbered), 10, [0.5] * 3),
+        (mot, 4, [0, 0.25, 0.5]),
+    ):
+        plain = read_pair("day", *files, ReadOptions(image_size_px=(640, 480)))
+        assert np.isnan(plain.images.time_s).all() and any("--frame-rate" in note for note in plain.notes)
+        timed = read_pair("day", *files, ReadOptions(image_size_px=(640, 480), frame_rate_hz=rate_hz))
+        assert timed.images.time_s.tolist() == times and not any("--frame-rate" in note for note in timed.notes)
 
 
 @pytest.fixture

@@ -96,41 +96,37 @@ def ros_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_missing_library_is_named_with_the_command_that_installs_it(
-    ros_run, call: Call, tmp_path, monkeypatch
-) -> None:
+def to_mcap(run: Path, folder: Path, *options: object) -> tuple[object, ...]:
+    return ("export", run, "--format", "mcap", "--out", folder / "out", *options)
+
+
+def test_a_missing_library_is_named_with_the_command_that_installs_it(ros_run, call, tmp_path, monkeypatch) -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)
-    said = refusal(
-        call, ("export", ros_run, "--format", "mcap", "--out", tmp_path / "out"), 'pip install "modsim3d[ros]"'
-    )
-    assert len(said.splitlines()) == 1
+    assert len(refusal(call, to_mcap(ros_run, tmp_path), 'pip install "modsim3d[ros]"').splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("changes", "part"),
-    [
-        ({"timestamps": (-0.5, 0.0)}, "time -0.5 s: ROS knows times from 0 to 2147483647 s"),
-        ({"timestamps": (2147483647.0, 2147483648.0)}, "time 2147483648.0 s: ROS knows times from 0 to 2147483647 s"),
-        ({"timestamps": (1e-11, 2e-11)}, "times 1e-11 s and 2e-11 s: ROS counts in nanoseconds"),
-        ({"cameras": ("bow.1", "bow-1")}, "cameras 'bow.1' and 'bow-1' are both called 'bow_1' in ROS"),
-    ],
-)
-def test_what_ros_cannot_say_is_told_before_anything_is_written(call: Call, tmp_path, changes, part) -> None:
-    run_scene(scene(**changes), tmp_path / "run")
-    refusal(call, ("export", tmp_path / "run", "--format", "mcap", "--out", tmp_path / "out"), part)
-    assert not (tmp_path / "out").exists()
-    if "cameras" in changes:  # one by one they are exported
-        line = ("export", tmp_path / "run", "--format", "mcap", "--out", tmp_path / "out", "--camera", "bow-1")
-        assert call(*line)[0] == 0
+def test_what_ros_cannot_say_is_told_before_anything_is_written(call: Call, tmp_path) -> None:
+    for number, (changes, part) in enumerate(
+        (
+            ({"timestamps": (-0.5, 0.0)}, "time -0.5 s: ROS knows times from 0 to 2147483647 s"),
+            ({"timestamps": (2147483647.0, 2147483648.0)}, "time 2147483648.0 s: ROS knows times from 0 to 2147483647"),
+            ({"timestamps": (1e-11, 2e-11)}, "times 1e-11 s and 2e-11 s: ROS counts in nanoseconds"),
+            ({"cameras": ("bow.1", "bow-1")}, "cameras 'bow.1' and 'bow-1' are both called 'bow_1' in ROS"),
+        )
+    ):
+        run = tmp_path / f"run_{number}"
+        run_scene(scene(**changes), run)
+        refusal(call, to_mcap(run, tmp_path), part)
+        assert not (tmp_path / "out").exists()
+    assert call(*to_mcap(run, tmp_path, "--camera", "bow-1"))[0] == 0  # of the last, one by one
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_that_is_there_is_replaced_only_with_overwrite(ros_run, call: Call, tmp_path, name) -> None:
-    out = tmp_path / "out"
-    line = ("export", ros_run, "--format", "mcap", "--out", out)
+    out, line = tmp_path / "out", to_mcap(ros_run, tmp_path)
     (out / name).parent.mkdir(parents=True)
     (out / name).write_bytes(b"mine")
     (out / "notes.txt").write_bytes(b"mine too")
@@ -138,13 +134,16 @@ def test_a_file_that_is_there_is_replaced_only_with_overwrite(ros_run, call: Cal
     assert content(out) == {name: b"mine", "notes.txt": b"mine too"}
     with locked_file(out / name):
         refusal(call, (*line, "--overwrite"), f"{out / name} is being written by ")
+    left = out / ".mcap.partial" / "detections" / "detections.mcap"  # by a killed command
+    left.parent.mkdir(parents=True)
+    left.write_bytes(b"half")
     assert call(*line, "--overwrite")[0] == 0
     assert content(out).keys() == {*FILES, "notes.txt"}
     assert content(out)[name] != b"mine" and content(out)["notes.txt"] == b"mine too"
 
 
 def test_a_full_disk_leaves_the_bags_that_were_there(ros_run, call: Call, tmp_path, monkeypatch) -> None:
-    line = ("export", ros_run, "--format", "mcap", "--out", tmp_path / "out", "--overwrite")
+    line = to_mcap(ros_run, tmp_path, "--overwrite")
     assert call(*line)[0] == 0
     write = Bag.write
 
@@ -157,18 +156,10 @@ def test_a_full_disk_leaves_the_bags_that_were_there(ros_run, call: Call, tmp_pa
     refusal(call, line, "cannot be written to: No space left on device", kept=tmp_path)
 
 
-def test_what_a_killed_command_has_left_is_no_hindrance(ros_run, call: Call, tmp_path) -> None:
-    left = tmp_path / "out" / ".mcap.partial" / "detections"
-    left.mkdir(parents=True)
-    (left / "detections.mcap").write_bytes(b"half")
-    assert call("export", ros_run, "--format", "mcap", "--out", tmp_path / "out")[0] == 0
-    assert content(tmp_path / "out").keys() == set(FILES)
-
-
 def test_a_changed_table_is_told_though_it_is_read_in_parts(call: Call, tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(pipeline, "MAX_BLOCK_STEPS", 1)
     run_scene(scene(), tmp_path / "run")
     table = tmp_path / "run" / "detections.parquet"
     table.write_bytes(table.read_bytes().replace(b"parquet-cpp-arrow", b"Parquet-cpp-arrow"))
-    refusal(call, ("export", tmp_path / "run", "--format", "mcap", "--out", tmp_path / "out"), "detections.parquet")
+    refusal(call, to_mcap(tmp_path / "run", tmp_path), "detections.parquet")
     assert content(tmp_path / "out") == {}

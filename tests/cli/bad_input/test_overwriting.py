@@ -114,16 +114,12 @@ def test_a_run_does_not_replace_what_it_reads(inputs, tmp_path, call, file):
     refusal(call, ("run", scene, "--out", out, "--overwrite"), named, "this run reads it", kept=out)
 
 
-@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
-def test_an_interrupted_run_is_not_replaced_by_a_run_of_its_own_copy(inputs, tmp_path, call, option):
+@pytest.mark.parametrize("name", ["truth.parquet", "scene/detector.yaml", "scene"])
+def test_an_interrupted_run_is_replaced_neither_by_its_own_copy_nor_over_files_of_others(inputs, tmp_path, call, name):
     out = interrupt(load_scene(inputs.write()), tmp_path / "run")
     scene = scene_file(out / "unfinished")
-    refusal(call, ("run", scene, "--out", out, option), f"{scene} belongs to the run in", kept=out)
-
-
-@pytest.mark.parametrize("name", ["truth.parquet", "scene/detector.yaml", "scene"])
-def test_a_file_in_the_way_that_no_run_has_written_is_named_and_stays(inputs, tmp_path, call, name):
-    out = interrupt(load_scene(inputs.write()), tmp_path / "run")
+    for option in ("--overwrite", "--resume"):
+        refusal(call, ("run", scene, "--out", out, option), f"{scene} belongs to the run in", kept=out)
     write(out, {name: "mine"})
     line = ("run", inputs.path("scene"), "--out", out, "--resume")
     refusal(call, line, f"{out / name} is in the way", kept=out)
