@@ -20,7 +20,7 @@ from modsim3d.io.input_files import data_folder
 from modsim3d.runs.files.block_files import DIGEST_BYTES
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import CIRCULAR, GOOD
+from tests.cli.bad_input.builders import CIRCULAR, FILES, GOOD
 from tests.detector_variants import CHANGES, variant
 
 Files = dict[str, bytes | None]
@@ -96,14 +96,8 @@ def meshes(ending: str) -> tuple[Files, ...]:
 def _small_scene(changes: dict[str, Any], ending: str = "yaml") -> Files:
     """The small scene of the tests for bad input with some sections replaced; None removes one."""
     scene = {key: value for key, value in {**GOOD["scene"], **changes}.items() if value is not None}
-    return {
-        f"scene.{ending}": _json(scene),
-        "vessels.json": _json(GOOD["vessels"]),
-        "poses.json": _json(GOOD["poses"]),
-        "detector.yaml": _json(GOOD["detector"]),
-        "hull.obj": _obj(),
-        "hull.stl": _text_stl(),
-    }
+    good = {FILES[name]: _json(GOOD[name]) for name in ("vessels", "poses", "detector")}
+    return {f"scene.{ending}": _json(scene), **good, "hull.obj": _obj(), "hull.stl": _text_stl()}
 
 
 @cache

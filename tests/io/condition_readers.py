@@ -96,29 +96,29 @@ def labelled(which: int, files: Callable[[Path], Any], alone: bool = False) -> C
 def coco_truth(rows: tuple[Row, ...]) -> str:
     images = ",".join(f'{{"id": {k + 1}, "width": {WIDTH}, "height": {HEIGHT}}}' for k in range(len(VIDEO.true)))
     kinds = ",".join(f'{{"id": {k + 1}, "name": "{name}"}}' for k, name in enumerate(("boat", "sailboat", "ship")))
-    each = ",".join(
-        f'{{"id": {n}, "image_id": {row["image"]}, "category_id": {row["class"]}, "track_id": {row["id"]}, '
-        f'"iscrowd": {row["flag"]}, "bbox": [{",".join(row[role] for role in BOX)}]}}'
-        for n, row in enumerate(rows)
+    entry = (
+        '{{"id": {n}, "image_id": {image}, "category_id": {class}, "track_id": {id}, "iscrowd": {flag}, "bbox": {b}}}'
     )
-    return f'{{"images": [{images}], "categories": [{kinds}], "annotations": [{each}]}}'
+    each = (entry.format(n=n, b="[{x},{y},{w},{h}]".format(**row), **row) for n, row in enumerate(rows))
+    return f'{{"images": [{images}], "categories": [{kinds}], "annotations": [{",".join(each)}]}}'
+
+
+def by_time(rows: tuple[Row, ...], entry: str) -> list[tuple[str, str]]:
+    """Each time of the rows, with the entries of its rows, which are made of a form, and commas between."""
+    times: dict[str, list[str]] = {}
+    for n, row in enumerate(rows):
+        times.setdefault(row["time"], []).append(entry.format(n=n, box=",".join(row[role] for role in BOX), **row))
+    return [(time, ", ".join(entries)) for time, entries in times.items()]
 
 
 def coco_found(rows: tuple[Row, ...]) -> str:
-    each = (
-        f'{{"image_id": {row["image"]}, "category_id": {row["class"]}, "score": {row["score"]}, '
-        f'"bbox": [{",".join(row[role] for role in BOX)}]}}'
-        for row in rows
-    )
-    return f"[{','.join(each)}]"
+    entry = '{{"image_id": {image}, "category_id": {class}, "score": {score}, "bbox": [{x},{y},{w},{h}]}}'
+    return f"[{','.join(entry.format(**row) for row in rows)}]"
 
 
 def log_lines(rows: tuple[Row, ...]) -> str:
-    frames: dict[str, list[str]] = {}
-    for row in rows:
-        box = f'"box_px": [{",".join(row[role] for role in BOX)}]'
-        frames.setdefault(row["time"], []).append(f'{{{box}, "label": {row["label"]}, "confidence": {row["score"]}}}')
-    return "".join(f'{{"time_s": {time}, "detections": [{",".join(boxes)}]}}\n' for time, boxes in frames.items())
+    entry = '{{"box_px": [{box}], "label": {label}, "confidence": {score}}}'
+    return "".join(f'{{"time_s": {time}, "detections": [{boxes}]}}\n' for time, boxes in by_time(rows, entry))
 
 
 def all_readers(folder: Path) -> dict[str, Reader]:
@@ -213,24 +213,17 @@ def ais_read(path: Path) -> Reading:
 
 
 def thesis_log(of: tuple[Row, ...]) -> str:
-    times: dict[str, list[str]] = {}
-    for n, row in enumerate(of):
-        box = '{{"centre": {{"x": {x}, "y": {y}}}, "width": {w}, "height": {h}}}'.format(**row)
-        entry = f'"{n}": {{"label": {row["label"]}, "confidenceScore": {row["score"]}, "bbox": {box}}}'
-        times.setdefault(row["time"], []).append(entry)
-    return "{" + ", ".join(f'"{time}": {{{", ".join(each)}}}' for time, each in times.items()) + "}"
+    box = '{{"centre": {{"x": {x}, "y": {y}}}, "width": {w}, "height": {h}}}'
+    entry = f'"{{n}}": {{{{"label": {{label}}, "confidenceScore": {{score}}, "bbox": {box}}}}}'
+    return "{" + ", ".join(f'"{time}": {{{each}}}' for time, each in by_time(of, entry)) + "}"
 
 
 def coco_log(of: tuple[Row, ...]) -> str:
     times = list(dict.fromkeys(row["time"] for row in of))
     images = ", ".join(f'{{"id": {k}, "time_s": {time}}}' for k, time in enumerate(times))
-    each = ", ".join(
-        f'{{"image_id": {times.index(row["time"])}, "category_id": {row["class"]}, "score": {row["score"]}, '
-        f'"bbox": [{",".join(row[role] for role in BOX)}]}}'
-        for row in of
-    )
+    each = coco_found(tuple(row | {"image": str(times.index(row["time"]))} for row in of))
     kinds = f'[{{"id": {of[0]["class"]}, "name": {of[0]["label"]}}}]'
-    return f'{{"images": [{images}], "annotations": [{each}], "categories": {kinds}}}'
+    return f'{{"images": [{images}], "annotations": {each}, "categories": {kinds}}}'
 
 
 def parquet(path: Path) -> Path:

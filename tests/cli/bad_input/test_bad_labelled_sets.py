@@ -104,10 +104,8 @@ def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse) -> No
         (f"{SIDES}seqLength=10000000\n", "seqLength: must be from 0 to 1e+06"),
         (f"{SIDES}seqLength={'1' * 5000}", "seqLength: must be from 0 to 1e+06"),
         (SIDES.replace("640", "1" * 400), "imWidth: must be above 0, and at most 1e+07"),
-        *(
-            (SIDES.replace("640", "0"), "imWidth: must be above 0"),
-            (SIDES.replace("480", "-5"), "imHeight: must be ab"),
-        ),
+        (SIDES.replace("640", "0"), "imWidth: must be above 0"),
+        (SIDES.replace("480", "-5"), "imHeight: must be above 0"),
         *((f"{SIDES}frameRate={rate}", "frameRate: must be above 0") for rate in (0, "nan")),
         (f"{SIDES}seqLength=-1", "seqLength: must be from 0"),
     ):
