@@ -81,22 +81,17 @@ def test_what_a_run_counts_is_in_its_object_by_itself(modsim3d, lines, tmp_path)
     assert found["contact_sheet"] == str(tmp_path / "run" / "contact_sheet.png")
 
 
-def test_a_line_of_a_detector_file_that_nothing_reads_is_warned_of(modsim3d: Modsim3d, tmp_path: Path) -> None:
+def test_warnings_are_in_the_object_and_on_standard_error(modsim3d, monkeypatch, lines, tmp_path: Path) -> None:
     text = shipped_detectors()["coastal"].read_text(encoding="utf-8")
     file = tmp_path / "detector.yaml"
     file.write_text(text.replace("    box_error:", "    false_discovery_rate: 0.1\n    box_error:", 1))
     key, reason = "states.clear.false_discovery_rate", "model per_image does not read it"
     wanted = f"nothing reads {key} in the detector file: {reason}: set detector.false_positives.rate"
-    for line in (
-        ("check", "scene", "strait", "--set", f"detector={file}"),
-        ("run", "strait", "--detector", file, "--steps", 2, "--source", "analytic", "--out", tmp_path / "run"),
-    ):
+    run = ("run", "strait", "--detector", file, "--steps", 2, "--source", "analytic", "--out", tmp_path / "strait")
+    for line in (("check", "scene", "strait", "--set", f"detector={file}"), run):
         said = modsim3d(*line, "--json")
         assert said.status == 0 and wanted in parsed(said)["warnings"]
         assert "warning: nothing reads states.clear.false_discovery_rate" in said.err
-
-
-def test_warnings_are_in_the_object_and_on_standard_error(modsim3d, monkeypatch, lines):
     monkeypatch.setattr("modsim3d.runs.counts.WORTH_A_WARNING_PX", 1e-9)
     said = modsim3d(*lines["run"], "--json", "-q")
     assert any("the sea is flat" in warning for warning in parsed(said)["warnings"])
