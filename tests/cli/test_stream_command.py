@@ -131,8 +131,7 @@ def test_ctrl_c_ends_it_while_it_waits_for_poses(live: Path, start: Start) -> No
 
 def test_it_can_be_told_to_stop_while_its_pipe_is_full(start: Start) -> None:
     process = start("strait", "--set", "annotation.source=analytic")
-    stdout = process.stdout
-    assert stdout.read(1) == b"{"
+    assert process.stdout.read(1) == b"{"
     process.send_signal(signal.SIGTERM)
     assert process.wait(LONG_S) == 143, "standard output is still open, and full"
     assert end_of(process)[2] == "\nmodsim3d: interrupted\n"
@@ -257,21 +256,16 @@ def test_the_status_of_verify_is_its_verdict_whoever_reads(run, prepared, tmp_pa
     assert json.loads((tmp_path / "out" / "verify.json").read_text())["obeys"] is obeys
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    ["scenes", "-h", "run -h", "check scene harbour", "scenes --json", "check scene harbour --json", "--version"],
-)
-def test_no_command_minds_a_reader_that_goes_away(arguments: str, prepared: Path) -> None:
-    done = bash(f"MODSIM3D {arguments} | true; echo ${{PIPESTATUS[0]}}", program=prepared)
-    assert (done.stdout, done.stderr) == ("0\n", "")
-
-
-@pytest.mark.parametrize("arguments", ["-h", "check scene harbour", "scenes --json"])
-@pytest.mark.parametrize("unbuffered", ["", "PYTHONUNBUFFERED=1"])
-def test_no_program_minds_a_reader_that_goes_away(arguments: str, unbuffered: str) -> None:
-    """In a Python of its own: help, which is printed before all else, a text and an object."""
-    done = bash(f"{unbuffered} MODSIM3D {arguments} | true; echo ${{PIPESTATUS[0]}}")
-    assert (done.stdout, done.stderr) == ("0\n", "")
+def test_no_command_minds_a_reader_that_goes_away(prepared: Path) -> None:
+    """Nor in a Python of its own: help, which is printed before all else, a text and an object."""
+    harbour = "check scene harbour"
+    commands = ("scenes", "-h", "run -h", harbour, "scenes --json", f"{harbour} --json", "--version")
+    asked = [(f"MODSIM3D {command}", prepared) for command in commands]
+    for unbuffered in ("", "PYTHONUNBUFFERED=1"):
+        asked += [(f"{unbuffered} MODSIM3D {command}", PROGRAM) for command in ("-h", harbour, "scenes --json")]
+    for command, program in asked:
+        done = bash(f"{command} | true; echo ${{PIPESTATUS[0]}}", program=program)
+        assert (done.stdout, done.stderr) == ("0\n", ""), command
 
 
 def test_a_command_does_its_work_and_errors_keep_their_status_whoever_reads(scene, run, prepared, tmp_path) -> None:
