@@ -269,7 +269,7 @@ def test_a_track_is_steady_where_the_heading_passes_the_world_s_first_axis():
     assert np.rad2deg(np.ptp(stay.heading_rad)) == pytest.approx(STEPS - 1) and not stay.at_rest
 
 
-def test_what_is_lost_is_others():
+def test_what_is_lost_is_others_and_a_camera_ashore_has_no_own_ship(run):
     """Own ship's receiver has its reports from its own station; class B sends its size after its name."""
     scene = scene_of(ais={"drop_out": 1})
     assert {(each.own, each.kind) for each in reports(scene, 20, stations(scene, (0,)))} == {(True, 0), (True, 1)}
@@ -278,6 +278,11 @@ def test_what_is_lost_is_others():
     found = list(reports(scene, STEPS, (sloop,)))
     name, size = (next(each.time_s for each in found if each.kind == kind) for kind in (1, 2))
     assert 26 <= (size - name) % 360 <= 34
+    scene = open_run(run).scene
+    carried = stations(scene, ())
+    assert carried[0].ais_class == "B" and not any(station.own for station in carried)  # as any boat of twelve metres
+    found = [each for each in reports(scene, 200, carried) if each.mmsi == carried[0].mmsi]
+    assert found and not any(each.own for each in found)
 
 
 def test_modsim3d_ais_reads_the_log_and_finds_the_tracks(out, vessels):
@@ -334,15 +339,6 @@ def test_a_scene_in_which_nobody_sends_and_one_of_one_step_give_a_log(tmp_path):
     assert (tmp_path / "nobody" / "out" / "ais_truth.csv").read_text().count("none") == len(SIZES)
     (own, *_) = [each for each in exported(scene_of(steps=1), tmp_path / "one") if each.own]
     assert (own.message.speed, own.message.course, own.time_s) == (102.3, 360.0, EPOCH_S)
-
-
-def test_a_camera_ashore_has_no_own_ship(run):
-    opened = open_run(run)
-    carried = stations(opened.scene, ())
-    assert not any(station.own for station in carried)
-    found = [each for each in reports(opened.scene, 200, carried) if each.mmsi == carried[0].mmsi]
-    assert found and not any(each.own for each in found)
-    assert carried[0].ais_class == "B"  # as any boat of twelve metres
 
 
 def test_a_live_run_is_exported_as_any_other(tmp_path, monkeypatch):

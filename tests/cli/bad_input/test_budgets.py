@@ -57,11 +57,6 @@ def test_each_budget_is_told(inputs: Inputs, refused: Refused, file: str, conten
     assert len(refused(scene, part)) < 2000
 
 
-def test_steps_times_vessels_have_a_budget(inputs: Inputs, refused: Refused, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(input_files, "MAX_POSES", 7)
-    refused(inputs.write(), "4 steps of 2 vessels are more than 7 poses: use fewer of either")
-
-
 def test_a_packed_file_is_refused_after_a_few_megabytes(tmp_path: Path) -> None:
     path = tmp_path / "blank.gz"
     path.write_bytes(zeros(1 << 27))
@@ -93,10 +88,12 @@ def test_a_scene_of_a_thousand_vessels_and_a_hundred_thousand_poses_is_within_th
     assert len(load_json(path, "pose file", input_files.POSE_BYTES_PER_VALUE)) == 100
 
 
-def test_a_line_of_a_stream_has_a_budget_of_values() -> None:
+def test_a_line_of_a_stream_and_steps_times_vessels_have_a_budget(inputs: Inputs, refused, monkeypatch) -> None:
     line = b'{"0.0": [' + b"[]," * 1_000_000 + b"[]]}\n"
     with pytest.raises(InputError, match=r"line 1: has 2,000,003 values \(commas and brackets\)"):
         list(read_steps([line], "poses from standard input", ["v"]))
+    monkeypatch.setattr(input_files, "MAX_POSES", 7)
+    refused(inputs.write(), "4 steps of 2 vessels are more than 7 poses: use fewer of either")
 
 
 def test_pipes_devices_and_sockets_are_refused_and_not_waited_for(inputs: Inputs, refused: Refused) -> None:
@@ -139,10 +136,13 @@ def test_numbers_beyond_all_floats_are_told(inputs: Inputs, refused: Refused, nu
         assert len(said) < 1000
 
 
-def test_a_wrong_mesh_is_told_once_and_without_words_of_python(inputs: Inputs, refused: Refused) -> None:
+def test_a_wrong_mesh_is_told_once_and_long_names_lose_their_middle(inputs: Inputs, refused: Refused) -> None:
     inputs.set("vessels", "vehicle2/mesh", {"file": 5})
     said = refused(inputs.write(), "vehicle2.mesh: the name of a shipped mesh, a file, or a mapping of file")
-    assert "dict" not in said and said.count("vehicle2.mesh") == 1
+    assert "dict" not in said and said.count("vehicle2.mesh") == 1  # no word of Python
+    inputs.data["scene"]["x" * 500_000] = 1
+    inputs.set("vessels", "vehicle1/label", "Vessel" * 50_000)
+    assert len(refused(inputs.write(), ": unknown key", "is not one of the detector's labels (known: Vessel)")) < 20_000
 
 
 def test_mistakes_in_thousands_of_entries_are_not_all_told(inputs: Inputs, refused: Refused) -> None:
@@ -152,12 +152,6 @@ def test_mistakes_in_thousands_of_entries_are_not_all_told(inputs: Inputs, refus
     inputs.data["detector"] |= {f"key_{k}": 1 for k in range(2000)}
     said = refused(inputs.write(), "more problems in", "no vessel 'w0'", "(the rest was not checked)", "no vessel 'u0'")
     assert said.count("\n") < 400
-
-
-def test_long_names_lose_their_middle(inputs: Inputs, refused: Refused) -> None:
-    inputs.data["scene"]["x" * 500_000] = 1
-    inputs.set("vessels", "vehicle1/label", "Vessel" * 50_000)
-    assert len(refused(inputs.write(), ": unknown key", "is not one of the detector's labels (known: Vessel)")) < 20_000
 
 
 @pytest.mark.parametrize("file", ["scene", "vessels", "poses", "detector"])

@@ -23,7 +23,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.campaign.small_campaign import small_campaign
 from tests.cli.bad_input import writers
-from tests.cli.bad_input.builders import CIRCULAR, Call, Inputs, content, refusal
+from tests.cli.bad_input.builders import Call, Inputs, content, refusal
 from tests.run_folders import interrupt, run_files
 from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
@@ -128,7 +128,7 @@ def test_what_lies_beside_an_output_while_it_is_written_is_no_input(run: Path, c
 def yolo(folder: Path) -> tuple[object, ...]:
     """A YOLO data set whose classes stand in a file above it."""
     for kind, line in (("labels", "0 .5 .5 .2 .2\n"), ("found", "0 .5 .5 .2 .2 .9\n")):
-        (folder / kind).mkdir()
+        (folder / kind).mkdir(parents=True)
         (folder / kind / "a.txt").write_text(line)
     (folder / "data.yaml").write_text("names: [boat]\n")
     options = ("--image-size", "640,480", "--replicates", 20)
@@ -152,45 +152,35 @@ def test_files_that_learn_reads_without_being_told_stay_too(call: Call, tmp_path
     assert call(*line, "--out", tmp_path / "labels.yaml")[0] == 0
 
 
-def test_neither_does_a_result_in_python_replace_what_it_was_learned_from(tmp_path) -> None:
-    yolo(tmp_path)
-    paths = {"truth": tmp_path / "labels", "detections": tmp_path / "found"}
-    result = modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20)
+def test_neither_do_results_in_python_replace_what_they_are_made_of_or_what_is_there(run: Path, tmp_path) -> None:
+    yolo(tmp_path / "set")
+    paths = {"truth": tmp_path / "set" / "labels", "detections": tmp_path / "set" / "found"}
+    result, verified = (
+        modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20),
+        modsim3d.verify_run(run),
+    )
+    result.write(tmp_path / "learned.yaml")
+    verified.write()
     before = content(tmp_path)
-    for name in ("data.yaml", "labels/a.txt"):
+    for name in ("set/data.yaml", "set/labels/a.txt"):
         with pytest.raises(OutputError, match="is read by this command"):
             result.write(tmp_path / name, overwrite=True)
+    for write in (partial(result.write, tmp_path / "learned.yaml"), verified.write):
+        with pytest.raises(OutputError, match="exists: use --overwrite"):
+            write()
     assert content(tmp_path) == before
-    result.write(tmp_path / "labels" / "detector.yaml")
-    with pytest.raises(OutputError, match="exists: use --overwrite"):
-        result.write(tmp_path / "labels" / "detector.yaml")
-
-
-def test_neither_does_a_verification_in_python_replace_a_page(run: Path) -> None:
-    verified = modsim3d.verify_run(run)
-    verified.write()
-    before = content(run)
-    with pytest.raises(OutputError, match="exists: use --overwrite"):
-        verified.write()
-    assert content(run) == before
     verified.write(overwrite=True)
 
 
-@pytest.mark.parametrize("name", sorted(writers.WRITERS.keys() - writers.INPUTS.keys()))
+@pytest.mark.parametrize("name", sorted({"film: frames", *writers.WRITERS} - writers.INPUTS.keys()))
 def test_nothing_is_written_among_the_unfinished_files_of_the_run_that_is_read(run, call: Call, name: str) -> None:
-    file, line = writers.WRITERS[name]
+    frames = lambda run, out: ("view", "film", run, "--kind", "ids", "--format", "png", "--out", out)  # noqa: E731
+    file, line = writers.WRITERS.get(name, ("ids", frames))
     out = run / "unfinished" / "new" / file
-    if name.startswith("view"):
+    if name.startswith(("view", "film")):
         out.parent.mkdir(parents=True)
     said = f" is inside {run / 'unfinished'}, which this command reads"
     refusal(call, (*line(run, out), "--overwrite"), said, kept=run)
-
-
-def test_frames_of_a_film_are_not_written_among_them_either(run: Path, call: Call) -> None:
-    (run / "unfinished").mkdir()
-    out = run / "unfinished" / "ids"
-    line = ("view", "film", run, "--kind", "ids", "--format", "png", "--out", out)
-    refusal(call, line, "which this command reads")
     assert not out.exists()
 
 
@@ -277,12 +267,16 @@ def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_pa
     assert content(tmp_path) == before
 
 
-def test_a_detector_from_a_pipe_is_called_a_pipe(inputs: Inputs, call: Call, tmp_path) -> None:
-    """As the shell gives for `--detector <(cat file)`."""
+def test_a_folder_that_is_written_and_a_detector_from_a_pipe_are_told(inputs: Inputs, call: Call, tmp_path) -> None:
+    """A pipe as the shell gives for `--detector <(cat file)`."""
     reading, writing = os.pipe()
-    line = ("run", inputs.write(), "--out", tmp_path / "run", "--detector", f"/dev/fd/{reading}")
+    line = ("run", inputs.write(), "--out", tmp_path / "run")
     with os.fdopen(reading), os.fdopen(writing, "w"):
-        refusal(call, line, f"detector /dev/fd/{reading}: this is a pipe, a file was expected")
+        pipe = f"/dev/fd/{reading}"
+        refusal(call, (*line, "--detector", pipe), f"detector {pipe}: this is a pipe, a file was expected")
+    with locked_folder(tmp_path / "run"):
+        refusal(call, line, "is being written by")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(("name", "line"), writers.WRITERS.values(), ids=writers.WRITERS)
@@ -415,10 +409,3 @@ def test_a_film_killed_between_its_last_two_renames_is_found_again(tmp_path):
     with put_folder_in_place(tmp_path / "film", "frame_*.png") as partial:
         (partial / "frame_000002.png").write_text("new")
     assert run_files(tmp_path) == {"film/frame_000002.png": b"new"}
-
-
-def test_a_run_is_refused_with_exit_status_two_while_its_folder_is_written(inputs: Inputs, call: Call, tmp_path):
-    inputs.data["scene"] |= {"poses": CIRCULAR, "steps": 3, "time_step_s": 0.5}
-    with locked_folder(tmp_path / "run"):
-        refusal(call, ("run", inputs.write(), "--out", tmp_path / "run"), "is being written by")
-    assert not (tmp_path / "run").exists()
