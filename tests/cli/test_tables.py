@@ -94,23 +94,19 @@ def test_verify_has_every_number_at_any_width(modsim3d, monkeypatch, run, tmp_pa
         assert out == table
 
 
-@pytest.mark.parametrize("width", [40, 70])
-def test_an_error_on_a_terminal_is_broken_between_words(prepared: Path, width: int) -> None:
+def test_an_error_is_broken_between_words_on_a_terminal_and_not_in_a_pipe(prepared, modsim3d, monkeypatch) -> None:
     command = [prepared, "check", "scene", "nowhere/at_all/in_this_folder.yaml"]
-    ours, theirs = pty.openpty()
-    environment = {**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
-    done = subprocess.run(command, stderr=theirs, timeout=120, check=False, env=environment)
-    os.close(theirs)
-    said = os.read(ours, 10_000).decode().replace("\r\n", "\n")
-    os.close(ours)
-    assert done.returncode == 2
-    lines = said.splitlines()
-    assert max(map(len, lines)) <= width and len(lines) > 2
-    for word in ("nowhere/at_all/in_this_folder.yaml:", "simulation_1,", "simulation_2,", "strait)"):
-        assert word in said.split()
-
-
-def test_an_error_in_a_pipe_is_not_broken_whatever_columns_says(modsim3d, monkeypatch):
+    for width in (40, 70):
+        ours, theirs = pty.openpty()
+        environment = {**os.environ, "COLUMNS": str(width), "TERM": "xterm"}
+        done = subprocess.run(command, stderr=theirs, timeout=120, check=False, env=environment)
+        os.close(theirs)
+        said = os.read(ours, 10_000).decode().replace("\r\n", "\n")
+        os.close(ours)
+        lines = said.splitlines()
+        assert done.returncode == 2 and max(map(len, lines)) <= width and len(lines) > 2
+        for word in ("nowhere/at_all/in_this_folder.yaml:", "simulation_1,", "simulation_2,", "strait)"):
+            assert word in said.split()
     monkeypatch.setenv("COLUMNS", "40")
     assert modsim3d("check", "scene", "nowhere.yaml").err.count("\n") == 2
 
@@ -178,16 +174,13 @@ def test_the_counts_of_the_files_are_those_that_are_printed(strait: Scene, resul
     assert {name: int(rows[name]) for name in kept} == kept
 
 
-def test_each_camera_has_its_counts(result: RunResult) -> None:
+def test_each_camera_has_its_counts_and_boxes_that_an_evaluation_would_not_match_are_warned_of(strait, result) -> None:
     header, *rows = camera_rows(with_counts(result, bow=COUNTS, stern=Counts(frames=3)))
     assert dict(zip([" ".join(name.split()) for name in header], rows[0], strict=True)) == {
         **{"camera": "bow", "frames": "1500", "annotated": "7458", "detected": "5933", "false alarms": "846"},
         **{"wrong class": "596", "IoU < 0.5": "5868", "off vessel": "2635"},
     }
     assert rows[1][:3] == ("stern", "3", "0")
-
-
-def test_boxes_that_an_evaluation_would_not_match_are_warned_of(strait: Scene, result: RunResult) -> None:
     few = replace(COUNTS, below_half_iou=100)
     said = [run_warnings(strait, with_counts(result, bow=some, quay=some)) for some in (COUNTS, few)]
     assert [["IoU below 0.5" in line for line in lines] for lines in said] == [[True], []]

@@ -128,7 +128,7 @@ def test_reports_come_at_their_interval_on_the_slots_of_a_minute(ais_class, inte
         assert stats.kstest(age - 0.2, "uniform").pvalue > 1e-4
 
 
-def test_the_asked_share_of_reports_is_lost_and_static_data_come_every_six_minutes():
+def test_the_asked_share_of_reports_is_lost_and_none_is_sent_before_a_fix_or_after_leaving():
     times = np.arange(100_000)
     every_ten = reporting.ReportingRate(np.full(100_000, 10.0), times < 0)
     schedule = reporting.position_schedule(times, 99_999.0, every_ten, "A", 0.0)
@@ -138,10 +138,7 @@ def test_the_asked_share_of_reports_is_lost_and_static_data_come_every_six_minut
     assert stats.binomtest(everything - kept, everything, 0.1).pvalue > 1e-3
     assert len(reporting.heard(schedule, times, 99_999.0, 1.0, draws).times_s) == 0
     assert np.diff(reporting.static_schedule(times, 99_999.0, 0.5).due_s) == pytest.approx(360)
-
-
-def test_nothing_is_sent_before_there_is_a_fix_or_after_the_vessel_has_left():
-    times = np.arange(50, 62)
+    times = np.arange(50, 62)  # nothing is sent before there is a fix or after the vessel has left
     schedule = reporting.position_schedule(times, 61.0, reporting.ReportingRate(np.full(12, 2.0), times < 0), "A", 0.99)
     found = reporting.heard(schedule, times, 61.0, 0.0, np.random.default_rng(0).random((len(schedule.due_s), 2)))
     assert found.times_s.min() >= 50.2 and found.times_s.max() <= 61

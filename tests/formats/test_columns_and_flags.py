@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modsim3d.cli.detect import parsed_names
 from modsim3d.core.errors import InputError
 from modsim3d.formats.reading.builder import Problems, ReadOptions, read_flag
 from modsim3d.formats.reading.pair import read_pair, read_truth
@@ -160,7 +161,7 @@ def test_options_that_do_nothing_and_sizes_that_are_not_used_are_told(tmp_path):
     assert has(labelled, "--frame-rate is not used: YOLO", "--category-offset is not used: YOLO")
 
 
-def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by_labels(tmp_path):
+def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by_labels_without_gaps(tmp_path):
     from modsim3d.learn.learn_detector import LearnOptions, learn_detector
     from modsim3d.learn.learned import LearnSettings
 
@@ -169,6 +170,9 @@ def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by
     assert any("In MOT, --labels can give the numbers of both files one name" in remark for remark in told)
     labelled = read_mot(tmp_path, ReadOptions(("boat",) * 8), found_tail="0.9,8,-1,-1")
     assert labelled.labels == ("boat",) and labelled.ids.labels == (1,)
+    assert parsed_names("a, b,", "--labels") == ("a", "b")
+    with pytest.raises(InputError, match="the name 2 is empty"):
+        parsed_names("a,,b", "--labels")
 
 
 def test_a_track_that_stands_where_a_confidence_should_is_named(tmp_path):
@@ -225,18 +229,21 @@ def test_cvats_folders_are_read_as_they_are_and_classes_without_names_are_told(t
         assert labelled.labels == NAMES and ("without" in labelled.images.names) is (folder == truth)
 
 
-def test_files_of_names_that_have_none_are_refused(tmp_path):
-    for file, text, told in (
-        ("dataset.yaml", "names: 3\n", r"names: must be a list of names \(got 3\)"),
-        ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name"),
-        ("data.yaml", 'names: [boat, "", ship]\n', "the class 1, counted from 0, has no name"),
-        ("data.yaml", "names: [boat, ~, ship]\n", "the class 1, counted from 0, has no name"),
-        ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the first class would be '# classes'"),
-        ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the first class would be '0: boat'"),
-    ):
-        folders = yolo(tmp_path, VIDEO)
-        (folders[0] / file).write_text(text)
-        refused(told, *folders, SIZED)
+@pytest.mark.parametrize(
+    ("file", "text", "told"),
+    [("data.yaml", "names: boat sailboat ship\n", r"names: must be a list of names \(got 'boat sailboat ship'\)"),
+     ("dataset.yaml", "names: 3\n", r"names: must be a list of names \(got 3\)"),
+     ("classes.txt", "boat\n\nship\n", "the class 1, counted from 0, has no name"),
+     ("data.yaml", 'names: [boat, "", ship]\n', "the class 1, counted from 0, has no name"),
+     ("data.yaml", "names: [boat, ~, ship]\n", "the class 1, counted from 0, has no name"),
+     ("classes.txt", "# classes\nboat\nsailboat\nship\n", "the first class would be '# classes'"),
+     ("classes.txt", "0: boat\n1: sailboat\n2: ship\n", "the first class would be '0: boat'"),
+     ("obj.names", "0 boat\n1 sailboat\n2 ship\n", "the first class would be '0 boat'")],
+)  # fmt: skip
+def test_files_of_names_that_have_none_are_refused(tmp_path, file, text, told):
+    folders = yolo(tmp_path, VIDEO)
+    (folders[0] / file).write_text(text)
+    refused(told, *folders, SIZED)
 
 
 def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tmp_path):
@@ -248,11 +255,3 @@ def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tm
     assert kind == "MOT" and has(labelled, "the visibility of 240 of 240 boxes is 0", "the eighth column is the class")
     mot(tmp_path, VIDEO, tail=lambda k, j: f"{int(j > 0)},1,{int(j > 0)}")  # what is hidden is not considered
     assert not has(read_truth(truth)[0], "boxes is 0")
-
-
-def test_a_name_that_is_empty_does_not_move_the_others():
-    from modsim3d.cli.detect import parsed_names
-
-    assert parsed_names("a, b,", "--labels") == ("a", "b")
-    with pytest.raises(InputError, match="the name 2 is empty"):
-        parsed_names("a,,b", "--labels")

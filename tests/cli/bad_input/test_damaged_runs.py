@@ -173,7 +173,7 @@ def test_the_good_run_is_read_by_every_command(call, run, tmp_path):
         assert status in (0, 1), said  # 1: so few steps need not obey
 
 
-def test_a_changed_table_of_the_same_size_is_refused_where_it_is_read_whole(call, run, tmp_path):
+def test_a_changed_table_of_the_same_size_and_one_of_another_run_are_refused(call, runs, run, tmp_path):
     table, files = read(run, "truth"), json.loads((run / "run.json").read_text())["files"]
     depth = pa.array([value + 1 for value in table["depth_m"].to_pylist()])
     replace_table(run, "truth", table.set_column(table.column_names.index("depth_m"), "depth_m", depth))
@@ -182,10 +182,7 @@ def test_a_changed_table_of_the_same_size_is_refused_where_it_is_read_whole(call
     for command in ("verify", "detect", "export", "report"):
         said = assert_refused(call, run, command, tmp_path / "out")
         assert "truth.parquet was changed after the run" in said
-
-
-def test_a_table_of_another_run_is_refused(runs, run):
-    shutil.copy(runs[1] / "detections.parquet", run)
+    shutil.copy(runs[1] / "detections.parquet", run)  # a table of another run
     with pytest.raises(RunDirectoryError, match=r"detections\.parquet has \d+ bytes, and had \d+"):
         open_run(run)
     relist(run)
