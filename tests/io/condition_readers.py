@@ -155,14 +155,6 @@ def all_readers(folder: Path) -> dict[str, Reader]:
         found[f"{form} truth alone"] = replace(found[f"{form} truth"], read=labelled(0, files, alone=True))
     still = Video(*(np.repeat(boxes[:1], 12, axis=0) for boxes in (VIDEO.true, VIDEO.found)))
 
-    def yolo_rows(of_frame: np.ndarray[Any, Any], **more: Callable[[int, int], str]) -> tuple[Row, ...]:
-        rows = []
-        for j, box in enumerate(of_frame):
-            shares = [f"{n:.8f}" for n in CHANGES["shares"](*CHANGES["centres"](*box))]
-            others = {role: of(0, j) for role, of in more.items()}
-            rows.append({"class": str(j % 3), **dict(zip(BOX, shares, strict=True)), **others})
-        return tuple(rows)
-
     def yolo_read(which: int) -> Callable[[Path], Reading]:
         def read(path: Path) -> Reading:
             pair = yolo(path.parent, still)
@@ -174,7 +166,10 @@ def all_readers(folder: Path) -> dict[str, Reader]:
         return read
 
     for which, name in enumerate(("labels", "detections")):
-        rows = yolo_rows(still.found[0], score=score) if which else yolo_rows(still.true[0])
+        shares = [CHANGES["shares"](*CHANGES["centres"](*box)) for box in (still.true, still.found)[which][0]]
+        texts = [dict(zip(BOX, (f"{n:.8f}" for n in of), strict=True)) for of in shares]
+        scores = [{"score": score(0, j)} if which else {} for j in range(len(texts))]
+        rows = tuple({"class": str(j % 3)} | text | scores[j] for j, text in enumerate(texts))
         line = columns("class x y w h" + " score" * which, separator=" ")
         found[f"YOLO {name}"] = Reader(rows, line, yolo_read(which), (1.0, 1.0), " ", boxes="centres")
     run = sea_run(folder / "run")

@@ -48,12 +48,6 @@ def refuse(call: Call, tmp_path: Path) -> Refuse:
     return look
 
 
-def spoilt(line: int, change: Callable[[list[bytes]], list[bytes]]) -> bytes:
-    lines = DANISH.split(b"\n")
-    lines[line] = b",".join(change(lines[line].split(b",")))
-    return b"\n".join(lines)
-
-
 def chunk_of(path):
     layout = recognise(path)
     assert layout is not None
@@ -67,7 +61,9 @@ def test_a_byte_that_is_no_text_costs_its_row_only(tmp_path):
         lambda cells: [*cells, b"\xff", b"\xff"],
         lambda cells: [b"\0\xff" * 40, *cells[1:]],
     ):
-        (tmp_path / "log.csv").write_bytes(spoilt(5, change))
+        lines = DANISH.split(b"\n")
+        lines[5] = b",".join(change(lines[5].split(b",")))
+        (tmp_path / "log.csv").write_bytes(b"\n".join(lines))
         chunk, whole = chunk_of(tmp_path / "log.csv"), chunk_of(SAMPLES / "danish.csv")
         assert chunk.dropped["unreadable"] == 1
         assert set(whole.positions.row.tolist()) - set(chunk.positions.row.tolist()) == {6}

@@ -76,14 +76,6 @@ def replace_table(run: Path, name: str, table: pa.Table) -> None:
     relist(run)
 
 
-def replace_value(run: Path, name: str, column: str, row: int, value: Any) -> None:
-    table = read(run, name)
-    values = table[column].to_pylist()
-    values[row] = value
-    place = table.column_names.index(column)
-    replace_table(run, name, table.set_column(place, column, pa.array(values, table[column].type)))
-
-
 def commands(run: Path, out: Path) -> dict[str, tuple[object, ...]]:
     return {
         "picture": ("view", "frame", run, 0, "--out", out / "picture.png"),
@@ -158,7 +150,10 @@ WRONG = {  # table, column, row, value, part of the message
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_value_is_named_with_its_file_row_and_column(run, wrong):
     name, column, row, value, message = WRONG[wrong]
-    replace_value(run, name, column, row, value)
+    table = read(run, name)
+    values, place = table[column].to_pylist(), table.column_names.index(column)
+    values[row] = value
+    replace_table(run, name, table.set_column(place, column, pa.array(values, table[column].type)))
     with pytest.raises(RunDirectoryError, match=rf"{name}\.parquet|frames\.parquet") as refused:
         open_run(run).tables()
     refused.match(message)

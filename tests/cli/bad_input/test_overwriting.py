@@ -14,7 +14,7 @@ from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.sources import compare
-from tests.cli.bad_input.builders import Call, Inputs, refusal
+from tests.cli.bad_input.builders import refusal
 from tests.cli.bad_input.writers import scene_file
 from tests.run_folders import interrupt, run_files
 
@@ -29,28 +29,21 @@ def write(folder: Path, files: dict[str, str]) -> dict[str, bytes]:
     return {name: text.encode() for name, text in files.items()}
 
 
-@pytest.fixture
-def project(inputs: Inputs, call: Call) -> Path:
-    """A folder that holds a run, notes and the very scene that is run."""
-    scene = inputs.write()
-    run_scene(load_scene(scene), scene.parent / "out")
-    for path in (scene.parent / "out").iterdir():
-        path.rename(scene.parent / path.name)
-    (scene.parent / "out").rmdir()
-    return scene.parent
-
-
-def test_what_no_run_has_written_stays_the_scene_that_is_run_included(project, call):
+def test_what_no_run_has_written_stays_the_scene_that_is_run_included(inputs, call):
+    scene, project = inputs.write(), inputs.folder
+    run_scene(load_scene(scene), project / "out")
+    for path in (project / "out").iterdir():
+        path.rename(project / path.name)
+    (project / "out").rmdir()
     notes = write(project, NOTES)
     before = run_files(project)
-    status, said = call("run", project / "scene.yaml", "--out", project, "--overwrite", "--seed", 7, "--no-sheet")
+    status, said = call("run", scene, "--out", project, "--overwrite", "--seed", 7, "--no-sheet")
     assert status == 0, said
     after = run_files(project)
     assert after.keys() == before.keys() and notes.items() <= after.items()
     run = json.loads(after["run.json"])
     assert run["seed"] == 7
-    changed = {name for name in after if after[name] != before[name]}
-    assert changed <= {"run.json", *run["files"]}
+    assert {name for name in after if after[name] != before[name]} <= {"run.json", *run["files"]}
 
 
 def test_nothing_of_the_old_run_stays_beside_the_new_one(inputs, call, tmp_path, monkeypatch):
