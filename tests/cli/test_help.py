@@ -33,7 +33,7 @@ OPTIONS = [(name, each) for name, command in LEAVES.items() for each in command.
 HEAVY = ("numpy", "scipy", "pyarrow", "OpenGL", "matplotlib", "PIL", "trimesh", "shapely", "pyrender")
 
 
-def test_every_command_and_group_has_help(modsim3d: Modsim3d, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_and_group_has_help_and_the_root_has_a_line_for_each(modsim3d: Modsim3d, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     for name in ("", *GROUPS, *LEAVES):
         said = modsim3d(*name.split(), "-h")
@@ -45,6 +45,13 @@ def test_every_command_and_group_has_help(modsim3d: Modsim3d, monkeypatch: pytes
         said = modsim3d(*name.split())
         assert said.status == 2 and "Usage: modsim3d" in said.out + said.err
         assert " -h " in said.out + said.err
+    lines = modsim3d("-h").out.splitlines()
+    shown = [(panel, name, text) for panel, name, _, text in COMMANDS if " " not in name]
+    for panel, name, short_help in (*shown, *((panel, name, text) for name, (panel, text) in GROUPS.items())):
+        assert any(line.strip("│ ").split(maxsplit=1) == [name, short_help] for line in lines), name
+        assert any(line.startswith(f"╭─ {panel} ─") for line in lines)
+    examples = [line for line in lines if line.startswith(" modsim3d ")]
+    assert len(examples) == 5
 
 
 def options_by_name() -> dict[str, dict[str, Any]]:
@@ -118,17 +125,6 @@ def test_out_has_one_meaning_and_learn_names_every_model_that_can_be_left_out() 
     files = ("learn", "learn-voyage", "report", "view film", "view frame", "view map", "campaign table")
     files += ("campaign report",)
     assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
-
-
-def test_the_root_help_has_every_command_on_one_line_of_80_columns(modsim3d, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    lines = modsim3d("-h").out.splitlines()
-    shown = [(panel, name, text) for panel, name, _, text in COMMANDS if " " not in name]
-    for panel, name, short_help in (*shown, *((panel, name, text) for name, (panel, text) in GROUPS.items())):
-        assert any(line.strip("│ ").split(maxsplit=1) == [name, short_help] for line in lines), name
-        assert any(line.startswith(f"╭─ {panel} ─") for line in lines)
-    examples = [line for line in lines if line.startswith(" modsim3d ")]
-    assert len(examples) == 5
 
 
 @pytest.mark.parametrize("arguments", [["-h"], ["run", "-h"], ["--version"], []])

@@ -71,16 +71,6 @@ def test_an_error_is_text_on_standard_error(modsim3d: Modsim3d, tmp_path: Path, 
     assert (said.status, said.out) == (2, "") and said.err.startswith("modsim3d: ")
 
 
-def test_what_a_run_counts_is_in_its_object_by_itself(modsim3d, lines, tmp_path):
-    found = parsed(modsim3d(*lines["run"], "--json"))
-    assert {field.name for field in fields(RunResult)} <= set(found)
-    assert {field.name for field in fields(Counts)} == set(found["counts"])
-    assert all(set(counts) == set(found["counts"]) for counts in found["camera_counts"].values())
-    stored = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert found["counts"] == stored["counts"]
-    assert found["contact_sheet"] == str(tmp_path / "run" / "contact_sheet.png")
-
-
 def test_warnings_are_in_the_object_and_on_standard_error(modsim3d, monkeypatch, lines, tmp_path: Path) -> None:
     text = shipped_detectors()["coastal"].read_text(encoding="utf-8")
     file = tmp_path / "detector.yaml"
@@ -98,7 +88,7 @@ def test_warnings_are_in_the_object_and_on_standard_error(modsim3d, monkeypatch,
     assert "warning: the sea is flat" in said.err
 
 
-def test_the_objects_say_what_the_text_says(modsim3d, lines, run, tmp_path):
+def test_the_objects_say_what_the_text_says_and_what_a_run_counts(modsim3d, lines, run, tmp_path):
     verified = parsed(modsim3d(*lines["check run"], "--json"))
     stored = json.loads((tmp_path / "verify" / "verify.json").read_text())
     assert {key: verified[key] for key in stored} == stored
@@ -111,6 +101,13 @@ def test_the_objects_say_what_the_text_says(modsim3d, lines, run, tmp_path):
     assert checked["steps"] == 40 and sum(checked["stationary_shares"].values()) == pytest.approx(1)
     scenes = {entry["name"]: entry["path"] for entry in parsed(modsim3d("scenes", "--json"))["scenes"]}
     assert Path(scenes["harbour"]).is_file()
+    found = parsed(modsim3d(*lines["run"], "--json"))
+    assert {field.name for field in fields(RunResult)} <= set(found)
+    assert {field.name for field in fields(Counts)} == set(found["counts"])
+    assert all(set(counts) == set(found["counts"]) for counts in found["camera_counts"].values())
+    stored = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert found["counts"] == stored["counts"]
+    assert found["contact_sheet"] == str(tmp_path / "run" / "contact_sheet.png")
 
 
 def test_text_of_an_input_cannot_command_the_terminal_and_what_is_no_number_is_null(capsysbinary) -> None:

@@ -211,13 +211,7 @@ def test_a_port_that_is_taken_and_one_that_other_computers_reach_are_told(modsim
     assert said.err.startswith("warning: whoever reaches this computer at tcp://0.0.0.0:")
 
 
-def test_standard_output_that_is_not_there_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdout", None)
-    with pytest.raises(ModsimError, match="there is no standard output"):
-        terminal.write_at_once(b"x")
-
-
-def test_a_pipe_that_does_not_block_gets_every_byte(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_that_does_not_block_gets_every_byte_and_no_output_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """As a shell or a parent in Node.js may leave it."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
@@ -230,6 +224,9 @@ def test_a_pipe_that_does_not_block_gets_every_byte(monkeypatch: pytest.MonkeyPa
         sending.join(LONG_S)
         monkeypatch.undo()
     assert received == given
+    monkeypatch.setattr(sys, "stdout", None)
+    with pytest.raises(ModsimError, match="there is no standard output"):
+        terminal.write_at_once(b"x")
 
 
 PROGRAM = f"{sys.executable} -m modsim3d"

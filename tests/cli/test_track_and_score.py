@@ -78,7 +78,7 @@ def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks):
         assert said in found.err and found.err.count("\n") == 1
 
 
-def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(modsim3d, run, tmp_path):
+def test_track_says_the_tracker_its_settings_the_counts_and_what_comes_next(modsim3d, run, tmp_path):
     out = tmp_path / "my tracks"
     said = modsim3d("track", run, "--set", "confirm_hits=1", "--out", out)
     assert said.status == 0
@@ -89,6 +89,10 @@ def test_it_says_the_tracker_its_settings_the_counts_and_what_comes_next(modsim3
     assert row.split()[:2] == ["C0", "40"]
     assert f"  {out / 'tracks.parquet'}" in lines and f"  {out / 'tracks.json'}" in lines
     assert lines[-1] == f"  modsim3d score {run} '{out}'"
+    said = modsim3d("track", run, "--set", "start_confidence=1.0", "--set", "confirm_hits=100", "--out", tmp_path / "t")
+    assert said.status == 0
+    row = next(line for line in said.out.splitlines() if line.startswith("C0 "))
+    assert row.split()[3:] == ["0", "0", "-"]
 
 
 def test_wrong_options_are_one_message_and_leave_nothing(modsim3d, run, tmp_path):
@@ -104,13 +108,6 @@ def test_wrong_options_are_one_message_and_leave_nothing(modsim3d, run, tmp_path
         assert (said.status, said.out) == (2, "")
         assert part in said.err and "Traceback" not in said.err
         assert not (tmp_path / "out").exists()
-
-
-def test_tracks_of_nothing_have_no_median_time(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
-    said = modsim3d("track", run, "--set", "start_confidence=1.0", "--set", "confirm_hits=100", "--out", tmp_path / "t")
-    assert said.status == 0
-    row = next(line for line in said.out.splitlines() if line.startswith("C0 "))
-    assert row.split()[3:] == ["0", "0", "-"]
 
 
 def test_in_fog_more_is_missed_and_one_option_says_so(tmp_path: Path, modsim3d: Modsim3d) -> None:

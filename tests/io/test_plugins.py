@@ -177,10 +177,18 @@ def test_wave_level_of_a_plugin_gives_its_axes_and_own_levels_need_no_plugin(sit
     assert "must be three modsim3d.plugins.Axis, for roll, pitch, yaw" in problem
 
 
-def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
-    site.add("yard", "1", "yard", MODULE + "\nlaunch = 3\ndef sink(): return 1 / 0\n", {
-        SHAPES: {"barge": "yard:barge", "launch": "yard:launch", "sink": "yard:sink"}
-    })  # fmt: skip
+def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_closed_mesh_and_names_its_package(site, tmp_path):
+    shapes = {name: f"yard:{name}" for name in ("barge", "launch", "sink")}
+    site.add("yard", "1", "yard", MODULE + "\nlaunch = 3\ndef sink(): return 1 / 0\n", {SHAPES: shapes})
+    path = crossing(tmp_path)
+    plain, scene = load_scene(path), load_scene(path, settings={"vessels.boat.mesh": "barge"})
+    assert [plugin.package for plugin in scene.plugins] == ["yard 1"]
+    assert scene.vessels[0].has_mesh
+    for one, other in zip(simulate_frames(scene), simulate_frames(plain), strict=True):
+        np.testing.assert_array_equal(one.truth.visible_px, other.truth.visible_px)
+        np.testing.assert_array_equal(one.truth.full_boxes_px, other.truth.full_boxes_px)
+    with pytest.raises(InputError, match=r"vessels\.boat\.mesh: nothing is called 'bargee' here.*barge"):
+        load_scene(path, settings={"vessels.boat.mesh": "bargee"})
     solid, plugin = find_shape("barge", "vessels.a.shape")
     np.testing.assert_array_equal(solid.vertices, shoebox().vertices)
     assert solid.convex and signed_volume(solid.vertices, solid.faces) == pytest.approx(1)
@@ -194,19 +202,6 @@ def test_shape_of_a_plugin_is_a_closed_mesh_in_units_of_the_vessel(site):
     ):
         with pytest.raises(InputError, match=rf"vessels\.a\.shape(.|\n)*{re.escape(part)}"):
             find_shape(name, "vessels.a.shape", ("ferry",))
-
-
-def test_scene_with_a_shape_of_a_plugin_has_the_truth_of_that_shape_and_names_its_package(site, tmp_path):
-    site.add("yard", "1", "yard", MODULE, {SHAPES: {"barge": "yard:barge"}})
-    path = crossing(tmp_path)
-    plain, scene = load_scene(path), load_scene(path, settings={"vessels.boat.mesh": "barge"})
-    assert [plugin.package for plugin in scene.plugins] == ["yard 1"]
-    assert scene.vessels[0].has_mesh
-    for one, other in zip(simulate_frames(scene), simulate_frames(plain), strict=True):
-        np.testing.assert_array_equal(one.truth.visible_px, other.truth.visible_px)
-        np.testing.assert_array_equal(one.truth.full_boxes_px, other.truth.full_boxes_px)
-    with pytest.raises(InputError, match=r"vessels\.boat\.mesh: nothing is called 'bargee' here.*barge"):
-        load_scene(path, settings={"vessels.boat.mesh": "bargee"})
 
 
 def test_what_is_no_shape_of_a_vessel_is_told():

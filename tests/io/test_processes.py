@@ -172,15 +172,7 @@ def test_a_worker_process_that_dies_while_it_sends_its_result_is_told() -> None:
     subprocess.run([sys.executable, "-c", code], cwd=root, check=True, timeout=60)
 
 
-def test_auto_is_the_cpus_that_this_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
-    if hasattr(os, "process_cpu_count"):
-        monkeypatch.setattr(os, "process_cpu_count", lambda: 3)
-    else:
-        monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 4, 5})
-    assert worker_count("auto") == 3
-
-
-def test_numbers_are_taken_as_they_are_and_anything_else_is_one_clear_error() -> None:
+def test_workers_are_a_number_or_auto_for_the_usable_cpus_and_anything_else_is_one_error(monkeypatch) -> None:
     assert [worker_count(n) for n in (1, 7, np.int64(2))] == [1, 7, 2]  # type: ignore[list-item]
     assert [parse_workers(text) for text in ("1", "16", "auto")] == [1, 16, "auto"]
     wrong: tuple[Any, ...] = (0, -1, 2.0, True, None, "2", "AUTO", "", MAX_WORKERS + 1)
@@ -189,6 +181,11 @@ def test_numbers_are_taken_as_they_are_and_anything_else_is_one_clear_error() ->
             worker_count(workers)
         with pytest.raises(ModsimError, match="workers: needs a number"):
             open_workers(workers, "", open)
+    if hasattr(os, "process_cpu_count"):
+        monkeypatch.setattr(os, "process_cpu_count", lambda: 3)
+    else:
+        monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 4, 5})
+    assert worker_count("auto") == 3
 
 
 @pytest.mark.parametrize("command", ["run", "detect", "check repeat", "view film"])
