@@ -14,7 +14,7 @@ from tests.cli.bad_input.builders import refusal
 from tests.cli.conftest import Modsim3d
 
 
-def test_run_says_what_happened_and_writes_the_same_contact_sheet_again(monkeypatch, tmp_path, capsys):
+def test_run_says_what_happened_writes_the_same_contact_sheet_again_and_ctrl_c_ends_it(monkeypatch, tmp_path, capsys):
     for out in (tmp_path / "a", tmp_path / "b"):
         line = ("run", "simulation_1", "--mode", 2, "--steps", 160, "--out", out)
         assert command_line.call(monkeypatch, *line) == 0
@@ -24,6 +24,13 @@ def test_run_says_what_happened_and_writes_the_same_contact_sheet_again(monkeypa
     with Image.open(tmp_path / "a/contact_sheet.png") as sheet:
         assert sheet.size[0] > 1000 and len(sheet.convert("RGB").getcolors(maxcolors=2**24)) > 20
     assert (tmp_path / "a/contact_sheet.png").read_bytes() == (tmp_path / "b/contact_sheet.png").read_bytes()
+
+    def press_ctrl_c(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(main, "_asked", press_ctrl_c)
+    assert command_line.call(monkeypatch, "run", "simulation_1") == 130
+    assert capsys.readouterr().err == "modsim3d: interrupted\n"
 
 
 def test_run_in_mode_zero_needs_no_renderer_with_the_analytic_source(tmp_path):
@@ -47,15 +54,6 @@ def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):
         ("score", run, tmp_path / "tracks"),
     ):
         assert command_line.call(monkeypatch, *command) in (0, 1), command
-
-
-def test_ctrl_c_before_a_command_begins_is_one_message(monkeypatch, capsys):
-    def press_ctrl_c(_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(main, "_asked", press_ctrl_c)
-    assert command_line.call(monkeypatch, "run", "simulation_1") == 130
-    assert capsys.readouterr().err == "modsim3d: interrupted\n"
 
 
 def test_commands_that_write_nothing_answer_and_check_knows_a_campaign_and_a_detector_by_their_keys(call):

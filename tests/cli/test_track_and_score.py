@@ -21,7 +21,7 @@ def tracks(run: Path, tmp_path: Path) -> Path:
     return track_run(run, tmp_path / "tracks").folder
 
 
-def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsim3d, run: Path, tracks: Path) -> None:
+def test_a_score_prints_trackers_beside_references_and_rules_and_its_help_tracks_once(modsim3d, run, tracks) -> None:
     said = modsim3d("score", run, tracks, "--similarity", "centre:150", "--gospa", 70, "--seeds", 2)
     assert said.status == 0
     for part in (
@@ -32,6 +32,8 @@ def test_a_score_prints_trackers_beside_references_and_the_rules(modsim3d: Modsi
     ):
         assert part in said.out
     assert not (run / "score.json").exists()
+    usage = modsim3d("score", "-h").out.split("Example")[0]
+    assert usage.count("RUN") == usage.count("TRACKS") == 1
 
 
 def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(modsim3d, run, tracks, tmp_path):
@@ -54,11 +56,6 @@ def test_where_vessels_are_lost_and_detector_seeds_are_tables_at_80_columns(mods
     header = next(place for place in range(first, len(lines)) if lines[place].startswith("tracker"))
     assert lines[header].split()[:4] == ["tracker", "score", "mean", "standard"]
     assert lines[header + 1].split()[0] == "deviation"
-
-
-def test_tracks_are_named_once_in_the_help(modsim3d: Modsim3d) -> None:
-    usage = modsim3d("score", "-h").out.split("Example")[0]
-    assert usage.count("RUN") == usage.count("TRACKS") == 1
 
 
 def test_a_rule_out_of_range_is_one_line(modsim3d, run, tracks):

@@ -248,7 +248,12 @@ def test_neither_another_vessel_nor_a_curved_sea_nor_blocks_of_steps_show_in_rep
     assert sent(scene_of(100, waves=waves), 100) == whole
 
 
-def test_no_random_number_is_used_twice(monkeypatch):
+def test_a_track_is_steady_where_the_heading_passes_the_world_s_first_axis_and_no_number_is_drawn_twice(monkeypatch):
+    turner = [station for station in stations(scene_of(), ()) if station.name == "turner"]
+    ((stay,),) = stays(scene_of(), STEPS, turner)
+    assert np.rad2deg(stay.turn_rad_s) == pytest.approx(1.0, abs=1e-6)
+    assert np.linalg.norm(stay.velocity_m_s, axis=1) == pytest.approx(np.deg2rad(1) * np.hypot(250, 15), rel=1e-3)
+    assert np.rad2deg(np.ptp(stay.heading_rad)) == pytest.approx(STEPS - 1) and not stay.at_rest
     drawn: list[tuple[Any, ...]] = []
     uniforms = Streams.uniforms
 
@@ -259,14 +264,6 @@ def test_no_random_number_is_used_twice(monkeypatch):
     monkeypatch.setattr(Streams, "uniforms", recorded)
     assert sent(scene_of(), STEPS)
     assert len(drawn) == len(set(drawn)) > 0
-
-
-def test_a_track_is_steady_where_the_heading_passes_the_world_s_first_axis():
-    turner = [station for station in stations(scene_of(), ()) if station.name == "turner"]
-    ((stay,),) = stays(scene_of(), STEPS, turner)
-    assert np.rad2deg(stay.turn_rad_s) == pytest.approx(1.0, abs=1e-6)
-    assert np.linalg.norm(stay.velocity_m_s, axis=1) == pytest.approx(np.deg2rad(1) * np.hypot(250, 15), rel=1e-3)
-    assert np.rad2deg(np.ptp(stay.heading_rad)) == pytest.approx(STEPS - 1) and not stay.at_rest
 
 
 def test_what_is_lost_is_others_and_a_camera_ashore_has_no_own_ship(run):

@@ -276,7 +276,7 @@ def test_a_row_two_rows_and_two_points_are_the_same_line_and_what_is_no_horizon_
         assert written_horizon(sea, 640.0) is None, sea
 
 
-def test_images_that_say_their_horizon_keep_it():
+def test_images_that_say_their_horizon_keep_it_and_others_take_that_of_the_option(tmp_path):
     labelled = random_set(0, image_count=2)
     labelled = replace(labelled, images=images(2, half_planes=np.array([UNKNOWN, (0.0, 1.0, -50.0)])))
     assert with_horizon(labelled, None) is labelled
@@ -284,9 +284,6 @@ def test_images_that_say_their_horizon_keep_it():
     np.testing.assert_array_equal(found, [[0, 1, -200], [0, 1, -50]])
     with pytest.raises(InputError, match="lies below images of 600 × 600 px"):
         with_horizon(labelled, (700.0,))
-
-
-def test_files_without_a_horizon_take_that_of_the_option(tmp_path):
     files = tmp_path / "gt.txt", tmp_path / "det.txt"
     for path, line in zip(files, ("1,3,10,20,30,40,1,1,0.5\n", "1,-1,12,20,30,40,0.9\n"), strict=True):
         path.write_text(line)

@@ -105,9 +105,6 @@ def test_a_whole_number_is_a_track_however_it_is_written_and_other_numbers_are_n
     for track, said in ((2.19e8, scientific), (1.5, whole), (True, whole), ([4], whole)):
         with pytest.raises(InputError, match=said):
             of_track(track_id=track)
-
-
-def test_tracks_that_single_precision_holds_by_chance_are_read():
     mmsi = [219_012_352 + 16 * k for k in range(5)]
     assert are_rounded(mmsi) and not are_rounded([*mmsi, 219_012_345]) and not are_rounded(mmsi[:3])
     assert not are_rounded([219_000_000 + 2000 * k for k in range(9)])  # as many ships really have

@@ -72,7 +72,9 @@ def test_only_a_short_clear_error_that_names_the_source_is_a_refusal(tmp_path: P
     assert "\t" not in printed(ModsimError("a\tb"))
 
 
-def test_a_process_that_crashes_or_hangs_is_the_result_of_one_case(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_crashes_hangs_or_takes_too_much_is_the_result_of_one_case(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     import dataclasses
     import os
 
@@ -91,9 +93,6 @@ def test_a_process_that_crashes_or_hangs_is_the_result_of_one_case(monkeypatch: 
     assert sorted(found) == list(range(8))
     assert found[3].place == "crash" and found[5].place == "hang" and found[6].said.startswith("MemoryError")
     assert all(found[number].verdict == ACCEPTED for number in (0, 1, 2, 4, 7))
-
-
-def test_too_much_time_or_memory_is_a_failure() -> None:
     accepted = outcome_of(lambda folder: None, Path())
     assert within_limits(Result(0, accepted, 1.9, 10**8)).verdict == ACCEPTED
     assert within_limits(Result(0, accepted, 2.1, 10**8)).place == "time"

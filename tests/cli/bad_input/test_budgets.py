@@ -136,16 +136,15 @@ def test_numbers_beyond_all_floats_are_told(inputs: Inputs, refused: Refused, nu
         assert len(said) < 1000
 
 
-def test_a_wrong_mesh_is_told_once_and_long_names_lose_their_middle(inputs: Inputs, refused: Refused) -> None:
+def test_mistakes_are_told_once_not_all_of_thousands_and_long_names_without_their_middle(
+    inputs: Inputs, refused: Refused
+) -> None:
     inputs.set("vessels", "vehicle2/mesh", {"file": 5})
     said = refused(inputs.write(), "vehicle2.mesh: the name of a shipped mesh, a file, or a mapping of file")
     assert "dict" not in said and said.count("vehicle2.mesh") == 1  # no word of Python
     inputs.data["scene"]["x" * 500_000] = 1
     inputs.set("vessels", "vehicle1/label", "Vessel" * 50_000)
     assert len(refused(inputs.write(), ": unknown key", "is not one of the detector's labels (known: Vessel)")) < 20_000
-
-
-def test_mistakes_in_thousands_of_entries_are_not_all_told(inputs: Inputs, refused: Refused) -> None:
     inputs.data["scene"]["cameras"] |= {f"c{k}": {"mount": {"vessel": f"w{k}"}} for k in range(2000)}
     inputs.data["vessels"] |= {f"v{k}": {"label": "x"} for k in range(2000)}
     inputs.data["poses"]["1.0"] = {f"u{k}": {} for k in range(2000)}
