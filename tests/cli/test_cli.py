@@ -35,8 +35,9 @@ def test_run_says_what_happened_writes_the_same_contact_sheet_again_and_ctrl_c_e
 
 def test_run_in_mode_zero_needs_no_renderer_with_the_analytic_source(tmp_path):
     line = ["modsim3d", "run", "simulation_1", "--steps", "20", "--source", "analytic", "--out", str(tmp_path / "run")]
-    start = f"import sys; sys.modules['OpenGL'] = None; sys.argv = {line!r}"
-    script = f"{start}\nfrom modsim3d.cli.main import main\nmain()"
+    script = (
+        f"import sys; sys.modules['OpenGL'] = None; sys.argv = {line!r}\nfrom modsim3d.cli.main import main\nmain()"
+    )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "truth.parquet").exists()

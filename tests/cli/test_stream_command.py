@@ -165,8 +165,7 @@ def test_live_poses_go_to_readers_step_by_step_who_may_leave_come_back_and_send(
     assert [entry["step"] for entry in known[1:]] == [0, 0, 1, 1, 2, 2]
     assert rest == known[4:]
     status, _, said = end_of(process)
-    assert status == 2
-    assert "line 4: one time step is needed" in said
+    assert status == 2 and "line 4: one time step is needed" in said
 
 
 def test_a_reader_of_standard_output_that_goes_away_ends_it_quietly(live: Path, start: Start) -> None:
