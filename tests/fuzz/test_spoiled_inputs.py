@@ -14,7 +14,6 @@ from tests.fuzz.readers import READERS
 from tests.fuzz.workers import Result, tried, within_limits
 
 SAMPLE = 20
-SAMPLE_OF_SCENES = 120
 KEPT = [(name, entry) for name in READERS for entry in kept_inputs(name)]
 
 
@@ -27,7 +26,7 @@ def test_good_inputs_are_accepted(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", READERS)
 def test_a_sample_of_cases_is_accepted_or_refused(name: str, tmp_path: Path) -> None:
-    for number in range(SAMPLE_OF_SCENES if name == "scene" else SAMPLE):
+    for number in range(SAMPLE):
         write_files(files_of(name, number), tmp_path / str(number))
         outcome = outcome_of(READERS[name].read, tmp_path / str(number), READERS[name].also_names)
         assert outcome.verdict != FAILED, (number, outcome)

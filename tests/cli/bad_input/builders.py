@@ -75,10 +75,11 @@ class Inputs:
         section = self.data[file]
         for name in sections:
             section = section[int(name) if isinstance(section, list) else name]
+        place = int(last) if isinstance(section, list) else last
         if value is DELETED:
-            del section[last]
+            del section[place]
         else:
-            section[int(last) if isinstance(section, list) else last] = value
+            section[place] = value
 
     def path(self, file: str) -> Path:
         return self.folder / FILES[file]

@@ -1,16 +1,33 @@
 """Mistakes in a scene's files get one clear error with their place, exit status 2 and no traceback."""
 
+import copy
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from modsim3d.cli.run_summary import run_warnings
+from modsim3d.core.errors import InputError
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import ASHORE, CIRCULAR, COVARIANCE, DELETED, GOOD, Call, Inputs, Refused, at, lens
+from tests.cli.bad_input.builders import (
+    ASHORE,
+    CIRCULAR,
+    COVARIANCE,
+    DELETED,
+    GOOD,
+    Call,
+    Inputs,
+    Refused,
+    at,
+    lens,
+    places,
+)
 from tests.command_line import call
 
 CONFUSION, ERRORS = "states/clear/confusion", "states/clear/box_error/covariance"
@@ -356,3 +373,29 @@ def test_vessels_without_room_are_warned_of(tmp_path, monkeypatch, capsys):
     assert any(warning.startswith(said) for warning in run_warnings(loaded, result))
     assert call(monkeypatch, "check", "scene", scene, "--json") == 0
     assert any(warning.startswith(said) for warning in json.loads(capsys.readouterr().out)["warnings"])
+
+
+PLACES = [(file, *path) for file in GOOD for path in places(GOOD[file])]
+SPOILERS = st.one_of(
+    st.sampled_from(
+        [DELETED, None, True, "", "x", [], {}, [None], {"x": 1}, 0, -1, 1.5, 10**18, 10**400, 1e300, -1e308]
+    ),
+    st.sampled_from([float("nan"), float("inf"), 5e-324, "vehicle1", "1e5", "\u2028", "a/b", "a\0", ".", "poses.json"]),
+    *(st.just(DELETED), st.floats(), st.integers(), st.text(max_size=8).filter(lambda text: text.isprintable())),
+)
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.tuples(st.sampled_from(PLACES), SPOILERS), min_size=1, max_size=3), st.booleans())
+def test_any_mapping_is_read_or_refused_with_an_input_error(tmp_path_factory, changes, circular):
+    inputs = Inputs(tmp_path_factory.mktemp("any"), copy.deepcopy(GOOD))
+    if circular:
+        inputs.data["scene"].update(copy.deepcopy({"poses": CIRCULAR, "steps": 5, "time_step_s": 0.5}))
+        inputs.data["scene"]["cameras"].pop("shore")
+    for (file, *path), value in changes:
+        with suppress(KeyError, IndexError, TypeError, ValueError):  # an earlier change took this place away
+            inputs.set(file, "/".join(map(str, path)), value if value is DELETED else copy.deepcopy(value))
+    try:
+        assert load_scene(inputs.write()).steps > 0
+    except InputError as error:
+        assert error.problems and all(re.match(r"[^:]", problem) for problem in error.problems)
