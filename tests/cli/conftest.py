@@ -1,5 +1,6 @@
-"""A small finished run, and the command line with its two streams apart."""
+"""A small finished run, the command line with its two streams apart, and a scene to spoil."""
 
+import copy
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -8,6 +9,7 @@ import pytest
 
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
+from tests.cli.bad_input.builders import GOOD, Call, Inputs, Refused, refusal
 from tests.cli.bad_input.writers import TRACKS
 from tests.command_line import call
 from tests.scenes import crossing
@@ -71,3 +73,24 @@ def lines(scene: Path, run: Path, tmp_path: Path) -> dict[str, tuple[object, ...
         "view frame": ("view", "frame", run, 3, "--width", 160, "--out", tmp_path / "picture.png"),
         "learn": ("learn", run, "--replicates", 20, "--out", tmp_path / "learned.yaml"),
     }
+
+
+@pytest.fixture
+def inputs(tmp_path: Path) -> Inputs:
+    return Inputs(tmp_path / "in", copy.deepcopy(GOOD))
+
+
+@pytest.fixture
+def refused(call: Call, tmp_path: Path) -> Refused:
+    """Function that asserts that `check` and `run` refuse a scene with some parts in their message, leaving nothing."""
+
+    def look(scene: object, *parts: str, options: tuple[object, ...] = ()) -> str:
+        out = tmp_path / "out" / "run"
+        commands = [("run", scene, "--out", out, "--no-sheet", *options)]
+        if not options:
+            commands.append(("check", "scene", scene))
+        said = [refusal(call, command, *parts) for command in commands]
+        assert not out.parent.exists()
+        return said[-1]
+
+    return look

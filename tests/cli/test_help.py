@@ -105,8 +105,15 @@ def test_a_new_command_does_not_take_the_old_options_nor_a_misspelt_name(modsim3
     assert said.status == 2 and "status" in said.err and "is now" not in said.err
 
 
-def test_options_that_are_called_as_what_they_take_say_their_name() -> None:
-    """Typer 0.27 takes the metavar for the name of an option without one: `--SOURCE` for `--source`."""
+def test_out_has_one_meaning_options_say_their_name_and_learn_names_what_can_be_left_out() -> None:
+    (said,) = (p.help for name, p in OPTIONS if (name, p.name) == ("learn", "without"))
+    assert said.partition(": ")[2].rstrip(".").split(", ") == list(RICHER)
+    metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
+    folders = ("run", "detect", "ais", "check truth", "check run", "export", "track", "score", "campaign run")
+    files = ("learn", "learn-voyage", "report", "view film", "view frame", "view map", "campaign table")
+    files += ("campaign report",)
+    assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
+    # Typer 0.27 takes the metavar for the name of an option without one: `--SOURCE` for `--source`.
     unnamed = []
     for _, name, command, _ in COMMANDS:
         for parameter, hint in get_type_hints(command, include_extras=True).items():
@@ -115,16 +122,6 @@ def test_options_that_are_called_as_what_they_take_say_their_name() -> None:
                 if isinstance(option, typer.models.OptionInfo) and not isinstance(option.default, str):
                     unnamed += [f"{name} --{parameter}"] if option.metavar == parameter.upper() else []
     assert unnamed == []
-
-
-def test_out_has_one_meaning_and_learn_names_every_model_that_can_be_left_out() -> None:
-    (said,) = (p.help for name, p in OPTIONS if (name, p.name) == ("learn", "without"))
-    assert said.partition(": ")[2].rstrip(".").split(", ") == list(RICHER)
-    metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
-    folders = ("run", "detect", "ais", "check truth", "check run", "export", "track", "score", "campaign run")
-    files = ("learn", "learn-voyage", "report", "view film", "view frame", "view map", "campaign table")
-    files += ("campaign report",)
-    assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
 
 
 @pytest.mark.parametrize("arguments", [["-h"], ["run", "-h"], ["--version"], []])

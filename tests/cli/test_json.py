@@ -125,14 +125,6 @@ TRIED = ("run", "detect", "check scene", "check run", "check repeat", "check tru
 TRIED += ("view frame", "track")
 
 
-def test_every_command_with_something_to_tell_has_both_options() -> None:
-    have = {name for name, parameter in OPTIONS if parameter.name in ("quiet", "verbose")}
-    assert have == LEAVES.keys() - {"scenes"}
-    for name in have:
-        opts = [opt for parameter in LEAVES[name].params for opt in parameter.opts]
-        assert {"-q", "--quiet", "-v", "--verbose"} <= set(opts)
-
-
 @pytest.mark.parametrize("command", TRIED)
 def test_verbose_tells_versions_files_and_times_and_quiet_prints_nothing_and_does_the_same(modsim3d, lines, command):
     line = (*lines[command], *(() if command in WITHOUT_OVERWRITE else ("--overwrite",)))
@@ -157,10 +149,15 @@ def test_verbose_names_the_opengl_that_draws(modsim3d, lines, command):
     assert "\nOpenGL    " in modsim3d(*arguments, "-v").err
 
 
-def test_both_are_refused_and_errors_not_silenced(modsim3d: Modsim3d, run: Path) -> None:
+def test_every_command_with_something_to_tell_has_both_options_but_not_at_once(modsim3d: Modsim3d, run: Path) -> None:
     for flags in (("-q", "-v"), ("-v", "-q"), ("-qv",)):
         said = modsim3d("check", "run", run, *flags)
         assert said.status == 2
         assert said.err.endswith("modsim3d: --quiet and --verbose contradict each other: leave one out\n")
     said = modsim3d("check", "scene", "nowhere.yaml", "-q")
     assert (said.status, said.out) == (2, "") and "no such file" in said.err
+    have = {name for name, parameter in OPTIONS if parameter.name in ("quiet", "verbose")}
+    assert have == LEAVES.keys() - {"scenes"}
+    for name in have:
+        opts = [opt for parameter in LEAVES[name].params for opt in parameter.opts]
+        assert {"-q", "--quiet", "-v", "--verbose"} <= set(opts)

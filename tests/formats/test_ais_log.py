@@ -230,15 +230,12 @@ def test_no_truth_is_in_the_log(out, log):
     assert {each.message.shipname.split()[0] for each in log if each.message.msg_type == 5} == {"SIM"}
 
 
-def test_the_same_run_gives_the_same_bytes_and_another_seed_others(run, out, tmp_path):
+def test_the_same_run_gives_the_same_bytes_and_neither_another_vessel_nor_blocks_show(run, out, tmp_path, monkeypatch):
     write(ExportRequest(open_run(run), (0, 1)), tmp_path)
     for name in ("ais.nmea", "ais_truth.csv"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
     first, again, other = (list(reports(scene_of(60, seed=s), 60, stations(scene_of(60), ()))) for s in (3, 3, 4))
     assert first == again != other
-
-
-def test_neither_another_vessel_nor_a_curved_sea_nor_blocks_of_steps_show_in_reports(monkeypatch):
     everyone, waves = sent(scene_of(200), 200), {"level": "large", "apply_to": "all"}
     without = {"vessels": {"sloop": "none", "own": "none"}, "drop_out": 0.1}
     assert set(sent(scene_of(200, ais=without), 200)) < set(everyone)

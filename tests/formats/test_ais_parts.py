@@ -251,7 +251,7 @@ def test_rate_of_turn_is_sent_as_its_root_positive_to_starboard():
             assert abs(log.turn_field(side * turn)) <= 708.8
 
 
-def test_static_data_come_back_without_the_vessels_id():
+def test_static_data_come_back_without_the_vessels_id_and_tag_blocks_have_the_second_of_the_report():
     ship = sent(log.static_fields(station(), 0))
     assert (ship.msg_type, ship.shipname, ship.callsign, ship.ship_type) == (5, "SIM 219000001", "S3MDXHD", 60)
     assert (ship.to_bow, ship.to_stern, ship.to_port, ship.to_starboard) == (60, 30, 7, 8)
@@ -260,9 +260,6 @@ def test_static_data_come_back_without_the_vessels_id():
     assert (name.msg_type, name.partno, name.shipname) == (24, 0, "SIM 219000001")
     assert (size.msg_type, size.partno, size.callsign, size.to_bow, size.to_starboard) == (24, 1, "S3MDXHD", 60, 8)
     assert sent(log.static_fields(station("B", mmsi=982190001), 1)).mothership_mmsi == 0
-
-
-def test_tag_blocks_have_two_digits_of_checksum_and_the_second_of_the_report():
     message = log.payload(log.position_fields(station(), seen(1), 0, False, False))
     for second in range(300):
         (line,) = log.lines(message, True, "B", 0, second + 0.9).splitlines()

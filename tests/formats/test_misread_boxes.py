@@ -361,7 +361,7 @@ def test_numbers_of_frames_are_held_against_the_sequence(tmp_path):
     refused("frames count from 0, must count from 1", *given)
 
 
-def test_options_that_do_nothing_and_sizes_that_are_not_used_are_told(tmp_path):
+def test_options_that_do_nothing_are_told_and_marks_of_a_seqinfo_passed_over(tmp_path):
     labelled = read_mot(tmp_path, ReadOptions(image_size_px=(640, 480), category_offset=1))
     assert has(labelled, "--image-size is not used: seqinfo.ini says 1920 x 1080", "--category-offset is not used: MOT")
     given = ReadOptions(("a", "b", "c"), (640, 480), frame_rate_hz=5)
@@ -370,6 +370,14 @@ def test_options_that_do_nothing_and_sizes_that_are_not_used_are_told(tmp_path):
     given = ReadOptions(NAMES, (WIDTH, HEIGHT), frame_rate_hz=5, category_offset=-1)
     labelled = read_pair("day", *yolo(tmp_path, VIDEO), given)
     assert has(labelled, "--frame-rate is not used: YOLO", "--category-offset is not used: YOLO")
+    truth, found = mot(tmp_path, VIDEO, tail=lambda k, j: "1,1,0")
+    info = tmp_path / "seqinfo.ini"
+    info.write_bytes(b"\xef\xbb\xbf" + info.read_bytes())
+    assert len(read_pair("day", truth, found).images) == 40
+    labelled, kind = read_truth(truth)
+    assert kind == "MOT" and has(labelled, "the visibility of 240 of 240 boxes is 0", "the eighth column is the class")
+    mot(tmp_path, VIDEO, tail=lambda k, j: f"{int(j > 0)},1,{int(j > 0)}")  # what is hidden is not considered
+    assert not has(read_truth(truth)[0], "boxes is 0")
 
 
 def test_numbers_of_classes_that_differ_between_the_files_of_mot_get_one_name_by_labels_without_gaps(tmp_path):
@@ -455,14 +463,3 @@ def test_files_of_names_that_have_none_are_refused(tmp_path, file, text, told):
     folders = yolo(tmp_path, VIDEO)
     (folders[0] / file).write_text(text)
     refused(told, *folders, SIZED)
-
-
-def test_the_marks_of_a_seqinfo_are_passed_over_and_truth_alone_says_the_same(tmp_path):
-    truth, found = mot(tmp_path, VIDEO, tail=lambda k, j: "1,1,0")
-    info = tmp_path / "seqinfo.ini"
-    info.write_bytes(b"\xef\xbb\xbf" + info.read_bytes())
-    assert len(read_pair("day", truth, found).images) == 40
-    labelled, kind = read_truth(truth)
-    assert kind == "MOT" and has(labelled, "the visibility of 240 of 240 boxes is 0", "the eighth column is the class")
-    mot(tmp_path, VIDEO, tail=lambda k, j: f"{int(j > 0)},1,{int(j > 0)}")  # what is hidden is not considered
-    assert not has(read_truth(truth)[0], "boxes is 0")

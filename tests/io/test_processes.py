@@ -84,16 +84,6 @@ def ends_within(seconds: float, work: Callable[[], object]) -> bool:
     return not thread.is_alive()
 
 
-def test_new_interpreters_end_that_never_had_a_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
-
-    def use_no_worker() -> None:
-        with open_workers(2, "try again", open_factor, 3):
-            pass
-
-    assert ends_within(30, use_no_worker)
-
-
 class TakenByAnother(SimpleQueue[Any]):
     """A queue whose last entry another thread takes right after this one has seen that it is not empty."""
 
@@ -104,11 +94,18 @@ class TakenByAnother(SimpleQueue[Any]):
         return was_empty
 
 
-def test_closing_does_not_wait_for_a_task_that_a_worker_takes_meanwhile() -> None:
+def test_closing_waits_neither_for_a_task_that_a_worker_takes_meanwhile_nor_without_one(monkeypatch) -> None:
     processes: _Processes[int] = _Processes([], 2, "try again")
     processes._tasks = TakenByAnother()
     processes._tasks.put((Future(), times, 1))
     assert ends_within(5, processes.close)
+    monkeypatch.setattr("modsim3d.io.processes.may_fork", lambda: False)
+
+    def use_no_worker() -> None:
+        with open_workers(2, "try again", open_factor, 3):
+            pass
+
+    assert ends_within(30, use_no_worker)
 
 
 class ToldByOthers:

@@ -55,7 +55,7 @@ def chunk_of(path):
     return chunk
 
 
-def test_a_byte_that_is_no_text_costs_its_row_only(tmp_path):
+def test_a_byte_that_is_no_text_costs_its_row_only_and_rows_are_numbered_as_in_the_file(tmp_path):
     for change in (
         lambda cells: [cells[0], b"\xff", cells[2], b"\xff", *cells[4:]],
         lambda cells: [*cells, b"\xff", b"\xff"],
@@ -67,9 +67,6 @@ def test_a_byte_that_is_no_text_costs_its_row_only(tmp_path):
         chunk, whole = chunk_of(tmp_path / "log.csv"), chunk_of(SAMPLES / "danish.csv")
         assert chunk.dropped["unreadable"] == 1
         assert set(whole.positions.row.tolist()) - set(chunk.positions.row.tolist()) == {6}
-
-
-def test_rows_are_numbered_as_in_the_file(tmp_path):
     for rows, header, left in (
         ((row(0), row(10).replace(",X,", ",X\rY,"), row(20), row(30, speed="fast")), OLD_HEADER, [2, 3, 4]),
         ((row(0), row(10, speed="fast")), "\n \n" + OLD_HEADER, [4]),
@@ -176,7 +173,12 @@ def test_two_vessels_that_share_an_identity_all_day_are_told_apart_in_pieces() -
     assert np.flatnonzero(~reachable(times, places, 10.0)).tolist() == list(range(1, number, 3))
 
 
-def test_messages_that_never_end_do_not_stay_in_memory_nor_parts_beyond_the_number_of_parts(tmp_path, monkeypatch):
+def test_lines_that_are_no_sentence_are_searched_fast_and_messages_without_end_not_kept(tmp_path, monkeypatch):
+    for filling in ("a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"):
+        line = (filling * 1000)[:900] + "!" + TYPE_1
+        (tmp_path / "log").write_text(REPORT + f"{line}\n" * 2000)
+        (chunk,) = read_nmea(tmp_path / "log")  # each such line took five seconds once
+        assert len(chunk.positions) >= 1
     payload, path = "55?MbV02;H;s<HtKR20EHE:0@T4@Dn2222222216L961O5Gf0NSQEp6ClRp8,0", tmp_path / "log"
     wrong = [sentence(f"AIVDM,{count},{number},1,A,55?MbV02,0") for count, number in ((2, 3), (99, 1), (0, 0))]
     path.write_text("".join(f"1423133048 {line}\n" for line in wrong) + REPORT)
@@ -188,11 +190,3 @@ def test_messages_that_never_end_do_not_stay_in_memory_nor_parts_beyond_the_numb
     first, last = read_nmea(path)
     assert first.dropped["incomplete"] == 3000 - MAX_PENDING
     assert (last.dropped["incomplete"], len(first.positions)) == (MAX_PENDING, 1)
-
-
-def test_a_line_that_is_no_sentence_is_searched_in_time_that_grows_with_its_length(tmp_path):
-    for filling in ("a", "1", "\\", "!", "VD", "!AIVDM,", "*4", "a\\", "$a"):
-        line = (filling * 1000)[:900] + "!" + TYPE_1
-        (tmp_path / "log").write_text(REPORT + f"{line}\n" * 2000)
-        (chunk,) = read_nmea(tmp_path / "log")  # each such line took five seconds once
-        assert len(chunk.positions) >= 1

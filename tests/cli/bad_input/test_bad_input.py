@@ -212,15 +212,12 @@ def test_times_that_do_not_increase_are_told(inputs: Inputs, refused: Refused) -
         refused(inputs.write(), part)
 
 
-def test_repeated_json_keys_are_told_with_their_place(inputs: Inputs, refused: Refused) -> None:
+def test_repeated_json_keys_are_told_and_a_mistake_in_every_line_does_not_fill_the_screen(inputs, refused) -> None:
     scene = inputs.write()
     pose = json.dumps(at(0, 0))
     later = f'"1.0": {{"vehicle1": {pose}, "vehicle1": {pose}}}'
     inputs.path("poses").write_text(f'{{"0.0": {{"vehicle1": {pose}}}, {later}, "0.0": {{}}}}')
     refused(scene, "1.0.vehicle1: the key 'vehicle1' appears twice", "0.0: the key '0.0' appears twice")
-
-
-def test_a_mistake_in_every_line_does_not_fill_the_screen(inputs: Inputs, refused: Refused) -> None:
     inputs.data["poses"] = {f"{t}.0": {"vehicle1": at(t, 0), "vehicel2": at(0, 9)} for t in range(1000)}
     said = refused(inputs.write(), "0.0.vehicel2: no vessel 'vehicel2'", "the rest was not checked")
     assert said.count("\n") < 30

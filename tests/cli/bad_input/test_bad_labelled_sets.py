@@ -116,10 +116,15 @@ def test_a_seqinfo_that_is_none_is_refused(tmp_path: Path, refuse: Refuse) -> No
         assert "secret" not in refuse(*mot(tmp_path), "seqinfo.ini", part)
 
 
-def test_a_class_far_beyond_the_others_costs_one_class(tmp_path: Path) -> None:
+def test_a_class_far_beyond_the_others_costs_one_class_and_many_problems_are_not_kept(tmp_path: Path) -> None:
     labelled = read_pair("day", *yolo(tmp_path, BOX + "9999 .5 .5 .1 .1\n"), ReadOptions(image_size_px=(640, 480)))
     assert labelled.labels == ("class_0", "class_9999")
     assert labelled.annotations.label.tolist() == [0, 1] and labelled.results.label.tolist() == [0]
+    problems = builder.Problems("file", skip=True)
+    for _ in range(50_000):
+        problems.add("line")
+    assert len(problems.lines) == builder.MOST_PROBLEMS
+    assert problems.settle() == ["file: 50000 entries left out, the first because line"]
 
 
 def test_more_classes_than_the_tables_have_room_for_are_refused(tmp_path: Path, refuse: Refuse) -> None:
@@ -229,14 +234,6 @@ def test_an_image_whose_size_cannot_be_known_is_refused(tmp_path: Path, refuse: 
     if name == "large.webp":
         os.truncate(path, 1 << 34)
     assert "secret" not in refuse(truth, found, f"image {path}")
-
-
-def test_many_problems_are_counted_and_not_kept() -> None:
-    problems = builder.Problems("file", skip=True)
-    for _ in range(50_000):
-        problems.add("line")
-    assert len(problems.lines) == builder.MOST_PROBLEMS
-    assert problems.settle() == ["file: 50000 entries left out, the first because line"]
 
 
 @pytest.mark.parametrize(

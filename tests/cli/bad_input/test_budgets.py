@@ -57,7 +57,7 @@ def test_each_budget_is_told(inputs: Inputs, refused: Refused, file: str, conten
     assert len(refused(scene, part)) < 2000
 
 
-def test_a_packed_file_is_refused_after_a_few_megabytes(tmp_path: Path) -> None:
+def test_a_packed_file_is_refused_after_a_few_megabytes_and_poses_packed_twenty_fold_are_read(tmp_path: Path) -> None:
     path = tmp_path / "blank.gz"
     path.write_bytes(zeros(1 << 27))
     count = 0
@@ -65,9 +65,6 @@ def test_a_packed_file_is_refused_after_a_few_megabytes(tmp_path: Path) -> None:
         while piece := file.read(input_files.PIECE_BYTES):
             count += len(piece)
     assert input_files.FREE_UNPACKED_BYTES - input_files.PIECE_BYTES <= count < 4 * input_files.FREE_UNPACKED_BYTES
-
-
-def test_repetitive_poses_that_are_packed_twenty_fold_are_read(tmp_path: Path) -> None:
     path = tmp_path / "poses.json.gz"
     steps = {f"{t}.0": {f"v{k}": at(k + t / 8, 2.0 * k) for k in range(200)} for t in range(600)}
     content = json.dumps(steps).encode()

@@ -102,15 +102,12 @@ def test_what_a_command_reads_stays_whatever_leads_to_it(run: Path, call: Call, 
     refusal(call, (*line(run, out), "--overwrite"), f"{out} is read by this command", kept=tmp_path)
 
 
-def test_what_a_command_reads_stays_however_it_is_spelled(run, call, tmp_path, monkeypatch):
+def test_what_a_command_reads_stays_however_it_is_spelled_or_named(run, call, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("folder").symlink_to(run)
     for spelled in ("run/../run/truth.parquet", "./run//truth.parquet", "folder/truth.parquet"):
         refusal(call, ("report", "run", "--out", spelled, "--overwrite"), "is read by this command", kept=tmp_path)
-
-
-def test_files_are_the_same_by_what_they_are_and_not_by_their_names(tmp_path, monkeypatch) -> None:
-    """As where the case of a name means nothing: `realpath` gives two names, `stat` one file."""
+    # as where the case of a name means nothing: `realpath` gives two names, `stat` one file
     (tmp_path / "gt.json").write_text("mine")
     os.link(tmp_path / "gt.json", tmp_path / "GT.JSON")
     with pytest.raises(OutputError, match="is read by this command"):
