@@ -7,15 +7,12 @@ import pytest
 from scipy import special, stats
 
 from modsim3d.core.errors import InputError
-from modsim3d.detector.chain import Detector
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.records import TRUE
-from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable
 from modsim3d.verify.evidence import ManyDetections
 from modsim3d.verify.verification import verify_evidence
-from tests.detector.detector_builders import centred, clock, make_frames, make_targets, one_state_data, same_boxes
+from tests.detector import detector_builders as build
 from tests.detector_variants import variant
 
 MEMORY = {
@@ -29,15 +26,11 @@ FRAMES, VESSELS, STEP_S = 1500, 60, 0.1
 
 
 def errors_of(error: dict[str, Any], frames: int = FRAMES) -> np.ndarray:
-    """Errors (frames, vessels, 4) of vessels that are always found."""
-    seen = {"confusion": [[1, 0], [0, 1], [0, 0]], "false_discovery_rate": 0}
-    model = parse_detector(one_state_data(**seen, box_error=error) | {"persistence": {"box": MEMORY}})
-    found = Detector(model, 2, TargetStatistics(), clock()).detect(
-        make_frames(frames), make_targets(same_boxes(frames, VESSELS, centred(2000, 1500)))
-    )
-    errors = np.full((frames * VESSELS, 4), np.nan)
-    errors[found.target[found.kind == TRUE]] = found.errors_px[found.kind == TRUE]
-    return errors.reshape(frames, VESSELS, 4)
+    """Errors (frames, vessels, 4) of vessels that are always found, in standard deviations."""
+    data = build.one_state_data(confusion=build.ALL_SEEN, false_discovery_rate=0, box_error=error)
+    targets = build.steady_targets(frames, VESSELS, build.centred(2000, 1500))
+    found = build.detector(data | {"persistence": {"box": MEMORY}}, 2).detect(build.make_frames(frames), targets)
+    return build.by_frame(found, found.errors_px, frames, VESSELS) / np.sqrt(np.diag(PLAIN["covariance"]))
 
 
 def asked(component: int, lag: int) -> float:
@@ -48,7 +41,7 @@ def asked(component: int, lag: int) -> float:
 
 @pytest.fixture(scope="module")
 def errors() -> np.ndarray:
-    return errors_of(PLAIN) / np.sqrt([4.0, 4.0, 9.0, 1.0])
+    return errors_of(PLAIN)
 
 
 def test_each_component_correlates_with_itself_as_the_file_says(errors: np.ndarray) -> None:
@@ -58,19 +51,16 @@ def test_each_component_correlates_with_itself_as_the_file_says(errors: np.ndarr
             assert abs(found.mean() - asked(component, lag)) < 4 * found.std(ddof=1) / np.sqrt(VESSELS)
         one = (errors[..., component] ** 2).mean(axis=0)
         assert abs(one.mean() - 1) < 4 * one.std(ddof=1) / np.sqrt(VESSELS)
+    np.testing.assert_array_equal(errors_of(PLAIN, 30), errors[:30], "how a run is split shows")
 
 
 def test_large_errors_stay_as_long_as_the_fifth_number_says(errors: np.ndarray) -> None:
     """The normal number behind the scale of Student's t, which is the ratio to the normal errors of the same seed."""
-    scale = (errors_of(HEAVY) / np.sqrt([4.0, 4.0, 9.0, 1.0]) / errors)[..., 0]
+    scale = (errors_of(HEAVY) / errors)[..., 0]
     number = special.ndtri(stats.chi2(3).cdf(1 / scale**2))
     for lag in (1, 5, 40):
         found = (number[lag:] * number[:-lag]).mean(axis=0)
         assert abs(found.mean() - asked(4, lag)) < 4 * found.std(ddof=1) / np.sqrt(VESSELS)
-
-
-def test_how_a_run_is_split_does_not_show(errors: np.ndarray) -> None:
-    np.testing.assert_array_equal(errors_of(PLAIN, 30) / np.sqrt([4.0, 4.0, 9.0, 1.0]), errors[:30])
 
 
 @pytest.mark.parametrize(
@@ -84,17 +74,15 @@ def test_how_a_run_is_split_does_not_show(errors: np.ndarray) -> None:
 )
 def test_a_memory_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        parse_detector(one_state_data() | {"persistence": {"box": MEMORY | changes}})
+        parse_detector(build.one_state_data() | {"persistence": {"box": MEMORY | changes}})
     with pytest.raises(InputError, match="with a memory of each component, box, leave them out"):
-        parse_detector(one_state_data() | {"persistence": {"box": MEMORY, "box_s": 1.0}})
+        parse_detector(build.one_state_data() | {"persistence": {"box": MEMORY, "box_s": 1.0}})
 
 
 def test_honest_errors_obey_and_those_of_another_memory_are_named() -> None:
     many = ManyDetections.of_scene(load_scene("simulation_1", mode=2, steps=500, source="analytic"))
-    shorter = MEMORY | {"times_s": [0.1, 0.1]}
-    asked_for, made_with = (
-        parse_detector(variant("plain") | {"persistence": {"box": each}}) for each in (MEMORY, shorter)
-    )
+    memories = MEMORY, MEMORY | {"times_s": [0.1, 0.1]}
+    asked_for, made_with = (parse_detector(variant("plain") | {"persistence": {"box": each}}) for each in memories)
     table = MomentTable()
     for seed in range(2):
         found = verify_evidence(asked_for, many.detect(asked_for, seed), table)

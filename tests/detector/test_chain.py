@@ -50,29 +50,19 @@ def rows_of(detections: Detections, targets: Targets) -> dict[tuple[int, str], t
     return dict(zip(zip(detections.frame[rows].tolist(), names, strict=True), map(tuple, columns), strict=True))
 
 
-def test_another_vessel_changes_nobody_elses_detections() -> None:
+def test_noise_belongs_to_the_seed_and_to_a_vessels_name_not_to_its_place_in_the_scene() -> None:
     model, frames, targets = parse_detector(build.detector_data()), build.make_frames(STEPS), scattered_targets()
-    all_rows = rows_of(build.run(model, frames, targets), targets)
-    others = targets.vessel != 2
-    fewer = select(targets, np.flatnonzero(others))
+    whole = build.run(model, frames, targets)
+    plain, all_rows = build.all_bytes(whole), rows_of(whole, targets)
+    fewer = select(targets, np.flatnonzero(targets.vessel != 2))
     without = rows_of(build.run(model, frames, fewer), fewer)
-    assert without == {key: row for key, row in all_rows.items() if key[1] != "vessel2"}
-    assert any(key[1] == "vessel2" for key in all_rows)
-
-
-def test_noise_belongs_to_a_vessels_name_not_its_place_in_the_scene() -> None:
-    model, frames, targets = parse_detector(build.detector_data()), build.make_frames(STEPS), scattered_targets()
+    assert without == {key: row for key, row in all_rows.items() if key[1] != "vessel2"} != all_rows
     renumbered = replace(targets, vessel=targets.vessel + 1, vessel_ids=("newcomer", *targets.vessel_ids))
-    assert build.all_bytes(build.run(model, frames, renumbered)) == build.all_bytes(build.run(model, frames, targets))
-
-
-def test_the_same_seed_gives_the_same_and_another_seed_other_detections() -> None:
-    model, frames, targets = parse_detector(build.detector_data()), build.make_frames(STEPS), scattered_targets()
-    first = build.run(model, frames, targets, seed=7)
-    assert build.all_bytes(build.run(model, frames, targets, seed=7)) == build.all_bytes(first)
+    assert build.all_bytes(build.run(model, frames, renumbered)) == plain
+    assert build.all_bytes(build.run(model, frames, targets)) == plain
     other = build.all_bytes(build.run(model, frames, targets, seed=8))
-    plain = {"partner", "gated"}  # nothing is merged or gated
-    assert all(other[name] != value for name, value in build.all_bytes(first).items() if name not in plain)
+    # Of the other seed all differs but for what there is none of: nothing is merged or gated.
+    assert {name for name, value in plain.items() if other[name] == value} <= {"partner", "gated"}
 
 
 def test_cameras_have_their_own_noise_and_one_state() -> None:
@@ -99,19 +89,14 @@ def test_rows_are_ordered_by_frame_and_shuffled_within() -> None:
     assert abs(first_is_surer.mean() - 0.5) < 4 * 0.5 / np.sqrt(len(first))
 
 
-def test_every_column_fits_the_others() -> None:
+def test_every_column_fits_the_others_and_states_differ_in_their_confidence() -> None:
     targets = scattered_targets()
     found = build.run(build.detector_data(), build.make_frames(STEPS), targets)
     false = found.kind == FALSE_POSITIVE
     assert np.all(found.target[false] == -1) and np.all(np.isnan(found.errors_px[false]))
-    assert not found.redrawn[false].any()
+    assert not found.redrawn[false].any() and not np.isnan(found.errors_px[~false]).any()
     assert np.array_equal(targets.frame[found.target[~false]], found.frame[~false])
-    assert len(np.unique(found.target[~false])) == np.sum(~false)
-    assert not np.isnan(found.errors_px[~false]).any() and found.states.shape == (STEPS,)
-
-
-def test_states_differ_in_their_confidence() -> None:
-    found = build.run(build.detector_data(), build.make_frames(STEPS), scattered_targets())
+    assert len(np.unique(found.target[~false])) == np.sum(~false) and found.states.shape == (STEPS,)
     state = found.states[found.frame]
     assert found.confidence[state == 0].mean() > found.confidence[state == 1].mean() + 0.15
 
@@ -126,8 +111,7 @@ def test_confidence_is_clipped_not_dropped() -> None:
 
 
 def test_no_frames_and_no_targets_give_no_detections() -> None:
-    detector = build.detector(build.detector_data())
-    nothing = build.make_targets(np.empty((0, 3, 4)))
+    detector, nothing = build.detector(build.detector_data()), build.make_targets(np.empty((0, 3, 4)))
     assert len(detector.detect(build.make_frames(0), nothing)) == 0
     empty_sea = detector.detect(build.make_frames(9), nothing)
     assert len(empty_sea) == 0 and len(empty_sea.states) == 9
@@ -157,14 +141,10 @@ def test_every_detection_is_in_the_image_and_at_least_a_pixel(seed, width, heigh
 
 
 def test_a_camera_with_fewer_frames_sees_in_each_what_one_with_all_of_them_sees() -> None:
-    data = build.detector_data(transition_interval_s=0.7)
-    model, targets = parse_detector(data), scattered_targets()
-    frames = build.make_frames(STEPS)
-    every_third = np.arange(0, STEPS, 3)
-    columns = {name: getattr(frames, name)[::3] for name in ("steps", "times_s", "sea_half_planes")}
-    fewer = replace(frames, **columns)
-    part = select(targets, np.flatnonzero(targets.frame % 3 == 0))
-    part = replace(part, frame=part.frame // 3)
-    whole, some = build.run(model, frames, targets), build.run(model, fewer, part)
-    assert np.array_equal(some.boxes_px, whole.boxes_px[np.isin(whole.frame, every_third)])
+    model, targets = parse_detector(build.detector_data(transition_interval_s=0.7)), scattered_targets()
+    frames, part = build.make_frames(STEPS), select(targets, np.flatnonzero(targets.frame % 3 == 0))
+    fewer = {name: getattr(frames, name)[::3] for name in ("steps", "times_s", "sea_half_planes")}
+    whole = build.run(model, frames, targets)
+    some = build.run(model, replace(frames, **fewer), replace(part, frame=part.frame // 3))
+    assert np.array_equal(some.boxes_px, whole.boxes_px[whole.frame % 3 == 0])
     assert np.array_equal(some.states, whole.states[::3])

@@ -36,10 +36,8 @@ def precision_recall(found: Detections, targets: Targets) -> tuple[np.ndarray, n
 
 @pytest.mark.parametrize("name", CURVES)
 def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None:
-    points = CURVES[name]
-    asked = PrecisionRecall.through(points)
-    rate = 1 - points[-1][1]
-    targets, found = detect({"precision_recall": points}, false_discovery_rate=rate)
+    points, asked = CURVES[name], PrecisionRecall.through(CURVES[name])
+    targets, found = detect({"precision_recall": points}, false_discovery_rate=1 - points[-1][1])
     recall, precision = precision_recall(found, targets)
     # Recall and precision end where the seed puts the rates; the shape before that is the confidence's.
     average = np.sum(precision * np.diff(recall, prepend=0) * (~found.false())[np.argsort(-found.confidence)])
@@ -50,8 +48,7 @@ def test_the_runs_precision_recall_curve_is_the_one_asked_for(name: str) -> None
 
 
 def test_true_and_false_detections_have_their_own_confidence() -> None:
-    apart = {"true": {"mean": 0.7, "std": 0.05}, "false": {"mean": 0.4, "std": 0.04}}
-    _, found = detect(apart)
+    _, found = detect({"true": {"mean": 0.7, "std": 0.05}, "false": {"mean": 0.4, "std": 0.04}})
     for kind, mean, std in ((~found.false(), 0.7, 0.05), (found.false(), 0.4, 0.04)):
         scores = found.confidence[kind]
         assert abs(scores.mean() - mean) < 4 * std / np.sqrt(len(scores))
@@ -61,10 +58,11 @@ def test_true_and_false_detections_have_their_own_confidence() -> None:
 def test_an_empirical_distribution_is_straight_between_its_quantiles() -> None:
     quantiles = [0.2, 0.3, 0.7, 0.75, 1.0]
     _, found = detect({"true": {"quantiles": quantiles}, "false": {"mean": 0.3, "std": 0}})
-    scores = found.confidence[~found.false()]
-    law = lambda x: np.interp(x, quantiles, np.linspace(0, 1, 5))  # noqa: E731
-    assert stats.kstest(scores, law).pvalue > 1e-4
+    levels = np.interp(found.confidence[~found.false()], quantiles, np.linspace(0, 1, 5))
+    assert stats.kstest(levels, "uniform").pvalue > 1e-4
     assert np.all(found.confidence[found.false()] == 0.3)
+    ends = QuantileScores(np.array([0.2, 0.5, 1.0])).at(np.array([0.0, 0.5, 1 - 2.0**-53]))
+    np.testing.assert_allclose(ends, [0.2, 0.5, 1.0], err_msg="the ends are reached")
 
 
 def test_confidence_falls_with_the_hidden_share() -> None:
@@ -82,8 +80,7 @@ def test_confidence_falls_with_the_hidden_share() -> None:
 def test_confidence_falls_with_each_halving_below_the_reference_size(reference_px: float, halvings: float) -> None:
     # The boxes are 80 × 40: 40·√2 a side.
     same = {"mean": 0.9, "std": 0.01}
-    keys = {"true": same, "false": same, "size_slope": 0.1, "size_reference_px": reference_px}
-    _, found = detect(keys)
+    _, found = detect({"true": same, "false": same, "size_slope": 0.1, "size_reference_px": reference_px})
     scores = found.confidence[~found.false()]
     assert abs(scores.mean() - (0.9 - 0.1 * halvings)) < 4 * 0.01 / np.sqrt(len(scores))
 
@@ -94,9 +91,12 @@ def test_size_is_that_of_the_detectors_own_box() -> None:
     np.testing.assert_allclose(found.confidence, 0.9 - 0.1 * np.log2(1024 / np.sqrt(120 * 80)))
 
 
-def test_curves_that_no_detector_can_have_are_found() -> None:
-    assert PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]]).falls() is not None
+def test_curves_that_no_detector_can_have_fall_between_two_recalls() -> None:
     assert all(PrecisionRecall.through(points).falls() is None for points in CURVES.values())
+    curve = PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]])
+    low, high = curve.falls() or (0.0, 0.0)
+    assert 0.4 - 1e-3 < low < high <= 0.5
+    assert curve.false_per_target(np.array([low])) > curve.false_per_target(np.array([high]))
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.2, 0.6])
@@ -116,15 +116,3 @@ def test_detector_without_false_detections_has_one_distribution_of_scores() -> N
     true, false = PrecisionRecall.through([[0.3, 1.0], [0.9, 1.0]]).scores(0.25)
     for scores in (true, false):
         np.testing.assert_allclose(scores.at(np.array([0.0, 0.4, 0.8])), [0.25, 0.55, 0.85])
-
-
-def test_recalls_between_which_a_curve_falls_ascend() -> None:
-    curve = PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]])
-    low, high = curve.falls() or (0.0, 0.0)
-    assert 0.4 - 1e-3 < low < high <= 0.5
-    assert curve.false_per_target(np.array([low])) > curve.false_per_target(np.array([high]))
-
-
-def test_quantiles_at_the_ends_are_reached() -> None:
-    scores = QuantileScores(np.array([0.2, 0.5, 1.0])).at(np.array([0.0, 0.5, 1 - 2.0**-53]))
-    np.testing.assert_allclose(scores, [0.2, 0.5, 1.0])

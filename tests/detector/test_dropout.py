@@ -40,30 +40,35 @@ def labels_of(found: Detections, targets: Targets) -> np.ndarray:
     return build.by_frame(found, found.label, 1, len(targets), -1)[0]
 
 
+def sides_of(targets: Targets) -> np.ndarray:
+    return np.sqrt(np.prod(targets.boxes_px[:, 2:] - targets.boxes_px[:, :2], axis=1))
+
+
 def log_odds(targets: Targets) -> np.ndarray:
     """The logistic model once more, by hand."""
-    width, height = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).T
-    side = np.sqrt(width * height)
     seen = -3 * (targets.visible_fraction - 1)
-    return seen - np.log2(side / 50) + 0.5 * np.log2(targets.depth_m / 100)
+    return seen - np.log2(sides_of(targets) / 50) + 0.5 * np.log2(targets.depth_m / 100)
 
 
-def test_logistic_misses_have_the_probability_of_their_looks() -> None:
+def test_logistic_misses_have_the_probability_of_their_looks_and_labels_of_the_detected_keep_their_shares() -> None:
     targets = varied_targets()
-    missed = labels_of(build.run(model_data(dropout=LOGISTIC), build.make_frames(FRAMES), targets), targets) < 0
+    labels = labels_of(build.run(model_data(dropout=LOGISTIC), build.make_frames(FRAMES), targets), targets)
+    missed, hard = labels < 0, log_odds(targets) > 1
     rate = special.expit(special.logit(np.where(targets.label == 0, 0.2, 0.3)) + log_odds(targets))
     for low in np.arange(0, 1, 0.1):
         rows = (rate >= low) & (rate < low + 0.1)
-        assert rows.sum() > 300
         error = np.sqrt(np.mean(rate[rows] * (1 - rate[rows])) / rows.sum())
-        assert abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
+        assert rows.sum() > 300 and abs(missed[rows].mean() - rate[rows].mean()) < 4 * error
+    for rows in (hard, ~hard):
+        for label, share in ((0, 1 / 8), (1, 1 / 7)):  # 0.1 of 0.1 + 0.7; 0.1 of 0.1 + 0.6
+            seen = labels[rows & (targets.label == label) & ~missed]
+            assert abs(np.mean(seen != label) - share) < 4 * np.sqrt(share * (1 - share) / len(seen))
 
 
 def test_table_multiplies_the_odds_in_each_range() -> None:
     targets = varied_targets()
     missed = labels_of(build.run(model_data(dropout=TABLE), build.make_frames(FRAMES), targets), targets) < 0
-    width, height = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).T
-    side = np.sqrt(width * height)
+    side = sides_of(targets)
     for low, high, odds in ((0, 20, 4), (20, 60, 2), (60, 9999, 1)):
         for label, p in ((0, 0.2), (1, 0.3)):
             rows = (side >= low) & (side < high) & (targets.label == label)
@@ -82,16 +87,6 @@ def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout:
         assert rates[targets.label == label].std() > 0.05
     missed = labels_of(build.run(model_data(dropout=dropout | {"anchor": "state_rate"}), frames, targets), targets) < 0
     assert abs(missed.mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / len(missed))
-
-
-def test_labels_of_what_is_detected_keep_their_shares() -> None:
-    targets = varied_targets()
-    labels = labels_of(build.run(model_data(dropout=LOGISTIC), build.make_frames(FRAMES), targets), targets)
-    hard = log_odds(targets) > 1
-    for rows in (hard, ~hard):
-        for label, share in ((0, 1 / 8), (1, 1 / 7)):  # 0.1 of 0.1 + 0.7; 0.1 of 0.1 + 0.6
-            seen = labels[rows & (targets.label == label) & (labels >= 0)]
-            assert abs(np.mean(seen != label) - share) < 4 * np.sqrt(share * (1 - share) / len(seen))
 
 
 def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is() -> None:
@@ -133,23 +128,23 @@ def test_gates_keep_out_what_is_far_small_or_hidden() -> None:
     assert not out[found.target[found.kind == TRUE]].any()
 
 
-@pytest.mark.parametrize(
-    ("limit", "passes"),
-    [({"min_box_px": 20.0}, [1, 1, 0]), ({"max_range_m": 100.0}, [1, 1, 0]), ({"max_occlusion": 0.25}, [1, 1, 0])],
-)
-def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too(limit, passes):
-    sides = [20.5, 20.0, 19.5]
-    targets = build.make_targets([[[0, 0, 50, side] for side in sides]])
+def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too():
+    targets = build.make_targets([[[0, 0, 50, side] for side in (20.5, 20.0, 19.5)]])
     targets.depth_m[:] = [99.0, 100.0, 100.5]
     targets.visible_fraction[:] = [np.nan, 0.75, 0.7]
-    assert Gates(**limit).passed(build.make_frames(1), targets).tolist() == [bool(each) for each in passes]
+    for gates in (Gates(min_box_px=20.0), Gates(max_range_m=100.0), Gates(max_occlusion=0.25)):
+        assert gates.passed(build.make_frames(1), targets).tolist() == [True, True, False], gates
 
 
-def test_gates_change_nothing_in_what_passes() -> None:
+def test_gates_change_nothing_in_what_passes_and_a_detector_without_gates_passes_everything() -> None:
     targets, some = gated(max_range_m=500)
     _, every = gated()
-    near = lambda found: (found.kind == TRUE) & (targets.depth_m[found.target] <= 500)  # noqa: E731
-    assert np.array_equal(some.boxes_px[near(some)], every.boxes_px[near(every)])
+    some_near, every_near = (
+        found.boxes_px[(found.kind == TRUE) & (targets.depth_m[found.target] <= 500)] for found in (some, every)
+    )
+    assert np.array_equal(some_near, every_near) and not every.gated.any()
+    plain = model_data(states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
+    assert build.all_bytes(every) == build.all_bytes(build.run(plain, build.make_frames(500), targets))
 
 
 def test_the_surest_detections_of_a_frame_are_put_out() -> None:
@@ -175,13 +170,6 @@ def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each(first_step:
             before = int(time_s / 0.6 + 1e-6)
     assert set(found.frame) <= set(due) and len(set(found.frame)) > 0.9 * len(due)
     assert np.array_equal(found.gated, ~np.isin(targets.frame, due))
-
-
-def test_a_detector_without_gates_passes_everything() -> None:
-    targets, found = gated()
-    assert not found.gated.any()
-    plain = model_data(states={"only": model_data()["states"]["only"] | {"false_discovery_rate": 0.3}})
-    assert build.all_bytes(found) == build.all_bytes(build.run(plain, build.make_frames(500), targets))
 
 
 def test_thin_and_near_targets_have_finite_odds() -> None:

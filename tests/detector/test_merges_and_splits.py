@@ -48,14 +48,8 @@ def test_duplicates_come_as_often_as_asked_with_errors_of_their_own() -> None:
 def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
     keys = {"duplicates": 0.1, "splits": 0.05, "merges": 0.5}
     _, found = detect([LONG, SQUARE, *PAIR], keys, false_discovery_rate=rate)
-    assert {records.KINDS[kind] for kind in found.kind} == {
-        "true",
-        "false_positive",
-        "duplicate",
-        "merged",
-        "split",
-        "fragment",
-    }
+    kinds = {"true", "false_positive", "duplicate", "merged", "split", "fragment"}
+    assert {records.KINDS[kind] for kind in found.kind} == kinds
     n_true = np.sum(~found.false())
     error = np.sqrt(n_true * rate / (1 - rate)) * n_true / len(found) ** 2
     assert abs(found.false().mean() - rate) < 4 * error
@@ -84,15 +78,19 @@ def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
     assert np.all(targets.vessel[found.target[merged]] == 1)  # the larger
     assert np.all(targets.vessel[found.partner[merged]] == 0)
     assert np.all(found.partner[~merged] == -1)
-    together = np.sort(np.concatenate([found.target, found.partner[merged]]))
-    assert np.array_equal(together, np.arange(len(targets)))
+    assert np.array_equal(np.sort([*found.target, *found.partner[merged]]), np.arange(len(targets)))
 
 
-def test_vessels_that_hardly_overlap_are_not_merged() -> None:
-    _, found = detect(PAIR, {"merges": 1.0, "merge_overlap": 0.51})
-    assert not np.any(found.kind == records.MERGED)
-    _, found = detect(PAIR, {"merges": 1.0, "merge_overlap": 0.49})
-    assert np.all(found.kind[found.kind != 1] == records.MERGED)
+def test_vessels_that_hardly_overlap_are_not_merged_nor_those_apart_however_little_is_asked() -> None:
+    apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
+    sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
+    overlaps = ((PAIR, 0.51, 0.49), (sliver, 0.0051, 0.00499), (apart, 1e-6, None))
+    for boxes, too_much, little_enough in overlaps:
+        _, found = detect(boxes, {"merges": 1.0, "merge_overlap": too_much})
+        assert not np.any(found.kind == records.MERGED), boxes
+        if little_enough:
+            _, found = detect(boxes, {"merges": 1.0, "merge_overlap": little_enough})
+            assert np.all(found.kind[found.kind != records.FALSE_POSITIVE] == records.MERGED), boxes
 
 
 def test_a_vessel_is_in_one_merged_box_only() -> None:
@@ -103,16 +101,16 @@ def test_a_vessel_is_in_one_merged_box_only() -> None:
     assert len(np.unique(sources)) == len(sources) == len(targets)
 
 
-def test_a_merge_belongs_to_two_vessels_whoever_is_larger() -> None:
-    boxes = build.same_boxes(200, 2, PAIR[0])
-    boxes[:, 1] = PAIR[1]
+def test_a_merge_belongs_to_two_vessels_whoever_is_larger_and_if_none_is_to_the_first() -> None:
+    boxes = np.tile(PAIR, (200, 1, 1))
     swapped = boxes.copy()
     swapped[::2] = boxes[::2, ::-1]
-    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error()) | {
-        "false_positives": {"model": "calibrated", "merges": 0.5}
-    }
+    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error())
+    data |= {"false_positives": {"model": "calibrated", "merges": 0.5}}
     one, two = (build.run(data, build.make_frames(200), build.make_targets(b)) for b in (boxes, swapped))
     assert np.array_equal(one.frame[one.kind == records.MERGED], two.frame[two.kind == records.MERGED])
+    targets, found = detect([PAIR[0], PAIR[0]], {"merges": 1.0}, false_discovery_rate=0)
+    assert np.all(targets.vessel[found.target] == 0)
 
 
 def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> None:
@@ -153,19 +151,6 @@ def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
     assert [set(targets.vessel[found.gated & (targets.frame == f)]) for f in range(50)] == [
         {2} if f in merged else {0, 1} for f in range(50)
     ]
-
-
-def test_vessels_that_do_not_overlap_are_not_merged_however_little_is_asked() -> None:
-    apart = [[0.0, 0, 100, 50], [100.5, 0, 200, 50], [0.0, 50.5, 100, 90]]
-    assert not np.any(detect(apart, {"merges": 1.0, "merge_overlap": 1e-6})[1].kind == records.MERGED)
-    sliver = [[0.0, 0, 100, 50], [99.5, 0, 200, 50]]  # half a pixel of 100 is in both
-    assert np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.00499})[1].kind == records.MERGED)
-    assert not np.any(detect(sliver, {"merges": 1.0, "merge_overlap": 0.0051})[1].kind == records.MERGED)
-
-
-def test_of_two_merged_boxes_as_large_as_each_other_the_first_counts_as_the_larger() -> None:
-    targets, found = detect([PAIR[0], PAIR[0]], {"merges": 1.0}, false_discovery_rate=0)
-    assert np.all(targets.vessel[found.target] == 0)
 
 
 def test_box_may_be_split_from_the_aspect_given_on() -> None:

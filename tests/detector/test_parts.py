@@ -7,23 +7,19 @@ import numpy as np
 import pytest
 
 from modsim3d.core.arrays import Array
-from modsim3d.detector.chain import MODELS, Detector, DetectorPart, model_name, used_models
+from modsim3d.detector.chain import MODELS, DetectorPart, model_name, used_models
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveRates, FrameCounts, PerImage
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.learned import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import UNCHECKED
 from modsim3d.verify.verification import CHECKED, unchecked, verify_evidence
-from tests.detector.detector_builders import clock, make_frames, one_state_data, steady_targets
+from tests.detector.detector_builders import detector, make_frames, one_state_data, steady_targets
 from tests.detector_variants import CHANGES, variant
 
 DRAWING = {
-    DetectorPart.STATE: "at",
-    DetectorPart.CLASS: ("classify", "of"),
-    DetectorPart.BOX_ERROR: "scales",
-    DetectorPart.FALSE_POSITIVES: "draw",
-    DetectorPart.CONFIDENCE: "at",
+    **{DetectorPart.STATE: ("at",), DetectorPart.CLASS: ("classify", "of"), DetectorPart.BOX_ERROR: ("scales",)},
+    **{DetectorPart.FALSE_POSITIVES: ("draw",), DetectorPart.CONFIDENCE: ("at",)},
 }
 
 
@@ -31,26 +27,22 @@ WITHOUT_CHECKS: set[tuple[DetectorPart, str]] = set()
 WITHOUT_LEARNER = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES, "thesis")}
 
 
-def test_every_part_has_models_checks_and_learners() -> None:
+def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here() -> None:
     assert set(MODELS) == set(CHECKED) == set(LEARNERS) == set(DetectorPart)
     assert all(MODELS.values())
+    for part, name in ((part, name) for part, models in MODELS.items() for name in models):
+        assert any(hasattr(MODELS[part][name], method) for method in DRAWING[part]), (part, name)
+        assert (name in CHECKED[part]) != ((part, name) in WITHOUT_CHECKS), (part, name)
+        assert (name in LEARNERS[part]) != ((part, name) in WITHOUT_LEARNER), (part, name)
+        (learner,) = [each for *model, each in models_and_learners() if model == [part, name]]
+        assert (learner is None) == ((part, name) in WITHOUT_LEARNER), (part, name)
 
 
-@pytest.mark.parametrize(("part", "name"), [(part, name) for part, models in MODELS.items() for name in models])
-def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here(part: DetectorPart, name: str) -> None:
-    names = DRAWING[part]
-    assert any(hasattr(MODELS[part][name], method) for method in ([names] if isinstance(names, str) else names))
-    assert (name in CHECKED[part]) != ((part, name) in WITHOUT_CHECKS)
-    assert (name in LEARNERS[part]) != ((part, name) in WITHOUT_LEARNER)
-    (learner,) = [each for *model, each in models_and_learners() if model == [part, name]]
-    assert (learner is None) == ((part, name) in WITHOUT_LEARNER)
-
-
-@pytest.mark.parametrize("name", CHANGES)
-def test_the_models_of_a_detector_are_registered(name: str) -> None:
-    used = list(used_models(parse_detector(variant(name))))
-    assert {each.part for each in used} == set(DetectorPart)
-    assert all(each.name in MODELS[each.part] for each in used)
+def test_the_models_of_a_detector_are_registered() -> None:
+    for name in CHANGES:
+        used = list(used_models(parse_detector(variant(name))))
+        assert {each.part for each in used} == set(DetectorPart), name
+        assert all(each.name in MODELS[each.part] for each in used), name
 
 
 def test_a_model_that_is_not_registered_is_an_error_that_names_the_others() -> None:
@@ -65,33 +57,27 @@ class EverySecondFrame(PerImage):
         return super().means(rates, frames) * (np.arange(len(frames.states)) % 2)
 
 
-def seen(model: Any) -> Evidence:
-    frames, targets = make_frames(200), steady_targets(200, 2, [100, 100, 300, 200])
-    return Evidence.of(
-        [CameraEvidence(frames, targets, Detector(model, 1, TargetStatistics(), clock()).detect(frames, targets))]
-    )
-
-
 def test_a_model_without_checks_is_drawn_and_listed_as_unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(cast(dict[str, Any], FALSE_POSITIVE_MODELS), "fourth", EverySecondFrame())
     sizes = {"model": "fixed", "px": [20, 10]}
     data = one_state_data() | {"false_positives": {"model": "fourth", "rate": 2.0, "size": sizes}}
-    model = parse_detector(data)
-    evidence = seen(model)
+    model, frames = parse_detector(data), make_frames(200)
+    targets = steady_targets(200, 2, [100, 100, 300, 200])
+    evidence = Evidence.of([CameraEvidence(frames, targets, detector(model).detect(frames, targets))])
     assert evidence.frames.n_false[::2].sum() == 0 < evidence.frames.n_false[1::2].sum()
     verdicts = verify_evidence(model, evidence).verdicts
     (verdict,) = [each for each in verdicts if each.verdict == UNCHECKED]
-    assert verdict.parameter.name == "false_positives.model"
-    assert verdict.parameter.group == DetectorPart.FALSE_POSITIVES
-    assert "'fourth'" in verdict.parameter.note
+    parameter = verdict.parameter
+    assert (parameter.name, parameter.group) == ("false_positives.model", DetectorPart.FALSE_POSITIVES)
+    assert "'fourth'" in parameter.note
     names = [each.parameter.name for each in verdicts]
     assert not [name for name in names if "false discovery rate" in name or "false_positives_per_image" in name]
 
 
-@pytest.mark.parametrize("part", [DetectorPart.BOX_ERROR, DetectorPart.CONFIDENCE])
-def test_parts_of_a_state_without_checks_are_listed_state_by_state(part, monkeypatch):
-    monkeypatch.setitem(cast(dict[DetectorPart, Any], CHECKED), part, frozenset())
+def test_parts_of_a_state_without_checks_are_listed_state_by_state(monkeypatch):
     model = parse_detector(variant("plain"))
-    found = unchecked(model)
-    assert [parameter.state for parameter in found] == [state.name for state in model.states]
-    assert {parameter.group for parameter in found} == {part}
+    for part in (DetectorPart.BOX_ERROR, DetectorPart.CONFIDENCE):
+        with monkeypatch.context() as patch:
+            patch.setitem(CHECKED, part, frozenset())
+            found = [(parameter.state, parameter.group) for parameter in unchecked(model)]
+        assert found == [(state.name, part) for state in model.states]

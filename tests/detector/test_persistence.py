@@ -1,4 +1,5 @@
-"""Noise that stays: rates and covariances hold exactly, whatever the correlation time and the frame rate."""
+"""Noise that stays: rates and covariances hold exactly, whatever the correlation time and the frame rate, merges are
+as many as asked, and all is the same however a run is split."""
 
 from typing import Any
 
@@ -6,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from modsim3d.detector.records import TRUE, Detections, Targets
+from modsim3d.detector.records import MERGED, TRUE, Detections, Targets
 from tests.detector import detector_builders as build
 
 VESSELS, TAU_S = 40, 0.9
@@ -38,19 +39,15 @@ def found(step_s: float) -> Detections:
     return detect(data, all_seen(3000), 3000, step_s)
 
 
-def test_rates_hold_although_misses_persist(found: Detections, step_s: float) -> None:
+def test_rates_hold_although_misses_persist_with_the_correlation_time_asked_for(found, step_s: float) -> None:
     labels, kept = labels_over_time(found, 3000), np.exp(-step_s / TAU_S)
     for label, rate in ((0, 0.7), (1, 0.1), (-1, 0.2)):
         # Correlated by kept^lag, so that (1 − kept) / (1 + kept) of the numbers are worth as much as independent ones.
         standard_error = np.sqrt(rate * (1 - rate) / labels.size * (1 + kept) / (1 - kept))
         assert abs(np.mean(labels == label) - rate) < 4 * standard_error
-
-
-def test_misses_have_the_correlation_time_asked_for(found: Detections, step_s: float) -> None:
-    missed = (labels_over_time(found, 3000) < 0).astype(float) - 0.2
+    missed = (labels < 0).astype(float) - 0.2
     for lag in (1, 2, 5):
-        correlation = np.mean(missed[lag:] * missed[:-lag]) / 0.16
-        assert abs(correlation - np.exp(-lag * step_s / TAU_S)) < 0.04
+        assert abs(np.mean(missed[lag:] * missed[:-lag]) / 0.16 - kept**lag) < 0.04
 
 
 def test_runs_of_misses_in_a_fixed_state_have_their_law(found: Detections, step_s: float) -> None:
@@ -95,7 +92,7 @@ def test_rates_hold_in_states_that_change_much_faster_than_misses_do() -> None:
         assert abs(ours.mean() - rate) < 4 * np.sqrt(rate * (1 - rate) / worth)
 
 
-def test_box_errors_keep_their_mean_and_covariance(found: Detections, step_s: float) -> None:
+def test_box_errors_keep_their_mean_and_covariance_and_are_jointly_normal_over_time(found, step_s: float) -> None:
     errors, kept = found.errors_px[found.kind == TRUE], np.exp(-step_s / TAU_S)
     worth = len(errors) * (1 - kept) / (1 + kept)
     c = np.array(build.COVARIANCE_PX2, dtype=float)
@@ -105,21 +102,12 @@ def test_box_errors_keep_their_mean_and_covariance(found: Detections, step_s: fl
     worth = len(errors) * (1 - kept**2) / (1 + kept**2)
     standard_error = np.sqrt((np.outer(np.diag(c), np.diag(c)) + c**2) / worth)
     assert np.all(np.abs(np.cov(errors.T) - c) < 4 * standard_error)
-
-
-def test_box_errors_have_the_correlation_time_asked_for(found: Detections, step_s: float) -> None:
-    errors = (found.errors_px - build.MEAN_PX) / np.sqrt(np.diag(build.COVARIANCE_PX2))
-    series = build.by_frame(found, errors, 3000, VESSELS)
+    series = build.by_frame(found, (found.errors_px - build.MEAN_PX) / np.sqrt(np.diag(c)), 3000, VESSELS)
     for lag in (1, 3, 6):
         correlation = np.nanmean(series[lag:] * series[:-lag], axis=(0, 1))
-        assert np.all(np.abs(correlation - np.exp(-lag * step_s / TAU_S)) < 0.04)
-
-
-def test_box_errors_are_jointly_normal_over_time(found: Detections, step_s: float) -> None:
+        assert np.all(np.abs(correlation - kept**lag) < 0.04)
     # Of a first-order autoregressive process, and not of a number that is kept: what is new is normal, too.
-    errors = (found.errors_px[:, 0] - build.MEAN_PX[0]) / np.sqrt(build.COVARIANCE_PX2[0][0])
-    series, kept = build.by_frame(found, errors, 3000, VESSELS), np.exp(-step_s / TAU_S)
-    new = (series[1:] - kept * series[:-1]) / np.sqrt(1 - kept**2)
+    new = ((series[1:] - kept * series[:-1]) / np.sqrt(1 - kept**2))[..., 0]
     assert stats.kstest(new[~np.isnan(new)][::7], "norm").pvalue > 1e-4
 
 
@@ -130,8 +118,7 @@ def test_a_vessel_that_was_hidden_comes_back_with_the_noise_it_would_have_had() 
     whole = detect(data, build.make_targets(boxes), 200, 0.1)
     boxes[50:120, 1] = np.nan
     gap = detect(data, build.make_targets(boxes), 200, 0.1)
-    late = whole.boxes_px[whole.frame >= 120]
-    assert np.array_equal(gap.boxes_px[gap.frame >= 120], late)
+    assert np.array_equal(gap.boxes_px[gap.frame >= 120], whole.boxes_px[whole.frame >= 120])
 
 
 def test_confidence_keeps_its_distribution_and_has_the_correlation_time_asked_for(step_s: float) -> None:
@@ -161,27 +148,24 @@ def test_confidence_that_persists_changes_no_confidence_of_a_false_positive_and_
     assert all(build.all_bytes(with_it)[name] == build.all_bytes(without)[name] for name in columns)
 
 
-def test_confidence_with_a_vanishing_correlation_time_is_the_plain_one_to_its_rounding() -> None:
-    plain, targets = build.one_state_data(), all_seen(200)
-    brief = detect(plain | {"persistence": {"confidence_s": 1e-4}}, targets, 200, 0.1)
-    np.testing.assert_allclose(brief.confidence, detect(plain, targets, 200, 0.1).confidence, atol=1e-6)
+def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes_and_confidence_to_its_rounding() -> None:
+    data, targets = build.one_state_data(), all_seen(200)
+    plain = detect(data, targets, 200, 0.1)
+    brief = detect(data | {"persistence": {"class_s": 1e-4, "box_s": 1e-4}}, targets, 200, 0.1)
+    assert build.all_bytes(brief) == build.all_bytes(plain)
+    sure = detect(data | {"persistence": {"confidence_s": 1e-4}}, targets, 200, 0.1)
+    np.testing.assert_allclose(sure.confidence, plain.confidence, atol=1e-6)
 
 
-def test_a_redraw_leaves_the_latent_numbers_alone() -> None:
-    data = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN) | {"persistence": {"box_s": 2}}
-    boxes = build.same_boxes(300, 1, build.centred(600, 600))
-    large = detect(data, build.make_targets(boxes), 300, 0.1)
-    boxes[::2] = build.centred(5, 5)
-    mixed = detect(data, build.make_targets(boxes), 300, 0.1)
-    assert mixed.redrawn[::2].mean() > 0.5
-    assert np.array_equal(mixed.errors_px[1::2], large.errors_px[1::2])
-
-
-def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes() -> None:
-    plain = build.one_state_data()
-    targets = all_seen(200)
-    brief = detect(plain | {"persistence": {"class_s": 1e-4, "box_s": 1e-4}}, targets, 200, 0.1)
-    assert build.all_bytes(brief) == build.all_bytes(detect(plain, targets, 200, 0.1))
+def test_a_redraw_leaves_the_first_draws_of_other_steps_and_the_latent_numbers_alone() -> None:
+    for persistence in ({}, {"box_s": 2}):
+        seen = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN) | {"persistence": persistence}
+        boxes = build.same_boxes(300, 1, build.centred(600, 600))
+        large = detect(seen, build.make_targets(boxes), 300, 0.1)
+        boxes[::2] = build.centred(5, 5)
+        mixed = detect(seen, build.make_targets(boxes), 300, 0.1)
+        assert mixed.redrawn[::2].mean() > 0.5
+        assert np.array_equal(mixed.errors_px[1::2], large.errors_px[1::2]), persistence
 
 
 @pytest.mark.parametrize("first", [1, 2, 40])
@@ -190,9 +174,39 @@ def test_detector_that_begins_at_a_later_step_detects_what_one_from_the_start_do
     data = build.one_state_data(false_discovery_rate=0) | {"persistence": times}
     frames, targets = build.make_frames(45), build.steady_targets(45, 3, build.centred(600, 600))
     whole = build.detector(data).detect(frames, targets)
-    part, part_targets, _ = build.chunk(frames, targets, first, 45)
-    later = build.detector(data).detect(part, part_targets)
-    rows = whole.frame >= first
-    np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[rows])
-    np.testing.assert_array_equal(later.label, whole.label[rows])
-    np.testing.assert_array_equal(later.confidence, whole.confidence[rows])
+    later = build.detector(data).detect(*build.chunk(frames, targets, first, 45)[:2])
+    for name in ("boxes_px", "label", "confidence"):
+        np.testing.assert_array_equal(getattr(later, name), getattr(whole, name)[whole.frame >= first], name)
+
+
+PAIRS, FRAMES, MERGES = 12, 3000, 0.3
+
+
+def pairs(merge_s: dict[str, float], frames: int = FRAMES, **state: Any) -> Detections:
+    """Detections of pairs of vessels that overlap, side by side."""
+    data = build.one_state_data(**({"confusion": build.ALL_SEEN, "box_error": build.no_error()} | state))
+    data |= {"false_positives": {"model": "calibrated", "merges": MERGES}, "persistence": merge_s}
+    pair = np.array([[0.0, 1000, 100, 1050], [50.0, 1000, 250, 1060]])
+    boxes = (pair + np.arange(PAIRS)[:, None, None] * [290.0, 0, 290, 0]).reshape(-1, 4)
+    return detect(data, build.make_targets(np.tile(boxes, (frames, 1, 1))), frames, 0.1)
+
+
+@pytest.mark.parametrize("merge_s", [0.0, 0.5, 3.0])
+def test_merges_are_as_frequent_as_asked_and_last_as_long(merge_s: float) -> None:
+    found = pairs({"merge_s": merge_s}, false_discovery_rate=0)
+    merged = np.zeros(FRAMES * PAIRS, dtype=bool)
+    merged[found.target[found.kind == MERGED] // 2] = True
+    kept = np.exp(-0.1 / merge_s) if merge_s else 0.0
+    variance = MERGES * (1 - MERGES)
+    assert abs(merged.mean() - MERGES) < 4 * np.sqrt(variance / merged.size * (1 + kept) / (1 - kept))
+    residual = merged.reshape(FRAMES, PAIRS) - MERGES
+    for lag in (1, 4, 10):
+        assert abs(np.mean(residual[lag:] * residual[:-lag]) / variance - kept**lag) < 0.07
+    across = np.mean(residual[:, 1:] * residual[:, :-1]) / variance  # each pair has a number of its own
+    assert abs(across) < 0.07
+
+
+def test_a_vanishing_correlation_time_of_merges_gives_the_plain_detectors_bytes() -> None:
+    plain, zero, brief = (pairs(each, 200) for each in ({}, {"merge_s": 0.0}, {"merge_s": 1e-4}))
+    assert (plain.kind == MERGED).any()
+    assert build.all_bytes(plain) == build.all_bytes(zero) == build.all_bytes(brief)

@@ -36,11 +36,6 @@ def test_each_frame_shows_a_poisson_number_with_its_rate(rate: float, step_s: fl
     assert stats.chisquare(seen, np.append(law, 1 - law.sum()) * len(apart)).pvalue > 1e-4
 
 
-def test_the_first_frames_are_no_emptier_than_later_ones() -> None:
-    counts = [len(watch(3.0, 5.0, frames=1, seed=seed).frame) for seed in range(250)]
-    assert abs(np.mean(counts) - 3) < 4 * np.sqrt(3 / 250)
-
-
 def test_numbers_follow_a_rate_that_changes_from_frame_to_frame() -> None:
     rates = np.where(np.arange(FRAMES) % 2, 0.3, 1.4)
     counts = np.bincount(watch(rates, 2.0).frame, minlength=FRAMES)
@@ -60,10 +55,11 @@ def test_places_sizes_and_directions_do_not_depend_on_the_rate_or_on_each_other(
     assert abs(numbers[:, 5].mean() - 0.5) < 4 * 0.5 / np.sqrt(len(births))
 
 
-def test_nothing_is_seen_at_a_rate_of_zero() -> None:
+def test_the_first_frames_are_no_emptier_than_later_ones_and_all_are_empty_at_a_rate_of_zero() -> None:
+    counts = [len(watch(3.0, 5.0, frames=1, seed=seed).frame) for seed in range(250)]
+    assert abs(np.mean(counts) - 3) < 4 * np.sqrt(3 / 250)
     seen = watch(0.0, 2.0, frames=10)
-    assert seen.uniforms.shape == (0, 5)
-    assert len(seen.frame) == len(seen.age_s) == len(seen.sign) == 0
+    assert seen.uniforms.shape == (0, 5) and len(seen.frame) == len(seen.age_s) == len(seen.sign) == 0
     rates = np.where(np.arange(400) < 200, 0.0, 2.5)
     assert watch(rates, 2.0, frames=400).frame.min() >= 200
 
@@ -90,15 +86,11 @@ def test_one_that_stays_keeps_its_numbers_and_grows_older() -> None:
         assert len(set(found.sign[ours])) == 1
 
 
-def detector_file(**persistence: float) -> dict[str, Any]:
+def detect(frames: int = 6000, **persistence: float) -> Detections:
     data = build.one_state_data(false_discovery_rate=0.2, box_error=build.no_error())
     size = {"model": "fixed", "px": [40, 20]}
-    return data | {"false_positives": {"model": "calibrated", "size": size, "persistence": persistence}}
-
-
-def detect(frames: int = 6000, **persistence: float) -> Detections:
-    targets = build.steady_targets(frames, 6, build.centred(80, 40))
-    return build.run(detector_file(**persistence), build.make_frames(frames), targets)
+    data["false_positives"] = {"model": "calibrated", "size": size, "persistence": persistence}
+    return build.run(data, build.make_frames(frames), build.steady_targets(frames, 6, build.centred(80, 40)))
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4])

@@ -1,17 +1,25 @@
-"""Where and how large false positives are."""
+"""Where and how large false positives are, and the sea in which they are put."""
 
+import itertools
 from typing import Any
 
 import numpy as np
 import pytest
 import shapely
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from scipy import stats
 
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
-from modsim3d.detector.chain import Detector, target_statistics
-from modsim3d.detector.false_positive_placement import PLACE_STEP_PX, Placement, _inverse, _slice, sea_polygons
-from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.false_positive_placement import (
+    PLACE_STEP_PX,
+    Placement,
+    _inverse,
+    _slice,
+    sea_polygons,
+    uniform_places,
+)
 from modsim3d.detector.records import FALSE_POSITIVE, Detections
 from tests.detector import detector_builders as build
 
@@ -37,14 +45,10 @@ def test_a_band_holds_all_of_them_and_evenly(sea: tuple[float, float, float]) ->
     assert stats.kstest(depth / 120, "uniform").pvalue > 1e-4
 
 
-def test_the_density_halves_as_asked() -> None:
-    depth = below(places(Placement(far_half_px=90), LEVEL), LEVEL)
-    truncated = stats.truncexpon(1600 / (90 / np.log(2)), scale=90 / np.log(2))
-    assert stats.kstest(depth, truncated.cdf).pvalue > 1e-4
-
-
-def test_along_the_horizon_they_are_spread_evenly() -> None:
+def test_the_density_halves_as_asked_and_along_the_horizon_they_are_spread_evenly() -> None:
     found = places(Placement(far_half_px=90), LEVEL)
+    truncated = stats.truncexpon(1600 / (90 / np.log(2)), scale=90 / np.log(2))
+    assert stats.kstest(below(found, LEVEL), truncated.cdf).pvalue > 1e-4
     assert stats.kstest(found[:, 0] / build.IMAGE_PX[0], "uniform").pvalue > 1e-4
 
 
@@ -70,8 +74,7 @@ def test_a_map_gives_each_cell_its_weight() -> None:
     counts = np.zeros((2, 3))
     np.add.at(counts, (np.minimum(rows, 1), np.minimum(columns, 2)), 1)
     assert np.all(counts[density == 0] == 0)
-    seen = counts[density > 0]
-    assert stats.chisquare(seen, density[density > 0] / 10 * len(found)).pvalue > 1e-4
+    assert stats.chisquare(counts[density > 0], density[density > 0] / 10 * len(found)).pvalue > 1e-4
 
 
 def test_drift_follows_the_horizon_and_turns_at_the_edge_of_the_image() -> None:
@@ -84,13 +87,12 @@ def test_drift_follows_the_horizon_and_turns_at_the_edge_of_the_image() -> None:
     assert np.all((far >= 0) & (far <= build.IMAGE_PX))
 
 
-def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6, **state: Any) -> Detections:
-    data = build.one_state_data(**({"box_error": build.no_error(), "false_discovery_rate": 0.4} | state))
+def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6) -> Detections:
+    data = build.one_state_data(box_error=build.no_error(), false_discovery_rate=0.4)
     boxes = build.same_boxes(frames, vessels, build.centred(80, 40))
     boxes[:, :1] = [100, 100, 300, 150]
-    targets = build.make_targets(boxes)
-    model, seen = parse_detector(data | {"false_positives": false_positives}), build.make_frames(frames)
-    return Detector(model, 1, target_statistics(model, [(seen, targets)]), build.clock()).detect(seen, targets)
+    data["false_positives"] = false_positives
+    return build.run(data, build.make_frames(frames), build.make_targets(boxes))
 
 
 FIXED = {"model": "fixed", "px": [30, 20]}
@@ -123,23 +125,19 @@ def inner_sizes(found: Detections) -> np.ndarray:
 def test_sizes_are_fixed_or_lognormal_as_asked() -> None:
     fixed = inner_sizes(detect({"model": "calibrated", "size": FIXED}))
     np.testing.assert_allclose(fixed, np.tile([30.0, 20.0], (len(fixed), 1)))
-    varied = inner_sizes(
-        detect({"model": "calibrated", "size": {"model": "lognormal", "px": [60, 30], "log_std": 0.3}})
-    )
+    spread = {"model": "lognormal", "px": [60, 30], "log_std": 0.3}
+    varied = inner_sizes(detect({"model": "calibrated", "size": spread}))
     logs = np.log(varied[:, 0] / 60)
     assert abs(logs.mean()) < 4 * 0.3 / np.sqrt(len(logs)) + 0.01  # large ones are cut at the edge a little more
     assert abs(logs.std() - 0.3) < 0.02
     np.testing.assert_allclose(varied[:, 0] / varied[:, 1], 2)
 
 
-def test_sizes_come_from_all_of_the_scenes_boxes_where_a_frame_may_have_none() -> None:
+def test_sizes_come_from_all_of_the_scenes_boxes_where_a_frame_may_have_none_or_must_be_given() -> None:
     found = inner_sizes(detect({"model": "per_image", "rate": 2}))
     wide = np.isclose(found, [200, 50], rtol=0.045).all(axis=1)
     np.testing.assert_allclose(found[~wide], np.tile([80, 40], (np.sum(~wide), 1)), rtol=0.045)
     assert abs(wide.mean() - 1 / 6) < 4 * np.sqrt(5 / 36 / len(wide))
-
-
-def test_a_scene_without_vessels_must_say_how_large_false_alarms_are() -> None:
     with pytest.raises(ModsimError, match="give false_positives a size"):
         detect({"model": "per_image", "rate": 2}, vessels=0)
 
@@ -176,9 +174,8 @@ def test_place_below_a_level_horizon_is_its_uniform_numbers_share_of_the_width_a
     free = uniforms[:, 1] * 800 < 740
     np.testing.assert_allclose(moved[free, 0], 50 + 800 * uniforms[free, 1], atol=PLACE_STEP_PX)
     turned = 2 * 800 - 50 - 800 * uniforms[:, 1]
-    np.testing.assert_allclose(
-        moved[~free, 0], np.minimum(turned, 50 + 800 * uniforms[:, 1])[~free], atol=PLACE_STEP_PX
-    )
+    expected = np.minimum(turned, 50 + 800 * uniforms[:, 1])[~free]
+    np.testing.assert_allclose(moved[~free, 0], expected, atol=PLACE_STEP_PX)
 
 
 def test_first_place_of_a_map_is_the_corner_of_the_image() -> None:
@@ -198,8 +195,7 @@ def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
 
 
 def test_level_meets_a_polygon_where_a_line_does() -> None:
-    planes = np.array(HORIZONS[:4])
-    polygons = sea_polygons(planes, (800, 600))
+    polygons = sea_polygons(np.array(HORIZONS[:4]), (800, 600))
     levels = (0.0, 20.0, 150.0, 299.0, 590.0, 700.0)
     lows, highs = _slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))
     for level, low, high in zip(levels, lows.T, highs.T, strict=True):
@@ -208,3 +204,47 @@ def test_level_meets_a_polygon_where_a_line_does() -> None:
             line = shapely.intersection(shape, shapely.LineString([(-1, level), (801, level)]))
             left, _, right, _ = (shape if line.is_empty else line).bounds
             assert (low[row], high[row]) == (pytest.approx(left), pytest.approx(right))
+
+
+SMALL_PX = (36, 24)
+
+
+def half_plane(angle_rad: float, offset_px: float) -> np.ndarray:
+    """Sea on the far side of a line that passes the small image's middle at a distance."""
+    a, b = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[a, b, -a * 18 - b * 12 + offset_px]])
+
+
+@given(angle_rad=st.floats(-4, 4), offset_px=st.floats(-25, 25))
+def test_sea_polygon_is_the_image_cut_by_the_half_plane(angle_rad: float, offset_px: float) -> None:
+    plane = half_plane(angle_rad, offset_px)
+    a, b, c = plane[0]
+    middle = np.array([18, 12]) - np.array([a, b]) * offset_px
+    along, far = 100 * np.array([-b, a]), 100 * np.array([a, b])
+    corners = [middle - along, middle + along, middle + along + far, middle - along + far]
+    sea = shapely.Polygon(corners).intersection(shapely.box(0, 0, *SMALL_PX))
+    assume(sea.area > 1e-6)
+    polygon = sea_polygons(plane, SMALL_PX)[0]
+    assert shapely.Polygon(polygon).area == pytest.approx(sea.area, rel=1e-9, abs=1e-9)
+    assert np.all(polygon @ [a, b] + c >= -1e-9) and np.all((polygon >= 0) & (polygon <= SMALL_PX))
+
+
+def test_without_sea_the_whole_image_is_used_and_sea_along_an_edge_puts_all_places_on_the_edge() -> None:
+    for plane in ([0.0, 0, -1], [0.0, 1, -100], [1.0, 0, -40]):
+        assert shapely.Polygon(sea_polygons(np.array([plane]), SMALL_PX)[0]).area == 36 * 24, plane
+    edge = np.repeat([[0.0, 1.0, -24.0]], 50, axis=0)
+    found = uniform_places(edge, SMALL_PX, np.random.default_rng(5).random((50, 3)))
+    assert np.all(found[:, 1] == 24) and np.all((found[:, 0] >= 0) & (found[:, 0] <= 36))
+
+
+@pytest.mark.parametrize(("angle_rad", "offset_px"), [(np.pi / 2, 4), (1.2, -3), (0.4, 9), (-2.0, 0)])
+def test_places_are_spread_evenly_over_the_sea(angle_rad: float, offset_px: float) -> None:
+    plane, count = half_plane(angle_rad, offset_px), 40_000
+    uniforms = np.random.default_rng(5).random((count, 3))
+    found = uniform_places(np.repeat(plane, count, axis=0), SMALL_PX, uniforms)
+    assert np.all(found @ plane[0, :2] + plane[0, 2] >= -1e-9)
+    sea = shapely.Polygon(sea_polygons(plane, SMALL_PX)[0])
+    for left, top in itertools.product(range(0, 36, 4), range(0, 24, 4)):
+        p = sea.intersection(shapely.box(left, top, left + 4, top + 4)).area / sea.area
+        share = np.mean(np.all((found >= [left, top]) & (found < [left + 4, top + 4]), axis=1))
+        assert abs(share - p) <= 4.5 * np.sqrt(p * (1 - p) / count) + 1e-9  # 54 cells an image

@@ -8,7 +8,6 @@ import pytest
 
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.chain import Detector, target_statistics
-from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.detector.records import FALSE_KINDS, KINDS, CameraFrames, Detections, Targets
 from tests.detector.detector_builders import all_bytes, chunk, clock, detect_in_chunks, make_frames, make_targets
@@ -46,15 +45,27 @@ def detector(seed: int = 5) -> Detector:
     return Detector(MODEL, seed, target_statistics(MODEL, [(rich_frames(), rich_targets())]), clock(STEP_S))
 
 
-def test_the_example_is_short_and_has_every_kind_of_detection(whole: Detections) -> None:
+def test_the_example_is_short_and_has_every_kind_of_detection_and_each_vessel_one_that_is_not_false(whole) -> None:
     assert len(RICH.read_text().splitlines()) < 60
     assert set(whole.kind) == set(range(len(KINDS))) and whole.gated.any()
+    assert sizes(whole.boxes_px).min() >= 1 - 1e-9 and whole.boxes_px.min() >= 0
+    assert np.all(whole.boxes_px[:, 2:] <= [3600, 2400])
+    assert np.all((whole.confidence >= 0.2) & (whole.confidence <= 1))
+    own = ~np.isin(whole.kind, FALSE_KINDS)
+    sources = np.concatenate([whole.target[own], whole.partner[whole.partner >= 0]])
+    assert len(np.unique(sources)) == len(sources) and not whole.gated[sources].any()
 
 
 @pytest.mark.parametrize("borders", [[0, 1, 2, 250, 250, 599, 600], [0, 600], [*range(0, 601, 37), 600]])
 def test_chunk_borders_change_nothing_with_every_model_on(whole: Detections, borders: list[int]) -> None:
     found = detect_in_chunks(detector(), rich_frames(), rich_targets(), borders)
     assert all_bytes(found) == all_bytes(whole)
+
+
+def test_chunks_may_come_in_any_order_with_every_model_on(whole: Detections) -> None:
+    ours = detector()
+    late, early = (detect_in_chunks(ours, rich_frames(), rich_targets(), part) for part in ([400, 600], [0, 400]))
+    assert np.array_equal(np.concatenate([early.boxes_px, late.boxes_px]), whole.boxes_px)
 
 
 PERSISTENCE = {"class_s": 1.0, "box_s": 0.7, "confidence_s": 2.0, "merge_s": 2.0, "box_vessel_share": 0.3}
@@ -69,39 +80,16 @@ def test_chunk_borders_change_nothing_in_what_persists(name: str) -> None:
     whole = Detector(model, 5, statistics, clock(STEP_S)).detect(frames, targets)
     split = detect_in_chunks(Detector(model, 5, statistics, clock(STEP_S)), frames, targets, [0, 1, 513, 514, STEPS])
     assert all_bytes(split) == all_bytes(whole)
-    part, part_targets, _ = chunk(frames, targets, 400, STEPS)
-    later = Detector(model, 5, statistics, clock(STEP_S)).detect(part, part_targets)  # as another worker would
+    part = chunk(frames, targets, 400, STEPS)[:2]
+    later = Detector(model, 5, statistics, clock(STEP_S)).detect(*part)  # as another worker would
     np.testing.assert_array_equal(later.boxes_px, whole.boxes_px[whole.frame >= 400])
 
 
-def test_chunks_may_come_in_any_order_with_every_model_on(whole: Detections) -> None:
-    ours = detector()
-    late = detect_in_chunks(ours, rich_frames(), rich_targets(), [400, 600])
-    early = detect_in_chunks(ours, rich_frames(), rich_targets(), [0, 400])
-    assert np.array_equal(np.concatenate([early.boxes_px, late.boxes_px]), whole.boxes_px)
-
-
-def test_every_detection_is_in_the_image_and_at_least_a_pixel_with_every_model_on(whole: Detections) -> None:
-    assert sizes(whole.boxes_px).min() >= 1 - 1e-9 and whole.boxes_px.min() >= 0
-    assert np.all(whole.boxes_px[:, 2:] <= [3600, 2400])
-    assert np.all((whole.confidence >= 0.2) & (whole.confidence <= 1))
-
-
-def test_a_vessel_has_one_detection_that_is_not_false(whole: Detections) -> None:
-    own = ~np.isin(whole.kind, FALSE_KINDS)
-    sources = np.concatenate([whole.target[own], whole.partner[whole.partner >= 0]])
-    assert len(np.unique(sources)) == len(sources) and not whole.gated[sources].any()
-
-
 def test_target_statistics_do_not_depend_on_how_the_scene_is_split() -> None:
-    targets = rich_targets()
-    halves = []
-    for first, stop in ((0, 333), (333, STEPS)):
-        rows = np.flatnonzero((targets.frame >= first) & (targets.frame < stop))
-        half = select(targets, rows)
-        frames = make_frames(stop - first, first_step=first, time_step_s=STEP_S)
-        halves.append(target_statistics(MODEL, [(frames, replace(half, frame=half.frame - first))]))
-    joined, one = halves[0] + halves[1], target_statistics(MODEL, [(rich_frames(), targets)])
+    frames, targets = rich_frames(), rich_targets()
+    halves = (chunk(frames, targets, *part)[:2] for part in ((0, 333), (333, STEPS)))
+    first, second = (target_statistics(MODEL, [half]) for half in halves)
+    joined, one = first + second, target_statistics(MODEL, [(frames, targets)])
     for name in ("log_odds", "sides"):
-        assert np.array_equal(getattr(joined, name).rows, getattr(one, name).rows)
-        assert np.array_equal(getattr(joined, name).counts, getattr(one, name).counts)
+        for column in ("rows", "counts"):
+            assert np.array_equal(getattr(getattr(joined, name), column), getattr(getattr(one, name), column))

@@ -21,11 +21,9 @@ def seen(vessels: int = VESSELS) -> Targets:
 
 def detector(score: dict[str, Any] = SCORE, **persistence: Any) -> Detector:
     confusion = [[0.6, 0.1], [0.15, 0.6], [MISS_RATE, 0.3]]
-    quantiles = {"quantiles": [0.25, 0.95]}
-    confidence = {"true": quantiles, "false": quantiles}
+    confidence = {kind: {"quantiles": [0.25, 0.95]} for kind in ("true", "false")}
     data = build.one_state_data(false_discovery_rate=0, confusion=confusion, confidence=confidence)
-    data |= {"persistence": {"score": score, **persistence}}
-    return build.detector(data, 5, STEP_S)
+    return build.detector(data | {"persistence": {"score": score, **persistence}}, 5, STEP_S)
 
 
 def by_frame(found: Detections, values: np.ndarray, fill: float) -> np.ndarray:

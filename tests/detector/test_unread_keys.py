@@ -14,7 +14,7 @@ from modsim3d.detector.file.reading import file_of, load_detector, parse_detecto
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import dead_lines, unread_settings
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Detections, Targets
+from modsim3d.detector.records import Detections
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.settings import Setting, changed
 from tests.detector.detector_builders import all_bytes, chunk, clock, detector_data, state_data
@@ -76,12 +76,9 @@ def paths(model: Any, data: dict[str, Any], *before: str) -> Iterator[tuple[str,
                 yield from paths(next(sections(field.annotation)), data, "states", state)
             continue
         inner = next(iter(sections(field.annotation)), None)
-        if inner is None:
+        if inner is None or name in OTHERS:
             yield (*before, name)
-        elif name in OTHERS:
-            yield (*before, name)
-            yield from paths(inner, data, *before, name)
-        else:
+        if inner is not None:
             yield from paths(inner, data, *before, name)
 
 
@@ -93,18 +90,15 @@ def meaning(model: DetectorModel) -> dict[str, Any]:
     return content
 
 
-def output(data: dict[str, Any]) -> object:
-    model = parse_detector(copy.deepcopy(data))
-    targets = TARGETS if len(model.labels) == 3 else small_labels(len(model.labels))
-    return model.labels, all_bytes(run(model, targets))
-
-
-def run(model: DetectorModel, targets: Targets) -> Detections:
+def run(data: DetectorModel | dict[str, Any]) -> Detections:
+    """What a detector makes of the targets, their labels counted round if it has others than three."""
+    model = data if isinstance(data, DetectorModel) else parse_detector(copy.deepcopy(data))
+    targets = replace(TARGETS, label=TARGETS.label % len(model.labels))
     return Detector(model, 1, target_statistics(model, [(FRAMES, targets)]), clock(STEP_S)).detect(FRAMES, targets)
 
 
-def small_labels(count: int) -> Targets:
-    return replace(TARGETS, label=TARGETS.label % count)
+def output(data: dict[str, Any]) -> object:
+    return parse_detector(copy.deepcopy(data)).labels, all_bytes(run(data))
 
 
 def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
@@ -199,18 +193,7 @@ def test_a_key_is_not_refused_beside_the_one_that_switches_it_on_or_off() -> Non
     assert not unread_settings(parse_detector(data), ["false_positives.merge_overlap"], ["false_positives.merges"])
 
 
-def test_a_section_with_a_dead_line_is_refused() -> None:
-    data = own_rates()
-    data["false_positives"]["rate"] = 0.3
-    (reason,) = unread_settings(parse_detector(data), ["false_positives"]).values()
-    assert reason.startswith("false_positives.rate: each state has a rate of its own")
-
-
-def test_no_shipped_file_has_a_dead_line() -> None:
-    assert [line for path in shipped_detectors().values() for line in dead_lines(load_detector(path))] == []
-
-
-def test_a_dead_line_of_a_file_is_told() -> None:
+def test_a_dead_line_of_a_file_is_told_and_no_shipped_file_has_one() -> None:
     data = two_states(**PER_IMAGE)
     data["states"]["fog"] |= {"false_discovery_rate": 0.3}
     data["persistence"] = {"merge_s": 2}
@@ -218,6 +201,11 @@ def test_a_dead_line_of_a_file_is_told() -> None:
         "nothing reads states.fog.false_discovery_rate",
         "nothing reads persistence.merge_s",
     ]
+    assert [line for path in shipped_detectors().values() for line in dead_lines(load_detector(path))] == []
+    data = own_rates()
+    data["false_positives"]["rate"] = 0.3
+    (reason,) = unread_settings(parse_detector(data), ["false_positives"]).values()
+    assert reason.startswith("false_positives.rate: each state has a rate of its own"), "a section with a dead line"
 
 
 def test_a_model_that_reads_the_false_discovery_rate_needs_it() -> None:
@@ -232,27 +220,20 @@ def test_a_model_that_reads_the_false_discovery_rate_needs_it() -> None:
 
 def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else() -> None:
     data = load_yaml(shipped_detectors()["rich"], "detector")
-    whole = run(parse_detector(data), TARGETS)
-    above = run(parse_detector(data | {"operating_threshold": 0.5}), TARGETS)
+    whole, above = run(data), run(data | {"operating_threshold": 0.5})
     kept = whole.confidence >= 0.5
     assert 0 < kept.sum() < len(whole)
     assert (~kept & whole.false()).any() and (~kept & ~whole.false()).any()
     for column in ("frame", "target", "kind", "label", "boxes_px", "confidence"):
         np.testing.assert_array_equal(getattr(above, column), getattr(whole, column)[kept])
-    dropped = whole.target[~kept & ~whole.false()]
-    assert above.gated[dropped].all()
+    assert above.gated[whole.target[~kept & ~whole.false()]].all()
     np.testing.assert_array_equal(above.states, whole.states)
 
 
-def test_at_the_confidence_threshold_it_drops_nothing() -> None:
+def test_at_the_confidence_threshold_it_drops_nothing_and_it_cannot_be_below() -> None:
     data = detector_data(states={"clear": state_data(), "fog": state_data(confidence={"mean": 0.2, "std": 0.2})})
-    found = run(parse_detector(data), small_labels(2))
+    found = run(data)
     assert (found.confidence == 0.2).any()
-    assert all_bytes(found) == all_bytes(run(parse_detector(data | {"operating_threshold": 0.2}), small_labels(2)))
-
-
-def test_it_is_not_below_what_the_detector_was_measured_at() -> None:
-    with pytest.raises(
-        InputError, match=r"operating_threshold: is 0\.1, must be at least 0\.2, the confidence_threshold"
-    ):
+    assert all_bytes(found) == all_bytes(run(data | {"operating_threshold": 0.2}))
+    with pytest.raises(InputError, match=r"threshold: is 0\.1, must be at least 0\.2, the confidence_threshold"):
         parse_detector(detector_data(operating_threshold=0.1))

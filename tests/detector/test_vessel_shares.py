@@ -21,10 +21,9 @@ def seen(vessels: int = VESSELS, frames: int = FRAMES) -> Targets:
     return build.steady_targets(frames, vessels, build.centred(600, 600))
 
 
-def detect(persistence: dict[str, float], targets: Targets, data: dict[str, Any] | None = None) -> Detections:
-    data = (data or build.one_state_data(false_discovery_rate=0)) | {"persistence": persistence}
-    detector = build.detector(data, 3, STEP_S)
-    return detector.detect(build.make_frames(FRAMES, time_step_s=STEP_S), targets)
+def detect(persistence: dict[str, float], targets: Targets, **state: Any) -> Detections:
+    data = build.one_state_data(false_discovery_rate=0, **state) | {"persistence": persistence}
+    return build.detector(data, 3, STEP_S).detect(build.make_frames(FRAMES, time_step_s=STEP_S), targets)
 
 
 @pytest.fixture(scope="module", params=[0.0, TAU_S], ids=["independent", "persistent"])
@@ -83,15 +82,15 @@ def test_what_a_vessel_keeps_is_its_own_whoever_else_is_there_and_however_a_run_
 
 
 def test_what_is_never_missed_stays_so_and_without_shares_nothing_changes() -> None:
-    sure = build.one_state_data(false_discovery_rate=0, confusion=build.ALL_SEEN)
-    found = detect({"class_vessel_share": 0.9}, seen(40), sure)
+    found = detect({"class_vessel_share": 0.9}, seen(40), confusion=build.ALL_SEEN)
     assert (found.kind == TRUE).sum() == 40 * FRAMES
-    plain = detect({"class_s": TAU_S, "box_s": TAU_S}, seen(40))
-    off = detect({"class_s": TAU_S, "box_s": TAU_S, "class_vessel_share": 0.0, "box_vessel_share": 0.0}, seen(40))
+    times_s = {"class_s": TAU_S, "box_s": TAU_S}
+    plain = detect(times_s, seen(40))
+    off = detect(times_s | {"class_vessel_share": 0.0, "box_vessel_share": 0.0}, seen(40))
     assert build.all_bytes(plain) == build.all_bytes(off)
 
 
-@pytest.mark.parametrize("share", [1.0, -0.1, "half"])
-def test_a_share_is_from_zero_to_less_than_one(share: object) -> None:
-    with pytest.raises(ValidationError, match="box_vessel_share"):
-        PersistenceSection(box_vessel_share=share)
+def test_a_share_is_from_zero_to_less_than_one() -> None:
+    for share in (1.0, -0.1, "half"):
+        with pytest.raises(ValidationError, match="box_vessel_share"):
+            PersistenceSection(box_vessel_share=share)
