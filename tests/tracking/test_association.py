@@ -32,27 +32,26 @@ def test_tracks_that_swap_their_vessels_cost_association_two_switches_and_half_t
     tracks = [(k, 1, (A, B)[k // 2]) for k in range(4)] + [(k, 2, (B, A)[k // 2]) for k in range(4)]
     # 8 matches. Each of the four pairs: TPA = 2, FNA = 2, FPA = 2, so A = 2/6. Both identities switch: MOTA = 1 − 2/8.
     # Identity: the best assignment has 4 boxes right, 4 wrong, 4 missing: 4 / (4 + 2 + 2).
-    check(
-        hand_made(truth, tracks, 4),
-        **{"hota": sqrt(1 / 3), "deta": 1, "assa": 1 / 3, "detre": 1, "detpr": 1, "assre": 0.5, "asspr": 0.5},
-        **{"loca": 1},
-        **{"mota": 0.75, "motp": 1, "id_switches": 2, "fragmentations": 0, "true_positives": 8, "misses": 0},
-        **{"false_positives": 0, "mostly_tracked": 2, "partly_tracked": 0, "mostly_lost": 0},
-        **{"idf1": 0.5, "idp": 0.5, "idr": 0.5},
-    )
+    scored = hand_made(truth, tracks, 4)
+    check(scored, hota=sqrt(1 / 3), deta=1, assa=1 / 3, detre=1, detpr=1, assre=0.5, asspr=0.5, loca=1, mota=0.75)
+    check(scored, motp=1, id_switches=2, fragmentations=0, true_positives=8, misses=0, false_positives=0)
+    check(scored, mostly_tracked=2, partly_tracked=0, mostly_lost=0, idf1=0.5, idp=0.5, idr=0.5)
 
 
-def test_a_switch_to_a_new_track_costs_recall_of_association_and_not_its_precision() -> None:
-    scored = hand_made([(k, 0, A) for k in range(4)], [(k, 1 + k // 2, A) for k in range(4)], 4)
+VESSEL = [(k, 0, A) for k in range(4)]
+
+
+def test_a_switch_costs_recall_of_association_a_miss_also_detection_and_a_false_track_precision() -> None:
+    switch = hand_made(VESSEL, [(k, 1 + k // 2, A) for k in range(4)], 4)
     # Both pairs: TPA = 2, FNA = 2, FPA = 0. Identity: 2 right, 2 wrong, 2 missing.
-    check(scored, hota=sqrt(0.5), deta=1, assa=0.5, assre=0.5, asspr=1, mota=0.75, id_switches=1, idf1=0.5, idr=0.5)
-
-
-def test_a_miss_costs_detection_and_association() -> None:
-    scored = hand_made([(k, 0, A) for k in range(4)], [(k, 1, A) for k in (0, 1, 3)], 4)
+    check(switch, hota=sqrt(0.5), deta=1, assa=0.5, assre=0.5, asspr=1, mota=0.75, id_switches=1, idf1=0.5, idr=0.5)
+    miss = hand_made(VESSEL, [(k, 1, A) for k in (0, 1, 3)], 4)
     # 3 matches, 1 miss. TPA = 3, FNA = 1: A = 3/4. Identity: 3 / (3 + 1/2).
-    check(scored, hota=0.75, deta=0.75, assa=0.75, detre=0.75, detpr=1, mota=0.75, misses=1)
-    check(scored, idf1=6 / 7, idp=1, idr=0.75, id_switches=0, mostly_tracked=0, partly_tracked=1)
+    check(miss, hota=0.75, deta=0.75, assa=0.75, detre=0.75, detpr=1, mota=0.75, misses=1)
+    check(miss, idf1=6 / 7, idp=1, idr=0.75, id_switches=0, mostly_tracked=0, partly_tracked=1)
+    false = hand_made(VESSEL, [*((k, 1, A) for k in range(4)), (1, 2, FAR), (2, 2, FAR)], 4)
+    # 4 matches, 2 false boxes: DetA = 4/6; MOTA = 1 − 2/4; identity: 4 / (4 + 2/2).
+    check(false, hota=sqrt(2 / 3), deta=2 / 3, assa=1, detpr=2 / 3, mota=0.5, false_positives=2, idf1=0.8, idp=2 / 3)
 
 
 def test_a_miss_fragments_a_track_unless_no_track_is_in_the_frame() -> None:
@@ -61,12 +60,6 @@ def test_a_miss_fragments_a_track_unless_no_track_is_in_the_frame() -> None:
     for frames_of_other, fragmentations in ((range(4), 1), ((0, 1, 3), 0)):
         tracks = [*first, *((k, 2, B) for k in frames_of_other)]
         check(hand_made(truth, tracks, 4), fragmentations=fragmentations, id_switches=0)
-
-
-def test_a_false_track_costs_precision_and_no_association() -> None:
-    scored = hand_made([(k, 0, A) for k in range(4)], [*((k, 1, A) for k in range(4)), (1, 2, FAR), (2, 2, FAR)], 4)
-    # 4 matches, 2 false boxes: DetA = 4/6; MOTA = 1 − 2/4; identity: 4 / (4 + 2/2).
-    check(scored, hota=sqrt(2 / 3), deta=2 / 3, assa=1, detpr=2 / 3, mota=0.5, false_positives=2, idf1=0.8, idp=2 / 3)
 
 
 def test_a_step_without_vessels_costs_only_what_tracks_say_in_it() -> None:
@@ -95,17 +88,13 @@ def test_a_track_that_coasts_over_a_hidden_vessel_is_no_false_positive() -> None
         check(hand_made(truth, tracks, 4), hota=1, mota=1, idf1=1, false_positives=0, misses=0, true_positives=3)
 
 
-def test_the_same_number_in_two_cameras_is_two_tracks() -> None:
+def test_cameras_have_tracks_of_their_own() -> None:
     truth = [(frame, 0, A) for frame in range(4)]  # two steps of two cameras
     check(hand_made(truth, [(frame, 1, A) for frame in range(4)], 2, cameras=2), hota=1, mota=1, idf1=1, id_switches=0)
     # One camera without tracks: TP = 2, FN = 2, and A = 1, since the misses are those of another identity.
     blind = hand_made(truth, [(0, 1, A), (2, 1, A)], 2, cameras=2)
     check(blind, hota=sqrt(0.5), deta=0.5, assa=1, mota=0.5, idf1=2 / 3, mostly_tracked=1, mostly_lost=1)
-
-
-def test_a_track_is_kept_in_its_camera_though_frames_of_another_lie_between() -> None:
     # Track 2 is nearer in the second frame of camera 0, but track 1 was there before: no switch.
-    truth = [(frame, 0, A) for frame in range(4)]
     tracks = [(0, 1, A), (2, 1, box(4)), (2, 2, box(1)), (1, 1, A), (3, 1, A)]
     check(hand_made(truth, tracks, 2, cameras=2), id_switches=0, false_positives=1)
 
@@ -117,10 +106,10 @@ def test_thresholds_that_no_match_reaches_count_for_hota_and_not_for_localisatio
     assert hota(scored).hota_by_alpha == pytest.approx((1,) * 13 + (0,) * 6)
 
 
-@pytest.mark.parametrize(("least", "mota", "idf1"), [(0.5, 1, 1), (0.51, -1, 0)])
-def test_clear_and_identity_use_the_similarity_and_the_threshold_of_the_rules(least, mota, idf1) -> None:
-    rules = Rules(similarity=Similarity("centre", 8, least))  # centres 4 px apart: 1 − 4/8
-    check(hand_made([(0, 0, A)], [(0, 1, box(4))], 1, rules=rules), mota=mota, idf1=idf1, hota=10 / 19)
+def test_clear_and_identity_use_the_similarity_and_the_threshold_of_the_rules() -> None:
+    for least, mota, idf1 in ((0.5, 1, 1), (0.51, -1, 0)):
+        rules = Rules(similarity=Similarity("centre", 8, least))  # centres 4 px apart: 1 − 4/8
+        check(hand_made([(0, 0, A)], [(0, 1, box(4))], 1, rules=rules), mota=mota, idf1=idf1, hota=10 / 19)
 
 
 def test_what_is_0_divided_by_0_is_none() -> None:
@@ -137,12 +126,9 @@ def test_what_is_0_divided_by_0_is_none() -> None:
     assert unknown(imagined) == {"assa", "detre", "assre", "asspr", "loca", "mota", "motp", "idr"}
 
 
-def test_trackeval_prints_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_trackeval_prints_nothing_and_without_it_the_error_says_what_to_install(monkeypatch, capsys) -> None:
     values(hand_made([(0, 0, A)], [(0, 1, A)], 1))
     assert capsys.readouterr() == ("", "")
-
-
-def test_without_trackeval_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trackeval", None)
     with pytest.raises(ModsimError, match=r'^scores of tracks need TrackEval: pip install "modsim3d\[trackers\]"$'):
         hota(hand_made([], [], 1))
@@ -196,8 +182,7 @@ def test_memory_does_not_grow_with_the_square_of_the_number_of_tracks() -> None:
     truth = [(frame, vessel, box(40 * vessel)) for frame in range(20) for vessel in range(4)]
     tracks = [(k % 20, k, box(40 * (k % 5), k / 1000)) for k in range(3000)]
     scored = hand_made(truth, tracks, 20)
-    data = sequence(scored)
-    wanted = trackeval.metrics.Identity({"THRESHOLD": 0.5, "PRINT_CONFIG": False}).eval_sequence(data)
+    wanted = trackeval.metrics.Identity({"THRESHOLD": 0.5, "PRINT_CONFIG": False}).eval_sequence(sequence(scored))
     tracemalloc.start()
     found = identity(scored)
     hota(scored)

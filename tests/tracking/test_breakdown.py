@@ -11,21 +11,6 @@ from modsim3d.tracking.scores.scored import Scored
 from modsim3d.view.pages.tables import table
 from tests.tracking.hand_made import LABELS, Seen, box, hand_made
 
-VISIBLE = (1, 0.8, 0.6, 0.3, 0.1, 0, 1, 1)
-
-
-@pytest.fixture(scope="module")
-def groups() -> dict[str, tuple[Bin, ...]]:
-    """A vessel in eight frames, a second apart: occluded from 3 to 6 s, wholly hidden from 5 s on. Track 1 follows it
-    in frames 0, 1, 2 and 6, coasts in 5, where nothing is scored, and track 2 follows in frame 3. Seven frames are
-    scored. Of track 1 TPA = 4, FNA = 3, FPA = 0: A = 4/7; of track 2 A = 1/7."""
-    depth_m = (50, 100, 150, 250, 450, 450, 850, 850)
-    truth = [Seen(k, 0, box(), VISIBLE[k], 0.9 if k == 7 else 1, depth_m[k]) for k in range(8)]
-    tracks = [(k, 2 if k == 3 else 1, box()) for k in (0, 1, 2, 3, 5, 6)]
-    scored = hand_made(truth, tracks, 8, states=[0] * 6 + [1] * 2)
-    return {group.name: group.rows for group in breakdown(scored)}
-
-
 FIRST, SECOND = 4 / 7, 1 / 7
 EXPECTED = {
     "visible_fraction": [
@@ -52,20 +37,28 @@ EXPECTED = {
 }
 
 
-@pytest.mark.parametrize("name", EXPECTED)
-def test_each_group_has_the_values_that_were_worked_out(groups, name: str) -> None:
-    assert [*groups] == [*EXPECTED]
-    for found, expected in zip(groups[name], EXPECTED[name], strict=True):
-        assert vars(found) == pytest.approx(vars(expected), abs=1e-12)
+def test_each_group_has_the_values_that_were_worked_out() -> None:
+    """A vessel in eight frames, a second apart: occluded from 3 to 6 s, wholly hidden from 5 s on. Track 1 follows it
+    in frames 0, 1, 2 and 6, coasts in 5, where nothing is scored, and track 2 follows in frame 3. Seven frames are
+    scored. Of track 1 TPA = 4, FNA = 3, FPA = 0: A = 4/7; of track 2 A = 1/7."""
+    visible, depth_m = (1, 0.8, 0.6, 0.3, 0.1, 0, 1, 1), (50, 100, 150, 250, 450, 450, 850, 850)
+    truth = [Seen(k, 0, box(), visible[k], 0.9 if k == 7 else 1, depth_m[k]) for k in range(8)]
+    tracks = [(k, 2 if k == 3 else 1, box()) for k in (0, 1, 2, 3, 5, 6)]
+    groups = breakdown(hand_made(truth, tracks, 8, states=[0] * 6 + [1] * 2))
+    assert [group.name for group in groups] == [*EXPECTED]
+    for group in groups:
+        for found, expected in zip(group.rows, EXPECTED[group.name], strict=True):
+            assert vars(found) == pytest.approx(vars(expected), abs=1e-12), (group.name, found.bin)
 
 
-def test_an_occlusion_is_survived_or_not_among_those_of_its_length() -> None:
+def test_an_occlusion_is_survived_or_not_among_those_of_its_length_and_without_vessels_there_are_none() -> None:
     # Occluded from 1 to 2 s, with the same track before and after, and from 4 to 8 s, with another one after.
     truth = [Seen(k, 0, box(), 0.2 if k == 1 or 4 <= k < 8 else 1) for k in range(10)]
     tracks = [(k, 1 + k // 8, box()) for k in range(10)]
     found = {group.name: group.rows for group in breakdown(hand_made(truth, tracks, 10))}["occlusion"]
     told = [(row.bin, row.occlusions, row.judged, row.survived) for row in found]
     assert told == [("1 to 3", 1, 1, 1), ("3 to 10", 1, 1, 0)]
+    assert not any(group.rows for group in breakdown(hand_made([], [(0, 1, box())], 2)))
 
 
 def random(seed: int) -> Scored:
@@ -85,20 +78,15 @@ def random(seed: int) -> Scored:
 def test_the_bins_of_a_group_together_are_all_scored_vessel_frames(seed: int) -> None:
     scored = random(seed)
     followed, association = len(scored.pairs[0]), np.nansum(association_of_pairs(scored)[1])
-    for group in breakdown(scored):
-        if group.name != "occlusion":
-            columns = [(row.vessel_frames, row.recall, row.association or 0) for row in group.rows]
-            frames, found, each = np.array(columns, dtype=float).T
-            assert frames.sum() == len(scored.truth) and frames.min() > 0
-            assert frames @ found == pytest.approx(followed)
-            assert (frames * found) @ each == pytest.approx(association)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_occlusions_by_length_are_those_in_the_phase_during(seed: int) -> None:
-    found = {group.name: group.rows for group in breakdown(random(seed))}
-    during = next(row for row in found["phase"] if row.bin == "during")
-    assert sum(row.vessel_frames for row in found["occlusion"]) == during.vessel_frames
+    groups = {group.name: group.rows for group in breakdown(scored)}
+    during = next(row for row in groups["phase"] if row.bin == "during")
+    assert sum(row.vessel_frames for row in groups.pop("occlusion")) == during.vessel_frames
+    for rows in groups.values():
+        columns = [(row.vessel_frames, row.recall, row.association or 0) for row in rows]
+        frames, found, each = np.array(columns, dtype=float).T
+        assert frames.sum() == len(scored.truth) and frames.min() > 0
+        assert frames @ found == pytest.approx(followed)
+        assert (frames * found) @ each == pytest.approx(association)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -114,10 +102,6 @@ def test_association_of_a_pair_is_that_of_its_sets_of_frames(seed: int) -> None:
         together = [each for each in of_vessel if following.track_row[each] in of_track]
         union = len(of_vessel) + len(of_track) - len(together)
         assert association[place] == pytest.approx(len(together) / union)
-
-
-def test_a_run_without_vessels_has_no_bins() -> None:
-    assert not any(group.rows for group in breakdown(hand_made([], [(0, 1, box())], 2)))
 
 
 def test_bars_of_the_page_have_one_width_for_a_share_in_all_columns() -> None:

@@ -27,12 +27,9 @@ def test_a_hidden_vessel_is_followed_by_the_track_from_before_or_by_another_or_b
     assert hidden(hand_made(truth, tracks[2:], 7)) == Hidden(4, 3 / 4, 0)  # nothing followed it before
     assert hidden(hand_made(truth, tracks, 7).in_frames(np.array([2, 6]))) == Hidden(1, 1, 1)
     assert hidden(hand_made(truth[:2], tracks, 7)) == Hidden(0, None, None)
-
-
-def test_a_track_from_before_an_absence_or_of_another_vessel_is_not_the_same_track() -> None:
-    truth = [Seen(0, 0, A), Seen(5, 0, A, 0)]  # it comes back hidden, as a new identity
-    assert hidden(hand_made(truth, [(0, 1, A), (5, 1, A)], 6)) == Hidden(1, 1, 0)
-    beside = [Seen(0, 0, A), Seen(1, 1, A, 0)]
+    back = [Seen(0, 0, A), Seen(5, 0, A, 0)]  # it comes back hidden, as a new identity
+    assert hidden(hand_made(back, [(0, 1, A), (5, 1, A)], 6)) == Hidden(1, 1, 0)
+    beside = [Seen(0, 0, A), Seen(1, 1, A, 0)]  # the track is that of another vessel
     assert hidden(hand_made(beside, [(0, 1, A), (1, 1, A)], 2)) == Hidden(1, 1, 0)
 
 
@@ -60,12 +57,9 @@ def test_the_track_after_an_occlusion_is_the_one_before_or_not(tracks, before, a
     assert found.followed_before == (before is not None)
 
 
-def test_no_track_is_judged_by_an_occlusion_after_which_the_vessel_is_gone() -> None:
+def test_an_occlusion_after_which_the_vessel_is_gone_judges_no_track_and_without_a_pixel_it_is_not_back() -> None:
     scored = seen([(3, 1)], VISIBLE[:7])
     assert occlusions(scored)[0].survived is None and survival(scored) == Survival(1, 0, None, 0)
-
-
-def test_a_frame_in_which_the_vessel_has_no_pixel_neither_ends_an_occlusion_nor_shows_the_vessel() -> None:
     through = (1, 1, 1, 1, 0.2, None, 0, None, 1, 1, 1, 1, 1, 1)
     (found,) = occlusions(seen([(k, 1) for k in (*range(4), *range(8, 14))], through))
     assert (found.start_s, found.end_s, found.least_visible_fraction, found.survived) == (2, 3.5, 0, True)

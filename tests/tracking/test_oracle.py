@@ -63,63 +63,41 @@ def frames_of(tracks, track):
     return tracks.frame[tracks.track == track]
 
 
-def test_without_noise_and_misses_the_true_boxes_come_back(perfect):
-    truth = TrueTracks.of(perfect)
-    scored, raw = truth.take(truth.scored), oracle_tracks(perfect, truth, smoothed=False)
-    assert len(raw) == len(scored) > 20
-    np.testing.assert_array_equal(raw.boxes_px, np.round(truth.boxes_px[truth_at(truth, raw)], 3))
-
-
-def test_without_noise_the_smoother_changes_no_detected_box_and_bridges_a_hidden_vessel(perfect):
+def test_without_noise_and_misses_the_true_boxes_come_back_and_the_smoother_only_bridges_hidden_vessels(perfect):
     truth = TrueTracks.of(perfect)
     raw = oracle_tracks(perfect, truth, smoothed=False)
+    assert len(raw) == truth.scored.sum() > 20
+    np.testing.assert_array_equal(raw.boxes_px, np.round(truth.boxes_px[truth_at(truth, raw)], 3))
     smoothed = oracle_tracks(perfect, truth, smoothed=True, noise=EXACT)
-    seen = np.isfinite(smoothed.confidence)
-    assert (smoothed.frame[seen].tolist(), smoothed.track[seen].tolist()) == (raw.frame.tolist(), raw.track.tolist())
-    np.testing.assert_allclose(smoothed.boxes_px[seen], raw.boxes_px, rtol=0, atol=1e-6)
-    assert len(smoothed) > len(raw)
+    seen = smoothed.take(np.isfinite(smoothed.confidence))
+    assert (seen.frame.tolist(), seen.track.tolist()) == (raw.frame.tolist(), raw.track.tolist())
+    np.testing.assert_allclose(seen.boxes_px, raw.boxes_px, rtol=0, atol=1e-6)
     hidden = truth.take(truth.hidden)
     keys = set(zip(smoothed.frame.tolist(), smoothed.track.tolist(), strict=True))
-    assert set(zip(hidden.frame.tolist(), hidden.identity.tolist(), strict=True)) & keys
+    assert set(zip(hidden.frame.tolist(), hidden.identity.tolist(), strict=True)) & keys and len(smoothed) > len(raw)
 
 
-def test_each_track_has_each_frame_of_its_camera_from_its_first_detection_to_its_last(noisy, truth):
+def test_each_track_has_each_frame_from_its_first_detection_to_its_last_labelled_as_the_one_before(noisy, truth):
     raw = oracle_tracks(noisy, truth, smoothed=False)
     smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=SmootherNoise())
     assert len(smoothed) > len(raw) and set(smoothed.track.tolist()) == set(raw.track.tolist())
     for track in np.unique(raw.track).tolist():
-        seen = frames_of(raw, track)
+        seen, frames = frames_of(raw, track), frames_of(smoothed, track)
         taken = noisy.frames[noisy.frames % 2 == seen[0] % 2]
-        assert frames_of(smoothed, track).tolist() == taken[(taken >= seen[0]) & (taken <= seen[-1])].tolist()
-
-
-def test_a_bridged_box_has_the_label_of_the_detection_before_it(noisy, truth):
-    raw = oracle_tracks(noisy, truth, smoothed=False)
-    smoothed = oracle_tracks(noisy, truth, smoothed=True, noise=SmootherNoise())
-    for track in np.unique(raw.track).tolist():
-        frame, label = raw.frame[raw.track == track], raw.label[raw.track == track]
-        before = np.searchsorted(frame, frames_of(smoothed, track), side="right") - 1
-        assert smoothed.label[smoothed.track == track].tolist() == label[before].tolist()
+        assert frames.tolist() == taken[(taken >= seen[0]) & (taken <= seen[-1])].tolist()
+        before = np.searchsorted(seen, frames, side="right") - 1
+        assert smoothed.label[smoothed.track == track].tolist() == raw.label[raw.track == track][before].tolist()
     assert len(np.unique(raw.label)) > 1
 
 
-def test_boxes_and_confidences_are_those_that_a_tracker_is_given_and_no_false_one_is_among_them(noisy, truth):
+def test_boxes_are_those_that_a_tracker_is_given_no_false_one_with_the_identities_of_the_truth(noisy, truth):
     raw = oracle_tracks(noisy, truth, smoothed=False)
     false = np.isin(indices(noisy.detections, "kind", KINDS), FALSE_KINDS)
     assert false.sum() > 5 and len(raw) == (~false).sum()
-
     boxes_px, confidence = noisy.detection_boxes_px(), number_column(noisy.detections, "confidence")
-    told = np.column_stack([noisy.detection_frame, np.round(boxes_px, 3), np.round(confidence, 6)])[~false]
-    assert sorted(np.column_stack([raw.frame, raw.boxes_px, raw.confidence]).tolist()) == sorted(told.tolist())
-
-
-def test_identities_are_those_of_the_truth(noisy, truth):
-    raw = oracle_tracks(noisy, truth, smoothed=False)
-    boxes = map(tuple, np.round(noisy.detection_boxes_px(), 3).tolist())
-    keys = zip(noisy.detection_frame.tolist(), boxes, strict=True)
-    vessel = dict(zip(keys, noisy.detection_vessel.tolist(), strict=True))
-    came_from = [vessel[key] for key in zip(raw.frame.tolist(), map(tuple, raw.boxes_px.tolist()), strict=True)]
-    assert truth.vessel[truth_at(truth, raw)].tolist() == came_from
+    told = (noisy.detection_frame, noisy.detection_vessel, np.round(boxes_px, 3), np.round(confidence, 6))
+    given = (raw.frame, truth.vessel[truth_at(truth, raw)], raw.boxes_px, raw.confidence)
+    assert sorted(np.column_stack(given).tolist()) == sorted(np.column_stack(told)[~false].tolist())
 
 
 def test_of_two_boxes_of_one_appearance_the_tracks_stay_apart_where_the_truth_splits_it(noisy, truth):
@@ -208,31 +186,24 @@ def test_fitted_noise_makes_the_detections_of_a_run_more_likely_than_other_noise
                 assert oracle.log_likelihood(sequences, other) < oracle.log_likelihood(sequences, found)
 
 
-def test_noise_of_a_vessel_that_is_never_seen_twice_is_an_error(perfect):
-    short = with_detections(perfect, np.flatnonzero(perfect.detection_frame == 0))
-    with pytest.raises(ModsimError, match="no vessel is detected twice"):
-        oracle.fitted_noise(short, TrueTracks.of(perfect))
-
-
-def test_each_shipped_scene_has_its_noise_and_others_have_the_default():
+def test_each_shipped_scene_has_its_noise_others_the_default_and_a_damaged_file_is_an_error(tmp_path, monkeypatch):
     names = sorted(path.stem for path in data_folder("scenes").glob("*.yaml"))
     noises = [smoother_noise(name) for name in names]
     assert len(set(map(str, [*noises, smoother_noise("of somebody")]))) == len(names) + 1 == 7
-
-
-def test_a_damaged_file_of_noises_is_an_error_that_names_the_key(tmp_path, monkeypatch):
     (tmp_path / "trackers").mkdir()
-    text = "default: {noise_x_px: -1}\nscenes: {}\n"
-    (tmp_path / "trackers" / "oracle.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "trackers" / "oracle.yaml").write_text("default: {noise_x_px: -1}\nscenes: {}\n", encoding="utf-8")
     monkeypatch.setattr(oracle, "data_folder", lambda kind: tmp_path)
     with pytest.raises(InputError, match=r"default\.noise_x_px"):
         smoother_noise("fairway")
 
 
-def test_a_run_without_detections_has_no_tracks(noisy, truth):
+def test_a_run_without_detections_has_no_tracks_and_one_with_single_ones_no_noise(noisy, truth, perfect):
     nothing = with_detections(noisy, np.empty(0, int))
     for smoothed in (False, True):
         assert len(oracle_tracks(nothing, truth, smoothed=smoothed)) == 0
+    short = with_detections(perfect, np.flatnonzero(perfect.detection_frame == 0))
+    with pytest.raises(ModsimError, match="no vessel is detected twice"):
+        oracle.fitted_noise(short, TrueTracks.of(perfect))
 
 
 def test_boxes_of_a_size_stay_in_the_image(noisy, truth):

@@ -40,9 +40,13 @@ def settings_file(folder: Path, text: str) -> None:
 FILE = "chosen: On seeds 900 to 909.\nsettings: {gate: 2.0, hits: 3}\nscenes: {strait: {gate: 4.0}}\n"
 
 
-def test_names_are_the_built_in_ones_first() -> None:
+def test_names_are_the_built_in_ones_first_and_an_unknown_one_is_told_with_them() -> None:
     built_in = ("reference", "sort", "bytetrack", "ocsort", "stonesoup_gnn", "stonesoup_jpda")
     assert tracker_names()[:6] == built_in
+    with pytest.raises(InputError, match=r"(?s)--tracker.*'refrence'.*modsim3d\.trackers.*did you mean 'reference'"):
+        named_tracker("refrence", {}, "strait")
+    with pytest.raises(InputError, match=f"known: {', '.join(built_in)}"):
+        named_tracker("../../x", {}, "strait")
 
 
 def test_without_a_file_the_defaults_hold() -> None:
@@ -55,15 +59,10 @@ def test_without_a_file_the_defaults_hold() -> None:
 def test_a_file_replaces_defaults_its_scene_the_file_and_the_caller_all(tmp_path: Path) -> None:
     settings_file(tmp_path, FILE)
     assert named_tracker("sort", {}, "fairway").tracker == Toy(gate=2.0, hits=3)
-    assert named_tracker("sort", {}, "strait").tracker == Toy(gate=4.0, hits=3)
-    given = named_tracker("sort", {"gate": 5}, "strait")
-    assert given.tracker == Toy(gate=5.0, hits=3)
+    given, named = named_tracker("sort", {"gate": 5}, "strait"), named_tracker("sort", {}, "strait")
+    assert (given.tracker, named.tracker) == (Toy(gate=5.0, hits=3), Toy(gate=4.0, hits=3))
     assert given.chosen == "On seeds 900 to 909; but gate given by the caller"
-
-
-def test_the_origin_has_all_settings_and_versions(tmp_path: Path) -> None:
-    settings_file(tmp_path, FILE)
-    origin = named_tracker("sort", {}, "strait").origin
+    origin = named.origin
     assert origin.settings == {"gate": 4.0, "hits": 3, "name": "toy"}
     assert (origin.tracker, origin.package) == ("sort", f"modsim3d {version('modsim3d')}")
     assert origin.versions == {name: version(name) for name in ("numpy", "scipy", "pydantic")}
@@ -108,29 +107,15 @@ def test_wrong_settings_are_told_together_with_the_nearest_names() -> None:
         named_tracker("sort", ["gate"], "strait")  # type: ignore[arg-type]
 
 
-def test_an_unknown_tracker_is_told_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match=r"(?s)--tracker.*'refrence'.*modsim3d\.trackers.*did you mean 'reference'"):
-        named_tracker("refrence", {}, "strait")
-    with pytest.raises(InputError, match="known: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda"):
-        named_tracker("../../x", {}, "strait")
-
-
-@pytest.mark.parametrize("found", [3, Tracker, type("Other", (), {}), Toy(), type("Empty", (Tracker,), {})])
-def test_a_plugin_that_is_no_tracker_is_refused(monkeypatch: pytest.MonkeyPatch, found: object) -> None:
-    plugin = Plugin(TRACKERS, "mine", "mine 1.0")
-    monkeypatch.setattr(registry, "load_plugin", lambda *_: (found, plugin))
-    with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0 must be a class made from modsim3d\.Tracker"):
-        named_tracker("mine", {}, "strait")
-
-
 class Strange(Toy):
     thing: Any = object()
 
 
-def test_settings_that_no_file_holds_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    plugin = Plugin(TRACKERS, "mine", "mine 1.0")
-    monkeypatch.setattr(registry, "load_plugin", lambda *_: (Strange, plugin))
-    with pytest.raises(ModsimError, match=r"'mine' of mine 1\.0: its settings cannot be written as JSON"):
+@pytest.mark.parametrize("found", [3, Tracker, type("Other", (), {}), Toy(), type("Empty", (Tracker,), {}), Strange])
+def test_a_plugin_that_is_no_tracker_or_has_settings_that_no_file_holds_is_refused(monkeypatch, found: object) -> None:
+    monkeypatch.setattr(registry, "load_plugin", lambda *_: (found, Plugin(TRACKERS, "mine", "mine 1.0")))
+    said = "its settings cannot be written as JSON" if found is Strange else r"must be a class made from modsim3d\.Trac"
+    with pytest.raises(ModsimError, match=rf"'mine' of mine 1\.0:? {said}"):
         _ = named_tracker("mine", {}, "strait").origin
 
 

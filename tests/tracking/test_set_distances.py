@@ -25,10 +25,12 @@ def test_distances_are_means_of_an_error_a_miss_a_false_track_and_an_empty_frame
     assert ospa(four_frames) == Ospa(25 / 4)  # 5, 10, 10 and 0
 
 
-def test_a_larger_power_gives_parts_as_powers() -> None:
+def test_a_larger_power_gives_parts_as_powers_and_the_largest_has_a_distance() -> None:
     squared = Rules(set_distance=SetDistance(cutoff=10, power=2))
     scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=squared)
     assert gospa(scored) == Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
+    largest = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
+    assert ospa(hand_made([(0, 0, box())], [], 1, rules=largest)).ospa == pytest.approx(1e6)
 
 
 def test_cutoffs_around_an_error_turn_it_into_a_miss_and_a_false_track(four_frames: Scored) -> None:
@@ -37,22 +39,16 @@ def test_cutoffs_around_an_error_turn_it_into_a_miss_and_a_false_track(four_fram
     assert low == Gospa(2, 0, 1, 1) and high == Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
 
 
-def test_a_track_on_a_vessel_that_is_hidden_costs_nothing() -> None:
+def test_a_track_on_a_hidden_vessel_costs_nothing_and_frames_of_several_cameras_are_apart() -> None:
     scored = hand_made([(0, 0, box(), 0.0)], [(0, 7, box(1))], 1, rules=RULES)
     assert gospa(scored) == Gospa(0, 0, 0, 0) and ospa(scored) == Ospa(0)
-
-
-def test_only_the_frames_in_question_count(four_frames: Scored) -> None:
-    assert gospa(four_frames.in_frames(np.array([0, 3]))) == Gospa(2.5, 2.5, 0, 0)
-
-
-def test_frames_of_several_cameras_are_apart() -> None:
-    """The track of camera 1 is at the place of the vessel of camera 0."""
+    # The track of camera 1 is at the place of the vessel of camera 0.
     scored = hand_made([(0, 0, box())], [(1, 7, box())], 1, cameras=2, rules=RULES)
     assert gospa(scored) == Gospa(5, 0, 2.5, 2.5)
 
 
-def test_without_frames_there_is_no_distance(four_frames: Scored) -> None:
+def test_only_the_frames_in_question_count_and_without_frames_there_is_no_distance(four_frames: Scored) -> None:
+    assert gospa(four_frames.in_frames(np.array([0, 3]))) == Gospa(2.5, 2.5, 0, 0)
     nothing = four_frames.in_frames(np.empty(0, dtype=np.int64))
     assert gospa(nothing) == Gospa(None, None, None, None) and ospa(nothing) == Ospa(None)
 
@@ -64,8 +60,3 @@ def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
     for power in (0.9, 11, np.nan):
         with pytest.raises(ModsimError, match="--gospa C:P: must have a power from 1 to 10"):
             SetDistance(power=power)
-
-
-def test_the_largest_cutoff_and_power_have_a_distance() -> None:
-    rules = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
-    assert ospa(hand_made([(0, 0, box())], [], 1, rules=rules)).ospa == pytest.approx(1e6)
