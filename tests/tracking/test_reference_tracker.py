@@ -28,8 +28,13 @@ def straight(times_s, starts, velocities):
     return [sensed(float(time_s), starts + velocities * time_s) for time_s in times_s]
 
 
-def followed(frames, tracker=TRACKER):
-    return list(tracker.follow(frames, CAMERA))
+def one_vessel(count):
+    """Ten frames a second of a vessel that begins at 100, 200 and makes 30 px/s to the right."""
+    return straight(np.arange(count) / 10, [[100, 200]], [[30, 0]])
+
+
+def followed(frames, **settings):
+    return list(TRACKER.model_copy(update=settings).follow(frames, CAMERA))
 
 
 def numbers(answers):
@@ -50,51 +55,34 @@ def test_two_frames_are_those_of_the_hand():
     assert answer.track.tolist() == [0]
 
 
-def test_a_track_is_reported_from_its_last_confirming_detection_on():
-    answers = followed(straight(np.arange(5) / 10, [[100, 200]], [[30, 0]]), replaced(confirm_hits=3))
-    assert numbers(answers) == [[], [], [0], [0], [0]]
-
-
-def replaced(**settings):
-    return TRACKER.model_copy(update=settings)
-
-
-def test_a_new_track_may_miss_one_frame_and_not_two():
-    frames, three = straight(np.arange(6) / 10, [[100, 200]], [[30, 0]]), replaced(confirm_hits=3)
-    assert numbers(followed(without(frames, 1), three)) == [[], [], [], [0], [0], [0]]
-    assert numbers(followed(without(frames, 1, 2), three)) == [[], [], [], [], [], [1]]
+def test_a_track_is_reported_from_its_last_confirming_detection_on_and_a_new_one_may_miss_one_frame_and_not_two():
+    frames = one_vessel(6)
+    assert numbers(followed(frames, confirm_hits=3)) == [[], [], [0], [0], [0], [0]]
+    assert numbers(followed(without(frames, 1), confirm_hits=3)) == [[], [], [], [0], [0], [0]]
+    assert numbers(followed(without(frames, 1, 2), confirm_hits=3)) == [[], [], [], [], [], [1]]
 
 
 def test_crossing_vessels_keep_their_tracks():
-    times_s = np.arange(40) / 10
-    frames = straight(times_s, [[100, 200], [500, 220]], [[100, 0], [-100, 0]])
-    answers = followed(frames)[1:]
+    answers = followed(straight(np.arange(40) / 10, [[100, 200], [500, 220]], [[100, 0], [-100, 0]]))[1:]
     for track in range(2):
         first, last = (answers[index].boxes_px[answers[index].track == track] for index in (0, -1))
         assert len(first) == len(last) == 1
-        moved = float(centres(last)[0, 0] - centres(first)[0, 0])
-        assert abs(abs(moved) - 380) < 5
+        assert abs(abs(centres(last)[0, 0] - centres(first)[0, 0]) - 380) < 5
     assert numbers(answers) == [[0, 1]] * 39
 
 
 def test_of_the_pairs_in_the_gates_the_likeliest_are_taken_together():
-    wide = replaced(noise_x_px=10.0, noise_y_px=10.0)
     frames = straight(np.arange(10) / 10, [[100, 200], [112, 200]], [[30, 0], [30, 0]])
-    answers = followed(frames, wide)[1:]
+    last = followed(frames, noise_x_px=10.0, noise_y_px=10.0)[-1]
     for track, x_px in enumerate((127, 139)):
-        last = answers[-1].boxes_px[answers[-1].track == track]
-        np.testing.assert_allclose(centres(last), [[x_px, 200]], atol=5)
+        np.testing.assert_allclose(centres(last.boxes_px[last.track == track]), [[x_px, 200]], atol=5)
 
 
-def test_a_miss_does_not_end_a_track_which_is_reported_where_it_should_be():
-    frames = straight(np.arange(20) / 10, [[100, 200]], [[30, 0]])
-    answers = followed(without(frames, 10))
-    assert numbers(answers)[1:] == [[0]] * 19
-    np.testing.assert_allclose(centres(answers[10].boxes_px), [[130, 200]], atol=1)
-
-
-def test_a_track_coasts_for_its_time_and_ends_after_its_own():
-    frames = straight(np.arange(40) / 10, [[100, 200]], [[30, 0]])
+def test_a_track_coasts_for_its_time_where_it_should_be_and_ends_after_its_own():
+    frames = one_vessel(40)
+    missed = followed(without(frames, 10))
+    assert numbers(missed)[1:] == [[0]] * 39
+    np.testing.assert_allclose(centres(missed[10].boxes_px), [[130, 200]], atol=1)
     short, long = followed(without(frames, *range(10, 19))), followed(without(frames, *range(10, 20)))
     assert numbers(short) == [[]] + [[0]] * 14 + [[]] * 4 + [[0]] * 21  # seen at 0.9 s, and at 1.9 s again
     assert numbers(long)[19:22] == [[], [], [1]]  # seen at 2.0 s again
@@ -104,7 +92,7 @@ def test_a_track_coasts_as_long_whatever_the_last_bits_of_times_since_1970_are()
     for begin in range(20):
         times_s = 1_700_000_000 + np.arange(begin, begin + 5) * 0.1 - 1_700_000_000
         frames = without(straight(times_s, [[100, 200]], [[0, 0]]), 2, 3, 4)
-        assert numbers(followed(frames, replaced(coast_s=0.2))) == [[], [0], [0], [0], []]
+        assert numbers(followed(frames, coast_s=0.2)) == [[], [0], [0], [0], []]
 
 
 def test_times_need_not_be_regular():
@@ -117,13 +105,12 @@ def test_times_need_not_be_regular():
 
 def test_frames_without_detections_have_no_tracks():
     assert numbers(followed([sensed(time_s, []) for time_s in (0.0, 0.1, 0.2)])) == [[], [], []]
-    frames = straight(np.arange(30) / 10, [[100, 200]], [[30, 0]])
-    answers = followed(without(frames, *range(5), *range(20, 30)))
+    answers = followed(without(one_vessel(30), *range(5), *range(20, 30)))
     assert numbers(answers) == [[]] * 6 + [[0]] * 19 + [[]] * 5 and followed([]) == []
 
 
 def test_unsure_detections_continue_a_track_and_start_none():
-    frames = straight(np.arange(10) / 10, [[100, 200]], [[30, 0]])
+    frames = one_vessel(10)
     unsure = [replace(frame, confidence=np.full(1, 0.3)) for frame in frames]
     assert numbers(followed(unsure)) == [[]] * 10
     assert numbers(followed(frames[:3] + unsure[3:])) == [[]] + [[0]] * 9
@@ -146,8 +133,8 @@ def test_the_order_of_detections_changes_nothing():
 
 
 def test_a_track_has_the_label_with_the_most_confidence():
-    frames, labels = straight(np.arange(5) / 10, [[100, 200]], [[30, 0]]), [0, 1, 1, 1, 0]
-    mixed = [replace(frame, label=np.array([label])) for frame, label in zip(frames, labels, strict=True)]
+    labelled = zip(one_vessel(5), [0, 1, 1, 1, 0], strict=True)
+    mixed = [replace(frame, label=np.array([label])) for frame, label in labelled]
     assert [answer.label.tolist() for answer in followed(mixed)] == [[], [0], [1], [1], [1]]
 
 
@@ -159,7 +146,8 @@ def test_boxes_end_at_the_edge_of_the_image():
 
 
 def test_the_filter_is_as_uncertain_as_it_is_wrong():
-    rng, vessels, steps, tracker = np.random.default_rng(3), 400, 15, replaced(lost_s=9.0, gate_probability=1 - 1e-12)
+    rng, vessels, steps = np.random.default_rng(3), 400, 15
+    tracker = TRACKER.model_copy(update={"lost_s": 9.0, "gate_probability": 1 - 1e-12})
     place = np.stack(np.meshgrid(np.arange(20), np.arange(20)), -1).reshape(-1, 2) * 2000.0 + 1000
     camera = replace(CAMERA, image_size_px=(40000, 40000))
     velocity = rng.normal(0, 30, (vessels, 2))
@@ -178,5 +166,5 @@ def test_the_filter_is_as_uncertain_as_it_is_wrong():
         error = centres(answer.boxes_px) - true
         nees = np.einsum("ki,kij,kj->k", error, np.linalg.inv(answer.covariance_px2), error)
         assert abs(nees.mean() - 2) < 4 * 2 / np.sqrt(vessels)  # chi-square of 2 has a standard deviation of 2
-    last = answers[-1].covariance_px2[0, 0, 0]
-    assert last == pytest.approx(answers[-1].covariance_px2[-1, 1, 1])
+    last_px2 = answers[-1].covariance_px2
+    assert last_px2[0, 0, 0] == pytest.approx(last_px2[-1, 1, 1])

@@ -47,12 +47,15 @@ def sequence(scene: Scene, steps: list[int], boxes: list[tuple[int, float]]) -> 
     return CameraSequence(scene.cameras[0], np.array(steps), np.array(steps) * 0.5, truth, told)
 
 
+def named(script: Follow, plugin: bool = False) -> NamedTracker:
+    tracker = type("Mine", (Scripted,), {"script": staticmethod(script)})()
+    return NamedTracker("mine", tracker, Plugin(TRACKERS, "mine", "mine 1.0") if plugin else None, "")
+
+
 def run(scene: Scene, script: Follow, *, plugin: bool = True, times: int = 1) -> Tracks:
     """The tracks of a script in three frames, at steps 0, 2 and 4, with two, no and one detection."""
-    tracker = type("Mine", (Scripted,), {"script": staticmethod(script)})()
-    named = NamedTracker("mine", tracker, Plugin(TRACKERS, "mine", "mine 1.0") if plugin else None, "")
-    sequences = [sequence(scene, [0, 2, 4], [(0, 5), (0, 50), (2, 7)])]
-    return [tracked(named, sequences, [0], scene) for _ in range(times)][-1]
+    sequences, tracker = [sequence(scene, [0, 2, 4], [(0, 5), (0, 50), (2, 7)])], named(script, plugin)
+    return [tracked(tracker, sequences, [0], scene) for _ in range(times)][-1]
 
 
 def test_a_tracker_is_given_each_frame_with_its_detections_and_time(scene: Scene) -> None:
@@ -88,10 +91,9 @@ def test_cameras_are_tracked_by_themselves(scene: Scene) -> None:
     def script(frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         return (TrackedFrame(np.arange(7, 7 + len(each.label)), each.boxes_px, each.label) for each in frames)
 
-    tracker = type("Mine", (Scripted,), {"script": staticmethod(script)})()
     sequences = [sequence(scene, [0, 1], [(0, 5), (1, 6)]), sequence(scene, [1], [(0, 9)])]
     two = SimpleNamespace(cameras=scene.cameras * 2, detector=scene.detector)
-    tracks = tracked(NamedTracker("mine", tracker, None, ""), sequences, [0, 1], two)  # type: ignore[arg-type]
+    tracks = tracked(named(script), sequences, [0, 1], two)  # type: ignore[arg-type]
     assert (tracks.frame.tolist(), tracks.track.tolist()) == ([0, 2, 3], [1, 1, 1])
     assert (tracks.boxes_px[:, 0].tolist(), tracks.cameras) == ([5.0, 6.0, 9.0], 2)
 
@@ -181,18 +183,13 @@ def test_a_wrong_answer_is_told_with_plugin_camera_and_time(scene: Scene, script
 def test_what_is_right_is_kept(scene: Scene) -> None:
     covariance = [[[4.0, 1.0], [1.0, 9.0]]]
     tracks = run(scene, answer(label=[0], confidence=[1.0], covariance_px2=covariance))
-    assert tracks.frame.tolist() == [2] and tracks.track.tolist() == [1]
-    assert tracks.boxes_px.tolist() == BOX and tracks.label.tolist() == [0]
-    assert tracks.covariance_px2.tolist() == covariance
+    assert (tracks.frame.tolist(), tracks.track.tolist(), tracks.label.tolist()) == ([2], [1], [0])
+    assert (tracks.boxes_px.tolist(), tracks.covariance_px2.tolist()) == (BOX, covariance)
     assert len(run(scene, answer(label=[-1], confidence=[np.nan]))) == 1
 
 
-def test_an_error_of_a_built_in_tracker_is_its_own(scene: Scene) -> None:
+def test_an_error_of_a_built_in_tracker_is_its_own_and_a_camera_without_frames_has_no_tracks(scene: Scene) -> None:
     with pytest.raises(ZeroDivisionError):
         run(scene, fails, plugin=False)
-
-
-def test_a_camera_without_frames_has_no_tracks(scene: Scene) -> None:
-    tracker = type("Mine", (Scripted,), {"script": staticmethod(yields(None))})()
-    assert len(tracked(NamedTracker("mine", tracker, None, ""), [sequence(scene, [], [])], [0], scene)) == 0
-    assert len(tracked(NamedTracker("mine", tracker, None, ""), [], [], scene)) == 0
+    assert len(tracked(named(yields(None)), [sequence(scene, [], [])], [0], scene)) == 0
+    assert len(tracked(named(yields(None)), [], [], scene)) == 0

@@ -4,11 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 import modsim3d
 from modsim3d import ModsimError, RunRows, StoredRun
-from modsim3d.cli.main import app
+from tests.cli.bad_input.builders import Call
 from tests.tracks.track_files import csv_text, detected_tracks, mot_texts, write_mot
 
 
@@ -29,37 +28,22 @@ def of_bow(run: StoredRun) -> Path:
     return path
 
 
-def test_a_file_without_a_line_of_one_camera_is_refused_by_the_camera_s_name(run: StoredRun, of_bow: Path) -> None:
-    with pytest.raises(ModsimError) as error:
-        modsim3d.score_run(run, of_bow)
-    assert "have no line of camera 'quay'" in str(error.value)
-    assert "--camera bow" in str(error.value) and "--camera bow --camera quay" in str(error.value)
-
-
-def test_the_camera_that_is_asked_for_is_scored_alone(run: StoredRun, of_bow: Path) -> None:
-    both = modsim3d.score_run(run, of_bow, cameras=["bow", "quay"])
-    one = modsim3d.score_run(run, of_bow, cameras="bow")
-    flat, whole = one.trackers[0].scores.flat(), both.trackers[0].scores.flat()
-    assert list(one.trackers[0].scores.by_camera) == ["bow"]
-    of_one, of_both = (each.trackers[0].scores.by_camera["bow"] for each in (one, both))
-    assert (of_one.hota, of_one.frames, of_one.vessel_frames) == (of_both.hota, of_both.frames, of_both.vessel_frames)
-    assert flat["hota"] == pytest.approx(of_one.hota)
-    assert flat["misses"] < whole["misses"] and flat["true_positives"] == whole["true_positives"]  # type: ignore[operator]
-    assert {each.camera for each in one.trackers[0].scores.occlusions} <= {"bow"}
-
-
-def test_tracks_of_other_cameras_are_left_out(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
+def test_the_camera_that_is_asked_for_is_scored_alone_and_tracks_of_others_are_left_out(run, of_bow, tmp_path) -> None:
+    both, one = (modsim3d.score_run(run, of_bow, cameras=each).trackers[0].scores for each in (["bow", "quay"], "bow"))
+    flat, whole = one.flat(), both.flat()
+    assert list(one.by_camera) == ["bow"] and one.by_camera["bow"] == both.by_camera["bow"]
+    assert flat["hota"] == pytest.approx(one.by_camera["bow"].hota)
+    assert flat["misses"] < whole["misses"] and flat["true_positives"] == whole["true_positives"]
+    assert {each.camera for each in one.occlusions} <= {"bow"}
     rows = RunRows.of(run)
     (tmp_path / "all.csv").write_text(csv_text(rows, detected_tracks(rows)))
-    paths = of_bow, tmp_path / "all.csv"
-    alone, among = (modsim3d.score_run(run, path, cameras=("bow",)).trackers[0] for path in paths)
-    assert among.scores.flat() == alone.scores.flat()
+    among = modsim3d.score_run(run, tmp_path / "all.csv", cameras=("bow",)).trackers[0]
+    assert among.scores.flat() == flat
 
 
 def test_detector_seeds_are_of_the_same_camera(run: StoredRun, tmp_path: Path) -> None:
     modsim3d.track_run(run, tmp_path / "tracks")
     found = modsim3d.score_run(run, tmp_path / "tracks", cameras="quay", seeds=2)
-    assert found.seeds is not None
     first = found.seeds.spreads["reference"]["hota"].values[0]
     assert first == pytest.approx(found.trackers[0].scores.flat()["hota"])
 
@@ -81,6 +65,8 @@ def test_an_empty_file_is_a_tracker_that_found_nothing(run: StoredRun, of_bow: P
 
 
 def test_what_cannot_be_is_refused(run: StoredRun, of_bow: Path, tmp_path: Path) -> None:
+    with pytest.raises(ModsimError, match=r"have no line of camera 'quay'.*--camera bow.*--camera bow --camera quay"):
+        modsim3d.score_run(run, of_bow)
     with pytest.raises(ModsimError, match=r"no camera 'bov' in this run \(did you mean 'bow'\?\)"):
         modsim3d.score_run(run, of_bow, cameras="bov")
     (tmp_path / "world.csv").write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
@@ -88,13 +74,12 @@ def test_what_cannot_be_is_refused(run: StoredRun, of_bow: Path, tmp_path: Path)
         modsim3d.score_run(run, tmp_path / "world.csv", cameras="bow")
 
 
-def test_the_command_says_which_cameras_it_scored(run: StoredRun, of_bow: Path) -> None:
-    def scored(*options: str) -> tuple[int, str]:
-        arguments = ["score", str(run.folder), str(of_bow), *options]
-        result = CliRunner().invoke(app, arguments, env={"COLUMNS": "200"})
-        return result.exit_code, result.stdout
+def test_the_command_says_which_cameras_it_scored(run: StoredRun, of_bow: Path, call: Call) -> None:
+    def scored(*options: str) -> str:
+        status, text = call("score", run.folder, of_bow, *options)
+        assert status == 0
+        return text
 
-    code, text = scored("--camera", "bow")
-    assert code == 0 and "only bow" in text
-    assert json.loads(scored("--camera", "bow", "--json")[1])["rules"]["cameras"] == ["bow"]
-    assert json.loads(scored("--camera", "quay", "--camera", "bow", "--json")[1])["rules"]["cameras"] is None
+    assert "only bow" in scored("--camera", "bow")
+    assert json.loads(scored("--camera", "bow", "--json"))["rules"]["cameras"] == ["bow"]
+    assert json.loads(scored("--camera", "quay", "--camera", "bow", "--json"))["rules"]["cameras"] is None

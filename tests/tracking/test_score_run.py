@@ -9,7 +9,6 @@ import numpy as np
 import orjson
 import pytest
 
-import modsim3d
 from modsim3d import ModsimError, RunDirectoryError, RunRows, RunScores, StoredRun, score_run, track_run
 from modsim3d.tracking.detector_seeds import detector_runs
 from modsim3d.tracking.oracle import REFERENCES
@@ -18,6 +17,8 @@ from modsim3d.tracking.score_page import score_page, seed_rows
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracks.tracks import Tracks, TrackSet
 from modsim3d.tracks.true_tracks import TrueTracks
+
+NO_NAMES: list[Any] = [3, 0, True, [3], ["C0", None]]
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +42,7 @@ def test_perfect_tracks_score_1_and_come_first(scores: RunScores) -> None:
     best = keys_of(scores.trackers[0].scores)
     assert (best["hota"], best["mota"], best["idf1"], best["gospa"]) == pytest.approx((1, 1, 1, 0))
     assert scores.conclusion.startswith("perfect has the highest HOTA of 2 trackers: it follows vessels for 100 %")
-
-
-@pytest.mark.parametrize("cameras", [3, 0, True, [3], ["C0", None]])
-def test_cameras_that_are_no_names_are_one_sentence(run: StoredRun, perfect: TrackSet, cameras: Any) -> None:
-    with pytest.raises(ModsimError, match="cameras must be the name of a camera, or a list of names"):
-        score_run(run, perfect, cameras=cameras)
+    assert repr(scores) == f"<RunScores {scores.run.folder}: {scores.conclusion}>"
 
 
 def test_references_do_not_depend_on_the_trackers_beside_them(run: StoredRun, scores: RunScores, tracks: Path) -> None:
@@ -110,42 +106,35 @@ def test_noisy_boxes_are_told_where_iou_scores_them(run: StoredRun, tracks: Path
     assert "only" not in remarks_of(by_centre)
 
 
-def test_tracks_in_the_world_have_a_table_of_their_own(run: StoredRun, tmp_path: Path) -> None:
-    path = tmp_path / "fused.csv"
-    path.write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
-    scores = score_run(run, path)
-    assert scores.trackers == () and scores.references == {}
-    assert scores.conclusion == "fused follows no vessel in the world."
-    assert "Tracks in the world" in score_page(scores) and score_data(scores)["world"][0]["rmse_m"] is None
-
-
-def test_tracks_of_one_name_are_told_apart(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:
-    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
-    assert names == ["perfect 1", "perfect 2", "reference"]
+def test_tracks_in_the_world_have_a_table_of_their_own_and_tracks_of_one_name_are_told_apart(
+    run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path
+) -> None:
     paths = [tmp_path / name / "fused.csv" for name in ("a", "b")]
     for path in paths:
         path.parent.mkdir()
         path.write_text("time_s,track,w1_m,w2_m\n0,1,5000,5000\n")
+    scores = score_run(run, paths[0])
+    assert scores.trackers == () and scores.references == {}
+    assert scores.conclusion == "fused follows no vessel in the world."
+    assert "Tracks in the world" in score_page(scores) and score_data(scores)["world"][0]["rmse_m"] is None
     assert [each.name for each in score_run(run, paths).world] == [str(path) for path in paths]
+    names = [each.name for each in score_run(run, [perfect, replace(perfect), tracks]).trackers]
+    assert names == ["perfect 1", "perfect 2", "reference"]
 
 
 def test_what_cannot_be_scored_is_refused(run: StoredRun, tracks: Path, perfect: TrackSet, tmp_path: Path) -> None:
-    with pytest.raises(ModsimError, match="nothing says which one made 'perfect': give folders that `modsim3d track`"):
-        score_run(run, [tracks, perfect], seeds=3)
-    with pytest.raises(ModsimError, match=r"--seeds must be from 2 to 1000 \(got 1\)"):
-        score_run(run, tracks, seeds=1)
-    with pytest.raises(ModsimError, match="is given twice"):
-        score_run(run, [tracks, tracks])
-    with pytest.raises(ModsimError, match="there are no tracks to score"):
-        score_run(run, [])
-    with pytest.raises(ModsimError, match="similarity centre needs scale_px"):
-        score_run(run, tracks, similarity="centre")
+    refused: list[tuple[Any, dict[str, Any], str]] = [
+        ([tracks, perfect], {"seeds": 3}, "nothing says which one made 'perfect': give folders that `modsim3d track`"),
+        (tracks, {"seeds": 1}, r"--seeds must be from 2 to 1000 \(got 1\)"),
+        ([tracks, tracks], {}, "is given twice"),
+        ([], {}, "there are no tracks to score"),
+        (tracks, {"similarity": "centre"}, "similarity centre needs scale_px"),
+    ]
+    no_names = "cameras must be the name of a camera, or a list of names"
+    for given, rules, said in [*refused, *((perfect, {"cameras": each}, no_names) for each in NO_NAMES)]:
+        with pytest.raises(ModsimError, match=said):
+            score_run(run, given, **rules)
     with pytest.raises(TypeError, match="tracks"):
         score_run(run, [3])  # type: ignore[list-item]
     with pytest.raises(RunDirectoryError):
         score_run(tmp_path, tracks)
-
-
-def test_score_run_is_at_hand(scores: RunScores) -> None:
-    assert modsim3d.score_run is score_run
-    assert repr(scores) == f"<RunScores {scores.run.folder}: {scores.conclusion}>"

@@ -1,7 +1,5 @@
 """The sentence of a score says what the numbers say, at the edges too."""
 
-import pytest
-
 from modsim3d.core.text import number
 from modsim3d.tracking.score_page import survived_of
 from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, percent
@@ -20,13 +18,6 @@ def told(name: str, lengths: tuple[LengthBin, ...] = (), **scores: float | None)
 
 
 REFERENCE = keys(0.78)
-
-
-def test_one_tracker_is_told_with_the_reference_and_what_it_loses_most() -> None:
-    assert conclusion([told("sort", (SHORT, LONG))], REFERENCE) == (
-        "sort follows vessels for 71 % of the time that it should (HOTA 0.52; the same detections with perfect "
-        "association reach 0.78). Among occlusions it does worst in those longer than 10 s: 2 of 9 are survived."
-    )
 
 
 NOTHING = {"hota": 0.0, "followed": 0}
@@ -53,10 +44,14 @@ def test_the_sentence_begins_with_what_is_worth_knowing() -> None:
         assert conclusion(trackers, reference).startswith(beginning)
 
 
-def test_a_tracker_above_the_reference_is_not_told_to_fall_short_of_it() -> None:
-    said = conclusion([told("sort", hota=0.8)], REFERENCE)
-    assert "(HOTA 0.80, above the 0.78 of the same detections with perfect association)" in said
-    assert "reach" not in said
+def test_one_tracker_is_told_with_the_reference_and_what_it_loses_most() -> None:
+    assert conclusion([told("sort", (SHORT, LONG))], REFERENCE) == (
+        "sort follows vessels for 71 % of the time that it should (HOTA 0.52; the same detections with perfect "
+        "association reach 0.78). Among occlusions it does worst in those longer than 10 s: 2 of 9 are survived."
+    )
+    above = conclusion([told("sort", hota=0.8)], REFERENCE)
+    assert "(HOTA 0.80, above the 0.78 of the same detections with perfect association)" in above
+    assert "reach" not in above
 
 
 def test_without_vessels_nothing_could_be_followed() -> None:
@@ -72,28 +67,21 @@ def lengths(*counts: tuple[int, int]) -> tuple[LengthBin, ...]:
     return tuple(LengthBin(f"of {k} s", all_of_them, survived) for k, (all_of_them, survived) in enumerate(counts))
 
 
-@pytest.mark.parametrize(
-    ("lengths", "said"),
-    [
+def test_occlusions_are_told_as_far_as_there_are_enough() -> None:
+    for bins, said in (
         ((), "No vessel that it followed went into an occlusion and came out of it."),
         (lengths((0, 0)), "No vessel that it followed went into an occlusion and came out of it."),
         (lengths((1, 1)), "It keeps its vessel through the only occlusion."),
         (lengths((1, 0)), "It keeps its vessel through 0 of 1 occlusion."),
         (lengths((2, 2), (3, 3)), "It keeps its vessel through all 5 occlusions."),
         (lengths((2, 1), (9, 3)), "It keeps its vessel through 4 of 11 occlusions."),
-    ],
-)
-def test_occlusions_are_told_as_far_as_there_are_enough(lengths: tuple[LengthBin, ...], said: str) -> None:
-    assert conclusion([told("sort", lengths)], REFERENCE).endswith(said)
+    ):
+        assert conclusion([told("sort", bins)], REFERENCE).endswith(said)
 
 
-def test_a_share_is_0_or_100_percent_only_if_it_is() -> None:
+def test_a_share_is_0_or_100_percent_only_if_it_is_and_survived_occlusions_are_a_number_of_those_judged() -> None:
     said = [percent(share) for share in (0.0, 0.001, 0.5, 0.999, 1.0, None)]
     assert said == ["0 %", "under 1 %", "50 %", "over 99 %", "100 %", "–"]
     assert [number(-0.25, 2), number(None), number(1234.0, 0)] == ["−0.25", "–", "1,234"]
-
-
-def test_survived_occlusions_of_a_bin_are_told_as_a_number_of_those_that_could_be() -> None:
-    assert survived_of(Bin("3 to 10", 40, 0.5, 0.4, occlusions=5, judged=3, survived=2 / 3)) == "2 of 3"
-    assert survived_of(Bin("3 to 10", 40, 0.5, 0.4, occlusions=5, judged=0)) == "–"
-    assert survived_of(Bin("before", 40, 0.5, 0.4)) == ""
+    counts = ({"occlusions": 5, "judged": 3, "survived": 2 / 3}, {"occlusions": 5, "judged": 0}, {})
+    assert [survived_of(Bin("3 to 10", 40, 0.5, 0.4, **each)) for each in counts] == ["2 of 3", "–", ""]

@@ -45,15 +45,12 @@ def test_a_state_has_the_scores_of_its_frames_only(miss_in_haze: Scores) -> None
         assert vars(miss_in_haze.by_state[name]) == pytest.approx(vars(expected), abs=1e-12)
 
 
-def test_a_camera_has_the_scores_of_its_frames_only() -> None:
+def test_a_camera_has_the_scores_of_its_frames_only_and_what_is_not_scored_counts_in_no_subset() -> None:
     found = scores_of([(k, 0, A) for k in range(4)], [(0, 1, A), (2, 1, A)], 2, cameras=2).by_camera
     assert found == {"C0": SubsetScores(2, 2, 1, 1, 1, 1, 1), "C1": SubsetScores(2, 2, 0, 0, None, 0, 0)}
-
-
-def test_a_track_on_a_vessel_that_is_not_scored_counts_in_no_subset() -> None:
     truth = [Seen(0, 0, A), Seen(1, 0, A, visible=0)]
-    found = scores_of(truth, [(0, 1, A), (1, 1, A)], 2, states=[0, 1])
-    assert found.by_state == {"clear": SubsetScores(1, 1, 1, 1, 1, 1, 1), "haze": SubsetScores(1, 0, *(None,) * 5)}
+    found = scores_of(truth, [(0, 1, A), (1, 1, A)], 2, states=[0, 1]).by_state
+    assert found == {"clear": SubsetScores(1, 1, 1, 1, 1, 1, 1), "haze": SubsetScores(1, 0, *(None,) * 5)}
 
 
 def test_by_class_each_label_has_its_own_matching_and_the_others_stay_of_all_classes() -> None:
@@ -78,13 +75,10 @@ def test_a_track_without_a_label_is_refused_by_class() -> None:
     assert scores_of([(0, 0, A)], tracks, 2).by_class == {}
 
 
-@pytest.mark.parametrize(("truth", "tracks"), [([], []), ([(0, 0, A)], []), ([], [(0, 1, A, 0)])])
-def test_runs_without_vessels_or_tracks_have_scores_too(truth, tracks) -> None:
-    found = scores_of(truth, tracks, 2, BY_CLASS).as_json()
-    assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
-    assert [*found.get("by_class", {})] == [LABELS[0]] * (len(truth) + len(tracks))
-
-
-def test_the_json_is_made_of_what_json_knows(miss_in_haze: Scores) -> None:
+def test_the_json_is_made_of_what_json_knows_and_of_runs_without_vessels_or_tracks_too(miss_in_haze: Scores) -> None:
     found = miss_in_haze.as_json() | {"hota_by_alpha": list(miss_in_haze.flat()["hota_by_alpha"])}
     assert json.loads(json.dumps(found, allow_nan=False)) == found
+    for truth, tracks in (([], []), ([(0, 0, A)], []), ([], [(0, 1, A, 0)])):
+        found = scores_of(truth, tracks, 2, BY_CLASS).as_json()
+        assert json.loads(json.dumps(found, allow_nan=False)).keys() == found.keys()
+        assert [*found.get("by_class", {})] == [LABELS[0]] * (len(truth) + len(tracks)), (truth, tracks)

@@ -62,18 +62,14 @@ class Coasting(Tracker):
             yield TrackedFrame(np.array([7]), box, covariance_px2=np.array([[[1.0, self.xy], [self.yx, 1.0]]]))
 
 
-def test_a_track_far_out_of_the_image_is_read(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_track_far_out_of_the_image_is_read_and_no_unreadable_covariance_is_written(run, tmp_path, monkeypatch):
     monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Coasting"))
     modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
     (one,) = modsim3d.score_run(run, tmp_path / "tracks").trackers
     assert len(one.track_set.tracks) == STEPS
-
-
-def test_no_unreadable_covariance_is_written(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its two covariances differ by rounding; with the one that is written it is none."""
-    monkeypatch.setitem(BUILT_IN, "sort", BuiltIn(__name__, "Coasting"))
+    # Its two covariances differ by rounding; with the one that is written it is none.
     with pytest.raises(ModsimError, match="this is no covariance of x and y"):
-        modsim3d.track_run(run, tmp_path / "tracks", tracker="sort", settings={"xy": 1 + 4e-7, "yx": 1 - 5e-7})
+        modsim3d.track_run(run, tmp_path / "t", tracker="sort", settings={"xy": 1 + 4e-7, "yx": 1 - 5e-7})
 
 
 def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
@@ -91,15 +87,12 @@ def test_counts_are_those_of_the_tracks(run: StoredRun, tmp_path: Path) -> None:
     assert result.camera_counts == {"C0": counts} and sum(told) == STEPS
     assert result.name == "sort (most=1, first=5)"
     assert "tracks 1" in repr(result) and "sort (most=1, first=5)" in result._repr_html_()
-
-
-def test_without_tracks_there_is_no_median(run: StoredRun, tmp_path: Path) -> None:
-    result = modsim3d.track_run(run, tmp_path / "t", tracker="sort", settings={"most": 0})
+    result = modsim3d.track_run(run, tmp_path / "none", tracker="sort", settings={"most": 0})
     assert (result.counts.tracks, result.counts.boxes, result.counts.median_track_s) == (0, 0, None)
     assert "median" not in repr(result)
 
 
-def test_what_is_written_says_how_it_was_made_and_is_the_same_again(run: StoredRun, tmp_path: Path) -> None:
+def test_what_is_written_says_how_it_was_made_and_what_it_has_and_is_the_same_again(run, tmp_path: Path) -> None:
     for name in ("a", "b"):
         modsim3d.track_run(run.folder, str(tmp_path / name), tracker="sort", settings={"most": 3})
     files = [{path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("a", "b")]
@@ -107,6 +100,10 @@ def test_what_is_written_says_how_it_was_made_and_is_the_same_again(run: StoredR
     facts = json.loads(files[0]["tracks.json"])
     assert (facts["tracker"], facts["settings"]) == ("sort", {"most": 3, "first": 0})
     assert facts["chosen"].startswith("the tracker's defaults")
+    text = (Path(__file__).parents[2] / "docs" / "track.md").read_text(encoding="utf-8")
+    section = text.split("## What it writes")[1].split("\n## ")[0].split("`tracks.json`")[0]
+    columns = pq.read_schema(tmp_path / "a" / "tracks.parquet").names
+    assert [name for name in columns if f"`{name}`" not in section] == []
 
 
 def test_what_is_there_is_refused_before_the_work(run: StoredRun, tmp_path: Path) -> None:
@@ -121,46 +118,30 @@ def test_what_is_there_is_refused_before_the_work(run: StoredRun, tmp_path: Path
     assert (tracks / "tracks.parquet").read_bytes() != before
 
 
-@pytest.mark.parametrize(
-    ("place", "said"),
-    [
-        ("file", "file is a file, and tracks.parquet is to be"),
-        ("file/deep", "file is a file"),
-        ("/proc/t", "cannot be"),
-    ],
-)
-def test_an_unwritable_folder_is_refused_before_the_work(run: StoredRun, tmp_path: Path, place: str, said: str) -> None:
+PLACES = {
+    "file": "file is a file, and tracks.parquet is to be",
+    "file/deep": "file is a file",
+    "/proc/t": "cannot be",
+    **dict.fromkeys(("run", "run/tracks", "run/scene/tracks"), "which this command reads"),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_an_unwritable_folder_or_one_in_the_run_is_refused_before_the_work(run, tmp_path: Path, place: str) -> None:
     (tmp_path / "file").write_text("mine")
-    frames: list[int] = []
-    with pytest.raises(OutputError, match=said):
-        modsim3d.track_run(run, tmp_path / place, tracker="sort", progress=frames.append)
+    (tmp_path / "run").symlink_to(run.folder)
+    frames, before = [], sorted(run.folder.rglob("*"))
+    with pytest.raises(OutputError, match=PLACES[place]):
+        modsim3d.track_run(run, tmp_path / place, tracker="sort", overwrite=True, progress=frames.append)
     assert frames == [] and (tmp_path / "file").read_text() == "mine"
-
-
-@pytest.mark.parametrize("place", ["", "tracks", "scene/tracks"])
-def test_nothing_is_written_into_the_run(run: StoredRun, place: str) -> None:
-    before = sorted(run.folder.rglob("*"))
-    with pytest.raises(OutputError, match="which this command reads"):
-        modsim3d.track_run(run, run.folder / place, tracker="sort", overwrite=True)
     assert sorted(run.folder.rglob("*")) == before
 
 
-def test_a_tracker_that_fails_leaves_nothing(run: StoredRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tracker_that_fails_leaves_nothing_and_an_interrupted_run_is_refused(run, tmp_path, monkeypatch) -> None:
+    interrupt(load_scene(crossing(tmp_path, 5), source="analytic"), tmp_path / "run")
+    with pytest.raises(RunDirectoryError, match="interrupted run: finish it with `modsim3d run SCENE --resume` first"):
+        modsim3d.track_run(tmp_path / "run", tmp_path / "tracks", tracker="sort")
     monkeypatch.setattr(EveryBox, "follow", lambda self, frames, camera: iter(()))
     with pytest.raises(ModsimError, match="the tracker 'sort': camera 'C0' at 0 s: it ended after 0 of 40 frames"):
         modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
     assert not (tmp_path / "tracks").exists()
-
-
-def test_an_interrupted_run_is_refused_with_how_to_finish_it(tmp_path: Path) -> None:
-    interrupt(load_scene(crossing(tmp_path, 5), source="analytic"), tmp_path / "run")
-    with pytest.raises(RunDirectoryError, match="interrupted run: finish it with `modsim3d run SCENE --resume` first"):
-        modsim3d.track_run(tmp_path / "run", tmp_path / "tracks", tracker="sort")
-
-
-def test_the_page_has_every_column_of_the_table(run: StoredRun, tmp_path: Path) -> None:
-    modsim3d.track_run(run, tmp_path / "tracks", tracker="sort")
-    text = (Path(__file__).parents[2] / "docs" / "track.md").read_text(encoding="utf-8")
-    section = text.split("## What it writes")[1].split("\n## ")[0].split("`tracks.json`")[0]
-    for name in pq.read_schema(tmp_path / "tracks" / "tracks.parquet").names:
-        assert f"`{name}`" in section
