@@ -98,9 +98,8 @@ def test_nees_of_a_shift_is_its_mahalanobis_distance_or_infinite_if_singular(row
 
 
 def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
-    rng = np.random.default_rng(5)
+    rng, count = np.random.default_rng(5), 40_000
     factor = rng.normal(size=(4, 4))
-    count = 40_000
     errors = rng.normal(size=(count, 4)) @ factor.T
     found = nees(errors, np.broadcast_to(factor @ factor.T, (count, 4, 4)))
     # A chi-square number with 4 degrees of freedom has the variance 8.
@@ -109,20 +108,19 @@ def test_nees_of_errors_of_their_covariance_is_their_dimension() -> None:
 
 
 def test_each_vessel_counts_once_however_long_it_is_followed(rows: RunRows, scored: Any) -> None:
-    one = tracks_of([(CROSSER, TIMES_S[:3])], shift_m=(6, 8))
-    other = tracks_of([(ANCHORED, TIMES_S)])
-    columns = (np.concatenate([getattr(one, name), getattr(other, name)]) for name in ("time_s", "position_m"))
-    both = WorldTracks.of("t", np.append(one.track, other.track + 1), ("a", "b"), *columns)
+    both = tracks_of([(CROSSER, TIMES_S[:3]), (ANCHORED, TIMES_S)])
+    both.position_m[both.track == 0] += (6, 8)
     scores = score_world(rows, both)
     # The t-quantile of 0.975 with one degree of freedom is 12.706, and the standard error of 10 and 0 is 5.
     assert values(scores, "rmse_m", "rmse_m_low", "rmse_m_high") == pytest.approx([5, 5 - 63.531, 5 + 63.531], abs=1e-3)
-    seen = int(scored[:, CROSSER].sum())
-    assert values(scores, "followed_share") == pytest.approx([(3 / seen + 1) / 2])
+    assert values(scores, "followed_share") == pytest.approx([(3 / scored[:, CROSSER].sum() + 1) / 2])
 
 
-def test_a_mean_over_few_vessels_has_no_interval() -> None:
+def test_a_mean_over_few_vessels_has_no_interval_and_one_never_established_is_the_worst_of_a_quartile() -> None:
     assert OverVessels.of(np.array([np.nan])) == OverVessels(None, None, None, 0)
     assert OverVessels.of(np.array([3.0, np.nan])) == OverVessels(3.0, None, None, 1)
+    assert quartiles([40.0, None, 10.0, 30.0]) == Quartiles(None, 10.0, 30.0)
+    assert quartiles([]) == Quartiles(None, None, None)
 
 
 def test_a_missed_vessel_and_a_false_track_cost_half_the_cutoff_each(rows: RunRows, scored: Any) -> None:
@@ -146,37 +144,30 @@ def test_without_tracks_all_is_missed(rows: RunRows, scored: Any) -> None:
     assert all(met.established_s is None and met.time_left_s is None for met in scores.encounters)
 
 
-def test_a_track_on_a_vessel_that_no_camera_sees_is_neither_right_nor_wrong(rows: RunRows, scored: Any) -> None:
-    unseen = TIMES_S[~scored[:, CROSSER]]
-    extra = [(OWN, TIMES_S), (ASTERN, TIMES_S), (CROSSER, unseen)]
-    seen = [(vessel, TIMES_S[scored[:, vessel]]) for vessel in (CROSSER, ANCHORED)]
-    with_them, without = score_world(rows, tracks_of(seen + extra)), score_world(rows, tracks_of(seen))
-    assert with_them.flat() == without.flat() and with_them.encounters == without.encounters
-
-
-def test_a_track_beyond_the_gate_follows_nothing(rows: RunRows) -> None:
+def test_a_track_beyond_the_gate_follows_nothing_and_one_on_an_unseen_vessel_is_neither_right_nor_wrong(rows, scored):
     tracks = tracks_of([(ANCHORED, TIMES_S)], shift_m=(0, 40))
     assert values(score_world(rows, tracks), "established", "false_tracks", "rmse_m") == [1, 0, 40]
     assert values(score_world(rows, tracks, gate_m=39), "established", "false_tracks", "rmse_m") == [0, 1, None]
+    seen = [(vessel, TIMES_S[scored[:, vessel]]) for vessel in (CROSSER, ANCHORED)]
+    unseen = [(OWN, TIMES_S), (ASTERN, TIMES_S), (CROSSER, TIMES_S[~scored[:, CROSSER]])]
+    with_them, without = score_world(rows, tracks_of(seen + unseen)), score_world(rows, tracks_of(seen))
+    assert with_them.flat() == without.flat() and with_them.encounters == without.encounters
 
 
-def test_switches_and_breaks_are_counted_as_a_vessel_goes_from_track_to_track(rows: RunRows) -> None:
+def test_the_track_of_the_step_before_is_kept_and_another_is_a_switch(
+    rows: RunRows,
+) -> None:
     # Followed from 1 s on by one track, by the next, by nobody for five steps, and by the third.
     parts = [(2, 10), (10, 20), (25, 30)]
     tracks = tracks_of([(ANCHORED, TIMES_S[slice(*part)]) for part in parts])
     last = replace(tracks, track=np.array([0, 1, 1])[tracks.track], track_names=("a", "b"))
     assert values(score_world(rows, last), "id_switches", "track_breaks", "false_tracks") == [1, 1, 0]
     assert values(score_world(rows, tracks), "id_switches", "track_breaks") == [2, 1]
-
-
-def test_the_track_of_the_step_before_is_kept_though_another_comes_nearer(rows: RunRows) -> None:
+    # Another comes nearer.
     tracks = tracks_of([(ANCHORED, TIMES_S), (ANCHORED, TIMES_S[30:])])
     tracks.position_m[tracks.track == 0] += (3, 4)
-    scores = score_world(rows, tracks)
-    assert values(scores, "id_switches", "rmse_m", "false_tracks") == [0, pytest.approx(5), 1]
-
-
-def test_a_track_that_lost_its_vessel_for_a_step_is_not_preferred(rows: RunRows) -> None:
+    kept = score_world(rows, tracks)
+    assert values(kept, "id_switches", "rmse_m", "false_tracks") == [0, pytest.approx(5), 1]
     # While the crosser's track keeps the step from being empty, the anchored vessel has none at step 30.
     far = np.delete(TIMES_S[:40], 30)
     tracks = tracks_of([(ANCHORED, far), (ANCHORED, TIMES_S[31:40]), (CROSSER, TIMES_S[:40])])
@@ -196,11 +187,18 @@ def test_vessels_that_carry_cameras_are_not_to_be_tracked(rows: RunRows, scored:
     assert both.scored[:, ANCHORED].all()
 
 
-def test_estimates_between_steps_are_held_against_the_place_at_their_own_time(rows: RunRows, scored: Any) -> None:
+def test_the_nearest_estimate_in_time_stands_for_a_step_against_the_place_at_its_own_time(rows, scored) -> None:
+    tracks = WorldTracks.of("t", np.zeros(3, dtype=np.int64), ("a", "b"), np.array([0.0, 0.9, 2.1]), np.zeros((3, 2)))
+    found = TrackEstimates.of(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
+    np.testing.assert_array_equal([found.step, found.row], [[0, 1, 2], [0, 1, 2]])
     seen = TIMES_S[scored[:, CROSSER]]
-    scores = score_world(rows, tracks_of([(CROSSER, seen[:-1] + 0.2), (ANCHORED, TIMES_S - 0.1)]))
-    assert values(scores, "rmse_m", "rmse_m_s") == pytest.approx([0, 0], abs=1e-9)
-    assert scores.flat()["pairs"] == scored.sum() - 1
+    between = score_world(rows, tracks_of([(CROSSER, seen[:-1] + 0.2), (ANCHORED, TIMES_S - 0.1)]))
+    assert values(between, "rmse_m", "rmse_m_s") == pytest.approx([0, 0], abs=1e-9)
+    assert between.flat()["pairs"] == scored.sum() - 1
+    slower = score_world(rows, tracks_of([(ANCHORED, TIMES_S[::4]), (CROSSER, seen[::4])]))
+    # Each reaches a second to either side: those at 28 s to 29 s, and the crosser's last, at 18 s, to 19 s.
+    assert values(slower, "rmse_m", "id_switches", "track_breaks") == pytest.approx([0, 0, 0], abs=1e-9)
+    assert scored[:, CROSSER].sum() == 40 and slower.flat()["pairs"] == scored[:59, ANCHORED].sum() + 39
 
 
 def test_a_vessel_is_where_it_appears_whatever_the_last_bits_of_times_since_1970_are() -> None:
@@ -211,19 +209,6 @@ def test_a_vessel_is_where_it_appears_whatever_the_last_bits_of_times_since_1970
         truth = WorldTruth(("a",), (), hulls, np.isfinite(centres_m[..., 0]))
         found = truth.positions_at(np.array([0.05 * step]), np.array([0]))
         np.testing.assert_allclose(found, [[3, 4]])
-
-
-def test_a_tracker_slower_than_the_steps_is_there_at_each(rows: RunRows, scored: Any) -> None:
-    scores = score_world(rows, tracks_of([(ANCHORED, TIMES_S[::4]), (CROSSER, TIMES_S[scored[:, CROSSER]][::4])]))
-    # Each reaches a second to either side: those at 28 s to 29 s, and the crosser's last, at 18 s, to 19 s.
-    assert values(scores, "rmse_m", "id_switches", "track_breaks") == pytest.approx([0, 0, 0], abs=1e-9)
-    assert scored[:, CROSSER].sum() == 40 and scores.flat()["pairs"] == scored[:59, ANCHORED].sum() + 39
-
-
-def test_the_nearest_estimate_in_time_stands_for_a_step() -> None:
-    tracks = WorldTracks.of("t", np.zeros(3, dtype=np.int64), ("a", "b"), np.array([0.0, 0.9, 2.1]), np.zeros((3, 2)))
-    found = TrackEstimates.of(np.array([0.0, 1.0, 2.0, 3.0]), tracks)
-    np.testing.assert_array_equal([found.step, found.row], [[0, 1, 2], [0, 1, 2]])
 
 
 def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, scored: Any) -> None:
@@ -245,27 +230,32 @@ def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, score
     assert keys["established_m"] == keys["established_m_lower"] == pytest.approx(np.hypot(105, 48))
 
 
-def test_a_vessel_farther_than_asked_has_not_met_own_ship(rows: RunRows, scored: Any) -> None:
-    tracks = perfect(scored)
+def test_an_estimate_after_its_step_establishes_at_its_own_time_and_far_vessels_are_not_met(
+    rows,
+) -> None:
+    (crosser, *_) = score_world(rows, tracks_of([(CROSSER, TIMES_S[4:10] + 0.2)])).encounters
+    at = (crosser.established_s, crosser.established_m)
+    assert at == pytest.approx((2.2, np.hypot(120 - 5 * 2.2, -60 + 4 * 2.2)))
+    tracks = tracks_of([(CROSSER, TIMES_S[4:10])])
     assert [met.vessel for met in score_world(rows, tracks, encounter_m=50).encounters] == ["crosser"]
     assert not score_world(rows, tracks, encounter_m=28).encounters
 
 
-def test_an_estimate_after_its_step_establishes_at_its_own_time(rows: RunRows) -> None:
-    (crosser, *_) = score_world(rows, tracks_of([(CROSSER, TIMES_S[4:10] + 0.2)])).encounters
-    assert crosser.established_s == pytest.approx(2.2)
-    assert crosser.established_m == pytest.approx(np.hypot(120 - 5 * 2.2, -60 + 4 * 2.2))
-
-
-def test_a_vessel_that_is_never_established_is_the_worst_of_a_quartile() -> None:
-    assert quartiles([40.0, None, 10.0, 30.0]) == Quartiles(None, 10.0, 30.0)
-    assert quartiles([]) == Quartiles(None, None, None)
-
-
-@pytest.mark.parametrize(("option", "value"), [("gate_m", 0.0), ("gate_m", np.nan), ("encounter_m", -1.0)])
-def test_distances_must_be_above_zero(option: str, value: float, rows: RunRows, scored: Any) -> None:
-    with pytest.raises(ModsimError, match="must be above 0 metres"):
-        score_world(rows, perfect(scored), **{option: value})
+def test_distances_must_be_above_zero_and_image_rules_are_refused_in_the_world(run, rows, scored, tmp_path) -> None:
+    for wrong in ({"gate_m": 0.0}, {"gate_m": np.nan}, {"encounter_m": -1.0}):
+        with pytest.raises(ModsimError, match="must be above 0 metres"):
+            score_world(rows, perfect(scored), **wrong)
+    (tmp_path / "one.csv").write_text("time_s,track,w1_m,w2_m\n0,a,1,2\n")
+    for rules, said in (
+        ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
+        ({"similarity": "centre", "scale_px": 9.0}, "--similarity: for tracks in the images"),
+        ({"truth": "full"}, "--vessels: for tracks in the images"),
+        ({"by_class": True}, "--by-class: for"),
+        ({"gap_s": 5.0}, "--gap: for"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            score_run(run, tmp_path / "one.csv", **rules)
+    assert score_run(run, tmp_path / "one.csv", threshold=0.5, gate_m=20.0, gospa_c=30.0, gospa_p=2.0).world
 
 
 def test_a_run_and_its_rows_have_the_same_scores(run: StoredRun, rows: RunRows, scored: Any) -> None:
@@ -275,26 +265,8 @@ def test_a_run_and_its_rows_have_the_same_scores(run: StoredRun, rows: RunRows, 
 
 
 def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run: StoredRun, tmp_path: Path) -> None:
-    places_m = STARTS_M[CROSSER] + TIMES_S[:9, None] * VELOCITIES_M_S[CROSSER]
-    rows = [f"{time_s},a,{x},{y}" for time_s, (x, y) in zip(TIMES_S[:9], places_m, strict=True)]
-    (tmp_path / "one.csv").write_text("\n".join(["time_s,track,w1_m,w2_m", *rows]) + "\n")
-    page = score_page(score_run(run, tmp_path / "one.csv"))
+    w1_m, w2_m = PLACES_M[:9, CROSSER].T
+    columns = {"time_s": TIMES_S[:9], "track": ["a"] * 9, "w1_m": w1_m, "w2_m": w2_m}
+    page = score_page(score_run(run, sea_runs.write_csv(tmp_path / "one.csv", columns)))
     assert "one: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
     assert page.count('<tr class="bad"><td data-label="vessel">anchored</td>') == page.count('<tr class="bad">') == 1
-
-
-@pytest.mark.parametrize(
-    ("rules", "said"),
-    [
-        ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
-        ({"similarity": "centre", "scale_px": 9.0}, "--similarity: for tracks in the images"),
-        ({"truth": "full"}, "--vessels: for tracks in the images"),
-        ({"by_class": True}, "--by-class: for"),
-        ({"gap_s": 5.0}, "--gap: for"),
-    ],
-)
-def test_image_rules_are_refused_in_the_world(rules: dict[str, Any], said: str, run: StoredRun, tmp_path: Path) -> None:
-    (tmp_path / "one.csv").write_text("time_s,track,w1_m,w2_m\n0,a,1,2\n")
-    with pytest.raises(ModsimError, match=said):
-        score_run(run, tmp_path / "one.csv", **rules)
-    assert score_run(run, tmp_path / "one.csv", threshold=0.5, gate_m=20.0, gospa_c=30.0, gospa_p=2.0).world

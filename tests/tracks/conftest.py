@@ -2,17 +2,14 @@
 
 import pytest
 
-import modsim3d
 from modsim3d.runs.run_rows import RunRows
-from tests.tracks.track_files import detected_tracks
+from tests.tracks.track_files import detected_tracks, scene_run
 
 
 @pytest.fixture(scope="package")
 def small_run(tmp_path_factory):
     """Two cameras, of which one takes a frame at every second step."""
-    folder = tmp_path_factory.mktemp("tracks") / "strait"
-    modsim3d.run_scene(modsim3d.load_scene("strait", steps=8, source="analytic", seed=3), folder)
-    return modsim3d.open_run(folder)
+    return scene_run(tmp_path_factory.mktemp("tracks") / "strait", "strait", seed=3)
 
 
 @pytest.fixture(scope="package")
@@ -27,6 +24,4 @@ def small_tracks(small_rows):
 
 @pytest.fixture(scope="package")
 def one_camera_run(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("tracks") / "simulation_1"
-    modsim3d.run_scene(modsim3d.load_scene("simulation_1", steps=8, source="analytic"), folder)
-    return modsim3d.open_run(folder)
+    return scene_run(tmp_path_factory.mktemp("tracks") / "simulation_1", "simulation_1")

@@ -10,12 +10,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 
-import modsim3d
 from modsim3d.core.errors import ModsimError, OutputError
 from modsim3d.runs.files.overwrite import file_list
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.reading import read_tracks, write_tracks
 from modsim3d.tracks.tracks import Origin, Tracks, TrackSet
+from tests.tracks.track_files import scene_run
 
 ORIGIN = Origin("toy", {"gate": 3.5, "names": ["a"]}, "By hand.", "toys 1.2", {"numpy": "2.0"})
 COLUMNS = ("frame", "track", "boxes_px", "label", "confidence", "covariance_px2")
@@ -49,15 +49,11 @@ def test_tracks_are_read_back_as_they_were_written(small_run, small_rows, data):
     corner = rng.uniform(-50, 900, (count, 2))
     unknown = rng.random(count) < 0.5
     spread = np.linalg.inv(np.eye(2) + 0.1 * np.ones((count, 2, 2)))
-    tracks = Tracks.of(
-        len(small_rows.scene.cameras),
-        frame,
-        track,
-        np.column_stack([corner, corner + rng.uniform(1, 80, (count, 2))]),
-        rng.integers(-1, len(small_rows.scene.detector.labels), count),
-        np.where(unknown, np.nan, rng.random(count)),
-        np.where(unknown[:, None, None], np.nan, spread),
-    )
+    boxes_px = np.column_stack([corner, corner + rng.uniform(1, 80, (count, 2))])
+    label = rng.integers(-1, len(small_rows.scene.detector.labels), count)
+    confidence = np.where(unknown, np.nan, rng.random(count))
+    covariance = np.where(unknown[:, None, None], np.nan, spread)
+    tracks = Tracks.of(len(small_rows.scene.cameras), frame, track, boxes_px, label, confidence, covariance)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "tracks"
         write_tracks(folder, small_run, TrackSet("a name", tracks, ORIGIN), overwrite=False)
@@ -66,16 +62,12 @@ def test_tracks_are_read_back_as_they_were_written(small_run, small_rows, data):
     assert_equal(found.tracks, tracks)
 
 
-def test_the_same_tracks_give_the_same_bytes(written, small_run, small_rows, tmp_path):
+def test_the_same_tracks_give_the_same_bytes_and_columns_say_what_they_are(written, small_run, small_rows, tmp_path):
     write_tracks(tmp_path / "again", small_run, read_tracks(written, small_run, small_rows), overwrite=False)
     for path in sorted(written.iterdir()):
         assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes()
-
-
-def test_every_column_says_what_it_is(written):
     for field in pq.read_schema(written / "tracks.parquet"):
-        assert set(field.metadata) == {b"unit", b"description"}
-        assert field.metadata[b"description"]
+        assert set(field.metadata) == {b"unit", b"description"} and field.metadata[b"description"]
         assert field.metadata[b"unit"].decode() == {"px": "px", "px2": "px²"}.get(field.name.split("_")[-1], "")
 
 
@@ -89,8 +81,7 @@ def test_tracks_are_not_written_over_unasked_nor_without_an_origin(written, smal
 
 
 def test_tracks_of_another_seed_are_refused(written, tmp_path):
-    modsim3d.run_scene(modsim3d.load_scene("strait", steps=8, source="analytic", seed=4), tmp_path / "run")
-    other = modsim3d.open_run(tmp_path / "run")
+    other = scene_run(tmp_path / "run", "strait", seed=4)
     with pytest.raises(ModsimError, match=r"another run: seed was 3, and is 4"):
         read_tracks(written, other, RunRows.of(other))
 

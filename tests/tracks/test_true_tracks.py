@@ -42,8 +42,7 @@ def test_a_vessel_that_was_outside_the_image_for_longer_than_the_gap_is_a_new_id
     tmp_path: Path, away_s: int, identities: int
 ) -> None:
     rows = rows_of(tmp_path / "run", {"a": [FRONT, FRONT, *[AWAY] * (away_s - 1), FRONT]})
-    truth = TrueTracks.of(rows, gap_s=2)
-    assert len(np.unique(truth.identity)) == identities
+    assert len(np.unique(TrueTracks.of(rows, gap_s=2).identity)) == identities
     assert len(np.unique(TrueTracks.of(rows, gap_s=0).identity)) == (1 if away_s == 1 else 2)
 
 
@@ -54,7 +53,7 @@ def test_an_absence_as_long_as_the_gap_is_none_whatever_the_last_bits_of_times_a
         assert TrueTracks.of(rows, gap_s=1.999).identity.tolist() == [0, 1]
 
 
-def test_a_hidden_vessel_keeps_its_identity_and_is_not_scored(tmp_path: Path) -> None:
+def test_a_hidden_vessel_keeps_its_identity_and_is_not_scored_even_if_annotated(tmp_path: Path) -> None:
     rows = rows_of(tmp_path / "run", {"a": [FRONT] * 6, "b": [(200.0, 30.0), *[BEHIND] * 4, (200.0, 30.0)]})
     truth = TrueTracks.of(rows, gap_s=0)
     b = truth.vessel == 1
@@ -62,24 +61,17 @@ def test_a_hidden_vessel_keeps_its_identity_and_is_not_scored(tmp_path: Path) ->
     assert truth.hidden[b].tolist() == [False, True, True, True, True, False]
     assert (truth.scored == ~truth.hidden).all()
     assert np.isfinite(truth.boxes_px).all()  # the box of the whole vessel where nothing is visible
+    rows = rows_of(tmp_path / "thesis", {"a": [FRONT], "b": [BEHIND]}, mode=0)
+    assert rows.annotated.all() and TrueTracks.of(rows).scored.tolist() == [True, False]
 
 
-def test_the_thesis_s_mode_annotates_hidden_vessels_and_they_are_not_scored_either(tmp_path: Path) -> None:
-    rows = rows_of(tmp_path / "run", {"a": [FRONT], "b": [BEHIND]}, mode=0)
-    assert rows.annotated.all()
-    assert TrueTracks.of(rows).scored.tolist() == [True, False]
-
-
-def test_full_truth_has_the_whole_vessel_and_annotated_truth_what_the_mode_takes(tmp_path: Path) -> None:
+def test_full_truth_has_the_whole_vessel_and_all_of_them_and_annotated_truth_what_mode_and_filter_take(
+    tmp_path,
+) -> None:
     """Half of b's 50 px stand behind a: its whole box is 50 px wide, its visible one 25 px and a little more."""
     rows = rows_of(tmp_path / "run", {"a": [FRONT], "b": [(200.0, 10.0)]}, mode=2)
     annotated, full = (TrueTracks.of(rows, name).boxes_px[1] for name in ("annotated", "full"))
-    assert full[2] - full[0] > 49
-    assert 24 < annotated[2] - annotated[0] < 30
-
-
-def test_what_a_filter_leaves_out_is_scored_in_full_truth_only(tmp_path: Path) -> None:
-    rows = rows_of(tmp_path / "run", {"a": [FRONT], "b": [(2000.0, 300.0)]}, min_visible_px=100)
-    assert TrueTracks.of(rows, "annotated").scored.tolist() == [True, False]
-    assert TrueTracks.of(rows, "full").scored.tolist() == [True, True]
-    assert not TrueTracks.of(rows).hidden.any()
+    assert full[2] - full[0] > 49 and 24 < annotated[2] - annotated[0] < 30
+    rows = rows_of(tmp_path / "far", {"a": [FRONT], "b": [(2000.0, 300.0)]}, min_visible_px=100)
+    annotated, full = (TrueTracks.of(rows, name).scored.tolist() for name in ("annotated", "full"))
+    assert (annotated, full) == ([True, False], [True, True]) and not TrueTracks.of(rows).hidden.any()

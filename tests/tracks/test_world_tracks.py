@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,11 @@ def changed(drop: str = "", **columns: Any) -> dict[str, Any]:
     return kept | {name: np.full(many, value) if np.ndim(value) == 0 else value for name, value in columns.items()}
 
 
+def at(latitude_deg: float, longitude_deg: float) -> dict[str, Any]:
+    """The rows, all at one place."""
+    return changed("w1 w2", latitude_deg=latitude_deg, longitude_deg=longitude_deg)
+
+
 def with_covariances(size: int) -> dict[str, Any]:
     names, units = ("w1", "w2", "v1", "v2"), ("m2", "m2_s", "m2_s2")
     columns = {}
@@ -66,17 +72,22 @@ def read_csv(run: StoredRun, tmp_path: Path) -> Callable[[dict[str, Any]], World
     return lambda columns: read_world_tracks(write_csv(tmp_path / "t.csv", columns), run)
 
 
-def test_csv_is_read_by_track_and_time(read_csv) -> None:
+def test_csv_is_read_by_track_and_time_or_step_and_may_have_column_names_only(read_csv) -> None:
     tracks = read_csv(rows())
-    assert tracks.track_names == ("a", "b") and tracks.name == "t"
+    assert (tracks.track_names, tracks.name, tracks.interval_s) == (("a", "b"), "t", 0.5)
     np.testing.assert_array_equal(tracks.time_s, np.tile(TIMES_S, 2))
     np.testing.assert_allclose(tracks.position_m, np.concatenate([PLACES_M[:, vessel] for vessel in TWO]))
     assert np.isnan(tracks.covariance).all()
-    assert tracks.interval_s == 0.5
+    equal(read_csv(changed("time_s", step=np.repeat(np.arange(len(TIMES_S)), 2))), tracks)
+    empty = read_csv({name: [] for name in rows()})
+    assert (len(empty), empty.track_names, empty.interval_s) == (0, (), 0)
 
 
-def test_steps_stand_for_their_times(read_csv) -> None:
-    equal(read_csv(changed("time_s", step=np.repeat(np.arange(len(TIMES_S)), 2))), read_csv(rows()))
+def test_the_interval_is_that_between_estimates_of_one_track() -> None:
+    times_s = np.array([0.0, 1.0, 5.0, 7.0])
+    for track, interval_s in (([0, 0, 1, 2], 1), (range(4), 0)):
+        tracks = WorldTracks.of("t", np.array(track), tuple("abcd")[: max(track) + 1], times_s, np.zeros((4, 2)))
+        assert tracks.interval_s == interval_s
 
 
 def test_covariances_of_the_state_stand_in_its_order(read_csv) -> None:
@@ -101,18 +112,6 @@ def test_latitude_and_longitude_equal_scene_axes(form: str, read_csv) -> None:
     equal(read_csv(changed("w1 w2 v1 v2", **columns)), read_csv(in_scene), places_m=0.001)
 
 
-def test_the_interval_is_that_between_estimates_of_one_track() -> None:
-    times_s, track = np.array([0.0, 1.0, 5.0, 7.0]), np.array([0, 0, 1, 2])
-    tracks = WorldTracks.of("t", track, ("a", "b", "c"), times_s, np.zeros((4, 2)))
-    assert tracks.interval_s == 1
-    assert WorldTracks.of("t", np.arange(4), tuple("abcd"), times_s, np.zeros((4, 2))).interval_s == 0
-
-
-def test_a_file_of_column_names_only_has_no_tracks(read_csv) -> None:
-    tracks = read_csv({name: [] for name in rows()})
-    assert len(tracks) == 0 and tracks.track_names == () and tracks.interval_s == 0
-
-
 def test_tracks_on_the_sea_are_told_from_those_in_images(tmp_path: Path) -> None:
     assert is_world(write_csv(tmp_path / "a.csv", {"track": [1], "w1_m": [2], "w2_m": [3]}))
     assert is_world(write_csv(tmp_path / "b.csv", {"track": [1], "longitude_deg": [2]}))
@@ -123,6 +122,7 @@ def test_tracks_on_the_sea_are_told_from_those_in_images(tmp_path: Path) -> None
     assert is_world(tmp_path)
 
 
+STEPS, STEP_0 = np.repeat(np.arange(len(TIMES_S)), 2), "line 2: time_s 0 is that of step 0, but step is"
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "no track": (changed("track", name="a"), "has no column track"),
     "no time": (changed("time_s"), "has no column time_s, .* and no column step"),
@@ -138,14 +138,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a step too far": (changed("time_s", step=60), r"line 2: step must be .* 0 to 59, the run's last \(got 60\)"),
     "half a step": (changed("time_s", step=0.5), r"line 2: step must be a whole number .* \(got 0.5\)"),
     "twice": (changed(track="a"), "line 3: a track may be there once at a time .*'a' again"),
-    "step and time": (
-        changed(step=np.repeat(np.roll(np.arange(len(TIMES_S)), 1), 2)),
-        r"line 2: time_s 0 is that of step 0, but step is \d+: leave out the column that is wrong",
-    ),
-    "step from 1": (
-        changed(step=np.repeat(np.arange(len(TIMES_S)) + 1, 2)),
-        "line 2: time_s 0 is that of step 0, but step is 1",
-    ),
+    "step and time": (changed(step=np.roll(STEPS, 2)), rf"{STEP_0} 59: leave out the column that is wrong"),
+    "step from 1": (changed(step=STEPS + 1), rf"{STEP_0} 1"),
     "no covariance": (
         changed(w1_variance_m2=1.0, w1_w2_covariance_m2=2.0, w2_variance_m2=1.0),
         "line 2: the covariance of the position is not positive definite",
@@ -161,18 +155,12 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "infinite": (changed(v1_m_s=np.inf), r"line 2: v1_m_s must be a number \(got 'inf'\)"),
     "millimetres": (changed(w1_m=2e5, w2_m=0.0), "more than 100 km .* millimetres, must be metres"),
     "elsewhere": (changed(w1_m=3e12, w2_m=0.0), "more than 100 km .* metres along w1 and w2"),
-    "swapped": (
-        changed("w1 w2", latitude_deg=10.4, longitude_deg=63.4),
-        "more than 100 km .*: latitude and longitude seem to be swapped",
-    ),
+    "swapped": (at(10.4, 63.4), "more than 100 km .*: latitude and longitude seem to be swapped"),
     "swapped by far": (
-        changed("w1 w2", latitude_deg=120.0, longitude_deg=30.0),
-        r"line 2: is no latitude .* \(got 120 and 30\): are latitude and longitude swapped",
+        at(120.0, 30.0),
+        r"line 2: is no latitude.*\(got 120 and 30\): are latitude and longitude swap",
     ),
-    "radians": (
-        changed("w1 w2", latitude_deg=np.deg2rad(63.4), longitude_deg=np.deg2rad(10.4)),
-        "seem to be radians, must be degrees",
-    ),
+    "radians": (at(*np.deg2rad(ORIGIN)), "seem to be radians, must be degrees"),
 }
 
 
@@ -185,7 +173,7 @@ def test_what_is_wrong_with_csv_is_said(name: str, read_csv) -> None:
 
 def test_a_step_beside_a_time_may_be_rounded_or_left_blank(read_csv) -> None:
     step_s = float(np.median(np.diff(TIMES_S)))
-    steps = np.repeat(np.arange(len(TIMES_S), dtype=float), 2)
+    steps = STEPS.astype(float)
     steps[3] = np.nan
     found = read_csv(changed(time_s=np.repeat(TIMES_S, 2) + 0.4 * step_s, step=steps))
     np.testing.assert_allclose(found.time_s, np.tile(TIMES_S + 0.4 * step_s, 2))
@@ -235,43 +223,39 @@ def test_a_tracker_that_is_late_or_lost_or_wrong_about_ranges_is_not_refused(rea
         assert len(read_csv(changed(w1_m=at[:, 0], w2_m=at[:, 1]))) == 120
 
 
-def test_steps_that_leave_out_the_first_are_refused(read_csv) -> None:
+def test_marks_and_line_ends_change_nothing(run: StoredRun, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "t.csv", changed(track=["b\u00e5t", "b"] * 60))
+    expected, text = read_world_tracks(path, run), path.read_bytes()
+    for mark, end in product((b"", b"\xef\xbb\xbf"), (b"\n", b"\r\n", b"\r")):
+        path.write_bytes(mark + text.replace("\u00e5".encode(), "a\u030a".encode()).replace(b"\n", end))
+        assert is_world(path), (mark, end)
+        equal(read_world_tracks(path, run), expected)
+
+
+def test_steps_that_leave_out_the_first_are_refused_and_names_that_only_look_like_lost_digits_are_not(read_csv) -> None:
     later = {"track": ["a"] * 59, "step": range(59), "w1_m": PLACES_M[1:, CROSSER, 0], "w2_m": PLACES_M[1:, CROSSER, 1]}
     with pytest.raises(InputError, match=r"steps of the positions are a step too low: was the first step left out\?"):
         read_csv(later)
-
-
-@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
-def test_marks_and_line_ends_change_nothing(mark: bytes, end: bytes, run: StoredRun, tmp_path: Path) -> None:
-    path = write_csv(tmp_path / "t.csv", changed(track=["b\u00e5t", "b"] * 60))
-    expected, text = read_world_tracks(path, run), path.read_bytes()
-    path.write_bytes(mark + text.replace("\u00e5".encode(), "a\u030a".encode()).replace(b"\n", end))
-    assert is_world(path)
-    equal(read_world_tracks(path, run), expected)
-
-
-def test_tracks_that_only_look_like_numbers_in_scientific_notation_are_read(read_csv, run: StoredRun) -> None:
     for names in (["1e10", "12345e06"], ["0e02", "1e03"]):
         assert len(read_csv(changed(track=names * 60))) == 120
-    with pytest.raises(InputError, match="no such file"):
-        read_world_tracks("nowhere.csv", run)
 
 
-@pytest.mark.parametrize(("mark", "name"), [(";", "semicolons"), ("\t", "tabs"), ("|", "bars")])
-def test_cells_without_commas_are_named(mark: str, name: str, run: StoredRun, tmp_path: Path) -> None:
+def test_cells_without_commas_are_named(run: StoredRun, tmp_path: Path) -> None:
     path = write_csv(tmp_path / "t.csv", changed())
-    path.write_text(path.read_text().replace(",", mark))
-    assert is_world(path)
-    with pytest.raises(InputError, match=f"line 1 must name the columns.*its cells have {name} between them"):
-        read_world_tracks(path, run)
+    text = path.read_text()
+    for mark, name in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        path.write_text(text.replace(",", mark))
+        assert is_world(path)
+        with pytest.raises(InputError, match=f"line 1 must name the columns.*its cells have {name} between them"):
+            read_world_tracks(path, run)
 
 
 def test_latitude_and_longitude_need_an_origin(tmp_path: Path) -> None:
-    columns = changed("w1 w2", latitude_deg=63.4, longitude_deg=10.4)
     nowhere = sea_run(tmp_path / "run", origin=None, steps=3)
+    with pytest.raises(InputError, match="no such file"):
+        read_world_tracks("nowhere.csv", nowhere)
     with pytest.raises(InputError, match="scene has no origin: give the scene the key origin"):
-        read_world_tracks(write_csv(tmp_path / "t.csv", columns), nowhere)
+        read_world_tracks(write_csv(tmp_path / "t.csv", at(*ORIGIN)), nowhere)
 
 
 def store(messages: dict[str, str]) -> Any:
