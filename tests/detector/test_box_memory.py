@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from modsim3d.core.errors import InputError
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable
@@ -61,22 +60,6 @@ def test_large_errors_stay_as_long_as_the_fifth_number_says(errors: np.ndarray) 
     for lag in (1, 5, 40):
         found = (number[lag:] * number[:-lag]).mean(axis=0)
         assert abs(found.mean() - asked(4, lag)) < 4 * found.std(ddof=1) / np.sqrt(VESSELS)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"vessel_share": [0.5, 0.1]}, "vessel_share has 2 numbers, must have one each for e_x, e_y, e_w, e_h"),
-        ({"shares": [[0.1] * 4, [0.1] * 5]}, "shares has 4 numbers"),
-        ({"times_s": [1.0]}, "has 2 lists of shares and 1 times_s"),
-        ({"vessel_share": [0.9, 0, 0, 0, 0]}, "of a component sum to 1.7, must not exceed 1"),
-    ],
-)
-def test_a_memory_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        parse_detector(build.one_state_data() | {"persistence": {"box": MEMORY | changes}})
-    with pytest.raises(InputError, match="with a memory of each component, box, leave them out"):
-        parse_detector(build.one_state_data() | {"persistence": {"box": MEMORY, "box_s": 1.0}})
 
 
 def test_honest_errors_obey_and_those_of_another_memory_are_named() -> None:

@@ -50,7 +50,10 @@ def problems(data: Any) -> tuple[str, ...]:
 
 
 CONFUSION, COVARIANCE = "states.fog.confusion", "states.fog.box_error.covariance"
-SCORES = "states.fog.confidence"
+SCORES, ERROR, FALSE = "states.fog.confidence", "states.fog.box_error", "states.fog.false_discovery_rate"
+SHARE, BOX, NU = "persistence.score", "persistence.box", "degrees_of_freedom"
+T = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2) | {"law": "student_t", NU: 6.0}
+MEMORY = {"vessel_share": [0.1] * 5, "shares": [[0.5] * 5, [0.3] * 5], "times_s": [0.1, 0.8]}
 BAD = [
     ("labels", [], "labels: is empty"),
     ("labels", ["sail", "sail"], "labels: label 'sail' appears twice"),
@@ -140,6 +143,27 @@ BAD = [
     (SCORES, {"precision_recall": [[0.9, 0.6]]}, "ends at recall 0.9, but the confusion matrix"),
     (SCORES, {"precision_recall": [[0.6, 0.8]]}, "ends at precision 0.8, but false_disc"),
     ("states.fog.box_error", GROWTH, "e_y can only grow from a variance above 0"),
+    ("operating_threshold", 0.1, "operating_threshold: is 0.1, must be at least 0.2, the confidence_threshold"),
+    (FALSE, DELETED, "states.fog.false_discovery_rate: missing: model calibrated reads it"),
+    (ERROR, T | {NU: 2}, "is 2, must be from 2.1 to 1000: near 2"),
+    (ERROR, T | {NU: 1e6}, "is 1e+06, must be from 2.1"),
+    (ERROR, T | {NU: None}, "law student_t needs degrees_of_freedom"),
+    (ERROR, T | {"law": "normal"}, "law normal has no degrees_of_freedom"),
+    (ERROR, T | {"law": "studnet_t"}, "unknown law 'studnet_t'"),
+    *(("persistence", {"box_vessel_share": share}, "box_vessel_share") for share in (1.0, -0.1, "half")),
+    (SHARE, {"vessel_share": 0.7, "shares": [0.4], "times_s": [1]}, "sum to 1.1, must not exceed 1"),
+    (SHARE, {"shares": [0.4]}, "1 shares and 0 times_s"),
+    (SHARE, {"shares": [0.4], "times_s": [0]}, "times_s"),
+    ("persistence", {"score": {"vessel_share": 0.3}, "confidence_s": 1.0}, "confidence_s: with a score"),
+    ("persistence", {"box": MEMORY, "box_s": 1.0}, "with a memory of each component, box, leave them out"),
+    (
+        BOX,
+        MEMORY | {"vessel_share": [0.5, 0.1]},
+        "vessel_share has 2 numbers, must have one each for e_x, e_y, e_w, e_h",
+    ),
+    (BOX, MEMORY | {"shares": [[0.1] * 4, [0.1] * 5]}, "shares has 4 numbers"),
+    (BOX, MEMORY | {"times_s": [1.0]}, "has 2 lists of shares and 1 times_s"),
+    (BOX, MEMORY | {"vessel_share": [0.9, 0, 0, 0, 0]}, "of a component sum to 1.7, must not exceed 1"),
     *((key, DELETED, f"{key}: missing") for key in ("labels", "states", "transition_matrix", "initial_state")),
     *(("states", value, "states") for value in (None, [1], "fog", {"fog": None})),
 ]

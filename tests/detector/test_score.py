@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import Detector
 from modsim3d.detector.records import TRUE, Detections, Targets
 from tests.detector import detector_builders as build
@@ -73,17 +72,3 @@ def test_the_frames_before_and_other_vessels_change_nothing() -> None:
     alone = detector().detect(frames, seen(1))
     ours = (whole.kind == TRUE) & (whole.target % 20 == 0)
     np.testing.assert_array_equal(whole.confidence[ours], alone.confidence[alone.kind == TRUE])
-
-
-@pytest.mark.parametrize(
-    ("score", "others", "problem"),
-    [
-        ({"vessel_share": 0.7, "shares": [0.4], "times_s": [1]}, {}, "sum to 1.1, must not exceed 1"),
-        ({"shares": [0.4]}, {}, "1 shares and 0 times_s"),
-        ({"shares": [0.4], "times_s": [0]}, {}, "times_s"),
-        (SCORE, {"confidence_s": 1.0}, "confidence_s: with a score"),
-    ],
-)
-def test_a_score_that_cannot_be_is_an_error(score: dict[str, Any], others: dict[str, float], problem: str) -> None:
-    with pytest.raises(InputError, match=problem):
-        detector(score, **others)

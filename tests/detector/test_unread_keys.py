@@ -1,12 +1,18 @@
-"""A key of a detector file changes the detections, or nothing reads it and that is said."""
+"""A key of a detector file changes the detections, or nothing reads it and that is said; the page about detector files
+knows every key, and its examples are right."""
 
 import copy
+import re
+import typing
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from pydantic import BaseModel
 
 from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import Detector, target_statistics
@@ -14,11 +20,10 @@ from modsim3d.detector.file.reading import file_of, load_detector, parse_detecto
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import dead_lines, unread_settings
 from modsim3d.detector.model import DetectorModel
-from modsim3d.detector.records import Detections
+from modsim3d.detector.records import KINDS, Detections
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.settings import Setting, changed
 from tests.detector.detector_builders import all_bytes, chunk, clock, detector_data, state_data
-from tests.detector.test_docs import sections
 from tests.detector.test_rich import STEP_S, rich_frames, rich_targets
 from tests.detector_variants import CHANGES, variant
 
@@ -208,11 +213,7 @@ def test_a_dead_line_of_a_file_is_told_and_no_shipped_file_has_one() -> None:
     assert reason.startswith("false_positives.rate: each state has a rate of its own"), "a section with a dead line"
 
 
-def test_a_model_that_reads_the_false_discovery_rate_needs_it() -> None:
-    data = detector_data()
-    del data["states"]["fog"]["false_discovery_rate"]
-    with pytest.raises(InputError, match=r"states\.fog\.false_discovery_rate: missing: model calibrated reads it"):
-        parse_detector(data)
+def test_a_model_that_does_not_read_the_false_discovery_rate_needs_none() -> None:
     model = parse_detector(two_states(**PER_IMAGE))
     assert np.isnan(model.states[0].false_discovery_rate)
     assert repr(model.states[0]) == "<PerformanceState clear: 0.4 false positives an image>"
@@ -230,10 +231,44 @@ def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else()
     np.testing.assert_array_equal(above.states, whole.states)
 
 
-def test_at_the_confidence_threshold_it_drops_nothing_and_it_cannot_be_below() -> None:
+def test_at_the_confidence_threshold_it_drops_nothing() -> None:
     data = detector_data(states={"clear": state_data(), "fog": state_data(confidence={"mean": 0.2, "std": 0.2})})
     found = run(data)
     assert (found.confidence == 0.2).any()
     assert all_bytes(found) == all_bytes(run(data | {"operating_threshold": 0.2}))
-    with pytest.raises(InputError, match=r"threshold: is 0\.1, must be at least 0\.2, the confidence_threshold"):
-        parse_detector(detector_data(operating_threshold=0.1))
+
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "detector.md").read_text(encoding="utf-8")
+
+
+def sections(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from sections(part)
+
+
+def keys(model: type[BaseModel]) -> Iterator[str]:
+    for name, field in model.model_fields.items():
+        yield name
+        for section in sections(field.annotation):
+            yield from keys(section)
+
+
+def test_every_key_of_a_detector_file_is_in_the_table_and_every_kind_of_detection_is_explained() -> None:
+    table = PAGE.split("## Every key")[1].split("\n## ")[0]
+    words = set(re.findall(r"[a-z_]+", " ".join(re.findall(r"`([^`]+)`", table))))
+    assert not set(keys(DetectorFile)) - words
+    assert all(f"`{kind}`" in PAGE for kind in KINDS)
+
+
+def test_the_example_of_dropout_is_right() -> None:
+    (block,) = re.findall(r"```yaml\n(dropout:\n.*?)```", PAGE, flags=re.DOTALL)
+    model = parse_detector(detector_data(**yaml.safe_load(block)))
+    assert model.dropout.anchored and len(model.dropout.effects) == 2
+
+
+def test_the_example_file_is_as_long_as_the_page_says() -> None:
+    lines = len((ROOT / "scenes" / "detectors" / "rich.yaml").read_text().splitlines())
+    assert f"in {lines} lines" in PAGE

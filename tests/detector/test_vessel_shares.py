@@ -4,11 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 from scipy import special
 
 from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.file.schema_models import PersistenceSection
 from modsim3d.detector.records import TRUE, Detections, Targets
 from tests.detector import detector_builders as build
 
@@ -88,9 +86,3 @@ def test_what_is_never_missed_stays_so_and_without_shares_nothing_changes() -> N
     plain = detect(times_s, seen(40))
     off = detect(times_s | {"class_vessel_share": 0.0, "box_vessel_share": 0.0}, seen(40))
     assert build.all_bytes(plain) == build.all_bytes(off)
-
-
-def test_a_share_is_from_zero_to_less_than_one() -> None:
-    for share in (1.0, -0.1, "half"):
-        with pytest.raises(ValidationError, match="box_vessel_share"):
-            PersistenceSection(box_vessel_share=share)

@@ -1,13 +1,18 @@
-"""Tracks on hidden vessels, and occlusions that tracks survive or not, worked out by hand."""
+"""Tracks on hidden vessels, occlusions that tracks survive or not, and recall and association broken down, worked out
+by hand and against slow sums."""
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
+from modsim3d.tracking.score_page import _cells
+from modsim3d.tracking.scores.breakdown import Bin, association_of_pairs, breakdown
 from modsim3d.tracking.scores.occlusions import Hidden, OcclusionEpisode, Survival, hidden, occlusions, survival, within
 from modsim3d.tracking.scores.scored import Scored
-from tests.tracking.hand_made import Seen, box, hand_made
+from modsim3d.view.pages.tables import table
+from tests.tracking.hand_made import LABELS, Seen, box, hand_made
 
 A = box()
 VISIBLE = (1, 1, 1, 0.5, 0.3, 0.2, 0, 1, 1, 1, 1, 1, 1, 1)
@@ -91,3 +96,104 @@ def test_the_last_bits_of_times_decide_nothing() -> None:
     assert spans_s[0] > 2 and within(spans_s, 2).tolist() == [True, True, False, False]
     since_1970_s = 1_700_000_000.2 - 1_700_000_000.1
     assert since_1970_s > 0.1 and within(np.array([since_1970_s]), 0.1).all()
+
+
+FIRST, SECOND = 4 / 7, 1 / 7
+EXPECTED = {
+    "visible_fraction": [
+        Bin("1", 3, 2 / 3, FIRST),
+        Bin("0.75 to 1", 1, 1, FIRST),
+        Bin("0.5 to 0.75", 1, 1, FIRST),
+        Bin("0.25 to 0.5", 1, 1, SECOND),
+        Bin("below 0.25", 1, 0, None),
+    ],
+    # before are frames 1 and 2, during 3 and 4, after 6 and 7
+    "phase": [
+        *(Bin("before", 2, 1, FIRST), Bin("during", 2, 0.5, SECOND), Bin("after", 2, 0.5, FIRST)),
+        Bin("elsewhere", 1, 1, FIRST),
+    ],
+    "occlusion": [Bin("3 to 10", 2, 0.5, SECOND, occlusions=1, judged=1, survived=1, to_survive=1)],
+    "range": [
+        *(Bin("0 to 100", 1, 1, FIRST), Bin("100 to 200", 2, 1, FIRST), Bin("200 to 400", 1, 1, SECOND)),
+        *(Bin("400 to 800", 1, 0, None), Bin("800 and more", 2, 0.5, FIRST)),
+    ],
+    "size": [Bin("16 to 32", 7, 5 / 7, (4 * FIRST + SECOND) / 5)],
+    "edge": [Bin("whole in the image", 6, 5 / 6, (4 * FIRST + SECOND) / 5), Bin("cut by the edge", 1, 0, None)],
+    "state": [Bin("clear", 5, 4 / 5, (3 * FIRST + SECOND) / 4), Bin("haze", 2, 0.5, FIRST)],
+    "label": [Bin(LABELS[0], 7, 5 / 7, (4 * FIRST + SECOND) / 5)],
+}
+
+
+def test_each_group_has_the_values_that_were_worked_out() -> None:
+    """A vessel in eight frames, a second apart: occluded from 3 to 6 s, wholly hidden from 5 s on. Track 1 follows it
+    in frames 0, 1, 2 and 6, coasts in 5, where nothing is scored, and track 2 follows in frame 3. Seven frames are
+    scored. Of track 1 TPA = 4, FNA = 3, FPA = 0: A = 4/7; of track 2 A = 1/7."""
+    visible, depth_m = (1, 0.8, 0.6, 0.3, 0.1, 0, 1, 1), (50, 100, 150, 250, 450, 450, 850, 850)
+    truth = [Seen(k, 0, box(), visible[k], 0.9 if k == 7 else 1, depth_m[k]) for k in range(8)]
+    tracks = [(k, 2 if k == 3 else 1, box()) for k in (0, 1, 2, 3, 5, 6)]
+    groups = breakdown(hand_made(truth, tracks, 8, states=[0] * 6 + [1] * 2))
+    assert [group.name for group in groups] == [*EXPECTED]
+    for group in groups:
+        for found, expected in zip(group.rows, EXPECTED[group.name], strict=True):
+            assert vars(found) == pytest.approx(vars(expected), abs=1e-12), (group.name, found.bin)
+
+
+def test_an_occlusion_is_survived_or_not_among_those_of_its_length_and_without_vessels_there_are_none() -> None:
+    # Occluded from 1 to 2 s, with the same track before and after, and from 4 to 8 s, with another one after.
+    truth = [Seen(k, 0, box(), 0.2 if k == 1 or 4 <= k < 8 else 1) for k in range(10)]
+    tracks = [(k, 1 + k // 8, box()) for k in range(10)]
+    found = {group.name: group.rows for group in breakdown(hand_made(truth, tracks, 10))}["occlusion"]
+    told = [(row.bin, row.occlusions, row.judged, row.survived) for row in found]
+    assert told == [("1 to 3", 1, 1, 1), ("3 to 10", 1, 1, 0)]
+    assert not any(group.rows for group in breakdown(hand_made([], [(0, 1, box())], 2)))
+
+
+def random(seed: int) -> Scored:
+    """Vessels with random visibility, range and place in the image, and tracks that switch and miss."""
+    rng = np.random.default_rng(seed)
+    truth, tracks = [], []
+    for frame, vessel in np.ndindex(60, 5):
+        if rng.random() < 0.95:
+            fraction, place = rng.choice([0, 0.1, 0.3, 0.6, 0.8, 1]), box(60 * vessel)
+            truth.append(Seen(frame, vessel, place, fraction, rng.choice([0.5, 1]), rng.uniform(0, 1000)))
+        if rng.random() < 0.7:
+            tracks.append((frame, vessel + 5 * int(rng.integers(3)), place))
+    return hand_made(truth, tracks, 60, states=rng.integers(0, 2, 60).tolist(), step_s=0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_bins_of_a_group_together_are_all_scored_vessel_frames(seed: int) -> None:
+    scored = random(seed)
+    followed, association = len(scored.pairs[0]), np.nansum(association_of_pairs(scored)[1])
+    groups = {group.name: group.rows for group in breakdown(scored)}
+    during = next(row for row in groups["phase"] if row.bin == "during")
+    assert sum(row.vessel_frames for row in groups.pop("occlusion")) == during.vessel_frames
+    for rows in groups.values():
+        columns = [(row.vessel_frames, row.recall, row.association or 0) for row in rows]
+        frames, found, each = np.array(columns, dtype=float).T
+        assert frames.sum() == len(scored.truth) and frames.min() > 0
+        assert frames @ found == pytest.approx(followed)
+        assert (frames * found) @ each == pytest.approx(association)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_association_of_a_pair_is_that_of_its_sets_of_frames(seed: int) -> None:
+    scored = random(seed)
+    vessels, tracks, following = scored.following.truth, scored.following.tracks, scored.following
+    found, association = association_of_pairs(scored)
+    for place in np.flatnonzero(found)[::7]:
+        row = scored.truth_rows[place]
+        mine, its = vessels.identity[row], tracks.identity[following.track_row[row]]
+        of_vessel = {each for each in scored.truth_rows if vessels.identity[each] == mine}
+        of_track = {each for each in scored.track_rows if tracks.identity[each] == its}
+        together = [each for each in of_vessel if following.track_row[each] in of_track]
+        union = len(of_vessel) + len(of_track) - len(together)
+        assert association[place] == pytest.approx(len(together) / union)
+
+
+def test_bars_of_the_page_have_one_width_for_a_share_in_all_columns() -> None:
+    """Whatever the columns are as wide as: 0.91 under a narrow heading is longer than 0.65 under a wide one."""
+    bins = (Bin("near", 9, 0.91, 0.65), Bin("near", 9, 1.0, None))
+    html = table([_cells(bins, "recall", "association")])
+    widths = re.findall(r"transparent ([0-9.]+)rem\)", html)
+    assert [float(width) for width in widths] == pytest.approx([3.5 * share for share in (0.91, 0.65, 1, 0)], abs=0.01)

@@ -154,9 +154,7 @@ def test_a_track_beyond_the_gate_follows_nothing_and_one_on_an_unseen_vessel_is_
     assert with_them.flat() == without.flat() and with_them.encounters == without.encounters
 
 
-def test_the_track_of_the_step_before_is_kept_and_another_is_a_switch(
-    rows: RunRows,
-) -> None:
+def test_the_track_of_the_step_before_is_kept_and_another_is_a_switch(rows: RunRows) -> None:
     # Followed from 1 s on by one track, by the next, by nobody for five steps, and by the third.
     parts = [(2, 10), (10, 20), (25, 30)]
     tracks = tracks_of([(ANCHORED, TIMES_S[slice(*part)]) for part in parts])
@@ -230,9 +228,7 @@ def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, score
     assert keys["established_m"] == keys["established_m_lower"] == pytest.approx(np.hypot(105, 48))
 
 
-def test_an_estimate_after_its_step_establishes_at_its_own_time_and_far_vessels_are_not_met(
-    rows,
-) -> None:
+def test_an_estimate_after_its_step_establishes_at_its_own_time_and_far_vessels_are_not_met(rows) -> None:
     (crosser, *_) = score_world(rows, tracks_of([(CROSSER, TIMES_S[4:10] + 0.2)])).encounters
     at = (crosser.established_s, crosser.established_m)
     assert at == pytest.approx((2.2, np.hypot(120 - 5 * 2.2, -60 + 4 * 2.2)))

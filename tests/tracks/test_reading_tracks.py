@@ -93,7 +93,7 @@ def test_a_tracker_may_have_found_nothing_and_a_confidence_of_minus_one_is_none(
     np.testing.assert_array_equal(found.confidence, [np.nan, 0.25])
 
 
-def test_a_mot_folder_has_a_file_for_each_camera_and_may_be_as_evaluators_have_it(
+def test_a_mot_folder_of_our_own_or_of_evaluators_has_a_file_for_each_camera(
     small_run, small_rows, small_tracks, tmp_path
 ):
     assert np.isin(small_tracks.step[small_tracks.camera == 1], [1, 3, 5, 7]).all()  # frames are not steps
@@ -401,9 +401,7 @@ def test_no_tracker_s_own_tracks_are_taken_for_a_misreading(scene, long_run, tmp
             assert len(read_tracks(folder, run, rows).tracks) == len(each)
 
 
-def test_pixels_from_zero_of_a_smoothing_tracker_and_from_one_are_recognised_where_the_truth_is_clear(
-    long_run, tmp_path
-):
+def test_pixels_from_zero_of_a_smoother_and_from_one_are_recognised_in_clear_truth(long_run, tmp_path):
     """Boxes of a smoother are no detections, but four of five would lie nearer one pixel further; among 54 boxes whose
     errors are as large as a pixel pixels from one are not clear."""
     run, rows, tracks = long_run("fairway")

@@ -156,10 +156,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "millimetres": (changed(w1_m=2e5, w2_m=0.0), "more than 100 km .* millimetres, must be metres"),
     "elsewhere": (changed(w1_m=3e12, w2_m=0.0), "more than 100 km .* metres along w1 and w2"),
     "swapped": (at(10.4, 63.4), "more than 100 km .*: latitude and longitude seem to be swapped"),
-    "swapped by far": (
-        at(120.0, 30.0),
-        r"line 2: is no latitude.*\(got 120 and 30\): are latitude and longitude swap",
-    ),
+    "swapped by far": (at(120.0, 30.0), r"line 2: is no latitude.*\(got 120 and 30\): are latitude and longitude swap"),
     "radians": (at(*np.deg2rad(ORIGIN)), "seem to be radians, must be degrees"),
 }
 
