@@ -1,3 +1,5 @@
+"""Where false positives come from, how many and how large, and how long those stay that persist."""
+
 import itertools
 from typing import Any
 
@@ -7,25 +9,26 @@ from scipy import stats
 
 from modsim3d.core.boxes import sizes
 from modsim3d.core.random_streams import Streams
-from modsim3d.detector.false_positives import PersistentFalsePositives, persistent_false_positives
-from modsim3d.detector.file.reading import parse_detector
-from modsim3d.detector.model import DetectorModel
+from modsim3d.detector.false_positives import persistent_false_positives
 from modsim3d.detector.records import FALSE_POSITIVE, PERSISTENT, Detections
 from tests.detector import detector_builders as build
 
+BOX = build.centred(80, 40)
 
-def model(kind: str, rate: float, confusion: list[list[float]] = build.ALL_SEEN) -> DetectorModel:
+
+def detected(kind: str, rate: float, boxes: np.ndarray, confusion: Any = build.ALL_SEEN, **options: Any) -> Detections:
+    """Detections of vessels in boxes of shape (frames, vessels, 4); options are of the frames."""
     data = build.one_state_data(false_discovery_rate=rate, confusion=confusion, box_error=build.no_error())
-    return parse_detector(data | {"false_positives": {"model": kind}})
-
-
-def detected(kind: str, rate: float, frames: int, vessels: int = 6) -> Detections:
-    targets = build.steady_targets(frames, vessels, build.centred(80, 40))
-    return build.run(model(kind, rate), build.make_frames(frames), targets)
+    data["false_positives"] = {"model": kind} | ({"rate": 4} if kind == "per_image" else {})
+    return build.run(data, build.make_frames(len(boxes), **options), build.make_targets(boxes))
 
 
 def false_boxes(detections: Detections) -> np.ndarray:
     return detections.boxes_px[detections.kind == FALSE_POSITIVE]
+
+
+def inside(boxes_px: np.ndarray) -> np.ndarray:
+    return np.all((boxes_px > 0) & (boxes_px < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)
 
 
 def count_per_frame(detections: Detections, frames: int) -> np.ndarray:
@@ -33,34 +36,33 @@ def count_per_frame(detections: Detections, frames: int) -> np.ndarray:
 
 
 def test_calibrated_counts_are_poisson() -> None:
-    counts = count_per_frame(detected("calibrated", 0.25, 20_000), 20_000)
+    counts = count_per_frame(detected("calibrated", 0.25, build.same_boxes(20_000, 6, BOX)), 20_000)
     assert abs(counts.mean() - 2) < 4 * np.sqrt(2 / 20_000)
     assert abs(counts.var() - 2) < 4 * np.sqrt((2 + 2 * 4) / 20_000)  # fourth central moment 3λ² + λ, less λ²
 
 
-def test_calibrated_counts_what_was_detected_misclassified_or_not() -> None:
-    frames, targets = build.make_frames(500), build.steady_targets(500, 6, build.centred(80, 40))
-    right, swapped, missed = (
-        build.run(model("calibrated", 0.5, confusion), frames, targets)
-        for confusion in (build.ALL_SEEN, [[0, 1], [1, 0], [0, 0]], [[0, 0], [0, 0], [1, 1]])
-    )
-    assert np.array_equal(count_per_frame(right, 500), count_per_frame(swapped, 500))
-    assert count_per_frame(swapped, 500).sum() > 0 == len(missed)
+def test_calibrated_counts_what_was_detected_misclassified_or_not_and_one_more_vessel_only_adds_to_it() -> None:
+    boxes, swapped, missed = build.same_boxes(500, 6, BOX), [[0, 1], [1, 0], [0, 0]], [[0, 0], [0, 0], [1, 1]]
+    right, wrong, none = (detected("calibrated", 0.5, boxes, each) for each in (build.ALL_SEEN, swapped, missed))
+    assert np.array_equal(count_per_frame(right, 500), count_per_frame(wrong, 500))
+    assert count_per_frame(wrong, 500).sum() > 0 == len(none)
+    fewer = detected("calibrated", 0.5, boxes[:, :5])
+    assert np.all(count_per_frame(fewer, 500) <= count_per_frame(right, 500))
+    places, all_places = ({tuple(box) for box in false_boxes(found).tolist()} for found in (fewer, right))
+    assert places < all_places
 
 
-def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame() -> None:
-    frames = 600
-    boxes = build.same_boxes(frames, 3, build.centred(80, 40))
+def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame_and_say_nothing_of_labels() -> None:
+    boxes = build.same_boxes(6000, 3, BOX)
     boxes[::2, :2] = [1000, 1000, 1100, 1010]  # even frames: two thirds 100 × 10
-    found = build.run(model("calibrated", 0.5), build.make_frames(frames), build.make_targets(boxes))
-    false = found.kind == FALSE_POSITIVE
-    size = sizes(found.boxes_px[false])
-    inside = np.all((found.boxes_px[false] > 0) & (found.boxes_px[false] < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)
-    even = found.frame[false] % 2 == 0
-    assert np.abs(size[inside & ~even] - [80, 40]).max() <= 0.5
-    wide = (np.abs(size[inside & even] - [100, 10]) <= 0.5).all(axis=1)
-    assert np.abs(size[inside & even][~wide] - [80, 40]).max() <= 0.5
-    assert abs(wide.mean() - 2 / 3) < 4 * np.sqrt(2 / 9 / len(wide))
+    found = detected("calibrated", 0.5, boxes)
+    false = (found.kind == FALSE_POSITIVE) & inside(found.boxes_px)
+    size, even = sizes(found.boxes_px), found.frame % 2 == 0
+    wide = (np.abs(size - [100, 10]) <= 0.5).all(axis=1)
+    assert np.abs(size[false & ~(even & wide)] - [80, 40]).max() <= 0.5
+    assert abs(wide[false & even].mean() - 2 / 3) < 4 * np.sqrt(2 / 9 / np.sum(false & even))
+    for rows in (false & wide, false & ~wide):
+        assert abs(found.label[rows].mean() - 0.75) < 4 * np.sqrt(0.75 * 0.25 / rows.sum())
 
 
 @pytest.mark.parametrize(
@@ -69,25 +71,23 @@ def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame() -> None:
 )
 def test_thesis_counts_are_binomial_in_the_rounded_rule(n: int, rate: float, trials: int) -> None:
     """Jessen & Mohr (2023), eq. 7.35."""
-    found = detected("thesis", rate, 3000, vessels=n)
+    found = detected("thesis", rate, build.same_boxes(3000, n, BOX))
     counts = count_per_frame(found, 3000)
     assert counts.max() <= trials and len(found) == 3000 * n + counts.sum()
     assert abs(counts.mean() - trials * rate) <= 4 * np.sqrt(trials * rate * (1 - rate) / 3000)
 
 
 def test_thesis_boxes_are_a_hundred_pixels_where_not_clipped() -> None:
-    boxes = false_boxes(detected("thesis", 0.5, 300, vessels=20))
-    inside = np.all((boxes > 0) & (boxes < [*build.IMAGE_PX, *build.IMAGE_PX]), axis=1)
-    np.testing.assert_allclose(sizes(boxes[inside]), 100)
-    assert 0.9 < inside.mean() < 1
+    boxes = false_boxes(detected("thesis", 0.5, build.same_boxes(300, 20, BOX)))
+    np.testing.assert_allclose(sizes(boxes[inside(boxes)]), 100)
+    assert 0.9 < inside(boxes).mean() < 1
 
 
 @pytest.mark.parametrize("kind", ["calibrated", "thesis"])
 def test_false_positives_are_centred_below_the_horizon(kind: str) -> None:
-    frames = build.make_frames(300, sea=(0.0, 1.0, -1500.0))
-    boxes = false_boxes(build.run(model(kind, 0.5), frames, build.steady_targets(300, 20, build.centred(80, 40))))
-    inside = boxes[:, 3] < build.IMAGE_PX[1]
-    centre_y = (boxes[inside, 1] + boxes[inside, 3]) / 2
+    boxes = false_boxes(detected(kind, 0.5, build.same_boxes(300, 20, BOX), sea=(0.0, 1.0, -1500.0)))
+    boxes = boxes[boxes[:, 3] < build.IMAGE_PX[1]]
+    centre_y = (boxes[:, 1] + boxes[:, 3]) / 2
     assert len(centre_y) > 1000 and 1500 <= centre_y.min() < 1510
 
 
@@ -105,27 +105,16 @@ def test_false_positives_have_the_rate_and_labels_of_the_frames_state() -> None:
         assert abs(found.label[ours].mean() - second_label) < 4 * label_error
 
 
-def test_label_of_a_false_positive_does_not_depend_on_its_size() -> None:
-    boxes = build.same_boxes(4000, 2, build.centred(80, 40))
-    boxes[:, 0] = build.centred(10, 10)
-    found = build.run(model("calibrated", 0.5), build.make_frames(4000), build.make_targets(boxes))
-    false = found.kind == FALSE_POSITIVE
-    wide = sizes(found.boxes_px[false])[:, 0] > 30
-    for labels in (found.label[false][wide], found.label[false][~wide]):
-        assert abs(labels.mean() - 0.75) < 4 * np.sqrt(0.75 * 0.25 / len(labels))
-
-
 def test_a_vessel_named_like_a_number_shares_no_noise_with_false_positives() -> None:
-    targets = build.steady_targets(500, 1, build.centred(80, 40), vessel_ids=["0"])
-    found = build.run(model("calibrated", 0.5), build.make_frames(500), targets)
+    targets = build.steady_targets(500, 1, BOX, vessel_ids=["0"])
+    found = build.run(build.one_state_data(false_discovery_rate=0.5), build.make_frames(500), targets)
     false = found.kind == FALSE_POSITIVE
     assert not np.intersect1d(found.confidence[false], found.confidence[~false & (found.confidence < 1)]).size
 
 
 def test_false_positives_of_tiny_vessels_keep_a_pixel() -> None:
-    frames = build.make_frames(2000, image_px=(8, 6))
-    targets = build.steady_targets(2000, 3, [3.0, 3.0, 3.2, 3.1])
-    boxes = false_boxes(build.run(model("calibrated", 0.7), frames, targets))
+    tiny = build.same_boxes(2000, 3, [3.0, 3.0, 3.2, 3.1])
+    boxes = false_boxes(detected("calibrated", 0.7, tiny, image_px=(8, 6)))
     assert len(boxes) > 1000 and sizes(boxes).min() >= 1
     assert boxes.min() >= 0 and np.all(boxes[:, 2:] <= [8, 6])
 
@@ -133,36 +122,20 @@ def test_false_positives_of_tiny_vessels_keep_a_pixel() -> None:
 @pytest.mark.parametrize("kind", ["calibrated", "per_image"])
 def test_sides_of_false_positives_are_no_more_often_whole_pixels_or_equal_than_those_of_vessels(kind: str) -> None:
     """Boxes of rendered vessels have whole sides, detected ones have errors: sizes of vessels must not tell."""
-    data = build.one_state_data(false_discovery_rate=0.4, confusion=build.ALL_SEEN)
-    rate = {"rate": 4} if kind == "per_image" else {}
-    detector = parse_detector(data | {"false_positives": {"model": kind, **rate}})
-    found = build.run(detector, build.make_frames(500), build.steady_targets(500, 6, build.centred(80, 40)))
-    side = sizes(false_boxes(found)).ravel()
+    side = sizes(false_boxes(detected(kind, 0.4, build.same_boxes(500, 6, BOX)))).ravel()
     assert len(side) > 2000
     whole = np.abs(side - side.round()) < 0.05
     assert abs(whole.mean() - 0.1) < 4 * np.sqrt(0.1 * 0.9 / len(side)) + 0.02
     assert len(np.unique(side.round(4))) > 0.9 * len(side)
 
 
-def test_one_more_detected_vessel_only_adds_false_positives() -> None:
-    boxes = build.same_boxes(500, 6, build.centred(80, 40))
-    more = build.run(model("calibrated", 0.4), build.make_frames(500), build.make_targets(boxes))
-    fewer = build.run(model("calibrated", 0.4), build.make_frames(500), build.make_targets(boxes[:, :5]))
-    assert np.all(count_per_frame(fewer, 500) <= count_per_frame(more, 500))
-    places = {tuple(box) for box in false_boxes(more).tolist()}
-    assert {tuple(box) for box in false_boxes(fewer).tolist()} < places
-
-
 FRAMES = 20_000
 
 
-def watch(
-    rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1
-) -> PersistentFalsePositives:
-    seen = build.make_frames(frames, time_step_s=step_s)
-    return persistent_false_positives(
-        Streams(seed), seen, np.broadcast_to(np.asarray(rates, dtype=float), frames), lifetime_s
-    )
+def watch(rates: Any, lifetime_s: float, frames: int = FRAMES, step_s: float = 0.1, seed: int = 1) -> Any:
+    """False positives that persist."""
+    seen, each = build.make_frames(frames, time_step_s=step_s), np.broadcast_to(np.asarray(rates, dtype=float), frames)
+    return persistent_false_positives(Streams(seed), seen, each, lifetime_s)
 
 
 @pytest.mark.parametrize("step_s", [0.1, 0.7])
@@ -205,7 +178,7 @@ def test_the_first_frames_are_no_emptier_than_later_ones_and_all_are_empty_at_a_
     assert watch(rates, 2.0, frames=400).frame.min() >= 200
 
 
-def test_lifetimes_are_exponential() -> None:
+def test_lifetimes_are_exponential_and_one_that_stays_keeps_its_numbers_and_grows_older() -> None:
     found = watch(1.0, 2.0)
     _, one = np.unique(found.uniforms[:, 0], return_inverse=True)
     shown = np.bincount(one)
@@ -216,22 +189,16 @@ def test_lifetimes_are_exponential() -> None:
     law = -np.diff([again ** (edge - 1) for edge in edges], append=0)
     seen = np.histogram(shown, [*edges, np.inf])[0]
     assert stats.chisquare(seen, law * len(shown)).pvalue > 1e-4
-
-
-def test_one_that_stays_keeps_its_numbers_and_grows_older() -> None:
-    found = watch(1.0, 2.0, frames=500)
-    for first in np.unique(found.uniforms[:, 0])[:20]:
-        ours = found.uniforms[:, 0] == first
-        assert len(np.unique(found.uniforms[ours], axis=0)) == 1
-        np.testing.assert_allclose(np.diff(found.age_s[ours]), 0.1 * np.diff(found.frame[ours]))
-        assert len(set(found.sign[ours])) == 1
+    for rows in (one == number for number in range(20)):
+        assert len(np.unique(found.uniforms[rows], axis=0)) == len(set(found.sign[rows])) == 1
+        np.testing.assert_allclose(np.diff(found.age_s[rows]), 0.1 * np.diff(found.frame[rows]))
 
 
 def detect(frames: int = 6000, **persistence: float) -> Detections:
     data = build.one_state_data(false_discovery_rate=0.2, box_error=build.no_error())
     size = {"model": "fixed", "px": [40, 20]}
     data["false_positives"] = {"model": "calibrated", "size": size, "persistence": persistence}
-    return build.run(data, build.make_frames(frames), build.steady_targets(frames, 6, build.centred(80, 40)))
+    return build.run(data, build.make_frames(frames), build.steady_targets(frames, 6, BOX))
 
 
 @pytest.mark.parametrize("share", [1.0, 0.4])
@@ -241,8 +208,7 @@ def test_the_false_discovery_rate_holds_with_persistent_ones(share: float) -> No
     n_true, kept = np.sum(~false), np.exp(-0.1)
     error = np.sqrt(n_true * 0.25 * (1 + kept) / (1 - kept)) * n_true / len(found) ** 2
     assert abs(false.mean() - 0.2) < 4 * error
-    persistent = np.sum(found.kind == PERSISTENT) / np.sum(false)
-    assert abs(persistent - share) < 0.06
+    assert abs(np.sum(found.kind == PERSISTENT) / np.sum(false) - share) < 0.06
     assert (share == 1.0) == (not np.any(found.kind == FALSE_POSITIVE))
 
 

@@ -8,6 +8,7 @@ import pytest
 from modsim3d.core.boxes import sizes, unions
 from modsim3d.detector import records
 from modsim3d.detector.merges_and_splits import MergesAndSplits
+from modsim3d.detector.records import Detections, Targets
 from tests.detector import detector_builders as build
 
 FRAMES = 4000
@@ -15,15 +16,17 @@ LONG, SQUARE = build.centred(400, 40), [100.0, 1000.0, 200.0, 1080.0]
 PAIR = [[1000.0, 1000.0, 1100.0, 1050.0], [1050.0, 1000.0, 1250.0, 1060.0]]  # half of the smaller is in both
 
 
-def detect(
-    boxes: list[list[float]], false_positives: dict[str, Any], **state: Any
-) -> tuple[records.Targets, records.Detections]:
-    data = build.one_state_data(
-        **({"confusion": build.ALL_SEEN, "box_error": build.no_error(), "false_discovery_rate": 0.2} | state)
-    )
-    targets = build.make_targets(np.tile(np.array(boxes), (FRAMES, 1, 1)))
-    data["false_positives"] = {"model": "calibrated"} | false_positives
-    return targets, build.run(data, build.make_frames(FRAMES), targets)
+def detect(boxes: list[list[float]], false_positives: dict[str, Any], **state: Any) -> tuple[Targets, Detections]:
+    return run(false_positives, np.tile(np.array(boxes), (FRAMES, 1, 1)), **{"false_discovery_rate": 0.2, **state})
+
+
+def run(
+    false_positives: dict[str, Any], boxes: np.ndarray, seed: int = 1, gates: Any = None, **state: Any
+) -> tuple[Targets, Detections]:
+    data = build.one_state_data(**{"confusion": build.ALL_SEEN, "box_error": build.no_error(), **state})
+    data |= {"false_positives": {"model": "calibrated"} | false_positives, "gates": gates or {}}
+    targets = build.make_targets(boxes)
+    return targets, build.run(data, build.make_frames(len(boxes)), targets, seed)
 
 
 def near(count: int, trials: int, p: float) -> bool:
@@ -68,6 +71,8 @@ def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     assert np.all((width >= 200 - 1e-9) & (width <= 0.7 * 400 + 1e-9))
     np.testing.assert_allclose(width + sizes(smaller)[:, 0], 400)
     assert not np.any(found.kind[found.target == 1] == records.SPLIT)
+    from_4 = MergesAndSplits(split_aspect=4.0).looks_long(np.array([[0.0, 0, w, 10] for w in (39, 40, 41)]))
+    assert from_4.tolist() == [False, True, True]
 
 
 def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:
@@ -105,9 +110,7 @@ def test_a_merge_belongs_to_two_vessels_whoever_is_larger_and_if_none_is_to_the_
     boxes = np.tile(PAIR, (200, 1, 1))
     swapped = boxes.copy()
     swapped[::2] = boxes[::2, ::-1]
-    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error())
-    data |= {"false_positives": {"model": "calibrated", "merges": 0.5}}
-    one, two = (build.run(data, build.make_frames(200), build.make_targets(b)) for b in (boxes, swapped))
+    one, two = (run({"merges": 0.5}, each)[1] for each in (boxes, swapped))
     assert np.array_equal(one.frame[one.kind == records.MERGED], two.frame[two.kind == records.MERGED])
     targets, found = detect([PAIR[0], PAIR[0]], {"merges": 1.0}, false_discovery_rate=0)
     assert np.all(targets.vessel[found.target] == 0)
@@ -125,9 +128,7 @@ def test_whatever_counts_as_false_has_the_confidence_of_false_detections() -> No
 def test_merged_box_is_neither_split_nor_doubled_whichever_row_its_smaller_vessel_has() -> None:
     keys = {"merges": 1.0, "splits": 0.5, "duplicates": 0.4}
     for seed in range(20):
-        data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error(), false_discovery_rate=0.5)
-        data["false_positives"] = {"model": "calibrated"} | keys
-        found = build.run(data, build.make_frames(1), build.make_targets([PAIR]), seed)
+        _, found = run(keys, np.array([PAIR]), seed, false_discovery_rate=0.5)
         assert set(found.kind) <= {records.MERGED, records.FALSE_POSITIVE}
         assert found.partner[found.kind == records.MERGED].tolist() == [0]
 
@@ -141,18 +142,10 @@ def test_first_draws_of_parts_and_false_positives_do_not_count_as_resampled() ->
 
 
 def test_both_vessels_of_a_merged_box_that_is_not_output_are_gated() -> None:
-    data = build.one_state_data(confusion=build.ALL_SEEN, box_error=build.no_error(), false_discovery_rate=0)
-    data |= {"false_positives": {"model": "calibrated", "merges": 1.0}, "gates": {"max_detections": 1}}
-    targets = build.make_targets(np.tile(np.array([*PAIR, SQUARE]), (50, 1, 1)))
-    found = build.run(data, build.make_frames(50), targets)
-    assert len(found) == 50
+    boxes = np.tile(np.array([*PAIR, SQUARE]), (50, 1, 1))
+    targets, found = run({"merges": 1.0}, boxes, gates={"max_detections": 1}, false_discovery_rate=0)
     merged = set(found.frame[found.kind == records.MERGED].tolist())
-    assert 0 < len(merged) < 50
-    assert [set(targets.vessel[found.gated & (targets.frame == f)]) for f in range(50)] == [
-        {2} if f in merged else {0, 1} for f in range(50)
-    ]
-
-
-def test_box_may_be_split_from_the_aspect_given_on() -> None:
-    long = MergesAndSplits(split_aspect=4.0).looks_long(np.array([[0.0, 0, 40, 10], [0, 0, 39, 10], [0, 0, 41, 10]]))
-    assert long.tolist() == [True, False, True]
+    assert len(found) == 50 and 0 < len(merged) < 50
+    for frame in range(50):
+        gated = set(targets.vessel[found.gated & (targets.frame == frame)])
+        assert gated == ({2} if frame in merged else {0, 1})

@@ -12,14 +12,8 @@ from scipy import stats
 
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import ModsimError
-from modsim3d.detector.false_positive_placement import (
-    PLACE_STEP_PX,
-    Placement,
-    _inverse,
-    _slice,
-    sea_polygons,
-    uniform_places,
-)
+from modsim3d.detector import false_positive_placement
+from modsim3d.detector.false_positive_placement import PLACE_STEP_PX, Placement, sea_polygons, uniform_places
 from modsim3d.detector.records import FALSE_POSITIVE, Detections
 from tests.detector import detector_builders as build
 
@@ -37,12 +31,14 @@ def below(points: np.ndarray, sea: tuple[float, float, float]) -> np.ndarray:
     return (a * points[:, 0] + b * points[:, 1] + c) / np.hypot(a, b)
 
 
-@pytest.mark.parametrize("sea", [LEVEL, TILTED])
-def test_a_band_holds_all_of_them_and_evenly(sea: tuple[float, float, float]) -> None:
-    found = places(Placement(band_px=120), sea)
-    depth = below(found, sea)
-    assert depth.min() > -1e-6 and depth.max() < 120 + 1e-6
-    assert stats.kstest(depth / 120, "uniform").pvalue > 1e-4
+def test_a_band_holds_all_of_them_and_evenly_and_one_outside_the_image_is_no_place_there() -> None:
+    for sea in (LEVEL, TILTED):
+        depth = below(places(Placement(band_px=120), sea), sea)
+        assert depth.min() > -1e-6 and depth.max() < 120 + 1e-6, sea
+        assert stats.kstest(depth / 120, "uniform").pvalue > 1e-4, sea
+    for sea in ((0.0, 1.0, 500.0), (0.0, 1.0, -9000.0), (0.0, 0.0, 1.0), (0.0, 1.0, -2400.0)):
+        found = places(Placement(band_px=30, far_half_px=50), sea, 500)
+        assert np.all((found >= 0) & (found <= build.IMAGE_PX)) and not np.isnan(found).any(), sea
 
 
 def test_the_density_halves_as_asked_and_along_the_horizon_they_are_spread_evenly() -> None:
@@ -59,12 +55,6 @@ def test_the_level_way_and_the_plain_way_spread_alike() -> None:
     assert below(still, TILTED).min() > -1e-6
     for axis in (0, 1):
         assert stats.ks_2samp(still[:, axis], plain[:, axis]).pvalue > 1e-4
-
-
-@pytest.mark.parametrize("sea", [(0.0, 1.0, 500.0), (0.0, 1.0, -9000.0), (0.0, 0.0, 1.0), (0.0, 1.0, -2400.0)])
-def test_a_band_that_is_not_in_the_image_is_no_place_outside_it(sea: tuple[float, float, float]) -> None:
-    found = places(Placement(band_px=30, far_half_px=50), sea, 500)
-    assert np.all((found >= 0) & (found <= build.IMAGE_PX)) and not np.isnan(found).any()
 
 
 def test_a_map_gives_each_cell_its_weight() -> None:
@@ -98,15 +88,12 @@ def detect(false_positives: dict[str, Any], frames: int = 3000, vessels: int = 6
 FIXED = {"model": "fixed", "px": [30, 20]}
 
 
-def test_an_empty_sea_has_false_alarms_at_their_rate_per_image() -> None:
+def test_an_empty_sea_has_false_alarms_at_their_rate_per_image_and_a_state_may_have_its_own() -> None:
     found = detect({"model": "per_image", "rate": 0.7, "size": FIXED}, vessels=0)
     counts = np.bincount(found.frame, minlength=3000)
     assert np.all(found.kind == FALSE_POSITIVE)
     assert abs(counts.mean() - 0.7) < 4 * np.sqrt(0.7 / 3000)
     assert abs(counts.var() - 0.7) < 4 * np.sqrt((0.7 + 2 * 0.49) / 3000)
-
-
-def test_a_state_may_have_its_own_rate_per_image() -> None:
     data = build.detector_data(transition_matrix=[[0.9, 0.1], [0.1, 0.9]])
     data["false_positives"] = {"model": "per_image", "rate": 0.2, "size": FIXED}
     data["states"]["fog"]["false_positives_per_image"] = 2.0
@@ -146,19 +133,15 @@ HORIZONS = [(0.0, 1.0, -500.0), (0.6, 0.8, -900.0), (-1.0, 0.0, 40.0), (0.0, -1.
 """Sea below row 500; below a slope; left of column 40; above row 300; nowhere."""
 
 
-@pytest.mark.parametrize(
-    "placement",
-    [Placement(), Placement(band_px=100.0), Placement(far_half_px=60.0), Placement(band_px=80.0, far_half_px=30.0)],
-)
-@pytest.mark.parametrize("drift", [None, 300.0])
-def test_many_places_at_once_are_those_of_each(placement: Placement, drift: float | None) -> None:
+def test_many_places_at_once_are_those_of_each() -> None:
     planes, uniforms = np.tile(HORIZONS, (4, 1)), np.random.default_rng(8).random((20, 3))
-    moved = None if drift is None else np.full(20, drift)
-    together = placement.places(planes, (800, 600), uniforms, moved)
-    for row in range(20):
-        one = slice(row, row + 1)
-        alone = placement.places(planes[one], (800, 600), uniforms[one], None if moved is None else moved[one])
-        np.testing.assert_array_equal(together[one], alone)
+    options = ({}, {"band_px": 100.0}, {"far_half_px": 60.0}, {"band_px": 80.0, "far_half_px": 30.0})
+    for placement, moved in itertools.product([Placement(**each) for each in options], (None, np.full(20, 300.0))):
+        together = placement.places(planes, (800, 600), uniforms, moved)
+        for row in range(20):
+            one = slice(row, row + 1)
+            alone = placement.places(planes[one], (800, 600), uniforms[one], None if moved is None else moved[one])
+            np.testing.assert_array_equal(together[one], alone, f"{placement}")
 
 
 def test_place_below_a_level_horizon_is_its_uniform_numbers_share_of_the_width_and_of_the_density() -> None:
@@ -189,7 +172,8 @@ def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
     rng = np.random.default_rng(9)
     weights, nodes, uniforms = rng.random((50, 20)), np.sort(rng.random((50, 20)), axis=1), rng.random(50)
     uniforms[:2] = 0.0, 0.001
-    for found, weight, node, share in zip(_inverse(weights, nodes, uniforms), weights, nodes, uniforms, strict=True):
+    levels = false_positive_placement._inverse(weights, nodes, uniforms)
+    for found, weight, node, share in zip(levels, weights, nodes, uniforms, strict=True):
         area = np.append(0, np.cumsum((weight[1:] + weight[:-1]) / 2 * np.diff(node)))
         assert found == pytest.approx(np.interp(share, area / area[-1], node))
 
@@ -197,7 +181,7 @@ def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:
 def test_level_meets_a_polygon_where_a_line_does() -> None:
     polygons = sea_polygons(np.array(HORIZONS[:4]), (800, 600))
     levels = (0.0, 20.0, 150.0, 299.0, 590.0, 700.0)
-    lows, highs = _slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))
+    lows, highs = false_positive_placement._slice(polygons[..., 1], polygons[..., 0], np.tile(levels, (4, 1)))
     for level, low, high in zip(levels, lows.T, highs.T, strict=True):
         for row, corners in enumerate(polygons):
             shape = shapely.Polygon(corners)

@@ -25,42 +25,27 @@ def detector(score: dict[str, Any] = SCORE, **persistence: Any) -> Detector:
     return build.detector(data | {"persistence": {"score": score, **persistence}}, 5, STEP_S)
 
 
-def by_frame(found: Detections, values: np.ndarray, fill: float) -> np.ndarray:
-    return build.by_frame(found, values, FRAMES, VESSELS, fill)
-
-
 @pytest.fixture(scope="module")
 def found() -> Detections:
     return detector().detect(build.make_frames(FRAMES, time_step_s=STEP_S), seen())
 
 
-def test_at_any_time_misses_labels_and_confidences_have_their_chances(found: Detections) -> None:
-    missed = by_frame(found, np.zeros(len(found)), 1.0)
-    confidence, label = by_frame(found, found.confidence, np.nan), by_frame(found, found.label, -1)
+def test_misses_labels_and_confidences_have_their_chances_at_any_time_and_the_correlation_of_the_score(found) -> None:
+    label = build.by_frame(found, found.label, FRAMES, VESSELS, -1)
+    confidence, missed = build.by_frame(found, found.confidence, FRAMES, VESSELS), label < 0
     for frame in (0, 1, FRAMES - 1):
-        error = np.sqrt(MISS_RATE * (1 - MISS_RATE) / VESSELS)
-        assert abs(missed[frame].mean() - MISS_RATE) < 4 * error
-        assert abs((label[frame] == 1).mean() - 0.15) < 4 * np.sqrt(0.15 * 0.85 / VESSELS)
-        seen_ones = confidence[frame][missed[frame] == 0]
-        assert stats.kstest((seen_ones - 0.25) / 0.7, "uniform").pvalue > 1e-3
-
-
-def test_misses_have_the_correlation_of_their_scores(found: Detections) -> None:
-    missed = by_frame(found, np.zeros(len(found)), 1.0)
+        for share, p in ((missed[frame], MISS_RATE), (label[frame] == 1, 0.15)):
+            assert abs(share.mean() - p) < 4 * np.sqrt(p * (1 - p) / VESSELS)
+        assert stats.kstest((confidence[frame][~missed[frame]] - 0.25) / 0.7, "uniform").pvalue > 1e-3
     z = special.ndtri(MISS_RATE)
     for lag in (1, 2, 4, 8, 16, 32):
         apart_s = lag * STEP_S
         correlation = 0.3 + 0.2 * np.exp(-apart_s / 1) + 0.4 * np.exp(-apart_s / 6)
         both = stats.multivariate_normal([0, 0], [[1, correlation], [correlation, 1]]).cdf([z, z])
-        of_vessels = (missed[:-lag] * missed[lag:]).mean(axis=0)
+        of_vessels = (missed[:-lag] & missed[lag:]).mean(axis=0)
         assert abs(of_vessels.mean() - both) < 4 * of_vessels.std() / np.sqrt(VESSELS)
-
-
-def test_a_vessel_grows_unsure_before_it_is_lost(found: Detections) -> None:
-    missed = by_frame(found, np.zeros(len(found)), 1.0)
-    confidence = by_frame(found, found.confidence, np.nan)[:-1]
-    lost = missed[1:][missed[:-1] == 0]
-    sure = confidence[missed[:-1] == 0]
+    # A vessel grows unsure before it is lost.
+    lost, sure = missed[1:][~missed[:-1]], confidence[:-1][~missed[:-1]]
     shares = [lost[(sure > low) & (sure <= low + 0.14)].mean() for low in (0.25, 0.39, 0.53, 0.67, 0.81)]
     assert np.all(np.diff(shares) < 0) and shares[0] > 10 * shares[-1]
 

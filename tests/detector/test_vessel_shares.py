@@ -34,20 +34,15 @@ def found(tau_s: float) -> Detections:
     return detect({"class_s": tau_s, "box_s": tau_s, **SHARES}, seen())
 
 
-def by_vessel(values: np.ndarray, found: Detections) -> np.ndarray:
-    return build.by_frame(found, values, FRAMES, VESSELS)
-
-
-def test_rates_hold_over_vessels_although_each_has_its_own(found: Detections) -> None:
-    label = by_vessel(found.label.astype(float), found)
-    for asked, seen_as in ((0.7, label == 0), (0.1, label == 1), (0.2, np.isnan(label))):
-        of_vessel = seen_as.mean(axis=0)
+def test_rates_hold_over_vessels_and_misses_far_apart_in_time_are_as_alike_as_the_share_says(
+    found, tau_s: float
+) -> None:
+    label = build.by_frame(found, found.label, FRAMES, VESSELS, -1)
+    for asked, seen_as in ((0.7, 0), (0.1, 1), (0.2, -1)):
+        of_vessel = (label == seen_as).mean(axis=0)
         assert abs(of_vessel.mean() - asked) < 4 * of_vessel.std() / np.sqrt(VESSELS)
-    assert np.isnan(label).mean(axis=0).std() > 0.15
-
-
-def test_misses_far_apart_in_time_are_as_alike_as_the_share_says(found: Detections, tau_s: float) -> None:
-    missed, p = np.isnan(by_vessel(found.label.astype(float), found)), 0.2
+    missed, p = label < 0, 0.2
+    assert missed.mean(axis=0).std() > 0.15  # each has its own
     stays = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - CLASS_SHARE) / (1 + CLASS_SHARE)))
     stays = (stays - p * p) / (p - p * p)
     for lag in (1, 30):
@@ -58,7 +53,7 @@ def test_misses_far_apart_in_time_are_as_alike_as_the_share_says(found: Detectio
 
 
 def test_errors_have_their_covariance_and_a_correlation_that_stays(found: Detections, tau_s: float) -> None:
-    error = by_vessel(found.errors_px, found) - np.array([4, 7, -8, -1])
+    error = build.by_frame(found, found.errors_px - np.array([4, 7, -8, -1]), FRAMES, VESSELS)
     covariance = np.nanmean(error[..., :, None] * error[..., None, :], axis=(0, 1))
     spread = np.sqrt(np.outer(np.diag(build.COVARIANCE_PX2), np.diag(build.COVARIANCE_PX2)))
     assert np.abs((covariance - build.COVARIANCE_PX2) / spread).max() < 0.12
