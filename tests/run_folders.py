@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.scene import Scene
+
+
+def finished(scene: Scene, folder: Path) -> StoredRun:
+    """The run of a scene in a new folder."""
+    return open_run(run_scene(scene, folder).folder)
 
 
 def run_files(folder: Path, *without: str) -> dict[str, bytes]:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import special
 
+from modsim3d.core.boxes import sizes
 from modsim3d.detector.chain import target_statistics
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.file.reading import parse_detector
@@ -41,7 +42,7 @@ def labels_of(found: Detections, targets: Targets) -> np.ndarray:
 
 
 def sides_of(targets: Targets) -> np.ndarray:
-    return np.sqrt(np.prod(targets.boxes_px[:, 2:] - targets.boxes_px[:, :2], axis=1))
+    return np.sqrt(np.prod(sizes(targets.boxes_px), axis=1))
 
 
 def log_odds(targets: Targets) -> np.ndarray:
@@ -100,15 +101,11 @@ def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is()
         assert np.array_equal(labels_of(found, targets), labels_of(build.run(model_data(), frames, targets), targets))
 
 
-def test_a_slope_may_start_at_nothing_seen() -> None:
-    only = {"model": "logistic", "visible_fraction": {"per_unit": -3, "reference": 0}}
-    targets = varied_targets(50)
+def test_a_slope_may_start_at_nothing_seen_and_without_an_anchor_no_part_of_a_scene_is_read() -> None:
+    only, targets = {"model": "logistic", "visible_fraction": {"per_unit": -3, "reference": 0}}, varied_targets(50)
     added = parse_detector(model_data(dropout=only)).dropout.log_odds(np.zeros(len(targets), dtype=int), targets)
     np.testing.assert_allclose(added, -3 * targets.visible_fraction)
-
-
-def test_no_part_of_a_scene_is_read_for_a_detector_that_needs_no_target_statistics() -> None:
-    parts, model = iter([(build.make_frames(50), varied_targets(50))]), parse_detector(model_data(dropout=LOGISTIC))
+    parts, model = iter([(build.make_frames(50), targets)]), parse_detector(model_data(dropout=LOGISTIC))
     assert not len(target_statistics(model, parts).sides.counts)
     assert len(list(parts)) == 1 and not model.needs_target_statistics
     assert parse_detector(model_data(dropout=LOGISTIC | {"anchor": "state_rate"})).needs_target_statistics
@@ -120,18 +117,13 @@ def gated(**gates: float) -> tuple[Targets, Detections]:
     return targets, build.run(data, build.make_frames(500), targets)
 
 
-def test_gates_keep_out_what_is_far_small_or_hidden() -> None:
+def test_gates_keep_out_what_is_far_small_or_hidden_and_nothing_at_the_limit_or_of_unknown_visibility() -> None:
     targets, found = gated(max_range_m=500, min_box_px=12, max_occlusion=0.8)
-    sides = (targets.boxes_px[:, 2:] - targets.boxes_px[:, :2]).min(axis=1)
-    out = (targets.depth_m > 500) | (sides < 12) | (targets.visible_fraction < 0.2)
+    out = (targets.depth_m > 500) | (sizes(targets.boxes_px).min(axis=1) < 12) | (targets.visible_fraction < 0.2)
     assert 0.3 < out.mean() < 0.9 and np.array_equal(found.gated, out)
     assert not out[found.target[found.kind == TRUE]].any()
-
-
-def test_vessel_at_the_limit_of_a_gate_passes_and_one_of_unknown_visibility_too():
     targets = build.make_targets([[[0, 0, 50, side] for side in (20.5, 20.0, 19.5)]])
-    targets.depth_m[:] = [99.0, 100.0, 100.5]
-    targets.visible_fraction[:] = [np.nan, 0.75, 0.7]
+    targets.depth_m[:], targets.visible_fraction[:] = [99.0, 100.0, 100.5], [np.nan, 0.75, 0.7]
     for gates in (Gates(min_box_px=20.0), Gates(max_range_m=100.0), Gates(max_occlusion=0.25)):
         assert gates.passed(build.make_frames(1), targets).tolist() == [True, True, False], gates
 
@@ -158,18 +150,16 @@ def test_the_surest_detections_of_a_frame_are_put_out() -> None:
     assert np.array_equal(np.flatnonzero(some.gated), lost)
 
 
-@pytest.mark.parametrize(("first_step", "time_step_s"), [(0, 0.2), (7, 0.2), (3, 0.7), (0, 1.3)])
-def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each(first_step: int, time_step_s: float) -> None:
-    frames, targets = build.make_frames(200, first_step=first_step, time_step_s=time_step_s), varied_targets(200)
-    found = build.run(model_data(gates={"update_interval_s": 0.6}), frames, targets)
-    before = -1 if frames.previous_s == -np.inf else int(frames.previous_s / 0.6 + 1e-6)
-    due = []
-    for frame, time_s in enumerate(frames.times_s):
-        if int(time_s / 0.6 + 1e-6) > before:
-            due.append(frame)
-            before = int(time_s / 0.6 + 1e-6)
-    assert set(found.frame) <= set(due) and len(set(found.frame)) > 0.9 * len(due)
-    assert np.array_equal(found.gated, ~np.isin(targets.frame, due))
+def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each() -> None:
+    targets, data = varied_targets(200), model_data(gates={"update_interval_s": 0.6})
+    for first_step, time_step_s in ((0, 0.2), (7, 0.2), (3, 0.7), (0, 1.3)):
+        frames = build.make_frames(200, first_step=first_step, time_step_s=time_step_s)
+        found = build.run(data, frames, targets)
+        times_s = np.append(frames.previous_s, frames.times_s)
+        number = [-1 if time_s == -np.inf else int(time_s / 0.6 + 1e-6) for time_s in times_s]
+        due = np.flatnonzero(np.diff(number) > 0)
+        assert set(found.frame) <= set(due) and len(set(found.frame)) > 0.9 * len(due), (first_step, time_step_s)
+        assert np.array_equal(found.gated, ~np.isin(targets.frame, due)), (first_step, time_step_s)
 
 
 def test_thin_and_near_targets_have_finite_odds() -> None:

@@ -10,7 +10,8 @@ from modsim3d.core.boxes import sizes
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.detector.records import FALSE_KINDS, KINDS, CameraFrames, Detections, Targets
-from tests.detector.detector_builders import all_bytes, chunk, clock, detect_in_chunks, make_frames, make_targets
+from tests.detector import detector_builders as build
+from tests.detector.detector_builders import all_bytes, chunk, clock, detect_in_chunks
 from tests.detector_variants import variant
 
 RICH = Path(__file__).resolve().parents[2] / "scenes" / "detectors" / "rich.yaml"
@@ -19,7 +20,7 @@ MODEL = load_detector(RICH)
 
 
 def rich_frames(steps: int = STEPS) -> CameraFrames:
-    return make_frames(steps, time_step_s=STEP_S, sea=(0.02, 1.0, -800.0))
+    return build.make_frames(steps, time_step_s=STEP_S, sea=(0.02, 1.0, -800.0))
 
 
 def rich_targets(seed: int = 3) -> Targets:
@@ -30,7 +31,7 @@ def rich_targets(seed: int = 3) -> Targets:
     boxes = np.clip(np.concatenate([centre - side / 2, centre + side / 2], axis=-1), 0, [3600, 2400, 3600, 2400])
     boxes[100:200, 4] = np.nan
     boxes[random.random((STEPS, VESSELS)) < 0.1] = np.nan
-    targets = make_targets(boxes, np.arange(VESSELS) % 3)
+    targets = build.make_targets(boxes, np.arange(VESSELS) % 3)
     targets.visible_fraction[:] = np.minimum(random.uniform(0, 1.2, len(targets)), 1)
     targets.depth_m[:] = random.uniform(50, 3300, len(targets))
     return targets
@@ -56,15 +57,12 @@ def test_the_example_is_short_and_has_every_kind_of_detection_and_each_vessel_on
     assert len(np.unique(sources)) == len(sources) and not whole.gated[sources].any()
 
 
-@pytest.mark.parametrize("borders", [[0, 1, 2, 250, 250, 599, 600], [0, 600], [*range(0, 601, 37), 600]])
-def test_chunk_borders_change_nothing_with_every_model_on(whole: Detections, borders: list[int]) -> None:
-    found = detect_in_chunks(detector(), rich_frames(), rich_targets(), borders)
-    assert all_bytes(found) == all_bytes(whole)
-
-
-def test_chunks_may_come_in_any_order_with_every_model_on(whole: Detections) -> None:
-    ours = detector()
-    late, early = (detect_in_chunks(ours, rich_frames(), rich_targets(), part) for part in ([400, 600], [0, 400]))
+def test_chunks_in_any_order_change_nothing_with_every_model_on(whole: Detections) -> None:
+    for borders in ([0, 1, 2, 250, 250, 599, 600], [0, 600], [*range(0, 601, 37), 600]):
+        found = detect_in_chunks(detector(), rich_frames(), rich_targets(), borders)
+        assert all_bytes(found) == all_bytes(whole), borders
+    one = detector()
+    late, early = (detect_in_chunks(one, rich_frames(), rich_targets(), part) for part in ([400, 600], [0, 400]))
     assert np.array_equal(np.concatenate([early.boxes_px, late.boxes_px]), whole.boxes_px)
 
 

@@ -6,6 +6,7 @@ import re
 import typing
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ import yaml
 from pydantic import BaseModel
 
 from modsim3d.core.errors import InputError
-from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.file.reading import file_of, load_detector, parse_detector, shipped_detectors
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import dead_lines, unread_settings
@@ -23,7 +23,8 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.settings import Setting, changed
-from tests.detector.detector_builders import all_bytes, chunk, clock, detector_data, state_data
+from tests.detector import detector_builders as build
+from tests.detector.detector_builders import all_bytes, detector_data, state_data
 from tests.detector.test_rich import STEP_S, rich_frames, rich_targets
 from tests.detector_variants import CHANGES, variant
 
@@ -59,17 +60,18 @@ OTHERS: dict[str, list[Any]] = {
     "size_reference_px": [500.0],
 }
 """Name of a key → values of which at least one is another one than the file's and fits it."""
-REMEMBERED = {"box errors with a memory each": variant("plain")}
-"""By name of the test."""
-for each in REMEMBERED.values():
-    each["persistence"] = {"box": {"vessel_share": [0.3] * 5, "shares": [[0.2] * 5], "times_s": [2.0]}}
+
+
+MEMORIES = {"persistence": {"box": {"vessel_share": [0.3] * 5, "shares": [[0.2] * 5], "times_s": [2.0]}}}
+
+
 MODELS = {
     "dropout": ["logistic", "table", "confusion"],
     "false_positives": ["per_image", "thesis", "calibrated"],
     "size": ["fixed", "lognormal", "truth"],
 }
 STEPS = 400
-FRAMES, TARGETS = rich_frames(STEPS), chunk(rich_frames(), rich_targets(), 0, STEPS)[1]
+FRAMES, TARGETS = rich_frames(STEPS), build.chunk(rich_frames(), rich_targets(), 0, STEPS)[1]
 LAST_S = float(FRAMES.times_s[-1])
 
 
@@ -99,7 +101,7 @@ def run(data: DetectorModel | dict[str, Any]) -> Detections:
     """What a detector makes of the targets, their labels counted round if it has others than three."""
     model = data if isinstance(data, DetectorModel) else parse_detector(copy.deepcopy(data))
     targets = replace(TARGETS, label=TARGETS.label % len(model.labels))
-    return Detector(model, 1, target_statistics(model, [(FRAMES, targets)]), clock(STEP_S)).detect(FRAMES, targets)
+    return build.run(model, FRAMES, targets, step_s=STEP_S)
 
 
 def output(data: dict[str, Any]) -> object:
@@ -116,24 +118,20 @@ def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
     "name",
     [
         *(name for name in shipped_detectors() if not name.startswith("conditions/")),
-        "conditions/foggy_cloudy",
-        "dropout by a table of distance",
-        "Student's t box errors",
-        "confidence from a precision-recall curve",
-        "box errors with a memory each",
+        *("conditions/foggy_cloudy", "dropout by a table of distance", "Student's t box errors"),
+        *("confidence from a precision-recall curve", "memories"),
     ],
 )
 def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
-    made = variant(name) if name in CHANGES else REMEMBERED.get(name)
-    plain = made or load_yaml(shipped_detectors()[name], "detector")
+    made = {"memories": lambda: variant("plain") | MEMORIES, **{each: partial(variant, each) for each in CHANGES}}
+    plain = made[name]() if name in made else load_yaml(shipped_detectors()[name], "detector")
     moving = in_every_state(plain)
     unchanged = {id(base): (output(base), meaning(parse_detector(base))) for base in (plain, moving)}
     silent, read = [], 0
     for path in paths(DetectorFile, plain):
         base = moving if path[0] == "states" else plain
-        values = MODELS[path[-2]] if path[-1] == "model" else OTHERS[path[-1]]
+        key, values = ".".join(path), MODELS[path[-2]] if path[-1] == "model" else OTHERS[path[-1]]
         for value in values:
-            key = ".".join(path)
             try:
                 data, _ = changed(base, path, Setting(f"detector.{key}", value), ("detector",))
                 model = parse_detector(copy.deepcopy(data))
@@ -145,8 +143,7 @@ def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
             read += 1
             if output(data) == before:
                 silent.append(f"{key}={value}")
-    assert not silent
-    assert read > 20
+    assert not silent and read > 20
 
 
 PER_IMAGE = {"false_positives": {"model": "per_image", "rate": 0.4}}
@@ -191,21 +188,12 @@ def test_an_unread_key_is_told_with_the_one_that_works(data: Any, key: str, valu
     assert works in reason
 
 
-def test_a_key_is_not_refused_beside_the_one_that_switches_it_on_or_off() -> None:
-    data = two_states(false_positives={"model": "calibrated", "merges": 0.0, "merge_overlap": 0.5})
-    assert unread_settings(parse_detector(data), ["false_positives.merge_overlap"])
-    assert not unread_settings(parse_detector(data), ["false_positives.merge_overlap", "false_positives.merges"])
-    assert not unread_settings(parse_detector(data), ["false_positives.merge_overlap"], ["false_positives.merges"])
-
-
 def test_a_dead_line_of_a_file_is_told_and_no_shipped_file_has_one() -> None:
     data = two_states(**PER_IMAGE)
     data["states"]["fog"] |= {"false_discovery_rate": 0.3}
     data["persistence"] = {"merge_s": 2}
-    assert [line.split(" in the")[0] for line in dead_lines(parse_detector(data))] == [
-        "nothing reads states.fog.false_discovery_rate",
-        "nothing reads persistence.merge_s",
-    ]
+    lines = [line.split(" in the")[0] for line in dead_lines(parse_detector(data))]
+    assert lines == [f"nothing reads {key}" for key in ("states.fog.false_discovery_rate", "persistence.merge_s")]
     assert [line for path in shipped_detectors().values() for line in dead_lines(load_detector(path))] == []
     data = own_rates()
     data["false_positives"]["rate"] = 0.3
@@ -213,33 +201,35 @@ def test_a_dead_line_of_a_file_is_told_and_no_shipped_file_has_one() -> None:
     assert reason.startswith("false_positives.rate: each state has a rate of its own"), "a section with a dead line"
 
 
+def test_a_key_is_not_refused_beside_the_one_that_switches_it_on_or_off() -> None:
+    model = parse_detector(two_states(false_positives={"model": "calibrated", "merges": 0.0, "merge_overlap": 0.5}))
+    overlap, merges = "false_positives.merge_overlap", "false_positives.merges"
+    assert unread_settings(model, [overlap])
+    assert not unread_settings(model, [overlap, merges]) and not unread_settings(model, [overlap], [merges])
+
+
 def test_a_model_that_does_not_read_the_false_discovery_rate_needs_none() -> None:
-    model = parse_detector(two_states(**PER_IMAGE))
-    assert np.isnan(model.states[0].false_discovery_rate)
-    assert repr(model.states[0]) == "<PerformanceState clear: 0.4 false positives an image>"
+    state = parse_detector(two_states(**PER_IMAGE)).states[0]
+    assert np.isnan(state.false_discovery_rate)
+    assert repr(state) == "<PerformanceState clear: 0.4 false positives an image>"
 
 
 def test_the_operating_threshold_drops_what_is_below_it_and_moves_nothing_else() -> None:
     data = load_yaml(shipped_detectors()["rich"], "detector")
     whole, above = run(data), run(data | {"operating_threshold": 0.5})
     kept = whole.confidence >= 0.5
-    assert 0 < kept.sum() < len(whole)
-    assert (~kept & whole.false()).any() and (~kept & ~whole.false()).any()
+    assert (~kept & whole.false()).any() and (~kept & ~whole.false()).any() and kept.any()
     for column in ("frame", "target", "kind", "label", "boxes_px", "confidence"):
         np.testing.assert_array_equal(getattr(above, column), getattr(whole, column)[kept])
     assert above.gated[whole.target[~kept & ~whole.false()]].all()
     np.testing.assert_array_equal(above.states, whole.states)
-
-
-def test_at_the_confidence_threshold_it_drops_nothing() -> None:
     data = detector_data(states={"clear": state_data(), "fog": state_data(confidence={"mean": 0.2, "std": 0.2})})
-    found = run(data)
+    found = run(data)  # at the confidence threshold it drops nothing
     assert (found.confidence == 0.2).any()
     assert all_bytes(found) == all_bytes(run(data | {"operating_threshold": 0.2}))
 
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGE = (ROOT / "docs" / "detector.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
 
 
 def sections(annotation: Any) -> Iterator[type[BaseModel]]:
@@ -263,12 +253,8 @@ def test_every_key_of_a_detector_file_is_in_the_table_and_every_kind_of_detectio
     assert all(f"`{kind}`" in PAGE for kind in KINDS)
 
 
-def test_the_example_of_dropout_is_right() -> None:
+def test_the_example_of_dropout_is_right_and_the_example_file_as_long_as_the_page_says() -> None:
     (block,) = re.findall(r"```yaml\n(dropout:\n.*?)```", PAGE, flags=re.DOTALL)
     model = parse_detector(detector_data(**yaml.safe_load(block)))
     assert model.dropout.anchored and len(model.dropout.effects) == 2
-
-
-def test_the_example_file_is_as_long_as_the_page_says() -> None:
-    lines = len((ROOT / "scenes" / "detectors" / "rich.yaml").read_text().splitlines())
-    assert f"in {lines} lines" in PAGE
+    assert f"in {len(shipped_detectors()['rich'].read_text().splitlines())} lines" in PAGE

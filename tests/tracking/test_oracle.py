@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d import InputError, ModsimError, RunRows, load_scene, open_run, run_scene
+from modsim3d import InputError, ModsimError, RunRows, load_scene
 from modsim3d.core.boxes import centre_form, centres, corner_form
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.io.input_files import data_folder
@@ -14,33 +14,35 @@ from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.tracking import oracle
 from modsim3d.tracking.oracle import BoxSequences, SmootherNoise, oracle_tracks, smoothed_motion, smoother_noise
 from modsim3d.tracks.true_tracks import TrueTracks
+from tests.detector.detector_builders import no_error, one_state_data
+from tests.run_folders import finished
 from tests.scenes import crossing
+from tests.tracks.track_files import scene_run
 
-STATE = {
-    **{"confusion": [[1.0], [0.0]], "false_positive_labels": [1.0], "false_discovery_rate": 0.0},
-    "box_error": {"unit": "px", "mean": [0, 0, 0, 0], "covariance": np.zeros((4, 4)).tolist()},
-    "confidence": {"mean": 0.67, "std": 0.1},
-}
-PERFECT = {
-    **{"labels": ["Vessel"], "confidence_threshold": 0.2, "initial_state": "only", "transition_matrix": [[1.0]]},
-    "states": {"only": STATE},
-}
+PERFECT = one_state_data(
+    **{
+        "confusion": [[1.0], [0.0]],
+        "false_positive_labels": [1.0],
+        "false_discovery_rate": 0.0,
+        "box_error": no_error(),
+    }
+) | {"labels": ["Vessel"]}
+
+
 EXACT = SmootherNoise(noise_share=0, noise_x_px=0, noise_y_px=0, size_noise=0, velocity_change_px_s=5)
 
 
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("noisy") / "run"
-    run_scene(load_scene("strait", steps=60, seed=3, source="analytic"), folder)
-    return RunRows.of(open_run(folder))
+    return RunRows.of(scene_run(tmp_path_factory.mktemp("noisy") / "run", "strait", steps=60, seed=3))
 
 
 @pytest.fixture(scope="module")
 def perfect(tmp_path_factory):
     folder = tmp_path_factory.mktemp("perfect")
     (folder / "perfect.yaml").write_text(json.dumps(PERFECT), encoding="utf-8")
-    run_scene(load_scene(crossing(folder), detector=folder / "perfect.yaml"), folder / "run")
-    return RunRows.of(open_run(folder / "run"))
+    scene = load_scene(crossing(folder), detector=folder / "perfect.yaml")
+    return RunRows.of(finished(scene, folder / "run"))
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,12 @@ import pytest
 import modsim3d
 from modsim3d import ModsimError, RunRows, StoredRun
 from tests.cli.bad_input.builders import Call
-from tests.tracks.track_files import csv_text, detected_tracks, mot_texts, write_mot
+from tests.tracks.track_files import csv_text, detected_tracks, mot_texts, scene_run, write_mot
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    folder = tmp_path_factory.mktemp("cameras") / "strait"
-    modsim3d.run_scene(modsim3d.load_scene("strait", steps=12, source="analytic", seed=3), folder)
-    return modsim3d.open_run(folder)
+    return scene_run(tmp_path_factory.mktemp("cameras") / "strait", "strait", steps=12, seed=3)
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
+from tests.run_folders import finished
 from tests.scenes import camera_keys
 
 STEPS, STEP_S = 60, 0.5
@@ -44,7 +44,7 @@ def sea_scene(**keys: Any) -> Scene:
 
 
 def sea_run(folder: Path, **keys: Any) -> StoredRun:
-    return open_run(run_scene(sea_scene(**keys), folder).folder)
+    return finished(sea_scene(**keys), folder)
 
 
 def write_csv(path: Path, columns: Mapping[str, Any]) -> Path:

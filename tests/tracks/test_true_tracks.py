@@ -9,12 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.scene import Scene
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import TrueTracks, best_pairs, follow
+from tests.run_folders import finished
 from tests.scenes import camera_keys
 from tests.tracking.hand_made import box
 from tests.tracking.hand_made import rows_of as rows_by_hand
@@ -38,8 +37,7 @@ def rows_of(folder: Path, ways: dict[str, list[Place]], **annotation: object) ->
             "detector": "thesis",
         }
     )
-    run_scene(scene, folder)
-    return RunRows.of(open_run(folder))
+    return RunRows.of(finished(scene, folder))
 
 
 @pytest.mark.parametrize(("away_s", "identities"), [(1, 1), (2, 1), (3, 2)])

@@ -4,14 +4,14 @@ import numpy as np
 
 import modsim3d
 from modsim3d.tracks.tracks import Tracks
+from tests.run_folders import finished
 
 IMAGE_PX = (1920, 1080)
 
 
 def scene_run(folder, scene: str, steps: int = 8, **keys) -> modsim3d.StoredRun:
     """A run of a shipped scene with exact geometry."""
-    modsim3d.run_scene(modsim3d.load_scene(scene, steps=steps, source="analytic", **keys), folder)
-    return modsim3d.open_run(folder)
+    return finished(modsim3d.load_scene(scene, steps=steps, source="analytic", **keys), folder)
 
 
 def detected_tracks(rows) -> Tracks:
