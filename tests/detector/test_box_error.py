@@ -1,25 +1,34 @@
+"""Box errors: normal, relative and mixed ones, redrawn where they leave no box, and what this truncation does to them;
+rows of points that lie in a tail of the normal distribution are worked out once, and no bit of a result changes."""
+
 from typing import Any
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from modsim3d.core.boxes import inside_image, move, sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams, grid_normals
+from modsim3d.detector import truncation
 from modsim3d.detector.box_error import BoxErrorSource, TrueBoxes
-from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS
+from modsim3d.detector.draws import BOX_ERROR_REDRAW_STREAMS, Normal, StudentT
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import Detections
+from modsim3d.detector.truncation import truncated_errors
 from tests.detector import detector_builders as build
 
 SEEN = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
 THESIS = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)
 
 
+def source_of(error: dict[str, Any]) -> BoxErrorSource:
+    return BoxErrorSource.from_model(parse_detector(build.one_state_data(**SEEN, box_error=error)))
+
+
 def misplaced(box_px: list[float], error: dict[str, Any], frames: int = 1, vessels: int = 1) -> Detections:
-    model = parse_detector(build.one_state_data(**SEEN, box_error=error))
-    return build.run(model, build.make_frames(frames), build.steady_targets(frames, vessels, box_px))
+    data = build.one_state_data(**SEEN, box_error=error)
+    return build.run(data, build.make_frames(frames), build.steady_targets(frames, vessels, box_px))
 
 
 def test_small_boxes_never_degenerate_and_are_redrawn_as_often_as_the_normal_says() -> None:
@@ -75,11 +84,11 @@ def test_a_singular_covariance_moves_boxes_along_one_line_only() -> None:
 
 @pytest.mark.parametrize(("mean", "covariance"), [([0, 0, -50, 0], np.zeros((4, 4))), ([9000, 0, 0, 0], np.eye(4))])
 def test_a_box_inside_out_or_outside_the_image_is_an_error_that_says_where_and_what_to_do(mean, covariance) -> None:
-    model = parse_detector(build.one_state_data(**SEEN, box_error=build.box_error(mean, covariance)))
+    data = build.one_state_data(**SEEN, box_error=build.box_error(mean, covariance))
     boxes = np.full((3, 2, 4), np.nan)
     boxes[2, 1] = build.centred(3, 2)
     with pytest.raises(ModsimError) as caught:
-        build.run(model, build.make_frames(3, first_step=40), build.make_targets(boxes, vessel_ids=["near", "far"]))
+        build.run(data, build.make_frames(3, first_step=40), build.make_targets(boxes, vessel_ids=["near", "far"]))
     for part in ("'far'", "step 42", "'C0'", "'only'", "10000", "3 × 2 px", "min_box_px"):
         assert part in str(caught.value)
 
@@ -100,8 +109,7 @@ def one_at_a_time(source: BoxErrorSource, true: TrueBoxes, row: int) -> np.ndarr
 
 @pytest.mark.parametrize("law", [{}, {"law": "student_t", "degrees_of_freedom": 6.0}], ids=["normal", "student_t"])
 def test_all_boxes_at_once_have_the_redrawn_errors_of_one_at_a_time(law: dict[str, Any]) -> None:
-    source = BoxErrorSource.from_model(parse_detector(build.one_state_data(box_error=THESIS | law)))
-    steps, vessels = 40, 25
+    source, steps, vessels = source_of(THESIS | law), 40, 25
     low = np.random.default_rng(1).uniform(0, np.array(build.IMAGE_PX) - 4, (steps, vessels, 2))
     targets = build.make_targets(np.concatenate([low, low + 3], axis=-1))
     true = TrueBoxes.of(build.make_frames(steps, first_step=9), np.zeros(steps, dtype=np.int64), targets)
@@ -110,3 +118,139 @@ def test_all_boxes_at_once_have_the_redrawn_errors_of_one_at_a_time(law: dict[st
     assert placed.redrawn.all()
     rows = range(0, steps * vessels, 7)
     assert np.array_equal(placed.errors_px[rows], [one_at_a_time(source, true, row) for row in rows])
+
+
+RELATIVE = {
+    "unit": "relative",
+    "mean": [0.01, -0.02, 0.03, 0.0],
+    "covariance": [[0.01, 0, 0.004, 0], [0, 0.0025, 0, -0.001], [0.004, 0, 0.0064, 0], [0, -0.001, 0, 0.0036]],
+}
+MIXED = {
+    "unit": "mixed",
+    "mean": [1, 2, -3, 0],
+    "covariance": [[4, 1, 0, 0], [1, 9, 0, 0], [0, 0, 16, -6], [0, 0, -6, 9]],
+    "growth": [0.02, 0.05, 0.1, 0],
+}
+
+
+def assert_moments(errors: np.ndarray, mean: np.ndarray, covariance: np.ndarray) -> None:
+    assert np.all(np.abs(errors.mean(axis=0) - mean) < 4 * np.sqrt(np.diag(covariance) / len(errors)))
+    variance = np.outer(np.diag(covariance), np.diag(covariance)) + covariance**2
+    assert np.all(np.abs(np.cov(errors.T) - covariance) < 4 * np.sqrt(variance / len(errors)))
+
+
+@pytest.mark.parametrize(("width", "height"), [(100, 80), (900, 300)])
+def test_relative_errors_are_in_sides_of_the_box_and_mixed_ones_spread_with_them(width: float, height: float) -> None:
+    sides = np.array([width, height, width, height])
+    found = misplaced(build.centred(width, height), RELATIVE, 2000, 10)
+    assert not found.redrawn.any()
+    assert_moments(found.errors_px, RELATIVE["mean"] * sides, RELATIVE["covariance"] * np.outer(sides, sides))
+    found, asked = misplaced(build.centred(width, height), MIXED, 2000, 10), np.array(MIXED["covariance"], dtype=float)
+    std = np.sqrt(np.diag(asked))
+    grown = 1 + np.array(MIXED["growth"]) * sides / std
+    assert_moments(found.errors_px, np.array(MIXED["mean"]), asked * np.outer(grown, grown))
+
+
+def test_states_may_have_different_units() -> None:
+    data = build.one_state_data(**SEEN)
+    only = data["states"]["only"]
+    states = {"px": only, "relative": only | {"box_error": RELATIVE}}
+    data |= {"states": states, "initial_state": "px", "transition_matrix": [[0.5, 0.5], [0.5, 0.5]]}
+    targets = build.steady_targets(2000, 5, build.centred(900, 500))
+    found = build.run(data, build.make_frames(2000), targets)
+    relative = found.states[found.frame] == 1
+    assert_moments(found.errors_px[~relative], np.array(build.MEAN_PX), np.array(build.COVARIANCE_PX2, dtype=float))
+    sides = np.array([900, 500, 900, 500])
+    covariance = RELATIVE["covariance"] * np.outer(sides, sides)
+    assert_moments(found.errors_px[relative], RELATIVE["mean"] * sides, covariance)
+
+
+def test_thin_boxes_are_a_pixel_when_errors_are_relative() -> None:
+    found = misplaced([100.2, 100.2, 100.5, 140.2], RELATIVE, 200, 10)
+    assert np.all(found.boxes_px[:, 2:] - found.boxes_px[:, :2] >= 1)
+
+
+BOXES = [
+    *(build.centred(20, 20), build.centred(47, 67)),
+    *([0, 1000, 60, 1040], [3590, 1000, 3600, 1100], [1800, 2395, 1900, 2400]),
+]
+
+
+@pytest.mark.parametrize("box_px", BOXES)
+def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
+    found, sampling = misplaced(box_px, THESIS, 2000, 10), 4 / np.sqrt(20_000)
+    asked = truncated_errors(source_of(THESIS), 0, np.array([box_px]), build.IMAGE_PX)
+    std = np.sqrt(np.diag(asked.covariances()[0]))
+    assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < (0.02 + sampling) * std)
+    assert np.all(np.abs(found.errors_px.std(axis=0) / std - 1) < 0.02 + sampling)
+    assert abs(found.redrawn.mean() - (1 - asked.accepted[0])) < 0.01 + sampling
+
+
+def test_truncated_moments_are_the_one_sided_normals_and_those_of_the_file_for_large_boxes() -> None:
+    error = build.box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
+    found = truncated_errors(source_of(error), 0, np.array([build.centred(11, 100)]), build.IMAGE_PX)
+    law = stats.truncnorm(-10 / 20, np.inf, scale=20)
+    assert abs(found.means[0, 2] - law.mean()) < 0.02 * law.std()
+    assert abs(np.sqrt(found.covariances()[0, 2, 2]) / law.std() - 1) < 0.02
+    assert abs(found.accepted[0] - stats.norm.sf(-0.5)) < 2e-3
+    large = truncated_errors(source_of(THESIS), 0, np.array([build.centred(900, 900)]), build.IMAGE_PX)
+    std = np.sqrt(np.diag(build.COVARIANCE_PX2))
+    assert large.accepted[0] == 1 and np.all(np.abs(large.means[0] - build.MEAN_PX) < 0.01 * std)
+
+
+def test_moments_in_file_units_are_the_files_for_boxes_that_are_not_truncated() -> None:
+    for error in (RELATIVE, MIXED):
+        boxes = np.array([build.centred(500, 400), build.centred(900, 300)])
+        found = truncated_errors(source_of(error), 0, boxes, build.IMAGE_PX, in_file_units=True)
+        std = np.sqrt(np.diag(error["covariance"]))
+        assert np.all(np.abs(found.means - error["mean"]) < 0.02 * std)
+        assert np.all(np.abs(found.covariances() - error["covariance"]) < 0.03 * np.outer(std, std))
+
+
+POINTS = 512
+
+
+def test_points_in_a_tail_give_the_bits_of_the_plain_way():
+    generator = np.random.default_rng(3)
+    uniforms = generator.random((9, POINTS))
+    uniforms[:, 0] = 2.0**-53  # the least that is not 0
+    spread = generator.random((9, POINTS))
+    low = np.array([-40, -20, -14, -12, -7, -1, -20, -30, 2.0])[:, None] - spread
+    high = np.array([1, 9, 30, 8, 9, 1, -14, -29, 12.0])[:, None] + spread / 2
+    below, above = truncation._probabilities(low, high)
+    plain_below, plain_above = special.ndtr(low), special.ndtr(high)
+    inside, plain_inside = above - below, plain_above - plain_below
+    np.testing.assert_array_equal(inside, plain_inside)
+    np.testing.assert_array_equal(below + uniforms * inside, plain_below + uniforms * plain_inside)
+    assert below.shape == (9, POINTS)
+
+
+def test_rows_that_all_lie_in_tails_have_one_probability_each():
+    below, above = truncation._probabilities(np.full((3, POINTS), -50.0), np.full((3, POINTS), 20.0))
+    assert below.shape == above.shape == (3, 1) and (above - below == 1).all()
+
+
+@pytest.mark.parametrize("distribution", [Normal(), StudentT(4.0)])
+def test_boxes_far_from_their_bounds_have_the_bits_of_the_plain_way(monkeypatch, distribution):
+    generator = np.random.default_rng(2)
+    middles, halves = generator.uniform(0, 1000, (64, 2)), generator.choice([1.0, 30, 300], (64, 1))
+    boxes = np.clip(np.concatenate([middles - halves, middles + halves], axis=1), 0, 1000)
+    mix = generator.normal(size=(4, 4))
+    law = generator.normal(size=4), mix @ mix.T
+    images = np.full((64, 2), 1000.0)
+
+    def parts():
+        return list(truncation.accepted_errors(boxes, images, *law, distribution, POINTS, 16 * POINTS))
+
+    found, far = parts(), []
+
+    def none_far(*given):
+        far.append(plain(*given).mean())
+        return np.zeros(len(given[1]), dtype=bool)
+
+    plain = truncation._far_from_bounds
+    monkeypatch.setattr(truncation, "_far_from_bounds", none_far)
+    for part, other in zip(found, parts(), strict=True):
+        np.testing.assert_array_equal(part.errors, other.errors)
+        np.testing.assert_array_equal(part.weights, other.weights)
+    assert any(0 < share < 1 for share in far)
