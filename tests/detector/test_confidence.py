@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 from scipy import integrate, optimize, stats
 
-from modsim3d.detector.confidence import (
-    PrecisionRecall,
-    QuantileScores,
-    clipped_laws,
-    clipped_score,
-    clipped_sums,
-    fit_clipped,
-)
+from modsim3d.detector import confidence
+from modsim3d.detector.confidence import PrecisionRecall, QuantileScores
 from modsim3d.detector.records import Detections, Targets
 from tests.detector import detector_builders as build
 
@@ -84,16 +78,13 @@ def test_confidence_falls_with_the_hidden_share() -> None:
     assert abs(found.confidence[~true].mean() - 0.9) < 4 * 0.02 / np.sqrt(np.sum(~true))
 
 
-@pytest.mark.parametrize(("reference_px", "halvings"), [(320, 2.5), (160, 1.5), (20, 0)])
-def test_confidence_falls_with_each_halving_below_the_reference_size(reference_px: float, halvings: float) -> None:
+def test_confidence_falls_with_each_halving_of_the_detectors_own_box_below_the_reference_size() -> None:
     # The boxes are 80 × 40: 40·√2 a side.
-    same = {"mean": 0.9, "std": 0.01}
-    _, found = detect({"true": same, "false": same, "size_slope": 0.1, "size_reference_px": reference_px})
-    scores = found.confidence[~found.false()]
-    assert abs(scores.mean() - (0.9 - 0.1 * halvings)) < 4 * 0.01 / np.sqrt(len(scores))
-
-
-def test_size_is_that_of_the_detectors_own_box() -> None:
+    for reference_px, halvings in ((320, 2.5), (160, 1.5), (20, 0)):
+        keys = {"mean": 0.9, "std": 0.01, "size_slope": 0.1, "size_reference_px": reference_px}
+        _, found = detect(keys)
+        scores = found.confidence[~found.false()]
+        assert abs(scores.mean() - (0.9 - 0.1 * halvings)) < 4 * 0.01 / np.sqrt(len(scores)), reference_px
     keys = {"mean": 0.9, "std": 0.0, "size_slope": 0.1, "size_reference_px": 1024}
     _, found = detect(keys, box_error=build.box_error([0, 0, 40, 40], [[0] * 4] * 4), false_discovery_rate=0)
     np.testing.assert_allclose(found.confidence, 0.9 - 0.1 * np.log2(1024 / np.sqrt(120 * 80)))
@@ -118,12 +109,9 @@ def test_scores_make_the_curve_at_every_confidence(name: str, threshold: float) 
     recall = last * (1 - confidence) / (1 - threshold)  # of true detections above that confidence
     found = curve.false_per_target(recall) / curve.false_per_target(np.array([last]))
     np.testing.assert_allclose(found, 1 - share, atol=0.01)  # the steep curve rises within a dozen points of the grid
-
-
-def test_detector_without_false_detections_has_one_distribution_of_scores() -> None:
-    true, false = PrecisionRecall.through([[0.3, 1.0], [0.9, 1.0]]).scores(0.25)
-    for scores in (true, false):
-        np.testing.assert_allclose(scores.at(np.array([0.0, 0.4, 0.8])), [0.25, 0.55, 0.85])
+    for scores in PrecisionRecall.through([[0.3, 1.0], [0.9, 1.0]]).scores(threshold):  # without false detections
+        levels = np.array([0.0, 0.4, 0.8])
+        np.testing.assert_allclose(scores.at(levels), threshold + (1 - threshold) * levels)
 
 
 LAWS = [(0.6, 0.2, 0.2), (0.9, 0.3, 0.1), (0.1, 0.15, 0.3), (1.4, 0.5, 0.05), (-0.5, 0.4, 0.2), (0.5, 0.01, 0.2)]
@@ -131,7 +119,7 @@ LAWS = [(0.6, 0.2, 0.2), (0.9, 0.3, 0.1), (0.1, 0.15, 0.3), (1.4, 0.5, 0.05), (-
 
 @pytest.mark.parametrize(("mean", "std", "threshold"), LAWS)
 def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, threshold):
-    (nodes,), (probabilities,) = clipped_laws(np.array([mean]), std, threshold)
+    (nodes,), (probabilities,) = confidence.clipped_laws(np.array([mean]), std, threshold)
     normal = stats.norm(mean, std)
     assert (nodes[0], nodes[-1]) == (threshold, 1.0)
     assert probabilities[[0, -1]] == pytest.approx([normal.cdf(threshold), normal.sf(1)], rel=1e-12, abs=1e-300)
@@ -144,7 +132,7 @@ def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, thres
 
 def test_law_whose_numbers_all_lie_beyond_an_end_is_that_end():
     for mean, end in ((-5.0, 0), (7.0, -1)):  # fifty standard deviations away
-        (nodes,), (probabilities,) = clipped_laws(np.array([mean]), 0.1, 0.2)
+        (nodes,), (probabilities,) = confidence.clipped_laws(np.array([mean]), 0.1, 0.2)
         assert len(nodes) == len(probabilities) and probabilities[end] == pytest.approx(1)
         assert probabilities.sum() == pytest.approx(1)
         assert ((nodes >= 0.2) & (nodes <= 1)).all()
@@ -160,7 +148,7 @@ def log_likelihood(values, mean, std, low, high):
 @pytest.mark.parametrize(("mean", "std"), [(0.6, 0.2), (0.8, 0.4), (0.35, 0.3)])
 def test_fit_is_the_greatest_likelihood_that_a_general_optimiser_finds(mean, std, high):
     values = np.clip(np.random.default_rng(3).normal(mean, std, 4000), 0.2, high)
-    found = fit_clipped(clipped_sums(values, 0.2, high).sum(axis=0)[None], 0.2, high)
+    found = confidence.fit_clipped(confidence.clipped_sums(values, 0.2, high).sum(axis=0)[None], 0.2, high)
     best = optimize.minimize(
         lambda law: -log_likelihood(values, law[0], np.exp(law[1]), 0.2, high),
         [0.5, -1.0],
@@ -169,23 +157,22 @@ def test_fit_is_the_greatest_likelihood_that_a_general_optimiser_finds(mean, std
     )
     np.testing.assert_allclose(np.ravel(found), [best.x[0], np.exp(best.x[1])], atol=1e-6)
     if high == 1:
-        score = clipped_score(values, found[0], float(found[1][0]), 0.2).mean(axis=0)
+        score = confidence.clipped_score(values, found[0], float(found[1][0]), 0.2).mean(axis=0)
         np.testing.assert_allclose(score, 0, atol=1e-6)
 
 
 def test_sums_tell_ends_from_what_is_between_and_rows_are_fitted_one_by_one():
     values = np.array([0.1, 0.2, 0.5, 0.9, 1.0])
     expected = [[1, 0, 0, 0, 0], [1, 0, 0, 0, 0], [0, 0, 1, 0.5, 0.25], [0, 1, 0, 0, 0], [0, 1, 0, 0, 0]]
-    sums = clipped_sums(values, 0.2, 0.9)
+    sums = confidence.clipped_sums(values, 0.2, 0.9)
     np.testing.assert_allclose(sums, expected)
     assert sums.dtype == np.float64
     rng = np.random.default_rng(4)
-    rows = np.array(
-        [clipped_sums(np.clip(rng.normal(m, 0.2, 500), 0.2, 1), 0.2, 1).sum(axis=0) for m in (0.5, 0.8, 1.0)]
-    )
-    together = fit_clipped(np.vstack([rows, np.zeros(5)]), 0.2, 1.0)
+    samples = (np.clip(rng.normal(mean, 0.2, 500), 0.2, 1) for mean in (0.5, 0.8, 1.0))
+    rows = np.array([confidence.clipped_sums(sample, 0.2, 1).sum(axis=0) for sample in samples])
+    together = confidence.fit_clipped(np.vstack([rows, np.zeros(5)]), 0.2, 1.0)
     for row in range(3):
         np.testing.assert_allclose(
-            [column[row] for column in together], np.ravel(fit_clipped(rows[[row]], 0.2, 1.0)), atol=1e-8
+            [column[row] for column in together], np.ravel(confidence.fit_clipped(rows[[row]], 0.2, 1.0)), atol=1e-8
         )
     assert np.isnan([column[3] for column in together]).all()

@@ -38,14 +38,11 @@ def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here()
         assert (learner is None) == ((part, name) in WITHOUT_LEARNER), (part, name)
 
 
-def test_the_models_of_a_detector_are_registered() -> None:
+def test_the_models_of_a_detector_are_registered_and_another_is_an_error_that_names_them() -> None:
     for name in CHANGES:
         used = list(used_models(parse_detector(variant(name))))
         assert {each.part for each in used} == set(DetectorPart), name
         assert all(each.name in MODELS[each.part] for each in used), name
-
-
-def test_a_model_that_is_not_registered_is_an_error_that_names_the_others() -> None:
     with pytest.raises(LookupError, match=r"str is not registered: known are normal, quantiles"):
         model_name(cast(Mapping[str, type], MODELS[DetectorPart.CONFIDENCE]), "uniform")
 

@@ -155,6 +155,9 @@ def test_a_vanishing_correlation_time_gives_the_plain_chains_bytes_and_confidenc
     assert build.all_bytes(brief) == build.all_bytes(plain)
     sure = detect(data | {"persistence": {"confidence_s": 1e-4}}, targets, 200, 0.1)
     np.testing.assert_allclose(sure.confidence, plain.confidence, atol=1e-6)
+    plain, zero, brief = (pairs(each, 200) for each in ({}, {"merge_s": 0.0}, {"merge_s": 1e-4}))
+    assert (plain.kind == MERGED).any()
+    assert build.all_bytes(plain) == build.all_bytes(zero) == build.all_bytes(brief)
 
 
 def test_a_redraw_leaves_the_first_draws_of_other_steps_and_the_latent_numbers_alone() -> None:
@@ -204,9 +207,3 @@ def test_merges_are_as_frequent_as_asked_and_last_as_long(merge_s: float) -> Non
         assert abs(np.mean(residual[lag:] * residual[:-lag]) / variance - kept**lag) < 0.07
     across = np.mean(residual[:, 1:] * residual[:, :-1]) / variance  # each pair has a number of its own
     assert abs(across) < 0.07
-
-
-def test_a_vanishing_correlation_time_of_merges_gives_the_plain_detectors_bytes() -> None:
-    plain, zero, brief = (pairs(each, 200) for each in ({}, {"merge_s": 0.0}, {"merge_s": 1e-4}))
-    assert (plain.kind == MERGED).any()
-    assert build.all_bytes(plain) == build.all_bytes(zero) == build.all_bytes(brief)

@@ -19,6 +19,8 @@ from tests.detector import detector_builders as build
 
 LEVEL = (0.0, 1.0, -800.0)  # the horizon at 800 px
 TILTED = (0.3, 1.0, -1300.0)
+HORIZONS = [(0.0, 1.0, -500.0), (0.6, 0.8, -900.0), (-1.0, 0.0, 40.0), (0.0, -1.0, 300.0), (0.0, 1.0, -5000.0)]
+"""Sea below row 500; below a slope; left of column 40; above row 300; nowhere."""
 
 
 def places(placement: Placement, sea: tuple[float, float, float], count: int = 6_000, **drift: Any) -> np.ndarray:
@@ -65,6 +67,10 @@ def test_a_map_gives_each_cell_its_weight() -> None:
     np.add.at(counts, (np.minimum(rows, 1), np.minimum(columns, 2)), 1)
     assert np.all(counts[density == 0] == 0)
     assert stats.chisquare(counts[density > 0], density[density > 0] / 10 * len(found)).pvalue > 1e-4
+    uniforms = np.array([[0.0, 0.0, 0.0], [0.2, 0.5, 0.5], [0.9, 0.25, 0.75]])
+    placement = Placement(density=np.array([[1.0, 3.0], [0.0, 4.0]]))
+    found = placement.places(np.tile(HORIZONS[0], (3, 1)), (800, 600), uniforms)
+    np.testing.assert_array_equal(found, [[0, 0], [600, 150], [500, 525]])  # the first is the corner of the image
 
 
 def test_drift_follows_the_horizon_and_turns_at_the_edge_of_the_image() -> None:
@@ -129,10 +135,6 @@ def test_sizes_come_from_all_of_the_scenes_boxes_where_a_frame_may_have_none_or_
         detect({"model": "per_image", "rate": 2}, vessels=0)
 
 
-HORIZONS = [(0.0, 1.0, -500.0), (0.6, 0.8, -900.0), (-1.0, 0.0, 40.0), (0.0, -1.0, 300.0), (0.0, 1.0, -5000.0)]
-"""Sea below row 500; below a slope; left of column 40; above row 300; nowhere."""
-
-
 def test_many_places_at_once_are_those_of_each() -> None:
     planes, uniforms = np.tile(HORIZONS, (4, 1)), np.random.default_rng(8).random((20, 3))
     options = ({}, {"band_px": 100.0}, {"far_half_px": 60.0}, {"band_px": 80.0, "far_half_px": 30.0})
@@ -159,13 +161,6 @@ def test_place_below_a_level_horizon_is_its_uniform_numbers_share_of_the_width_a
     turned = 2 * 800 - 50 - 800 * uniforms[:, 1]
     expected = np.minimum(turned, 50 + 800 * uniforms[:, 1])[~free]
     np.testing.assert_allclose(moved[~free, 0], expected, atol=PLACE_STEP_PX)
-
-
-def test_first_place_of_a_map_is_the_corner_of_the_image() -> None:
-    density = Placement(density=np.array([[1.0, 3.0], [0.0, 4.0]]))
-    uniforms = np.array([[0.0, 0.0, 0.0], [0.2, 0.5, 0.5], [0.9, 0.25, 0.75]])
-    found = density.places(np.tile(HORIZONS[0], (3, 1)), (800, 600), uniforms)
-    np.testing.assert_array_equal(found, [[0, 0], [600, 150], [500, 525]])
 
 
 def test_levels_at_shares_of_a_weight_are_those_of_interpolation() -> None:

@@ -15,13 +15,6 @@ from modsim3d.detector.file.reading import load_detector, parse_detector
 from modsim3d.detector.model import DetectorModel, stationary_shares
 from tests.detector.detector_builders import detector_data, make_frames
 
-SHARES = [  # of transition matrices, and how long a time has which share in which state
-    ([[0.99, 0.05], [0.01, 0.95]], [5 / 6, 1 / 6]),  # left with 0.01 and with 0.05 a step: 5 to 1
-    ([[0.5, 0.0], [0.5, 1.0]], [0, 1]),  # the second is never left
-    ([[0.0, 1.0], [1.0, 0.0]], [0.5, 0.5]),
-    (np.eye(2), []),  # the first state decides
-]
-
 
 def sequence(model: DetectorModel, seed: int = 1) -> StateSequence:
     return StateSequence(model, Streams(seed))
@@ -108,8 +101,19 @@ def test_cameras_share_one_chain_unless_each_has_its_own_whatever_the_others_do(
 
 
 def test_states_are_shared_as_their_rates_of_leaving_or_if_left_for_ever_or_never_as_they_must_be():
-    for matrix, shares in SHARES:
+    for matrix, shares in (
+        ([[0.99, 0.05], [0.01, 0.95]], [5 / 6, 1 / 6]),  # left with 0.01 and with 0.05 a step: 5 to 1
+        ([[0.5, 0.0], [0.5, 1.0]], [0, 1]),  # the second is never left
+        ([[0.0, 1.0], [1.0, 0.0]], [0.5, 0.5]),
+        (np.eye(2), []),  # the first state decides
+    ):
         np.testing.assert_allclose(stationary_shares(np.array(matrix)), shares, atol=1e-12)
+    # Jessen & Mohr (2023), eq. 9.1: 10.5/59, 19/59, 19/59, 10.5/59, by hand from its four columns.
+    chain = load_detector("thesis")
+    assert list(chain.stationary_shares) == ["excellent", "good", "bad", "terrible"]
+    shares = list(chain.stationary_shares.values())
+    np.testing.assert_allclose(shares, np.array([21, 38, 38, 21]) / 118, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.matrix_power(chain.transition_matrix, 100_000)[:, 0], shares)
 
 
 @given(weights=st.integers(1, 6).flatmap(lambda n: arrays(float, (n, n), elements=st.floats(1e-3, 1))))
@@ -119,12 +123,3 @@ def test_a_transition_leaves_the_shares_as_they_are(weights):
     np.testing.assert_allclose(matrix @ shares, shares, atol=1e-9)
     assert shares.sum() == pytest.approx(1)
     np.testing.assert_allclose(np.linalg.matrix_power(matrix, 10_000) @ np.eye(len(shares))[0], shares, atol=1e-6)
-
-
-def test_shares_of_the_source_s_detector():
-    """Jessen & Mohr (2023), eq. 9.1: 10.5/59, 19/59, 19/59, 10.5/59, by hand from its four columns."""
-    chain = load_detector("thesis")
-    assert list(chain.stationary_shares) == ["excellent", "good", "bad", "terrible"]
-    shares = list(chain.stationary_shares.values())
-    np.testing.assert_allclose(shares, np.array([21, 38, 38, 21]) / 118, rtol=1e-12)
-    np.testing.assert_allclose(np.linalg.matrix_power(chain.transition_matrix, 100_000)[:, 0], shares)

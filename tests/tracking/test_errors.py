@@ -14,65 +14,42 @@ from stonesoup.metricgenerator.ospametric import GOSPAMetric, OSPAMetric
 from stonesoup.types.state import State
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.tracking.scores.errors import (
-    Errors,
-    Gospa,
-    Ospa,
-    distances,
-    errors,
-    gospa,
-    gospa_frame,
-    mean_gospa,
-    mean_ospa,
-    nees_or_infinity,
-    ospa,
-    ospa_frame,
-)
-from modsim3d.tracking.scores.scored import LARGEST_CUTOFF, Rules, Scored, SetDistance
+from modsim3d.tracking.scores import errors
+from modsim3d.tracking.scores.scored import LARGEST_CUTOFF, Rules, SetDistance
 from modsim3d.tracks.tracks import Similarity
 from tests.tracking.hand_made import box, hand_made
 
 RULES = Rules(set_distance=SetDistance(cutoff=10))
 
 
-@pytest.fixture(scope="module")
-def four_frames() -> Scored:
+def test_distances_are_means_over_the_frames_in_question_of_errors_misses_false_tracks_and_empty_frames() -> None:
     """A shift by (3, 4), a miss, a false track and an empty frame."""
     truth, tracks = [(0, 0, box()), (1, 0, box())], [(0, 7, box(3, 4)), (2, 7, box())]
-    return hand_made(truth, tracks, 4, rules=RULES)
-
-
-def test_distances_are_means_of_an_error_a_miss_a_false_track_and_an_empty_frame(four_frames: Scored) -> None:
-    assert gospa(four_frames) == Gospa(15 / 4, 5 / 4, 5 / 4, 5 / 4)  # 5, 10 / 2, 10 / 2 and 0
-    assert ospa(four_frames) == Ospa(25 / 4)  # 5, 10, 10 and 0
+    scored = hand_made(truth, tracks, 4, rules=RULES)
+    assert errors.gospa(scored) == errors.Gospa(15 / 4, 5 / 4, 5 / 4, 5 / 4)  # 5, 10 / 2, 10 / 2 and 0
+    assert errors.ospa(scored) == errors.Ospa(25 / 4)  # 5, 10, 10 and 0
+    assert errors.gospa(scored.in_frames(np.array([0, 3]))) == errors.Gospa(2.5, 2.5, 0, 0)
+    nothing = scored.in_frames(np.empty(0, dtype=np.int64))
+    assert errors.gospa(nothing) == errors.Gospa(None, None, None, None) and errors.ospa(nothing) == errors.Ospa(None)
+    # With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0.
+    low, high = (errors.gospa(replace(scored, rules=Rules(set_distance=SetDistance(cutoff)))) for cutoff in (4, 20))
+    assert low == errors.Gospa(2, 0, 1, 1) and high == errors.Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
 
 
 def test_a_larger_power_gives_parts_as_powers_and_the_largest_has_a_distance() -> None:
     squared = Rules(set_distance=SetDistance(cutoff=10, power=2))
     scored = hand_made([(0, 0, box()), (0, 1, box(100))], [(0, 7, box(3, 4))], 1, rules=squared)
-    assert gospa(scored) == Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
+    assert errors.gospa(scored) == errors.Gospa(pytest.approx(75**0.5), pytest.approx(25), pytest.approx(50), 0)
     largest = Rules(set_distance=SetDistance(cutoff=LARGEST_CUTOFF, power=10))
-    assert ospa(hand_made([(0, 0, box())], [], 1, rules=largest)).ospa == pytest.approx(1e6)
-
-
-def test_cutoffs_around_an_error_turn_it_into_a_miss_and_a_false_track(four_frames: Scored) -> None:
-    """With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0."""
-    low, high = (gospa(replace(four_frames, rules=Rules(set_distance=SetDistance(cutoff)))) for cutoff in (4, 20))
-    assert low == Gospa(2, 0, 1, 1) and high == Gospa(25 / 4, 5 / 4, 5 / 2, 5 / 2)
+    assert errors.ospa(hand_made([(0, 0, box())], [], 1, rules=largest)).ospa == pytest.approx(1e6)
 
 
 def test_a_track_on_a_hidden_vessel_costs_nothing_and_frames_of_several_cameras_are_apart() -> None:
     scored = hand_made([(0, 0, box(), 0.0)], [(0, 7, box(1))], 1, rules=RULES)
-    assert gospa(scored) == Gospa(0, 0, 0, 0) and ospa(scored) == Ospa(0)
+    assert errors.gospa(scored) == errors.Gospa(0, 0, 0, 0) and errors.ospa(scored) == errors.Ospa(0)
     # The track of camera 1 is at the place of the vessel of camera 0.
     scored = hand_made([(0, 0, box())], [(1, 7, box())], 1, cameras=2, rules=RULES)
-    assert gospa(scored) == Gospa(5, 0, 2.5, 2.5)
-
-
-def test_only_the_frames_in_question_count_and_without_frames_there_is_no_distance(four_frames: Scored) -> None:
-    assert gospa(four_frames.in_frames(np.array([0, 3]))) == Gospa(2.5, 2.5, 0, 0)
-    nothing = four_frames.in_frames(np.empty(0, dtype=np.int64))
-    assert gospa(nothing) == Gospa(None, None, None, None) and ospa(nothing) == Ospa(None)
+    assert errors.gospa(scored) == errors.Gospa(5, 0, 2.5, 2.5)
 
 
 def test_a_cutoff_or_a_power_out_of_range_is_refused() -> None:
@@ -91,7 +68,7 @@ TEN_PX = ((100, 0), (0, 100))
 def test_errors_of_three_pairs_worked_by_hand() -> None:
     """Centres off by (3, 4), 0 and (9, 12) px; widths by 0, 2 and 0, heights by 0, 0 and 4."""
     tracks = [(0, 7, box(3, 4)), (1, 7, box(-1, 0, 22, 20)), (2, 7, box(9, 10, 20, 24))]
-    found = errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=BY_CENTRE))
+    found = errors.errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=BY_CENTRE))
     assert (found.error_pairs, found.median_error_px) == (3, 5)
     sizes_px = found.rmse_px, found.rmse_width_px, found.rmse_height_px
     assert sizes_px == pytest.approx([(250 / 3) ** 0.5, (4 / 3) ** 0.5, (16 / 3) ** 0.5])
@@ -101,7 +78,7 @@ def test_errors_of_three_pairs_worked_by_hand() -> None:
 def test_nees_is_over_the_pairs_with_a_covariance_and_anees_is_half_of_it() -> None:
     """e' P⁻¹ e of e = (10, 20) and P = [[4, 2], [2, 3]] is (3·100 − 4·200 + 4·400) / 8 = 137.5; of (10, 0) it is 1."""
     tracks = [(0, 7, box(10, 20), -1, ((4, 2), (2, 3))), (1, 7, box(10), -1, TEN_PX), (2, 7, box(30))]
-    found = errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=BY_CENTRE))
+    found = errors.errors(hand_made([(k, 0, box()) for k in range(3)], tracks, 3, rules=BY_CENTRE))
     assert found.nees == pytest.approx(138.5 / 2) and found.anees == pytest.approx(138.5 / 4)
     assert (found.error_pairs, found.nees_pairs, found.singular_covariances) == (3, 2, 0)
 
@@ -109,7 +86,7 @@ def test_nees_is_over_the_pairs_with_a_covariance_and_anees_is_half_of_it() -> N
 def test_a_singular_covariance_makes_nees_infinite_and_is_counted() -> None:
     for singular in (((0, 0), (0, 0)), ((4, 2), (2, 1)), ((1, 0), (0, -1)), ((1e13, 0), (0, 1))):
         tracks = [(0, 7, box(1), -1, singular), (1, 7, box(1), -1, TEN_PX)]
-        found = errors(hand_made([(0, 0, box()), (1, 0, box())], tracks, 2, rules=BY_CENTRE))
+        found = errors.errors(hand_made([(0, 0, box()), (1, 0, box())], tracks, 2, rules=BY_CENTRE))
         counts = found.nees_pairs, found.singular_covariances
         assert (found.nees, found.anees, *counts, found.rmse_px) == (np.inf, np.inf, 2, 1, 1), singular
 
@@ -119,7 +96,7 @@ def test_errors_as_large_as_their_covariance_have_anees_1() -> None:
     root = rng.normal(size=(4000, 2, 2))
     covariance = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(2)
     error = (np.linalg.cholesky(covariance) @ rng.normal(size=(4000, 2, 1)))[..., 0]
-    squares = nees_or_infinity(error, covariance)
+    squares = errors.nees_or_infinity(error, covariance)
     assert squares.mean() == pytest.approx(2, abs=4 * 2 / 4000**0.5)  # chi-square with 2 degrees: variance 4
     slow = [e @ np.linalg.inv(p) @ e for e, p in zip(error, covariance, strict=True)]
     np.testing.assert_allclose(squares, slow)
@@ -127,9 +104,9 @@ def test_errors_as_large_as_their_covariance_have_anees_1() -> None:
 
 def test_hidden_vessels_and_false_tracks_add_no_error_and_without_pairs_there_is_none() -> None:
     truth, tracks = [(0, 0, box()), (1, 0, box(), 0.0)], [(0, 7, box(1)), (1, 7, box(40)), (1, 8, box(400))]
-    found = errors(hand_made(truth, tracks, 2, rules=BY_CENTRE))
+    found = errors.errors(hand_made(truth, tracks, 2, rules=BY_CENTRE))
     assert (found.error_pairs, found.rmse_px) == (1, 1)
-    assert errors(hand_made(truth, [], 2)) == Errors(0, None, None, None, None, None, None, 0, 0)
+    assert errors.errors(hand_made(truth, [], 2)) == errors.Errors(0, None, None, None, None, None, None, 0, 0)
 
 
 CUTOFF = 10.0
@@ -159,12 +136,12 @@ def test_gospa_and_its_parts_and_ospa_are_those_of_stone_soup(power: float) -> N
     whole, mean = GOSPAMetric(p=power, c=CUTOFF), OSPAMetric(p=1, c=CUTOFF)
     for vessels, tracks in _random_frames(60):
         theirs = whole.compute_gospa_metric(_states(tracks), _states(vessels))[0].value
-        ours = gospa_frame(distances(vessels, tracks), CUTOFF, power)
+        ours = errors.gospa_frame(errors.distances(vessels, tracks), CUTOFF, power)
         wanted = [theirs[name] for name in ("distance", "localisation", "missed", "false")]
         np.testing.assert_allclose(ours, wanted, rtol=1e-9, atol=1e-9)
         if power == 1:
             distance = mean.compute_OSPA_distance(_states(tracks), _states(vessels)).value
-            assert ospa_frame(distances(vessels, tracks), CUTOFF) == pytest.approx(distance, abs=1e-9)
+            assert errors.ospa_frame(errors.distances(vessels, tracks), CUTOFF) == pytest.approx(distance, abs=1e-9)
 
 
 @pytest.mark.parametrize("power", POWERS)
@@ -172,59 +149,63 @@ def test_no_assignment_is_cheaper(power: float) -> None:
     """Stone Soup's OSPA assigns by d instead of d^p, so for p > 1 all assignments are tried out instead."""
     for vessels, tracks in _random_frames(60):
         few, many = sorted((vessels[:5], tracks[:5]), key=len)
-        costs = np.minimum(distances(few, many), CUTOFF) ** power
+        costs = np.minimum(errors.distances(few, many), CUTOFF) ** power
         orders = permutations(range(len(many)), len(few))
         paired = min(sum(costs[i, j] for i, j in enumerate(order)) for order in orders)
-        left, distance = CUTOFF**power * (len(many) - len(few)), distances(few, many)
+        left, distance = CUTOFF**power * (len(many) - len(few)), errors.distances(few, many)
         ospa = ((paired + left) / len(many)) ** (1 / power) if len(many) else 0
-        assert ospa_frame(distance, CUTOFF, power) == pytest.approx(ospa)
-        assert gospa_frame(distance, CUTOFF, power).gospa == pytest.approx((paired + left / 2) ** (1 / power))
+        assert errors.ospa_frame(distance, CUTOFF, power) == pytest.approx(ospa)
+        assert errors.gospa_frame(distance, CUTOFF, power).gospa == pytest.approx((paired + left / 2) ** (1 / power))
 
 
 @given(points(), points(), st.sampled_from(POWERS))
 def test_the_other_way_round_misses_and_false_tracks_change_places(a: np.ndarray, b: np.ndarray, power: float) -> None:
-    there, back = (gospa_frame(distance, CUTOFF, power) for distance in (distances(a, b), distances(b, a)))
+    there, back = (
+        errors.gospa_frame(distance, CUTOFF, power) for distance in (errors.distances(a, b), errors.distances(b, a))
+    )
     np.testing.assert_allclose(there, (back.gospa, back.localisation, back.false, back.missed), atol=1e-9)
-    assert ospa_frame(distances(a, b), CUTOFF, power) == pytest.approx(ospa_frame(distances(b, a), CUTOFF, power))
+    assert errors.ospa_frame(errors.distances(a, b), CUTOFF, power) == pytest.approx(
+        errors.ospa_frame(errors.distances(b, a), CUTOFF, power)
+    )
 
 
 @settings(max_examples=150)
 @given(points(), points(), points(), st.sampled_from(POWERS))
 def test_no_way_round_is_shorter(a: np.ndarray, b: np.ndarray, c: np.ndarray, power: float) -> None:
-    for frame in (lambda *of: gospa_frame(*of).gospa, ospa_frame):
-        direct, there, on = (frame(distances(x, y), CUTOFF, power) for x, y in ((a, c), (a, b), (b, c)))
+    for frame in (lambda *of: errors.gospa_frame(*of).gospa, errors.ospa_frame):
+        direct, there, on = (frame(errors.distances(x, y), CUTOFF, power) for x, y in ((a, c), (a, b), (b, c)))
         assert direct <= there + on + 1e-9
 
 
 @given(points(), points(), st.sampled_from(POWERS))
 def test_the_distance_is_0_of_equal_sets_only_and_its_parts_add_up_to_its_power(a, b, power: float) -> None:
-    assert gospa_frame(distances(a, a[::-1]), CUTOFF, power).gospa == 0
-    assert ospa_frame(distances(a, a[::-1]), CUTOFF, power) == 0
-    whole, *parts = gospa_frame(distances(a, b), CUTOFF, power)
+    assert errors.gospa_frame(errors.distances(a, a[::-1]), CUTOFF, power).gospa == 0
+    assert errors.ospa_frame(errors.distances(a, a[::-1]), CUTOFF, power) == 0
+    whole, *parts = errors.gospa_frame(errors.distances(a, b), CUTOFF, power)
     assert sum(parts) == pytest.approx(whole**power, rel=1e-9)
     if len(a) != len(b):
         assert whole >= CUTOFF / 2 ** (1 / power) - 1e-9
-        assert ospa_frame(distances(a, b), CUTOFF, power) > 0
+        assert errors.ospa_frame(errors.distances(a, b), CUTOFF, power) > 0
 
 
-def test_one_pair_a_miss_and_a_false_track_worked_by_hand() -> None:
+def test_one_pair_a_miss_and_a_false_track_and_empty_sets_worked_by_hand() -> None:
     """Vessels at 0 and 100, tracks at 3 and 50: with c = 10 the pair costs 3, and 100 and 50 cost 5 each."""
     distance = np.array([[3.0, 50.0], [97.0, 50.0]])
-    assert gospa_frame(distance, 10) == (13, 3, 5, 5)
-    assert ospa_frame(distance, 10) == 6.5  # (3 + 10) / 2
-    assert gospa_frame(distance, 10, 2) == pytest.approx((109**0.5, 9, 50, 50))
-    assert ospa_frame(distance, 10, 2) == pytest.approx((109 / 2) ** 0.5)
-
-
-def test_a_pair_at_the_cutoff_is_a_miss_and_a_false_track_and_of_empty_sets_the_other_is_charged() -> None:
-    assert gospa_frame(np.array([[10.0]]), 10) == (10, 0, 5, 5)
+    assert errors.gospa_frame(distance, 10) == (13, 3, 5, 5)
+    assert errors.ospa_frame(distance, 10) == 6.5  # (3 + 10) / 2
+    assert errors.gospa_frame(distance, 10, 2) == pytest.approx((109**0.5, 9, 50, 50))
+    assert errors.ospa_frame(distance, 10, 2) == pytest.approx((109 / 2) ** 0.5)
+    # A pair at the cutoff is a miss and a false track, and of empty sets the other one is charged.
+    assert errors.gospa_frame(np.array([[10.0]]), 10) == (10, 0, 5, 5)
     for vessels, tracks, whole, mean in ((0, 0, 0, 0), (2, 0, 10, 10), (0, 3, 15, 10)):
         distance = np.zeros((vessels, tracks))
-        assert gospa_frame(distance, 10) == (whole, 0, 5 * vessels, 5 * tracks)
-        assert ospa_frame(distance, 10) == mean, (vessels, tracks)
+        assert errors.gospa_frame(distance, 10) == (whole, 0, 5 * vessels, 5 * tracks)
+        assert errors.ospa_frame(distance, 10) == mean, (vessels, tracks)
 
 
 def test_the_mean_is_over_all_frames_and_none_without_frames() -> None:
     frames = [np.zeros((0, 0)), np.array([[4.0]]), np.zeros((1, 0))]  # GOSPA 0, 4, 5; OSPA 0, 4, 10
-    assert mean_gospa(frames, 10) == (3, 4 / 3, 5 / 3, 0) and mean_ospa(frames, 10) == pytest.approx(14 / 3)
-    assert mean_gospa([], 10) is None and mean_ospa([], 10) is None
+    assert errors.mean_gospa(frames, 10) == (3, 4 / 3, 5 / 3, 0) and errors.mean_ospa(frames, 10) == pytest.approx(
+        14 / 3
+    )
+    assert errors.mean_gospa([], 10) is None and errors.mean_ospa([], 10) is None

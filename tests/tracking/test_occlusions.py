@@ -38,14 +38,11 @@ def test_a_hidden_vessel_is_followed_by_the_track_from_before_or_by_another_or_b
     assert hidden(hand_made(beside, [(0, 1, A), (1, 1, A)], 2)) == Hidden(1, 1, 0)
 
 
-def test_an_occlusion_is_from_the_first_frame_below_half_to_the_next_frame_after_the_last() -> None:
-    found = OcclusionEpisode("C0", "v0", 2.0, 3.5, 1.5, 0.0, True, 1, 1, True)
-    assert occlusions(seen([(3, 1), (8, 1)])) == (found,)
-
-
-@pytest.mark.parametrize(
-    ("tracks", "before", "after", "survived"),
-    [
+def test_the_track_after_an_occlusion_is_the_one_before_or_not() -> None:
+    whole = OcclusionEpisode("C0", "v0", 2.0, 3.5, 1.5, 0.0, True, 1, 1, True)
+    # From the first frame below half to the next frame after the last.
+    assert occlusions(seen([(3, 1), (8, 1)])) == (whole,)
+    for tracks, *expected in (
         ([(3, 1), (7, 2), (8, 1)], 1, 2, False),  # another track is the first after
         ([(3, 1), (4, 2), (7, 2)], 1, 2, False),  # the change was during the occlusion
         ([(2, 1), (3, 2), (7, 2)], 2, 2, True),  # the last one before is what counts
@@ -54,12 +51,10 @@ def test_an_occlusion_is_from_the_first_frame_below_half_to_the_next_frame_after
         ([(3, 1), (12, 1)], 1, None, False),  # 2.5 s after: too late
         ([(3, 1), (5, 1)], 1, None, False),  # during it only
         ([], None, None, None),
-    ],
-)
-def test_the_track_after_an_occlusion_is_the_one_before_or_not(tracks, before, after, survived) -> None:
-    (found,) = occlusions(seen(tracks))
-    assert (found.track_before, found.track_after, found.survived) == (before, after, survived)
-    assert found.followed_before == (before is not None)
+    ):
+        (found,) = occlusions(seen(tracks))
+        assert [found.track_before, found.track_after, found.survived] == expected, tracks
+        assert found.followed_before == (found.track_before is not None)
 
 
 def test_an_occlusion_after_which_the_vessel_is_gone_judges_no_track_and_without_a_pixel_it_is_not_back() -> None:

@@ -55,29 +55,27 @@ def test_references_do_not_depend_on_the_trackers_beside_them(run: StoredRun, sc
     assert (smoothed["hota"] or 0) > (raw["hota"] or 0)  # the boxes of this scene are noisy
 
 
-def test_the_first_detector_seed_is_the_run_itself_and_the_others_are_not(run: StoredRun) -> None:
+def test_the_first_detector_seed_and_its_scores_are_those_of_the_run_and_the_others_are_not(
+    run, scores, tracks
+) -> None:
     (seed, first), (_, second) = detector_runs(run, 2)
     stored = RunRows.of(run)
     assert seed == run.scene.detector_seed
     assert first.detections.equals(stored.detections) and first.truth.equals(stored.truth)
     assert second.truth["full_x_min_px"].equals(stored.truth["full_x_min_px"])
     assert not np.array_equal(second.detection_boxes_px(), stored.detection_boxes_px())
-
-
-def test_scores_of_the_first_seed_are_those_of_the_run(run: StoredRun, scores: RunScores, tracks: Path) -> None:
     told: list[int] = []
     found = score_run(run, tracks, seeds=2, progress=told.append)
-    assert found.seeds is not None and told == [1, 1]
+    assert told == [1, 1] and "it says nothing about other traffic" in score_page(found)
     of_tracker, of_smoothed = (found.seeds.spreads[name]["hota"].values for name in ("reference", "smoothed"))
     assert of_tracker[0] == keys_of(scores.trackers[1].scores)["hota"] != of_tracker[1]
     assert of_smoothed[0] == keys_of(scores.references["smoothed"])["hota"]
-    assert "it says nothing about other traffic" in score_page(found)
     lines = [row[:2] for row in seed_rows(found)]
     assert ("reference", "ANEES") in lines
     assert (REFERENCES["raw"], "HOTA") in lines and (REFERENCES["raw"], "ANEES") not in lines  # it has no covariances
 
 
-def test_what_is_written_is_what_is_told_and_stays_without_overwrite(scores: RunScores, tmp_path: Path) -> None:
+def test_what_is_written_is_what_is_told_and_stays_without_overwrite(run, scores, perfect, tmp_path: Path) -> None:
     data, page = scores.write(tmp_path / "out")
     assert json.loads(data.read_text()) == orjson.loads(orjson.dumps(score_data(scores), default=str))
     assert scores.conclusion in page.read_text().split("<p", 2)[1]
@@ -86,12 +84,9 @@ def test_what_is_written_is_what_is_told_and_stays_without_overwrite(scores: Run
     first = page.read_bytes()
     scores.write(tmp_path / "out", overwrite=True)
     assert page.read_bytes() == first
-
-
-def test_the_page_needs_no_network_and_shows_names_as_text(run: StoredRun, perfect: TrackSet) -> None:
-    page = score_page(score_run(run, replace(perfect, name="<b>mine</b>"), by_class=False))
-    assert "<b>mine" not in page and "&lt;b&gt;mine" in page
-    assert not any(part in page for part in ("http:", "https:", "src=", "<script"))
+    text = score_page(score_run(run, replace(perfect, name="<b>mine</b>"), by_class=False))
+    assert "<b>mine" not in text and "&lt;b&gt;mine" in text
+    assert not any(part in text for part in ("http:", "https:", "src=", "<script"))
 
 
 def test_a_tracker_without_tracks_and_a_rule_that_matches_nothing_are_scored(run: StoredRun) -> None:

@@ -73,15 +73,10 @@ def rows() -> tuple[list[dict], list[dict], list[dict]]:
     return drawn + others, alone, misses
 
 
-def test_rows_are_stored_as_they_were(rows: tuple, tmp_path: Path) -> None:
-    pq.write_table(tracker_scores.rows_table(*rows), tmp_path / "rows.parquet")
-    back = tracker_scores.stored_rows(tmp_path / "rows.parquet")
-    for part, again in zip(rows, back, strict=True):
-        assert [{key: row[key] for key in given} for given, row in zip(part, again, strict=True)] == part
-
-
-def test_the_page_is_made_of_stored_rows_alone(rows: tuple, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_are_stored_as_they_were_and_the_page_is_made_of_them_alone(rows: tuple, tmp_path, monkeypatch) -> None:
     pq.write_table(tracker_scores.rows_table(*rows), tmp_path / tracker_scores.ROWS)
+    for part, again in zip(rows, tracker_scores.stored_rows(tmp_path / tracker_scores.ROWS), strict=True):
+        assert [{key: row[key] for key in given} for given, row in zip(part, again, strict=True)] == part
     monkeypatch.setattr("sys.argv", ["tracker_scores", "--stored", "--out", str(tmp_path)])
     assert tracker_scores.main() == 0
     data = json.loads((tmp_path / "tracker_scores.json").read_text())
