@@ -205,19 +205,14 @@ def write_scene(
     none at all for a boat without a track); a step a second. `steps` is None where the poses say it. Keys of the scene
     come beside these or in their place; None leaves a key out."""
     shutil.copy(data_folder("scenes") / "detectors" / "thesis.yaml", folder / "detector.yaml")
-    vessels = {
-        name: {"length_m": size[0], "beam_m": size[1], "air_draft_m": size[2], "label": "Vessel"}
-        for name, (size, _) in boats.items()
-    }
+    keys_of_size = ("length_m", "beam_m", "air_draft_m")
+    sizes = {name: dict(zip(keys_of_size, size, strict=True)) for name, (size, _) in boats.items()}
     scene = {
-        "steps": steps,
-        "time_step_s": 1.0,
-        "vessels": vessels,
+        **{"steps": steps, "time_step_s": 1.0},
+        "vessels": {name: {**size, "label": "Vessel"} for name, size in sizes.items()},
         "poses": {"tracks": {name: track for name, (_, track) in boats.items() if track}},
         "cameras": {"C0": camera_keys(pose={"position_m": [0, 0, CAMERA_HEIGHT_M]})},
-        "annotation": {"mode": 2},
-        "detector": "detector.yaml",
-        **keys,
+        **{"annotation": {"mode": 2}, "detector": "detector.yaml", **keys},
     }
     path = folder / "scene.yaml"
     given = {key: value for key, value in scene.items() if value is not None}

@@ -62,12 +62,15 @@ def test_a_switch_costs_recall_of_association_a_miss_also_detection_and_a_false_
     check(false, hota=sqrt(2 / 3), deta=2 / 3, assa=1, detpr=2 / 3, mota=0.5, false_positives=2, idf1=0.8, idp=2 / 3)
 
 
-def test_a_miss_fragments_a_track_unless_no_track_is_in_the_frame() -> None:
+def test_a_miss_fragments_a_track_unless_no_track_is_in_the_frame_and_coasting_is_no_false_positive() -> None:
     first = [(k, 1, A) for k in (0, 1, 3)]
     truth = [(k, vessel, place) for k in range(4) for vessel, place in ((0, A), (1, B))]
     for frames_of_other, fragmentations in ((range(4), 1), ((0, 1, 3), 0)):
         tracks = [*first, *((k, 2, B) for k in frames_of_other)]
         check(hand_made(truth, tracks, 4), fragmentations=fragmentations, id_switches=0)
+    hidden = [Seen(k, 0, A, visible=float(k != 2)) for k in range(4)]
+    for tracks in (first, [*first, (2, 1, A)]):
+        check(hand_made(hidden, tracks, 4), hota=1, mota=1, idf1=1, false_positives=0, misses=0, true_positives=3)
 
 
 def test_a_step_without_vessels_costs_only_what_tracks_say_in_it() -> None:
@@ -89,13 +92,6 @@ def test_an_identity_that_comes_back_after_the_gap_is_a_new_one() -> None:
     check(hand_made(truth, same_track, 8, rules=Rules(gap_s=5)), hota=1, mota=1, idf1=1)
 
 
-def test_a_track_that_coasts_over_a_hidden_vessel_is_no_false_positive() -> None:
-    truth = [Seen(k, 0, A, visible=float(k != 2)) for k in range(4)]
-    for coasting in (True, False):
-        tracks = [(k, 1, A) for k in range(4) if coasting or k != 2]
-        check(hand_made(truth, tracks, 4), hota=1, mota=1, idf1=1, false_positives=0, misses=0, true_positives=3)
-
-
 def test_cameras_have_tracks_of_their_own() -> None:
     truth = [(frame, 0, A) for frame in range(4)]  # two steps of two cameras
     check(hand_made(truth, [(frame, 1, A) for frame in range(4)], 2, cameras=2), hota=1, mota=1, idf1=1, id_switches=0)
@@ -107,14 +103,11 @@ def test_cameras_have_tracks_of_their_own() -> None:
     check(hand_made(truth, tracks, 2, cameras=2), id_switches=0, false_positives=1)
 
 
-def test_thresholds_that_no_match_reaches_count_for_hota_and_not_for_localisation() -> None:
+def test_thresholds_that_no_match_reaches_count_for_hota_alone_and_clear_and_identity_use_that_of_the_rules() -> None:
     # 16 of 24 columns in common: IoU = 2/3, reached by the 13 thresholds up to 0.65.
     scored = hand_made([(0, 0, A)], [(0, 1, box(4))], 1)
     check(scored, hota=13 / 19, deta=13 / 19, assa=13 / 19, loca=2 / 3, motp=2 / 3, mota=1)
     assert hota(scored).hota_by_alpha == pytest.approx((1,) * 13 + (0,) * 6)
-
-
-def test_clear_and_identity_use_the_similarity_and_the_threshold_of_the_rules() -> None:
     for least, mota, idf1 in ((0.5, 1, 1), (0.51, -1, 0)):
         rules = Rules(similarity=Similarity("centre", 8, least))  # centres 4 px apart: 1 − 4/8
         check(hand_made([(0, 0, A)], [(0, 1, box(4))], 1, rules=rules), mota=mota, idf1=idf1, hota=10 / 19)
@@ -168,6 +161,7 @@ def test_all_cameras_as_one_sequence_score_what_trackeval_combines_from_one_each
         found = metric.eval_sequence(whole)
         for name, value in combined.items():
             np.testing.assert_allclose(found[name], value, atol=1e-12, err_msg=name)
+    check_the_one_matching_is_that_of_clear(scored)
 
 
 def check_the_one_matching_is_that_of_clear(scored: Scored) -> None:
@@ -178,11 +172,6 @@ def check_the_one_matching_is_that_of_clear(scored: Scored) -> None:
     found = clear(scored)
     assert found.id_switches > 0 and found.misses > 0 and found.false_positives > 0
     assert (found.true_positives, found.id_switches) == (len(rows), np.count_nonzero(switches))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_one_matching_is_that_of_clear_where_every_vessel_is_scored(seed: int) -> None:
-    check_the_one_matching_is_that_of_clear(noisy(seed))
 
 
 def test_memory_does_not_grow_with_the_square_of_the_number_of_tracks() -> None:

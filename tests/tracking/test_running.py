@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,16 +20,6 @@ from tests.scenes import crossing
 
 Follow = Callable[[Iterable[SensedFrame], CameraFacts], Any]
 BOX = [[10.0, 20.0, 30.0, 40.0]]
-
-
-class Scripted(Tracker):
-    """A tracker that does what a test says."""
-
-    script: ClassVar[Follow]
-
-    def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
-        answers: Iterator[TrackedFrame] = type(self).script(frames, camera)
-        return answers
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +38,8 @@ def sequence(scene: Scene, steps: list[int], boxes: list[tuple[int, float]]) -> 
 
 
 def named(script: Follow, plugin: bool = False) -> NamedTracker:
-    tracker = type("Mine", (Scripted,), {"script": staticmethod(script)})()
+    """A tracker that does what a test says."""
+    tracker = type("Mine", (Tracker,), {"follow": lambda self, frames, camera: script(frames, camera)})()
     return NamedTracker("mine", tracker, Plugin(TRACKERS, "mine", "mine 1.0") if plugin else None, "")
 
 

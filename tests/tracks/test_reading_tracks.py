@@ -30,9 +30,8 @@ def read(small_run, small_rows, tmp_path):
     """Reads the text of a CSV file."""
 
     def read_text(text):
-        path = tmp_path / "mine.csv"
-        path.write_text(text, encoding="utf-8")
-        return read_tracks(path, small_run, small_rows)
+        (tmp_path / "mine.csv").write_text(text, encoding="utf-8")
+        return read_tracks(tmp_path / "mine.csv", small_run, small_rows)
 
     return read_text
 
@@ -69,20 +68,16 @@ def test_boxes_by_corners_or_centres_at_steps_or_times_in_any_order_are_the_same
         assert_close(each.tracks, small_tracks)
 
 
-def test_a_byte_order_mark_white_space_and_other_line_ends_are_passed_over(read):
-    text = '\ufeff"camera", step,track ,x_min_px,y_min_px,x_max_px,y_max_px\n\n"bow", 1 ,7, 10,20,+30.5,4e1\n \n'
-    for end in ("\n", "\r\n", "\r"):
-        found = read(text.replace("\n", end))
-        np.testing.assert_array_equal(found.tracks.boxes_px, [[10, 20, 30.5, 40]])
-
-
-def test_optional_columns_may_be_empty(read, small_rows):
+def test_optional_columns_may_be_empty_and_marks_white_space_and_other_line_ends_are_passed_over(read, small_rows):
     labels = small_rows.scene.detector.labels
     text = f"{HEADER},label,confidence,var_x_px2,cov_xy_px2,var_y_px2\n"
     found = read(f"{text}bow,0,1,10,20,30,40,{labels[1]},0.5,4,1,9\nbow,0,2,10,20,30,40,,,,,\n").tracks
     np.testing.assert_array_equal(found.label, [1, -1])
     np.testing.assert_array_equal(found.confidence, [0.5, np.nan])
     np.testing.assert_array_equal(found.covariance_px2, [[[4, 1], [1, 9]], np.full((2, 2), np.nan)])
+    text = '\ufeff"camera", step,track ,x_min_px,y_min_px,x_max_px,y_max_px\n\n"bow", 1 ,7, 10,20,+30.5,4e1\n \n'
+    for end in ("\n", "\r\n", "\r"):
+        np.testing.assert_array_equal(read(text.replace("\n", end)).tracks.boxes_px, [[10, 20, 30.5, 40]])
 
 
 def test_a_tracker_may_have_found_nothing_and_a_confidence_of_minus_one_is_none(read, read_mot):
@@ -186,12 +181,13 @@ def test_wrong_columns_are_named(read):
         assert what in said(read, f"{header}\n"), header[:100]
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
-def test_times_in_another_unit_are_named(read, small_rows, small_tracks, unit, scale):
-    lines = csv_text(small_rows, small_tracks, when="time_s").splitlines()
-    cells = [line.split(",") for line in lines[1:]]
-    text = "\n".join([lines[0], *(",".join([a, f"{float(time) * scale:.12g}", *rest]) for a, time, *rest in cells)])
-    assert f"(seconds since the first step): they seem to be {unit}, must be seconds" in said(read, text)
+def test_times_in_another_unit_are_named(read, small_rows, small_tracks):
+    head, *lines = csv_text(small_rows, small_tracks, when="time_s").splitlines()
+    cells = [line.split(",") for line in lines]
+    for unit, scale in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+        scaled = (",".join([camera, f"{float(time) * scale:.12g}", *rest]) for camera, time, *rest in cells)
+        what = f"(seconds since the first step): they seem to be {unit}, must be seconds"
+        assert what in said(read, "\n".join([head, *scaled])), unit
 
 
 def test_identities_that_lost_digits_are_refused(read, read_mot, small_rows, small_tracks):
