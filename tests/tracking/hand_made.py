@@ -1,20 +1,16 @@
 """Hand-made truth and tracks, held against each other without a run."""
 
-import json
-import shutil
-import tempfile
 from collections.abc import Iterable, Sequence
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from modsim3d import RunRows, Scene, Tracks, load_scene
-from modsim3d.io.input_files import data_folder
+from modsim3d import RunRows, Scene, Tracks
 from modsim3d.runs.files.table_columns import schema_of
 from modsim3d.tracking.scores.scored import Rules, Scored
+from tests.scenes import camera_keys
 
 VESSELS = 6
 LABELS = ("sailboat", "motorboat", "ferry")
@@ -87,24 +83,17 @@ def tracks_of(tracks: Iterable[tuple], cameras: int = 1) -> Tracks:
 
 
 def _truth_row(scene: Scene, seen: Seen) -> dict[str, object]:
-    names = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+    vessel, edges = scene.vessels[seen.vessel], ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
+    kinds = ("full", "visible") if seen.visible else ("full",)
     pixels = 0.0 if seen.visible is None else (seen.box[2] - seen.box[0]) * (seen.box[3] - seen.box[1])
-    full = {f"full_{name}": float(value) for name, value in zip(names, seen.box, strict=True)}
-    visible = {f"visible_{name}": float(value) for name, value in zip(names, seen.box, strict=True)}
     return {
         **_place(scene, seen.frame),
-        **full,
-        **(visible if seen.visible else {}),
-        "vessel": scene.vessels[seen.vessel].name,
-        "label": scene.vessels[seen.vessel].label,
-        "silhouette_px": float(pixels),
-        "visible_px": float((seen.visible or 0) * pixels),
+        **{f"{kind}_{edge}": float(value) for kind in kinds for edge, value in zip(edges, seen.box, strict=True)},
+        **{"vessel": vessel.name, "label": vessel.label, "occluded_by": []},
+        **{"silhouette_px": float(pixels), "visible_px": float((seen.visible or 0) * pixels)},
         "visible_fraction": seen.visible if seen.visible is None else float(seen.visible),
-        "in_frame_fraction": float(seen.in_frame),
-        "depth_m": float(seen.depth_m),
-        "occluded_by": [],
-        "annotated": bool(seen.visible),
-        "detected": False,
+        **{"in_frame_fraction": float(seen.in_frame), "depth_m": float(seen.depth_m)},
+        **{"annotated": bool(seen.visible), "detected": False},
     }
 
 
@@ -116,22 +105,11 @@ def _place(scene: Scene, frame: int) -> dict[str, object]:
 @cache
 def _scene(steps: int, cameras: int, step_s: float) -> Scene:
     """A scene with six vessels, three labels and two performance states."""
-    camera = {
-        **{"focal_length_m": 0.01, "pixel_size_m": [1e-5, 1e-5], "principal_point_px": [400, 300]},
-        **{"image_size_px": [800, 600], "pose": {"position_m": [0, 0, 10]}},
-    }
-    size = {"length_m": 10, "beam_m": 4, "air_draft_m": 3}
+    size, camera = {"length_m": 10, "beam_m": 4, "air_draft_m": 3}, camera_keys(pose={"position_m": [0, 0, 10]})
     scene = {
-        "steps": steps,
-        "time_step_s": step_s,
+        **{"steps": steps, "time_step_s": step_s, "cameras": {f"C{k}": camera for k in range(cameras)}},
         "vessels": {f"v{k}": {**size, "label": LABELS[k // 2]} for k in range(VESSELS)},
         "poses": {"tracks": {f"v{k}": [[0, 100 + 20 * k, 0], [10_000, 100 + 20 * k, 1]] for k in range(VESSELS)}},
-        "cameras": {f"C{k}": camera for k in range(cameras)},
-        "annotation": {"mode": 0, "source": "analytic"},
-        "detector": "rich.yaml",
+        **{"annotation": {"mode": 0, "source": "analytic"}, "detector": "rich"},
     }
-    with tempfile.TemporaryDirectory() as folder:
-        shutil.copy(data_folder("scenes") / "detectors" / "rich.yaml", folder)
-        path = Path(folder) / "hand_made.yaml"
-        path.write_text(json.dumps(scene), encoding="utf-8")
-        return load_scene(path)
+    return Scene.from_dict(scene, name="hand_made")

@@ -28,16 +28,12 @@ def rows_of(folder: Path, ways: dict[str, list[Place]], **annotation: object) ->
     """A run of boats that show the camera their side, with their places a second apart, None for absent."""
     positions = np.array([[place or (np.nan, np.nan) for place in way] for way in ways.values()]).swapaxes(0, 1)
     headings = np.where(np.isnan(positions[:, :, 0]), np.nan, np.pi / 2)
-    scene = Scene.from_dict(
-        {
-            "vessels": dict.fromkeys(ways, BOAT),
-            "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 1.0},
-            "cameras": {"c": CAMERA},
-            "annotation": {"mode": 1, "source": "analytic", **annotation},
-            "detector": "thesis",
-        }
-    )
-    return RunRows.of(finished(scene, folder))
+    scene = {
+        **{"vessels": dict.fromkeys(ways, BOAT), "cameras": {"c": CAMERA}, "detector": "thesis"},
+        "poses": {"positions_m": positions, "headings_rad": headings, "time_step_s": 1.0},
+        "annotation": {"mode": 1, "source": "analytic", **annotation},
+    }
+    return RunRows.of(finished(Scene.from_dict(scene), folder))
 
 
 @pytest.mark.parametrize(("away_s", "identities"), [(1, 1), (2, 1), (3, 2)])
