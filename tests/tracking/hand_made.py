@@ -24,6 +24,11 @@ def box(x: float = 0, y: float = 0, width: float = 20, height: float = 20) -> Bo
     return (x, y, x + width, y + height)
 
 
+def placed(name: int, frames: Iterable[int], *place: float) -> list[tuple]:
+    """A vessel or a track in some frames at one place, which is that of `box`."""
+    return [(frame, name, box(*place)) for frame in frames]
+
+
 class Seen(NamedTuple):
     """A vessel in an image; a plain (frame, vessel, box) will do for one that is all visible."""
 

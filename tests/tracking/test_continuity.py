@@ -7,15 +7,11 @@ import numpy as np
 
 from modsim3d.tracking.scores.continuity import Continuity, continuity, false_track_lengths_s
 from modsim3d.tracking.scores.scored import frame_lengths_s
-from tests.tracking.hand_made import box, hand_made
+from tests.tracking.hand_made import box, hand_made, placed
 
 
 def vessel(frames: Iterable[int], hidden: Collection[int] = ()) -> list[tuple]:
     return [(frame, 0, box(), float(frame not in hidden)) for frame in frames]
-
-
-def track(frames: Iterable[int], number: int = 7) -> list[tuple]:
-    return [(frame, number, box()) for frame in frames]
 
 
 def followed(truth: list[tuple], tracks: list[tuple], **options: float) -> Continuity:
@@ -23,7 +19,7 @@ def followed(truth: list[tuple], tracks: list[tuple], **options: float) -> Conti
 
 
 def test_a_vessel_followed_from_the_first_frame_to_the_last_has_nothing_to_count() -> None:
-    found = vars(followed(vessel(range(10)), track(range(10)), step_s=0.5))
+    found = vars(followed(vessel(range(10)), placed(7, range(10)), step_s=0.5))
     ones = dict.fromkeys(("appearances", "established", "established_share", "tracks_per_vessel"), 1)
     unknown = dict.fromkeys(("mean_track_break_s", "longest_track_break_s", "mean_false_track_s"))
     assert found == dict.fromkeys(found, 0) | ones | unknown
@@ -31,7 +27,7 @@ def test_a_vessel_followed_from_the_first_frame_to_the_last_has_nothing_to_count
 
 def test_establishment_two_breaks_and_a_loss_worked_by_hand() -> None:
     """Followed in frames 2, 3, 5 and 8 of 10: breaks 4 (0.5 s) and 6-7 (1 s), lost in 9; 4 s from frame 2 on."""
-    found = followed(vessel(range(10)), track((2, 3, 5, 8)), step_s=0.5)
+    found = followed(vessel(range(10)), placed(7, (2, 3, 5, 8)), step_s=0.5)
     assert (found.time_to_establish_s, found.longest_time_to_establish_s) == (1, 1)
     assert (found.track_breaks, found.track_break_s) == (2, 1.5)
     assert (found.mean_track_break_s, found.longest_track_break_s) == (0.75, 1)
@@ -45,24 +41,24 @@ def test_breaks_of_vessels_are_apart_and_the_wait_of_one_that_is_never_followed_
     assert (found.time_to_establish_s, found.longest_time_to_establish_s) == (2, 3)
     assert (found.track_breaks, found.lost, found.lost_s, found.tracks_per_vessel) == (0, 1, 1, 1)
     # Vessel 0 ends unfollowed and vessel 1 begins unfollowed: neither is a break.
-    found = followed([each for each in three if each[1] < 2], [*track((0, 1)), (3, 8, box(100))])
+    found = followed([each for each in three if each[1] < 2], [*placed(7, (0, 1)), (3, 8, box(100))])
     assert (found.track_breaks, found.lost, found.lost_s, found.time_to_establish_s) == (0, 1, 2, 1.5)
 
 
 def test_hidden_frames_are_no_break_and_a_vessel_hidden_first_waits_from_when_it_is_seen() -> None:
     # Hidden in frames 2-4, not followed in 2-5: only frame 5 is a break.
-    found = followed(vessel(range(8), hidden=(2, 3, 4)), track((0, 1, 6, 7)))
+    found = followed(vessel(range(8), hidden=(2, 3, 4)), placed(7, (0, 1, 6, 7)))
     assert (found.track_breaks, found.track_break_s, found.lost, found.appearances) == (1, 1, 0, 1)
     # Seen in frame 3, followed in frame 5; frames 1 and 2 do not count.
-    assert followed(vessel(range(6), hidden=(0, 1, 2)), track((1, 2, 5))).time_to_establish_s == 2
+    assert followed(vessel(range(6), hidden=(0, 1, 2)), placed(7, (1, 2, 5))).time_to_establish_s == 2
 
 
 def test_another_track_ends_a_break_and_makes_none_and_a_vessel_that_comes_back_is_established_again() -> None:
-    found = followed(vessel(range(5)), track((0, 1)) + track((3, 4), 8))
+    found = followed(vessel(range(5)), placed(7, (0, 1)) + placed(8, (3, 4)))
     assert (found.track_breaks, found.track_break_s, found.tracks_per_vessel) == (1, 1, 2)
-    found = followed(vessel(range(4)), track((0, 1)) + track((2, 3), 8))
+    found = followed(vessel(range(4)), placed(7, (0, 1)) + placed(8, (2, 3)))
     assert (found.track_breaks, found.tracks_per_vessel, found.false_tracks) == (0, 2, 0)
-    found = followed(vessel((0, 1, 6, 7)), track((0, 1, 7)))
+    found = followed(vessel((0, 1, 6, 7)), placed(7, (0, 1, 7)))
     assert (found.appearances, found.established, found.track_breaks, found.time_to_establish_s) == (2, 2, 0, 0.5)
 
 
@@ -75,7 +71,7 @@ def test_false_tracks_are_those_that_never_follow_a_vessel_hidden_or_not() -> No
     assert false_track_lengths_s(scored).tolist() == [1, 0.5]
     assert (found.false_tracks, found.false_track_s, found.mean_false_track_s) == (2, 1.5, 0.75)
     assert found.false_tracks_per_hour == 2 / 2 * 3600  # 4 frames of half a second
-    found = continuity(hand_made(vessel([0]), track((0, 1, 3)), 2, cameras=2))
+    found = continuity(hand_made(vessel([0]), placed(7, (0, 1, 3)), 2, cameras=2))
     assert (found.false_tracks, found.false_track_s) == (1, 2)  # equal numbers in two cameras are two tracks
     assert found.false_tracks_per_hour == 1 / 4 * 3600  # 2 s of 2 cameras
 

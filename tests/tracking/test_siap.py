@@ -2,7 +2,6 @@
 
 import datetime as dt
 from collections import defaultdict
-from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -17,16 +16,11 @@ from stonesoup.types.track import Track
 from modsim3d.tracking.scores.errors import Siap, siap
 from modsim3d.tracking.scores.scored import Rules
 from modsim3d.tracks.tracks import Similarity
-from tests.tracking.hand_made import box, hand_made
+from tests.tracking.hand_made import box, hand_made, placed
 
 FRAMES = 60
 RULES = Rules(gap_s=100, similarity=Similarity("centre", 20, 0.5))  # pairs up to 10 px apart
 _START = dt.datetime(2024, 1, 1)
-
-
-def rows(name: int, frames: Iterable[int], *place: float) -> list[tuple]:
-    """A vessel or a track in some frames at one place."""
-    return [(frame, name, box(*place)) for frame in frames]
 
 
 def siap_of(truth: list[tuple], tracks: list[tuple], **options: float) -> Siap:
@@ -34,26 +28,26 @@ def siap_of(truth: list[tuple], tracks: list[tuple], **options: float) -> Siap:
 
 
 def test_a_track_goes_to_the_nearest_vessel_and_a_second_one_there_is_ambiguous_and_not_spurious() -> None:
-    vessel = rows(0, range(4))
-    assert siap_of(vessel, rows(7, range(4), 3, 4)) == Siap(1, 1, 0, 5, 0, 1)  # followed all the time
+    vessel = placed(0, range(4))
+    assert siap_of(vessel, placed(7, range(4), 3, 4)) == Siap(1, 1, 0, 5, 0, 1)  # followed all the time
     # 4 vessel-frames with 6 tracks, one more track far off; distances 0 (four times) and 6 (twice).
-    second = [*rows(7, range(4)), *rows(8, (1, 2), 6), *rows(9, [3], 300)]
+    second = [*placed(7, range(4)), *placed(8, (1, 2), 6), *placed(9, [3], 300)]
     assert siap_of(vessel, second) == Siap(1, 1.5, 1 / 7, 2, 0, 1)
     # The matching would keep the track on vessel 0, which is 8 px away; vessel 1 is 2 px away.
-    nearest = siap_of([*rows(0, (0, 1)), *rows(1, [1], 10)], [*rows(7, [0]), *rows(7, [1], 8)])
+    nearest = siap_of([*placed(0, (0, 1)), *placed(1, [1], 10)], [*placed(7, [0]), *placed(7, [1], 8)])
     assert nearest == Siap(2 / 3, 1, 0, 1, 0, 2 / 3)
     # Of two as near as each other to the one that it follows: the smaller lies in the larger's middle in frame 1.
-    truth = [*rows(0, range(3)), *rows(1, (0, 2), 55, 5, 10, 10), *rows(1, [1], 5, 5, 10, 10)]
+    truth = [*placed(0, range(3)), *placed(1, (0, 2), 55, 5, 10, 10), *placed(1, [1], 5, 5, 10, 10)]
     assert siap_of(truth, truth) == Siap(1, 1, 0, 0, 0, 1)
 
 
 def test_another_track_is_a_change_and_a_pause_breaks_the_longest_stretch() -> None:
     # 10 s, track 7 for 6 s, then track 8 for 4 s.
-    other = siap_of(rows(0, range(20)), rows(7, range(12)) + rows(8, range(12, 20)), step_s=0.5)
+    other = siap_of(placed(0, range(20)), placed(7, range(12)) + placed(8, range(12, 20)), step_s=0.5)
     assert other == Siap(1, 1, 0, 0, 0.1, 0.6)
-    assert siap_of(rows(0, range(10)), rows(7, (0, 1, 2, 3, 6, 7, 8, 9))) == Siap(0.8, 1, 0, 0, 0, 0.4)
+    assert siap_of(placed(0, range(10)), placed(7, (0, 1, 2, 3, 6, 7, 8, 9))) == Siap(0.8, 1, 0, 0, 0, 0.4)
     # Tracks 7 in frames 0-2, 8 in 1-5, 9 in 2-3: one change to the longer one is enough, in 6 s.
-    at_once = siap_of(rows(0, range(6)), [*rows(7, range(3)), *rows(8, range(1, 6)), *rows(9, (2, 3))])
+    at_once = siap_of(placed(0, range(6)), [*placed(7, range(3)), *placed(8, range(1, 6)), *placed(9, (2, 3))])
     assert at_once == Siap(1, 10 / 6, 0, 0, 1 / 6, 5 / 6)
     # Two vessels that change places with their tracks have a change each.
     truth = [(k, vessel, box(100 * vessel)) for k in range(4) for vessel in range(2)]
@@ -62,24 +56,24 @@ def test_another_track_is_a_change_and_a_pause_breaks_the_longest_stretch() -> N
 
 def test_what_lies_on_a_hidden_vessel_is_left_out_and_breaks_no_stretch() -> None:
     """Hidden in frame 1, with two tracks on it."""
-    truth = [*rows(0, (0, 2)), (1, 0, box(), 0.0)]
-    assert siap_of(truth, rows(7, range(3)) + rows(8, [1], 5)) == Siap(1, 1, 0, 0, 0, 1)
+    truth = [*placed(0, (0, 2)), (1, 0, box(), 0.0)]
+    assert siap_of(truth, placed(7, range(3)) + placed(8, [1], 5)) == Siap(1, 1, 0, 0, 0, 1)
 
 
 def test_cameras_are_apart_and_only_the_frames_in_question_and_no_last_bits_of_times_count() -> None:
-    scored = hand_made(rows(0, range(4)), rows(7, (0, 2)), 2, cameras=2, rules=RULES)
+    scored = hand_made(placed(0, range(4)), placed(7, (0, 2)), 2, cameras=2, rules=RULES)
     assert siap(scored) == Siap(0.5, 1, 0, 0, 0, 0.5)
-    tracks = [*rows(7, [0]), *rows(7, [1], 4), *rows(8, [2]), *rows(9, [3], 300)]
-    scored = hand_made(rows(0, range(4)), tracks, 4, rules=RULES)
+    tracks = [*placed(7, [0]), *placed(7, [1], 4), *placed(8, [2]), *placed(9, [3], 300)]
+    scored = hand_made(placed(0, range(4)), tracks, 4, rules=RULES)
     assert siap(scored.in_frames(np.array([0, 1]))) == Siap(1, 1, 0, 2, 0, 1)
-    truth = [each for vessel in range(3) for each in rows(vessel, range(7 + vessel), 100 * vessel)]
+    truth = [each for vessel in range(3) for each in placed(vessel, range(7 + vessel), 100 * vessel)]
     assert siap_of(truth, truth, step_s=0.1).siap_longest_track_share == 1
 
 
 def test_of_nothing_nothing_is_said() -> None:
     assert siap(hand_made([], [], 2)) == Siap(None, None, None, None, None, None)
-    assert siap(hand_made(rows(0, [0]), [], 2)) == Siap(0, None, None, None, None, 0)
-    assert siap(hand_made([], rows(7, [0]), 2)) == Siap(None, None, 1, None, None, None)
+    assert siap(hand_made(placed(0, [0]), [], 2)) == Siap(0, None, None, None, None, 0)
+    assert siap(hand_made([], placed(7, [0]), 2)) == Siap(None, None, 1, None, None, None)
 
 
 @pytest.mark.parametrize("seed", range(3))
