@@ -57,12 +57,8 @@ CHANGES: dict[str, Callable[[Data], None]] = {
     "plain": lambda data: None,
     "thesis false positives": _with(false_positives={"model": "thesis"}),
     "dropout by size and distance, anchored": _with(
-        dropout={
-            "model": "logistic",
-            "anchor": "state_rate",
-            "size_px": {"per_doubling": -0.6, "reference": 32},
-            "visible_fraction": {"per_unit": -1.0, "reference": 1.0},
-        }
+        dropout={"model": "logistic", "anchor": "state_rate"}
+        | {"size_px": {"per_doubling": -0.6, "reference": 32}, "visible_fraction": {"per_unit": -1.0, "reference": 1.0}}
     ),
     "dropout by a table of distance": _with(
         dropout={"model": "table", "distance_m": {"edges": [1200, 1600], "odds": [0.6, 1.0, 1.8]}}

@@ -157,25 +157,19 @@ def random(seed: int) -> Scored:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_bins_of_a_group_together_are_all_scored_vessel_frames(seed: int) -> None:
+def test_the_bins_of_a_group_together_are_all_vessel_frames_and_association_that_of_sets_of_frames(seed: int) -> None:
     scored = random(seed)
-    followed, association = len(scored.pairs[0]), np.nansum(association_of_pairs(scored)[1])
+    found, association = association_of_pairs(scored)
     groups = {group.name: group.rows for group in breakdown(scored)}
     during = next(row for row in groups["phase"] if row.bin == "during")
     assert sum(row.vessel_frames for row in groups.pop("occlusion")) == during.vessel_frames
     for rows in groups.values():
         columns = [(row.vessel_frames, row.recall, row.association or 0) for row in rows]
-        frames, found, each = np.array(columns, dtype=float).T
+        frames, recall, each = np.array(columns, dtype=float).T
         assert frames.sum() == len(scored.truth) and frames.min() > 0
-        assert frames @ found == pytest.approx(followed)
-        assert (frames * found) @ each == pytest.approx(association)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_association_of_a_pair_is_that_of_its_sets_of_frames(seed: int) -> None:
-    scored = random(seed)
+        assert frames @ recall == pytest.approx(len(scored.pairs[0]))
+        assert (frames * recall) @ each == pytest.approx(np.nansum(association))
     vessels, tracks, following = scored.following.truth, scored.following.tracks, scored.following
-    found, association = association_of_pairs(scored)
     for place in np.flatnonzero(found)[::7]:
         row = scored.truth_rows[place]
         mine, its = vessels.identity[row], tracks.identity[following.track_row[row]]
