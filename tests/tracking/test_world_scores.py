@@ -69,8 +69,10 @@ def test_a_camera_sees_the_crosser_until_it_leaves_the_image_and_never_own_ship(
     assert 10 < TIMES_S[leaves] < 20.5
 
 
-def test_perfect_tracks_have_no_error_and_are_established_at_first_sight(rows: RunRows, scored: Any) -> None:
+def test_perfect_tracks_have_no_error_and_are_established_at_first_sight(run: StoredRun, rows, scored: Any) -> None:
     scores = score_world(rows, perfect(scored))
+    assert score_world(run, perfect(scored)).flat() == scores.flat() and run.scene.vessel_names == sea_runs.NAMES
+    np.testing.assert_allclose(WorldTruth.of(rows).hulls.centres_m, PLACES_M)
     assert values(scores, "rmse_m", "rmse_m_s", "gospa_m", "id_switches", "track_breaks", "false_tracks") == [0] * 6
     assert values(scores, "vessels", "established", "followed_share") == [2, 2, 1]
     assert values(scores, "pairs") == [scored.sum()]
@@ -134,14 +136,10 @@ def test_a_missed_vessel_and_a_false_track_cost_half_the_cutoff_each(rows: RunRo
     crosser = 15 * scored[:, CROSSER].sum() / sea_runs.STEPS
     assert values(ghost, "gospa_missed_m", "gospa_false_m") == pytest.approx([crosser, 15 * 10 / 60])
     assert values(ghost, "false_tracks", "false_track_s") == [1, 5.0]
-
-
-def test_without_tracks_all_is_missed(rows: RunRows, scored: Any) -> None:
-    none = WorldTracks.of("t", np.zeros(0, dtype=np.int64), (), np.zeros(0), np.zeros((0, 2)))
-    scores = score_world(rows, none)
-    assert values(scores, "gospa_m", "followed_share", "established") == [25 * scored.sum() / sea_runs.STEPS, 0, 0]
-    assert values(scores, "rmse_m", "nees", "pairs", "encounters", "encounters_established") == [None, None, 0, 1, 0]
-    assert all(met.established_s is None and met.time_left_s is None for met in scores.encounters)
+    none = score_world(rows, WorldTracks.of("t", np.zeros(0, dtype=np.int64), (), np.zeros(0), np.zeros((0, 2))))
+    assert values(none, "gospa_m", "followed_share", "established") == [25 * scored.sum() / sea_runs.STEPS, 0, 0]
+    assert values(none, "rmse_m", "nees", "pairs", "encounters", "encounters_established") == [None, None, 0, 1, 0]
+    assert all(met.established_s is None and met.time_left_s is None for met in none.encounters)
 
 
 def test_a_track_beyond_the_gate_follows_nothing_and_one_on_an_unseen_vessel_is_neither_right_nor_wrong(rows, scored):
@@ -252,12 +250,6 @@ def test_distances_must_be_above_zero_and_image_rules_are_refused_in_the_world(r
         with pytest.raises(ModsimError, match=said):
             score_run(run, tmp_path / "one.csv", **rules)
     assert score_run(run, tmp_path / "one.csv", threshold=0.5, gate_m=20.0, gospa_c=30.0, gospa_p=2.0).world
-
-
-def test_a_run_and_its_rows_have_the_same_scores(run: StoredRun, rows: RunRows, scored: Any) -> None:
-    assert score_world(run, perfect(scored)).flat() == score_world(rows, perfect(scored)).flat()
-    assert run.scene.vessel_names == sea_runs.NAMES
-    np.testing.assert_allclose(WorldTruth.of(rows).hulls.centres_m, PLACES_M)
 
 
 def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run: StoredRun, tmp_path: Path) -> None:
