@@ -223,11 +223,8 @@ def test_points_in_a_tail_give_the_bits_of_the_plain_way():
     np.testing.assert_array_equal(inside, plain_inside)
     np.testing.assert_array_equal(below + uniforms * inside, plain_below + uniforms * plain_inside)
     assert below.shape == (9, POINTS)
-
-
-def test_rows_that_all_lie_in_tails_have_one_probability_each():
     below, above = truncation._probabilities(np.full((3, POINTS), -50.0), np.full((3, POINTS), 20.0))
-    assert below.shape == above.shape == (3, 1) and (above - below == 1).all()
+    assert below.shape == above.shape == (3, 1) and (above - below == 1).all()  # rows that all lie in tails
 
 
 @pytest.mark.parametrize("distribution", [Normal(), StudentT(4.0)])

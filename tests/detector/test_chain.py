@@ -1,3 +1,5 @@
+"""The chain of a detector: noise, chunks, columns and statistics of what comes out, and the numbers that it draws."""
+
 from dataclasses import replace
 from typing import Any
 
@@ -5,11 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
+from scipy.stats import qmc
 
 from modsim3d.core.boxes import sizes
-from modsim3d.detector.draws import select
+from modsim3d.core.random_streams import normals
+from modsim3d.detector.draws import choose, cumulative, poisson_quantile, select
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import FALSE_POSITIVE, TRUE, Detections, Targets
+from modsim3d.detector.truncation import MAX_DIMENSIONS, sobol_points
 from tests.detector import detector_builders as build
 
 STEPS, VESSELS = 120, 5
@@ -180,13 +186,17 @@ def test_rates_of_labels_and_of_misses_are_the_confusion_matrix(found: Detection
         assert np.all(np.abs(rates - column) < 4 * np.sqrt(column * (1 - column) / seen_as.size))
 
 
-def test_mean_and_covariance_of_box_errors_are_those_asked_for(found: Detections) -> None:
+def test_mean_and_covariance_of_box_errors_are_those_asked_for_and_they_are_uncorrelated_in_time(found) -> None:
     errors, c = found.errors_px[found.kind == TRUE], np.array(build.COVARIANCE_PX2, dtype=float)
     variances = np.diag(c)
     assert np.all(np.abs(errors.mean(axis=0) - build.MEAN_PX) < 4 * np.sqrt(variances / len(errors)))
     # Of a normal sample: var(s_ij) = (c_ii c_jj + c_ij²) / (n − 1)
     standard_error = np.sqrt((np.outer(variances, variances) + c**2) / (len(errors) - 1))
     assert np.all(np.abs(np.cov(errors.T) - c) < 4 * standard_error)
+    series = build.by_frame(found, found.errors_px[:, 0], SAMPLE_FRAMES, SAMPLE_VESSELS)
+    for one, other in [(series[:-1], series[1:]), (series[:, :-1], series[:, 1:])]:
+        both = ~np.isnan(one) & ~np.isnan(other)
+        assert abs(np.corrcoef(one[both], other[both])[0, 1]) < 4 / np.sqrt(both.sum())
 
 
 def test_false_positives_are_the_share_asked_for_and_have_the_labels_asked_for(found: Detections) -> None:
@@ -205,8 +215,32 @@ def test_confidence_has_the_mean_and_spread_asked_for(found: Detections) -> None
         assert abs(confidence.std() - 0.1) < 4 * 0.1 / np.sqrt(2 * len(confidence))
 
 
-def test_noise_of_a_vessel_at_consecutive_steps_is_uncorrelated(found: Detections) -> None:
-    series = build.by_frame(found, found.errors_px[:, 0], SAMPLE_FRAMES, SAMPLE_VESSELS)
-    for one, other in [(series[:-1], series[1:]), (series[:, :-1], series[:, 1:])]:
-        both = ~np.isnan(one) & ~np.isnan(other)
-        assert abs(np.corrcoef(one[both], other[both])[0, 1]) < 4 / np.sqrt(both.sum())
+def test_poisson_quantile_is_scipys_and_that_step_at_a_step_of_the_distribution() -> None:
+    u = np.random.default_rng(3).random(3000)
+    u[:2] = 0.0, 1 - 2.0**-53
+    mean = np.repeat([1e-9, 0.1, 1.0, 7.5, 300.0, 9000.0], 500)
+    assert np.array_equal(poisson_quantile(u, mean), np.maximum(stats.poisson.ppf(u, mean), 0))
+    k, mean = (grid.ravel() for grid in np.meshgrid(np.arange(40), [0.5, 3.0, 20.0]))
+    u = stats.poisson.cdf(k, mean)
+    below_one = u < 1 - 1e-9
+    assert np.array_equal(poisson_quantile(u[below_one], mean[below_one]), k[below_one])
+    assert poisson_quantile(np.array([0.0, 0.999]), np.zeros(2)).tolist() == [0, 0]
+
+
+def test_normals_are_finite_at_both_ends() -> None:
+    assert np.all(np.abs(normals(np.array([0.0, 1 - 2.0**-53]))) < 9)
+    assert normals(np.array([0.5, 0.975])).round(6).tolist() == [0, 1.959964]
+
+
+def test_what_has_probability_zero_is_never_chosen_and_a_distribution_function_ends_at_one_exactly() -> None:
+    distribution = cumulative(np.array([0.0, 0.1, 0.2, 0.0, 0.7, 0.0]))
+    uniforms = np.array([0.0, 0.05, 0.1, 0.2999, 0.3001, 1 - 2.0**-53])
+    assert choose(distribution, uniforms).tolist() == [1, 1, 2, 2, 4, 4]
+    assert cumulative(np.full(10, 0.1))[-1] == 1
+
+
+@pytest.mark.parametrize("dimensions", range(1, MAX_DIMENSIONS + 1))
+@pytest.mark.parametrize("count", [1, 2, 1024])
+def test_points_are_those_of_scipy(dimensions: int, count: int) -> None:
+    ours = sobol_points(dimensions, count, np.random.default_rng(7).spawn(1)[0])
+    np.testing.assert_array_equal(ours, qmc.Sobol(dimensions, rng=np.random.default_rng(7)).random(count))

@@ -98,7 +98,7 @@ def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout:
     assert abs(missed.mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / len(missed))
 
 
-def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is() -> None:
+def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is_and_all_odds_are_finite() -> None:
     plain, frames = varied_targets(400), build.make_frames(400)
     unknown = dataclasses.replace(plain, visible_fraction=np.full(400 * VESSELS, np.nan))
     for targets, effect in (
@@ -107,6 +107,9 @@ def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is()
     ):
         found = build.run(model_data(dropout={"model": "logistic"} | effect), frames, targets)
         assert np.array_equal(labels_of(found, targets), labels_of(build.run(model_data(), frames, targets), targets))
+    thin = build.steady_targets(5, 1, [10, 10, 10, 10.5])
+    thin.depth_m[:] = -3  # and near
+    assert len(build.run(model_data(dropout=LOGISTIC), build.make_frames(5), thin).gated) == 5
 
 
 def test_a_slope_may_start_at_nothing_seen_and_without_an_anchor_no_part_of_a_scene_is_read() -> None:
@@ -168,12 +171,6 @@ def test_a_detector_with_an_interval_runs_at_the_first_frame_of_each() -> None:
         due = np.flatnonzero(np.diff(number) > 0)
         assert set(found.frame) <= set(due) and len(set(found.frame)) > 0.9 * len(due), (first_step, time_step_s)
         assert np.array_equal(found.gated, ~np.isin(targets.frame, due)), (first_step, time_step_s)
-
-
-def test_thin_and_near_targets_have_finite_odds() -> None:
-    targets = build.steady_targets(5, 1, [10, 10, 10, 10.5])
-    targets.depth_m[:] = -3
-    assert len(build.run(model_data(dropout=LOGISTIC), build.make_frames(5), targets).gated) == 5
 
 
 SCENE_FRAMES, SCENE_VESSELS = 3000, 6

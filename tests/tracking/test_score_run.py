@@ -89,11 +89,13 @@ def test_what_is_written_is_what_is_told_and_stays_without_overwrite(run, scores
     assert not any(part in text for part in ("http:", "https:", "src=", "<script"))
 
 
-def test_a_tracker_without_tracks_and_a_rule_that_matches_nothing_are_scored(run: StoredRun) -> None:
+def test_a_tracker_without_tracks_and_an_empty_file_are_scored(run, strait, of_bow: Path, tmp_path: Path) -> None:
     nothing = TrackSet("nothing", Tracks.of(1, *(np.empty(0, dtype=int) for _ in range(2)), np.empty((0, 4))), None)
     scores = score_run(run, nothing)
     assert scores.conclusion.startswith("nothing follows no vessel: no track counts")
     assert "nothing" in scores._repr_html_() and score_page(scores)
+    (tmp_path / "none.csv").write_text(of_bow.read_text().splitlines()[0] + "\n")
+    assert score_run(strait, tmp_path / "none.csv").trackers[0].scores.flat()["hota"] == 0
 
 
 def test_noisy_boxes_are_told_where_iou_scores_them(run: StoredRun, tracks: Path, scores: RunScores) -> None:
@@ -183,11 +185,6 @@ def test_one_mot_file_is_enough_for_one_camera(strait: StoredRun, of_bow: Path, 
         assert found["hota"] == pytest.approx(wanted["hota"], abs=1e-4)
     with pytest.raises(ModsimError, match=r"quay\.txt is missing"):
         score_run(strait, folder)
-
-
-def test_an_empty_file_is_a_tracker_that_found_nothing(strait: StoredRun, of_bow: Path, tmp_path: Path) -> None:
-    (tmp_path / "none.csv").write_text(of_bow.read_text().splitlines()[0] + "\n")
-    assert score_run(strait, tmp_path / "none.csv").trackers[0].scores.flat()["hota"] == 0
 
 
 def test_what_cannot_be_is_refused(strait: StoredRun, of_bow: Path, tmp_path: Path) -> None:

@@ -1,14 +1,16 @@
-"""All scores together: their keys, and those by state, camera and class; the sentence of a score says what the numbers
-say, at the edges too."""
+"""All scores together: their keys, and those by state, camera and class; intervals of means; the sentence of a score
+says what the numbers say, at the edges too."""
 
 import json
 from dataclasses import fields
 from math import sqrt
 
+import numpy as np
 import pytest
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import number
+from modsim3d.tracking.detector_seeds import Spread
 from modsim3d.tracking.score_page import survived_of
 from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, percent
 from modsim3d.tracking.scores.breakdown import Bin
@@ -169,3 +171,23 @@ def test_a_share_is_0_or_100_percent_only_if_it_is_and_survived_occlusions_are_a
     assert [number(-0.25, 2), number(None), number(1234.0, 0)] == ["−0.25", "–", "1,234"]
     counts = ({"occlusions": 5, "judged": 3, "survived": 2 / 3}, {"occlusions": 5, "judged": 0}, {})
     assert [survived_of(Bin("3 to 10", 40, 0.5, 0.4, **each)) for each in counts] == ["2 of 3", "–", ""]
+
+
+def test_half_an_interval_is_the_quantile_of_students_t_times_the_standard_error() -> None:
+    """Tables have 12.7062 for 1, 4.30265 for 2 and 2.77645 for 4 degrees of freedom at 97.5 %."""
+    half = 2.77645 * (2.5 / 5) ** 0.5
+    assert Spread((0.0, 2.0)).interval == pytest.approx((1 - 12.7062, 1 + 12.7062), rel=1e-5)
+    assert Spread(tuple(range(5))).interval == pytest.approx((2 - half, 2 + half), abs=1e-5)
+    spread = Spread((1.0, None, 2.0, 3.0))
+    assert (spread.mean, spread.deviation) == (2.0, 1.0)
+    assert spread.interval == pytest.approx((2 - 4.30265 / 3**0.5, 2 + 4.30265 / 3**0.5), abs=1e-5)
+    assert Spread((1.0, 3.0)).deviation == pytest.approx(2**0.5)
+
+
+def test_one_value_and_equal_and_infinite_values_have_no_interval() -> None:
+    """A share of 1 in ten runs says nothing of how far the next one may be off."""
+    for values in ((), (3.0,), (None,), (1.0,) * 19, (0.1 + 0.2, 0.3, 0.3), (0.5, 0.5), (1.0, np.inf)):
+        assert Spread(values).interval is None, values
+    assert (Spread((None,)).mean, Spread((1.0,)).deviation) == (None, None)
+    spread = Spread((1.0, np.inf, None))
+    assert (spread.mean, spread.deviation) == (np.inf, None) and number(spread.mean, 1) == "∞"
