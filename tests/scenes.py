@@ -175,8 +175,7 @@ def cyclic_beams() -> tuple[list[Box], Mount]:
         (vessel("y", thick, long, thick), (-1.0, 0.0, 1.0 - thick / 2), 0.0),
         (vessel("z", 1, 1, long), (1.0, -1.0, -long / 2), 0.0),
     ]
-    mount = Mount((20.0, 20.0, 20.0), pitch_rad=float(np.arctan(np.sqrt(0.5))), yaw_rad=-3 * np.pi / 4)
-    return boxes, mount
+    return boxes, Mount((20.0, 20.0, 20.0), pitch_rad=float(np.arctan(np.sqrt(0.5))), yaw_rad=-3 * np.pi / 4)
 
 
 def camera_keys(width_px: int = 800, height_px: int = 600, **keys: Any) -> dict[str, Any]:

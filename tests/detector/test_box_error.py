@@ -156,8 +156,7 @@ def test_states_may_have_different_units() -> None:
     only = data["states"]["only"]
     states = {"px": only, "relative": only | {"box_error": RELATIVE}}
     data |= {"states": states, "initial_state": "px", "transition_matrix": [[0.5, 0.5], [0.5, 0.5]]}
-    targets = build.steady_targets(2000, 5, build.centred(900, 500))
-    found = build.run(data, build.make_frames(2000), targets)
+    found = build.run(data, build.make_frames(2000), build.steady_targets(2000, 5, build.centred(900, 500)))
     relative = found.states[found.frame] == 1
     assert_moments(found.errors_px[~relative], np.array(build.MEAN_PX), np.array(build.COVARIANCE_PX2, dtype=float))
     sides = np.array([900, 500, 900, 500])

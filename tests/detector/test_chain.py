@@ -88,8 +88,7 @@ def test_rows_are_ordered_by_frame_and_shuffled_within() -> None:
     # Each of four vessels and the one false positive a frame has on average come first about equally often.
     source = found.target[first] % 4
     for vessel in range(4):
-        share = np.mean((source == vessel) & (found.kind[first] == TRUE))
-        assert abs(share - 0.2) < 0.04
+        assert abs(np.mean((source == vessel) & (found.kind[first] == TRUE)) - 0.2) < 0.04
     assert np.mean(found.kind[first] == FALSE_POSITIVE) > 0.15
     first_is_surer = found.confidence[first] > found.confidence[first + 1]
     assert abs(first_is_surer.mean() - 0.5) < 4 * 0.5 / np.sqrt(len(first))

@@ -174,8 +174,7 @@ def test_the_first_frames_are_no_emptier_than_later_ones_and_all_are_empty_at_a_
     assert abs(np.mean(counts) - 3) < 4 * np.sqrt(3 / 250)
     seen = watch(0.0, 2.0, frames=10)
     assert seen.uniforms.shape == (0, 5) and len(seen.frame) == len(seen.age_s) == len(seen.sign) == 0
-    rates = np.where(np.arange(400) < 200, 0.0, 2.5)
-    assert watch(rates, 2.0, frames=400).frame.min() >= 200
+    assert watch(np.where(np.arange(400) < 200, 0.0, 2.5), 2.0, frames=400).frame.min() >= 200
 
 
 def test_lifetimes_are_exponential_and_one_that_stays_keeps_its_numbers_and_grows_older() -> None:

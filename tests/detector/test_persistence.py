@@ -14,8 +14,7 @@ VESSELS, TAU_S = 40, 0.9
 
 
 def detect(data: dict[str, Any], targets: Targets, frames: int, step_s: float, seed: int = 1) -> Detections:
-    detector = build.detector(data, seed, step_s)
-    return detector.detect(build.make_frames(frames, time_step_s=step_s), targets)
+    return build.detector(data, seed, step_s).detect(build.make_frames(frames, time_step_s=step_s), targets)
 
 
 def labels_over_time(found: Detections, frames: int, vessels: int = VESSELS) -> np.ndarray:
@@ -76,8 +75,7 @@ def test_a_miss_in_a_state_without_misses_is_impossible_however_long_misses_pers
     states = build.detector_data()["states"]
     states["clear"]["confusion"] = build.ALL_SEEN
     states["fog"]["confusion"] = [[0, 0], [0, 0], [1, 1]]
-    data = build.detector_data(states=states, persistence={"class_s": 100})
-    result = detect(data, all_seen(300), 300, 0.1)
+    result = detect(build.detector_data(states=states, persistence={"class_s": 100}), all_seen(300), 300, 0.1)
     missed = (labels_over_time(result, 300) < 0).mean(axis=1)
     assert np.array_equal(missed, result.states) and 0 < missed.mean() < 1
 

@@ -33,8 +33,7 @@ def t_error(nu: float = NU, **changes: Any) -> dict[str, Any]:
 
 def drawn(error: dict[str, Any], box_px: list[float] = LARGE, frames: int = 4000, **sections: Any) -> Detections:
     model = parse_detector(build.one_state_data(**SEEN, box_error=error) | sections)
-    detector = build.detector(model)
-    return detector.detect(build.make_frames(frames), build.steady_targets(frames, 20, box_px))
+    return build.detector(model).detect(build.make_frames(frames), build.steady_targets(frames, 20, box_px))
 
 
 @pytest.fixture(scope="module", params=[{}, {"persistence": {"box_s": 0.05}}], ids=["independent", "persistent"])
@@ -76,8 +75,7 @@ def test_scales_are_those_of_a_chi_square_number_and_normal_numbers_those_of_a_n
     scale = with_t / without
     np.testing.assert_allclose(scale, scale[:, :1] * np.ones(4), rtol=1e-6)
     latent = np.random.default_rng(0).standard_normal((4000, 5))
-    almost = standardised(StudentT(degrees_of_freedom=1e7), latent)
-    np.testing.assert_allclose(almost, latent[:, :4], rtol=1e-2)
+    np.testing.assert_allclose(standardised(StudentT(degrees_of_freedom=1e7), latent), latent[:, :4], rtol=1e-2)
 
 
 def test_a_t_law_in_one_state_leaves_the_bytes_of_another_state_alone() -> None:

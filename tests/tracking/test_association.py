@@ -79,8 +79,7 @@ def test_a_step_without_vessels_costs_only_what_tracks_say_in_it_and_after_a_gap
     # TP = 3, FP = 1, TPA = 3, FPA = 1; MOTA = 1 − 1/3; identity 3 / (3 + 1/2).
     check(hand_made(truth, [*tracks, (2, 1, A)], 4), hota=0.75, mota=2 / 3, false_positives=1, idf1=6 / 7)
     truth, same_track = ([(k, name, A) for k in (0, 1, 6, 7)] for name in (0, 1))
-    new_track = hand_made(truth, [(k, k // 6, A) for k in (0, 1, 6, 7)], 8)
-    check(new_track, hota=1, mota=1, idf1=1, id_switches=0)
+    check(hand_made(truth, [(k, k // 6, A) for k in (0, 1, 6, 7)], 8), hota=1, mota=1, idf1=1, id_switches=0)
     # The same track on both identities: each TPA = 2, FNA = 0, FPA = 2. Identity: 2 right, 2 wrong, 2 missing.
     split = hand_made(truth, same_track, 8)
     check(split, hota=sqrt(0.5), assa=0.5, assre=1, asspr=0.5, mota=1, id_switches=0, idf1=0.5)

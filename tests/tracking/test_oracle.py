@@ -41,8 +41,7 @@ def noisy(tmp_path_factory):
 def perfect(tmp_path_factory):
     folder = tmp_path_factory.mktemp("perfect")
     (folder / "perfect.yaml").write_text(json.dumps(PERFECT), encoding="utf-8")
-    scene = load_scene(crossing(folder), detector=folder / "perfect.yaml")
-    return RunRows.of(finished(scene, folder / "run"))
+    return RunRows.of(finished(load_scene(crossing(folder), detector=folder / "perfect.yaml"), folder / "run"))
 
 
 @pytest.fixture(scope="module")

@@ -101,8 +101,7 @@ def test_a_tracker_without_tracks_and_an_empty_file_are_scored(run, strait, of_b
 def test_noisy_boxes_are_told_where_iou_scores_them(run: StoredRun, tracks: Path, scores: RunScores) -> None:
     raw = keys_of(scores.references["raw"])["hota"]
     assert raw is not None and raw < 0.3 and f"have HOTA {raw:.2f} only" in remarks_of(scores)
-    by_centre = score_run(run, tracks, similarity="centre", scale_px=150)
-    assert "only" not in remarks_of(by_centre)
+    assert "only" not in remarks_of(score_run(run, tracks, similarity="centre", scale_px=150))
 
 
 def test_tracks_in_the_world_have_a_table_of_their_own_and_tracks_of_one_name_are_told_apart(
@@ -165,8 +164,7 @@ def test_the_camera_that_is_asked_for_is_scored_alone_and_tracks_of_others_are_l
     assert {each.camera for each in one.occlusions} <= {"bow"}
     rows = RunRows.of(strait)
     (tmp_path / "all.csv").write_text(csv_text(rows, detected_tracks(rows)))
-    among = score_run(strait, tmp_path / "all.csv", cameras=("bow",)).trackers[0]
-    assert among.scores.flat() == flat
+    assert score_run(strait, tmp_path / "all.csv", cameras=("bow",)).trackers[0].scores.flat() == flat
 
 
 def test_detector_seeds_are_of_the_same_camera(strait: StoredRun, tmp_path: Path) -> None:

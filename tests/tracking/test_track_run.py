@@ -43,8 +43,7 @@ def test_the_tracks_of_a_tracker_that_repeats_detections_are_the_detections(run:
     (sequence,) = camera_sequences(run, (0,))
     told = sequence.detections
     assert len(told) > STEPS
-    order = np.lexsort((result.tracks.track, result.tracks.frame))
-    assert order.tolist() == list(range(len(told)))
+    assert np.lexsort((result.tracks.track, result.tracks.frame)).tolist() == list(range(len(told)))
     np.testing.assert_array_equal(result.tracks.boxes_px, told.boxes_px)
     np.testing.assert_array_equal(result.tracks.step, sequence.steps[told.frame])
     np.testing.assert_array_equal(result.tracks.confidence, told.confidence)

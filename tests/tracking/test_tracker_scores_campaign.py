@@ -90,8 +90,7 @@ def test_rows_are_stored_as_they_were_and_the_page_is_made_of_them_alone(rows: t
 
 def test_survives_is_the_share_of_all_occlusions_that_stand_beside_it(rows: tuple) -> None:
     """Of 1, 2 and 3 occlusions in two looks each 0, 1 and 2 are survived: 6 of 12, and no mean of 0, 1/2 and 2/3."""
-    line = tracker_scores.table(rows[0], "fairway")[0]
-    first, second, third, none = line["occlusions"]
+    first, second, third, none = tracker_scores.table(rows[0], "fairway")[0]["occlusions"]
     assert (first["survived"], first["all"], first["mean"], first["n"]) == (6, 12, 0.5, 3)
     # By hand: sums of seeds (0, 2), (2, 4), (4, 6); residuals -1, 0, 1; √(3/2 · 2) / 12 · t(2).
     assert first["half"] == pytest.approx(stdtrit(2, 0.975) * np.sqrt(3) / 12)

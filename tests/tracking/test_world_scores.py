@@ -203,8 +203,7 @@ def test_a_vessel_is_where_it_appears_whatever_the_last_bits_of_times_since_1970
         centres_m = np.where(np.arange(40)[:, None, None] < step, np.nan, [[[3.0, 4.0]]])
         hulls = HullTracks(times_s, centres_m, centres_m[..., 0], np.ones((1, 2)))
         truth = WorldTruth(("a",), (), hulls, np.isfinite(centres_m[..., 0]))
-        found = truth.positions_at(np.array([0.05 * step]), np.array([0]))
-        np.testing.assert_allclose(found, [[3, 4]])
+        np.testing.assert_allclose(truth.positions_at(np.array([0.05 * step]), np.array([0])), [[3, 4]])
 
 
 def test_an_encounter_has_the_numbers_of_two_straight_lines(rows: RunRows, scored: Any) -> None:

@@ -410,7 +410,6 @@ def test_pixels_from_zero_of_a_smoother_and_from_one_are_recognised_in_clear_tru
 
 
 def test_tracks_that_fit_no_detection_are_read_as_they_are(read, small_rows, small_tracks):
-    rng = np.random.default_rng(5)
-    corner = rng.uniform(0, [1800, 1000], (len(small_tracks), 2))
+    corner = np.random.default_rng(5).uniform(0, [1800, 1000], (len(small_tracks), 2))
     found = read(csv_text(small_rows, small_tracks, np.column_stack([corner, corner + 40])))
     assert len(found.tracks) == len(small_tracks)
