@@ -80,18 +80,25 @@ def pixel_masks(
     return PixelMasks(region, *(mask_of(each.take(each.row == row), region) for each in spans))
 
 
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _clear(centre: NDArray[np.float64], radius: float, hulls: Sequence[tuple[NDArray[np.float64], float]]) -> bool:
+    """Whether a circle touches none of others."""
+    return all(math.dist(centre, other) > radius + r for other, r in hulls)
+
+
 def random_places(rng: np.random.Generator, count: int, near_m: float = 15.0, far_m: float = 3000.0) -> list[Place]:
     """Vessels of 2 to 200 m anywhere in front of the camera, with bounding circles that do not touch."""
     places: list[Place] = []
     circles: list[tuple[NDArray[np.float64], float]] = []
     while len(places) < count:
-        length = float(np.exp(rng.uniform(np.log(2), np.log(200))))
+        length = _log_uniform(rng, 2, 200)
         beam, height = length * rng.uniform(0.15, 0.5), length * rng.uniform(0.1, 0.6)
-        distance, bearing = np.exp(rng.uniform(np.log(near_m), np.log(far_m))), rng.uniform(-0.6, 0.6)
-        centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
-        radius = np.hypot(length, beam) / 2
-        clear = all(math.dist(centre, other) > radius + r for other, r in circles)
-        if clear and distance > radius + 5:
+        distance, bearing = _log_uniform(rng, near_m, far_m), rng.uniform(-0.6, 0.6)
+        centre, radius = distance * np.array([np.cos(bearing), np.sin(bearing)]), float(np.hypot(length, beam)) / 2
+        if _clear(centre, radius, circles) and distance > radius + 5:
             circles.append((centre, radius))
             boat = vessel(f"v{len(places)}", length, beam, height)
             places.append((boat, tuple(centre), float(rng.uniform(-np.pi, np.pi))))
@@ -101,21 +108,14 @@ def random_places(rng: np.random.Generator, count: int, near_m: float = 15.0, fa
 def random_view(rng: np.random.Generator) -> tuple[Intrinsics, Mount]:
     """A camera of any kind: wide or long lens, skewed, non-square pixels, rolled, pitched, near the water or high."""
     width, height = int(rng.integers(200, 1600)), int(rng.integers(150, 1200))
-    focal = float(np.exp(rng.uniform(np.log(0.4), np.log(12)))) * width
-    intrinsics = Intrinsics(
-        focal_px=(focal, focal * rng.uniform(0.6, 1.6)),
-        principal_point_px=(width * rng.uniform(0.2, 0.8), height * rng.uniform(0.2, 0.8)),
-        image_size_px=(width, height),
-        skew=rng.choice([0.0, rng.normal(0, 0.1) * focal]),
-        near_clip_m=float(rng.choice([0.1, 1.0, 5.0])),
-    )
-    mount = Mount(
-        (0.0, 0.0, float(np.exp(rng.uniform(np.log(1.0), np.log(150.0))))),
-        roll_rad=rng.choice([0.0, rng.uniform(-np.pi, np.pi), rng.normal(0, 0.05)]),
-        pitch_rad=rng.normal(0.02, 0.1),
-        yaw_rad=rng.uniform(-np.pi, np.pi),
-    )
-    return intrinsics, mount
+    focal = _log_uniform(rng, 0.4, 12) * width
+    focal_px = focal, focal * rng.uniform(0.6, 1.6)
+    middle_px = width * rng.uniform(0.2, 0.8), height * rng.uniform(0.2, 0.8)
+    skew, near_m = rng.choice([0.0, rng.normal(0, 0.1) * focal]), float(rng.choice([0.1, 1.0, 5.0]))
+    intrinsics = Intrinsics(focal_px, middle_px, (width, height), skew=skew, near_clip_m=near_m)
+    height_m, rolls_rad = _log_uniform(rng, 1.0, 150.0), [0.0, rng.uniform(-np.pi, np.pi), rng.normal(0, 0.05)]
+    roll_rad, pitch_rad, yaw_rad = rng.choice(rolls_rad), rng.normal(0.02, 0.1), rng.uniform(-np.pi, np.pi)
+    return intrinsics, Mount((0.0, 0.0, height_m), roll_rad=roll_rad, pitch_rad=pitch_rad, yaw_rad=yaw_rad)
 
 
 def random_scene(rng: np.random.Generator) -> tuple[list[Place], Intrinsics, Mount]:
@@ -129,19 +129,17 @@ def random_scene(rng: np.random.Generator) -> tuple[list[Place], Intrinsics, Mou
     for _ in range(20 * wanted):
         if len(places) == wanted:
             break
-        length = float(np.exp(rng.uniform(np.log(2), np.log(400))))
+        length = _log_uniform(rng, 2, 400)
         beam, height = length * rng.uniform(0.1, 0.6), length * rng.uniform(0.05, 0.6)
-        distance = float(np.exp(rng.uniform(np.log(5), np.log(10_000))))
-        bearing = mount.yaw_rad + rng.uniform(-spread, spread)
-        centre = distance * np.array([np.cos(bearing), np.sin(bearing)])
-        radius = float(np.hypot(length, beam)) / 2
-        if distance > radius + 0.5 and all(math.dist(centre, c) > radius + r for c, r in hulls):
+        distance, bearing = _log_uniform(rng, 5, 10_000), mount.yaw_rad + rng.uniform(-spread, spread)
+        centre, radius = distance * np.array([np.cos(bearing), np.sin(bearing)]), float(np.hypot(length, beam)) / 2
+        if distance > radius + 0.5 and _clear(centre, radius, hulls):
             hulls.append((centre, radius))
             heading = float(rng.choice([0.0, rng.uniform(-np.pi, np.pi)]))
             places.append((vessel(f"v{len(places)}", length, beam, height), (centre[0], centre[1]), heading))
             if rng.random() < 0.15:  # a twin that touches it side by side, nothing between
                 side = centre + beam * np.array([-np.sin(heading), np.cos(heading)])
-                if all(math.dist(side, c) > radius + r for c, r in hulls[:-1]) and np.hypot(*side) > radius + 0.5:
+                if _clear(side, radius, hulls[:-1]) and np.hypot(*side) > radius + 0.5:
                     hulls.append((side, radius))
                     twin = vessel(f"v{len(places)}", length, beam, height * rng.uniform(0.5, 1.5))
                     places.append((twin, (side[0], side[1]), heading))
@@ -262,7 +260,7 @@ def random_rafts(rng: np.random.Generator) -> tuple[list[Place], Intrinsics, Mou
     places: list[Place] = []
     hulls: list[tuple[NDArray[np.float64], float]] = []
     for _ in range(int(rng.integers(1, 5))):
-        length, distance = float(np.exp(rng.uniform(1, 4))), float(np.exp(rng.uniform(np.log(20), np.log(2000))))
+        length, distance = float(np.exp(rng.uniform(1, 4))), _log_uniform(rng, 20, 2000)
         beam, height = length * rng.uniform(0.15, 0.5), length * rng.uniform(0.1, 0.6)
         bearing, heading = mount.yaw_rad + rng.uniform(-0.8, 0.8) * half_view, float(rng.uniform(-np.pi, np.pi))
         count, overlap = int(rng.integers(2, 7)), float(rng.choice([0.1, 0.1, 0.0, 1.0, -0.01]))
