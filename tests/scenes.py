@@ -182,14 +182,17 @@ def camera_keys(width_px: int = 800, height_px: int = 600, **keys: Any) -> dict[
     return {"focal_length_m": 0.01, "pixel_size_m": [1e-5, 1e-5], **size, **keys}
 
 
+def rectangles(centres_m: NDArray[np.float64], headings_rad: NDArray[np.float64], sizes_m: Any) -> NDArray[np.object_]:
+    """Polygons on the sea by centre, shape (..., 2), heading, and length and beam, shape (..., 2)."""
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2 * np.asarray(sizes_m)[..., None, :]
+    turns = world_R_vehicle(headings_rad)[..., :2, :2]
+    return shapely.polygons(corners @ np.swapaxes(turns, -1, -2) + centres_m[..., None, :])
+
+
 def footprints(scene: Scene, steps: NDArray[np.int64]) -> NDArray[np.object_]:
     """Polygons of the vessels' rectangles on the sea, shape (S, V)."""
-    poses = scene.poses.poses(0, scene.steps)
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
-    extents = np.array([vessel.extents_m[:2] for vessel in scene.vessels])
-    turns = world_R_vehicle(poses.headings_rad[steps])[..., :2, :2]
-    places = poses.positions_m[steps][..., None, :2]
-    return shapely.polygons((corners * extents[:, None]) @ np.swapaxes(turns, -1, -2) + places)
+    poses, sizes = scene.poses.poses(0, scene.steps), [vessel.extents_m[:2] for vessel in scene.vessels]
+    return rectangles(poses.positions_m[steps][..., :2], poses.headings_rad[steps], sizes)
 
 
 def write_scene(

@@ -27,9 +27,8 @@ def image_of(point, mount, intrinsics=LEGACY):
     return intrinsics.project(poses_ashore(mount, 1).to_camera(np.array([point], dtype=float)))[0]
 
 
-@pytest.mark.parametrize(
-    ("mount", "expected"),
-    [
+def test_worked_examples_of_the_source_and_positive_roll_lowers_port():
+    for mount, expected in (
         # Jessen & Mohr (2023), §7.4.2; a 20 cm shift moves the point 0.2 / 20 · 5000 = 50 px, not 5.
         (Mount((0, 0, 0)), (1800, 1200)),
         (Mount((0.2, 0, 0)), (1800, 1200)),
@@ -38,17 +37,10 @@ def image_of(point, mount, intrinsics=LEGACY):
         (Mount((0, 0, 0), pitch_rad=np.pi / 40), (1800, 806.49)),
         (Mount((0, 0, 0), yaw_rad=np.pi / 40), (2193.51, 1200)),
         (Mount((0, 0, 0), roll_rad=np.pi / 40), (1800, 1200)),
-    ],
-)
-def test_worked_examples_of_the_source(mount, expected):
-    np.testing.assert_allclose(image_of((20, 0, 0), mount), expected, atol=0.005)
-
-
-def test_positive_yaw_turns_to_port_pitch_down_and_roll_lowers_port():
-    ahead, port = (100, 0, 0), (100, 10, 0)
-    assert image_of(ahead, Mount((0, 0, 0), yaw_rad=0.1))[0] > 1800
-    assert image_of(ahead, Mount((0, 0, 0), pitch_rad=0.1))[1] < 1200
-    assert image_of(port, Mount((0, 0, 0), roll_rad=0.1))[1] < 1200  # the world rises on the side that sinks
+    ):
+        np.testing.assert_allclose(image_of((20, 0, 0), mount), expected, atol=0.005, err_msg=str(mount))
+    # The world rises on the side that sinks.
+    assert image_of((100, 10, 0), Mount((0, 0, 0), roll_rad=0.1))[1] < 1200
 
 
 @given(st.floats(-2000, 3000), st.floats(-2000, 3000), st.floats(0.2, 1e5))
@@ -56,13 +48,10 @@ def test_unproject_then_project_is_the_identity(x, y, depth):
     np.testing.assert_allclose(SKEWED.project(SKEWED.unproject([x, y], depth)), [x, y], rtol=1e-9, atol=1e-6)
 
 
-def test_project_is_the_matrix_k():
+def test_project_is_the_matrix_k_whose_focal_lengths_are_in_the_sides_of_a_pixel():
     point = np.array([1.5, -0.7, 9.0])
     homogeneous = SKEWED.matrix @ point
     np.testing.assert_allclose(SKEWED.project(point), homogeneous[:2] / homogeneous[2])
-
-
-def test_focal_lengths_of_pixels_that_are_not_square_are_in_their_own_sides():
     # By hand: 0.05 m / 10 µm = 5000 and 0.05 m / 20 µm = 2500.
     assert Intrinsics.from_lens(0.05, (1e-5, 2e-5), (0, 0), (8, 6)).focal_px == pytest.approx((5000, 2500))
 
@@ -117,28 +106,18 @@ def test_mounted_camera_moves_and_turns_with_its_vessel():
     np.testing.assert_allclose(poses.camera_R_world[0], camera_R_parent(0, 0.1, 0.3 + np.pi / 2), atol=1e-12)
 
 
-def test_near_clipping_keeps_the_part_beyond_the_plane():
-    triangle = np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [0.0, 0.0, -2.0]]])
-    clipped = clip_triangles(triangle, near_plane(LEGACY))[0]
-    assert clipped[..., 2].min() == pytest.approx(0.1)
-    area = 0.5 * np.linalg.norm(np.cross(clipped[:, 1] - clipped[:, 0], clipped[:, 2] - clipped[:, 0]), axis=1).sum()
-    assert area == pytest.approx(2.0 - 0.5 * 2.1 * 2.1 / 4)
-
-
-def test_clipping_leaves_what_is_inside_and_drops_what_is_outside():
-    inside = np.array([[[0.0, 0.0, 2.0], [0.1, 0.1, 2.0], [0.0, 0.1, 3.0]]])
-    np.testing.assert_array_equal(clip_triangles(inside, near_plane(LEGACY))[0], inside)
-    assert clip_triangles(-inside, near_plane(LEGACY))[0].shape == (0, 3, 3)
-
-
-@pytest.mark.parametrize("depths", [(2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)])
-def test_triangle_that_touches_the_plane_is_left_as_it_is(depths):
-    triangle = np.column_stack([[0.0, 0.1, 0.0], [0.0, 0.1, 0.1], depths])[None]
-    np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY))[0], triangle)
-
-
 def area_vectors(triangles):
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
+
+
+def test_near_plane_leaves_what_is_beyond_or_touches_it_cuts_what_crosses_it_and_drops_the_rest():
+    for depths in ((2.0, 2.5, 3.0), (0.1, 0.2, 0.3), (0.1, 0.1, 0.2), (0.1, 0.1, 0.1)):
+        triangle = np.column_stack([[0.0, 0.1, 0.0], [0.0, 0.1, 0.1], depths])[None]
+        np.testing.assert_array_equal(clip_triangles(triangle, near_plane(LEGACY))[0], triangle)
+        assert clip_triangles(-triangle, near_plane(LEGACY))[0].shape == (0, 3, 3)
+    clipped = clip_triangles(np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [0.0, 0.0, -2.0]]]), near_plane(LEGACY))[0]
+    assert clipped[..., 2].min() == pytest.approx(0.1)
+    assert np.linalg.norm(area_vectors(clipped), axis=1).sum() == pytest.approx(2.0 - 0.5 * 2.1 * 2.1 / 4)
 
 
 def test_two_halves_of_a_triangle_make_up_the_whole_with_its_orientation():
@@ -161,14 +140,9 @@ def test_parts_of_triangles_are_in_the_order_of_the_triangles():
 
 def test_guard_planes_cut_at_the_guard_band():
     everything = np.array([[[-500.0, -300.0, 5.0], [600.0, -300.0, 5.0], [0.0, 700.0, 5.0]]])
-    shown = SKEWED.project(clip_triangles(everything, guard_planes(SKEWED, 100.0))[0])
-    np.testing.assert_allclose(shown.min(axis=(0, 1)), [-100, -100], atol=1e-6)
-    np.testing.assert_allclose(shown.max(axis=(0, 1)), [900, 700], atol=1e-6)
-    triangle = np.array([[[-50.0, -3.0, 5.0], [60.0, 2.0, 5.0], [0.0, 70.0, 5.0]]])
     planes = np.concatenate([near_plane(SKEWED), guard_planes(SKEWED, 100.0)])
-    pixels = SKEWED.project(clip_triangles(triangle, planes)[0])
-    np.testing.assert_allclose([pixels[..., 0].min(), pixels[..., 0].max()], [-100, 900], atol=1e-6)
-    assert pixels[..., 1].max() == pytest.approx(700)
+    shown = SKEWED.project(clip_triangles(everything, planes)[0])
+    np.testing.assert_allclose([shown.min(axis=(0, 1)), shown.max(axis=(0, 1))], [[-100, -100], [900, 700]], atol=1e-6)
 
 
 angles = st.floats(-10, 10)
@@ -181,12 +155,9 @@ def test_camera_rotation_is_orthonormal_and_right_handed(roll, pitch, yaw):
     assert abs(np.linalg.det(matrix) - 1) < 1e-12
 
 
-def test_base_pose_is_two_quarter_turns():
-    """Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2)."""
+def test_base_pose_is_two_quarter_turns_that_look_along_w1_with_right_along_minus_w2_and_down_along_minus_w3():
+    # Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2).
     np.testing.assert_allclose(rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), BASE_R_WORLD, atol=1e-15)
-
-
-def test_base_pose_looks_along_w1_with_right_along_minus_w2_and_down_along_minus_w3():
     np.testing.assert_array_equal(BASE_R_WORLD @ [[1, 0, 0], [0, -1, 0], [0, 0, -1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 
 
@@ -221,9 +192,15 @@ def test_angles_of_single_precision_are_turned_by_in_double_precision():
 
 def test_rotation_vectors_of_many_turns_up_to_half_a_turn_are_those_of_each():
     rng = np.random.default_rng(6)
-    axes = rng.normal(size=(60, 3))
+    axes = np.concatenate([rng.normal(size=(60, 3)), [[0.3, -0.5, 0.8], [0.0, 0.0, -1.0]]])
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    vectors = axes * np.concatenate([rng.uniform(0, 3.14, 30), np.pi - np.geomspace(1e-12, 0.5, 30)])[:, None]
+    angles = [0, *rng.uniform(0, 3.14, 29), *(np.pi - np.geomspace(1e-12, 0.5, 30)), np.pi, np.pi]
+    vectors = axes * np.array(angles)[:, None]
     turns = Rotation.from_rotvec(vectors).as_matrix()
-    np.testing.assert_allclose(rotation_vector(turns), vectors, atol=1e-9)
-    np.testing.assert_array_equal(rotation_vector(turns), [rotation_vector(turn) for turn in turns])
+    found = rotation_vector(turns)
+    np.testing.assert_allclose(found[:-2], vectors[:-2], atol=1e-9)
+    # Half a turn is the same both ways.
+    np.testing.assert_allclose(
+        found[-2:] * np.sign((found * vectors)[-2:].sum(axis=1))[:, None], vectors[-2:], atol=3e-7
+    )
+    np.testing.assert_array_equal(found, [rotation_vector(turn) for turn in turns])

@@ -28,7 +28,7 @@ def far_scene(folder, steps=4, **keys):
     return write_scene(folder, SHIPS, steps, **keys)
 
 
-def test_two_metres_of_drop_at_five_kilometres_wherever_the_camera_is():
+def test_two_metres_of_drop_at_five_kilometres_wherever_the_camera_is_and_only_heights_are_lowered():
     # By hand: 5000² / (2 · 6 371 000) = 25 000 000 / 12 742 000 = 1.962 m
     place, camera = np.array([3000.0, 4000.0, 7.0]), np.array([0.0, 0.0, 20.0])
     assert drop_m(place, camera) == pytest.approx(1.962, abs=5e-4)
@@ -38,28 +38,20 @@ def test_two_metres_of_drop_at_five_kilometres_wherever_the_camera_is():
     for shift in ([900.0, -700.0, 0.0], [0.0, 0.0, 30.0]):
         assert drop_m(place + shift, camera + shift) == pytest.approx(drop_m(place, camera), rel=1e-12)
     assert drop_m(camera, camera) == 0
+    places, whole = np.array([[3000, 4000, 7], [0, 100, 0]]), np.array([0, 0, 20])  # whole numbers are places too
+    lower = places - np.multiply.outer(drop_m(places, whole), [0, 0, 1])
+    np.testing.assert_array_equal(lowered(places, whole), lower)
 
 
-def test_only_heights_are_lowered_and_whole_numbers_are_places_too():
-    places, camera = np.array([[3000, 4000, 7], [0, 100, 0]]), np.array([0, 0, 20])
-    found = lowered(places, camera)
-    np.testing.assert_array_equal(found[:, :2], places[:, :2])
-    np.testing.assert_array_equal(found[:, 2], places[:, 2] - drop_m(places, camera))
-
-
-def test_shift_counts_by_the_larger_focal_length():
+def test_shift_counts_by_the_larger_focal_length_and_that_of_simulation_1_sees_the_curvature_beyond_2548_m():
     # By hand: 6000 · 12 742 / (2 · 6 371 000) = 6.
     for focal in ((6000.0, 900.0), (900.0, 6000.0)):
         assert shift_px(np.array([12_742.0]), focal) == pytest.approx([6.0])
-
-
-def test_the_50_mm_lens_of_simulation_1_sees_the_curvature_beyond_2548_m():
-    # By hand: f = 0.05 m / 0.01 mm = 5000 px, and 5000 d / 12 742 000 = 1 at d = 2548.4 m.
+    # By hand: f = 0.05 m / 0.01 mm = 5000 px, and 5000 d / 12 742 000 = 1 at d = 2548.4 m. Its vessels are within
+    # 489 m of (1000, 1000), so at most 1933 m away: 0.76 px. Nothing is warned of.
     focal = load_scene("simulation_1", steps=1).cameras[0].intrinsics.focal_px
     assert focal == pytest.approx((5000.0, 5000.0))
-    assert shift_px(np.array([2548.0, 2549.0]), focal) == pytest.approx([1.0, 1.0], abs=3e-4)
-    # Its vessels are within 489 m of (1000, 1000), so at most 1933 m away: 0.76 px. Nothing is warned of.
-    assert shift_px(np.array([1933.0]), focal) == pytest.approx([0.759], abs=1e-3)
+    assert shift_px(np.array([2548.0, 2549.0, 1933.0]), focal) == pytest.approx([1.0, 1.0, 0.759], abs=1e-3)
 
 
 def test_boxes_on_a_curved_sea_are_lower_by_what_the_formula_says(tmp_path):

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +20,7 @@ from modsim3d.geometry.kinematics import (
     union_of,
     velocities,
 )
+from tests.scenes import rectangles
 
 TIMES = st.lists(st.floats(0.05, 2.0), min_size=2, max_size=12).map(lambda gaps: np.cumsum([3.0, *gaps]))
 NUMBERS = st.floats(-10, 10)
@@ -85,13 +85,6 @@ def test_ordinary_triangles_are_united_without_a_grid() -> None:
     assert union_of(triangles).wkb == shapely.union_all(triangles).wkb
 
 
-def polygon(rectangles: Rectangles, index: int) -> shapely.Polygon:
-    length, beam = rectangles.half_sizes_m[index]
-    hull, heading = shapely.box(-length, -beam, length, beam), float(rectangles.headings_rad[index])
-    turned = shapely.affinity.rotate(hull, heading, (0, 0), True)
-    return shapely.affinity.translate(turned, *rectangles.centres_m[index])
-
-
 def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_track_is() -> None:
     """One goes east with 10 m/s from the origin, the other north with 10 m/s from (1000, −1100)."""
     times = np.array([0.0, 40.0, 200.0])
@@ -100,12 +93,12 @@ def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_tra
     assert (distance, when) == pytest.approx((100 / np.sqrt(2), 105.0))
 
 
-@pytest.mark.parametrize(("there", "expected"), [([1, 1, 0, 0], (30.0, 1.0)), ([0, 0, 0, 1], (50.0, 3.0))])
-def test_only_times_count_at_which_both_are_there(there: list[int], expected: tuple[float, float]) -> None:
-    times = np.arange(4.0)
-    other = np.where(np.array(there)[:, None], [[40.0, 0.0], [30.0, 0.0], [2.0, 0.0], [50.0, 0.0]], np.nan)
-    assert closest_approach(times, np.zeros((4, 2)), other) == pytest.approx(expected)
-    distance, when = closest_approach(times, np.zeros((4, 2)), np.full((4, 2), np.nan))
+def test_only_times_count_at_which_both_are_there() -> None:
+    times, still = np.arange(4.0), np.zeros((4, 2))
+    for there, expected in (([1, 1, 0, 0], (30.0, 1.0)), ([0, 0, 0, 1], (50.0, 3.0))):
+        other = np.where(np.array(there)[:, None], [[40.0, 0.0], [30.0, 0.0], [2.0, 0.0], [50.0, 0.0]], np.nan)
+        assert closest_approach(times, still, other) == pytest.approx(expected)
+    distance, when = closest_approach(times, still, np.full((4, 2), np.nan))
     assert distance == np.inf and np.isnan(when)
 
 
@@ -128,9 +121,9 @@ def test_distances_of_rectangles_are_those_of_polygons() -> None:
     ones, others = (
         Rectangles(rng.uniform(-30, 30, (n, 2)), rng.uniform(-9, 9, n), rng.uniform(0.5, 20, (n, 2))) for _ in range(2)
     )
-    expected = [polygon(ones, i).distance(polygon(others, i)) for i in range(n)]
+    hulls = [rectangles(each.centres_m, each.headings_rad, 2 * each.half_sizes_m) for each in (ones, others)]
     found = rectangle_distances(ones, others)
-    np.testing.assert_allclose(found, expected, atol=1e-9)
+    np.testing.assert_allclose(found, shapely.distance(*hulls), atol=1e-9)
     assert 0.2 < np.mean(found == 0) < 0.9  # both cases are there
 
 

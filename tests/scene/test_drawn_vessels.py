@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -80,12 +81,14 @@ def test_drawn_vessels_come_after_those_of_the_scene_file_and_depend_on_the_seed
     assert (strait.traffic_seed, strait.traffic) == (None, "this traffic only")
 
 
-def test_a_setting_inside_the_section_reaches_the_source(write: Write) -> None:
+def test_a_setting_inside_the_section_reaches_the_source_and_a_mapping_draws_vessels_too(write: Write) -> None:
     path = write({"most": 3})
     assert len(load_scene(path, seed=3, settings={"poses.convoy.most": 2}).vessels) == 1
     said = r"--set poses\.convoy\.label: |poses\.convoy: draws vessels with the label 'x'"
     with pytest.raises(InputError, match=said):
         load_scene(path, seed=3, settings={"poses.convoy.label": "x"})
+    data = json.loads(path.read_text()) | {"poses": {"convoy": {"most": np.int64(3)}}, "detector": GOOD["detector"]}
+    assert Scene.from_dict(data, seed=2).vessel_names == ("own", "drawn_0", "drawn_1")
 
 
 def test_a_scene_may_have_no_vessels_but_drawn_ones(write: Write) -> None:
@@ -107,10 +110,7 @@ WRONG = {
     "marked name": ({"entries": {"obstacle:x": OWN}}, "obstacle:x: a vessel's ID must not begin with 'obstacle:'"),
     "size": ({"entries": {"x": OWN | {"length_m": -1}}}, "x.length_m: "),
     "no shape": ({"entries": {"x": OWN | {"mesh": "fery"}}}, "x.mesh: nothing is called 'fery' here"),
-    "file": (
-        {"entries": {"x": OWN | {"mesh": "x.glb"}}},
-        "draws 'x' with the mesh x.glb, which is none of the files of the source",
-    ),
+    "file": ({"entries": {"x": OWN | {"mesh": "x.glb"}}}, "draws 'x' with the mesh x.glb, which is none of the files"),
 }
 
 
@@ -123,27 +123,17 @@ def test_wrong_drawn_vessels_are_told_with_the_section_that_draws_them(write: Wr
     assert any(problem.startswith(f"poses.convoy: {message}") for problem in problems), problems
 
 
-@pytest.mark.parametrize(
-    ("returned", "message"),
-    [
-        (["a"], "must return a mapping"),
-        ({"a": 1}, "must return a mapping"),
-        (ZeroDivisionError("by zero"), "failed: ZeroDivisionError: by zero"),
-    ],
-)
-def test_a_plugin_that_draws_nonsense_is_named(
-    write: Write, monkeypatch: pytest.MonkeyPatch, returned: Any, message: str
-) -> None:
+def test_a_plugin_that_draws_nonsense_is_named(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    nonsense = Mock(side_effect=[["a"], {"a": 1}, ZeroDivisionError("by zero")])
+
     class Wrong(SourceKeys, Strict):
         def vessels(self, request: PoseRequest) -> Any:
-            if isinstance(returned, Exception):
-                raise returned
-            return returned
+            return nonsense()
 
-    plugin = Plugin(POSE_SOURCES, "wrong", "yard 1")
-    monkeypatch.setattr(registry, "_model", lambda name: (Wrong, plugin))
-    with pytest.raises(InputError, match=f"poses.wrong: the plug-in 'wrong' of yard 1:? .*{message}"):
-        load_scene(write(poses={"wrong": {}}))
+    monkeypatch.setattr(registry, "_model", lambda name: (Wrong, Plugin(POSE_SOURCES, "wrong", "yard 1")))
+    for message in ("must return a mapping", "must return a mapping", "failed: ZeroDivisionError: by zero"):
+        with pytest.raises(InputError, match=f"poses.wrong: the plug-in 'wrong' of yard 1:? .*{message}"):
+            load_scene(write(poses={"wrong": {}}))
 
 
 def test_a_run_of_drawn_vessels_is_opened_and_repeated_from_its_copy(write: Write, tmp_path: Path) -> None:
@@ -187,9 +177,3 @@ def test_the_checksum_of_a_traffic_is_that_of_every_processor(
 
     monkeypatch.setattr(Convoy, "at", shifted)
     assert (load_scene(path, seed=2).traffic_sha256() == before) is same
-
-
-def test_a_scene_from_a_mapping_draws_vessels_too() -> None:
-    data = {**GOOD["scene"], "steps": 2, "time_step_s": 0.5, "vessels": {"own": OWN}, "detector": GOOD["detector"]}
-    data |= {"poses": {"convoy": {"most": np.int64(3)}}, "cameras": {"shore": lens(pose=ASHORE)}}
-    assert Scene.from_dict(data, seed=2).vessel_names == ("own", "drawn_0", "drawn_1")

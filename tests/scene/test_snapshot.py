@@ -11,7 +11,6 @@ from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.sight import CV_TO_GL
 from modsim3d.truth.buffer_drawing import triangles_of
-from modsim3d.world.vessels import Vessel
 from tests.scenes import write_scene
 
 STEP = 255
@@ -140,18 +139,6 @@ def test_a_turned_scene_is_upright_in_glb_viewers(scene):
     for name in ("camera#quay", "ferry"):
         w1, w2, w3 = before.graph[name][0][:3, 3]
         np.testing.assert_allclose(after.graph[name][0][:3, 3], [w1, w3, -w2], atol=1e-9)
-
-
-def test_a_vessel_fills_its_length_beam_and_air_draft_and_meshes_stay_watertight(scene):
-    vessel = Vessel("a", "Vessel", 30.0, 8.0, 5.0)
-    mesh = vessel.to_trimesh()
-    np.testing.assert_allclose(mesh.bounds, [[-15, -4, 0], [15, 4, 5]])
-    assert mesh.is_watertight and mesh.volume == pytest.approx(30 * 8 * 5)
-    mesh.apply_scale(2.0)  # its own copy
-    np.testing.assert_allclose(vessel.to_trimesh().extents, [30, 8, 5])
-    for vessel in scene.vessels:
-        mesh = vessel.to_trimesh()
-        assert mesh.is_watertight and mesh.volume > 0, vessel.name
 
 
 def test_an_absent_vessel_is_left_out(tmp_path):

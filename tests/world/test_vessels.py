@@ -8,7 +8,7 @@ import trimesh
 
 from modsim3d.truth import scan_conversion, silhouettes
 from modsim3d.truth.occlusion_order import _distinct_directions, corners_from_vertices
-from modsim3d.world.mesh_reading import load_mesh
+from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import Vessel, shoebox
 
 
@@ -23,15 +23,17 @@ def test_a_shoebox_is_the_box_that_trimesh_creates():
     np.testing.assert_array_equal(mesh.bounds, [[-0.5, -0.5, 0.0], [0.5, 0.5, 1.0]])
 
 
-def test_the_trimesh_of_a_vessel_is_the_solid_that_is_drawn(tmp_path):
+def test_the_trimesh_of_a_vessel_is_a_copy_of_the_solid_that_is_drawn(tmp_path):
     box = Vessel("boat", "Vessel", 8.0, 3.0, 2.0)
-    reference = trimesh.creation.box(extents=(8.0, 3.0, 2.0))
-    for vessel in (box, replace(box, solid=load_mesh("ferry", tmp_path), shape="ferry")):
+    reference = trimesh.creation.box(extents=(8.0, 3.0, 2.0)).apply_translation([0, 0, 1])
+    hulls = [replace(box, solid=load_mesh(name, tmp_path), shape=name) for name in shipped_meshes()]
+    for vessel in (box, *hulls):
+        vessel.to_trimesh().apply_scale(2.0)
         mesh = vessel.to_trimesh()
         np.testing.assert_array_equal(mesh.vertices, vessel.solid.vertices * [8.0, 3.0, 2.0])
         np.testing.assert_array_equal(mesh.faces, vessel.solid.faces)
         assert mesh.is_watertight and mesh.volume > 0
-    np.testing.assert_array_equal(box.to_trimesh().vertices, reference.vertices + np.array([0, 0, 1]))
+    np.testing.assert_array_equal(box.to_trimesh().vertices, reference.vertices)
     np.testing.assert_array_equal(box.to_trimesh().faces, reference.faces)
 
 

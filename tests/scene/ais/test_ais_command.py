@@ -6,58 +6,56 @@ import sys
 
 import pytest
 
-from tests.command_line import call as command
 from tests.run_folders import run_files
 from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, old_file, read_json, row
 
 DANISH = SAMPLES / "danish.csv"
+HEAD = DANISH.read_bytes().partition(b"\n")[0]
 
 
-def test_scene_folder_is_made_and_said_and_runs_as_typed(monkeypatch, tmp_path, capsys):
+def test_scene_folder_is_made_and_said_and_runs_as_typed(call, tmp_path):
     out = tmp_path / "scene"
-    assert command(monkeypatch, "ais", DANISH, "--out", out, "--max-gap", 120, "--time-step", 2) == 0
-    said = capsys.readouterr().out
+    status, said = call("ais", DANISH, "--out", out, "--max-gap", 120, "--time-step", 2)
     words = ("254", "messages used", "249", "no_position", "jump", "heading_from_course", "air_draft", "10:00:00Z")
-    for word in (*words, f"modsim3d run {out}"):
-        assert word in said
+    assert status == 0 and [word for word in (*words, f"modsim3d run {out}") if word not in said] == []
     assert {path.name for path in out.iterdir()} == {
         *("scene.yaml", "vessels.json", "poses.json.gz", "detector.yaml"),
         *("report.json", "report_times.json.gz", "ais.html"),
     }
     assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100
-    assert command(monkeypatch, "check", "scene", out / "scene.yaml") == 0
-    assert command(monkeypatch, "run", out, "--steps", 3, "--no-sheet", "--out", tmp_path / "run") == 0
+    assert call("check", "scene", out / "scene.yaml")[0] == 0
+    assert call("run", out, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")[0] == 0
 
 
-def test_folder_with_something_in_it_is_left_alone(monkeypatch, tmp_path, capsys):
-    out = tmp_path / "scene"
-    assert command(monkeypatch, "ais", DANISH, "--out", out, "--duration", 5) == 0
+def test_folder_with_something_in_it_is_left_alone(call, tmp_path):
+    out, other = tmp_path / "scene", tmp_path / "other"
+    assert call("ais", DANISH, "--out", out, "--duration", 5)[0] == 0
     before = (out / "poses.json.gz").read_bytes()
-    assert command(monkeypatch, "ais", DANISH, "--out", out, "--duration", 9) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert (out / "poses.json.gz").read_bytes() == before
-    assert command(monkeypatch, "ais", DANISH, "--out", out, "--duration", 9, "--overwrite") == 0
+    status, said = call("ais", DANISH, "--out", out, "--duration", 9)
+    assert status == 2 and "--overwrite" in said and (out / "poses.json.gz").read_bytes() == before
+    assert call("ais", DANISH, "--out", out, "--duration", 9, "--overwrite")[0] == 0
     assert (out / "poses.json.gz").read_bytes() != before
-    other = tmp_path / "other"
     other.mkdir()
     (other / "precious").write_text("x")
-    assert command(monkeypatch, "ais", DANISH, "--out", other, "--overwrite") == 2
-    assert "left alone" in capsys.readouterr().err
-    assert command(monkeypatch, "ais", DANISH, "--out", other / "precious", "--overwrite") == 2
-    assert "is not a folder" in capsys.readouterr().err
+    for place, words in ((other, "left alone"), (other / "precious", "is not a folder")):
+        status, said = call("ais", DANISH, "--out", place, "--overwrite")
+        assert status == 2 and words in said
 
 
-def problem(monkeypatch, tmp_path, capsys, *arguments: object) -> str:
+@pytest.fixture
+def problem(call, tmp_path):
     """The one message of a command that must fail, and leave nothing behind."""
-    assert command(monkeypatch, "ais", *arguments, "--out", tmp_path / "scene") == 2
-    assert not (tmp_path / "scene").exists()
-    said = capsys.readouterr().err
-    assert said.startswith("modsim3d: ") and "Traceback" not in said
-    return said
+
+    def fail(*arguments: object) -> str:
+        status, said = call("ais", *arguments, "--out", tmp_path / "scene")
+        assert status == 2 and not (tmp_path / "scene").exists()
+        assert said.startswith("modsim3d: ") and "Traceback" not in said
+        return said
+
+    return fail
 
 
 COORDINATES = {"latitude", "longitude", "lat", "lon"}
-REGION = ("--region", "55.9,12.5,56.2,12.8")
 
 
 def swapped_copy(path, folder):
@@ -71,61 +69,59 @@ def swapped_copy(path, folder):
     return copy
 
 
-def test_rows_possible_only_the_other_way_round_are_named_with_the_option(monkeypatch, tmp_path, capsys):
-    path = old_file(tmp_path, row(0, 35.0, 110.0), *(row(10 * k, 110.2, 35.0) for k in range(1, 8)))
-    said = problem(monkeypatch, tmp_path, capsys, path)
-    assert "row 3, 4, 5, 6, 7 and more: latitude and longitude look swapped: latitude 110.2, longitude 35" in said
-    assert "--swap-coordinates" in said and str(path) in said
+SWAPPED = "latitude and longitude look swapped"
+FAULTS = [
+    ([row(0, 35.0, 110.0), *(row(10 * k, 110.2, 35.0) for k in range(1, 8))], (), "row 3, 4, 5, 6, 7 and more: "
+     f"{SWAPPED}: latitude 110.2, longitude 35|--swap-coordinates|old.csv"),
+    # Each value that can only be a longitude is noticed.
+    *(([row(0, 35.0, 80.0), row(10, *place)], (), f"row 3: {SWAPPED}") for place in ((181, 91), (-120, 35), (120, 91))),
+    ([row(0, 35.0, 110.0), row(10, 35.0, 110.0)], ("--swap-coordinates",), "--swap-coordinates makes these positions "
+     "impossible (latitude 110, longitude 35); leave the option"),
+    ([row(k, latitude="x56" if k % 50 == 0 else 56.0) for k in range(0, 300, 10)], (), "row 2: LAT is not a number "
+     "(got 'x56')|too much of it cannot be read: 6 of 30 messages"),
+]  # fmt: skip
+"""Rows of a table, options, and what is said of them."""
 
 
-@pytest.mark.parametrize("place", [(181, 91), (-120, 35), (120, 91)])
-def test_each_value_that_can_only_be_a_longitude_is_noticed(monkeypatch, tmp_path, capsys, place):
-    path = old_file(tmp_path, row(0, 35.0, 80.0), row(10, *place))
-    assert "row 3: latitude and longitude look swapped" in problem(monkeypatch, tmp_path, capsys, path)
+@pytest.mark.parametrize(("rows", "options", "words"), FAULTS)
+def test_a_table_that_cannot_be_right_is_refused_by_row_with_the_option(problem, tmp_path, rows, options, words):
+    said = problem(old_file(tmp_path, *rows), *options)
+    assert [part for part in words.split("|") if part not in said] == []
 
 
 @pytest.mark.parametrize("place", [(91, 181), (91, 35), (95, 200), ("", 12), (12.6, 56.0)])
-def test_a_position_that_is_no_better_the_other_way_round_refuses_no_table(monkeypatch, tmp_path, place):
+def test_a_position_that_is_no_better_the_other_way_round_refuses_no_table(call, tmp_path, place):
     path = old_file(tmp_path, row(0, 35.0, 80.0), row(10, *place), row(20, 35.0, 80.0))
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene") == 0
+    assert call("ais", path, "--out", tmp_path / "scene")[0] == 0
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_swapped_columns_are_exchanged_where_the_user_says_so(monkeypatch, tmp_path, name):
+def test_swapped_columns_are_exchanged_where_the_user_says_so(call, tmp_path, name):
     swapped = swapped_copy(SAMPLES / name, tmp_path)
-    assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / "right") == 0
-    assert command(monkeypatch, "ais", swapped, "--swap-coordinates", "--out", tmp_path / "exchanged") == 0
+    for out, line in (("right", [SAMPLES / name]), ("exchanged", [swapped, "--swap-coordinates"])):
+        assert call("ais", *line, "--out", tmp_path / out)[0] == 0
     right, exchanged = (run_files(tmp_path / name, "report.json", "ais.html") for name in ("right", "exchanged"))
-    assert right == exchanged
-    assert read_json(tmp_path / "exchanged" / "report.json")["swap_coordinates"]
+    assert right == exchanged and read_json(tmp_path / "exchanged" / "report.json")["swap_coordinates"]
 
 
-def test_tables_beside_sentences_are_exchanged_and_sentences_are_not(monkeypatch, tmp_path, capsys):
+def test_tables_beside_sentences_are_exchanged_and_sentences_are_not(call, problem, tmp_path):
     sentences, poses = SAMPLES / "receiver.nmea", []
     for name, table in (("both", (swapped_copy(DANISH, tmp_path), "--swap-coordinates")), ("apart", (DANISH,))):
-        assert command(monkeypatch, "ais", sentences, *table, "--out", tmp_path / name) == 0
+        assert call("ais", sentences, *table, "--out", tmp_path / name)[0] == 0
         poses.append((tmp_path / name / "poses.json.gz").read_bytes())
     assert poses[0] == poses[1]
-    capsys.readouterr()
-    said = problem(monkeypatch, tmp_path, capsys, sentences, "--swap-coordinates")
-    assert "--swap-coordinates is for tables" in said
+    assert "--swap-coordinates is for tables" in problem(sentences, "--swap-coordinates")
 
 
-def test_an_exchange_that_makes_positions_impossible_is_refused(monkeypatch, tmp_path, capsys):
-    path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 35.0, 110.0))
-    said = problem(monkeypatch, tmp_path, capsys, path, "--swap-coordinates")
-    assert "--swap-coordinates makes these positions impossible (latitude 110, longitude 35); leave the option" in said
-
-
-def test_a_region_leaves_single_swapped_rows_out(monkeypatch, tmp_path):
+def test_a_region_leaves_single_swapped_rows_out(call, tmp_path):
     path = old_file(tmp_path, row(0, 35.0, 110.0), row(10, 110.0, 35.0), row(20, 35.0, 110.0))
     out = tmp_path / "scene"
-    assert command(monkeypatch, "ais", path, "--out", out, "--region", "34,109,36,111") == 0
+    assert call("ais", path, "--out", out, "--region", "34,109,36,111")[0] == 0
     assert read_json(out / "report.json")["messages"]["dropped"] == {"impossible_position": 1}
 
 
-def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchange(monkeypatch, tmp_path, capsys):
-    said = problem(monkeypatch, tmp_path, capsys, swapped_copy(DANISH, tmp_path), *REGION)
+def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchange(problem, tmp_path):
+    said = problem(swapped_copy(DANISH, tmp_path), "--region", "55.9,12.5,56.2,12.8")
     assert "no positions of ships in the region 55.9,12.5,56.2,12.8: the files reach from" in said
     assert "latitude 12.6" in said and "--swap-coordinates exchanges them" in said
 
@@ -136,37 +132,29 @@ def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchan
         (b"", "the file is empty"),
         (b"\n \n", "the file is empty"),
         (
-            DANISH.read_bytes().replace(b"Latitude,Longitude", b"Breite,Laenge", 1),
-            "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp",
+            HEAD.replace(b"Latitude,Longitude", b"Breite,Laenge"),
+            "Danish Maritime Authority CSV, but has no column Latit",
         ),
         (b"a,b,c\n1,2,3\n", "none of the formats"),
         (b"PK\x03\x04xxxx", "unpack it first (unzip data)"),
         (b"\x28\xb5\x2f\xfdxxxx", "unpack it first (zstd -d data)"),
         (gzip.compress(DANISH.read_bytes())[:3000], "is not a complete gzip file"),
-        (DANISH.read_bytes().partition(b"\n")[0] + b"\n", "the files hold no positions at all"),
-        (DANISH.read_bytes().partition(b"\n")[0], "the files hold no positions at all"),
+        (HEAD + b"\n", "the files hold no positions at all"),
+        (HEAD, "the files hold no positions at all"),
         (b"!AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4A\n", "has no times"),
         (b"1423133048 !AIVDM,1,1,,A,15RTgt0PAso;90TKcjM8h6g208CQ,0*4B\n", "too much of it cannot be read: 1 of 1"),
     ],
 )
-def test_a_file_that_is_of_no_use_says_why(monkeypatch, tmp_path, capsys, content, says):
-    path = tmp_path / "data"
-    path.write_bytes(content)
-    assert says in problem(monkeypatch, tmp_path, capsys, path)
+def test_a_file_that_is_of_no_use_says_why(problem, tmp_path, content, says):
+    (tmp_path / "data").write_bytes(content)
+    assert says in problem(tmp_path / "data")
 
 
-def test_every_file_of_no_use_is_named_at_once(monkeypatch, tmp_path, capsys):
+def test_every_file_of_no_use_is_named_at_once(problem, tmp_path):
     (tmp_path / "empty").write_text("")
-    said = problem(monkeypatch, tmp_path, capsys, tmp_path / "none.csv", DANISH, tmp_path / "empty", tmp_path)
+    said = problem(tmp_path / "none.csv", DANISH, tmp_path / "empty", tmp_path)
     for part in ("none.csv: no such file", "empty: the file is empty", "this is a folder"):
         assert part in said
-
-
-def test_too_many_cells_that_are_no_numbers_are_an_error(monkeypatch, tmp_path, capsys):
-    rows = [row(second, latitude="x56" if second % 50 == 0 else 56.0) for second in range(0, 300, 10)]
-    said = problem(monkeypatch, tmp_path, capsys, old_file(tmp_path, *rows))
-    assert "row 2: LAT is not a number (got 'x56')" in said
-    assert "too much of it cannot be read: 6 of 30 messages" in said
 
 
 @pytest.mark.parametrize(
@@ -187,20 +175,20 @@ def test_too_many_cells_that_are_no_numbers_are_an_error(monkeypatch, tmp_path, 
         (("--label", "passenger"), "GROUP=LABEL is needed"),
     ],
 )
-def test_options_that_cannot_be_met_say_why(monkeypatch, tmp_path, capsys, arguments, says):
-    assert says in problem(monkeypatch, tmp_path, capsys, DANISH, *arguments)
+def test_options_that_cannot_be_met_say_why(problem, arguments, says):
+    assert says in problem(DANISH, *arguments)
 
 
-def test_negative_degrees_can_be_given(monkeypatch, tmp_path):
+def test_negative_degrees_can_be_given(call, tmp_path):
     path = old_file(tmp_path, *(row(10 * k, -33.8, -151.2, speed=0) for k in range(4)))
     options = ("--origin", "-33.8,-151.2", "--region", "-33,-151,-34,-152")
-    assert command(monkeypatch, "ais", path, "--out", tmp_path / "scene", *options) == 0
+    assert call("ais", path, "--out", tmp_path / "scene", *options)[0] == 0
 
 
 @pytest.mark.parametrize("name", SAMPLE_NAMES)
-def test_same_files_give_the_same_bytes(monkeypatch, tmp_path, name):
+def test_same_files_give_the_same_bytes(call, tmp_path, name):
     for out in ("a", "b"):
-        assert command(monkeypatch, "ais", SAMPLES / name, "--out", tmp_path / out, "--label", "type") == 0
+        assert call("ais", SAMPLES / name, "--out", tmp_path / out, "--label", "type")[0] == 0
     assert run_files(tmp_path / "a") == run_files(tmp_path / "b")
 
 

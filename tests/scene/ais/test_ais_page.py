@@ -10,7 +10,6 @@ import pytest
 
 from modsim3d.scene.ais.messages import SeaRegion
 from modsim3d.view.pages.ais_page import MAX_ROWS, ais_page
-from tests.command_line import call as command
 from tests.scene.ais.ais_builders import SAMPLES, old_file, row, traffic_of
 
 
@@ -54,7 +53,7 @@ def test_the_page_begins_with_the_result(said):
     assert f"74 of 83 messages used as positions; {guessed}" in messages
 
 
-def test_the_page_says_what_became_of_vessels_and_reports_and_which_options_were_given(said):
+def test_the_page_says_what_became_of_vessels_and_reports_which_options_were_given_and_of_which_log(said, traffic):
     lines = {
         "219000002|X|sailing|Sailing|12|3.7|16|the same|length, beam, place of the antenna, air draft|",
         "219000004|latitude 91, longitude 181, both 0, or empty (1)|",
@@ -68,6 +67,8 @@ def test_the_page_says_what_became_of_vessels_and_reports_and_which_options_were
         "--time-step 1|by default|",
     }
     assert lines - set(said.splitlines()) == set()
+    (log,) = traffic.files
+    assert hashlib.sha256(log.path.read_bytes()).hexdigest() in said and "MarineCadastre, 83 messages" in said
 
 
 def test_jumps_are_listed_where_they_were_and_how_far_off(said, traffic):
@@ -77,11 +78,6 @@ def test_jumps_are_listed_where_they_were_and_how_far_off(said, traffic):
     way = np.linalg.norm(vessel.jumps_m[0] - vessel.reported_m[0])
     assert float(jumps[0][5]) == pytest.approx(way, abs=1)
     assert way == pytest.approx(0.02 * 111_300, rel=0.01)
-
-
-def test_the_log_is_named_with_its_checksum(said, traffic):
-    (log,) = traffic.files
-    assert hashlib.sha256(log.path.read_bytes()).hexdigest() in said and "MarineCadastre, 83 messages" in said
 
 
 def test_what_a_ship_calls_itself_is_no_markup(tmp_path):
@@ -98,26 +94,21 @@ def drawn(written: str, index: int) -> str:
 def test_map_has_tracks_gaps_jumps_and_the_region_and_a_caption_that_explains_them(traffic, tmp_path):
     drawing = drawn(ais_page(traffic), 0)
     assert len(re.findall(r"<g fill=\"none\" stroke=\"color-mix", drawing)) == 3
-    assert drawing.count('stroke-dasharray="2 4"') == 1  # the vessel with a gap
-    assert drawing.count("<title>region</title>") == 1
+    # The vessel with a gap; vessels, region and camera.
+    marks = {'stroke-dasharray="2 4"': 1, "<title>region</title>": 1, "<polygon": 5}
+    assert {mark: drawing.count(mark) for mark in marks} == marks
     (crosses,) = re.findall(r'<path d="([^"]*)" stroke="var\(--bad\)"', drawing)
     assert crosses.count("M") == 2
-    assert drawing.count("<polygon") == 5  # vessels, region, camera
-    plain = traffic_of(old_file(tmp_path, *(row(10 * k) for k in range(5))))
+    plain = ais_page(traffic_of(old_file(tmp_path, *(row(10 * k) for k in range(5)))))
     for words in ("Dashes join reports", "Crosses are positions"):
-        assert words in ais_page(traffic) and words not in ais_page(plain)
-
-
-def test_a_track_is_drawn_where_it_is_and_stops_at_a_gap(traffic):
-    """From the ticks of the axes, which are 500 m apart, to places."""
-    drawing = drawn(ais_page(traffic), 0)
+        assert words in ais_page(traffic) and words not in plain
+    # A track is drawn where it is, by the ticks of the axes, which are 500 m apart, and stops at a gap.
     labels = re.findall(r'<text x="([\d.]+)" y="[\d.]+" text-anchor="middle" [^>]*>([-\d.]+)<', drawing)
     ticks = {float(metres): float(column) for column, metres in labels}
-    scale = (ticks[500] - ticks[0]) / 500
     tracks = re.findall(r'<path d="([^"]*)" stroke-width="1.6"', drawing)
     assert [track.count("M") for track in tracks] == [1, 2, 1]
-    first = float(tracks[0][1:].split(",")[0])
-    assert (first - ticks[0]) / scale == pytest.approx(traffic.vessels[0].places_m[0, 0], abs=2)
+    first = (float(tracks[0][1:].split(",")[0]) - ticks[0]) / (ticks[500] - ticks[0]) * 500
+    assert first == pytest.approx(traffic.vessels[0].places_m[0, 0], abs=2)
 
 
 def test_lanes_show_when_a_vessel_is_there(traffic):
@@ -137,10 +128,10 @@ def test_a_long_list_is_cut_and_vessels_left_out_are_counted_by_reason(tmp_path)
     assert lines <= set(said.splitlines())
 
 
-def test_the_command_writes_the_page_and_names_it(monkeypatch, tmp_path, capsys):
+def test_the_command_writes_the_page_and_names_it(call, tmp_path):
     out = tmp_path / "scene"
-    assert command(monkeypatch, "ais", SAMPLES / "danish.csv", "--out", out, "--duration", 20) == 0
-    assert f"{out / 'ais.html'}" in capsys.readouterr().out.replace("\n", "")
+    status, said = call("ais", SAMPLES / "danish.csv", "--out", out, "--duration", 20)
+    assert status == 0 and f"{out / 'ais.html'}" in said.replace("\n", "")
     written = (out / "ais.html").read_text(encoding="utf-8")
     assert "--duration" in text_of(written)
     assert not re.search(r'(src|href)="(?!#)|url\((?!#)|<script', written)  # nothing is fetched

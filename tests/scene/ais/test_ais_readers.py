@@ -35,20 +35,17 @@ def tagged(content: str, sentence: str, checksum: int | None = None) -> str:
     return f"\\{content}*{reduce(xor, content.encode()) if checksum is None else checksum:02X}\\{sentence}"
 
 
-def test_published_position_report_is_decoded(tmp_path):
-    (chunk,) = read_nmea(log(tmp_path, tagged("c:1423133048", TYPE_1)))
+def test_published_position_report_and_message_in_two_parts_are_decoded(tmp_path):
+    lines = tagged("c:1423133048", TYPE_1), f"1423133049 {TYPE_5[0]}", TYPE_5[1]
+    (chunk,) = read_nmea(log(tmp_path, *lines))
+    assert (chunk.messages, dict(chunk.dropped)) == (2, {})
     said = chunk.positions
     assert (said.mmsi.tolist(), said.time_s.tolist()) == ([371798000], [1423133048])
     np.testing.assert_allclose((said.latitude_deg[0], said.longitude_deg[0]), (48.381633333, -123.395383333), atol=1e-6)
     assert (said.speed_kn[0], said.course_deg[0], said.heading_deg[0]) == (12.3, 224.0, 215.0)
-
-
-def test_published_message_in_two_parts_is_decoded(tmp_path):
-    (chunk,) = read_nmea(log(tmp_path, f"1423133048 {TYPE_5[0]}", TYPE_5[1]))
     said = chunk.particulars
     assert (said.mmsi[0], said.name[0], said.ship_type[0]) == (351759000, "EVER DIADEM", "70")
     assert (said.to_bow_m[0], said.to_stern_m[0], said.to_port_m[0], said.to_starboard_m[0]) == (225, 70, 1, 31)
-    assert (len(chunk.positions), chunk.messages, dict(chunk.dropped)) == (0, 1, {})
 
 
 def test_time_is_found_wherever_logs_have_it_and_a_log_without_any_says_what_is_needed(tmp_path):
@@ -95,24 +92,26 @@ def test_every_layout_has_a_sample_and_names_only_columns_that_are_read():
 @pytest.mark.parametrize("name", TABLES)
 def test_columns_are_found_by_name_in_any_order_and_case(tmp_path, name):
     lines = [line.split(",") for line in (SAMPLES / name).read_text().splitlines()]
-    order = list(range(len(lines[0])))
-    random.Random(3).shuffle(order)
+    order = random.Random(3).sample(range(len(lines[0])), len(lines[0]))
     lines[0] = [cell.upper() if name != "marinecadastre.csv" else cell for cell in lines[0]]
     path = tmp_path / "shuffled.csv"
     path.write_text("\n".join(",".join(line[place] for place in order) for line in lines) + "\n")
-    layout, original = recognise(path), recognise(SAMPLES / name)
-    assert layout is original
-    (chunk,), (expected,) = read_csv(path, layout), read_csv(SAMPLES / name, original)
+    assert recognise(path) is recognise(SAMPLES / name)
+    (found,), (expected,) = (read_csv(each, recognise(path)) for each in (path, SAMPLES / name))
     for column in ("mmsi", "time_s", "latitude_deg", "longitude_deg", "speed_kn", "course_deg", "heading_deg"):
-        np.testing.assert_array_equal(getattr(chunk.positions, column), getattr(expected.positions, column))
+        np.testing.assert_array_equal(getattr(found.positions, column), getattr(expected.positions, column))
 
 
-def test_a_ships_name_in_another_encoding_or_with_a_comma_is_no_obstacle(tmp_path):
+def test_a_ships_name_in_another_encoding_with_a_comma_or_of_two_lines_is_read_and_nan_is_as_good_as_empty(tmp_path):
     path = tmp_path / "names.csv"
     text = (SAMPLES / "danish.csv").read_bytes()
     path.write_bytes(text.replace(b"OSTFAERGEN", b"\xd8STF\xc6RGEN").replace(b"KUTTER", b'"KUTTER, ""X"""'))
     names = {vessel.mmsi: vessel.hull.name for vessel in traffic_of(path).vessels}
     assert (names[219999906], names[219999901]) == ('KUTTER, "X"', "�STF�RGEN")
+    path = old_file(tmp_path, row(0).replace(",X,", ',"X\nY",'), row(10, speed="nan"))
+    (chunk,) = read_csv(path, recognise(path))
+    assert (len(chunk.positions), sorted(chunk.particulars.name)) == (2, ["X", "X\nY"])
+    assert np.isnan(chunk.positions.speed_kn).tolist() == [False, True]
 
 
 CELLS: dict[str, tuple[list[str], list[int], list[str]]] = {
@@ -154,13 +153,6 @@ def test_cells_are_read_or_named_by_row_and_column_in_blocks_of_any_size(monkeyp
         assert problem.startswith(beginning)
     assert sum(chunk.dropped.get("unreadable", 0) for chunk in chunks) == len(problems)
     assert sum(chunk.messages for chunk in chunks) == len(read) + len(problems)
-
-
-def test_a_name_of_two_lines_is_read_and_nan_is_as_good_as_empty(tmp_path):
-    path = old_file(tmp_path, row(0).replace(",X,", ',"X\nY",'), row(10, speed="nan"))
-    (chunk,) = read_csv(path, recognise(path))
-    assert (len(chunk.positions), sorted(chunk.particulars.name)) == (2, ["X", "X\nY"])
-    assert np.isnan(chunk.positions.speed_kn).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -55,12 +55,6 @@ def test_antenna_offset_has_the_signs_of_the_standard():
     assert antenna_offset(0, 40, 4, 4) == (-20, 0)  # an antenna on the bow
 
 
-def test_hull_centre_is_ahead_and_to_port_whatever_the_heading():
-    # Heading north, port is west; heading east, port is north.
-    found = vessel_track.to_hull_centre(np.zeros((4, 2)), heading_rad(np.array([0, 90, 180, 270])), 10, 2)
-    np.testing.assert_allclose(found, [(-2, 10), (10, 2), (2, -10), (-10, -2)], atol=1e-12)
-
-
 @given(angles, metres, metres)
 def test_hull_centre_turns_with_the_vehicle_frame(heading, ahead, to_port):
     found = vessel_track.to_hull_centre(np.zeros((1, 2)), np.array([heading]), ahead, to_port)
@@ -77,6 +71,10 @@ def tracks(draw):
 
 def same_direction(a, b):
     np.testing.assert_allclose(np.cos(a - b), 1, atol=1e-9)
+
+
+def test_headings_are_counter_clockwise_from_east():
+    same_direction(heading_rad(np.array([0, 90, 180, 270])), np.pi * np.array([0.5, 0, -0.5, 1]))
 
 
 @given(tracks())
@@ -103,20 +101,19 @@ def test_a_straight_track_at_constant_speed_stays_straight(start, east, north, k
 def test_a_turn_is_followed_where_speed_and_course_are_given():
     # A circle of 500 m at 5 m/s, reported every 30 s (17°): the cubic errs by R θ⁴ / 384, the chord by R θ² / 8.
     radius, speed, every = 500.0, 5.0, 30.0
-    theta = speed * every / radius
-    times = np.arange(0, 301, every)
-    grid = np.arange(0, 300.25, 0.25)
+    theta, times, grid = speed * every / radius, np.arange(0, 301, every), np.arange(0, 300.25, 0.25)
 
-    def circle(t):
-        return radius * np.stack([np.cos(speed * t / radius), np.sin(speed * t / radius)], axis=-1)
+    def around(t):
+        """Unit vectors from the centre."""
+        return np.stack([np.cos(speed * t / radius), np.sin(speed * t / radius)], axis=-1)
 
-    turning = speed * np.stack([-np.sin(speed * times / radius), np.cos(speed * times / radius)], axis=-1)
     headings = speed * times / radius + math.pi / 2
-    _, places, _ = resample(ReportedTrack(times, circle(times), turning, headings), grid, 400)
-    off = np.linalg.norm(places - circle(grid), axis=1).max()
-    assert off < 2 * radius * theta**4 / 384
-    _, straight, _ = resample(ReportedTrack(times, circle(times), turning * NAN, headings), grid, 400)
-    assert np.linalg.norm(straight - circle(grid), axis=1).max() == pytest.approx(radius * theta**2 / 8, rel=0.02)
+    turning = speed * np.stack([np.cos(headings), np.sin(headings)], axis=-1)
+    curved, straight = (
+        np.linalg.norm(resample(track, grid, 400)[1] - radius * around(grid), axis=1).max()
+        for track in (ReportedTrack(times, radius * around(times), way, headings) for way in (turning, turning * NAN))
+    )
+    assert curved < 2 * radius * theta**4 / 384 and straight == pytest.approx(radius * theta**2 / 8, rel=0.02)
 
 
 def test_speed_and_course_that_do_not_fit_the_way_are_not_believed():

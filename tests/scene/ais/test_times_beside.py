@@ -88,24 +88,20 @@ def test_unix_times_that_are_days_apart_are_none() -> None:
     assert time_beside(None, "", "1767265200,1767265203") == 1767265203
 
 
-@pytest.mark.parametrize("name", ["timestamp", "rxtime", "time", "Timestamp"])
-def test_a_date_with_the_name_of_a_time_comes_before_others(tmp_path: Path, name: str) -> None:
-    around = {"eta": "2024-03-01 10:00:00", "seen": "01.03.2024 10:00:00", name: "2024-02-05T10:44:08Z"}
-    for order in (1, -1):
+def test_a_date_with_the_name_of_a_time_comes_before_others(tmp_path: Path) -> None:
+    for name, order in product(("timestamp", "rxtime", "time", "Timestamp"), (1, -1)):
+        around = {"eta": "2024-03-01 10:00:00", "seen": "01.03.2024 10:00:00", name: "2024-02-05T10:44:08Z"}
         line = json.dumps({**dict([*around.items()][::order]), "nmea": [TYPE_1]})
         (chunk,) = read_nmea(log(tmp_path, line))
-        assert chunk.positions.time_s.tolist() == [MOMENT_S]
+        assert chunk.positions.time_s.tolist() == [MOMENT_S], (name, order)
 
 
-def test_a_tag_block_without_a_checksum_is_named(tmp_path: Path) -> None:
+def test_tag_blocks_have_fractions_and_microseconds_and_one_without_a_checksum_is_named(tmp_path: Path) -> None:
+    for text, part_s in (("", 0.0), (".576705", 0.576705), ("250", 0.25), ("576705", 0.576705)):
+        (chunk,) = read_nmea(log(tmp_path, tagged(f"s:x,c:{MOMENT_S:.0f}{text}", TYPE_1)))
+        assert chunk.positions.time_s.tolist() == pytest.approx([MOMENT_S + part_s], abs=1e-6), text
     (chunk,) = read_nmea(log(tmp_path, tagged("c:1423133048", TYPE_1), f"\\c:1423133048\\{TYPE_1}"))
     assert chunk.problems == ("line 2: does not match its checksum: its tag block has none",)
-
-
-@pytest.mark.parametrize(("text", "part_s"), [("", 0.0), (".576705", 0.576705), ("250", 0.25), ("576705", 0.576705)])
-def test_tag_blocks_have_fractions_and_microseconds(tmp_path: Path, text: str, part_s: float) -> None:
-    (chunk,) = read_nmea(log(tmp_path, tagged(f"s:x,c:{MOMENT_S:.0f}{text}", TYPE_1)))
-    assert chunk.positions.time_s.tolist() == pytest.approx([MOMENT_S + part_s], abs=1e-6)
 
 
 def test_dates_with_minutes_that_could_be_unix_times_are_refused(tmp_path: Path) -> None:
@@ -114,26 +110,17 @@ def test_dates_with_minutes_that_could_be_unix_times_are_refused(tmp_path: Path)
         list(read_nmea(log(tmp_path, *lines)))
 
 
-@pytest.mark.parametrize("named", [{"toa": MOMENT_S + 0.5}, {"rxuxtime": MOMENT_S + 0.5}, {"rxtime": "20240205104408"}])
-def test_json_of_a_receiver_has_all_parts_of_a_message(tmp_path: Path, named: dict[str, object]) -> None:
-    head = {"class": "AIS", "device": "AIS-catcher", "mmsi": int(OWN_MMSI), **named}
-    lines = [json.dumps({**head, "nmea": list(nmea)}) for nmea in ((TYPE_1,), TYPE_5)]
-    (chunk,) = read_nmea(log(tmp_path, *lines))
-    expected = MOMENT_S + (0.0 if "rxtime" in named else 0.5)
-    assert chunk.positions.time_s.tolist() == [expected] == chunk.particulars.time_s.tolist()
-    assert (chunk.messages, dict(chunk.dropped)) == (2, {})
-
-
-def test_a_vdr_file_is_read_with_its_quotes(tmp_path: Path) -> None:
-    head = ("# VDR Log File", "timestamp,type,id,message")
-    (chunk,) = read_nmea(log(tmp_path, *head, f'2024-02-05T10:44:08.053Z,AIS,"UDP port:6039","{TYPE_1}"'))
+def test_json_of_a_receiver_has_all_parts_of_a_message_and_a_vdr_file_its_quotes(tmp_path: Path) -> None:
+    for name, value in (("toa", MOMENT_S + 0.5), ("rxuxtime", MOMENT_S + 0.5), ("rxtime", "20240205104408")):
+        head = {"class": "AIS", "device": "AIS-catcher", "mmsi": int(OWN_MMSI), name: value}
+        lines = [json.dumps({**head, "nmea": list(nmea)}) for nmea in ((TYPE_1,), TYPE_5)]
+        (chunk,) = read_nmea(log(tmp_path, *lines))
+        expected = MOMENT_S + (0.0 if name == "rxtime" else 0.5)
+        assert chunk.positions.time_s.tolist() == [expected] == chunk.particulars.time_s.tolist()
+        assert (chunk.messages, dict(chunk.dropped)) == (2, {})
+    vdr = f'2024-02-05T10:44:08.053Z,AIS,"UDP port:6039","{TYPE_1}"'
+    (chunk,) = read_nmea(log(tmp_path, "# VDR Log File", "timestamp,type,id,message", vdr))
     assert chunk.positions.time_s.tolist() == pytest.approx([MOMENT_S + 0.053])
-
-
-def test_a_ship_at_0_0_has_no_position(tmp_path: Path) -> None:
-    lost = [row(second, latitude=0, longitude=0, mmsi=219000009) for second in (0, 30)]
-    traffic = traffic_of(old_file(tmp_path, row(0), row(30), *lost))
-    assert (traffic.dropped["no_position"], [vessel.mmsi for vessel in traffic.vessels]) == (2, [219000001])
 
 
 def test_identities_that_lost_digits_are_refused_and_others_are_repaired(tmp_path: Path) -> None:
