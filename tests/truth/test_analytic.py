@@ -14,11 +14,18 @@ import pytest
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.rendered import rendered_occlusion
 from tests.scenes import INTRINSICS, crossing, harbour_of_shoeboxes, outlines_of, vessel
 
 
 def seen_of(places, **options):
     return analytic_occlusion(outlines_of(places, **options), options.get("intrinsics", INTRINSICS))
+
+
+def seen_by_both(renderer, places, lens=INTRINSICS):
+    """What geometry and pixels say of a scene."""
+    outlines = outlines_of(places, lens)
+    return outlines, (analytic_occlusion(outlines, lens), rendered_occlusion(outlines, lens, renderer))
 
 
 def test_lone_box_has_the_area_and_box_of_its_front_face():
@@ -69,11 +76,12 @@ def test_vessel_cut_in_two_by_one_before_it_keeps_the_box_around_both_parts():
     np.testing.assert_allclose(seen.visible_px[0], 80 * 50)
 
 
-def test_vessel_behind_a_larger_one_has_no_visible_box():
+def test_vessel_behind_a_larger_one_has_no_visible_box_and_keeps_its_full_one(renderer):
     small, large = vessel("small", 2, 4, 3), vessel("large", 2, 40, 30)
-    seen = seen_of([(small, (301, 0), 0), (large, (101, 0), 0)])
-    assert seen.visible_px[0] == 0 and np.isnan(seen.visible_boxes_px[0]).all()
-    assert seen.occluders[0] == ((1, pytest.approx(seen.silhouette_px[0])),)
+    for seen in seen_by_both(renderer, [(small, (301, 0), 0), (large, (101, 0), 0)])[1]:
+        assert seen.visible_px[0] == 0 < seen.silhouette_px[0] and np.isnan(seen.visible_boxes_px[0]).all()
+        assert seen.full_boxes_px[0, 2] - seen.full_boxes_px[0, 0] == pytest.approx(4000 / 300, abs=1)
+        assert seen.occluders[0] == ((1, pytest.approx(seen.silhouette_px[0])),)
 
 
 def test_two_that_each_hide_a_half_hide_all():
@@ -85,15 +93,14 @@ def test_two_that_each_hide_a_half_hide_all():
     assert dict(seen.occluders[0]) == {1: pytest.approx(2500), 2: pytest.approx(2500)}
 
 
-def test_each_hidden_point_belongs_to_the_front_most():
+def test_each_hidden_point_belongs_to_the_front_most(renderer):
     """At 300, 200 and 100 m: columns 350–450, 375–425 and 390–410, each over all rows of those behind it."""
     far, middle, near = vessel("far", 1, 30, 10), vessel("middle", 1, 10, 30), vessel("near", 1, 2, 30)
-    seen = seen_of([(far, (300.5, 0), 0), (middle, (200.5, 0), 0), (near, (100.5, 0), 0)])
-    height = 10_000 / 300
-    assert dict(seen.occluders[0]) == {1: pytest.approx(30 * height), 2: pytest.approx(20 * height)}
-    np.testing.assert_allclose(seen.visible_px[0], 50 * height)
-    ((hider, _),) = seen.occluders[1]
-    assert hider == 2
+    _, both = seen_by_both(renderer, [(far, (300.5, 0), 0), (middle, (200.5, 0), 0), (near, (100.5, 0), 0)])
+    for seen, height in zip(both, (10_000 / 300, 33), strict=True):
+        assert dict(seen.occluders[0]) == {1: pytest.approx(30 * height), 2: pytest.approx(20 * height)}
+        np.testing.assert_allclose(seen.visible_px[0], 50 * height)
+        assert [hider for hider, _ in seen.occluders[1]] == [2]
 
 
 def test_vessel_wholly_behind_the_middle_of_three_is_not_given_to_the_nearest():
@@ -103,20 +110,19 @@ def test_vessel_wholly_behind_the_middle_of_three_is_not_given_to_the_nearest():
     assert dict(seen.occluders[0]) == {1: pytest.approx(10 * 10_000 / 300)}
 
 
-def test_box_across_the_near_plane_is_cut_there_and_hides_what_is_behind_its_visible_part():
+def test_box_across_the_near_plane_is_cut_there_and_hides_what_is_behind_its_visible_part(renderer):
     """2 to 3 m to port, from 20 m behind the camera to 20 m ahead, and the near plane at 10 m. The near side at the far
     end is at column 400 − 2000 / 20 = 300, the far side at the cut at 400 − 3000 / 10 = 100."""
-    lens = replace(INTRINSICS, near_clip_m=10.0)
     quay, boat = vessel("quay", 40, 1, 20), vessel("boat", 1, 60, 10)
-    outlines = outlines_of([(quay, (0, 2.5), 0), (boat, (200.5, 0), 0)], lens)
-    seen = analytic_occlusion(outlines, lens)
-    assert outlines.crosses_near.tolist() == [True, False]
-    np.testing.assert_allclose(seen.full_boxes_px[0], [100, 0, 300, 600], atol=1e-9)
-    np.testing.assert_allclose(seen.visible_px[0], 200 * 600)
-    assert np.isnan(outlines.in_frame_fraction[0])
-    # The boat: columns 250–550, of which 250–300 are hidden.
-    np.testing.assert_allclose(seen.visible_boxes_px[1], [300, 300, 550, 350], atol=1e-9)
-    assert seen.occluders[1] == ((0, pytest.approx(50 * 50)),)
+    lens = replace(INTRINSICS, near_clip_m=10.0)
+    outlines, both = seen_by_both(renderer, [(quay, (0, 2.5), 0), (boat, (200.5, 0), 0)], lens)
+    assert outlines.crosses_near.tolist() == [True, False] and np.isnan(outlines.in_frame_fraction[0])
+    for seen in both:
+        np.testing.assert_allclose(seen.full_boxes_px[0], [100, 0, 300, 600], atol=1e-9)
+        np.testing.assert_allclose(seen.visible_px[0], 200 * 600)
+        # The boat: columns 250–550, of which 250–300 are hidden.
+        np.testing.assert_allclose(seen.visible_boxes_px[1], [300, 300, 550, 350], atol=1e-9)
+        assert seen.occluders[1] == ((0, pytest.approx(50 * 50)),)
 
 
 def test_vessel_cut_at_the_image_edge_is_hidden_in_the_part_that_is_in_the_image():

@@ -47,29 +47,25 @@ def fleet(present: list[list[int]]) -> list[Bodies]:
     return vessel_bodies(boats, np.array(present, dtype=bool), places, world_R_vehicle(headings))
 
 
-@pytest.mark.parametrize(
-    ("cameras", "present", "expected"),
-    [
-        ([(3.9, 0.9, 1)], [[1, 1]], (0, 0)),
-        ([(20.9, 3.9, 1)], [[1, 1]], (0, 1)),
-        ([(23.9, 0.9, 1)], [[1, 1]], None),
-        ([(30, 0, 1), (20, 0, 1), (0, 0, 1)], [[1, 1]] * 3, (1, 1)),
-        ([(0, 0, 1), (0, 0, 1), (0, 0, 1)], [[0, 1], [0, 1], [1, 1]], (2, 0)),
-        ([(0, 0, 1), (20, 0, 1)], [[0, 1], [1, 0]], None),
-    ],
-)
-def test_first_frame_with_the_camera_in_a_body_that_is_there(cameras, present, expected):
-    assert first_body_around(np.array(cameras, dtype=float), fleet(present)) == expected
+CASES = [
+    ([(3.9, 0.9, 1)], [[1, 1]], (0, 0)),
+    ([(20.9, 3.9, 1)], [[1, 1]], (0, 1)),
+    ([(23.9, 0.9, 1)], [[1, 1]], None),
+    ([(30, 0, 1), (20, 0, 1), (0, 0, 1)], [[1, 1]] * 3, (1, 1)),
+    ([(0, 0, 1), (0, 0, 1), (0, 0, 1)], [[0, 1], [0, 1], [1, 1]], (2, 0)),
+    ([(0, 0, 1), (20, 0, 1)], [[0, 1], [1, 0]], None),
+]
 
 
-def test_mesh_whose_faces_point_inwards_has_an_inside_too():
-    (bodies,) = fleet([[1, 1]])
-    inward = Solid(shoebox().vertices, shoebox().faces[:, ::-1])
-    assert first_body_around(np.array([[20.0, 0.0, 1.0]]), [replace(bodies, solid=inward)]) == (0, 1)
+def test_first_frame_with_the_camera_in_a_body_that_is_there():
+    for cameras, present, expected in CASES:
+        assert first_body_around(np.array(cameras, dtype=float), fleet(present)) == expected, (cameras, present)
 
 
-def test_earliest_frame_counts_among_bodies_of_several_shapes():
+def test_earliest_frame_counts_among_bodies_of_several_shapes_and_faces_that_point_inwards_have_an_inside_too():
     (bodies,) = fleet([[1, 1]] * 2)
     later, sooner = (replace(bodies, present=np.array(there, dtype=bool)) for there in ([[0, 0], [1, 0]], [[1, 0]] * 2))
     sooner = replace(sooner, occluder=sooner.occluder + 2)
     assert first_body_around(np.array([[0.0, 0.0, 1.0]] * 2), [later, sooner]) == (0, 2)
+    inward = Solid(shoebox().vertices, shoebox().faces[:, ::-1])
+    assert first_body_around(np.array([[20.0, 0.0, 1.0]] * 2), [replace(bodies, solid=inward)]) == (0, 1)

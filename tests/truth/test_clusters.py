@@ -51,20 +51,17 @@ def test_clusters_are_those_that_a_search_of_all_pairs_finds(seed):
     assert len(told) == len(set(told)) and set(told) == expected_clusters(outlines)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_overlapping_pairs_are_those_that_a_search_of_all_pairs_finds(seed):
-    outlines = random_outlines(np.random.default_rng(50 + seed), 60)
-    every = [(a, b) for a in range(60) for b in range(a + 1, 60) if overlap(outlines, a, b)]
-    with_vessel = [(a, b) for a, b in every if outlines.boxed[[a, b]].any()]
-    for asked, expected in ((None, every), (outlines.boxed, with_vessel)):
-        pairs = overlapping_pairs(outlines.frame, outlines.boxes_px, asked)
-        assert list(zip(*(rows.tolist() for rows in pairs), strict=True)) == expected
-
-
-def test_boxes_without_a_pixel_overlap_none_and_boxes_without_a_width_those_around_them():
+def test_overlapping_pairs_are_those_of_all_pairs_and_none_of_boxes_without_a_pixel():
+    for seed in range(6):
+        outlines = random_outlines(np.random.default_rng(50 + seed), 60)
+        every = [(a, b) for a in range(60) for b in range(a + 1, 60) if overlap(outlines, a, b)]
+        with_vessel = [(a, b) for a, b in every if outlines.boxed[[a, b]].any()]
+        for asked, expected in ((None, every), (outlines.boxed, with_vessel)):
+            pairs = overlapping_pairs(outlines.frame, outlines.boxes_px, asked)
+            assert list(zip(*(rows.tolist() for rows in pairs), strict=True)) == expected
     boxes = np.array([[0, 0, 9, 9], [4, 2, 4, 6], [np.inf, np.inf, -np.inf, -np.inf], [9, 0, 12, 9]], dtype=np.float64)
     pairs = overlapping_pairs(np.zeros(4, dtype=np.int64), boxes)
-    assert [rows.tolist() for rows in pairs] == [[0], [1]]
+    assert [rows.tolist() for rows in pairs] == [[0], [1]]  # a box without a width overlaps those around it
 
 
 def random_clusters(rng: np.random.Generator, count: int, most: int) -> list[Cluster]:

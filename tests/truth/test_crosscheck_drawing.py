@@ -5,32 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modsim3d.geometry.camera import Distortion, Intrinsics
-from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
+from modsim3d.geometry.camera import Distortion
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.crosscheck.comparison import possible_ids, undecided
-from modsim3d.truth.crosscheck.drawing import Drawing, cut, tiles_of, vessel_triangles
+from modsim3d.truth.crosscheck.drawing import cut, tiles_of
 from modsim3d.truth.full_frame import vessel_masks
-from modsim3d.world.vessels import Vessel
-from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, outlines_of, random_scene, vessel
-
-Places = list[tuple[Vessel, tuple[float, float], float]]
-LEVEL = Mount((0.0, 0.0, CAMERA_HEIGHT_M))
+from tests.scenes import drawing_of, outlines_of, random_scene, vessel
 
 
-def drawing_of(places: Places, intrinsics: Intrinsics = INTRINSICS, mount: Mount = LEVEL, ss: int = 1) -> Drawing:
-    camera = poses_ashore(mount, 1)
-    triangles = vessel_triangles(
-        [each for each, _, _ in places],
-        np.ones(len(places), dtype=bool),
-        np.array([[*place, 0.0] for _, place, _ in places]),
-        world_R_vehicle(np.array([heading for _, _, heading in places])),
-    )
-    return Drawing.of(triangles, camera.camera_R_world[0], camera.positions_m[0], intrinsics, ss)
-
-
-def check_against_plain_drawing(seed: int, renderer: IdRenderer, *, lens: bool) -> None:
+@pytest.mark.parametrize(("seed", "lens"), [*((seed, False) for seed in range(12)), (1, True), (2, True), (5, True)])
+def test_pixels_are_those_of_the_plain_drawing_and_differ_behind_a_lens_at_ties_only(
+    seed: int, lens: bool, renderer: IdRenderer
+) -> None:
     places, intrinsics, mount = random_scene(np.random.default_rng(seed))
     if lens:
         zoom = intrinsics.focal_px[0] / intrinsics.image_size_px[0]
@@ -49,16 +36,6 @@ def check_against_plain_drawing(seed: int, renderer: IdRenderer, *, lens: bool) 
             y, x = np.nonzero(plain ^ own)
             assert lens or len(x) < 2  # where two vessels touch, one pixel may be either's
             assert (possible_ids(of, x + region.x, y + region.y)[1].sum(axis=1) > 1).all()
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_random_scenes_have_the_pixels_of_the_plain_drawing(seed: int, renderer: IdRenderer) -> None:
-    check_against_plain_drawing(seed, renderer, lens=False)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 5])
-def test_behind_a_lens_they_differ_at_ties_only(seed: int, renderer: IdRenderer) -> None:
-    check_against_plain_drawing(seed, renderer, lens=True)
 
 
 def test_a_buffer_of_a_vessel_alone_has_the_pixels_of_the_whole_image(renderer: IdRenderer) -> None:

@@ -55,7 +55,7 @@ def test_section_closes_what_the_plane_cuts_open(convex):
     assert sides >= {3, 4, 5, 6}
 
 
-def test_section_leaves_holes_open_and_surfaces_without_an_inside_get_none():
+def test_section_leaves_holes_open_and_surfaces_without_an_inside_and_solids_beyond_the_plane_get_none():
     outer, inner = ((shoebox().vertices - [0, 0, 0.5]) * size + [0, 0, 2.0] for size in ([6, 6, 4], [2, 3, 5]))
     tube = np.concatenate([outer[shoebox().faces], inner[shoebox().faces][:, ::-1]])
     clipped, _ = clip_triangles(tube, near_plane(LENS))
@@ -63,9 +63,6 @@ def test_section_leaves_holes_open_and_surfaces_without_an_inside_get_none():
     assert shapely.union_all(shapely.polygons(section[..., :2])).area == pytest.approx(6 * 6 - 2 * 3)
     sheet = cut_alone(tube, replace(shoebox(), convex=False, closed=False))
     np.testing.assert_allclose(sheet, clipped, rtol=1e-9)
-
-
-def test_solid_that_the_plane_does_not_meet_gets_no_section():
     beyond = shoebox().vertices[shoebox().faces] + [0, 0, 5.0]
     for convex in (True, False):
         np.testing.assert_array_equal(cut_alone(beyond, replace(shoebox(), convex=convex)), beyond)

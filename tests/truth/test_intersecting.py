@@ -5,41 +5,20 @@ import pickle
 import pytest
 
 from modsim3d.core.errors import InputError
-from modsim3d.io.input_files import data_folder
-from tests.command_line import call
+from tests.scenes import write_scene
 
-SCENE = """
-steps: 4
-time_step_s: 1
-vessels:
-  rafted1: {{length_m: 12, beam_m: 4, air_draft_m: 3, label: Vessel}}
-  rafted2: {{length_m: 12, beam_m: 4, air_draft_m: 4, label: Vessel}}
-  apart: {{length_m: 12, beam_m: 4, air_draft_m: 3, label: Vessel}}
-poses:
-  tracks:
-    rafted1: [[0, 100, 0], [10, 100, 1]]
-    rafted2: [[0, 103, 0], [10, 103, 1]]
-    apart: [[0, 100, 40], [10, 100, 41]]
-cameras:
-  C0:
-    focal_length_m: 0.01
-    pixel_size_m: [1.0e-5, 1.0e-5]
-    principal_point_px: [400, 300]
-    image_size_px: [800, 600]
-    pose: {{position_m: [0, 0, 10]}}
-annotation: {{mode: 2}}
-detector: {folder}/detectors/thesis.yaml
-"""
+BOATS = {
+    "rafted1": ([12, 4, 3], [[0, 100, 0], [10, 100, 1]]),
+    "rafted2": ([12, 4, 4], [[0, 103, 0], [10, 103, 1]]),
+    "apart": ([12, 4, 3], [[0, 100, 40], [10, 100, 41]]),
+}
 
 
 @pytest.mark.parametrize(("source", "annotated"), [("analytic", 4), ("rendered", 12)])
-def test_run_names_intersecting_vessels_of_unknown_visibility(monkeypatch, tmp_path, capsys, source, annotated):
-    scene = tmp_path / "raft.yaml"
-    scene.write_text(SCENE.format(folder=data_folder("scenes")))
-    out = str(tmp_path / "run")
-    assert call(monkeypatch, "run", scene, "--source", source, "--out", out, "--no-sheet") == 0
-    said = "".join(capsys.readouterr())
-    assert ("rafted1 and rafted2 intersect" in said) == (source == "analytic")
+def test_run_names_intersecting_vessels_of_unknown_visibility(call, tmp_path, source, annotated):
+    scene = write_scene(tmp_path, BOATS, 4)
+    status, said = call("run", scene, "--source", source, "--out", tmp_path / "run", "--no-sheet")
+    assert status == 0 and ("rafted1 and rafted2 intersect" in said) == (source == "analytic")
     assert any(line.split()[:2] == ["annotated", str(annotated)] for line in said.splitlines())
 
 

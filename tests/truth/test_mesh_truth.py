@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from typer.testing import CliRunner
 
 from modsim3d import InputError, load_scene, open_run, run_scene, simulate_frames
-from modsim3d.cli.main import app
 from modsim3d.render.id_pass import Region
 from modsim3d.truth.analytic import mask_box
 from modsim3d.truth.full_frame import full_frame_occlusion
@@ -55,8 +53,7 @@ def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed):
     places, intrinsics, mount = random_scene(np.random.default_rng(80_000 + seed))
     solids = [mesh(name) for name in shipped_meshes()]
     outlines = outlines_of(with_solids(places, [*solids, shoebox()]), intrinsics, mount)
-    fast = rendered_occlusion(outlines, intrinsics, renderer)
-    plain = full_frame_occlusion(outlines, intrinsics, renderer)
+    fast, plain = (draw(outlines, intrinsics, renderer) for draw in (rendered_occlusion, full_frame_occlusion))
     drawn = np.flatnonzero(plain.silhouette_px > 0)
     assert_same(fast.take(drawn), plain.take(drawn))
 
@@ -124,16 +121,6 @@ def own_ship_scene(folder, own_mesh="fishing_vessel", **keys):
     return path
 
 
-def test_own_ships_hull_hides_others_in_its_own_camera_and_has_no_box(tmp_path):
-    scene = load_scene(own_ship_scene(tmp_path))
-    frames = list(simulate_frames(scene))
-    assert {name for frame in frames for name in frame.truth.vessels} == {"near", "far"}
-    hidden = [frame.truth.occluded_by[frame.truth.vessels.index("near")] for frame in frames]
-    assert all(set(entry) == {"own"} and entry["own"] > 20 for entry in hidden)
-    shoebox_only = simulate_frames(load_scene(own_ship_scene(tmp_path, own_mesh=None)))
-    assert all("own" not in entry for frame in shoebox_only for entry in frame.truth.occluded_by)
-
-
 def test_hull_turns_with_its_ship_so_that_waves_do_not_move_it_in_its_own_image(tmp_path):
     scene = load_scene(own_ship_scene(tmp_path, waves={"level": "huge", "interval_s": 0.01}))
     (camera,) = scene.cameras
@@ -155,39 +142,27 @@ def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 
 
-def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(tmp_path):
-    path = own_ship_scene(tmp_path)
-    result = CliRunner().invoke(app, ["check", "truth", str(path), "--out", str(tmp_path / "out")])
-    assert result.exit_code == 0, result.output
+def test_compare_compares_meshes_and_says_how_much_looser_their_shoeboxes_are(call, tmp_path):
+    status, said = call("check", "truth", own_ship_scene(tmp_path), "--out", tmp_path / "out")
+    assert status == 0 and "Shoebox against mesh" in said and "far" in said, said
     figures = json.loads((tmp_path / "out" / "compare.json").read_text())
     assert figures["unexplained"] == 0
     for part in ("full_box", "visible_box"):
         assert figures[part]["verdicts"]["agree within a pixel"] == 12
         assert figures[part]["verdicts"]["left to pixels: no plane between two hulls"] == 0
-    (loose,) = figures["shoebox_against_mesh"].items()
-    assert loose[0] == "far" and loose[1]["frames"] == 6
-    assert 1.0 <= loose[1]["mean_area_ratio"] <= loose[1]["max_area_ratio"] < 1.5
-    assert "Shoebox against mesh" in result.output and "far" in result.output
+    ((name, loose),) = figures["shoebox_against_mesh"].items()
+    assert (name, loose["frames"]) == ("far", 6)
+    assert 1.0 <= loose["mean_area_ratio"] <= loose["max_area_ratio"] < 1.5
 
 
-def test_rule_of_rectangles_takes_vessels_for_their_shoeboxes_and_leaves_own_ships_hull_out(tmp_path):
-    frames = list(simulate_frames(load_scene(own_ship_scene(tmp_path), source="rectangles")))
-    assert all("own" not in entry for frame in frames for entry in frame.truth.occluded_by)
-    exact = list(simulate_frames(load_scene(tmp_path / "scene.yaml", source="analytic")))
+def test_rule_of_rectangles_takes_vessels_for_their_shoeboxes_and_it_and_a_shoebox_leave_own_ships_hull_out(tmp_path):
+    exact = list(simulate_frames(load_scene(own_ship_scene(tmp_path), source="analytic")))
+    frames = list(simulate_frames(load_scene(tmp_path / "scene.yaml", source="rectangles")))
     for ruled, other in zip(frames, exact, strict=True):
         loose, tight = ruled.truth.full_boxes_px[1], other.truth.full_boxes_px[1]
         assert (loose[:2] <= tight[:2]).all() and (loose[2:] >= tight[2:]).all() and (loose != tight).any()
-
-
-def test_obstacle_of_mesh_hides_and_is_named(tmp_path):
-    path = own_ship_scene(tmp_path, obstacles={"wreck": WRECK})
-    hidden = [frame.truth.occluded_by[frame.truth.vessels.index("far")] for frame in simulate_frames(load_scene(path))]
-    assert all(entry.get("obstacle:wreck", 0) > 100 for entry in hidden)
-
-
-def test_wrong_mesh_of_a_vessel_names_the_vessel(tmp_path):
-    with pytest.raises(InputError, match=r"vessels\.own\.mesh: 'hulk\.glb' does not exist"):
-        load_scene(own_ship_scene(tmp_path, own_mesh="hulk.glb"))
+    frames += simulate_frames(load_scene(own_ship_scene(tmp_path, own_mesh=None)))
+    assert all("own" not in entry for frame in frames for entry in frame.truth.occluded_by)
 
 
 def test_copy_of_a_scene_with_meshes_has_a_copy_that_is_the_same(tmp_path):
@@ -211,7 +186,9 @@ def test_copy_of_a_scene_with_meshes_has_a_copy_that_is_the_same(tmp_path):
     assert dict(copied.copy.document) == dict(scene.copy.document) and copied.sha256 == scene.sha256
 
 
-def test_camera_inside_its_own_ships_mesh_is_refused_and_in_its_shoebox_is_not(tmp_path):
+def test_camera_inside_its_own_ships_mesh_and_a_wrong_mesh_are_refused_and_one_in_its_shoebox_is_not(tmp_path):
+    with pytest.raises(InputError, match=r"vessels\.own\.mesh: 'hulk\.glb' does not exist"):
+        load_scene(own_ship_scene(tmp_path, own_mesh="hulk.glb"))
     path = own_ship_scene(tmp_path)
     scene = json.loads(path.read_text())
     scene["cameras"]["stern"]["mount"]["position_m"] = [0, 0, 0.5]

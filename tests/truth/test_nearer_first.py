@@ -162,30 +162,31 @@ def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
             assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
 
 
-def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch):
+def test_frames_together_or_in_portions_have_the_truth_of_each(renderer, monkeypatch):
     scene = load_scene("harbour", mode=2)
     camera = scene.cameras[0]
-    outlines = scene.sight(camera, np.arange(100, 112)).outlines()
-    whole = rendered_occlusion(outlines, camera.intrinsics, renderer)
+
+    def occlusion(first, stop):
+        return rendered_occlusion(scene.sight(camera, np.arange(first, stop)).outlines(), camera.intrinsics, renderer)
+
+    together, single = occlusion(100, 112), [occlusion(step, step + 1) for step in range(100, 112)]
+    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+        np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(o, name) for o in single]))
+    assert together.occluders == tuple(entry for o in single for entry in o.occluders)
     monkeypatch.setattr(rendered, "MAX_LINES", 400)
-    assert len(rendered._portions(outlines, 1)) > 4
-    assert_same(rendered_occlusion(outlines, camera.intrinsics, renderer), whole)
+    assert len(rendered._portions(scene.sight(camera, np.arange(100, 112)).outlines(), 1)) > 4
+    assert_same(occlusion(100, 112), together)
 
 
-def test_steps_that_are_projected_in_portions_have_the_outlines_of_all_at_once(monkeypatch):
+def test_steps_that_are_projected_in_portions_and_rows_between_two_have_the_outlines_of_all_at_once(monkeypatch):
     scene = load_scene("strait", mode=2)
     sight = scene.sight(scene.cameras[0], np.arange(100, 112))
     whole = sight.outlines()
+    assert len(whole) > 40 and len(whole.parts) > 3
+    for first, stop in ((0, 40), (7, 31), (7, 7)):
+        assert_same_outlines(whole.between(first, stop), whole.take(np.arange(first, stop)))
     monkeypatch.setattr(projection, "MAX_VERTICES", 400)
     assert_same_outlines(sight.outlines(), whole)
-
-
-@pytest.mark.parametrize(("first", "stop"), [(0, 40), (7, 31), (7, 7)])
-def test_rows_between_two_are_those_that_are_taken(first, stop):
-    scene = load_scene("strait", mode=2)
-    outlines = scene.sight(scene.cameras[0], np.arange(100, 112)).outlines()
-    assert len(outlines) > 40 and len(outlines.parts) > 3
-    assert_same_outlines(outlines.between(first, stop), outlines.take(np.arange(first, stop)))
 
 
 def assert_same_outlines(one: Outlines, other: Outlines) -> None:

@@ -37,17 +37,14 @@ def test_chosen_rows_keep_their_hiders_and_the_pairs_of_which_both_are_chosen():
     assert five_rows().take(np.array([1, 2, 3, 4])).intersecting.tolist() == [[0, 3]]
 
 
-def test_share_that_is_visible_is_unknown_without_a_pixel():
-    np.testing.assert_array_equal(five_rows().visible_fraction(), [np.nan, 0.1, 0.1, 0.1, 0.1])
-
-
-def test_record_has_the_steps_of_the_frames_and_nothing_annotated():
+def test_record_has_the_steps_of_the_frames_nothing_annotated_and_no_share_that_is_visible_without_a_pixel():
     outlines = outlines_of([(vessel(f"v{i}"), (100.0 + 20 * i, 0.0), 0.0) for i in range(5)])
     truth = five_rows().truth(outlines, np.array([7]), 3)
-    assert truth.step.tolist() == [7] * 5 and truth.camera.tolist() == [3] * 5
-    assert truth.vessel.tolist() == [0, 1, 2, 3, 4] and not truth.annotated.any()
+    found = truth.step, truth.camera, truth.vessel, truth.annotated
+    np.testing.assert_array_equal(found, [[7] * 5, [3] * 5, range(5), [False] * 5])
     assert truth.occluders_of(2) == [(0, 3.0), (1, 5.0)]
     np.testing.assert_array_equal(truth.intersections, [[7, 3, 0, 3], [7, 3, 1, 4]])
+    np.testing.assert_array_equal(five_rows().visible_fraction(), [np.nan, 0.1, 0.1, 0.1, 0.1])
 
 
 def test_what_pieces_of_one_obstacle_hide_together_counts_once():

@@ -15,7 +15,7 @@ from modsim3d.truth.occlusion_order import axis_count, candidate_axes, order_of
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import compare_with_analytic
 from modsim3d.world.vessels import shoebox
-from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, pixel_masks, vessel
+from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, pixel_masks, rectangles, vessel
 
 SHIP, BOAT = 0, 1
 
@@ -43,33 +43,27 @@ def test_rectangle_rule_drops_the_boat_before_the_long_ships_stern():
     assert seen.visible_px[BOAT] == 0 and seen.visible_px[SHIP] == seen.silhouette_px[SHIP]
 
 
-def test_three_beams_each_hide_a_part_of_the_next():
+def test_three_beams_each_hide_a_part_of_the_next(renderer):
     boxes, mount = cyclic_beams()
     outlines = outlines_at(boxes, INTRINSICS, mount)
     order = order_of(outlines)
     columns = zip(order.first, order.second, order.first_can_hide, order.second_can_hide, strict=True)
     hiders = {(a, b) if first else (b, a) for a, b, first, second in columns if first != second}
     assert hiders == {(1, 0), (2, 1), (0, 2)}
-    seen = analytic_occlusion(outlines, INTRINSICS)
-    assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
-    # A third of a turn about the line of sight puts each beam in the place of the next.
-    np.testing.assert_allclose(seen.visible_px, seen.visible_px[0], rtol=1e-9)
-    assert 0.7 < seen.visible_fraction()[0] < 0.9
-    hidden = np.array([row[0][1] for row in seen.occluders])
-    np.testing.assert_allclose(seen.visible_px + hidden, seen.silhouette_px, rtol=1e-9)
-
-
-@pytest.mark.parametrize("supersample", [1, 4])
-def test_three_beams_are_rendered_as_the_analytic_source_says(renderer, supersample):
-    boxes, mount = cyclic_beams()
-    outlines = outlines_at(boxes, INTRINSICS, mount)
-    seen = rendered_occlusion(outlines, INTRINSICS, renderer, supersample)
     exact = analytic_occlusion(outlines, INTRINSICS)
-    assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
-    np.testing.assert_allclose(seen.visible_px, exact.visible_px, atol=20 / supersample)  # of some 6,500
-    np.testing.assert_allclose(seen.visible_boxes_px, exact.visible_boxes_px, atol=1 / supersample)
-    masks = partial(pixel_masks, outlines, INTRINSICS, renderer, supersample=supersample)
-    assert not compare_with_analytic(outlines, INTRINSICS, seen, masks, supersample).worst.any()
+    assert [[vessel for vessel, _ in row] for row in exact.occluders] == [[1], [2], [0]]
+    # A third of a turn about the line of sight puts each beam in the place of the next.
+    np.testing.assert_allclose(exact.visible_px, exact.visible_px[0], rtol=1e-9)
+    assert 0.7 < exact.visible_fraction()[0] < 0.9
+    hidden = np.array([row[0][1] for row in exact.occluders])
+    np.testing.assert_allclose(exact.visible_px + hidden, exact.silhouette_px, rtol=1e-9)
+    for factor in (1, 4):
+        seen = rendered_occlusion(outlines, INTRINSICS, renderer, factor)
+        assert [[vessel for vessel, _ in row] for row in seen.occluders] == [[1], [2], [0]]
+        np.testing.assert_allclose(seen.visible_px, exact.visible_px, atol=20 / factor)  # of some 6,500
+        np.testing.assert_allclose(seen.visible_boxes_px, exact.visible_boxes_px, atol=1 / factor)
+        masks = partial(pixel_masks, outlines, INTRINSICS, renderer, supersample=factor)
+        assert not compare_with_analytic(outlines, INTRINSICS, seen, masks, factor).worst.any()
 
 
 def corners_touching(rng):
@@ -164,15 +158,18 @@ def margin_of_separation(a, b):
     return -found.fun
 
 
-def test_order_does_not_depend_on_how_solids_are_grouped_or_how_many_are_looked_at_together(monkeypatch):
-    outlines, _ = tumbled_pairs(np.random.default_rng(11), 60)
+def test_order_does_not_depend_on_the_scale_of_the_scene_and_how_solids_are_grouped_and_looked_at(monkeypatch):
+    outlines, _ = tumbled_pairs(np.random.default_rng(11), 100)
     (part,) = outlines.parts
     whole, group = order_of(outlines), np.random.default_rng(12).integers(0, 3, len(outlines))
     groups = [np.flatnonzero(group == number) for number in range(3)]
-    parts = tuple(replace(part.take(rows), solid=replace(part.solid)) for rows in groups)
+    grouped = tuple(replace(part.take(rows), solid=replace(part.solid)) for rows in groups)
+    models = ((replace(part, vertices_camera=scale * part.vertices_camera),) for scale in (0.01, 100.0))
     monkeypatch.setattr(occlusion_order, "MAX_COORDINATES", 2_000)
-    for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):
-        np.testing.assert_array_equal(getattr(order_of(replace(outlines, parts=parts)), name), getattr(whole, name))
+    for parts in (grouped, *models):
+        order = order_of(replace(outlines, parts=parts))
+        for name in ("first", "second", "first_can_hide", "second_can_hide", "intersecting"):
+            np.testing.assert_array_equal(getattr(order, name), getattr(whole, name))
 
 
 def test_two_shoeboxes_have_fifteen_axes_that_are_normals_and_edges_across_each_other():
@@ -193,15 +190,6 @@ def test_two_shoeboxes_have_fifteen_axes_that_are_normals_and_edges_across_each_
     assert (np.linalg.norm(alone, axis=1) == 0).sum() == 3
 
 
-@pytest.mark.parametrize("scale", [0.01, 100.0])
-def test_order_is_the_same_for_a_model_of_the_scene(scale):
-    outlines, _ = tumbled_pairs(np.random.default_rng(13), 100)
-    (part,) = outlines.parts
-    model = replace(outlines, parts=(replace(part, vertices_camera=scale * part.vertices_camera),))
-    for name in ("first_can_hide", "second_can_hide", "intersecting"):
-        np.testing.assert_array_equal(getattr(order_of(model), name), getattr(order_of(outlines), name))
-
-
 def test_separating_planes_are_found_exactly_where_linear_programming_finds_one():
     outlines, _ = tumbled_pairs(np.random.default_rng(5), 300)
     order = order_of(outlines)
@@ -217,21 +205,14 @@ def test_upright_boxes_intersect_exactly_where_their_footprints_do():
     rng = np.random.default_rng(6)
     wide, told = replace(INTRINSICS, focal_px=(10.0, 10.0)), []
     for _ in range(200):
-        places = []
-        for name, heading in zip("ab", rng.uniform(-np.pi, np.pi, 2), strict=True):
-            boat = vessel(name, rng.uniform(5, 60), rng.uniform(2, 15), 12)
-            places.append((boat, tuple(rng.uniform([80, -30], [140, 30])), heading))
-        order = order_of(outlines_of(places, wide))
+        headings, places = rng.uniform(-np.pi, np.pi, 2), rng.uniform([80, -30], [140, 30], (2, 2))
+        boats = [vessel(name, rng.uniform(5, 60), rng.uniform(2, 15), 12) for name in "ab"]
+        order = order_of(outlines_of([*zip(boats, map(tuple, places), headings, strict=True)], wide))
         if len(order.first):
-            one, two = (footprint(*place) for place in places)
+            one, two = rectangles(places, headings, [boat.extents_m[:2] for boat in boats])
             assert order.intersecting.tolist() == [shapely.area(shapely.intersection(one, two)) > 0]
             told.append(bool(order.intersecting[0]))
     assert 20 < sum(told) < len(told) - 20
-
-
-def footprint(ship, place, heading):
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * ship.extents_m[:2] / 2
-    return shapely.Polygon(corners @ world_R_vehicle(heading)[:2, :2].T + place)
 
 
 def first_met(directions, extents, turn, place):

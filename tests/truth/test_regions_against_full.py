@@ -13,7 +13,7 @@ from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.scan_conversion import facing, scan_convert
 from modsim3d.truth.silhouettes import Spans, counts_and_boxes, spans_of_ids
 from modsim3d.world.vessels import shoebox
-from tests.scenes import INTRINSICS, outlines_of, random_scene, vessel
+from tests.scenes import outlines_of, random_rafts, random_scene
 
 
 def assert_same(fast, slow):
@@ -22,20 +22,16 @@ def assert_same(fast, slow):
     assert fast.occluders == slow.occluders
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_random_scenes_have_the_same_truth_either_way(renderer, seed):
-    places, intrinsics, mount = random_scene(np.random.default_rng(10_000 + seed))
-    outlines = outlines_of(places, intrinsics, mount)
-    scene = outlines, intrinsics, renderer
+RANDOM = [(random_scene, 10_000 + seed, 1) for seed in range(60)]
+RANDOM += [(random_scene, 20_000 + seed, 3) for seed in range(6)]
+RANDOM += [(random_rafts, seed, 1) for seed in range(60)]
+
+
+@pytest.mark.parametrize(("make", "seed", "supersample"), RANDOM)
+def test_random_scenes_have_the_same_truth_either_way(renderer, make, seed, supersample):
+    places, intrinsics, mount = make(np.random.default_rng(seed))
+    scene = outlines_of(places, intrinsics, mount), intrinsics, renderer, supersample
     assert_same(rendered_occlusion(*scene), full_frame_occlusion(*scene))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_supersampled_scenes_have_the_same_truth_either_way(renderer, seed):
-    places, intrinsics, mount = random_scene(np.random.default_rng(20_000 + seed))
-    outlines = outlines_of(places, intrinsics, mount)
-    fast = rendered_occlusion(outlines, intrinsics, renderer, supersample=3)
-    assert_same(fast, full_frame_occlusion(outlines, intrinsics, renderer, supersample=3))
 
 
 @pytest.mark.parametrize(("name", "first", "stop"), [("simulation_1", 1210, 1250), ("harbour", 155, 180)])
@@ -46,20 +42,6 @@ def test_shipped_scenes_have_the_same_truth_either_way(renderer, name, first, st
     assert (full.visible_fraction < 1).sum() > 15
     for column in set(COLUMNS) - {"drawn"}:
         np.testing.assert_array_equal(getattr(fast, column), getattr(full, column), err_msg=column)
-
-
-def test_several_frames_at_once_give_the_truth_of_each(renderer):
-    scene = load_scene("harbour", mode=2)
-    camera = scene.cameras[0]
-
-    def occlusion(first, stop):
-        outlines = scene.sight(camera, np.arange(first, stop)).outlines()
-        return rendered_occlusion(outlines, camera.intrinsics, renderer)
-
-    together, single = occlusion(100, 112), [occlusion(step, step + 1) for step in range(100, 112)]
-    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
-        np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(o, name) for o in single]))
-    assert together.occluders == tuple(entry for o in single for entry in o.occluders)
 
 
 def painted(spans: Spans, row: int, shape: tuple[int, int]) -> np.ndarray:
@@ -116,12 +98,14 @@ def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer, box, exp
     np.testing.assert_array_equal(painted(spans, 0, (40, 40)), drawn > 0)
 
 
-@pytest.mark.parametrize(
-    "box", [(5.0, -9.0, 20.0, -3.0), (5.0, 43.0, 20.0, 49.0), (-9.0, 5.0, -3.0, 20.0), (43, 5, 49, 20)]
-)
-def test_box_outside_the_image_has_no_span(box):
-    spans, odd = scan_convert(flat_box(*box), shoebox(), (40, 40))
-    assert len(spans.row) == len(odd) == 0
+OUTSIDE = [(5.0, -9.0, 20.0, -3.0), (5.0, 43.0, 20.0, 49.0), (-9.0, 5.0, -3.0, 20.0), (43.0, 5.0, 49.0, 20.0)]
+
+
+def test_box_outside_the_image_or_between_pixel_centres_has_no_span_and_a_small_one_on_a_centre_has_one():
+    between, on_a_centre = ((x, 10.45, x + 0.1, 10.55) for x in (10.6, 10.45))
+    for box, count in (*((box, 0) for box in (*OUTSIDE, between)), (on_a_centre, 1)):
+        spans, odd = scan_convert(flat_box(*box), shoebox(), (40, 40))
+        assert (len(spans.row), len(odd), counts_and_boxes(spans, 1)[0].tolist()) == (count, 0, [count]), box
 
 
 def test_outline_that_crosses_itself_is_drawn_instead_and_its_neighbours_are_not():
@@ -138,12 +122,6 @@ def test_outline_that_crosses_itself_is_drawn_instead_and_its_neighbours_are_not
     assert not (spans.row == 1).any()
 
 
-def test_box_smaller_than_a_pixel_has_no_span_between_centres_and_one_on_a_centre():
-    for x, expected in ((10.6, 0), (10.45, 1)):
-        spans, _ = scan_convert(flat_box(x, 10.45, x + 0.1, 10.55), shoebox(), (40, 40))
-        assert counts_and_boxes(spans, 1)[0][0] == expected
-
-
 def test_faces_turned_to_the_camera_are_those_whose_corners_run_counter_clockwise():
     assert facing(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])) > 0  # rows run downwards
     assert facing(np.array([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]])) < 0
@@ -155,8 +133,3 @@ def test_spans_of_an_id_image_are_the_pixels_of_each_silhouette():
     spans = spans_of_ids(ids)
     for row in range(3):
         np.testing.assert_array_equal(painted(spans, row, ids.shape), ids == row + 1)
-
-
-def test_empty_outlines_have_an_empty_truth(renderer):
-    outlines = outlines_of([(vessel("behind"), (-100, 0), 0)])
-    assert len(rendered_occlusion(outlines, INTRINSICS, renderer).visible_px) == 0

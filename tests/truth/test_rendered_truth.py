@@ -26,43 +26,10 @@ def test_box_in_front_hides_exactly_the_columns_it_should(renderer):
     assert seen.visible_px[1] == seen.silhouette_px[1] and seen.occluders[1] == ()
 
 
-def test_vessel_behind_a_larger_one_is_hidden_and_keeps_its_full_box(renderer):
-    small, large = vessel("small", 2, 4, 3), vessel("large", 2, 40, 30)
-    _, seen = truth_of(renderer, [(small, (301, 0), 0), (large, (101, 0), 0)])
-    assert seen.visible_px[0] == 0 and np.isnan(seen.visible_boxes_px[0]).all() and seen.silhouette_px[0] > 0
-    assert seen.full_boxes_px[0][2] - seen.full_boxes_px[0][0] == 14
-    assert seen.occluders[0] == ((1, seen.silhouette_px[0]),)
-
-
-def test_each_hidden_pixel_belongs_to_the_front_most(renderer):
-    """Two boxes, one behind the other, hide a third: only the nearest is named where both would."""
-    third = vessel("third", 2, 30, 10)
-    middle, nearest = vessel("middle", 2, 10, 20), vessel("nearest", 2, 8, 30)
-    _, seen = truth_of(renderer, [(third, (301, 0), 0), (middle, (201, 0), 0), (nearest, (101, 0), 0)])
-    hidden = dict(seen.occluders[0])
-    assert set(hidden) == {2}  # at 100 m, 8 m span 80 columns; the middle one's 10 m at 200 m only 50
-    assert sum(hidden.values()) + seen.visible_px[0] == seen.silhouette_px[0]
-
-
-def test_vessel_half_in_the_image_is_cut_at_its_edge(renderer):
-    """Front face at 100 m, 10 m wide, centred on the image's left edge (w2 = +40 m)."""
-    outlines, seen = truth_of(renderer, [(vessel("half", 1e-3, 10, 10), (100, 40), 0)])
-    np.testing.assert_array_equal(seen.full_boxes_px[0][[0, 2]], [0, 50])
-    assert outlines.in_frame_fraction[0] == pytest.approx(0.5, abs=1e-3)
-
-
 @pytest.mark.parametrize("place", [(-100, 0), (100, 60)], ids=["behind the camera", "outside the image"])
 def test_vessel_behind_the_camera_or_outside_the_image_is_not_in_it(renderer, place):
-    assert len(truth_of(renderer, [(vessel("away"), place, 0)])[0]) == 0
-
-
-def test_vessel_across_the_near_plane_is_cut_there_and_not_mirrored(renderer):
-    """A 40 m long box 2 m to port of the camera, from 20 m behind to 20 m ahead: its far end is 100 px to port."""
-    outlines, seen = truth_of(renderer, [(vessel("long", 40, 1, 20), (0, 2.5), 0)])
-    assert outlines.crosses_near.tolist() == [True] and np.isnan(outlines.in_frame_fraction[0])
-    np.testing.assert_array_equal(seen.full_boxes_px[0], [0, 0, 300, 600])
-    np.testing.assert_allclose(outlines.boxes_px[0], [0, 0, 300, 600], atol=1e-9)
-    assert seen.visible_px[0] == seen.silhouette_px[0] == 300 * 600
+    outlines, seen = truth_of(renderer, [(vessel("away"), place, 0)])
+    assert len(outlines) == len(seen.visible_px) == 0
 
 
 @pytest.mark.parametrize("factor", [1, 3])
@@ -119,19 +86,14 @@ def test_full_boxes_agree_with_corner_projection_within_a_pixel(renderer, seed):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_visible_and_hidden_pixels_make_the_silhouette(renderer, seed):
-    _, seen = truth_of(renderer, random_places(np.random.default_rng(seed), 30, far_m=400.0))
+def test_visible_and_hidden_pixels_make_the_silhouette_whatever_the_order_of_vessels(renderer, seed):
+    places = random_places(np.random.default_rng(seed), 30, far_m=400.0)
+    outlines, seen = truth_of(renderer, places)
     hidden = np.array([sum(px for _, px in row) for row in seen.occluders])
     np.testing.assert_array_equal(seen.visible_px + hidden, seen.silhouette_px)
     assert (hidden > 0).any()
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_order_of_vessels_does_not_matter(renderer, seed):
-    places = random_places(np.random.default_rng(seed), 25, far_m=400.0)
-    a, seen = truth_of(renderer, places)
-    b, mirrored = truth_of(renderer, places[::-1])
-    order = np.argsort(len(places) - 1 - b.occluder)
-    np.testing.assert_array_equal(a.occluder, (len(places) - 1 - b.occluder)[order])
+    others, mirrored = truth_of(renderer, places[::-1])
+    order = np.argsort(29 - others.occluder)
+    np.testing.assert_array_equal(outlines.occluder, (29 - others.occluder)[order])
     np.testing.assert_array_equal(seen.visible_px, mirrored.visible_px[order])
     np.testing.assert_array_equal(seen.full_boxes_px, mirrored.full_boxes_px[order])

@@ -7,10 +7,7 @@ import shapely
 from modsim3d.geometry.camera_poses import Mount, world_R_vehicle
 from modsim3d.render.id_pass import Region
 from modsim3d.truth.buffer_drawing import triangles_of
-from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.rendered import rendered_occlusion
-from tests.scenes import INTRINSICS, outlines_of, random_rafts, vessel
-from tests.truth.test_regions_against_full import assert_same
+from tests.scenes import INTRINSICS, outlines_of, vessel
 
 ABOVE = Mount((0.0, 0.0, 40.0), pitch_rad=0.55, yaw_rad=0.1, roll_rad=0.05)
 
@@ -38,11 +35,3 @@ def test_deck_that_two_vessels_share_is_that_of_the_first_in_the_scene(renderer,
         triangles = triangles_of(outlines_of(order, mount=ABOVE), INTRINSICS)
         ids = renderer.draw(triangles.corners_px, triangles.inverse_depth, triangles.row + 1, Region(0, 0, 800, 600))
         assert (ids[shared] == 1).all()
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_rafts_have_the_same_truth_either_way(renderer, seed):
-    places, intrinsics, mount = random_rafts(np.random.default_rng(seed))
-    outlines = outlines_of(places, intrinsics, mount)
-    fast = rendered_occlusion(outlines, intrinsics, renderer)
-    assert_same(fast, full_frame_occlusion(outlines, intrinsics, renderer))
