@@ -8,11 +8,9 @@ import pytest
 import trimesh
 import yaml
 
-from modsim3d.cli.run_summary import scene_warnings
-from modsim3d.scene.reading import load_scene
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import misfit
-from tests.command_line import call
+from tests.cli.bad_input.builders import Call
 from tests.scenes import camera_keys
 from tests.world.test_meshes import NAMES
 
@@ -20,13 +18,16 @@ SIZE_M = (90.0, 15.0, 22.0)
 Z_UP_TO_Y_UP = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """Bow at +x still, and up from +z to +y, as Blender exports a ship along x by default."""
 TO_GLTF = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # bow +x to +z, port +y to +x, up +z to +y
-GOOD_VESSEL = {"length_m": 90, "beam_m": 15, "air_draft_m": 22, "label": "ship"}
+
+
+MISFIT = {"length_m": 90, "beam_m": 15, "air_draft_m": 22, "label": "ship", "mesh": "blender.obj"}
 AHEAD = {"vessel": "own", "position_m": [3, 0, 2.2], "pitch_rad": 0.02}
+TRACKS = {"own": [[0, 0, 0], [30, 30, 0]], "v": [[0, 250, 60], [30, 250, -60]], "w": [[0, 250, 160], [30, 250, 60]]}
 SCENE = {
     "steps": 2,
     "time_step_s": 0.5,
-    "vessels": {"own": {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "boat"}},
-    "poses": {"tracks": {"own": [[0, 0, 0], [30, 30, 0]], "v": [[0, 250, 60], [30, 250, -60]]}},
+    "vessels": {"own": {"length_m": 10, "beam_m": 4, "air_draft_m": 3, "label": "boat"}, "v": MISFIT, "w": MISFIT},
+    "poses": {"tracks": TRACKS},
     "cameras": {"bow": camera_keys(1920, 1080, focal_length_m=0.016, mount=AHEAD)},
     "annotation": {"mode": 2, "source": "rendered"},
     "detector": "coastal",
@@ -46,19 +47,22 @@ def warned(mesh: trimesh.Trimesh, file: str, folder: Path, **axes: str) -> str |
     return misfit(load_mesh({"file": file, **axes}, folder), np.array(SIZE_M))
 
 
-def test_an_obj_with_y_up_is_warned_of_with_its_extents_and_the_axes_that_fit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_mesh_that_does_not_fit_vessels_or_an_obstacle_is_warned_of_once_with_the_axes_that_do(
+    tmp_path: Path, call: Call
 ) -> None:
     ship().apply_transform(Z_UP_TO_Y_UP).export(tmp_path / "blender.obj")
-    scene = {**SCENE, "vessels": {**SCENE["vessels"], "v": {**GOOD_VESSEL, "mesh": "blender.obj"}}}  # type: ignore[dict-item]
+    ship().export(tmp_path / "wreck.stl")
+    place = {"mesh": "wreck.stl", "position_m": [300, 0, 0], "heading_rad": 0.7}
+    sizes = {"right": [90, 15, 22], "wrong": [15, 90, 22]}
+    scene = SCENE | {"obstacles": {name: {**place, "size_m": size} for name, size in sizes.items()}}
     (tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene))
-    assert call(monkeypatch, "check", "scene", tmp_path / "scene.yaml") == 0
-    out, said = capsys.readouterr()
-    assert "no errors, 1 warning" in out
+    status, said = call("check", "scene", tmp_path / "scene.yaml")
     words = " ".join(said.split())
-    assert "vessel 'v': the mesh blender measures 90 × 22 × 15 along x, y and z of its file" in words
+    assert status == 0 and "no errors, 2 warnings" in words
+    assert "vessel 'v' and 1 more: the mesh blender measures 90 × 22 × 15 along x, y and z of its file" in words
     assert 'forward: "+x" or "-x", up: "+y" would fit' in words
     assert "length × beam × air draft of 90 × 15 × 22 m" in words
+    assert "obstacle 'wrong': the mesh measures 90 × 15 × 22 along x, y and z of its file" in words
 
 
 def test_the_right_axes_are_not_warned_of(tmp_path: Path) -> None:
@@ -70,8 +74,7 @@ def test_the_right_axes_are_not_warned_of(tmp_path: Path) -> None:
 
 def test_a_bow_along_x_in_a_glb_is_warned_of(tmp_path: Path) -> None:
     said = warned(ship().apply_transform(Z_UP_TO_Y_UP), "ship.glb", tmp_path)
-    assert said is not None
-    assert "measures 90 × 22 × 15 along x, y and z" in said
+    assert said is not None and "measures 90 × 22 × 15 along x, y and z" in said
     assert 'with forward "+z" and up "+y" it is stretched 36 times as much along one axis as along another' in said
     assert 'forward: "+x" or "-x", up: "+y" would fit' in said
 
@@ -86,11 +89,9 @@ PARTS = {
 
 @pytest.mark.parametrize("extra", PARTS.values(), ids=PARTS)
 def test_a_part_that_makes_a_speck_of_the_ship_is_warned_of(extra: trimesh.Trimesh, tmp_path: Path) -> None:
-    whole = trimesh.util.concatenate([ship(), extra]).apply_transform(TO_GLTF)
-    said = warned(whole, "sea.glb", tmp_path)
-    assert said is not None
+    said = warned(trimesh.util.concatenate([ship(), extra]).apply_transform(TO_GLTF), "sea.glb", tmp_path)
+    assert said is not None and "take that part out of the file" in said
     assert f"without one part of {len(extra.faces)} faces it would measure 15 × 22 × 90" in said
-    assert "take that part out of the file" in said
 
 
 def test_other_proportions_are_warned_of_from_a_stretch_of_three_on(tmp_path: Path) -> None:
@@ -105,27 +106,6 @@ def test_shipped_meshes_and_others_that_fill_the_unit_box_are_not_warned_of(name
     path = shipped_meshes()[name]
     for entry in (name, path.name):
         assert misfit(load_mesh(entry, path.parent), np.array(size_m)) is None
-
-
-def test_meshes_of_obstacles_are_held_against_their_size(tmp_path: Path) -> None:
-    ship().export(tmp_path / "wreck.stl")
-    sizes = {"right": [90, 15, 22], "wrong": [15, 90, 22]}
-    place = {"mesh": "wreck.stl", "position_m": [300, 0, 0], "heading_rad": 0.7}
-    obstacles = {name: {**place, "size_m": size} for name, size in sizes.items()}
-    poses = {"tracks": {"own": [[0, 0, 0], [30, 30, 0]]}}
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump({**SCENE, "poses": poses, "obstacles": obstacles}))
-    (said,) = scene_warnings(load_scene(tmp_path / "scene.yaml"))
-    assert said.startswith("obstacle 'wrong': the mesh measures 90 × 15 × 22 along x, y and z of its file")
-
-
-def test_a_mesh_of_many_vessels_is_warned_of_once(tmp_path: Path) -> None:
-    ship().apply_transform(Z_UP_TO_Y_UP).export(tmp_path / "blender.obj")
-    entry = {**GOOD_VESSEL, "mesh": "blender.obj"}
-    tracks = {**SCENE["poses"]["tracks"], "w": [[0, 250, 160], [30, 250, 60]]}  # type: ignore[index]
-    vessels = {**SCENE["vessels"], "v": entry, "w": entry}  # type: ignore[dict-item]
-    (tmp_path / "scene.yaml").write_text(yaml.safe_dump({**SCENE, "vessels": vessels, "poses": {"tracks": tracks}}))
-    (said,) = scene_warnings(load_scene(tmp_path / "scene.yaml"))
-    assert said.startswith("vessel 'v' and 1 more: the mesh blender measures")
 
 
 def test_bytes_behind_the_facets_of_a_binary_stl_are_passed_over(tmp_path: Path) -> None:

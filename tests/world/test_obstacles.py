@@ -14,11 +14,12 @@ from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion_order import order_of
-from modsim3d.truth.outlines import first_body_around, outline
+from modsim3d.truth.outlines import outline
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from modsim3d.world.bodies import Obstacle, extruded, obstacle_bodies, vessel_bodies
 from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, pixel_masks, random_scene, vessel, write_scene
+from tests.truth.test_regions_against_full import assert_same
 
 SQUARE = [[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]]
 
@@ -85,12 +86,8 @@ def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
 def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed, supersample):
     places, obstacles, intrinsics, mount = random_harbour(seed)
     outlines = before(places, obstacles, intrinsics, mount)
-    boxed = np.flatnonzero(outlines.boxed)
-    fast = rendered_occlusion(outlines, intrinsics, renderer, supersample).take(boxed)
-    plain = full_frame_occlusion(outlines, intrinsics, renderer, supersample).take(boxed)
-    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
-        np.testing.assert_array_equal(getattr(fast, name), getattr(plain, name), err_msg=name)
-    assert fast.occluders == plain.occluders
+    boxed, scene = np.flatnonzero(outlines.boxed), (outlines, intrinsics, renderer, supersample)
+    assert_same(*(draw(*scene).take(boxed) for draw in (rendered_occlusion, full_frame_occlusion)))
 
 
 def test_prisms_of_a_concave_polygon_fill_it_and_no_more():
@@ -112,26 +109,21 @@ def test_vessel_under_a_bridge_is_seen_below_it(renderer):
     ship = vessel("ship", 10, 10, 30)  # as wide as the pillars are apart; 30 m high
     bridge = Obstacle("bridge", extruded(np.array([[90, -200], [95, -200], [95, 200], [90, 200.0]]), 15, 5))
     outlines = before([(ship, (120.0, 0.0), 0.0)], [bridge])
-    seen = rendered_occlusion(outlines, INTRINSICS, renderer)
-    row = int(np.flatnonzero(outlines.boxed)[0])
-    assert 0 < seen.visible_px[row] < seen.silhouette_px[row]
-    ((hider, pixels),) = seen.occluders[row]
-    assert hider == 1
-    assert pixels == seen.silhouette_px[row] - seen.visible_px[row]
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer).take(np.flatnonzero(outlines.boxed))
+    assert 0 < seen.visible_px[0] < seen.silhouette_px[0]
+    assert seen.occluders == (((1, seen.silhouette_px[0] - seen.visible_px[0]),),)
     # The deck hides a stripe: above and below it the ship is seen, so its visible box is its full box.
-    np.testing.assert_array_equal(seen.visible_boxes_px[row], seen.full_boxes_px[row])
+    np.testing.assert_array_equal(seen.visible_boxes_px, seen.full_boxes_px)
 
 
 def test_what_overlapping_obstacles_hide_is_counted_once():
-    ship = vessel("ship", 10, 40, 12)
     quay, pier = [[80, -15], [90, -15], [90, 5], [80, 5.0]], [[85, -5], [95, -5], [95, 15], [85, 15.0]]
     quays = [Obstacle(name, extruded(np.array(at), 0, 6)) for name, at in (("quay", quay), ("pier", pier))]
-    outlines = before([(ship, (120.0, 0.0), 0.0)], quays)
-    seen = analytic_occlusion(outlines, INTRINSICS)
-    row = int(np.flatnonzero(outlines.boxed)[0])
-    assert {hider for hider, _ in seen.occluders[row]} == {1, 2}
-    hidden = sum(px for _, px in seen.occluders[row])
-    assert hidden == pytest.approx(seen.silhouette_px[row] - seen.visible_px[row])
+    outlines = before([(vessel("ship", 10, 40, 12), (120.0, 0.0), 0.0)], quays)
+    seen = analytic_occlusion(outlines, INTRINSICS).take(np.flatnonzero(outlines.boxed))
+    hidden = dict(seen.occluders[0])
+    assert hidden.keys() == {1, 2}
+    assert sum(hidden.values()) == pytest.approx(seen.silhouette_px[0] - seen.visible_px[0])
 
 
 def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(renderer):
@@ -143,13 +135,11 @@ def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(
     outlines = before([(vessel("ship", 100, 15, 20), (220.0, 30.0), 1.5)], [island])
     order = order_of(outlines)
     assert outlines.boxed[np.stack([order.first, order.second])].any(axis=0).all()
-    row = int(np.flatnonzero(outlines.boxed)[0])
     both = analytic_occlusion(outlines, INTRINSICS), rendered_occlusion(outlines, INTRINSICS, renderer)
-    exact, drawn = (truth.take(np.array([row])) for truth in both)
+    exact, drawn = (truth.take(np.flatnonzero(outlines.boxed)) for truth in both)
     assert 0.1 < drawn.visible_px[0] / drawn.silhouette_px[0] < 0.9
     ((hider, px),) = exact.occluders[0]
-    assert hider == 1
-    assert px == pytest.approx(exact.silhouette_px[0] - exact.visible_px[0])
+    assert (hider, px) == (1, pytest.approx(exact.silhouette_px[0] - exact.visible_px[0]))
     assert px == pytest.approx(drawn.occluders[0][0][1], rel=0.02)
 
 
@@ -161,14 +151,13 @@ def scene_with(folder, obstacles):
 def test_hidden_vessel_names_the_obstacle_and_obstacle_gets_no_row(tmp_path):
     wall = {"polygon_m": [[100, -50], [110, -50], [110, 50], [100, 50]], "height_m": 40}
     scene = scene_with(tmp_path, {"quay": wall})
-    frame = next(simulate_frames(scene))
-    assert frame.truth.vessels == ("boat",)
-    assert frame.truth.visible_px.tolist() == [0]
-    assert list(frame.truth.occluded_by[0]) == ["obstacle:quay"]
-    analytic = next(simulate_frames(replace(scene, annotation=replace(scene.annotation, source="analytic"))))
-    assert list(analytic.truth.occluded_by[0]) == ["obstacle:quay"]
-    ruled = next(simulate_frames(replace(scene, annotation=replace(scene.annotation, source="rectangles"))))
-    assert ruled.truth.visible_fraction.tolist() == [1.0]  # the thesis's rule knows of vessels only
+    rendered, analytic, ruled = (
+        next(simulate_frames(replace(scene, annotation=replace(scene.annotation, source=source)))).truth
+        for source in ("rendered", "analytic", "rectangles")
+    )
+    assert (rendered.vessels, rendered.visible_px.tolist()) == (("boat",), [0])
+    assert list(rendered.occluded_by[0]) == list(analytic.occluded_by[0]) == ["obstacle:quay"]
+    assert ruled.visible_fraction.tolist() == [1.0]  # the thesis's rule knows of vessels only
 
 
 def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
@@ -193,11 +182,3 @@ def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
 def test_wrong_obstacle_is_one_clear_error(tmp_path, keys, said):
     with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):
         scene_with(tmp_path, {"quay": keys})
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0, 1.0), (3.9, 1.0, 0.5), (-3.9, -0.9, 1.9)])
-def test_camera_in_a_shoebox_is_inside_and_one_beside_it_is_not(place):
-    boat = vessel("boat", 8, 2.1, 2)
-    bodies = vessel_bodies([boat], np.ones((1, 1), bool), np.zeros((1, 1, 3)), world_R_vehicle(np.zeros((1, 1))))
-    assert first_body_around(np.array([place]), bodies) == (0, 0)
-    assert first_body_around(np.add([place], (0, 0, 2)), bodies) is None

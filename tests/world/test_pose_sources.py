@@ -12,16 +12,13 @@ from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.poses.agents import AgentsKeys, drive_agents
 from modsim3d.world.poses.registry import SOURCES
-from tests.scenes import write_scene
+from tests.scenes import camera_keys, write_scene
 
 
 def scene_of(folder, poses: dict[str, Any], **keys: Any):
-    path = write_scene(folder, {name: ([8, 4, 1], []) for name in ("a", "b")}, 20)
-    data = json.loads(path.read_text())
-    data.update(poses=poses, time_step_s=0.1, seed=3, **keys)
-    data["cameras"]["C0"]["pose"]["position_m"] = [-20, 0, 10]
-    path.write_text(json.dumps(data))
-    return path
+    cameras = {"C0": camera_keys(pose={"position_m": [-20, 0, 10]})}
+    keys = {"time_step_s": 0.1, "seed": 3, "cameras": cameras, **keys}
+    return write_scene(folder, {name: ([8, 4, 1], []) for name in ("a", "b")}, 20, poses=poses, **keys)
 
 
 def test_agents_of_a_scene_are_those_of_python(tmp_path):
@@ -48,30 +45,22 @@ def test_sources_without_times_of_their_own_need_the_scenes(tmp_path, name):
         "agents": {"size_m": [80, 50]},
         "traffic": {"own": {"a": {"waypoints_m": [[0, 0], [900, 0]], "speed_m_s": 3}}},
     }
-    path = scene_of(tmp_path, {name: good[name]})
-    assert load_scene(path).steps == 20
-    data = json.loads(path.read_text())
-    del data["time_step_s"]
-    path.write_text(json.dumps(data))
+    assert load_scene(scene_of(tmp_path, {name: good[name]})).steps == 20
     with pytest.raises(InputError, match=f"poses: {name} has no times of its own: give time_step_s beside it"):
-        load_scene(path)
+        load_scene(scene_of(tmp_path, {name: good[name]}, time_step_s=None))
 
 
-def test_vessels_appear_and_leave_in_a_pose_file(tmp_path):
+def test_vessels_appear_and_leave_in_a_pose_file_and_on_tracks(tmp_path):
     """A vessel that is away has no row of truth at that step, and is there again when it has a pose again."""
     here = {name: {"center_position_m": [100, w2, 0], "heading_rad": 0} for name, w2 in (("a", 0), ("b", 20))}
     steps = [["a"], ["a", "b"], [], ["b"], ["a", "b"]]
     poses = {f"{t}.0": {name: here[name] for name in names} for t, names in enumerate(steps)}
     (tmp_path / "poses.json").write_text(json.dumps(poses))
-    scene = load_scene(scene_of(tmp_path, {"file": "poses.json"}, annotation={"source": "analytic"}), steps=5)
-    assert [list(frame.truth.vessels) for frame in simulate_frames(scene)] == steps
-
-
-def test_vessels_appear_and_leave_on_tracks(tmp_path):
     tracks = {"a": [[0.2, 100, 0], [0.4, 101, 0]], "b": [[0.4, 100, 20], [0.6, 101, 20]]}
-    scene = load_scene(scene_of(tmp_path, {"tracks": tracks}, annotation={"source": "analytic"}), steps=8)
-    seen = [list(frame.truth.vessels) for frame in simulate_frames(scene)]
-    assert seen == [[], [], ["a"], ["a"], ["a", "b"], ["b"], ["b"], []]
+    on_tracks = [[], [], ["a"], ["a"], ["a", "b"], ["b"], ["b"], []]
+    for source, there in (({"file": "poses.json"}, steps), ({"tracks": tracks}, on_tracks)):
+        scene = load_scene(scene_of(tmp_path, source, annotation={"source": "analytic"}), steps=len(there))
+        assert [list(frame.truth.vessels) for frame in simulate_frames(scene)] == there
 
 
 def test_the_document_lists_every_source_and_its_keys():

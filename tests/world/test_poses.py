@@ -20,10 +20,8 @@ def motion(seed=0, ships=SHIPS, radius=(5.0, 500.0), steps=50):
 
 def test_timestamps_are_exact_decimals():
     assert generated_timestamps(6, 0.2) == ("0.0", "0.2", "0.4", "0.6", "0.8", "1.0")
-    assert generated_timestamps(4, 0.1)[3] == "0.3"
-    assert generated_timestamps(3, 1.0) == ("0.0", "1.0", "2.0")
-    assert generated_timestamps(3, 1e-7)[1] == "0.0000001"
-    assert generated_timestamps(2, 1e22)[1] == "10000000000000000000000.0"
+    last = {(4, 0.1): "0.3", (3, 1.0): "2.0", (2, 1e-7): "0.0000001", (2, 1e22): "10000000000000000000000.0"}
+    assert {case: generated_timestamps(*case)[-1] for case in last} == last
 
 
 INDEX = st.integers(-5000, 5000)
@@ -40,7 +38,7 @@ def test_times_of_a_long_scene_are_the_generated_ones(steps, first, stop, stride
         long[steps]
 
 
-def test_circular_motion_follows_the_source():
+def test_circular_motion_follows_the_source_and_a_ring_holds_every_point_of_a_hull():
     """Jessen & Mohr (2023), eq. 7.5 and 7.7: on the circle, heading along it."""
     circle = motion()
     poses = circle.poses(10, 20)
@@ -50,6 +48,10 @@ def test_circular_motion_follows_the_source():
     np.testing.assert_allclose((tangent * offset).sum(axis=-1), 0, atol=1e-9)
     moved = np.diff(poses.positions_m[..., :2], axis=0)
     assert (np.sum(moved * tangent[:-1], axis=-1) > 0).all()
+    # A hull of 14 m on a circle of 5 m reaches much farther out.
+    along, across = np.meshgrid(np.linspace(-7, 7, 57), np.linspace(-2, 2, 17))
+    distance, (inner, outer) = np.hypot(5.0 + across, along), swept_ring(5.0, 14.0, 4.0)
+    assert (inner, outer) == pytest.approx((distance.min(), distance.max())) and outer > 9.8
 
 
 @settings(max_examples=30, deadline=None)
@@ -62,16 +64,6 @@ def test_rings_swept_by_the_hulls_are_disjoint(seed):
     assert ((circle.rates_rad_s >= 0.005) & (circle.rates_rad_s <= 0.03)).all()
 
 
-def test_ring_holds_every_point_of_a_hull_on_a_tight_circle():
-    """A 14 m hull on a 5 m circle reaches much farther out than its circle."""
-    inner, outer = swept_ring(5.0, 14.0, 4.0)
-    along, across = np.meshgrid(np.linspace(-7, 7, 57), np.linspace(-2, 2, 17))
-    distance = np.hypot(5.0 + across, along)
-    assert distance.min() == pytest.approx(inner)
-    assert distance.max() == pytest.approx(outer)
-    assert outer > 9.8
-
-
 def test_seed_decides_the_circles_and_vessels_that_do_not_fit_are_an_error():
     np.testing.assert_array_equal(motion(3).radii_m, motion(3).radii_m)
     assert (motion(3).radii_m != motion(4).radii_m).all()
@@ -80,12 +72,9 @@ def test_seed_decides_the_circles_and_vessels_that_do_not_fit_are_an_error():
 
 
 def test_recorded_poses_keep_the_text_of_their_times_and_absent_vessels():
-    pose = lambda *place, heading: {"center_position_m": list(place), "heading_rad": heading}  # noqa: E731
-    later = {"a": pose(2, 2, 0, heading=0.5), "b": pose(0, 0, 0.5, heading=-1)}
-    data = {"0": {"a": pose(1, 2, 0, heading=0.5)}, "0.50": later}
+    here = {"center_position_m": [1, 2, 0], "heading_rad": 0.5}
+    data = {"0": {"a": here}, "0.50": {"a": here, "b": {"center_position_m": [0, 0, 0.5], "heading_rad": -1}}}
     recorded = parse_poses(data, "poses", ["a", "b"])
-    assert recorded.timestamps == ("0", "0.50")
     poses = recorded.poses(0, 2)
-    assert poses.present.tolist() == [[True, False], [True, True]]
-    assert poses.positions_m[1, 1].tolist() == [0, 0, 0.5]
-    assert poses.headings_rad[1].tolist() == [0.5, -1]
+    assert (recorded.timestamps, poses.present.tolist()) == (("0", "0.50"), [[True, False], [True, True]])
+    assert poses.positions_m[1].tolist() == [[1, 2, 0], [0, 0, 0.5]] and poses.headings_rad[1].tolist() == [0.5, -1]
