@@ -61,19 +61,14 @@ GRID = np.stack(np.meshgrid(*[np.linspace(-0.6, 0.6, 7)] * 2), axis=-1)
 
 
 @BOTH
-def test_newtons_method_needs_few_steps(lens, monkeypatch):
-    monkeypatch.setattr("modsim3d.geometry.camera.MAX_ITERATIONS", 6)
-    np.testing.assert_allclose(lens.undistort(lens.distort(GRID)), GRID, rtol=0, atol=1e-13)
-
-
-@BOTH
-def test_each_point_is_undistorted_and_has_its_derivatives_as_if_it_were_alone(lens):
+def test_each_point_is_undistorted_in_few_steps_and_has_its_derivatives_as_if_it_were_alone(lens, monkeypatch):
     distorted = lens.distort(GRID)
     for place in np.ndindex(7, 7):
-        alone = lens.undistort(distorted[place])
-        np.testing.assert_allclose(alone, GRID[place], rtol=0, atol=1e-13)
+        np.testing.assert_allclose(lens.undistort(distorted[place]), GRID[place], rtol=0, atol=1e-13)
         np.testing.assert_array_equal(lens.jacobian(GRID)[place], lens.jacobian(GRID[place]))
     assert lens.undistort(np.empty((0, 2))).shape == (0, 2)
+    monkeypatch.setattr("modsim3d.geometry.camera.MAX_ITERATIONS", 6)
+    np.testing.assert_allclose(lens.undistort(distorted), GRID, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -87,21 +82,17 @@ def test_only_points_that_no_direction_is_seen_at_have_none(axis, sign):
     assert missing.all(axis=1).tolist() == missing.any(axis=1).tolist() == [False, True, False, True, False]
 
 
-@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.0, -1.0), (0.6, 0.8), (-0.8, 0.6), (np.sqrt(0.5), np.sqrt(0.5))])
-def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond(direction):
+def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond():
     lens = Distortion(k1=-1.0)  # r − r³ rises up to r = 1 / √3 = 0.5774
-    inside, outside = np.outer([0.3, 0.577], direction), np.outer([0.3, 0.580], direction)
-    assert lens.one_to_one(inside) and not lens.one_to_one(outside) and not lens.one_to_one(outside[::-1])
-    # Beyond r = 1 it mirrors both axes, and the one place of 257 before that is the axis itself.
-    assert not lens.one_to_one(np.outer([300.0], direction))
-    assert not lens.one_to_one(np.concatenate([inside, [[np.nan, 0.1]]]))
-
-
-def test_fold_between_the_axis_and_the_points_is_found():
+    for direction in ((1.0, 0.0), (0.0, -1.0), (0.6, 0.8), (-0.8, 0.6), (np.sqrt(0.5), np.sqrt(0.5))):
+        inside, outside = np.outer([0.3, 0.577], direction), np.outer([0.3, 0.580], direction)
+        assert lens.one_to_one(inside) and not lens.one_to_one(outside) and not lens.one_to_one(outside[::-1])
+        # Beyond r = 1 it mirrors both axes, and the one place of 257 before that is the axis itself.
+        assert not lens.one_to_one(np.outer([300.0], direction))
+        assert not lens.one_to_one(np.concatenate([inside, [[np.nan, 0.1]]]))
     lens = Distortion(k1=-0.9, k2=0.35)  # its radius falls from r = 0.79 to 0.96, and rises again
-    assert lens.one_to_one(np.array([[0.78, 0.0]]))
+    assert lens.one_to_one(np.array([[0.78, 0.0]])) and not lens.one_to_one(np.array([[1.1, 0.0]]))
     assert (np.linalg.det(lens.jacobian(np.array([[1.1, 0.0]]))) > 0).all()
-    assert not lens.one_to_one(np.array([[1.1, 0.0]]))
 
 
 def test_jacobian_is_the_derivative():
@@ -251,23 +242,21 @@ def test_scene_runs_through_a_lens_from_every_source_and_coefficients_of_zero_ar
         assert np.abs(rendered.truth.full_boxes_px - analytic.truth.full_boxes_px).max() <= 1
 
 
-@pytest.mark.parametrize(
-    ("coefficients", "problem"),
-    [
-        ({"k1": -3.0}, "the lens reaches only a part of the image: reduce the coefficients or the image size"),
-        ({"k1": -1.0, "k2": -2.0}, "the lens reaches only a part"),
-        ({"k1": -0.9, "k2": 0.27}, "the lens reaches only a part"),
-        ({"p1": 5.0}, "the lens reaches only a part"),
-        # One to one in the image, but a fold lies between: r (1 − 0.9 r² + 0.35 r⁴) falls from r = 0.79 to 0.96.
-        ({"k1": -0.9, "k2": 0.35}, "folds the image over itself: some pixels show two directions"),
-    ],
-)
-def test_lens_that_folds_the_image_is_refused(tmp_path, coefficients, problem):
-    with pytest.raises(InputError, match=rf"cameras\.C0\.distortion: {problem}"):
-        load_scene(lens_scene(tmp_path, **coefficients))
+PART = "the lens reaches only a part of the image: reduce the coefficients or the image size"
+FOLDS = [
+    ({"k1": -3.0}, PART),
+    ({"k1": -1.0, "k2": -2.0}, PART),
+    ({"k1": -0.9, "k2": 0.27}, PART),
+    ({"p1": 5.0}, PART),
+    # One to one in the image, but a fold lies between: r (1 − 0.9 r² + 0.35 r⁴) falls from r = 0.79 to 0.96.
+    ({"k1": -0.9, "k2": 0.35}, "folds the image over itself: some pixels show two directions"),
+]
 
 
-def test_lens_of_a_long_narrow_image_is_accepted():
+def test_lens_that_folds_the_image_is_refused_and_that_of_a_long_narrow_image_is_not(tmp_path):
+    for coefficients, problem in FOLDS:
+        with pytest.raises(InputError, match=rf"cameras\.C0\.distortion: {problem}"):
+            load_scene(lens_scene(tmp_path, **coefficients))
     for width, height in ((2400, 200), (200, 2400)):
         middle, lens = (width / 2, height / 2), Distortion(k1=-0.1)
         assert Intrinsics((3000.0, 3000.0), middle, (width, height), distortion=lens).lens_problem() is None

@@ -36,9 +36,9 @@ def angles(motion, steps, vessel="own", step_s=0.1):
     return motion.angles(vessel, step_s * number, number)
 
 
-def test_process_is_the_recursion_of_the_source():
+def test_process_is_the_recursion_of_the_source_and_that_of_scipys_filter():
     """Jessen & Mohr (2023), eq. 7.23, 7.24, written out as a loop."""
-    noise, axis = np.random.default_rng(1).normal(size=50), Axis(0.97, 0.9, 1.0)
+    noise, axis = np.random.default_rng(1).normal(size=500), Axis(0.97, 0.9, 1.0)
     x, y = 0.3, -0.2
     expected = []
     for e in noise:
@@ -46,15 +46,9 @@ def test_process_is_the_recursion_of_the_source():
         y = axis.b * y + x
         expected.append(y)
     found, state = second_order(noise, axis, (0.3, -0.2))
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
-    np.testing.assert_allclose(state, (x, y), rtol=1e-12)
-
-
-def test_process_is_that_of_scipys_filter():
-    noise, axis = np.random.default_rng(1).normal(size=500), Axis(0.97, 0.9, 1.0)
+    np.testing.assert_allclose([*found, *state], [*expected, x, y], rtol=1e-12)
     first, _ = lfilter([1.0], [1.0, -axis.a], noise, zi=[axis.a * 0.3])
     second, _ = lfilter([1.0], [1.0, -axis.b], first, zi=[axis.b * -0.2])
-    found, state = second_order(noise, axis, (0.3, -0.2))
     np.testing.assert_array_equal(found, second)
     assert state == (first[-1], second[-1])
 
@@ -119,18 +113,24 @@ def test_positive_roll_lowers_port_positive_pitch_the_bow_and_positive_yaw_turns
     assert (yawed @ bow)[1] > 0.09
 
 
-def board(mount, waves_rad, composition="rigid", heading=0.7):
-    places, headings, angles = np.array([[100.0, 50.0, 0.0]]), np.array([heading]), np.array([waves_rad])
-    return poses_on_board(mount, places, headings, angles, composition)
+def board(mount, waves_rad, composition="rigid"):
+    return poses_on_board(mount, np.array([[100.0, 50.0, 0.0]]), np.array([0.7]), np.array([waves_rad]), composition)
 
 
-def test_roll_is_pitch_for_a_camera_that_looks_to_port():
+def test_roll_is_pitch_for_a_camera_that_looks_to_port_and_its_lever_arm_moves_it():
     """Port sinks, so the camera looks down: its optical axis dips by the roll. The additive rule rolls it instead."""
-    abeam = Mount((0.0, 0.0, 3.0), yaw_rad=np.pi / 2, vessel="own")
-    rolled = board(abeam, (0.1, 0.0, 0.0))
+    abeam = Mount((0.0, 0.0, 10.0), yaw_rad=np.pi / 2, vessel="own")
+    rolled, added = (board(abeam, (0.1, 0.0, 0.0), rule) for rule in ("rigid", "additive"))
     np.testing.assert_allclose(rolled.camera_R_world[0], camera_R_parent(0, 0.1, np.pi / 2 + 0.7), atol=1e-12)
-    added = board(abeam, (0.1, 0.0, 0.0), "additive")
     np.testing.assert_allclose(added.camera_R_world[0], camera_R_parent(0.1, 0, np.pi / 2 + 0.7), atol=1e-12)
+    to_port = 10 * np.sin(0.1) * np.array([-np.sin(0.7), np.cos(0.7)])
+    np.testing.assert_allclose(rolled.positions_m[0], [100 + to_port[0], 50 + to_port[1], 10 * np.cos(0.1)])
+    np.testing.assert_allclose(added.positions_m[0], [100, 50, 10])
+    turned = Mount((4.0, 2.0, 1.0), 0.01, 0.02, 0.3, "own")
+    rigid, added = (board(turned, (0, 0, 0), rule) for rule in ("rigid", "additive"))  # without waves, the heading
+    np.testing.assert_allclose(rigid.camera_R_world, added.camera_R_world, atol=1e-12)
+    np.testing.assert_allclose(rigid.positions_m, added.positions_m, atol=1e-12)
+    np.testing.assert_allclose(rigid.camera_R_world[0], camera_R_parent(0.01, 0.02, 0.3 + 0.7), atol=1e-12)
 
 
 @settings(max_examples=50)
@@ -143,36 +143,15 @@ def test_rules_agree_for_a_forward_camera_at_small_angles(small, pitch):
     assert angle <= 4 * max(map(abs, (*small, pitch))) ** 2 + 1e-7  # of second order
 
 
-def test_lever_arm_moves_the_camera_and_the_additive_rule_leaves_that_out():
-    mast = Mount((0.0, 0.0, 10.0), vessel="own")
-    rigid, added = board(mast, (0.1, 0.0, 0.0), heading=0.0), board(mast, (0.1, 0.0, 0.0), "additive", heading=0.0)
-    np.testing.assert_allclose(rigid.positions_m[0], [100, 50 + 10 * np.sin(0.1), 10 * np.cos(0.1)])
-    np.testing.assert_allclose(added.positions_m[0], [100, 50, 10])
-
-
-def test_without_waves_both_rules_are_the_heading():
-    mount = Mount((4.0, 2.0, 1.0), 0.01, 0.02, 0.3, "own")
-    rigid, added = board(mount, (0, 0, 0)), board(mount, (0, 0, 0), "additive")
-    np.testing.assert_allclose(rigid.camera_R_world, added.camera_R_world, atol=1e-12)
-    np.testing.assert_allclose(rigid.positions_m, added.positions_m, atol=1e-12)
-    np.testing.assert_allclose(rigid.camera_R_world[0], camera_R_parent(0.01, 0.02, 0.3 + 0.7), atol=1e-12)
-
-
-def watched_own_ship(folder, waves):
-    """Own ship before a camera ashore, and with one of its own."""
-    boats = {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}
-    ashore = camera_keys(pose={"position_m": [0, 0, 10]})
-    bow = camera_keys(mount={"vessel": "own", "position_m": [10, 0, 5]})
-    return load_scene(write_scene(folder, boats, 12, cameras={"C0": ashore, "bow": bow}, waves=waves))
-
-
 def test_vessel_that_carries_a_camera_rolls_in_everybody_s_pictures(tmp_path):
-    scene = watched_own_ship(tmp_path, {"roll": {"sigma_rad": 0, "start_rad": [0, 0.3]}})
-    ashore, bow = scene.cameras
-    steps = np.arange(3)
-    up = scene.sight(ashore, steps).world_R_vessel[:, 0, :, 2]
-    np.testing.assert_allclose(up[0], [-np.sin(0.3), 0, np.cos(0.3)], atol=1e-12)  # it drives along w2: port is −w1
-    np.testing.assert_array_equal(scene.sight(bow, steps).world_R_vessel[:, 0, :, 2], up)
+    boats = {"own": ([20, 6, 5], [[0, 100, -5], [20, 100, 5]]), "idle": ([9, 3, 2], [])}
+    places = {"pose": {"position_m": [0, 0, 10]}}, {"mount": {"vessel": "own", "position_m": [10, 0, 5]}}
+    cameras = {name: camera_keys(**place) for name, place in zip(("C0", "bow"), places, strict=True)}
+    waves = {"roll": {"sigma_rad": 0, "start_rad": [0, 0.3]}}
+    scene = load_scene(write_scene(tmp_path, boats, 12, cameras=cameras, waves=waves))
+    ashore, bow = (scene.sight(camera, np.arange(3)).world_R_vessel[:, 0, :, 2] for camera in scene.cameras)
+    np.testing.assert_allclose(ashore[0], [-np.sin(0.3), 0, np.cos(0.3)], atol=1e-12)  # along w2: port is −w1
+    np.testing.assert_array_equal(bow, ashore)
 
 
 def test_the_latest_poses_are_kept_and_are_those_of_the_steps_asked_for():
