@@ -14,7 +14,6 @@ from modsim3d.geometry.camera_poses import (
     camera_R_parent,
     heading_of,
     poses_ashore,
-    poses_on_board,
     rotation,
     rotation_vector,
 )
@@ -96,14 +95,6 @@ def test_half_planes_of_many_steps_are_those_of_each():
     angles = np.linspace(-1.0, 1.0, 5)
     turns = camera_R_parent(angles, angles / 2, 3 * angles)
     np.testing.assert_array_equal(SKEWED.sea_half_plane(turns), [SKEWED.sea_half_plane(turn) for turn in turns])
-
-
-def test_mounted_camera_moves_and_turns_with_its_vessel():
-    mount = Mount((4.0, 2.0, 1.0), pitch_rad=0.1, yaw_rad=0.3, vessel="own")
-    poses = poses_on_board(mount, np.array([[10.0, 20.0, 0.0]]), np.array([np.pi / 2]), np.zeros((1, 3)))
-    np.testing.assert_allclose(poses.positions_m[0], [10 - 2, 20 + 4, 1], atol=1e-12)
-    # Without waves the heading adds to the yaw (Jessen & Mohr (2023), eq. 7.20).
-    np.testing.assert_allclose(poses.camera_R_world[0], camera_R_parent(0, 0.1, 0.3 + np.pi / 2), atol=1e-12)
 
 
 def area_vectors(triangles):

@@ -209,9 +209,8 @@ def test_box_errors_have_the_correlation_time_asked_for_at_any_frame_rate(tmp_pa
     }  # fmt: skip
     (tmp_path / "detector.yaml").write_text(json.dumps(detector))
     run_scene(load_scene(path), tmp_path / "run")
-    table = pq.read_table(tmp_path / "run/detections.parquet").sort_by(
-        [(key, "ascending") for key in ("vessel", "step")]
-    )
+    order = [("vessel", "ascending"), ("step", "ascending")]
+    table = pq.read_table(tmp_path / "run/detections.parquet").sort_by(order)
     for camera, interval in (("fast", 0.1), ("slow", 0.5)):
         ours = table["camera"].to_numpy(zero_copy_only=False) == camera
         errors = table["e_x_px"].to_numpy()[ours].reshape(boats, -1)

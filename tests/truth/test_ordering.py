@@ -15,7 +15,16 @@ from modsim3d.truth.occlusion_order import axis_count, candidate_axes, order_of
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import compare_with_analytic
 from modsim3d.world.vessels import shoebox
-from tests.scenes import INTRINSICS, cyclic_beams, outlines_at, outlines_of, pixel_masks, rectangles, vessel
+from tests.scenes import (
+    INTRINSICS,
+    cyclic_beams,
+    outlines_at,
+    outlines_of,
+    pixel_masks,
+    rectangles,
+    vessel,
+    write_scene,
+)
 
 SHIP, BOAT = 0, 1
 
@@ -243,3 +252,18 @@ def test_order_is_that_in_which_rays_meet_the_boxes():
         assert not (met_b < met_a)[meet].any() or order.second_can_hide[pair]
         assert not (order.first_can_hide[pair] and order.second_can_hide[pair])
     assert both > 30
+
+
+BOATS = {
+    "rafted1": ([12, 4, 3], [[0, 100, 0], [10, 100, 1]]),
+    "rafted2": ([12, 4, 4], [[0, 103, 0], [10, 103, 1]]),
+    "apart": ([12, 4, 3], [[0, 100, 40], [10, 100, 41]]),
+}
+
+
+@pytest.mark.parametrize(("source", "annotated"), [("analytic", 4), ("rendered", 12)])
+def test_run_names_intersecting_vessels_of_unknown_visibility(call, tmp_path, source, annotated):
+    scene = write_scene(tmp_path, BOATS, 4)
+    status, said = call("run", scene, "--source", source, "--out", tmp_path / "run", "--no-sheet")
+    assert status == 0 and ("rafted1 and rafted2 intersect" in said) == (source == "analytic")
+    assert any(line.split()[:2] == ["annotated", str(annotated)] for line in said.splitlines())

@@ -2,18 +2,20 @@
 
 import numpy as np
 import pytest
+import shapely
 
+from modsim3d.geometry.camera_poses import Mount, world_R_vehicle
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth.buffer_drawing import within_guard
+from modsim3d.truth.buffer_drawing import triangles_of, within_guard
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.record import COLUMNS
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.truth.scan_conversion import facing, scan_convert
 from modsim3d.truth.silhouettes import Spans, counts_and_boxes, spans_of_ids
 from modsim3d.world.vessels import shoebox
-from tests.scenes import outlines_of, random_rafts, random_scene
+from tests.scenes import INTRINSICS, outlines_of, random_rafts, random_scene, vessel
 
 
 def assert_same(fast, slow):
@@ -133,3 +135,27 @@ def test_spans_of_an_id_image_are_the_pixels_of_each_silhouette():
     spans = spans_of_ids(ids)
     for row in range(3):
         np.testing.assert_array_equal(painted(spans, row, ids.shape), ids == row + 1)
+
+
+ABOVE = Mount((0.0, 0.0, 40.0), pitch_rad=0.55, yaw_rad=0.1, roll_rad=0.05)
+
+
+def pixels_inside(corners_m: np.ndarray) -> np.ndarray:
+    """Whether each pixel is inside a face with these corners (4, 3) in the world, half a pixel from its edges."""
+    outline_px = INTRINSICS.project((corners_m - ABOVE.position_m) @ ABOVE.camera_R_parent.T)
+    x, y = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
+    return shapely.contains_xy(shapely.Polygon(outline_px).buffer(-0.5), x, y)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.3, 1.2, -2.0, np.pi / 2])
+def test_deck_that_two_vessels_share_is_that_of_the_first_in_the_scene(renderer, heading):
+    """Two boats of one size side by side; the tenth of a beam that they share is a part of both decks."""
+    boat, place, turn = vessel("boat", 20, 6, 5), np.array([60.0, 5.0, 0.0]), world_R_vehicle(heading)
+    places = [(boat, tuple((place + turn @ [0, side, 0])[:2]), heading) for side in (0.0, 6 - 0.6)]
+    corners = np.array([(-10, 3, 5), (10, 3, 5), (10, 2.4, 5), (-10, 2.4, 5)]) @ turn.T
+    shared = pixels_inside(corners + place)
+    assert shared.sum() > 300
+    for order in (places, places[::-1]):
+        triangles = triangles_of(outlines_of(order, mount=ABOVE), INTRINSICS)
+        ids = renderer.draw(triangles.corners_px, triangles.inverse_depth, triangles.row + 1, Region(0, 0, 800, 600))
+        assert (ids[shared] == 1).all()

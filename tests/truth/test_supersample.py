@@ -1,4 +1,4 @@
-"""Supersampled ID buffers: boxes of sub-pixel exactness that close in on the exact ones, all in image pixels."""
+"""Supersampled ID buffers: boxes of sub-pixel exactness that close in on the exact ones, and buffers cut into tiles."""
 
 from functools import partial
 
@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from modsim3d.geometry.camera import Intrinsics
+from modsim3d.render.id_pass import Region
 from modsim3d.truth import buffer_drawing
 from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.buffer_drawing import BufferDrawing, fits_a_buffer, tiles_of
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
 from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_places, random_scene, vessel
@@ -95,3 +97,28 @@ def test_buffer_drawn_in_tiles_gives_the_same_as_in_one(renderer, monkeypatch, f
     tiled = rendered_occlusion(outlines, SMALL, renderer, factor)
     assert_same(tiled, whole)
     assert any(whole.occluders)
+
+
+def test_buffer_is_8192_wide_and_4096_high():
+    sizes = (8192, 4096), (1, 1), (8193, 1), (1, 4097), (4096, 8192)
+    assert [fits_a_buffer(size) for size in sizes] == [True, True, False, False, False]
+
+
+@pytest.mark.parametrize("region", [Region(5, 7, 20_000, 9_000), Region(0, 0, 8192, 4096), Region(-3, 9000, 8193, 10)])
+def test_tiles_are_the_region_cut_into_as_few_parts_as_fit(region):
+    tiles = tiles_of(region)
+    assert all(fits_a_buffer((tile.width, tile.height)) for tile in tiles)
+    assert sum(tile.width * tile.height for tile in tiles) == region.width * region.height
+    assert all(tile == tile.common(region) for tile in tiles)
+    corners = {(tile.x, tile.y) for tile in tiles}
+    assert len(corners) == len(tiles) == -(-region.width // 8192) * -(-region.height // 4096)
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_pixel_boxes_are_the_smallest_of_whole_buffer_pixels_around_the_silhouettes(renderer, factor):
+    outlines = outlines_of(random_places(np.random.default_rng(9), 30, far_m=400.0))
+    drawing = BufferDrawing(outlines, INTRINSICS, renderer, factor)
+    low, high = np.split(drawing.pixel_boxes - outlines.boxes_px * factor, 2, axis=1)
+    assert ((low <= 0) & (low > -1) & (high >= 0) & (high < 1)).all()
+    np.testing.assert_array_equal(drawing.pixel_boxes, np.rint(drawing.pixel_boxes))
+    assert drawing.image == Region(0, 0, 800 * factor, 600 * factor)

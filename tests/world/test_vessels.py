@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
+from modsim3d.core.errors import InputError
 from modsim3d.truth import scan_conversion, silhouettes
 from modsim3d.truth.occlusion_order import _distinct_directions, corners_from_vertices
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
@@ -45,6 +46,12 @@ def test_a_worker_process_knows_which_vessels_have_a_mesh():
     assert [vessel.has_mesh for vessel in of_worker] == [False, True]
     np.testing.assert_array_equal(of_worker[1].solid.faces, hull.solid.faces)
     assert not of_worker[1].solid.convex
+
+
+def test_input_errors_come_through_from_another_process():
+    error = InputError("scene x.yaml", ["a: wrong", "b: wrong"])
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.source, again.problems) == (str(error), error.source, error.problems)
 
 
 def test_what_is_worked_out_for_a_solid_goes_with_it():

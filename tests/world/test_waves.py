@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_on_board, vehicle_R_nominal
+from modsim3d.geometry.camera_poses import Mount, camera_R_parent, poses_on_board, vehicle_R_nominal, world_R_vehicle
 from modsim3d.scene.reading import load_scene
 from modsim3d.world.second_order_waves import LEVELS, SMALL_SIGMA_RAD, Axis, SecondOrderWaves, level_axes, second_order
 from tests.scenes import camera_keys, write_scene
@@ -130,7 +130,9 @@ def test_roll_is_pitch_for_a_camera_that_looks_to_port_and_its_lever_arm_moves_i
     rigid, added = (board(turned, (0, 0, 0), rule) for rule in ("rigid", "additive"))  # without waves, the heading
     np.testing.assert_allclose(rigid.camera_R_world, added.camera_R_world, atol=1e-12)
     np.testing.assert_allclose(rigid.positions_m, added.positions_m, atol=1e-12)
+    # The heading adds to the yaw (Jessen & Mohr (2023), eq. 7.20).
     np.testing.assert_allclose(rigid.camera_R_world[0], camera_R_parent(0.01, 0.02, 0.3 + 0.7), atol=1e-12)
+    np.testing.assert_allclose(rigid.positions_m[0], world_R_vehicle(0.7) @ [4, 2, 1] + [100, 50, 0])
 
 
 @settings(max_examples=50)
