@@ -96,8 +96,7 @@ def test_lens_is_one_to_one_up_to_its_fold_and_not_beyond():
 
 
 def test_jacobian_is_the_derivative():
-    rng = np.random.default_rng(0)
-    points, step = rng.uniform(-0.7, 0.7, (50, 2)), 1e-6
+    points, step = np.random.default_rng(0).uniform(-0.7, 0.7, (50, 2)), 1e-6
     for axis in range(2):
         shift = step * np.eye(2)[axis]
         slope = (BARREL.distort(points + shift) - BARREL.distort(points - shift)) / (2 * step)

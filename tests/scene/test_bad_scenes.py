@@ -55,49 +55,42 @@ def whole(form, absent=()):
 def test_poses_that_are_cut_off_are_told_and_whole_ones_are_unpacked_whatever_their_name(
     tmp_path, refused, form, packed
 ):
-    lines = whole(form).splitlines(keepends=True)
+    lines, pack = whole(form).splitlines(keepends=True), gzip.compress if packed else bytes
     last = len(lines) * 2 // 3
     cut = b"".join(lines[:last]) + lines[last][: len(lines[last]) // 2]
-    name = f"poses.{form}.gz" if packed else f"poses.{form}"
-    (tmp_path / name).write_bytes(gzip.compress(cut) if packed else cut)
-    said = refused(scene_of(tmp_path, name))
-    assert name in said and f"line {last + 1}" in said
-    content = gzip.compress(whole(form)) if packed else whole(form)
+    name, other = (f"poses.{form}{ending}" for ending in ((".gz", "") if packed else ("", ".gz")))
+    content, faults = pack(whole(form)), [(pack(cut), f"line {last + 1}")]
     if packed:
-        (tmp_path / name).write_bytes(content[: len(content) * 2 // 3])
+        faults.append((content[: len(content) * 2 // 3], "not a complete gzip file"))
+    for fault, words in faults:
+        (tmp_path / name).write_bytes(fault)
         said = refused(scene_of(tmp_path, name))
-        assert name in said and "not a complete gzip file" in said
-    other = f"poses.{form}" if packed else f"poses.{form}.gz"
+        assert name in said and words in said
     (tmp_path / other).write_bytes(content)
     assert load_scene(scene_of(tmp_path, other)).steps == STEPS
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_poses_that_unpack_to_more_than_can_be_read_are_refused(tmp_path, refused, monkeypatch, packed):
-    monkeypatch.setattr("modsim3d.io.input_files.MAX_TEXT_BYTES", 100_000)
-    long = whole("json") + b" " * 100_000
-    (tmp_path / "poses.json").write_bytes(gzip.compress(long) if packed else long)
-    said = refused(scene_of(tmp_path, "poses.json"))
-    assert ("unpacks to more than" if packed else "has more than") in said
-
-
-@pytest.mark.parametrize("packed", [False, True])
-def test_a_short_text_takes_little_room(tmp_path, packed):
-    path = tmp_path / "short.txt"
-    path.write_bytes(gzip.compress(b"short") if packed else b"short")
+def test_poses_that_unpack_to_more_than_can_be_read_are_refused_and_a_short_text_takes_little_room(
+    tmp_path, refused, monkeypatch, packed
+):
+    pack = gzip.compress if packed else bytes
+    (tmp_path / "short.txt").write_bytes(pack(b"short"))
     tracemalloc.start()
     try:
-        assert read_text(path, "text") == "short"
+        assert read_text(tmp_path / "short.txt", "text") == "short"
         assert tracemalloc.get_traced_memory()[1] < 5e6
     finally:
         tracemalloc.stop()
+    monkeypatch.setattr("modsim3d.io.input_files.MAX_TEXT_BYTES", 100_000)
+    (tmp_path / "poses.json").write_bytes(pack(whole("json") + b" " * 100_000))
+    assert ("unpacks to more than" if packed else "has more than") in refused(scene_of(tmp_path, "poses.json"))
 
 
 @pytest.mark.parametrize("form", ["json", "jsonl"])
 def test_own_ship_missing_at_a_step_names_camera_vessel_and_time(tmp_path, refused, form):
     (tmp_path / f"poses.{form}").write_bytes(whole(form, absent={(3, "own"), (4, "own"), (1, "other")}))
-    said = refused(scene_of(tmp_path, f"poses.{form}"))
-    assert said == "cameras.C0.mount.vessel: 'own' has no pose at time 3.0 s"
+    assert refused(scene_of(tmp_path, f"poses.{form}")) == "cameras.C0.mount.vessel: 'own' has no pose at time 3.0 s"
 
 
 MESHES = {

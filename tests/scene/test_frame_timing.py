@@ -73,8 +73,7 @@ def test_no_frame_is_late_by_rounding_and_no_step_gives_two():
 
 @pytest.mark.parametrize(("rate_hz", "offset_s"), [(None, 0), (3, 0), (0.4, 0.75), (None, 2.2)])
 def test_frames_are_the_same_however_the_steps_are_asked_for(tmp_path, rate_hz, offset_s):
-    keys = {"frame_rate_hz": rate_hz, "start_offset_s": offset_s}
-    scene = load_scene(rig(tmp_path, C0=keys))
+    scene = load_scene(rig(tmp_path, C0={"frame_rate_hz": rate_hz, "start_offset_s": offset_s}))
     (camera,) = scene.cameras
     whole = scene.frame_steps(camera, 0, STEPS)
     for size in (1, 7):

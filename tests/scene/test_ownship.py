@@ -56,8 +56,7 @@ def scene(tmp_path):
 def on_a_circle(scene, radius=40.0, rate=0.2):
     """The scene with its vessels on a circle about the origin."""
     times = generated_timestamps(STEPS, STEP_S)
-    poses = CircularMotion(times, (0.0, 0.0), np.full(2, radius), np.full(2, rate), np.zeros(2))
-    return replace(scene, poses=poses)
+    return replace(scene, poses=CircularMotion(times, (0.0, 0.0), np.full(2, radius), np.full(2, rate), np.zeros(2)))
 
 
 def own_ship(scene):
@@ -131,8 +130,7 @@ def test_rates_carry_the_attitude_from_step_to_step(scene):
     turn = Rotation.from_matrix(attitude[1])
     for step in range(1, STEPS - 2):
         turn = turn * Rotation.from_rotvec(STEP_S * (rates[step] + rates[step + 1]) / 2)
-    between = turn.inv() * Rotation.from_matrix(attitude[STEPS - 2])
-    assert between.magnitude() < 2e-3
+    assert (turn.inv() * Rotation.from_matrix(attitude[STEPS - 2])).magnitude() < 2e-3
 
 
 def test_no_row_depends_on_how_the_run_is_split(scene):

@@ -19,19 +19,13 @@ def in_folder(folder: Path, name: str, detector: str = "thesis") -> Path:
     return folder / name
 
 
-def test_a_scene_in_scene_yaml_is_called_as_its_folder(tmp_path, monkeypatch):
-    path = in_folder(tmp_path / "sound", "scene.yaml")
-    assert load_scene(path).name == "sound"
+def test_a_scene_in_scene_yaml_is_called_as_its_folder_which_stands_for_it(tmp_path, monkeypatch):
+    path, other = in_folder(tmp_path / "sound", "scene.yaml"), in_folder(tmp_path / "bay", "traffic.yaml")
+    assert (load_scene(path).name, load_scene(other).name, load_scene(path.parent).path) == ("sound", "traffic", path)
+    with pytest.raises(InputError, match="bay"):
+        load_scene(other.parent)
     monkeypatch.chdir(path.parent)
     assert load_scene("scene.yaml").name == "sound"
-    assert load_scene(in_folder(tmp_path / "bay", "traffic.yaml")).name == "traffic"
-
-
-def test_a_folder_stands_for_the_scene_yaml_in_it(tmp_path):
-    path = in_folder(tmp_path / "sound", "scene.yaml")
-    assert load_scene(path.parent).path == path
-    with pytest.raises(InputError, match="bay"):
-        load_scene(in_folder(tmp_path / "bay", "traffic.yaml").parent)
 
 
 def test_the_copy_in_a_run_is_called_as_the_scene_and_gives_the_same_scene(tmp_path):

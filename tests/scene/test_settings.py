@@ -56,22 +56,26 @@ def test_a_setting_leaves_the_content_that_it_is_given_and_what_an_alias_repeats
     assert changed(content, setting.parts, setting)[0] == {"cameras": {"a": {"skew": 3}, "b": {"skew": 0}}}
 
 
-def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(scene: Path) -> None:
+def test_keys_of_the_scene_the_vessels_and_the_detector_can_be_set(tmp_path: Path) -> None:
+    inputs = inputs_in(tmp_path)
+    cameras = inputs.data["scene"]["cameras"]
+    cameras["shore.left"] = cameras.pop("shore")  # names may have dots
     loaded = load_scene(
-        scene,
+        inputs.write(),
         settings={
             "seed": np.int64(7),
             "cameras.C0.mount.pitch_rad": 0.1,
             "cameras.C0.principal_point_px": np.array([300, 200]),
             "cameras.C0.image_size_px[0]": 600,
+            "cameras.shore.left.skew": 2,
             "vessels.vehicle2.length_m": 9.5,
             DETECTOR_RATE: 0.3,
             "detector.gates.max_range_m": 500,
         },
     )
-    camera, detector = loaded.cameras[0], loaded.detector
-    assert (loaded.seed, camera.mount.pitch_rad) == (7, 0.1) and camera.intrinsics.image_size_px == (600, 480)
-    assert camera.intrinsics.principal_point_px == (300, 200)
+    (camera, left), detector = loaded.cameras, loaded.detector
+    assert (loaded.seed, camera.mount.pitch_rad, left.intrinsics.skew) == (7, 0.1, 2)
+    assert (camera.intrinsics.image_size_px, camera.intrinsics.principal_point_px) == ((600, 480), (300, 200))
     assert [vessel.length_m for vessel in loaded.vessels] == [8.0, 9.5]
     assert (detector.states[0].false_discovery_rate, detector.gates.max_range_m) == (0.3, 500)
 
@@ -94,13 +98,6 @@ def test_the_more_exact_key_counts_whatever_the_order(scene: Path) -> None:
     loaded = load_scene(scene, settings={DETECTOR_RATE: 0.3, **whole})
     assert loaded.detector.labels == ("sailboat", "motorboat", "ferry")
     assert loaded.detector.states[0].false_discovery_rate == 0.3
-
-
-def test_names_with_dots_can_be_set(tmp_path: Path) -> None:
-    inputs = inputs_in(tmp_path)
-    cameras = inputs.data["scene"]["cameras"]
-    cameras["C0.left"] = cameras.pop("C0")
-    assert load_scene(inputs.write(), settings={"cameras.C0.left.skew": 2}).cameras[0].intrinsics.skew == 2
 
 
 @pytest.mark.parametrize(
@@ -147,15 +144,15 @@ def test_every_wrong_setting_is_told_beside_the_problems_of_the_files(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("setting", "works"),
+    ("key", "value", "works"),
     [
-        ({"detector.states.clear.false_discovery_rate": 0.6}, "set detector.false_positives.rate"),
-        ({"detector.confidence_threshold": 0.5}, "set detector.operating_threshold"),
-        ({"detector.false_positives.merge_overlap": 0.5}, "set detector.false_positives.merges"),
+        ("detector.states.clear.false_discovery_rate", 0.6, "set detector.false_positives.rate"),
+        ("detector.confidence_threshold", 0.5, "set detector.operating_threshold"),
+        ("detector.false_positives.merge_overlap", 0.5, "set detector.false_positives.merges"),
     ],
 )
-def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(setting: dict[str, Any], works: str) -> None:
-    (key,) = setting
+def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(key: str, value: float, works: str) -> None:
+    setting = {key: value}
     found = problems("strait", settings=setting)
     assert found[0].startswith(f"--set {key}") and works in found[0]
     with pytest.raises(InputError, match=works):
@@ -163,18 +160,15 @@ def test_a_setting_that_nothing_reads_is_refused_with_the_key_that_works(setting
     assert load_scene("strait", steps=2, settings=setting, may_be_unread=True).steps == 2
 
 
-def test_a_setting_of_a_state_that_is_not_forced_is_refused() -> None:
-    key = "detector.states.clear.confidence.visibility_slope"
-    (found,) = problems("strait", settings={key: 0.1}, state="haze")
-    assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
-
-
-def test_a_state_is_forced_for_the_whole_scene(scene: Path) -> None:
+def test_a_state_is_forced_for_the_whole_scene_and_settings_of_others_are_refused(scene: Path) -> None:
     loaded = load_scene(scene, state="fog")
     names = [state.name for state in loaded.detector.states]
     forced = loaded.detector.performance.forced(loaded.times_s(0, loaded.steps), [0] * loaded.steps)
     assert [names[index] for index in forced] == ["fog"] * loaded.steps
     assert problems(scene, state="haze") == ("--state: unknown state 'haze' (known: clear, fog)",)
+    key = "detector.states.clear.confidence.visibility_slope"
+    (found,) = problems("strait", settings={key: 0.1}, state="haze")
+    assert found.startswith(f"--set {key}: states.clear: the detector is never in state clear, but in haze")
 
 
 def test_a_condition_of_the_thesis_replaces_the_detector(scene: Path) -> None:

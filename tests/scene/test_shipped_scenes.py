@@ -115,8 +115,7 @@ def test_every_shipped_mesh_is_in_the_strait_and_obstacles_and_own_hull_hide(ren
     assert {entry.get("mesh") for entry in keys_of("strait")["vessels"].values()} == {*shapes, None}
     hiders = set()
     for first in range(0, strait.steps, 20):
-        truth = truth_block(strait, first, first + 2, renderer)
-        hiders |= {strait.occluder_names[index] for index in truth.occluder}
+        hiders |= {strait.occluder_names[index] for index in truth_block(strait, first, first + 2, renderer).occluder}
     assert hiders >= {"ferry", "container_ship", "obstacle:breakwater", "obstacle:north_island"}
     outlines = strait.sight(strait.cameras[0], np.arange(3)).outlines()
     own = outlines.occluder == strait.vessel_names.index("own")

@@ -15,7 +15,7 @@ from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.rendered import rendered_occlusion
-from tests.scenes import INTRINSICS, crossing, harbour_of_shoeboxes, outlines_of, vessel
+from tests.scenes import INTRINSICS, crossing, outlines_of, vessel
 
 
 def seen_of(places, **options):
@@ -170,14 +170,3 @@ def test_modes_one_and_two_run_from_end_to_end_where_there_is_no_opengl(tmp_path
         widths = [boat["bbox"]["width"] for step in boxes.values() for boat in step.values()]
         expected = exact.full_boxes_px if mode == "1" else exact.visible_boxes_px
         np.testing.assert_allclose(widths, (expected[:, 2] - expected[:, 0])[exact.visible_px > 0])
-
-
-def test_analytic_truth_of_a_scene_is_that_of_the_pixels_but_for_their_boundaries(renderer):
-    drawn = truth_block(harbour_of_shoeboxes(source="rendered"), 100, 110, renderer)
-    exact = truth_block(harbour_of_shoeboxes(source="analytic"), 100, 110, None)
-    np.testing.assert_array_equal(drawn.vessel, exact.vessel)
-    large = exact.silhouette_px > 400
-    assert large.sum() > 100
-    np.testing.assert_allclose(drawn.visible_fraction[large], exact.visible_fraction[large], atol=0.06)
-    off = np.abs(drawn.full_boxes_px - exact.full_boxes_px).max(axis=1) > 1
-    assert off.mean() < 0.02  # tips without a pixel centre

@@ -71,8 +71,7 @@ def random_clusters(rng: np.random.Generator, count: int, most: int) -> list[Clu
 
 @pytest.mark.parametrize(("count", "most"), [(1, 200), (40, 80), (150, 256), (30, 600), (20, 4000), (0, 9)])
 def test_every_cluster_has_a_place_of_its_own_in_one_buffer(count, most):
-    clusters = random_clusters(np.random.default_rng(count), count, most)
-    batches = batches_of(clusters)
+    batches = batches_of(random_clusters(np.random.default_rng(count), count, most))
     assert sorted(each.rows[0] for batch in batches for each in batch.clusters) == list(range(count))
     for batch in batches:
         sheet = batch.sheet

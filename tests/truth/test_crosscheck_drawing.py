@@ -91,5 +91,4 @@ def test_the_triangles_of_a_vessel_are_those_of_its_trimesh() -> None:
 
 
 def test_tiles_cover_a_region_once() -> None:
-    region = Region(3, 5, 9000, 4500)
-    assert sum(tile.width * tile.height for tile in tiles_of(region)) == 9000 * 4500
+    assert sum(tile.width * tile.height for tile in tiles_of(Region(3, 5, 9000, 4500))) == 9000 * 4500

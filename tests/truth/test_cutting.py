@@ -61,8 +61,7 @@ def test_section_leaves_holes_open_and_surfaces_without_an_inside_and_solids_bey
     clipped, _ = clip_triangles(tube, near_plane(LENS))
     section = cut_alone(tube, replace(shoebox(), convex=False))[len(clipped) :]
     assert shapely.union_all(shapely.polygons(section[..., :2])).area == pytest.approx(6 * 6 - 2 * 3)
-    sheet = cut_alone(tube, replace(shoebox(), convex=False, closed=False))
-    np.testing.assert_allclose(sheet, clipped, rtol=1e-9)
+    np.testing.assert_allclose(cut_alone(tube, replace(shoebox(), convex=False, closed=False)), clipped, rtol=1e-9)
     beyond = shoebox().vertices[shoebox().faces] + [0, 0, 5.0]
     for convex in (True, False):
         np.testing.assert_array_equal(cut_alone(beyond, replace(shoebox(), convex=convex)), beyond)
@@ -121,8 +120,7 @@ def test_solids_that_the_near_plane_cuts_beside_the_image_are_left_out_as_nothin
 
 
 def test_pieces_of_triangles_name_the_triangle_that_they_are_of():
-    rng = np.random.default_rng(6)
-    triangles = rng.normal([0, 0, 2], 1.5, (50, 3, 3))
+    triangles = np.random.default_rng(6).normal([0, 0, 2], 1.5, (50, 3, 3))
     for cut in (
         lambda some: clip_triangles(some, np.concatenate([near_plane(LENS), [[1.0, 0.0, 0.0, -0.5]]])),
         lambda some: subdivided(some + np.array([0, 0, 9.0]), INTRINSICS, 15.0),
@@ -168,8 +166,7 @@ def test_only_long_edges_are_cut():
     corners = np.array([[-0.3, -0.3, 20.0], [0.3, -0.3, 20.0], [0.0, 5.7, 20.0]])
     for turn in range(3):
         small, _ = subdivided(np.roll(corners, turn, axis=0)[None], INTRINSICS, 40.0)
-        lowest = small[np.isclose(small[..., 1], -0.3).sum(axis=1) == 2]
-        assert len(lowest) == 1
+        assert len(small[np.isclose(small[..., 1], -0.3).sum(axis=1) == 2]) == 1
 
 
 @pytest.mark.parametrize("factor", [1, 3])

@@ -59,8 +59,7 @@ def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed):
 
 
 def alone(name, heading=0.7, place=(120.0, 3.0)):
-    ship = replace(vessel("ship", 40, 9, 14), solid=mesh(name))
-    return outlines_of([(ship, place, heading)])
+    return outlines_of([(replace(vessel("ship", 40, 9, 14), solid=mesh(name)), place, heading)])
 
 
 def silhouette_of(outlines: Outlines):
@@ -134,8 +133,7 @@ def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
     source = tmp_path / "source"
     source.mkdir()
     shutil.copy(shipped_meshes()["kayak"], source / "hull.glb")
-    path = own_ship_scene(source, own_mesh={"file": "hull.glb"})
-    run_scene(load_scene(path), tmp_path / "run")
+    run_scene(load_scene(own_ship_scene(source, own_mesh={"file": "hull.glb"})), tmp_path / "run")
     shutil.rmtree(source)
     run_scene(open_run(tmp_path / "run").scene, tmp_path / "again")
     for name in ("truth.parquet", "detections.parquet"):

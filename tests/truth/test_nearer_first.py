@@ -104,8 +104,7 @@ def test_what_touches_the_far_side_of_a_solid_is_behind_it_unless_the_camera_see
         assert ranks(outlines_of(places[::-1], mount=Mount((0.0, 0.0, height_m)))) == ([int(known), 0], [known])
     outlines = outlines_of(places, mount=Mount((0.0, 0.0, 10.0)))
     (part,) = outlines.parts
-    meshes = replace(outlines, parts=(replace(part, solid=replace(part.solid, convex=False)),))
-    assert ranks(meshes)[1] == [False]
+    assert ranks(replace(outlines, parts=(replace(part, solid=replace(part.solid, convex=False)),)))[1] == [False]
 
 
 def test_two_obstacles_in_unknown_order_leave_it_open_who_hides_a_vessel_where_all_three_boxes_overlap():
@@ -146,8 +145,7 @@ def test_islands_with_hills_hide_ships_in_front_of_which_they_lie_as_if_all_were
     scene, sight = strait
     outlines, intrinsics = sight.outlines(), scene.cameras[0].intrinsics
     cut = rendered_occlusion(outlines, intrinsics, NoRenderer())
-    hiders = {occluder for entries in cut.occluders for occluder, _ in entries}
-    assert max(hiders) >= len(scene.vessels)
+    assert max({occluder for entries in cut.occluders for occluder, _ in entries}) >= len(scene.vessels)
     assert_same(cut, full_frame_occlusion(outlines, intrinsics, renderer))
 
 

@@ -26,8 +26,7 @@ def test_entries_of_one_row_and_occluder_are_added_up_in_order():
     found = HiddenPixels.of(row, occluder, np.array([1.0, 2, 4, 8, 16, 32]))
     assert (found.row.tolist(), found.occluder.tolist(), found.px.tolist()) == ([0, 1, 1], [0, 2, 5], [20.0, 34.0, 9.0])
     assert found.offsets(3).tolist() == [0, 1, 3, 3]
-    nothing = HiddenPixels.of(row[:0], occluder[:0], np.empty(0))
-    assert nothing.offsets(2).tolist() == [0, 0, 0]
+    assert HiddenPixels.of(row[:0], occluder[:0], np.empty(0)).offsets(2).tolist() == [0, 0, 0]
 
 
 def test_chosen_rows_keep_their_hiders_and_the_pairs_of_which_both_are_chosen():

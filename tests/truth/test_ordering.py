@@ -115,11 +115,9 @@ def test_intersecting_boxes_are_named_and_nothing_is_said_of_what_is_seen_of_the
     assert seen.visible_px[3] == seen.silhouette_px[3]
     # What both hide of the one behind is counted once.
     drawn = rendered_occlusion(outlines, INTRINSICS, renderer)
-    hidden = sum(px for _, px in seen.occluders[0])
-    assert 0 < hidden == pytest.approx(seen.silhouette_px[0] - seen.visible_px[0])
+    assert 0 < sum(px for _, px in seen.occluders[0]) == pytest.approx(seen.silhouette_px[0] - seen.visible_px[0])
     assert {vessel for vessel, _ in seen.occluders[0]} == {vessel for vessel, _ in drawn.occluders[0]} == {1, 2}
-    truth = seen.truth(outlines, np.array([7]), 3)
-    np.testing.assert_array_equal(truth.intersections, [[7, 3, 1, 2]])
+    np.testing.assert_array_equal(seen.truth(outlines, np.array([7]), 3).intersections, [[7, 3, 1, 2]])
 
 
 def test_what_two_intersecting_boxes_both_hide_counts_for_the_nearer_in_every_raft():

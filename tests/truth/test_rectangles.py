@@ -63,8 +63,7 @@ def test_nearer_means_smaller_depth_whatever_the_order_of_vessels():
     cover = (50, 50, 140, 250)
     assert annotated_box(seen_of([B, cover], [100.0, 99.9]), 2) == (140, 100, 200, 200)
     assert annotated_box(seen_of([B, cover], [99.9, 100.0]), 2) == B
-    reverse = seen_of([cover, B], [99.9, 100.0])
-    np.testing.assert_array_equal(reverse.visible_boxes_px, [cover, (140, 100, 200, 200)])
+    np.testing.assert_array_equal(seen_of([cover, B], [99.9, 100.0]).visible_boxes_px, [cover, (140, 100, 200, 200)])
 
 
 def test_boxes_of_equal_depth_hide_nothing_of_each_other():

@@ -61,8 +61,7 @@ def test_three_hundred_vessels_in_one_image_have_an_id_each(renderer):
     """A grid of boxes on a hillside seen from high above: nobody hides anybody."""
     corners = [(60.0 * i - 360, 60.0 * j - 720) for i in range(12) for j in range(25)]
     places = [(vessel(f"v{k}", 4, 4, 1), corner, 0.0) for k, corner in enumerate(corners)]
-    mount = Mount((0.0, 0.0, 2000.0), pitch_rad=np.pi / 2)
-    outlines, seen = truth_of(renderer, places, mount=mount)
+    outlines, seen = truth_of(renderer, places, mount=Mount((0.0, 0.0, 2000.0), pitch_rad=np.pi / 2))
     assert len(outlines) == 300 and (seen.visible_px > 0).all()
     np.testing.assert_array_equal(seen.visible_px, seen.silhouette_px)
 

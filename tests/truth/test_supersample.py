@@ -94,8 +94,7 @@ def test_buffer_drawn_in_tiles_gives_the_same_as_in_one(renderer, monkeypatch, f
     outlines = outlines_of(random_places(np.random.default_rng(4), 25, far_m=400.0), SMALL)
     whole = rendered_occlusion(outlines, SMALL, renderer, factor)
     monkeypatch.setattr(buffer_drawing, "TILE_PX", tile)
-    tiled = rendered_occlusion(outlines, SMALL, renderer, factor)
-    assert_same(tiled, whole)
+    assert_same(rendered_occlusion(outlines, SMALL, renderer, factor), whole)
     assert any(whole.occluders)
 
 

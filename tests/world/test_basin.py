@@ -61,8 +61,7 @@ def test_agents_are_repeatable_and_the_seed_decides():
 
 def test_crowded_agents_never_touch_and_those_that_do_not_fit_are_an_error():
     boats = [Vessel(f"v{i}", "Vessel", 8, 4, 1) for i in range(30)]
-    poses = drive_agents(boats[:7], 150, 0.1, AgentsKeys(size_m=(60, 40)), 4).recorded
-    assert closest_m(hulls_of(poses)) > 0
+    assert closest_m(hulls_of(drive_agents(boats[:7], 150, 0.1, AgentsKeys(size_m=(60, 40)), 4).recorded)) > 0
     with pytest.raises(InputError, match="no free place for vessel"):
         drive_agents(boats, 1, 0.1, AgentsKeys(size_m=(20, 20)), 0)
 

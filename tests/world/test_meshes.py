@@ -163,8 +163,7 @@ def test_the_shape_is_the_same_through_every_format(tmp_path: Path) -> None:
     mesh.export(tmp_path / "text.stl", file_type="stl_ascii")
     mesh.export(tmp_path / "text.ply", encoding="ascii")
     for file in sorted(tmp_path.iterdir()):
-        entry = {"file": file.name, "forward": "+x", "up": "+z"}
-        got = load_mesh(entry, tmp_path)
+        got = load_mesh({"file": file.name, "forward": "+x", "up": "+z"}, tmp_path)
         assert triangles(got, 4) == triangles(want, 4), file.name
         assert got.closed and len(got.vertices) == len(want.vertices), file.name
 
@@ -182,8 +181,7 @@ def test_a_file_in_other_axes_gives_the_same_solid(forward: str, up: str, tmp_pa
     want = load_mesh("fishing_vessel", ROOT)
     in_file = want.vertices @ vehicle_R_file(forward, up)  # the transpose undoes a rotation
     trimesh.Trimesh(in_file, want.faces, process=False).export(tmp_path / "hull.ply")
-    got = load_mesh({"file": "hull.ply", "forward": forward, "up": up}, tmp_path)
-    assert triangles(got, 4) == triangles(want, 4)
+    assert triangles(load_mesh({"file": "hull.ply", "forward": forward, "up": up}, tmp_path), 4) == triangles(want, 4)
 
 
 def test_glb_is_read_in_gltf_axes_unless_told_otherwise(tmp_path: Path) -> None:
@@ -333,8 +331,7 @@ def test_too_many_faces_are_refused_before_they_are_read(tmp_path: Path) -> None
 
 
 def test_as_many_faces_as_allowed_are_read(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    corners = rng.uniform(size=(MAX_FACES + 1, 3, 3))
+    corners = np.random.default_rng(0).uniform(size=(MAX_FACES + 1, 3, 3))
     soup = np.arange(3 * MAX_FACES + 3).reshape(-1, 3)
     trimesh.Trimesh(corners.reshape(-1, 3), soup, process=False).export(tmp_path / "more.stl")
     trimesh.Trimesh(corners[:-1].reshape(-1, 3), soup[:-1], process=False).export(tmp_path / "most.stl")

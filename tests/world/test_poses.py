@@ -46,8 +46,7 @@ def test_circular_motion_follows_the_source_and_a_ring_holds_every_point_of_a_hu
     np.testing.assert_allclose(np.hypot(*np.moveaxis(offset, -1, 0)), np.tile(circle.radii_m, (10, 1)))
     tangent = np.stack([np.cos(poses.headings_rad), np.sin(poses.headings_rad)], axis=-1)
     np.testing.assert_allclose((tangent * offset).sum(axis=-1), 0, atol=1e-9)
-    moved = np.diff(poses.positions_m[..., :2], axis=0)
-    assert (np.sum(moved * tangent[:-1], axis=-1) > 0).all()
+    assert (np.sum(np.diff(poses.positions_m[..., :2], axis=0) * tangent[:-1], axis=-1) > 0).all()
     # A hull of 14 m on a circle of 5 m reaches much farther out.
     along, across = np.meshgrid(np.linspace(-7, 7, 57), np.linspace(-2, 2, 17))
     distance, (inner, outer) = np.hypot(5.0 + across, along), swept_ring(5.0, 14.0, 4.0)

@@ -20,8 +20,7 @@ HEADINGS = st.floats(-np.pi, np.pi)
 
 
 def passage(times, heading=0.0, speed=0.0, start=(0.0, 0.0, 0.0)):
-    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
-    velocity = np.broadcast_to(speed * ahead, (len(times), 3))
+    velocity = np.broadcast_to(speed * np.array([np.cos(heading), np.sin(heading), 0.0]), (len(times), 3))
     places = start + times[:, None] * velocity
     return Passage(times, np.arange(len(times)), places, np.full(len(times), heading), velocity)
 
@@ -162,8 +161,7 @@ def test_motion_peaks_at_the_frequency_of_encounter(relative, sign):
         motion = moved(jonswap_sea(1.0, period, 0.0, seed, peakedness=10), BOAT, passage(times, relative, speed))
         power = power + np.abs(np.fft.rfft(np.hanning(len(times)) * motion.heave_m)) ** 2
     frequencies = 2 * np.pi * np.fft.rfftfreq(len(times), 0.5)
-    smooth = np.convolve(power, np.ones(5), "same")
-    assert frequencies[smooth.argmax()] == pytest.approx(met, rel=0.06)
+    assert frequencies[np.convolve(power, np.ones(5), "same").argmax()] == pytest.approx(met, rel=0.06)
     assert abs(met - peak) > 0.2 * peak
 
 

@@ -233,8 +233,7 @@ def test_entries_have_the_form_of_a_vessels_file_and_labels_may_be_renamed():
     assert {entry["label"] for entry in drive.entries.values()} == {"boat", "sailboat", "ship"}
     keys = {"length_m", "beam_m", "air_draft_m", "label", "mesh"}
     assert all(entry.keys() <= keys for entry in drive.entries.values())
-    renamed = draw(traffic_keys(labels={"sailboat": "boat"}), 0)
-    assert {vessel.label for vessel in renamed.vessels} == {"boat", "ship"}
+    assert {vessel.label for vessel in draw(traffic_keys(labels={"sailboat": "boat"}), 0).vessels} == {"boat", "ship"}
     one = draw(traffic_keys(labels="Vessel"), 0)
     assert {vessel.label for vessel in one.vessels if vessel is not OWN} == {"Vessel"}
 

@@ -68,8 +68,7 @@ def test_variance_from_zero_start_is_that_of_figure_7_13():
 
 
 def test_start_values_are_kept():
-    axis = Axis(start_rad=(0.001, 0.02))
-    found = angles(waves(axis), 3)[:, 0]
+    found = angles(waves(Axis(start_rad=(0.001, 0.02))), 3)[:, 0]
     np.testing.assert_allclose(found, [0.02, 0.99 * 0.02 + 0.99 * 0.001, 0.99**2 * 0.02 + 2 * 0.99**2 * 0.001])
 
 
@@ -93,8 +92,7 @@ def test_vessels_axes_and_seeds_move_apart_from_each_other():
 def test_interval_sets_the_pace_and_angles_are_linear_between():
     every_step = angles(waves(), 20)
     stretched = waves(interval_s=0.3)
-    times = np.arange(0, 58) * 0.1
-    found = stretched.angles("own", times, np.arange(58))
+    found = stretched.angles("own", np.arange(0, 58) * 0.1, np.arange(58))
     np.testing.assert_allclose(found[::3], every_step[:20], atol=1e-12)
     np.testing.assert_allclose(found[1], (2 * every_step[0] + every_step[1]) / 3, atol=1e-12)
 

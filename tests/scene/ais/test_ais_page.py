@@ -112,8 +112,7 @@ def test_map_has_tracks_gaps_jumps_and_the_region_and_a_caption_that_explains_th
 
 
 def test_lanes_show_when_a_vessel_is_there(traffic):
-    lanes = drawn(ais_page(traffic), 1)
-    widths = [float(width) for width in re.findall(r'<rect x="[\d.]+" width="([\d.]+)"', lanes)]
+    widths = [float(width) for width in re.findall(r'<rect x="[\d.]+" width="([\d.]+)"', drawn(ais_page(traffic), 1))]
     assert len(widths) == 4 and widths[1:3] == pytest.approx([widths[0] * 140 / 580] * 2, abs=0.2)
 
 

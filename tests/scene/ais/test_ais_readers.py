@@ -187,8 +187,7 @@ def test_garbage_between_sentences_is_passed_over_quickly(tmp_path):
 
 
 def test_samples_are_what_their_script_writes(tmp_path):
-    script = SAMPLES.parents[2] / "script" / "make_ais_samples"
-    subprocess.run([sys.executable, script, tmp_path], check=True)
+    subprocess.run([sys.executable, SAMPLES.parents[2] / "script" / "make_ais_samples", tmp_path], check=True)
     for written in sorted(tmp_path.iterdir()):
         assert written.read_bytes() == (SAMPLES / written.name).read_bytes(), written.name
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in SAMPLES.iterdir()}

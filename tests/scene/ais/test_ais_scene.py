@@ -207,8 +207,7 @@ def test_window_and_time_step_make_the_time_grid(tmp_path):
 
 
 def test_origin_is_where_w1_and_w2_are_zero(tmp_path):
-    traffic = traffic_of(old_file(tmp_path, *steady()), origin=(56.0, 12.0))
-    places = only(traffic).places_m
+    places = only(traffic_of(old_file(tmp_path, *steady()), origin=(56.0, 12.0))).places_m
     np.testing.assert_allclose(places[0], [0, 0], atol=1e-6)
     np.testing.assert_allclose(places[-1], [290 * 10 * 1852 / 3600, 0], atol=2)  # to the east
     np.testing.assert_allclose(places[-1], local_metres(np.array([56.0]), np.array([12.0239157]), (56, 12))[0], atol=5)
@@ -232,8 +231,7 @@ def test_labels_by_type_come_with_a_detector_that_knows_them(tmp_path):
 def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path, labels):
     text = scene_folder.detector_text(THESIS, labels)
     (tmp_path / "detector.yaml").write_text(text, encoding="utf-8")
-    model = load_detector(tmp_path / "detector.yaml")
-    assert list(model.labels) == labels
+    assert list(load_detector(tmp_path / "detector.yaml").labels) == labels
     single, spread = yaml.safe_load(THESIS.read_text()), yaml.safe_load(text)
     for name, state in spread["states"].items():
         matrix = np.array(state["confusion"])
@@ -245,8 +243,7 @@ def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path
 def test_folder_is_self_contained_and_runs(tmp_path):
     write_scene(traffic_of(SAMPLES / "receiver.nmea", duration_s=20), tmp_path / "made", THESIS)
     (tmp_path / "made").rename(tmp_path / "moved")
-    scene = load_scene(tmp_path / "moved" / "scene.yaml", source="analytic")
-    counts = run_scene(scene, tmp_path / "run").counts
+    counts = run_scene(load_scene(tmp_path / "moved" / "scene.yaml", source="analytic"), tmp_path / "run").counts
     assert counts.frames == 21 and counts.seen > 21
 
 
@@ -258,8 +255,7 @@ def test_camera_looks_at_the_busiest_water_and_no_hull_comes_near():
     np.testing.assert_allclose(direction[:2], 0, atol=0.5)  # the target is on the optical axis
     assert direction[2] > 0
     for vessel in traffic.vessels:
-        near = np.linalg.norm(vessel.places_m - place[:2], axis=1).min()
-        assert near > vessel.hull.length_m / 2 + CLEARANCE_M - 1
+        assert np.linalg.norm(vessel.places_m - place[:2], axis=1).min() > vessel.hull.length_m / 2 + CLEARANCE_M - 1
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -271,8 +267,7 @@ def test_camera_is_clear_of_hulls_in_any_traffic(seed):
     present[0, 0] = True
     half = rng.uniform(2, 200, number)
     camera = viewpoint(np.nonzero(present)[1], places[present], half)
-    off = np.linalg.norm(places - np.array(camera.position_m[:2]), axis=-1)
-    assert (off > half + CLEARANCE_M - 1)[present].all()
+    assert (np.linalg.norm(places - np.array(camera.position_m[:2]), axis=-1) > half + CLEARANCE_M - 1)[present].all()
 
 
 def test_table_of_ship_types_knows_every_code_once():

@@ -91,8 +91,7 @@ def test_unix_times_that_are_days_apart_are_none() -> None:
 def test_a_date_with_the_name_of_a_time_comes_before_others(tmp_path: Path) -> None:
     for name, order in product(("timestamp", "rxtime", "time", "Timestamp"), (1, -1)):
         around = {"eta": "2024-03-01 10:00:00", "seen": "01.03.2024 10:00:00", name: "2024-02-05T10:44:08Z"}
-        line = json.dumps({**dict([*around.items()][::order]), "nmea": [TYPE_1]})
-        (chunk,) = read_nmea(log(tmp_path, line))
+        (chunk,) = read_nmea(log(tmp_path, json.dumps({**dict([*around.items()][::order]), "nmea": [TYPE_1]})))
         assert chunk.positions.time_s.tolist() == [MOMENT_S], (name, order)
 
 
