@@ -23,7 +23,7 @@ from modsim3d.truth.crosscheck.comparison import mask_of
 from modsim3d.truth.crosscheck.drawing import Drawing, vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.truth.rendered import rendered_spans
-from modsim3d.world.bodies import vessel_bodies
+from modsim3d.world.bodies import Obstacle, obstacle_bodies, vessel_bodies
 from modsim3d.world.vessels import Vessel
 
 CAMERA_HEIGHT_M = 10.0
@@ -37,18 +37,24 @@ def vessel(name: str, length: float = 10.0, beam: float = 10.0, height: float = 
     return Vessel(name, "Vessel", length, beam, height)
 
 
-def outlines_at(boxes: Sequence[Box], intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None) -> Outlines:
-    """Outlines of vessels at any height at one step."""
-    positions = np.array([[place for _, place, _ in boxes]], dtype=np.float64)
+def outlines_at(
+    boxes: Sequence[Box],
+    intrinsics: Intrinsics = INTRINSICS,
+    mount: Mount | None = None,
+    obstacles: Sequence[Obstacle] = (),
+) -> Outlines:
+    """Outlines of vessels at any height, and of obstacles, at one step."""
+    positions = np.array([[place for _, place, _ in boxes]], dtype=np.float64).reshape(1, -1, 3)
     headings = np.array([[heading for _, _, heading in boxes]])
     camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
     vessels, present = [box[0] for box in boxes], np.ones((1, len(boxes)), dtype=bool)
-    return outline(intrinsics, camera, vessel_bodies(vessels, present, positions, world_R_vehicle(headings)))
+    bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
+    return outline(intrinsics, camera, bodies + obstacle_bodies(obstacles, len(boxes), 1))
 
 
-def outlines_of(places: Sequence[Place], intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None) -> Outlines:
-    """Outlines of vessels on the sea at one step."""
-    return outlines_at([(each, (*place, 0.0), heading) for each, place, heading in places], intrinsics, mount)
+def outlines_of(places: Sequence[Place], *view: Any, **options: Any) -> Outlines:
+    """Outlines of vessels on the sea at one step, with the options of `outlines_at`."""
+    return outlines_at([(each, (*place, 0.0), heading) for each, place, heading in places], *view, **options)
 
 
 def harbour_of_shoeboxes(**options) -> Scene:

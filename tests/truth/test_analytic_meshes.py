@@ -8,20 +8,17 @@ import pytest
 import shapely
 
 from modsim3d import load_scene, simulate_frames
-from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.truth import analytic
 from modsim3d.truth.analytic import analytic_occlusion, boundary_pixels, image_silhouettes
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion_order import hull_vertices, order_of
-from modsim3d.truth.outlines import outline
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from modsim3d.world.bodies import Obstacle, obstacle_bodies, placed, vessel_bodies
+from modsim3d.world.bodies import Obstacle, placed
 from modsim3d.world.mesh_reading import shipped_meshes
 from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_scene, vessel
 from tests.truth.test_mesh_truth import WRECK, mesh, own_ship_scene
 
-LEVEL = Mount((0.0, 0.0, 10.0))
 IMAGE = shapely.box(0, 0, *INTRINSICS.image_size_px)
 
 
@@ -147,11 +144,10 @@ def test_wrong_order_of_two_meshes_is_found(renderer, monkeypatch):
 
 def test_mesh_of_an_obstacle_hides_by_its_own_silhouette(renderer):
     wreck = Obstacle("wreck", (placed(mesh("sailboat"), np.array([20, 6, 16]), np.array([100.0, 0, 0]), 1.3),))
-    present, place = np.ones((1, 1), dtype=bool), np.array([[[200.0, 5.0, 0.0]]])
-    bodies = vessel_bodies([vessel("ship", 60, 14, 12)], present, place, world_R_vehicle(np.array([[0.4]])))
-    outlines = outline(INTRINSICS, poses_ashore(LEVEL, 1), bodies + obstacle_bodies([wreck], 1, 1))
-    ((hider, px),) = analytic_occlusion(outlines, INTRINSICS).occluders[0]
-    assert hider == 1 and 0 < px < 0.6 * analytic_occlusion(outlines, INTRINSICS).silhouette_px[0]
+    outlines = outlines_of([(vessel("ship", 60, 14, 12), (200.0, 5.0), 0.4)], obstacles=[wreck])
+    exact = analytic_occlusion(outlines, INTRINSICS)
+    ((hider, px),) = exact.occluders[0]
+    assert hider == 1 and 0 < px < 0.6 * exact.silhouette_px[0]
     assert (compared(renderer, outlines).worst == Agreement.AGREE).all()
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from modsim3d.geometry.camera import Distortion
 from modsim3d.render.id_pass import IdRenderer, Region
-from modsim3d.scene.reading import load_scene
 from modsim3d.truth.crosscheck.comparison import possible_ids, undecided
 from modsim3d.truth.crosscheck.drawing import cut, tiles_of
 from modsim3d.truth.full_frame import vessel_masks
@@ -83,11 +82,6 @@ def test_a_boat_clearly_in_front_never_ties() -> None:
     ids, possible = possible_ids(drawing, x.ravel(), y.ravel())
     assert ids.tolist() == [0, 1, 2]
     np.testing.assert_array_equal(possible, np.tile([False, True, False], (x.size, 1)))
-
-
-def test_the_triangles_of_a_vessel_are_those_of_its_trimesh() -> None:
-    for each in load_scene("strait").vessels:
-        np.testing.assert_array_equal(each.triangles_m, each.to_trimesh().triangles)
 
 
 def test_tiles_cover_a_region_once() -> None:

@@ -160,20 +160,14 @@ def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
             assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
 
 
-def test_frames_together_or_in_portions_have_the_truth_of_each(renderer, monkeypatch):
+def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch):
     scene = load_scene("harbour", mode=2)
     camera = scene.cameras[0]
-
-    def occlusion(first, stop):
-        return rendered_occlusion(scene.sight(camera, np.arange(first, stop)).outlines(), camera.intrinsics, renderer)
-
-    together, single = occlusion(100, 112), [occlusion(step, step + 1) for step in range(100, 112)]
-    for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
-        np.testing.assert_array_equal(getattr(together, name), np.concatenate([getattr(o, name) for o in single]))
-    assert together.occluders == tuple(entry for o in single for entry in o.occluders)
+    outlines = scene.sight(camera, np.arange(100, 112)).outlines()
+    whole = rendered_occlusion(outlines, camera.intrinsics, renderer)
     monkeypatch.setattr(rendered, "MAX_LINES", 400)
-    assert len(rendered._portions(scene.sight(camera, np.arange(100, 112)).outlines(), 1)) > 4
-    assert_same(occlusion(100, 112), together)
+    assert len(rendered._portions(outlines, 1)) > 4
+    assert_same(rendered_occlusion(outlines, camera.intrinsics, renderer), whole)
 
 
 def test_steps_that_are_projected_in_portions_and_rows_between_two_have_the_outlines_of_all_at_once(monkeypatch):

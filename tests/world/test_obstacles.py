@@ -7,32 +7,18 @@ import pytest
 import shapely
 
 from modsim3d.core.errors import InputError
-from modsim3d.geometry.camera import Intrinsics
-from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.runs.pipeline import simulate_frames
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion_order import order_of
-from modsim3d.truth.outlines import outline
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import Agreement, compare_with_analytic
-from modsim3d.world.bodies import Obstacle, extruded, obstacle_bodies, vessel_bodies
-from tests.scenes import CAMERA_HEIGHT_M, INTRINSICS, pixel_masks, random_scene, vessel, write_scene
+from modsim3d.world.bodies import Obstacle, extruded
+from tests.scenes import INTRINSICS, outlines_of, pixel_masks, random_scene, vessel, write_scene
 from tests.truth.test_regions_against_full import assert_same
 
 SQUARE = [[-10.0, -10.0], [10.0, -10.0], [10.0, 10.0], [-10.0, 10.0]]
-
-
-def before(places, obstacles, intrinsics: Intrinsics = INTRINSICS, mount: Mount | None = None):
-    """Outlines of vessels given as (vessel, (w1, w2), heading), and of obstacles, at one step."""
-    vessels = [place[0] for place in places]
-    positions = np.array([[[*place, 0.0] for _, place, _ in places]]).reshape(1, -1, 3)
-    headings = np.array([[heading for _, _, heading in places]])
-    present = np.ones((1, len(places)), dtype=bool)
-    bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
-    camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
-    return outline(intrinsics, camera, bodies + obstacle_bodies(obstacles, len(vessels), 1))
 
 
 def random_polygon(rng, centre, radius):
@@ -67,7 +53,7 @@ def random_harbour(seed):
 @pytest.mark.parametrize("seed", range(24))
 def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
     places, obstacles, intrinsics, mount = random_harbour(seed)
-    outlines = before(places, obstacles, intrinsics, mount)
+    outlines = outlines_of(places, intrinsics, mount, obstacles)
     rendered = rendered_occlusion(outlines, intrinsics, renderer)
     masks = lambda row: pixel_masks(outlines, intrinsics, renderer, row)  # noqa: E731
     found = compare_with_analytic(outlines, intrinsics, rendered, masks)
@@ -85,7 +71,7 @@ def test_pixels_and_geometry_agree_behind_obstacles(renderer, seed):
 @pytest.mark.parametrize(("seed", "supersample"), [*((seed, 1) for seed in range(40, 56)), (5063, 3), (5069, 3)])
 def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed, supersample):
     places, obstacles, intrinsics, mount = random_harbour(seed)
-    outlines = before(places, obstacles, intrinsics, mount)
+    outlines = outlines_of(places, intrinsics, mount, obstacles)
     boxed, scene = np.flatnonzero(outlines.boxed), (outlines, intrinsics, renderer, supersample)
     assert_same(*(draw(*scene).take(boxed) for draw in (rendered_occlusion, full_frame_occlusion)))
 
@@ -108,7 +94,7 @@ def test_prisms_of_a_concave_polygon_fill_it_and_no_more():
 def test_vessel_under_a_bridge_is_seen_below_it(renderer):
     ship = vessel("ship", 10, 10, 30)  # as wide as the pillars are apart; 30 m high
     bridge = Obstacle("bridge", extruded(np.array([[90, -200], [95, -200], [95, 200], [90, 200.0]]), 15, 5))
-    outlines = before([(ship, (120.0, 0.0), 0.0)], [bridge])
+    outlines = outlines_of([(ship, (120.0, 0.0), 0.0)], obstacles=[bridge])
     seen = rendered_occlusion(outlines, INTRINSICS, renderer).take(np.flatnonzero(outlines.boxed))
     assert 0 < seen.visible_px[0] < seen.silhouette_px[0]
     assert seen.occluders == (((1, seen.silhouette_px[0] - seen.visible_px[0]),),)
@@ -119,7 +105,7 @@ def test_vessel_under_a_bridge_is_seen_below_it(renderer):
 def test_what_overlapping_obstacles_hide_is_counted_once():
     quay, pier = [[80, -15], [90, -15], [90, 5], [80, 5.0]], [[85, -5], [95, -5], [95, 15], [85, 15.0]]
     quays = [Obstacle(name, extruded(np.array(at), 0, 6)) for name, at in (("quay", quay), ("pier", pier))]
-    outlines = before([(vessel("ship", 10, 40, 12), (120.0, 0.0), 0.0)], quays)
+    outlines = outlines_of([(vessel("ship", 10, 40, 12), (120.0, 0.0), 0.0)], obstacles=quays)
     seen = analytic_occlusion(outlines, INTRINSICS).take(np.flatnonzero(outlines.boxed))
     hidden = dict(seen.occluders[0])
     assert hidden.keys() == {1, 2}
@@ -132,7 +118,7 @@ def test_coast_of_many_corners_is_put_in_order_with_vessels_and_not_with_itself(
     coast = np.array([150, 0]) + reach[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     island = Obstacle("island", extruded(coast, 0, 8))
     assert len(island.solids) > 300
-    outlines = before([(vessel("ship", 100, 15, 20), (220.0, 30.0), 1.5)], [island])
+    outlines = outlines_of([(vessel("ship", 100, 15, 20), (220.0, 30.0), 1.5)], obstacles=[island])
     order = order_of(outlines)
     assert outlines.boxed[np.stack([order.first, order.second])].any(axis=0).all()
     both = analytic_occlusion(outlines, INTRINSICS), rendered_occlusion(outlines, INTRINSICS, renderer)

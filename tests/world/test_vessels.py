@@ -33,6 +33,7 @@ def test_the_trimesh_of_a_vessel_is_a_copy_of_the_solid_that_is_drawn(tmp_path):
         mesh = vessel.to_trimesh()
         np.testing.assert_array_equal(mesh.vertices, vessel.solid.vertices * [8.0, 3.0, 2.0])
         np.testing.assert_array_equal(mesh.faces, vessel.solid.faces)
+        np.testing.assert_array_equal(mesh.triangles, vessel.triangles_m)
         assert mesh.is_watertight and mesh.volume > 0
     np.testing.assert_array_equal(box.to_trimesh().vertices, reference.vertices)
     np.testing.assert_array_equal(box.to_trimesh().faces, reference.faces)

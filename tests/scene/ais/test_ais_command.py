@@ -23,8 +23,11 @@ def test_scene_folder_is_made_and_said_and_runs_as_typed(call, tmp_path):
         *("report.json", "report_times.json.gz", "ais.html"),
     }
     assert read_json(out / "report.json")["vessels"]["245999910"]["steps_present"] < 100
-    assert call("check", "scene", out / "scene.yaml")[0] == 0
-    assert call("run", out, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")[0] == 0
+    moved = out.rename(tmp_path / "moved")  # it has all that it needs
+    assert call("check", "scene", moved / "scene.yaml")[0] == 0
+    assert call("run", moved, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")[0] == 0
+    counts = read_json(tmp_path / "run" / "run.json")["counts"]
+    assert counts["frames"] == 3 and counts["seen"] > 3
 
 
 def test_folder_with_something_in_it_is_left_alone(call, tmp_path):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d import load_detector, load_scene, run_scene
+from modsim3d import load_detector, load_scene
 from modsim3d.geometry.camera_poses import camera_R_parent
 from modsim3d.io.input_files import data_folder
 from modsim3d.scene.ais import scene_folder
@@ -238,13 +238,6 @@ def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path
         np.testing.assert_allclose(matrix[-1], single["states"][name]["confusion"][1][0])
         np.testing.assert_allclose(np.diag(matrix), single["states"][name]["confusion"][0][0])
         np.testing.assert_allclose(matrix.sum(axis=0), 1)
-
-
-def test_folder_is_self_contained_and_runs(tmp_path):
-    write_scene(traffic_of(SAMPLES / "receiver.nmea", duration_s=20), tmp_path / "made", THESIS)
-    (tmp_path / "made").rename(tmp_path / "moved")
-    counts = run_scene(load_scene(tmp_path / "moved" / "scene.yaml", source="analytic"), tmp_path / "run").counts
-    assert counts.frames == 21 and counts.seen > 21
 
 
 def test_camera_looks_at_the_busiest_water_and_no_hull_comes_near():
