@@ -8,15 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from modsim3d.geometry import camera_poses
 from modsim3d.geometry.camera import Distortion, Intrinsics, clip_triangles, guard_planes, near_plane
-from modsim3d.geometry.camera_poses import (
-    BASE_R_WORLD,
-    Mount,
-    camera_R_parent,
-    heading_of,
-    poses_ashore,
-    rotation,
-    rotation_vector,
-)
+from modsim3d.geometry.camera_poses import Mount, camera_R_parent, heading_of, poses_ashore, rotation, rotation_vector
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
 SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)
@@ -142,8 +134,12 @@ def test_camera_rotation_is_orthonormal_and_right_handed(roll, pitch, yaw):
 
 def test_base_pose_is_two_quarter_turns_that_look_along_w1_with_right_along_minus_w2_and_down_along_minus_w3():
     # Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2).
-    np.testing.assert_allclose(rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), BASE_R_WORLD, atol=1e-15)
-    np.testing.assert_array_equal(BASE_R_WORLD @ [[1, 0, 0], [0, -1, 0], [0, 0, -1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    np.testing.assert_allclose(
+        rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), camera_poses.BASE_R_WORLD, atol=1e-15
+    )
+    np.testing.assert_array_equal(
+        camera_poses.BASE_R_WORLD @ [[1, 0, 0], [0, -1, 0], [0, 0, -1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
+    )
 
 
 def test_heading_is_counter_clockwise_from_w1_and_port_is_v2():

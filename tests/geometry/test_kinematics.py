@@ -69,7 +69,7 @@ SLIVERS = Path(__file__).with_name("slivers.npy")
 STEP_PX = 0.5
 
 
-def test_slivers_have_a_union() -> None:
+def test_slivers_have_a_union_and_ordinary_triangles_are_united_without_a_grid() -> None:
     triangles = np.load(SLIVERS)
     low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
     x, y = (np.stack(np.meshgrid(*map(np.arange, low, high, [STEP_PX] * 2)))).reshape(2, -1)
@@ -78,11 +78,8 @@ def test_slivers_have_a_union() -> None:
     union = union_of(faces)
     assert union.area == pytest.approx(covered.sum() * STEP_PX**2, rel=0.01)
     assert (shapely.contains_xy(union, x, y) == covered).mean() > 0.999
-
-
-def test_ordinary_triangles_are_united_without_a_grid() -> None:
-    triangles = shapely.polygons([[(0, 0), (1 / 3, 0), (0, 1 / 7)], [(0, 0), (1 / 3, 0), (1 / 3, 1 / 7)]])
-    assert union_of(triangles).wkb == shapely.union_all(triangles).wkb
+    ordinary = shapely.polygons([[(0, 0), (1 / 3, 0), (0, 1 / 7)], [(0, 0), (1 / 3, 0), (1 / 3, 1 / 7)]])
+    assert union_of(ordinary).wkb == shapely.union_all(ordinary).wkb
 
 
 def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_track_is() -> None:

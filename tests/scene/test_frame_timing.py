@@ -174,18 +174,15 @@ def test_report_has_each_frame_once_and_says_which_is_shown(finished, tmp_path):
     assert f'<td>Frames</td><td class="number">{STEPS + len(SLOW)}</td>' in (tmp_path / "3.html").read_text()
 
 
-@pytest.mark.parametrize(
-    ("keys", "says"),
-    [
+def test_a_rate_or_offset_that_the_scene_cannot_give_is_refused(tmp_path):
+    for keys, says in (
         ({"frame_rate_hz": 25}, r"cameras\.C0\.frame_rate_hz: 25 frames a second .* steps of 0\.1 s give: at most 10"),
         ({"start_offset_s": 6.0}, r"cameras\.C0\.start_offset_s: the scene ends 5\.9 s .* no frame would be taken"),
         ({"frame_rate_hz": 0}, r"cameras\.C0\.frame_rate_hz"),
         ({"start_offset_s": -1}, r"cameras\.C0\.start_offset_s"),
-    ],
-)
-def test_a_rate_or_offset_that_the_scene_cannot_give_is_refused(tmp_path, keys, says):
-    with pytest.raises(InputError, match=says):
-        load_scene(rig(tmp_path, C0=keys))
+    ):
+        with pytest.raises(InputError, match=says):
+            load_scene(rig(tmp_path, C0=keys))
 
 
 def test_box_errors_have_the_correlation_time_asked_for_at_any_frame_rate(tmp_path):

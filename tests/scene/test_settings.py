@@ -100,9 +100,8 @@ def test_the_more_exact_key_counts_whatever_the_order(scene: Path) -> None:
     assert loaded.detector.states[0].false_discovery_rate == 0.3
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "said"),
-    [
+def test_a_wrong_setting_is_named_as_it_was_given(scene: Path) -> None:
+    for key, value, said in (
         ("detector.sates.clear.confusion", 1, "unknown key detector.sates (did you mean 'states'?)"),
         ("detector.states.haze.confusion", 1, "detector.states has no 'haze' (known: clear, fog)"),
         ("detector.states.clear.false_discovery_rate", 2, "is 2, must be from 0 to 0.99"),
@@ -117,11 +116,9 @@ def test_the_more_exact_key_counts_whatever_the_order(scene: Path) -> None:
         ("poses.file.vehicle1", 1, "poses.file is text, which has no keys that could be set"),
         ("steps", 10**6, "1000000 asked for, but the pose file has 4"),
         ("foo", 1, "unknown key foo (known: steps"),
-    ],
-)
-def test_a_wrong_setting_is_named_as_it_was_given(scene: Path, key: str, value: object, said: str) -> None:
-    (problem,) = problems(scene, settings={key: value})
-    assert problem.startswith(f"--set {key}: ") and said in problem
+    ):
+        (problem,) = problems(scene, settings={key: value})
+        assert problem.startswith(f"--set {key}: ") and said in problem, problem
 
 
 def test_settings_that_are_no_mapping_are_refused_by_name() -> None:

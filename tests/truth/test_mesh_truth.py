@@ -129,13 +129,24 @@ def test_hull_turns_with_its_ship_so_that_waves_do_not_move_it_in_its_own_image(
     assert np.abs(np.diff(scene.motion.at(np.arange(6)).angles_rad[:, 0], axis=0)).max() > 1e-3
 
 
-def test_run_with_meshes_repeats_from_its_own_copy(tmp_path):
+def test_run_with_meshes_has_a_copy_of_the_scene_that_is_the_same_and_repeats_from_it(tmp_path):
     source = tmp_path / "source"
-    source.mkdir()
-    shutil.copy(shipped_meshes()["kayak"], source / "hull.glb")
-    run_scene(load_scene(own_ship_scene(source, own_mesh={"file": "hull.glb"})), tmp_path / "run")
+    for folder, name in (("one", "kayak"), ("other", "ferry")):
+        (source / folder).mkdir(parents=True)
+        shutil.copy(shipped_meshes()[name], source / folder / "motorboat.glb")
+    pier = {"size_m": [9, 2, 2], "position_m": [300, 0, 0]}
+    obstacles = {
+        "one": {"mesh": "one/motorboat.glb", **pier},
+        "again": {"mesh": {"file": "one/motorboat.glb", "forward": "-z"}, **pier},
+        "other": {"mesh": "other/motorboat.glb", **pier},
+    }
+    scene = load_scene(own_ship_scene(source, own_mesh="motorboat", obstacles=obstacles))
+    assert len([name for name in scene.copy.files if name.startswith("meshes/")]) == 4
+    run_scene(scene, tmp_path / "run")
     shutil.rmtree(source)
-    run_scene(open_run(tmp_path / "run").scene, tmp_path / "again")
+    copied = open_run(tmp_path / "run").scene
+    assert dict(copied.copy.document) == dict(scene.copy.document) and copied.sha256 == scene.sha256
+    run_scene(copied, tmp_path / "again")
     for name in ("truth.parquet", "detections.parquet"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
 
@@ -161,27 +172,6 @@ def test_rule_of_rectangles_takes_vessels_for_their_shoeboxes_and_it_and_a_shoeb
         assert (loose[:2] <= tight[:2]).all() and (loose[2:] >= tight[2:]).all() and (loose != tight).any()
     frames += simulate_frames(load_scene(own_ship_scene(tmp_path, own_mesh=None)))
     assert all("own" not in entry for frame in frames for entry in frame.truth.occluded_by)
-
-
-def test_copy_of_a_scene_with_meshes_has_a_copy_that_is_the_same(tmp_path):
-    source = tmp_path / "source"
-    for folder, name in (("one", "kayak"), ("other", "ferry")):
-        (source / folder).mkdir(parents=True)
-        shutil.copy(shipped_meshes()[name], source / folder / "motorboat.glb")
-    pier = {"size_m": [9, 2, 2], "position_m": [300, 0, 0]}
-    path = own_ship_scene(
-        source,
-        own_mesh="motorboat",
-        obstacles={
-            "one": {"mesh": "one/motorboat.glb", **pier},
-            "again": {"mesh": {"file": "one/motorboat.glb", "forward": "-z"}, **pier},
-            "other": {"mesh": "other/motorboat.glb", **pier},
-        },
-    )
-    scene = load_scene(path)
-    assert len([name for name in scene.copy.files if name.startswith("meshes/")]) == 4
-    copied = load_scene(scene.copy.write(tmp_path / "copy"))
-    assert dict(copied.copy.document) == dict(scene.copy.document) and copied.sha256 == scene.sha256
 
 
 def test_camera_inside_its_own_ships_mesh_and_a_wrong_mesh_are_refused_and_one_in_its_shoebox_is_not(tmp_path):

@@ -78,26 +78,23 @@ def flat_box(left: float, top: float, right: float, bottom: float) -> np.ndarray
     return (centre + (np.stack([x, y], axis=-1) - centre) * shrink[:, None])[None]
 
 
-@pytest.mark.parametrize(
-    ("box", "expected"),
-    [
+def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer):
+    for box, expected in (
         ((10.5, 10.5, 20.5, 20.5), (10, 10, 20, 20)),  # edges through pixel centres: left and top are in
         ((10.51, 10.51, 20.51, 20.51), (11, 11, 21, 21)),
         ((10.49, 10.49, 20.49, 20.49), (10, 10, 20, 20)),
         ((-5.0, -5.0, 3.5, 2.5), (0, 0, 3, 2)),
         ((30.0, 30.0, 60.0, 60.0), (30, 30, 40, 40)),
-    ],
-)
-def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer, box, expected):
-    vertices = flat_box(*box)
-    spans, odd = scan_convert(vertices, shoebox(), (40, 40))
-    assert not len(odd)
-    pixels, boxes = counts_and_boxes(spans, 1)
-    np.testing.assert_array_equal(boxes[0], expected)
-    assert pixels[0] == (expected[2] - expected[0]) * (expected[3] - expected[1])
-    corners = vertices[0][shoebox().faces]
-    drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, 40, 40))
-    np.testing.assert_array_equal(painted(spans, 0, (40, 40)), drawn > 0)
+    ):
+        vertices = flat_box(*box)
+        spans, odd = scan_convert(vertices, shoebox(), (40, 40))
+        assert not len(odd)
+        pixels, boxes = counts_and_boxes(spans, 1)
+        np.testing.assert_array_equal(boxes[0], expected)
+        assert pixels[0] == (expected[2] - expected[0]) * (expected[3] - expected[1])
+        corners = vertices[0][shoebox().faces]
+        drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, 40, 40))
+        np.testing.assert_array_equal(painted(spans, 0, (40, 40)), drawn > 0)
 
 
 OUTSIDE = [(5.0, -9.0, 20.0, -3.0), (5.0, 43.0, 20.0, 49.0), (-9.0, 5.0, -3.0, 20.0), (43.0, 5.0, 49.0, 20.0)]

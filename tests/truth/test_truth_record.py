@@ -3,7 +3,6 @@
 from dataclasses import fields, replace
 
 import numpy as np
-import pytest
 
 from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth
 
@@ -70,9 +69,8 @@ def four_rows() -> Truth:
     return replace(no_truth(), step=step, full_boxes_px=full, visible_boxes_px=visible, **pixels)
 
 
-@pytest.mark.parametrize(
-    ("mode", "filters", "kept"),
-    [
+def test_mode_and_filters_keep_these_rows():
+    for mode, filters, kept in (
         (0, {}, [WHOLE, SEEN, HIDDEN, UNKNOWN]),
         (1, {}, [WHOLE, SEEN]),
         (2, {}, [WHOLE, SEEN]),
@@ -91,10 +89,8 @@ def four_rows() -> Truth:
         (2, {"min_box_px": 6.0}, [WHOLE]),
         (2, {"min_box_px": 6.0, "min_visible_px": 801.0}, []),
         (0, {"min_visible_px": 50.0, "min_visible_fraction": 0.5}, [WHOLE]),
-    ],
-)
-def test_mode_and_filters_keep_these_rows(mode, filters, kept):
-    assert np.flatnonzero(annotated_rows(four_rows(), Annotation(mode=mode, **filters))).tolist() == kept
+    ):
+        assert np.flatnonzero(annotated_rows(four_rows(), Annotation(mode=mode, **filters))).tolist() == kept, filters
 
 
 def test_visible_boxes_are_annotated_in_mode_two_and_full_ones_otherwise_and_nothing_is_filtered_unasked():

@@ -462,9 +462,14 @@ def test_harmless_references_are_not_followed(tmp_path: Path) -> None:
         assert load_mesh(file, tmp_path).closed, file
 
 
-@pytest.mark.parametrize(
-    ("entry", "words"),
-    [
+def test_a_bad_entry_is_refused_in_one_clear_line(tmp_path: Path) -> None:
+    outside, scene = tmp_path / "outside.stl", tmp_path / "scene"
+    outside.write_bytes(trimesh.creation.box().export(file_type="stl"))
+    (scene / "folder.stl").mkdir(parents=True)
+    (scene / "there.stl").write_bytes(outside.read_bytes())
+    (scene / "link.stl").symlink_to(outside)
+    os.mkfifo(scene / "pipe.stl")
+    for entry, words in (
         ("fery", "'fery' is no shipped mesh (did you mean 'ferry'?), and no file that ends in one of .glb, .obj"),
         ("hull.blend", "no file that ends in one of .glb, .obj, .stl, .ply"),
         ("hull.stl", "'hull.stl' does not exist"),
@@ -485,17 +490,8 @@ def test_harmless_references_are_not_followed(tmp_path: Path) -> None:
         ({"file": "a.stl", "upp": "+z"}, ".upp: unknown key (did you mean 'up'?)"),
         ({"file": "a.stl", "up": "z"}, ".up: Input should be '+x', '-x'"),
         ({"file": "there.stl", "up": "-x"}, "has forward +x and up -x; two different axes are needed"),
-    ],
-)
-def test_a_bad_entry_is_refused_in_one_clear_line(entry: object, words: str, tmp_path: Path) -> None:
-    outside = tmp_path / "outside.stl"
-    outside.write_bytes(trimesh.creation.box().export(file_type="stl"))
-    scene = tmp_path / "scene"
-    (scene / "folder.stl").mkdir(parents=True)
-    (scene / "there.stl").write_bytes(outside.read_bytes())
-    (scene / "link.stl").symlink_to(outside)
-    os.mkfifo(scene / "pipe.stl")
-    assert words in problem(entry, scene)
+    ):
+        assert words in problem(entry, scene), entry
 
 
 @pytest.mark.parametrize("inside", ["hull.bin", "a/b.png", "a..b.png", "..a/b"])

@@ -153,9 +153,8 @@ def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
     scene_with(tmp_path, {"quay": {**around, "height_m": 9.9}})
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
+def test_wrong_obstacle_is_one_clear_error(tmp_path):
+    for keys, said in (
         ({"height_m": 3}, "give either polygon_m with height_m, or mesh with size_m"),
         ({"polygon_m": SQUARE}, "height_m: missing"),
         ({"polygon_m": SQUARE[:2], "height_m": 3}, r"a polygon needs three corners or more \(got 2\)"),
@@ -163,8 +162,6 @@ def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
         ({"polygon_m": [[0, 50], [1, 50], [2, 50]], "height_m": 3}, "must not cross or lie on each other"),
         ({"polygon_m": SQUARE, "height_m": 0}, "greater than 0"),
         ({"polygon_m": SQUARE, "height_m": 3, "heading_rad": 1}, "heading_rad: not for a polygon"),
-    ],
-)
-def test_wrong_obstacle_is_one_clear_error(tmp_path, keys, said):
-    with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):
-        scene_with(tmp_path, {"quay": keys})
+    ):
+        with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):
+            scene_with(tmp_path, {"quay": keys})

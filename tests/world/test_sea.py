@@ -246,17 +246,14 @@ def test_camera_that_a_vessel_reaches_in_waves_alone_is_refused(tmp_path):
     load_scene(path)
 
 
-@pytest.mark.parametrize(
-    ("waves", "said"),
-    [
+def test_seas_that_cannot_be_are_named(tmp_path):
+    for waves, said in (
         ({**SWELL, "level": "small"}, "exactly one of level"),
         ({"spectrum": "jonswap"}, "needs significant_height_m; spectrum: jonswap needs peak_period_s"),
         ({**SWELL, "significant_height_m": 6}, "break before they are 6 m high: at most 3.75 m"),
         ({**SWELL, "interval_s": 1}, "interval_s goes with level"),
         ({"level": "small", "peakedness": 2}, "peakedness goes with spectrum"),
         ({**SWELL, "spectrum": "bretschneider"}, "jonswap"),
-    ],
-)
-def test_seas_that_cannot_be_are_named(tmp_path, waves, said):
-    with pytest.raises(InputError, match=said):
-        load_scene(own_ship_scene(tmp_path, waves))
+    ):
+        with pytest.raises(InputError, match=said):
+            load_scene(own_ship_scene(tmp_path, waves))

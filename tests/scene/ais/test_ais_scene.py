@@ -114,44 +114,38 @@ def steady(*changes: tuple[int, dict[str, object]], **common: object) -> list[st
     return [row(10 * place, **values) for place, values in enumerate(places)]
 
 
-@pytest.mark.parametrize(
-    ("changed", "reason"),
-    [
+def test_what_is_of_no_use_is_dropped_and_counted(tmp_path):
+    for changed, reason in (
         *((place, "no_position") for place in ({"latitude": 91.0}, {"longitude": 181.0}, {"latitude": ""})),
         ({"latitude": 0.0, "longitude": 0.0}, "no_position"),
         *(({"mmsi": mmsi}, "not_a_ship") for mmsi in (992190001, 2190001, 111219001)),
         ({"longitude": 200.0}, "impossible_position"),
         ({"latitude": 56.02}, "jump"),
         ({"speed": "fast"}, "unreadable"),
-    ],
-)
-def test_what_is_of_no_use_is_dropped_and_counted(tmp_path, changed, reason):
-    traffic = traffic_of(old_file(tmp_path, *steady((7, changed))))
-    assert dict(+traffic.dropped) == {reason: 1} and only(traffic).messages == 29
-    whole = only(traffic_of(old_file(tmp_path, *steady()), origin=traffic.origin))
-    np.testing.assert_allclose(only(traffic).places_m, whole.places_m, atol=0.05)
+    ):
+        traffic = traffic_of(old_file(tmp_path, *steady((7, changed))))
+        assert (dict(+traffic.dropped), only(traffic).messages) == ({reason: 1}, 29), changed
+        whole = only(traffic_of(old_file(tmp_path, *steady()), origin=traffic.origin))
+        np.testing.assert_allclose(only(traffic).places_m, whole.places_m, atol=0.05)
 
 
-@pytest.mark.parametrize(
-    ("changed", "replaced"),
-    [
+def test_missing_values_are_replaced_and_counted(tmp_path):
+    for changed, replaced in (
         ({"heading": 511.0}, "heading_from_course"),
         ({"heading": ""}, "heading_from_course"),
         ({"course": 360.0}, "course_from_heading"),
         ({"course": 360.0, "heading": 511.0}, "heading_from_bearing"),
         ({"speed": 102.3}, "speed_unknown"),
         ({"speed": 0.1, "heading": 511}, "heading_held"),
-    ],
-)
-def test_missing_values_are_replaced_and_counted(tmp_path, changed, replaced):
-    traffic = traffic_of(old_file(tmp_path, *steady((7, changed))))
-    vessel = only(traffic)
-    expected = {replaced: 1} | ({"course_unknown": 1} if replaced == "heading_from_bearing" else {})
-    assert dict(vessel.replaced) == report(traffic)["replaced"] == expected
-    np.testing.assert_allclose(vessel.headings_rad, 0, atol=1e-3)
-    whole = only(traffic_of(old_file(tmp_path, *steady()), origin=traffic.origin))
-    # A speed of 0.1 kn that is wrong bends the way by less than it is believed to.
-    np.testing.assert_allclose(vessel.places_m, whole.places_m, atol=10 if changed.get("speed") == 0.1 else 0.05)
+    ):
+        traffic = traffic_of(old_file(tmp_path, *steady((7, changed))))
+        vessel = only(traffic)
+        expected = {replaced: 1} | ({"course_unknown": 1} if replaced == "heading_from_bearing" else {})
+        assert dict(vessel.replaced) == report(traffic)["replaced"] == expected, changed
+        np.testing.assert_allclose(vessel.headings_rad, 0, atol=1e-3)
+        whole = only(traffic_of(old_file(tmp_path, *steady()), origin=traffic.origin))
+        # A speed of 0.1 kn that is wrong bends the way by less than it is believed to.
+        np.testing.assert_allclose(vessel.places_m, whole.places_m, atol=10 if changed.get("speed") == 0.1 else 0.05)
 
 
 def test_dimensions_of_zero_and_those_that_no_ship_has_are_those_of_the_ship_type(tmp_path):
@@ -170,21 +164,18 @@ def test_the_latest_dimensions_count_wherever_they_stand(tmp_path):
         assert (hull.length_m, hull.beam_m, hull.group) == (110, 20, "tanker")
 
 
-@pytest.mark.parametrize(
-    ("dimensions", "length", "beam", "antenna"),
-    [
+def test_dimensions_come_from_the_four_distances():
+    for dimensions, length, beam, antenna in (
         ((30, 70, 5, 15), 100, 20, True),
         ((0, 100, 0, 20), 100, 20, False),  # the size without the antenna's place
         ((511, 70, 63, 15), 130, 20, False),  # the fields' largest values mean "or more"
         ((300, 200, 5, 15), 130, 20, False),  # longer than any ship
         ((0, 0, 5, 15), 130, 20, False),
-    ],
-)
-def test_dimensions_come_from_the_four_distances(dimensions, length, beam, antenna):
-    text, sizes = np.array(["70"], dtype=object), np.array([*dimensions, np.nan, np.nan], dtype=float)[:, None]
-    hull = hulls(Particulars(np.array([1]), np.zeros(1), text, text, *sizes), [1])[1]
-    assert (hull.length_m, hull.beam_m) == (length, beam) and ("antenna" not in hull.defaults) == antenna
-    assert (hull.ahead_m, hull.to_port_m) == ((-20, -5) if antenna else (0, 0))
+    ):
+        text, sizes = np.array(["70"], dtype=object), np.array([*dimensions, np.nan, np.nan], dtype=float)[:, None]
+        hull = hulls(Particulars(np.array([1]), np.zeros(1), text, text, *sizes), [1])[1]
+        found = (hull.length_m, hull.beam_m), "antenna" not in hull.defaults, (hull.ahead_m, hull.to_port_m)
+        assert found == ((length, beam), antenna, (-20, -5) if antenna else (0, 0)), dimensions
 
 
 def test_a_gap_is_absence(tmp_path):

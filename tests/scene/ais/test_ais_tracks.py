@@ -153,20 +153,17 @@ REPORT, COURSE, BEARING, HELD, NOTHING = HeadingSource
 WAY, ACROSS_A_GAP = [[0, 0], [50, 0], [50, 50]], ([[0, 0], [50, 0], [0, 5000], [0, 5050]], [0, 10, 1000, 1010])
 
 
-@pytest.mark.parametrize(
-    ("reports", "headings_deg", "sources"),
-    [
+def test_missing_headings_come_from_course_bearing_or_the_heading_before():
+    for reports, headings_deg, sources in (
         (([10, 10], [45, 50], [NAN, 47]), [45, 47], [COURSE, REPORT]),  # the course of a vessel that moves
         (([10] * 3, [NAN] * 3, [NAN] * 3, WAY), [90, 45, 0], [BEARING] * 3),  # between positions, without a course
         (([0.1, 10, 0.1, 0, 0.2], [10, 200, 77, 300, 5], [NAN] * 5), [200] * 5, [HELD, COURSE] + [HELD] * 3),
         (([10] * 4, [NAN] * 4, [NAN] * 4, *ACROSS_A_GAP), [90, 90, 0, 0], [BEARING] * 4),
         (([0, 0], [NAN, NAN], [NAN, NAN]), [0, 0], [NOTHING] * 2),  # north, with nothing to go by
-    ],
-)
-def test_missing_headings_come_from_course_bearing_or_the_heading_before(reports, headings_deg, sources):
-    filled, source = headings_of(*reports)
-    np.testing.assert_allclose(filled, headings_deg, atol=1e-9)
-    assert source.tolist() == sources
+    ):
+        filled, source = headings_of(*reports)
+        assert filled.tolist() == pytest.approx(headings_deg, abs=1e-9), reports
+        assert source.tolist() == sources, reports
 
 
 @given(st.integers(0, 19), st.floats(500, 1e5), st.floats(0, 2 * math.pi))
