@@ -132,18 +132,12 @@ def test_camera_rotation_is_orthonormal_and_right_handed(roll, pitch, yaw):
     assert abs(np.linalg.det(matrix) - 1) < 1e-12
 
 
-def test_base_pose_is_two_quarter_turns_that_look_along_w1_with_right_along_minus_w2_and_down_along_minus_w3():
-    # Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2).
-    np.testing.assert_allclose(
-        rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), camera_poses.BASE_R_WORLD, atol=1e-15
-    )
-    np.testing.assert_array_equal(
-        camera_poses.BASE_R_WORLD @ [[1, 0, 0], [0, -1, 0], [0, 0, -1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]]
-    )
-
-
-def test_heading_is_counter_clockwise_from_w1_and_port_is_v2():
-    turned = camera_poses.world_R_vehicle(np.pi / 2)
+def test_base_pose_is_two_quarter_turns_that_look_along_w1_and_headings_are_counter_clockwise_from_w1():
+    # Jessen & Mohr (2023), eq. 7.14: Ry(3π/2) · Rx(π/2). Right is along −w2 and down along −w3.
+    base = camera_poses.BASE_R_WORLD
+    np.testing.assert_allclose(rotation(1, 3 * np.pi / 2) @ rotation(0, np.pi / 2), base, atol=1e-15)
+    np.testing.assert_array_equal(base @ [[1, 0, 0], [0, -1, 0], [0, 0, -1]], [[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+    turned = camera_poses.world_R_vehicle(np.pi / 2)  # port is v2
     np.testing.assert_allclose(turned @ np.eye(3)[:2].T, [[0, -1], [1, 0], [0, 0]], atol=1e-15)
 
 

@@ -130,13 +130,6 @@ def test_a_point_of_the_sea_is_found_again(lens, curved, angles_rad, offset_rad,
     assert inverse_range(found[:, 1], horizon)[0] == pytest.approx(1 / range_m, rel=1e-5)
 
 
-def test_the_horizon_of_a_curved_sea_is_where_the_textbook_has_it() -> None:
-    # d = √(2 R h): from 20 m, 15.96 km
-    assert 1 / horizon_inverse_range(np.array([20.0]), curved=True)[0] == pytest.approx(15_964, abs=1)
-    assert horizon_inverse_range(np.array([20.0]), curved=False)[0] == 0
-    assert np.isnan(horizon_inverse_range(np.array([-1.0, 0.0]), curved=True)).all()
-
-
 @given(st.floats(1, 60), st.lists(st.floats(-3, 6), min_size=2, max_size=20, unique=True))
 def test_inverse_range_ascends_through_the_horizon_without_a_jump(height_m: float, in_horizons: list[float]) -> None:
     horizon = horizon_inverse_range(np.array(height_m), curved=True)
@@ -149,10 +142,15 @@ def test_inverse_range_ascends_through_the_horizon_without_a_jump(height_m: floa
     np.testing.assert_allclose(found[below] + 1 / (2 * RADIUS_M * height_m * found[below]), flat[below], rtol=1e-9)
 
 
-def test_above_the_horizon_of_a_flat_sea_the_inverse_range_is_negative_and_under_water_there_is_none() -> None:
-    up, down, sunk = np.array([[640.0, 300.0]]), np.array([[640.0, 500.0]]), (0.0, 0.0, -1.0)
-    for pixel, sign in ((up, -1), (down, 1)):
-        assert np.sign(look(PINHOLE, poses_ashore(Mount((0.0, 0.0, 5.0)), 1), pixel)[0, 1]) == sign
-    assert np.isnan(look(PINHOLE, poses_ashore(Mount(sunk), 1), down)[0, 1])
+def test_the_horizon_is_where_the_textbook_has_it_and_above_it_the_inverse_range_of_a_flat_sea_is_negative() -> None:
+    # d = √(2 R h): from 20 m, 15.96 km
+    assert 1 / horizon_inverse_range(np.array([20.0]), curved=True)[0] == pytest.approx(15_964, abs=1)
+    assert horizon_inverse_range(np.array([20.0]), curved=False)[0] == 0
+    up, down = np.array([[640.0, 300.0]]), np.array([[640.0, 500.0]])
+    afloat, sunk = (poses_ashore(Mount((0.0, 0.0, height_m)), 1) for height_m in (5.0, -1.0))
+    assert look(PINHOLE, afloat, up)[0, 1] < 0 < look(PINHOLE, afloat, down)[0, 1]
+    # Under water there is none.
+    assert np.isnan(horizon_inverse_range(np.array([-1.0, 0.0]), curved=True)).all()
+    assert np.isnan(look(PINHOLE, sunk, down)[0, 1])
     straight_down = poses_ashore(Mount((0.0, 0.0, 5.0), pitch_rad=math.pi / 2), 1)
     assert not look(PINHOLE, straight_down, np.array([[640.0, 400.0]]))[0, 1] < 1e6  # NaN, or right below

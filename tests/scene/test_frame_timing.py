@@ -96,15 +96,13 @@ def finished(tmp_path_factory) -> Path:
 
 def test_a_cameras_files_hold_its_own_frames(finished):
     assert SLOW[:4] == [8, 10, 13, 15]
-    frames = pq.read_table(finished / "frames.parquet").to_pylist()
-    assert [row["step"] for row in frames if row["camera"] == "slow"] == SLOW
-    assert [row["step"] for row in frames if row["camera"] == "fast"] == list(range(STEPS))
-    truth = pq.read_table(finished / "truth.parquet").to_pylist()
+    frames, truth = (pq.read_table(finished / f"{name}.parquet").to_pylist() for name in ("frames", "truth"))
+    steps = {camera: [row["step"] for row in frames if row["camera"] == camera] for camera in ("slow", "fast")}
+    assert steps == {"slow": SLOW, "fast": list(range(STEPS))}
     assert {row["step"] for row in truth if row["camera"] == "slow"} <= set(SLOW)
-    timestamps = [f"{step / 10}" for step in SLOW]
     for kind in ("annotations", "detections"):
-        assert list(json.loads((finished / f"{kind}_slow.json").read_text())) == timestamps
-        assert len(json.loads((finished / f"{kind}_fast.json").read_text())) == STEPS
+        slow, fast = (json.loads((finished / f"{kind}_{camera}.json").read_text()) for camera in ("slow", "fast"))
+        assert (list(slow), len(fast)) == ([f"{step / 10}" for step in SLOW], STEPS)
     counts = json.loads((finished / "run.json").read_text())["counts"]
     assert counts["frames"] == STEPS + len(SLOW)
     assert counts["detected"] == sum(row["n_detected"] for row in frames)

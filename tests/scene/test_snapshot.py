@@ -70,7 +70,6 @@ def test_rays_meet_what_the_rendered_source_draws(scene, exported, renderer, ind
     rows, columns = np.concatenate(picked).T
     expected = ids[rows, columns]
     assert len(set(expected.tolist())) >= 6
-
     names = [name for name in exported.graph.nodes_geometry if name != camera.mount.vessel or index == 0]
     parts = [seen_from(camera, exported, name) for name in names]
     triangles = np.concatenate([vertices[faces] for vertices, faces in parts])

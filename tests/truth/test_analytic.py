@@ -1,6 +1,7 @@
-"""Exact occlusion where every number can be said beforehand. The camera looks along w1 from 10 m above the sea with a
-focal length of 1000 px, the principal point at (400, 300). A box of 10 m height has its top on the horizon, so that of
-a box straight ahead nothing but the front face is seen: a rectangle from row 300 to row 300 + 10000 / distance."""
+"""Occlusion by geometry and by pixels where every number can be said beforehand. The camera looks along w1 from 10 m
+above the sea with a focal length of 1000 px, the principal point at (400, 300). A box of 10 m height has its top on the
+horizon, so that of a box straight ahead nothing but the front face is seen: a rectangle from row 300 to row 300 +
+10000 / distance."""
 
 import json
 import subprocess
@@ -11,6 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from modsim3d.geometry.camera_poses import Mount
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
 from modsim3d.truth.analytic import analytic_occlusion
@@ -22,9 +24,9 @@ def seen_of(places, **options):
     return analytic_occlusion(outlines_of(places, **options), options.get("intrinsics", INTRINSICS))
 
 
-def seen_by_both(renderer, places, lens=INTRINSICS):
+def seen_by_both(renderer, places, lens=INTRINSICS, mount=None):
     """What geometry and pixels say of a scene."""
-    outlines = outlines_of(places, lens)
+    outlines = outlines_of(places, lens, mount)
     return outlines, (analytic_occlusion(outlines, lens), rendered_occlusion(outlines, lens, renderer))
 
 
@@ -138,6 +140,61 @@ def test_vessel_cut_at_the_image_edge_is_hidden_in_the_part_that_is_in_the_image
     side = (inner - 100) * (100 + 10_000 / 101) / 2
     np.testing.assert_allclose(seen.visible_px[0], (100 - post_inner) * 100 + side)
     np.testing.assert_allclose(outlines.in_frame_fraction[0], (100 * 100 + side) / (200 * 100 + side))
+
+
+def test_box_in_front_hides_exactly_the_columns_it_should(renderer):
+    """Back: front face at 200 m, 20 m wide: columns 350–450. Front: at 100 m, from w2 = −3 to 5: columns 350–430."""
+    back, front = vessel("back", 2, 20, 10), vessel("front", 2, 8, 30)
+    outlines, both = seen_by_both(renderer, [(back, (201, 0), 0), (front, (101, 1), 0)])
+    assert outlines.occluder.tolist() == [0, 1]
+    for seen in both:
+        np.testing.assert_allclose(seen.full_boxes_px[:, [0, 2]], [[350, 450], [350, 430]], atol=1e-9)
+        np.testing.assert_allclose(seen.visible_boxes_px[0, [0, 2]], [430, 450], atol=1e-9)
+        assert seen.visible_px[0] == pytest.approx(seen.silhouette_px[0] * 20 / 100)
+        assert seen.occluders == (((1, pytest.approx(seen.silhouette_px[0] * 80 / 100)),), ())
+        assert seen.visible_px[1] == seen.silhouette_px[1]
+
+
+@pytest.mark.parametrize("place", [(-100, 0), (100, 60)], ids=["behind the camera", "outside the image"])
+def test_vessel_behind_the_camera_or_outside_the_image_is_not_in_it(renderer, place):
+    outlines, (exact, drawn) = seen_by_both(renderer, [(vessel("away"), place, 0)])
+    assert len(outlines) == len(exact.visible_px) == len(drawn.visible_px) == 0
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_vessel_of_one_pixel_has_the_box_of_that_pixel(renderer, factor):
+    """10 cm wide and high at 100 m, around the centre of the pixel in column 399 and row 399; a third of that at 3."""
+    size = 0.1 / factor
+    outlines = outlines_of([(vessel("dot", 1e-3, size, size), (100, size / 2), 0)])
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer, factor)
+    assert seen.silhouette_px[0] == seen.visible_px[0] == pytest.approx(1 / factor**2)
+    for boxes_px in (seen.full_boxes_px, seen.visible_boxes_px):
+        np.testing.assert_allclose(boxes_px, [[400 - 1 / factor, 400 - 1 / factor, 400, 400]])
+
+
+def test_vessel_larger_than_the_image_fills_it_and_one_without_a_pixel_centre_keeps_its_projected_box(renderer):
+    outlines, both = seen_by_both(renderer, [(vessel("wall", 2, 500, 200), (20, 0), 0)])
+    assert 0 < outlines.in_frame_fraction[0] < 0.1
+    for seen in both:
+        np.testing.assert_allclose(seen.full_boxes_px[0], [0, 0, 800, 600], atol=1e-9)
+        assert seen.silhouette_px[0] == pytest.approx(800 * 600)
+    outlines, (_, drawn) = seen_by_both(renderer, [(vessel("speck", 0.01, 0.01, 0.01), (3000.0, 1.0), 0)])
+    np.testing.assert_array_equal(drawn.full_boxes_px, outlines.boxes_px)
+    assert drawn.silhouette_px[0] == 0 and np.isnan(drawn.visible_fraction()[0])
+
+
+def test_boxes_that_only_touch_hide_nothing_of_each_other_and_three_hundred_have_an_id_each(renderer):
+    """Side by side at 100 m, meeting at column 400; and a grid on a hillside seen from high above."""
+    left, right = vessel("left", 1, 10, 5), vessel("right", 1, 10, 5)
+    corners = [(60.0 * i - 360, 60.0 * j - 720) for i in range(12) for j in range(25)]
+    grid = [(vessel(f"v{k}", 4, 4, 1), corner, 0.0) for k, corner in enumerate(corners)]
+    above = Mount((0.0, 0.0, 2000.0), pitch_rad=np.pi / 2)
+    for places, mount in (([(left, (100.5, 5), 0), (right, (100.5, -5), 0)], None), (grid, above)):
+        outlines, both = seen_by_both(renderer, places, mount=mount)
+        for seen in both:
+            assert len(outlines) == len(places) and (seen.visible_px > 0).all()
+            np.testing.assert_allclose(seen.visible_px, seen.silhouette_px, rtol=1e-9)
+            assert mount or seen.full_boxes_px[0, 2] == pytest.approx(400) == seen.full_boxes_px[1, 0]
 
 
 RUN_WITHOUT_OPENGL = """

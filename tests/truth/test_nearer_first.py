@@ -80,17 +80,13 @@ def ranks(outlines: Outlines) -> tuple[list[int], list[bool]]:
     return found.tolist(), known.tolist()
 
 
-def test_ranks_rise_from_near_to_far():
+def test_ranks_rise_from_near_to_far_and_are_unknown_of_solids_too_near_to_each_other_for_the_depth_buffer():
     boat, ship = vessel("boat", 5, 2, 2), vessel("ship", 200, 30, 30)
     # The centre of the ship is nearer than the boat, which lies in front of its stern.
     assert ranks(outlines_of([(ship, (250.0, 90.0), 0.6), (boat, (300.0, 30.0), 0.0)])) == ([0, 1], [True])
     assert ranks(outlines_of([(ship, (350.0, 90.0), 0.6), (boat, (250.0, -20.0), 0.0)])) == ([1, 0], [True])
     queue = [(boat, (distance, 0.0), 0.0) for distance in (300.0, 100.0, 200.0)]
     assert ranks(outlines_of(queue)) == ([2, 0, 1], [True, True, True])
-
-
-def test_solids_too_near_to_each_other_for_the_depth_buffer_have_no_known_order():
-    boat = vessel("boat", 5, 2, 2)
     for gap_m, known in ((0.0, False), (0.01, False), (1.0, True)):
         assert ranks(outlines_of([(boat, (500.0, 0.0), 0.0), (boat, (505.0 + gap_m, 0.0), 0.0)]))[1] == [known]
 
@@ -121,14 +117,11 @@ def test_two_obstacles_in_unknown_order_leave_it_open_who_hides_a_vessel_where_a
         assert np.flatnonzero(found).tolist() == doubtful
 
 
-def test_solids_that_hide_each_other_in_a_circle_have_no_ranks_that_rise_along_it():
+def test_solids_that_hide_each_other_in_a_circle_have_no_ranks_that_rise_along_it_and_no_known_order(monkeypatch):
     near, far = np.array([0, 1, 2, 0, 4]), np.array([1, 2, 0, 3, 5])
     found = _ranks(near, far, 6)
     rises = found[near] < found[far]
     assert not rises[:3].all() and rises[4]
-
-
-def test_order_is_known_only_of_pairs_along_which_ranks_rise(monkeypatch):
     boat = vessel("boat", 5, 2, 2)
     outlines = outlines_of([(boat, (distance, 0.0), 0.0) for distance in (100.0, 200.0, 300.0)])
     monkeypatch.setattr(rendered, "_ranks", lambda near, far, count: np.array([0, 1, 1]))

@@ -29,14 +29,12 @@ from tests.scenes import (
 SHIP, BOAT = 0, 1
 
 
-def long_ship_and_boat():
-    """A 210 m ship from (95, 31) to (301, −10): its centre is 200 m ahead, that of the boat off its stern 220 m."""
+def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_stern_but_by_the_rule_of_rectangles(
+    renderer,
+):
+    # 210 m from (95, 31) to (301, −10): the ship's centre is 200 m ahead, that of the boat off its stern 220 m.
     ship, boat = vessel("ship", 210, 8, 15), vessel("boat", 2, 4, 4)
-    return outlines_of([(ship, (198.0, 10.4), float(np.arctan2(-41, 206))), (boat, (220.0, -2.0), 0.0)])
-
-
-def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_stern(renderer):
-    outlines = long_ship_and_boat()
+    outlines = outlines_of([(ship, (198.0, 10.4), float(np.arctan2(-41, 206))), (boat, (220.0, -2.0), 0.0)])
     assert outlines.depth_m[SHIP] < outlines.depth_m[BOAT]  # so ordering by depth would hide the boat
     order = order_of(outlines)
     assert (order.first_can_hide.tolist(), order.second_can_hide.tolist()) == ([False], [True])
@@ -45,11 +43,8 @@ def test_long_ship_whose_centre_is_nearer_does_not_hide_the_boat_before_its_ster
         ((hider, hidden_px),) = seen.occluders[SHIP]  # all of the boat but what lies below the ship's waterline
         assert hider == BOAT and 0.5 * seen.silhouette_px[BOAT] < hidden_px < seen.silhouette_px[BOAT]
         assert seen.visible_px[SHIP] + hidden_px == pytest.approx(seen.silhouette_px[SHIP])
-
-
-def test_rectangle_rule_drops_the_boat_before_the_long_ships_stern():
-    seen = rectangle_occlusion(long_ship_and_boat())
-    assert seen.visible_px[BOAT] == 0 and seen.visible_px[SHIP] == seen.silhouette_px[SHIP]
+    ruled = rectangle_occlusion(outlines)
+    assert ruled.visible_px[BOAT] == 0 and ruled.visible_px[SHIP] == ruled.silhouette_px[SHIP]
 
 
 def test_three_beams_each_hide_a_part_of_the_next(renderer):

@@ -110,10 +110,9 @@ def test_shipped_meshes_and_others_that_fill_the_unit_box_are_not_warned_of(name
 
 def test_bytes_behind_the_facets_of_a_binary_stl_are_passed_over(tmp_path: Path) -> None:
     content = bytes(80) + ship().export(file_type="stl")[80:]
-    for number, behind in enumerate((b"", b"\r\n", bytes(49))):
-        (tmp_path / f"{number}.stl").write_bytes(content + behind)
-    plain, *others = (load_mesh(f"{number}.stl", tmp_path) for number in range(3))
-    for other in others:
+    assert struct.unpack("<I", content[80:84]) == (36,)
+    for behind in (b"", b"\r\n", bytes(49)):
+        (tmp_path / f"{len(behind)}.stl").write_bytes(content + behind)
+        plain, other = (load_mesh(f"{length}.stl", tmp_path) for length in (0, len(behind)))
         np.testing.assert_array_equal(other.vertices, plain.vertices)
         np.testing.assert_array_equal(other.faces, plain.faces)
-    assert struct.unpack("<I", content[80:84]) == (36,)

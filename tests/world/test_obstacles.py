@@ -146,14 +146,7 @@ def test_hidden_vessel_names_the_obstacle_and_obstacle_gets_no_row(tmp_path):
     assert ruled.visible_fraction.tolist() == [1.0]  # the thesis's rule knows of vessels only
 
 
-def test_camera_inside_an_obstacle_is_refused_and_one_on_top_is_not(tmp_path):
-    around = {"polygon_m": SQUARE, "height_m": 12}
-    with pytest.raises(InputError, match=r"cameras\.C0: is inside obstacle 'quay' at time 0\.0 s"):
-        scene_with(tmp_path, {"quay": around})
-    scene_with(tmp_path, {"quay": {**around, "height_m": 9.9}})
-
-
-def test_wrong_obstacle_is_one_clear_error(tmp_path):
+def test_wrong_obstacle_and_one_around_a_camera_are_one_clear_error(tmp_path):
     for keys, said in (
         ({"height_m": 3}, "give either polygon_m with height_m, or mesh with size_m"),
         ({"polygon_m": SQUARE}, "height_m: missing"),
@@ -165,3 +158,6 @@ def test_wrong_obstacle_is_one_clear_error(tmp_path):
     ):
         with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):
             scene_with(tmp_path, {"quay": keys})
+    with pytest.raises(InputError, match=r"cameras\.C0: is inside obstacle 'quay' at time 0\.0 s"):
+        scene_with(tmp_path, {"quay": {"polygon_m": SQUARE, "height_m": 12}})
+    scene_with(tmp_path, {"quay": {"polygon_m": SQUARE, "height_m": 9.9}})  # the camera is on top

@@ -99,12 +99,10 @@ def test_vessel_is_at_each_waypoint_at_its_time_and_between_goes_ahead_at_consta
     # It is there from its first waypoint to its last and at no other time.
     assert poses.present.tolist() == [[2 <= step <= 8, False] for step in range(11)]
     assert not poses.positions_m[~poses.present].any() and not poses.headings_rad[~poses.present].any()
-
-
-def test_tracks_stand_in_the_order_of_the_scenes_vessels():
+    # Tracks stand in the order of the scene's vessels.
     both = {"b": [(0.0, 1.0, 1.0), (1.0, 2.0, 2.0)], "a": [(0.0, -1.0, 0.0), (1.0, -2.0, 0.0)]}
-    poses = waypoint_tracks(both, ["a", "b"], 1, 1.0).poses(0, 1)
-    np.testing.assert_array_equal(poses.positions_m[0], [[-1, 0, 0], [1, 1, 0]])
+    places_m = waypoint_tracks(both, ["a", "b"], 1, 1.0).poses(0, 1).positions_m[0]
+    np.testing.assert_array_equal(places_m, [[-1, 0, 0], [1, 1, 0]])
 
 
 WRONG = [

@@ -45,20 +45,15 @@ def hulls_between(drive: Drive, step: int, share: float) -> np.ndarray:
     return rectangles(before + share * (after - before), heading + share * wrapped(later - heading), sizes)
 
 
-def test_no_two_hulls_come_closer_than_the_clearance_between_steps_too(drives):
+def test_no_hull_comes_closer_to_another_or_to_land_than_the_clearance_between_steps_too(drives):
+    shapely.prepare(LAND_M)
     for drive in drives:
         for step in range(0, len(drive.poses.present) - 1, 2):
             for share in (0.0, 0.6):
                 hulls = hulls_between(drive, step, share)
                 first, second = np.triu_indices(len(hulls), 1)
                 assert not shapely.dwithin(hulls[first], hulls[second], NEARER_M).any()
-
-
-def test_no_hull_comes_closer_to_land_than_the_clearance(drives):
-    shapely.prepare(LAND_M)
-    for drive in drives:
-        for step in range(0, len(drive.poses.present) - 1, 4):
-            assert not shapely.dwithin(hulls_between(drive, step, 0.5), LAND_M, NEARER_M).any()
+                assert not shapely.dwithin(hulls, LAND_M, NEARER_M).any()
 
 
 def test_vessels_pass_below_a_bridge_that_is_above_their_masts_and_no_other():
@@ -229,13 +224,12 @@ def test_own_ship_follows_her_route_at_a_speed_of_the_range(drives):
 
 
 def test_entries_have_the_form_of_a_vessels_file_and_labels_may_be_renamed():
-    drive = draw(TRAFFIC, 0)
-    assert {entry["label"] for entry in drive.entries.values()} == {"boat", "sailboat", "ship"}
-    keys = {"length_m", "beam_m", "air_draft_m", "label", "mesh"}
-    assert all(entry.keys() <= keys for entry in drive.entries.values())
-    assert {vessel.label for vessel in draw(traffic_keys(labels={"sailboat": "boat"}), 0).vessels} == {"boat", "ship"}
-    one = draw(traffic_keys(labels="Vessel"), 0)
-    assert {vessel.label for vessel in one.vessels if vessel is not OWN} == {"Vessel"}
+    entries, keys = draw(TRAFFIC, 0).entries.values(), {"length_m", "beam_m", "air_draft_m", "label", "mesh"}
+    assert {entry["label"] for entry in entries} == {"boat", "sailboat", "ship"}
+    assert all(entry.keys() <= keys for entry in entries)
+    for labels, left in (({"sailboat": "boat"}, {"boat", "ship"}), ("Vessel", {"Vessel"})):
+        renamed = draw(traffic_keys(labels=labels), 0)
+        assert {vessel.label for vessel in renamed.vessels if vessel is not OWN} == left
 
 
 def test_a_kind_of_ones_own_is_drawn_within_its_numbers():

@@ -104,11 +104,9 @@ def test_levels_are_multiples_of_the_small_one():
 
 
 def test_positive_roll_lowers_port_positive_pitch_the_bow_and_positive_yaw_turns_to_port():
-    port, bow = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
     rolled, pitched, yawed = (vehicle_R_nominal(0.1 * np.eye(3)[i]).T for i in range(3))
-    assert (rolled @ port)[2] < -0.09
-    assert (pitched @ bow)[2] < -0.09
-    assert (yawed @ bow)[1] > 0.09
+    bow, port, up = range(3)
+    assert rolled[up, port] < -0.09 and pitched[up, bow] < -0.09 and yawed[port, bow] > 0.09
 
 
 def board(mount, waves_rad, composition="rigid"):

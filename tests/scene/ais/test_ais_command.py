@@ -156,8 +156,8 @@ def test_a_file_that_is_of_no_use_says_why(problem, tmp_path, content, says):
 def test_every_file_of_no_use_is_named_at_once(problem, tmp_path):
     (tmp_path / "empty").write_text("")
     said = problem(tmp_path / "none.csv", DANISH, tmp_path / "empty", tmp_path)
-    for part in ("none.csv: no such file", "empty: the file is empty", "this is a folder"):
-        assert part in said
+    parts = ("none.csv: no such file", "empty: the file is empty", "this is a folder")
+    assert [part for part in parts if part not in said] == []
 
 
 @pytest.mark.parametrize(
