@@ -22,7 +22,8 @@ from tests.scenes import camera_keys, write_scene
 
 STEPS, STEP_S = 120, 0.05
 TIMES_S = STEP_S * np.arange(STEPS)
-UNITS = 0.02, 0.3, 0.01, 0.03
+UNITS = {"rate_{}_rad_s": 0.02, "acceleration_{}_m_s2": 0.3, "attitude_{}_rad": 0.01, "heading_{}_rad": 0.03}
+"""Keys of the unit's noise and bias, and the values that are tried."""
 UP = [0.0, 0.0, GRAVITY_M_S2]
 
 
@@ -143,38 +144,33 @@ def test_no_row_depends_on_how_the_run_is_split(scene):
             np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[first:stop], err_msg=name)
 
 
-def errors(own, rate, force, attitude, heading):
-    """Errors of the rates, forces and attitudes of one own ship, in units of what was asked, shape (steps, 9)."""
+def errors(own):
+    """Errors of the rates, forces and attitudes of one own ship in `UNITS`, shape (steps, 9)."""
     true = own.rates_rad_s, own.forces_m_s2, true_attitudes(own.headings_rad, own.angles_rad)
     measured = own.measured_rates_rad_s, own.measured_forces_m_s2, own.measured_attitudes_rad
     off = np.concatenate([np.subtract(*both)[:, 0] for both in zip(measured, true, strict=True)], axis=1)
-    return off / np.repeat([rate, force, attitude, heading], [3, 3, 2, 1])
+    return off / np.repeat([*UNITS.values()], [3, 3, 2, 1])
 
 
 def test_errors_have_the_asked_spread_and_a_bias_stays(scene):
     rough = replace(on_a_circle(scene), waves=Waves(Swinging(0.2, 0.3, 0.1, 0.05)))
     perfect, inclined = own_ship(rough), own_ship(replace(rough, imu=Imu(attitude_noise_rad=1, heading_noise_rad=1)))
-    assert not errors(perfect, 1, 1, 1, 1).any()
-    assert (
-        perfect.measured_attitudes_rad[..., 2].tolist() == (perfect.headings_rad + perfect.angles_rad[..., 2]).tolist()
-    )
+    assert not errors(perfect).any()
+    headings = perfect.headings_rad + perfect.angles_rad[..., 2]
+    np.testing.assert_array_equal(perfect.measured_attitudes_rad[..., 2], headings)
     for name in ("measured_rates_rad_s", "measured_forces_m_s2", "angles_rad"):
         np.testing.assert_array_equal(getattr(inclined, name), getattr(perfect, name))
-    units = dict(
-        zip(("rate_{}_rad_s", "acceleration_{}_m_s2", "attitude_{}_rad", "heading_{}_rad"), UNITS, strict=True)
-    )
-    noise, bias = (Imu(**{name.format(kind): unit for name, unit in units.items()}) for kind in ("noise", "bias"))
-    for error in np.split(errors(own_ship(replace(rough, imu=noise)), *UNITS), 3, axis=1):
+    noise, bias = (Imu(**{key.format(kind): unit for key, unit in UNITS.items()}) for kind in ("noise", "bias"))
+    for error in np.split(errors(own_ship(replace(rough, imu=noise))), 3, axis=1):
         assert abs(error.mean()) < 4 / np.sqrt(error.size) and abs(np.mean(error**2) - 1) < 4 * np.sqrt(2 / error.size)
         assert abs(np.corrcoef(error[:-1].ravel(), error[1:].ravel())[0, 1]) < 4 / np.sqrt(error.size)
-    biases = []
+    biases = np.empty((200, 9))
     for seed in range(200):
-        error = errors(own_ships_at(replace(scene, imu=bias, seed=seed), 0, 3), *UNITS)
-        np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), atol=1e-9)
-        biases.append(error[0])
-    np.testing.assert_allclose(np.mean(np.square(biases), axis=0), 1, atol=4 * np.sqrt(2 / 200))
-    for unit in (slice(0, 6), slice(6, 9)):
-        assert abs(np.mean(np.square(biases)[:, unit]) - 1) < 4 * np.sqrt(2 / np.size(np.array(biases)[:, unit]))
+        error = errors(own_ships_at(replace(scene, imu=bias, seed=seed), 0, 3))
+        np.testing.assert_allclose(error, np.broadcast_to(error[0], error.shape), atol=3e-12)
+        biases[seed] = error[0]
+    np.testing.assert_allclose(np.mean(biases**2, axis=0), 1, atol=4 * np.sqrt(2 / 200))
+    assert abs(np.mean(biases[:, :6] ** 2) - 1) < 4 * np.sqrt(2 / 1200)
     np.testing.assert_allclose(Imu(attitude_noise_rad=3, attitude_bias_rad=4).attitude_std_rad, [5, 5, 0])
 
 

@@ -136,7 +136,7 @@ def test_a_region_with_nothing_in_it_says_what_the_files_cover_and_how_to_exchan
         (b"\n \n", "the file is empty"),
         (
             HEAD.replace(b"Latitude,Longitude", b"Breite,Laenge"),
-            "Danish Maritime Authority CSV, but has no column Latit",
+            "Danish Maritime Authority CSV, but has no column Latitude, Longitude (it has: # Timestamp",
         ),
         (b"a,b,c\n1,2,3\n", "none of the formats"),
         (b"PK\x03\x04xxxx", "unpack it first (unzip data)"),
