@@ -53,6 +53,7 @@ def _curve(state: Data) -> None:
     state["confidence"] = {"precision_recall": [[found / 2, 0.99], [found, right]]}
 
 
+ON_VESSELS = {"share": 0.1, "lifetime_s": 0.5, "mean": [0.1, -0.1, 0.2, 0.3], "std": [0.3, 0.2, 0.2, 0.3]}
 CHANGES: dict[str, Callable[[Data], None]] = {
     "plain": lambda data: None,
     "thesis false positives": _with(false_positives={"model": "thesis"}),
@@ -76,6 +77,7 @@ CHANGES: dict[str, Callable[[Data], None]] = {
     "persistent false positives": _with(
         false_positives={"model": "calibrated", "persistence": {"lifetime_s": 2.0, "share": 0.5, "drift_px_s": 5}}
     ),
+    "false positives on vessels": _with(false_positives={"model": "per_image", "rate": 0.2, "on_vessels": ON_VESSELS}),
     "doubled, split and merged boxes": _with(
         false_positives={"model": "calibrated", "duplicates": 0.03, "splits": 0.05, "split_aspect": 1.5, "merges": 0.3}
     ),

@@ -39,12 +39,13 @@ _ADDED: tuple[tuple[str, tuple[str, ...]], ...] = (
     ),
     ("vessels that are always harder, boxes always off to one side", ("vessels", "components")),
     ("misses as confidences that fall below the threshold", ("score",)),
+    ("false detections on vessels", ("on_vessels",)),
 )
 
 
 def _rungs() -> Iterator[Rung]:
     left = set(RICHER)
-    for letter, (title, models) in zip("abcdefgh", _ADDED, strict=False):
+    for letter, (title, models) in zip("abcdefghi", _ADDED, strict=True):
         left -= set(models)
         yield Rung(letter, title, frozenset(left))
 

@@ -64,7 +64,7 @@ WithoutOption = Annotated[
         MODELS,
         "MODEL,...",
         "Models to leave out, whatever the data carry: relative, mixed, student_t, effects, persistence, score, "
-        "vessels, components, sizes, places, lasting, confidence, slopes, duplicates, merges, splits.",
+        "vessels, components, sizes, places, lasting, confidence, slopes, duplicates, merges, splits, on_vessels.",
     ),
 ]
 LevelOption = Annotated[float, under(NUMBERS, "P", "Confidence level of the intervals.")]

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.core.boxes import sizes, unions
+from modsim3d.core.boxes import at_least_a_pixel, sizes, unions
 from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.detector import draws, false_positives, records
 from modsim3d.detector.box_error import BoxErrorSource, MisplacedBoxes, TrueBoxes
@@ -114,27 +114,26 @@ class Detector:
             *self._duplicates(frames, states, detected, events),
             *self._fragments(frames, detected, placed, events),
             *self._false_positives(frames, states, vessels, events),
+            *self._on_vessels(frames, states, targets, np.flatnonzero(passed)),
         ]
         return self._scored(states, parts, passed)
 
     def _detected(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> _DetectedVessels:
         candidates = targets if len(passed) == len(targets) else draws.select(targets, passed)
         label, level = self._classified(frames, states, candidates)
-        detected = np.flatnonzero(label >= 0)
-        rows, label, level = passed[detected], label[detected], None if level is None else level[detected]
-        kept = draws.select(targets, rows)
-        boxes, partner = kept.boxes_px.copy(), np.full(len(rows), -1)
-        pairs = self.model.merges_and_splits.merged_pairs(self._pair_noise, frames, kept)
-        if not len(pairs):
-            return _DetectedVessels(kept, rows, partner, label, level)
-        larger, smaller = pairs.T
-        boxes[larger], partner[larger] = unions(boxes[larger], boxes[smaller]), rows[smaller]
-        alone = np.ones(len(rows), dtype=bool)
-        alone[smaller] = False
-        rest = alone.nonzero()[0]
-        level = None if level is None else level[rest]
-        vessels = draws.select(replace(kept, boxes_px=boxes), rest)
-        return _DetectedVessels(vessels, rows[rest], partner[rest], label[rest], level)
+        # Which pairs merge does not depend on who is missed, so that what is left of a vessel's own draws is no choice.
+        pairs = self.model.merges_and_splits.merged_pairs(self._pair_noise, frames, candidates)
+        larger, smaller = pairs[label[pairs[:, 0]] >= 0].T
+        boxes, partner = candidates.boxes_px, np.full(len(passed), -1)
+        if len(larger):
+            boxes, label = boxes.copy(), label.copy()
+            boxes[larger], partner[larger] = unions(boxes[larger], boxes[smaller]), passed[smaller]
+            label[smaller] = -1
+        rows = np.flatnonzero(label >= 0)
+        vessels = draws.select(replace(candidates, boxes_px=boxes), rows)
+        return _DetectedVessels(
+            vessels, passed[rows], partner[rows], label[rows], None if level is None else level[rows]
+        )
 
     def _classified(self, frames: CameraFrames, states: Indices, targets: Targets) -> tuple[Indices, Array | None]:
         """Label of each target, −1 where it is missed, and the level of its confidence where the same score decides."""
@@ -185,6 +184,34 @@ class Detector:
         vessels = draws.select(detected.targets, events.split)
         uniforms = draws.target_uniforms(self._streams, Purpose.FRAGMENT_CONFIDENCE, frames, vessels)
         return [detected.unscored(events.split, kind, smaller, errors, np.zeros(count, dtype=bool), uniforms)]
+
+    def _on_vessels(self, frames: CameraFrames, states: Indices, targets: Targets, passed: Indices) -> list[_Unscored]:
+        """False positives on vessels that pass the gates, found or missed."""
+        law = self.model.false_positives.on_vessels
+        if law is None:
+            return []
+        vessels = draws.select(targets, passed)
+        uniforms = self._noise.on_vessel(law.lifetime_s, frames, vessels)
+        true_px = at_least_a_pixel(vessels.boxes_px, frames.image_size_px)
+        boxes, there = law.boxes_px(true_px, frames.image_size_px, uniforms)
+        rows = np.flatnonzero(there)
+        shown = draws.select(vessels, rows)
+        confidence = draws.target_uniforms(self._streams, Purpose.ON_VESSEL_CONFIDENCE, frames, shown)
+        labels = self._false_positive_source.labels(states[shown.frame], uniforms[rows, 0] / law.share)
+        return [
+            _Unscored(
+                frame=shown.frame,
+                target=passed[rows],
+                partner=np.full(len(rows), -1),
+                kind=np.full(len(rows), records.ON_VESSEL),
+                label=labels,
+                boxes_px=boxes[rows],
+                errors_px=np.full((len(rows), 4), np.nan),
+                redrawn=np.zeros(len(rows), dtype=bool),
+                visible_fraction=np.full(len(rows), np.nan),
+                uniforms=confidence,
+            )
+        ]
 
     def _false_positives(
         self, frames: CameraFrames, states: Indices, vessels: Targets, events: Events

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask, ranges
-from modsim3d.core.boxes import clip, sizes
+from modsim3d.core.boxes import clip, inside_image, sizes
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals, on_grid
 from modsim3d.detector.draws import choose, cumulative, keyed_uniforms, low_uniforms, poisson_quantile, step_uniforms
@@ -278,6 +278,27 @@ _MAX_CHANGE_PX = 0.5  # of a true side: true sides are often whole pixels, and d
 _MIN_SIDE_PX = 2.0  # half of it is a pixel: what is left of a box centred on the image's edge
 
 
+@dataclass(frozen=True)
+class OnVessels:
+    """False detections that lie on vessels: boxes of a part, or of a vessel and what is around it."""
+
+    share: float  # of the vessels in the image, found or missed, that have one
+    lifetime_s: float = 0.0  # time for which one stays; 0 for as long as a frame
+    mean: tuple[float, ...] = (0.0,) * 4  # centre from the vessel's, in its width and height, and log of both ratios
+    std: tuple[float, ...] = (0.0,) * 4
+
+    def boxes_px(self, vessels_px: Array, image_size_px: tuple[int, int], uniforms: Array) -> tuple[Array, Mask]:
+        """Boxes on vessels, and which are there, a pixel wide and high in the image, from uniform numbers (n, 5).
+        Boxes have shape (n, 4)."""
+        place = np.array(self.mean) + np.array(self.std) * grid_normals(uniforms[:, 1:])
+        sides = sizes(vessels_px)
+        middle = (vessels_px[:, :2] + vessels_px[:, 2:]) / 2 + sides * place[:, :2]
+        half = sides * on_grid(special.exp2(place[:, 2:] / _LN_2)) / 2
+        boxes = np.concatenate([middle - half, middle + half], axis=1)
+        there: Mask = (uniforms[:, 0] < self.share) & inside_image(boxes, image_size_px)
+        return clip(boxes, image_size_px), there
+
+
 @dataclass(frozen=True, eq=False)
 class FalsePositiveOptions:
     """Keys of a detector file about false positives."""
@@ -288,6 +309,7 @@ class FalsePositiveOptions:
     lifetime_s: float = 1.0  # mean lifetime of persistent ones
     drift_px_s: float = 0.0  # speed of persistent ones along the horizon, to either side
     persistent_share: float = 0.0  # of all false positives
+    on_vessels: OnVessels | None = None  # besides all others
 
     @property
     def numbers(self) -> FalsePositiveModel:
@@ -376,8 +398,12 @@ class FalsePositiveSource:
         self, around: Surroundings, frame: Indices, ordinal: Indices, uniforms: Array, drift_px: Array | None
     ) -> FalsePositives:
         boxes = self.boxes_px(around.frames, around.detected, frame, uniforms[:, : DRAWS + 1], drift_px)
-        labels = choose(self.label_distributions[around.counts.states[frame]], uniforms[:, DRAWS + 1])
+        labels = self.labels(around.counts.states[frame], uniforms[:, DRAWS + 1])
         return FalsePositives(frame, ordinal, boxes, labels)
+
+    def labels(self, states: Indices, uniforms: Array) -> Indices:
+        """Labels of false positives in a performance state each, from a uniform number each, shapes (m,)."""
+        return choose(self.label_distributions[states], uniforms)
 
     def boxes_px(
         self, frames: CameraFrames, detected: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None

@@ -76,7 +76,7 @@ class MergesAndSplits:
 
     Attributes:
         duplicates: Probability that a detected vessel gets a second box.
-        merges: Probability that two detected vessels that overlap are merged into one box.
+        merges: Probability that two vessels that overlap come out as one box where the larger is detected.
         merge_overlap: Least share of the smaller box inside the larger one for which they overlap.
         splits: Probability that a long vessel is split into two boxes.
         split_aspect: Least width over height of a long vessel's box.
@@ -89,9 +89,9 @@ class MergesAndSplits:
     split_aspect: float = 4.0
 
     def merged_pairs(self, noise: PairNoise, frames: CameraFrames, kept: Targets) -> Indices:
-        """Rows of the vessels that are merged, the larger first, shape (k, 2); each row at most once.
+        """Rows of the vessels that are merged if the larger is detected, the larger first, shape (k, 2).
 
-        Where pairs share a vessel, the pair that overlaps most is merged.
+        Each row is there once at most: where pairs share a vessel, the pair that overlaps most is merged.
         """
         if not self.merges:
             return np.empty((0, 2), dtype=np.int64)

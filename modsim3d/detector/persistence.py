@@ -151,22 +151,24 @@ class Process(Protocol):
 
 @dataclass(frozen=True)
 class KeptUniform:
-    """A uniform number that is kept with probability e^(−Δt/τ), and otherwise resampled. It is uniform at every step,
-    so inverting any distribution at it gives that distribution exactly, whatever τ. Two of them Δt apart are the same
-    number with probability e^(−Δt/τ), else independent."""
+    """Uniform numbers that are kept together with probability e^(−Δt/τ), and otherwise resampled. They are uniform at
+    every step, so inverting any distribution at one gives that distribution exactly, whatever τ. Two of them Δt apart
+    are the same number with probability e^(−Δt/τ), else independent."""
 
     correlation_s: float
     width: int = 1
+    numbers: Purpose = Purpose.CLASS
+    kept: Purpose = Purpose.CLASS_KEPT
 
     def fresh(self, streams: Streams, camera: str, vessel: str, first: int, count: int) -> Array:
-        """A new number, and one that decides whether it is taken, shape (count, 2)."""
-        new = streams.uniforms(Purpose.CLASS, camera, vessel, first=first, count=count)
-        decides = streams.uniforms(Purpose.CLASS_KEPT, camera, vessel, first=first, count=count)
+        """New numbers, and one that decides whether they are taken, shape (count, width + 1)."""
+        new = streams.uniforms(self.numbers, camera, vessel, first=first, count=count)
+        decides = streams.uniforms(self.kept, camera, vessel, first=first, count=count)
         return np.concatenate([new, decides], axis=1)
 
     def advance(self, values: Array, fresh: Array, decay: float) -> Array:
-        """Keep the number or take the new one, shape (vessels, 1)."""
-        return np.where(fresh[:, 1:] < decay, values, fresh[:, :1])
+        """Keep the numbers or take the new ones, shape (vessels, width)."""
+        return np.where(fresh[:, self.width :] < decay, values, fresh[:, : self.width])
 
 
 @dataclass(frozen=True)
@@ -349,6 +351,13 @@ class VesselNoise:
         white = grid_normals(target_uniforms(self._streams, Purpose.SCORE_WHITE, frames, targets))[:, 0]
         total = total + math.sqrt(score.white_share) * white
         return np.clip(on_grid(special.ndtr(total), _UNIFORM_STEP), _UNIFORM_STEP, 1 - _UNIFORM_STEP)
+
+    def on_vessel(self, lifetime_s: float, frames: CameraFrames, targets: Targets) -> Array:
+        """Uniform numbers for a false detection on each target, shape (n, 5)."""
+        if not lifetime_s:
+            return target_uniforms(self._streams, Purpose.ON_VESSEL, frames, targets)
+        kept = KeptUniform(lifetime_s, Purpose.ON_VESSEL.uniforms, Purpose.ON_VESSEL, Purpose.ON_VESSEL_KEPT)
+        return self._walked(kept, frames, targets)
 
     def _walked(self, process: Process, frames: CameraFrames, targets: Targets) -> Array:
         key = (process, frames.camera, targets.vessel_ids)

@@ -8,14 +8,14 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import sizes
 
-KINDS = ("true", "false_positive", "persistent_false_positive", "duplicate", "merged", "split", "fragment")
+KINDS = ("true", "false_positive", "persistent_false_positive", "duplicate", "merged", "split", "fragment", "on_vessel")
 """Where a detection came from; `Detections.kind` indexes this.
 
 `merged` is one box for two vessels and counts as the larger one's; a vessel in two parts is `split`, the larger part,
-which counts as its detection, and `fragment`, the other.
+which counts as its detection, and `fragment`, the other. `on_vessel` is a false positive that lies on a vessel.
 """
-TRUE, FALSE_POSITIVE, PERSISTENT, DUPLICATE, MERGED, SPLIT, FRAGMENT = range(len(KINDS))
-FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT)
+TRUE, FALSE_POSITIVE, PERSISTENT, DUPLICATE, MERGED, SPLIT, FRAGMENT, ON_VESSEL = range(len(KINDS))
+FALSE_KINDS = (FALSE_POSITIVE, PERSISTENT, DUPLICATE, FRAGMENT, ON_VESSEL)
 """Kinds that count as false, as in an evaluation: all but the one detection of a vessel."""
 _IS_FALSE = np.isin(np.arange(len(KINDS)), FALSE_KINDS)
 

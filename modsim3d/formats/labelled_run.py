@@ -8,7 +8,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Indices, Mask
 from modsim3d.core.boxes import iou, unions
 from modsim3d.core.paths import StrPath
-from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED
+from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED, ON_VESSEL
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import image_pairs
 from modsim3d.runs.files.tables import indices, number_column, positions
@@ -67,7 +67,7 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
     """The detections of all images; a detection has the origin that it is the box of, a second box has none."""
     image, vessels = positions(frames, rows.detection_frame), len(rows.scene.vessels)
     kind = indices(rows.detections, "kind", KINDS)
-    own = ~np.isin(kind, FALSE_KINDS) & (rows.detection_vessel >= 0)
+    own = (~np.isin(kind, FALSE_KINDS) | (kind == ON_VESSEL)) & (rows.detection_vessel >= 0)
     kept = np.flatnonzero(image >= 0)
     results = Results(
         image=image[kept],
@@ -81,7 +81,11 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
     ).by_image()
     truth_image = positions(frames, rows.truth_frame)
     found = (truth_image * vessels + rows.truth_vessel)[rows.detected & (truth_image >= 0)]
-    return replace(results, partner=_partners(results, truth, np.isin(truth.image * vessels + truth.identity, found)))
+    partner = _partners(results, truth, np.isin(truth.image * vessels + truth.identity, found))
+    origin, on_vessel = results.origin, results.kind == ON_VESSEL
+    assert origin is not None  # as given above
+    partner[on_vessel] = origin[on_vessel]
+    return replace(results, origin=np.where(on_vessel, NOBODY, origin), partner=partner)
 
 
 def _partners(results: Results, truth: Annotations, detected: Mask) -> Indices:

@@ -1,6 +1,6 @@
 """Type that each detection counts as, once the data show whether there are second boxes, splits and merges."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,11 +11,12 @@ from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import SIGNIFICANT, Resampling, resample, spread
 from modsim3d.learn.match_shapes import Trials
-from modsim3d.learn.match_types import MatchTypes, kinds_of
+from modsim3d.learn.match_types import NONE, MatchTypes, VesselBoxes, kinds_of
 
-NAMES = ("duplicates", "merges", "splits")
+NAMES = ("on_vessels", "duplicates", "merges", "splits")
 """The keys of the detector file, in its order."""
 _WHAT = {
+    "on_vessels": ("false detection on a vessel", "false detections on vessels"),
     "duplicates": ("second box", "second boxes"),
     "merges": ("box around two vessels", "boxes around two vessels"),
     "splits": ("vessel in two parts", "vessels in two parts"),
@@ -35,10 +36,11 @@ class CountedAs:
     """Type that each detection counts as: types that the data do not clearly show count as if they did not exist."""
 
     detection: Indices  # row of the result that detects each annotation, −1 where none does, shape (T,)
-    in_merged_box: Mask  # whether an annotation is in the box of another one, and so detected, shape (T,)
-    ambiguous: Mask  # boxes do not tell if an annotation without one is missed or in another's, shape (T,)
+    in_merged_box: Mask  # whether an annotation is in the box of another one, shape (T,)
+    ambiguous: Mask  # whether an annotation is or may be in another's box, so that nobody knows a miss, shape (T,)
     false: Indices  # rows of false detections, second boxes and smaller parts included, shape (f,)
-    false_positives: Indices  # rows of those that are neither, shape (g,)
+    false_positives: Indices  # rows of those that are neither, and not on vessels, shape (g,)
+    on_vessels: VesselBoxes  # annotations with a false detection on them, if such are shown
     one_vessel: Mask  # whether a detection is surely one whole box of one vessel if it detects one, shape (D,)
     thresholds: dict[str, float]  # of each kind that is shown and has one
     trials: dict[str, Trials]  # of the kinds that are shown, above their threshold
@@ -52,7 +54,7 @@ def counted_as(labelled: LabelledSet, matched: Matched, used: Mask, without: fro
     in_merged_box, ambiguous = np.zeros((2, len(labelled.annotations)), dtype=bool)
     wanted = [name for name in NAMES if name not in without]
     if not wanted:
-        return CountedAs(matched.detection, in_merged_box, ambiguous, false, false, one_vessel, {}, {}, ())
+        return CountedAs(matched.detection, in_merged_box, ambiguous, false, false, NONE, one_vessel, {}, {}, ())
     kinds, notes = kinds_of(labelled, matched, used), list[str]()
     thresholds, trials = dict[str, float](), dict[str, Trials]()
     for name, least in _shown(kinds, wanted, labelled.images, notes).items():
@@ -68,16 +70,24 @@ def counted_as(labelled: LabelledSet, matched: Matched, used: Mask, without: fro
         least = thresholds["merges"]
         merged = kinds.merged.at_least(least)
         detection[merged.smaller], detection[merged.larger] = NOBODY, merged.box
-        in_merged_box[merged.smaller] = True
+        in_merged_box[merged.smaller] = ambiguous[merged.smaller] = True
         one_vessel[merged.box] = one_vessel[kinds.one_box.at_least(least).box] = False
         ambiguous[kinds.ambiguous.at_least(least).smaller] = True
+    on_vessels = NONE
+    if "on_vessels" in trials:
+        on_vessels, among = kinds.on_vessels, trials["on_vessels"]
+        trials["on_vessels"] = replace(among, hits=among.hits + among.chance)  # those by chance lie there as well
+        of_vessel.append(on_vessels.box)
+        if not kinds.copies and trials.pop("duplicates", None) is not None:
+            notes.append("false_positives.duplicates: none; they fit worse than first boxes do, so they lie on vessels")
     if "duplicates" in trials:
         of_vessel.append(kinds.doubled)
     owned = detection[detection >= 0]
     counted = np.flatnonzero(matched.counts & used[labelled.results.image])
     false = np.setdiff1d(counted, owned)
     free = np.setdiff1d(false, np.concatenate(of_vessel))
-    return CountedAs(detection, in_merged_box, ambiguous, false, free, one_vessel, thresholds, trials, tuple(notes))
+    said = tuple(notes)
+    return CountedAs(detection, in_merged_box, ambiguous, false, free, on_vessels, one_vessel, thresholds, trials, said)
 
 
 def _shown(kinds: MatchTypes, wanted: list[str], images: Images, notes: list[str]) -> dict[str, float | None]:

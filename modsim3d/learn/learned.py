@@ -87,6 +87,8 @@ def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
     multiple_boxes = choose_multiple_boxes(observed)
     if clutter == "auto" and not leaves_room(observed):
         clutter, multiple_boxes = "per_image", multiple_boxes.noting(NO_ROOM)
+    if clutter == "auto" and "on_vessels" in observed.kinds.trials:
+        clutter = "per_image"  # those on vessels have a model of their own, and the others are the same in every image
     classes = choose_classes(observed)
     return DetectorForm(
         classes,
@@ -237,6 +239,7 @@ def _run_s(observed: Observed, form: DetectorForm) -> float:
         form.false_positives.lifetime_s,
         form.confidence.confidence_s,
         form.multiple_boxes.merge_s,
+        form.multiple_boxes.on_vessel_s,
     )
     if longest <= 0:
         return 0.0

@@ -12,7 +12,7 @@ A false positive that lies on a vessel by chance looks like one of these as well
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -162,6 +162,16 @@ def second_boxes(sought: SoughtBoxes, loose: Loose, single: Mask, rule: Rule) ->
     return place[good], loose.row[first[good]]
 
 
+def on_vessels(sought: SoughtBoxes, loose: Loose) -> tuple[Indices, Indices]:
+    """Places of annotations (n,) on which a false detection lies, and rows of these, shape (k,) each: every false
+    detection belongs to the annotation that shares most of it, and each annotation has one."""
+    first, place = loose.pairs(sought)
+    box_px = loose.boxes_px[first]
+    share = intersections(box_px, sought.boxes_px[place]) / np.maximum(sizes(box_px).prod(axis=1), 1e-9)
+    best = best_of(share, ~place, loose.row[first])
+    return place[best], loose.row[first[best]]
+
+
 def best_of(quality: Array, *taken: Indices) -> Indices:
     """Places of the best candidates (m,), in order of quality, none of which takes what a better one took, shape (k,).
     Each takes a number of each column (m,), and a number means the same in all columns."""
@@ -280,6 +290,12 @@ def vessel_trials(
     )
 
 
+def on_vessel_trials(sought: SoughtBoxes, rows: Indices, hit: Indices, chance: Array) -> Trials:
+    """Trials of all annotations (n,), on some of which a false detection lies; `rows` are those of the annotations."""
+    trials = vessel_trials(sought, np.ones(len(sought), dtype=bool), hit, chance)
+    return replace(trials, vessels=np.column_stack([rows, rows]))
+
+
 def pair_trials(
     sought: SoughtBoxes,
     rows: Indices,
@@ -290,19 +306,20 @@ def pair_trials(
     unambiguous: Mask,
     one_box: Mask,
 ) -> Trials:
-    """Pairs of detected vessels, and pairs with one box that may be around both. Of pairs with a vessel in common the
-    one that overlaps most comes first, so another that came out as one box says that it did not, and after it the
-    others had no chance. After one that perhaps did, the others tell nothing."""
+    """Pairs whose larger vessel is detected, and pairs with one box that may be around both. Of pairs with a vessel in
+    common the one that overlaps most comes first, so another that came out as one box says that it did not, and after
+    it the others had no chance. After one that perhaps did, the others tell nothing."""
     free = pairs.share > _most(sought, pairs, is_merged)
     detected = sought.found.copy()
     detected[pairs.larger[is_merged]] = detected[pairs.smaller[is_merged]] = True
     told = pairs.share > _most(sought, pairs, ~unambiguous & (detected[pairs.larger] != detected[pairs.smaller]))
-    both = detected[pairs.larger] & detected[pairs.smaller] & free & ~is_merged
+    both = detected[pairs.larger] & detected[pairs.smaller]
+    apart = detected[pairs.larger] & free & ~is_merged & (both | ~one_box)
     single = one_box & free & ~both & ~is_merged
-    chosen = unambiguous & told & (is_merged | both | single)
-    hits = np.where(both, 0.0, hits)
-    weight = np.where(both, 1.0, hits)
-    chance, vessels = np.where(both, 0.0, chance), np.column_stack([rows[pairs.larger], rows[pairs.smaller]])
+    chosen = unambiguous & told & (is_merged | apart | single)
+    hits = np.where(apart, 0.0, hits)
+    weight = np.where(apart | (single & detected[pairs.larger]), 1.0, hits)
+    chance, vessels = np.where(apart, 0.0, chance), np.column_stack([rows[pairs.larger], rows[pairs.smaller]])
     return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance, vessels).where(chosen)
 
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
-from modsim3d.core.boxes import errors_between, move, sizes
-from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, SPLIT
+from modsim3d.core.boxes import errors_between, iou, move, sizes
+from modsim3d.detector.records import DUPLICATE, FRAGMENT, MERGED, ON_VESSEL, SPLIT
 from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
 from modsim3d.learn import match_shapes
@@ -132,6 +132,8 @@ class MatchTypes:
     """Types of detections, as rows of results and annotations."""
 
     doubled: Indices  # second boxes, shape (d,)
+    copies: bool  # whether second boxes fit their vessels about as well as the first ones do
+    on_vessels: VesselBoxes  # false detections on vessels; second boxes among them unless those are copies
     split: Indices  # annotations in two parts, and the larger parts, shape (2, k)
     fragments: Indices  # the smaller parts, shape (f,)
     perhaps_parts: Indices  # matches of other annotations that look like parts of one with no whole box, shape (q,)
@@ -142,7 +144,16 @@ class MatchTypes:
     trials: dict[str, Trials]  # by the name in `model_selection.RICHER`
 
 
+@dataclass(frozen=True, eq=False)
+class VesselBoxes:
+    """Annotations and a false detection on each, as rows; shapes (k,)."""
+
+    vessel: Indices
+    box: Indices
+
+
 _NO_ROWS = np.empty(0, dtype=np.int64)
+NONE = VesselBoxes(_NO_ROWS, _NO_ROWS)
 _NO_PAIRS = VesselPairs(_NO_ROWS, _NO_ROWS, _NO_ROWS, np.empty(0))
 
 
@@ -177,13 +188,18 @@ def _as_the_run_says(labelled: LabelledSet, sought: SoughtBoxes, rows: Indices, 
     doubled = false[kind[false] == DUPLICATE]
     nothing, none = np.zeros(len(rows)), np.zeros(len(pairs), dtype=bool)
     hits = is_merged.astype(np.float64)
+    on = false[kind[false] == ON_VESSEL]
+    on = on[place[results.partner[on]] >= 0]
     trials = {
         "merges": match_shapes.pair_trials(sought, rows, pairs, is_merged, hits, np.zeros(len(pairs)), ~none, none),
         "splits": match_shapes.vessel_trials(sought, _long(sought, single), split, nothing),
         "duplicates": match_shapes.vessel_trials(sought, single, split[:0], nothing, results.image[doubled]),
+        "on_vessels": match_shapes.on_vessel_trials(sought, rows, place[results.partner[on]], nothing),
     }
     return MatchTypes(
         doubled=doubled,
+        copies=True,
+        on_vessels=VesselBoxes(results.partner[on], on),
         split=np.stack([rows[split], sought.row[split]]),
         fragments=false[kind[false] == FRAGMENT],
         perhaps_parts=_NO_ROWS,
@@ -210,8 +226,13 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
     for each in (pairs.larger, pairs.smaller):
         single[each[common.pair]] = False
     place, doubled = match_shapes.second_boxes(sought, left, single & whole, rule)
-    left = left.without(doubled)
+    copies = _copies(sought, left, place, doubled)
+    loose_on, left = left.without(doubled) if copies else left, left.without(doubled)
     chance = _by_chance(sought, left, pairs, single & whole, whole, images, rule)
+    vessel, on_vessel = match_shapes.on_vessels(sought, loose_on)
+    by_chance = np.zeros(len(sought))
+    for moved in shuffled(loose_on, images):
+        np.add.at(by_chance, match_shapes.on_vessels(sought, moved)[0], 1 / SHUFFLES)
     recognition = Recognition.of(sought, pairs, whole)
     merges = _merge_trials(detected, rows, pairs, common, recognition, chance["merges"])
     ambiguous = _ambiguous_pairs(detected, pairs, recognition)
@@ -221,6 +242,8 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
     owner = np.where(sought.found[pairs.larger], pairs.larger, pairs.smaller)[one]
     return MatchTypes(
         doubled=doubled,
+        copies=copies,
+        on_vessels=VesselBoxes(rows[vessel], on_vessel),
         split=np.stack([rows[parts.place], parts.larger]),
         fragments=parts.smaller,
         perhaps_parts=_perhaps_parts(sought, loose),
@@ -231,8 +254,23 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
             "merges": merges,
             "splits": match_shapes.vessel_trials(sought, _long(sought, single), parts.place, chance["splits"]),
             "duplicates": match_shapes.vessel_trials(sought, single, place, chance["duplicates"]),
+            "on_vessels": match_shapes.on_vessel_trials(sought, rows, vessel, by_chance),
         },
     )
+
+
+_COPIES = 0.25
+"""Quantile of the IoU of matches that second boxes have at least in the median if they are copies."""
+
+
+def _copies(sought: SoughtBoxes, loose: Loose, place: Indices, doubled: Indices) -> bool:
+    """Whether second boxes, with the places of their vessels (d,), fit them about as well as the matches do."""
+    if not len(doubled):
+        return False
+    box = np.searchsorted(loose.row, doubled, sorter=(order := np.argsort(loose.row)))
+    second = iou(loose.boxes_px[order[box]], sought.boxes_px[place])
+    first = iou(sought.match_px[sought.found], sought.boxes_px[sought.found])
+    return bool(np.median(second) >= np.quantile(first, _COPIES))
 
 
 def _by_chance(

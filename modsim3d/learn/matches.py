@@ -214,7 +214,7 @@ class Observed:
 
     @cached_property
     def in_merged_box(self) -> Mask:
-        """Whether each annotation is in the box of another one, so that it counts as detected, shape (n,)."""
+        """Whether each annotation is in the box of another one, so that nobody knows if it was missed, shape (n,)."""
         return self.kinds.in_merged_box[self.rows]
 
     @cached_property
@@ -239,8 +239,8 @@ class Observed:
 
     @cached_property
     def unambiguous(self) -> Mask:
-        """Whether each annotation would be known to be missed if it were, shape (n,). One that overlaps a larger one
-        may be in its box without a trace, where boxes merge."""
+        """Whether each annotation would be known to be missed if it were, shape (n,). One that overlaps a larger one is
+        or may be in its box, where boxes merge."""
         return ~self.kinds.ambiguous[self.rows]
 
     @cached_property
@@ -278,10 +278,10 @@ class Observed:
 
     @cached_property
     def seen_as(self) -> Indices:
-        """Label that each annotation was detected as, k where missed, k + 1 in the box of another, shape (n,)."""
+        """Label that each annotation was detected as, k where it has no box of its own, shape (n,)."""
         found, k = self.labelled.results.label, len(self.labelled.labels)
         label = found[self.detection] if len(found) else np.zeros(len(self.rows), dtype=np.int64)
-        return np.where(self.missed, k, np.where(self.in_merged_box, k + 1, label))
+        return np.where(self.detection < 0, k, label)
 
     @cached_property
     def steps(self) -> Steps:

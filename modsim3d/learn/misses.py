@@ -378,13 +378,9 @@ def _confusion(observed: Observed, fit: MissFit | None, resampling: Resampling, 
     `inflation` is that of the variance of a count of each state and label, shape (states, labels)."""
     labels = observed.labelled.labels
     k, states = len(labels), len(observed.states)
-    cell = (observed.state * (k + 2) + observed.seen_as) * k + observed.label
+    cell = (observed.state * (k + 1) + observed.seen_as) * k + observed.label
     unambiguous = observed.unambiguous
-    every = resampling.counts(observed.image[unambiguous], cell[unambiguous], (states, k + 2, k))
-    counts, in_merged_box = every[:, :, : k + 1], every[:, :, k + 1]
-    # A vessel in the box of another one has no label of its own: it takes the shares of those that have one.
-    own = counts[:, :, :k].sum(axis=2)
-    counts[:, :, :k] *= np.where(own > 0, 1 + in_merged_box / np.maximum(own, 1), 1.0)[:, :, None]
+    counts = resampling.counts(observed.image[unambiguous], cell[unambiguous], (states, k + 1, k))
     whole = counts.sum(axis=2, keepdims=True)
     rates = bootstrap.ratio(counts, whole)
     if fit is not None:

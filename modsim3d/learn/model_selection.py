@@ -11,12 +11,13 @@ from modsim3d.learn.matches import Observed
 RICHER = (
     *("relative", "mixed", "student_t", "effects", "persistence", "score", "vessels", "components", "sizes"),
     *("places", "lasting", "confidence", "slopes", "duplicates", "merges", "splits"),
+    "on_vessels",
 )
 """What learning may add to the plain model, and can be told to leave out. Box errors that grow with the box, or partly
 do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; one score
 behind misses and confidence; the share of misses and box errors that each vessel keeps; a memory of each component of
 box errors; sizes and places of false positives, and how long they last; confidence of true and false detections apart;
-its slopes; duplicates, merges and splits."""
+its slopes; duplicates, merges and splits; false positives on vessels."""
 
 
 class LearnedPart(Protocol):

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.arrays import Indices
+from modsim3d.core.boxes import centres, sizes
 from modsim3d.formats.labelled import LabelledSet
-from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, ratio
+from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, ratio, widened
 from modsim3d.learn.counted_types import THRESHOLDS, hits_and_trials
 from modsim3d.learn.match_shapes import Trials
 from modsim3d.learn.matches import Observed
@@ -19,15 +20,16 @@ from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, in
 
 
 @dataclass(frozen=True, eq=False)
-class ConsecutiveMerges:
-    """Pairs that could have been merged, and which of them follow each other."""
+class ConsecutiveTrials:
+    """Pairs that could have been merged, or vessels that could have a false detection on them, and which of them follow
+    each other."""
 
     trials: Trials
     steps: Steps
     stretches: SightingStretches
 
     @classmethod
-    def of(cls, labelled: LabelledSet, trials: Trials) -> ConsecutiveMerges:
+    def of(cls, labelled: LabelledSet, trials: Trials) -> ConsecutiveTrials:
         """Pairs of vessels with identities in frames with times."""
         pair = _identities(labelled, trials.vessels)
         return cls(
@@ -76,12 +78,14 @@ _MARGIN = 1e-4
 class MultipleBoxForm:
     """Types among `counted_types.NAMES` that the data show, with their thresholds, None for one that has none.
 
-    `merge_s` is the rough correlation time of merges, 0 if they do not persist.
+    `merge_s` is the rough correlation time of merges, `on_vessel_s` of false detections on vessels, 0 if they do not
+    persist.
     """
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
     merge_s: float = 0.0
+    on_vessel_s: float = 0.0
 
     def noting(self, note: str) -> MultipleBoxForm:
         """Form with another note."""
@@ -91,29 +95,87 @@ class MultipleBoxForm:
         """The probability of each, and the correlation time of merges."""
         entries, merge_s, factor = [], None, dict[str, float]()
         if self.merge_s > 0:
-            consecutive = ConsecutiveMerges.of(observed.labelled, observed.kinds.trials["merges"])
+            consecutive = ConsecutiveTrials.of(observed.labelled, observed.kinds.trials["merges"])
             merge_s = Entry(Key(("persistence", "merge_s")), consecutive.products().column(resampling))
             factor["merges"] = consecutive.inflation(float(merge_s.estimate))
         for name, _ in self.shown:
+            if name == "on_vessels":
+                continue
             sums = hits_and_trials(observed.kinds.trials[name], resampling)
             share = np.clip(ratio(sums[:, 0], sums[:, 1]), 0, 1)
             column = Column(share, "share", np.array(sums[0, 1]), factor.get(name, 1.0))
             entries.append(Entry(Key(("false_positives", name)), column))
-        return LearnedMultipleBoxes(self, tuple(entries), merge_s)
+        on_vessels = None
+        if "on_vessels" in dict(self.shown):
+            on_vessels = LearnedOnVessels.of(observed, self.on_vessel_s, resampling)
+        return LearnedMultipleBoxes(self, tuple(entries), merge_s, on_vessels)
+
+
+PLACE = ("across", "down", "log width", "log height")
+"""Where a false detection lies on its vessel: centre in the vessel's sides, logarithms of the ratios of sides."""
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedOnVessels:
+    """False detections on vessels: share of vessels that have one, lifetime (None for a frame), place and size (4,)."""
+
+    share: Entry
+    lifetime_s: Entry | None
+    mean: Entry
+    std: Entry
+
+    @classmethod
+    def of(cls, observed: Observed, lifetime_s: float, resampling: Resampling) -> LearnedOnVessels:
+        """Their numbers; a rough lifetime of 0 means that they do not stay."""
+        trials, on = observed.kinds.trials["on_vessels"], observed.kinds.on_vessels
+        lifetime, factor = None, 1.0
+        section = ("false_positives", "on_vessels")
+        if lifetime_s > 0:
+            consecutive = ConsecutiveTrials.of(observed.labelled, trials)
+            lifetime = Entry(Key((*section, "lifetime_s")), consecutive.products().column(resampling))
+            factor = consecutive.inflation(float(lifetime.estimate))
+        hits, number = hits_and_trials(trials, resampling).T
+        vessel_px = observed.labelled.annotations.boxes_px[on.vessel]
+        box_px = observed.labelled.results.boxes_px[on.box]
+        ratio_of_sides = np.log(np.maximum(sizes(box_px), 1e-6) / sizes(vessel_px))
+        place = np.hstack([(centres(box_px) - centres(vessel_px)) / sizes(vessel_px), ratio_of_sides])
+        image = observed.labelled.annotations.image[on.vessel]
+        sums = resampling.sums(image, np.hstack([np.ones((len(place), 1)), place, place**2]))
+        mean, square = ratio(sums[:, 1:5], sums[:, :1]), ratio(sums[:, 5:], sums[:, :1])
+        std = np.sqrt(np.maximum(square - mean**2, 1e-12))
+        known, error = np.full(4, sums[0, 0]), std[0] * np.sqrt(factor / max(sums[0, 0], 1.0))
+        mean, std = widened(mean, error), np.exp(widened(np.log(std), error / std[0] / np.sqrt(2)))
+        return cls(
+            Entry(Key((*section, "share")), Column(ratio(hits, number), "share", np.array(number[0]), factor)),
+            lifetime,
+            Entry(Key((*section, "mean"), axes=(PLACE,)), Column(mean, "mean", known)),
+            Entry(Key((*section, "std"), axes=(PLACE,)), Column(std, "positive", known)),
+        )
+
+    def section(self) -> dict[str, Any]:
+        """Section of a detector file."""
+        lifetime = {} if self.lifetime_s is None else {"lifetime_s": digits(self.lifetime_s.estimate)}
+        mean, std = (nested(entry.estimate) for entry in (self.mean, self.std))
+        return {"share": digits(self.share.estimate), **lifetime, "mean": mean, "std": std}
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedMultipleBoxes:
-    """The probability of each kind that the data show; `merge_s` is None if merges do not persist."""
+    """The probability of each kind that the data show; `merge_s` is None if merges do not persist, `on_vessels` if no
+    false detections lie on vessels."""
 
     form: MultipleBoxForm
     shares: tuple[Entry, ...]
     merge_s: Entry | None = None
+    on_vessels: LearnedOnVessels | None = None
 
     def sections(self) -> dict[str, dict[str, Any]]:
         """Probabilities, thresholds that are not the defaults, and the correlation time of merges."""
         section: dict[str, Any] = {}
-        for (name, least), entry in zip(self.form.shown, self.shares, strict=True):
+        if self.on_vessels is not None:
+            section["on_vessels"] = self.on_vessels.section()
+        shown = [(name, least) for name, least in self.form.shown if name != "on_vessels"]
+        for (name, least), entry in zip(shown, self.shares, strict=True):
             section[name] = digits(np.nan_to_num(entry.estimate))
             if least is not None and least != THRESHOLDS[name][1]:
                 section[THRESHOLDS[name][0]] = least
@@ -130,24 +192,27 @@ class LearnedMultipleBoxes:
 def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
     """Choose the types that the data show."""
     kinds, notes = observed.kinds, list(observed.kinds.notes)
-    merge_s = 0.0 if "persistence" in observed.without else _merge_s(observed, notes)
+    merge_s, on_vessel_s = (
+        0.0 if "persistence" in observed.without else _lasting_s(observed, name, key, notes)
+        for name, key in (("merges", "persistence.merge_s"), ("on_vessels", "false_positives.on_vessels.lifetime_s"))
+    )
     shown = tuple((name, kinds.thresholds.get(name)) for name in kinds.trials)
-    return MultipleBoxForm(shown, tuple(notes), merge_s)
+    return MultipleBoxForm(shown, tuple(notes), merge_s, on_vessel_s)
 
 
-def _merge_s(observed: Observed, notes: list[str]) -> float:
-    """Rough correlation time of merges; 0 with a note if they do not persist, or that is not sure."""
-    trials = observed.kinds.trials.get("merges")
+def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> float:
+    """Rough correlation time of a kind; 0 with a note if it does not persist, or that is not sure."""
+    trials = observed.kinds.trials.get(name)
     if trials is None or not len(observed.steps):
-        return 0.0  # which the notes on merges and on misses say
-    products = ConsecutiveMerges.of(observed.labelled, trials).products()
+        return 0.0  # which the notes on the kind and on misses say
+    products = ConsecutiveTrials.of(observed.labelled, trials).products()
     if not len(products):
-        notes.append("persistence.merge_s: 0; no two vessels overlap in two frames with times")
+        notes.append(f"{key}: 0; none could be seen in two frames with times")
         return 0.0
     found = products.correlation()
     if found.persists:
         return products.rough_time_s()
-    notes.append(f"persistence.merge_s: 0; {found.doubt}")
+    notes.append(f"{key}: 0; {found.doubt}")
     return 0.0
 
 

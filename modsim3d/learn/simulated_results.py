@@ -9,7 +9,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices, run_starts
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel, Performance
-from modsim3d.detector.records import FALSE_KINDS, CameraFrames, Targets
+from modsim3d.detector.records import FALSE_KINDS, ON_VESSEL, CameraFrames, Targets
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet, Results
 
 
@@ -94,7 +94,7 @@ def simulated(labelled: LabelledSet, image_state: Indices, model: DetectorModel,
                 confidence=drawn.confidence,
                 origin=np.where(own, np.append(part.rows, NOBODY)[drawn.target], NOBODY),
                 kind=drawn.kind,
-                partner=np.append(part.rows, NOBODY)[drawn.partner],
+                partner=np.append(part.rows, NOBODY)[np.where(drawn.kind == ON_VESSEL, drawn.target, drawn.partner)],
             )
         )
     names = ("image", "label", "boxes_px", "confidence", "origin", "kind", "partner")

@@ -108,7 +108,7 @@ class FrameDetections:
         confidence: In [0, 1], shape (m,).
         boxes_px: x_min, y_min, x_max, y_max, shape (m, 4).
         kinds: Origin of each detection: `true`, `false_positive`, `persistent_false_positive`, `duplicate`, `merged`,
-            `split` or `fragment`.
+            `split`, `fragment` or `on_vessel`.
         vessels: ID of the vessel that each detection came from, None for a false positive. A tracker must not read it.
         errors_px: e_x, e_y, e_w, e_h before clipping, NaN for false positives, shape (m, 4).
     """

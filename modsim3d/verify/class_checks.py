@@ -14,7 +14,7 @@ from modsim3d.detector.draws import cumulative, log2
 from modsim3d.detector.dropout import ATTRIBUTES, EFFECTS, Effect, FactorTable, Slope
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.persistence import Persistence
-from modsim3d.verify.evidence import Evidence, unknown_rest_note
+from modsim3d.verify.evidence import MERGED, Evidence, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, SHARE, Estimate, Exact, Measure, Rate
 from modsim3d.verify.parameters import Parameter
 from modsim3d.verify.score_checks import memory_checks, off_diagonal
@@ -134,6 +134,7 @@ class ExpectedOutcomes:
     """Expectation of the detector file for every annotated box."""
 
     passed: Mask  # by the gates, shape (n,)
+    tested: Mask  # those of them that are not in another's box, so that their draw is known, shape (n,)
     edges: Array  # ends of the ranges of uniform numbers that mean each label, then a miss, shape (n, labels + 2)
 
     @property
@@ -156,7 +157,9 @@ def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutco
             [classifier.miss_rates(s.detections.states[s.targets.frame], s.targets) for s in evidence.cameras]
         )
         edges[:, :-1] *= ((1 - missed) / np.where(usual > 0, usual, 1))[:, None]
-    return ExpectedOutcomes(np.concatenate(passed), np.concatenate([np.zeros((len(edges), 1)), edges], axis=1))
+    through = np.concatenate(passed)
+    ends = np.concatenate([np.zeros((len(edges), 1)), edges], axis=1)
+    return ExpectedOutcomes(through, through & (instances.outcome != MERGED), ends)
 
 
 def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
@@ -170,24 +173,22 @@ def class_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
         parameters.append(Parameter("gates: nothing seen beyond them", DetectorPart.CLASS, measure, in_file=False))
     for s, state in enumerate(model.states):
         for column, label in enumerate(model.labels):
-            ours = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.passed
+            ours = (evidence.instances.state == s) & (evidence.instances.label == column) & expected.tested
             names = [*model.labels, BACKGROUND]
             # Misses first: where only one label can be given, both entries say the same.
             for row in [len(names) - 1, *(range(len(names) - 1) if len(names) > 2 else [])]:
                 value = float(state.confusion[row, column])
                 entry = None if note else _entry(model, evidence, expected, np.flatnonzero(ours), row)
                 name = f"states.{state.name}.confusion[{names[row]}][{label}]"
-                said = note or _asked_note(model, row, entry)
+                said = note or _asked_note(model, entry)
                 parameters.append(Parameter(name, DetectorPart.CLASS, entry, value, state=state.name, note=said))
     return [*parameters, *_overall_checks(model, evidence, expected, note)]
 
 
-def _asked_note(model: DetectorModel, row: int, measure: Measure | None) -> str:
+def _asked_note(model: DetectorModel, measure: Measure | None) -> str:
     """A note on what the asked number is where it is not the file's own."""
     if measure is None:
         return ""
-    if model.merges_and_splits.merges and row < len(model.labels):
-        return "asked: as a share of those detected in a box of their own, as which others were is not known"
     looks = "asked: the mean over the chances that there were, by what they look like"
     return looks if model.dropout.every_effect else ""
 
@@ -200,10 +201,6 @@ def _entry(
     outcome = evidence.instances.outcome[rows]
     low, high = expected.edges[rows, row], expected.edges[rows, row + 1]
     happened = outcome == (-1 if row == background else row)
-    if model.merges_and_splits.merges and row < background:  # merged vessels, whose label is not known, do not count
-        known = outcome >= 0
-        share = (high - low) / np.where(expected.missed[rows] < 1, 1 - expected.missed[rows], 1)
-        rows, happened, low, high = rows[known], happened[known], np.zeros(known.sum()), share[known]
     return _share(model, evidence, rows, happened, (low, high), expected.missed[rows])
 
 
@@ -252,18 +249,19 @@ def _share(
 
 
 def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
-    """Expected probability that each instance is missed, 1 where a gate keeps it from being seen, shape (n,)."""
+    """Expected probability that each instance is missed, shape (n,): 1 where a gate keeps it from being seen, 0 of one
+    that is in another's box."""
     expected = expected_outcomes(model, evidence)
-    return np.where(expected.passed, expected.missed, 1.0)
+    return np.where(expected.tested, expected.missed, np.where(expected.passed, 0.0, 1.0))
 
 
 def _overall_checks(model: DetectorModel, evidence: Evidence, expected: ExpectedOutcomes, note: str) -> list[Parameter]:
-    rows = np.flatnonzero(expected.passed)
+    rows = np.flatnonzero(expected.tested)
     missed = evidence.instances.outcome[rows] == -1
     low, high, chance = expected.edges[rows, -2], expected.edges[rows, -1], expected.missed[rows]
     overall = None if note else _share(model, evidence, rows, missed, (low, high), chance)
     parameters = [Parameter("dropout, all states", DetectorPart.CLASS, overall, in_file=False, note=note)]
-    parameters += [] if note else dropout_checks(model, evidence, expected.passed, expected.missed)
+    parameters += [] if note else dropout_checks(model, evidence, expected.tested, expected.missed)
     score = model.persistence.score
     if score is not None:
         tracks = evidence.instances.tracks(rows)
@@ -287,9 +285,9 @@ def _persistence(model: DetectorModel, evidence: Evidence, expected: ExpectedOut
     times that of a new one. One step along the score estimates κ."""
     instances = evidence.instances
     rows_before = turn_before(model, evidence)
-    now = np.flatnonzero((rows_before >= 0) & expected.passed)
+    now = np.flatnonzero((rows_before >= 0) & expected.tested)
     before = rows_before[now]
-    some = expected.passed[before] & (expected.missed[now] > 0) & (expected.missed[now] < 1)
+    some = expected.tested[before] & (expected.missed[now] > 0) & (expected.missed[now] < 1)
     now, before = now[some], before[some]
     if len(now) < MIN_PAIRS:
         return None

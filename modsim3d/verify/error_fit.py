@@ -260,7 +260,7 @@ def miss_residuals(model: DetectorModel, evidence: Evidence) -> Residuals:
     if note:
         return none_of(Draw.MISS, note)
     expected, instances = expected_outcomes(model, evidence), evidence.instances
-    rows = np.flatnonzero(expected.passed & (expected.missed > 0) & (expected.missed < 1))
+    rows = np.flatnonzero(expected.tested & (expected.missed > 0) & (expected.missed < 1))
     p = expected.missed[rows]
     variance = p * (1 - p)
     values = _centred((instances.outcome[rows] == -1) - p, variance, instances.state[rows])

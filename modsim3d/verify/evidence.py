@@ -20,6 +20,8 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth, concatenate
 
 Columns = dict[str, NDArray[Any]]
+MERGED = -2
+"""Outcome of a vessel in another's box."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Instances:
     vessel: Indices
     state: Indices
     label: Indices
-    outcome: Indices  # detected label; −1 if missed, −2 if merged into another's box, so that its label is not known
+    outcome: Indices  # detected label; −1 if missed, `MERGED` into another's box, which tells nothing of its own draw
     before: Indices  # row of the same vessel in the camera's frame before, −1 if it was not annotated there
     boxes_px: Array  # the boxes that errors are added to, shape (n, 4)
     image_px: Array  # width and height of the camera's image, shape (n, 2)
@@ -151,7 +153,7 @@ def _instances(index: int, seen: CameraEvidence) -> Columns:
     frames, targets, found = seen.frames, seen.targets, seen.detections
     true, before = ~found.false(), row_before(targets.vessel)  # rows are in order of frame
     outcome = np.full(len(targets), -1)
-    outcome[found.partner[found.partner >= 0]] = -2
+    outcome[found.partner[found.partner >= 0]] = MERGED
     outcome[found.target[true]] = found.label[true]
     return {
         "camera": np.full(len(targets), index),

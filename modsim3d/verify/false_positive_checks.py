@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
@@ -16,7 +17,7 @@ from modsim3d.detector.false_positive_placement import DRAWS
 from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX, MergesAndSplits
 from modsim3d.detector.model import DetectorModel
-from modsim3d.verify.class_checks import lag_pairs
+from modsim3d.verify.class_checks import expected_outcomes, lag_pairs, turn_before
 from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
 from modsim3d.verify.parameters import Law, Parameter
@@ -318,6 +319,7 @@ def false_positive_checks(model: DetectorModel, evidence: Evidence) -> list[Para
     parameters += [] if check is None else [overall.unless(note) for overall in check.overall(seen)]
     if not note:
         parameters += [*_second_box_checks(seen), _merge_check(seen), _persistent_share_check(seen)]
+        parameters += _on_vessel_checks(seen)
     return [*parameters, *placement_checks(model, evidence, seen.expected.persistent)]
 
 
@@ -352,6 +354,61 @@ def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
         measure = Rate(int((kinds == kind).sum()), int(count), asked) if count else None
         parameters.append(Parameter(f"false_positives.{name}", DetectorPart.FALSE_POSITIVES, measure, asked))
     return parameters
+
+
+_REACH = 5.0
+"""Standard deviations of its place within which a false detection on a vessel surely lies."""
+
+
+def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
+    """Share, stay and place of false detections on vessels, of those vessels around which the image has room."""
+    law, false = seen.model.false_positives.on_vessels, seen.evidence.false_detections
+    name, lying = "false_positives.on_vessels", np.flatnonzero(false.kind == records.ON_VESSEL)
+    if law is None:
+        measure = Exact(len(lying), len(false.kind))
+        return [Parameter(f"{name}.share", DetectorPart.FALSE_POSITIVES, measure)] if len(lying) else []
+    instances = seen.evidence.instances
+    middle, sides = centres(instances.boxes_px), sizes(instances.boxes_px)
+    reach = np.array(law.mean) + np.array([[-1], [1]]) * _REACH * np.array(law.std)
+    half = sides * np.exp(reach[1, 2:]) / 2
+    ends = [middle + sides * place[:2] + side * half for place, side in zip(reach, (-1, 1), strict=True)]
+    room = np.all((ends[0] > 0) & (ends[1] < instances.image_px) & (sides * np.exp(reach[0, 2:]) > 1), axis=1)
+    some = room & expected_outcomes(seen.model, seen.evidence).passed
+    shown, box_px = np.zeros(len(some), dtype=bool), np.full((len(some), 4), np.nan)
+    shown[false.instance[lying]], box_px[false.instance[lying]] = True, false.boxes_px[lying]
+    before = turn_before(seen.model, seen.evidence)
+    later = np.flatnonzero(some & (before >= 0) & some[before])
+    apart_s = instances.time_s[later] - instances.time_s[before[later]]
+    kept = np.exp(-apart_s / law.lifetime_s) if law.lifetime_s else np.zeros(len(later))
+    again = shown[before[later]]
+    usual = float(kept.mean()) if len(kept) else 0.0
+    goes_on = law.share + (1 - law.share) * kept[again]
+    place = np.hstack([centres(box_px) - middle, np.zeros_like(sides)]) / np.tile(sides, 2)
+    place[:, 2:] = np.log(sizes(box_px) / sides)
+    new = some & shown
+    new[later] &= ~again | (np.abs(place[later] - place[before[later]]).max(axis=1) > 10.0**-_DIGITS)
+    measures: dict[str, tuple[Rate | Law | None, float]] = {
+        "share": (_rate(shown[some], law.share, (1 + usual) / max(1 - usual, 1e-9)), law.share),
+        "lifetime_s": (_rate(shown[later[again]], float(goes_on.mean()) if again.any() else 0.0, 1.0), law.lifetime_s),
+    }
+    for k, axis in enumerate(("across", "down", "log width", "log height")):
+        if law.std[k] > 0:
+            values = special.ndtr((place[new, k] - law.mean[k]) / law.std[k])
+            measures[f"place[{axis}]"] = (
+                Law.of(values, np.array([0.0, 1.0])) if len(values) >= MIN_FALSE else None,
+                0.0,
+            )
+    return [
+        Parameter(f"{name}.{key}", DetectorPart.FALSE_POSITIVES, measure, asked, note=_ON_VESSEL_NOTES.get(key, ""))
+        for key, (measure, asked) in measures.items()
+    ]
+
+
+_ON_VESSEL_NOTES = {"lifetime_s": "as the chance that one is there in the next frame again"}
+
+
+def _rate(happened: Mask, asked: float, inflation: float) -> Rate | None:
+    return Rate(int(happened.sum()), len(happened), asked, inflation) if len(happened) >= MIN_FALSE else None
 
 
 def _merge_check(seen: FalsePositiveEvidence) -> Parameter:

@@ -22,7 +22,7 @@ def run_lengths(evidence: Evidence) -> Indices:
     """Number of runs of misses by length from 0 on, shape (most + 1,); one ends where the vessel is found or not
     annotated."""
     instances = evidence.instances
-    missed = instances.outcome == -1  # −2 is detected in another's box
+    missed = instances.outcome == -1
     length = missed.astype(np.int64)
     order = np.lexsort((instances.frame, instances.camera))  # each row after the one before it
     for row in order[missed[order] & (instances.before[order] >= 0)]:

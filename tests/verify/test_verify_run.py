@@ -15,7 +15,7 @@ from modsim3d.verify.parameters import FALLS_SHORT
 from modsim3d.verify.verify_run import verify_run, write_report
 from tests.cli.bad_input.builders import refusal
 from tests.detector_changes import single_changes
-from tests.detector_variants import CHANGES, thesis_data, variant
+from tests.detector_variants import CHANGES, ON_VESSELS, thesis_data, variant
 from tests.run_folders import interrupt
 
 DETECTORS = data_folder("scenes") / "detectors"
@@ -102,6 +102,7 @@ def test_a_run_of_every_model_obeys_its_file(many, table, name):
         ("persistence of confidence, 1 s", "persistence.confidence_s"),
         ("doubled, split and merged boxes", "false_positives.duplicates"),
         ("persistent false positives", "false_positives.persistence.share"),
+        ("false positives on vessels", "false_positives.on_vessels.share"),
     ],
 )
 def test_a_model_that_the_file_does_not_have_is_named(many, table, made_with, cause):
@@ -118,6 +119,23 @@ def test_a_slope_that_is_another_is_named(many, table):
     data["dropout"]["size_px"]["per_doubling"] = 1.0
     verification = verify_evidence(parse_detector(data), many.detect(parse_detector(variant(name)), 3), table)
     assert verification.cause.parameter.name == "dropout.size_px.per_doubling"
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"share": 0.25}, "share"),
+        ({"lifetime_s": 1.5}, "lifetime_s"),
+        ({"mean": [0.1, -0.1, 0.2, 0.6]}, "place[log height]"),
+        ({"std": [0.9, 0.2, 0.2, 0.3]}, "place[across]"),
+    ],
+)
+def test_false_positives_that_lie_on_vessels_otherwise_are_named(many, table, change, named) -> None:
+    data = variant("false positives on vessels")
+    evidence = many.detect(parse_detector(data), 3)
+    data["false_positives"]["on_vessels"] = ON_VESSELS | change
+    verification = verify_evidence(parse_detector(data), evidence, table)
+    assert {verdict.parameter.name for verdict in verification.failed} == {f"false_positives.on_vessels.{named}"}
 
 
 def test_changes_that_are_noticeable_are_caught_and_named(many, table):

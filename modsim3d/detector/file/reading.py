@@ -110,6 +110,8 @@ def _false_positive_problems(file: DetectorFile) -> list[str]:
         problems.append("false_positives.density: goes with placement density, and only there")
     if keys.placement == "density" and keys.far_half_px is not None:
         problems.append("false_positives.far_half_px: the density map already says where they are")
+    if keys.on_vessels is not None and FALSE_POSITIVE_MODELS[keys.model].rate_key != "false_positives_per_image":
+        problems.append(f"false_positives.on_vessels: model {keys.model} counts those on vessels too: choose per_image")
     if keys.duplicates + keys.splits > 1:
         problems.append("false_positives: duplicates and splits together exceed 1, and no detection is both")
     return problems
@@ -325,7 +327,7 @@ def _effects(section: schema_models.EffectsSection) -> tuple[Effect, ...]:
 
 
 def _false_positives(section: FalsePositivesSection) -> FalsePositiveOptions:
-    persistent = section.persistence
+    persistent, on = section.persistence, section.on_vessels
     density = None if section.density is None else read_only(section.density)
     return FalsePositiveOptions(
         model=section.model,
@@ -334,7 +336,12 @@ def _false_positives(section: FalsePositivesSection) -> FalsePositiveOptions:
         lifetime_s=persistent.lifetime_s if persistent else 1.0,
         drift_px_s=persistent.drift_px_s if persistent else 0.0,
         persistent_share=persistent.share if persistent else 0.0,
+        on_vessels=None if on is None else _on_vessels(on),
     )
+
+
+def _on_vessels(section: schema_models.OnVesselsSection) -> false_positives.OnVessels:
+    return false_positives.OnVessels(section.share, section.lifetime_s, tuple(section.mean), tuple(section.std))
 
 
 def _sizes(section: schema_models.SizeSection) -> false_positives.Sizes | None:

@@ -211,6 +211,18 @@ class PersistentSection(Strict):
     share: Probability = 1.0
 
 
+Four = Annotated[list[Number], Field(min_length=4, max_length=4)]
+
+
+class OnVesselsSection(Strict):
+    """False positives that lie on vessels."""
+
+    share: Fraction
+    lifetime_s: NotNegative = 0.0
+    mean: Four
+    std: Annotated[list[NotNegative], Field(min_length=4, max_length=4)]
+
+
 def _density(value: list[list[float]]) -> list[list[float]]:
     if len({len(row) for row in value}) != 1 or not value[0]:
         raise ValueError("must have rows of one length")
@@ -229,6 +241,7 @@ class FalsePositiveKeys(Strict):
     far_half_px: Positive | None = None
     size: SizeSection | None = None
     persistence: PersistentSection | None = None
+    on_vessels: OnVesselsSection | None = None
     duplicates: Fraction = 0.0
     merges: Probability = 0.0
     merge_overlap: Probability = 0.3

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centre_form
-from modsim3d.detector.records import DUPLICATE, FRAGMENT
+from modsim3d.detector.records import DUPLICATE, FRAGMENT, ON_VESSEL
 from modsim3d.io.atomic_write import written_whole
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files import table_columns, tables
@@ -58,7 +58,7 @@ def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
 def detection_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     """The detections of a camera, one line a frame: timestamp → vessel ID or `false_positive_<n>` → label and so on."""
     detections = part.detections
-    second = np.isin(detections.kind, (DUPLICATE, FRAGMENT))
+    second = np.isin(detections.kind, (DUPLICATE, FRAGMENT, ON_VESSEL))
     order = np.lexsort((second, detections.frame))  # a vessel's first detection gets its plain name
     frame, rows = detections.frame[order], part.truth_row[order]
     vessel = np.full(len(rows), -1)

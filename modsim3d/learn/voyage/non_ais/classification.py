@@ -287,6 +287,8 @@ def classify_unmatched(
     """Link the unmatched detections of a voyage, in images with a state, and judge them. In the stretches, on the clock
     of the images, nothing floats but known vessels; `least_s` is the least mean lifetime of what lasts as vessels do.
     Raises InputError if no image lies in a stretch that is marked as empty."""
+    # What lies beside the place of a known vessel may be another one: nothing is taken for its part.
+    observed = replace(observed, without=observed.without | {"on_vessels"})
     images = observed.labelled.images
     counts = observed.image_state >= 0
     check_stretches(stretches, images.time_s, counts)
