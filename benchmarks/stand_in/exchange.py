@@ -14,7 +14,15 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import at_least_a_pixel, clip, errors_between, move, sizes
 from modsim3d.runs.tracker_view import TrackerDetections, anonymised
 
-PARTS = ("misses", "box errors", "confidence", "false detections")
+PARTS = ("misses", "confidence", "box errors", "false detections")
+EXCHANGES: tuple[frozenset[str], ...] = (
+    frozenset(),
+    *(frozenset({part}) for part in PARTS),
+    frozenset({"misses", "confidence"}),
+)
+"""What is exchanged; nothing at first, which says what taking detections apart changes by itself."""
+SCORES = ("hota", "assa", "id_switches")
+"""What is compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +54,7 @@ class Parts:
         detection[row[on_vessel]] = on_vessel
         source, known = _nearest(truth.identity, truth.frame, found)
         sides = np.tile(sizes(truth.boxes_px[source]), 2)
-        errors = errors_between(truth.boxes_px[source], detections.boxes_px[detection[source]]) / sides
+        errors = errors_between(detections.boxes_px[detection[source]], truth.boxes_px[source]) / sides
         confidence = detections.confidence[detection[source]]
         return cls(found, known, errors, confidence, detections.take(row < 0))
 
@@ -62,9 +70,9 @@ def _nearest(identity: Indices, frame: Indices, found: Mask) -> tuple[Indices, M
     return source, known
 
 
-def exchanged(opened: OpenFilm, usual: Parts, other: Parts, part: str) -> TrackerDetections:
-    """Detections as `usual`, with one of `PARTS` of `other`."""
-    misses, boxes, confident, false = (other if name == part else usual for name in PARTS)
+def exchanged(opened: OpenFilm, usual: Parts, other: Parts, chosen: frozenset[str]) -> TrackerDetections:
+    """Detections as `usual`, with some of `PARTS` of `other`."""
+    misses, confident, boxes, false = (other if name in chosen else usual for name in PARTS)
     rows = np.flatnonzero(misses.found)
     truth = opened.truth
     errors = np.where(boxes.known[rows, None], boxes.errors[rows], misses.errors[rows])

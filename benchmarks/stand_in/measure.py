@@ -23,7 +23,9 @@ from benchmarks.stand_in.distributions import (
     of_detections,
     of_tracks,
 )
-from benchmarks.stand_in.margins import SCORES
+from benchmarks.stand_in.exchange import EXCHANGES, PARTS, Parts, exchanged
+from benchmarks.stand_in.exchange import SCORES as EXCHANGED_SCORES
+from benchmarks.stand_in.margins import BY_KEY, SCORES
 from benchmarks.stand_in.ranking import ranking
 from benchmarks.stand_in.scores import (
     BINS,
@@ -73,10 +75,11 @@ class Output:
 
 @dataclass(frozen=True)
 class Measured:
-    """A film and its outputs: `real` alone, and of each rung one for each seed."""
+    """A film, its outputs, `real` alone and of each rung one for each seed, and scores with exchanged parts."""
 
     facts: dict[str, Any]
     outputs: dict[str, list[Output]]
+    exchanged: list[dict[str, Numbers]]
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,8 @@ def measure(
     *,
     titles: Mapping[str, str] | None = None,
     workers: int = 2,
+    learned_from: int = 0,
+    judged: bool = False,
 ) -> dict[str, Any]:
     """Compare simulated detections with real ones on films.
 
@@ -110,6 +115,8 @@ def measure(
         threshold: The least confidence of a detection, real or simulated.
         titles: What each rung adds, in words.
         workers: Number of processes; no number depends on it.
+        learned_from: Number of films that the detector files were learned from.
+        judged: Whether no model was settled in sight of these films.
 
     Raises:
         ModsimError: There are no films or no seeds, or a file cannot be read.
@@ -127,6 +134,8 @@ def measure(
             "rungs": named,
             "trackers": list(trackers),
             "seeds": len(seeds),
+            "learned_from": learned_from,
+            "judged": judged,
             "threshold": threshold,
             "settings": {place: _settings(trackers, place) for place in sorted({film.place for film in films})},
             "versions": {name: version(name) for name in PACKAGES},
@@ -141,10 +150,20 @@ def measured_film(job: Job) -> Measured:
     opened = open_film(job.film)
     real = real_detections(opened, job.threshold)
     outputs = {REAL: [output(opened, real, job.trackers)]}
+    made: list[TrackerDetections] = []
     for name, file in job.detectors.items():
         made = simulated_detections(opened, file, job.seeds, job.threshold)
         outputs[name] = [output(opened, each, job.trackers) for each in made]
-    return Measured(facts_of(opened, real), outputs)
+    return Measured(facts_of(opened, real), outputs, _exchanged(opened, real, made[0], job.trackers))
+
+
+def _exchanged(
+    opened: OpenFilm, real: TrackerDetections, simulated: TrackerDetections, trackers: Sequence[str]
+) -> list[dict[str, Numbers]]:
+    """Scores of each tracker behind each of `EXCHANGES` put into simulated detections, and then into the real ones."""
+    parts = Parts.of(opened, real), Parts.of(opened, simulated)
+    made = [exchanged(opened, usual, other, chosen) for usual, other in (parts[::-1], parts) for chosen in EXCHANGES]
+    return [{name: scores_of(opened, scored_tracks(opened, each, name)) for name in trackers} for each in made]
 
 
 def output(opened: OpenFilm, detections: TrackerDetections, trackers: Sequence[str]) -> Output:
@@ -215,6 +234,14 @@ def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequen
             }
             for name in rungs
         },
+        "exchanged": _exchanges(measured, trackers),
+        "film_correlation": {
+            name: {
+                tracker: _film_correlation(every[REAL][:, 0, t, 0], every[name][:, :, t, 0])
+                for t, tracker in enumerate(trackers)
+            }
+            for name in rungs
+        },
         "bins": {name: {tracker: _bins(measured, name, tracker) for tracker in trackers} for name in rungs},
         "ranking": {
             name: ranking(every[REAL][:, 0, :, 0], every[name][:, :, :, 0].transpose(0, 2, 1), tuple(trackers))
@@ -222,6 +249,39 @@ def results(measured: Sequence[Measured], rungs: Sequence[str], trackers: Sequen
         },
         "distributions": {name: _distributions(measured, name, trackers) for name in rungs},
     }
+
+
+def _exchanges(measured: Sequence[Measured], trackers: Sequence[str]) -> list[dict[str, Any]]:
+    """Differences from the real scores for each exchange, with the parts in words and where they are put."""
+    kinds = [(into, [part for part in PARTS if part in chosen]) for into in ("simulated", REAL) for chosen in EXCHANGES]
+    return [
+        {
+            "into": into,
+            "parts": parts,
+            "trackers": {
+                tracker: {
+                    key: difference(
+                        np.array([film.outputs[REAL][0].scores[tracker][key] for film in measured]),
+                        np.array([[film.exchanged[place][tracker][key]] for film in measured]),
+                        BY_KEY[key].least,
+                    ).as_json()
+                    for key in EXCHANGED_SCORES
+                }
+                for tracker in trackers
+            },
+        }
+        for place, (into, parts) in enumerate(kinds)
+    ]
+
+
+def _film_correlation(real: Array, simulated: Array) -> dict[str, float | None]:
+    """Mean correlation over films of the real score with each seed's, and of one seed's with another's."""
+    known = ~np.isnan(real) & ~np.isnan(simulated).any(axis=1)
+    if known.sum() < 3 or not np.ptp(real[known]) or not np.ptp(simulated[known], axis=0).all():
+        return {"real": None, "seeds": None}
+    table = np.corrcoef(np.column_stack([real, simulated])[known].T)
+    seeds = table[1:, 1:][np.triu_indices(len(table) - 1, 1)]
+    return {"real": float(table[0, 1:].mean()), "seeds": float(seeds.mean()) if len(seeds) else None}
 
 
 def _values(scores: Numbers) -> list[float]:

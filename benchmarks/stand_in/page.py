@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.stand_in import prose
-from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED, difference
+from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED
+from benchmarks.stand_in.exchange import SCORES as EXCHANGED_SCORES
+from benchmarks.stand_in.goals import goals
 from benchmarks.stand_in.ladder import draw_ladder
 from benchmarks.stand_in.margins import BY_KEY, REASONS, SCORES
 from benchmarks.stand_in.measure import BIN_MARGIN, REAL
@@ -25,6 +25,7 @@ from benchmarks.stand_in.words import (
     headline,
     listed,
     plain,
+    signed,
     steps,
     surely_not_0,
     top_rung,
@@ -33,8 +34,6 @@ from benchmarks.stand_in.words import (
 Results = Mapping[str, Any]
 Lines = Iterator[str]
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-FIRST_LATER_SEED = 146
-"""Of the films that were made when the first ones had been compared, which changed the models."""
 HOTA_MARGIN = BY_KEY["hota"].least
 
 
@@ -48,14 +47,15 @@ def page(results: Results) -> str:
     """The page."""
     parts = (
         _opening,
+        _goals,
         _ladder,
+        _exchanged,
         _scores,
         meaning,
         _order,
         _scatter,
         _distributions,
         _parts_of_films,
-        _later_films,
         _classifier,
         _missing,
         _limits,
@@ -80,6 +80,7 @@ def _opening(results: Results) -> Lines:
     yield filled(
         prose.DONE,
         films=len(films),
+        learned=results["learned_from"],
         trackers=_count(len(trackers)),
         clear=(total["found"] - total["found_hidden"]) / max(total["vessel_frames"] - total["hidden"], 1),
         hidden=total["found_hidden"] / max(total["hidden"], 1),
@@ -154,6 +155,20 @@ def _order(results: Results) -> Lines:
         numbers = [plain(found["tau"], 2), plain(found["tau_of_seeds"], 2)]
         rows.append([rung["name"], *orders, *numbers, *(f"{found[name]:.0%}" for name in ("same_order", "same_best"))])
     yield from table(["", "Real", "Simulated", "Tau", "Among seeds", "Same order", "Same best"], rows)
+    pairs = results["ranking"][top_rung(results)].get("pairs", [])
+    if pairs:
+        yield filled(prose.PAIRS)
+        yield from table(
+            ["Better on real detections", "than", "by, real", "by, simulated"],
+            [
+                [
+                    f"`{each['better']}`",
+                    f"`{each['worse']}`",
+                    *(f"{signed(each[side], 3)} ± {each[f'{side}_half']:.3f}" for side in ("real", "simulated")),
+                ]
+                for each in pairs
+            ],
+        )
 
 
 def _scatter(results: Results) -> Lines:
@@ -206,21 +221,36 @@ def _parts_of_films(results: Results) -> Lines:
     )
 
 
-def _later_films(results: Results) -> Lines:
-    """HOTA on the films that models were built in sight of, and on the later ones."""
-    later = np.array([film["seed"] >= FIRST_LATER_SEED for film in results["films"]])
-    if later.all() or not later.any():
-        return
-    yield from ("## On films that were made later", "", filled(prose.LATER, first=int((~later).sum())))
-    rows = []
-    for name, films in (("first", ~later), ("later", later)):
-        cells = []
-        for scores in results["scores"].values():
-            real, simulated = (np.array(scores["hota"][side], dtype=float) for side in (REAL, top_rung(results)))
-            found = difference(real[films], simulated[films, None], HOTA_MARGIN).as_json()
-            cells.append(cell(found, 3))
-        rows.append([name, str(int(films.sum())), *cells])
-    yield from table(["Films", "Number", *code(results["trackers"])], rows)
+def _goals(results: Results) -> Lines:
+    """The goals that were fixed before these films were made."""
+    settled = prose.JUDGED if results["judged"] else prose.DEVELOPED
+    said = filled(settled, films=len(results["films"]), learned=results["learned_from"])
+    yield from ("## Goals", "", f"{said} {filled(prose.GOALS)}")
+    rows = [
+        [f"`{tracker}`", goal.title, goal.limit, goal.found, goal.verdict]
+        for tracker in results["trackers"]
+        for goal in goals(results, tracker)
+    ]
+    yield from table(["Tracker", "Simulated minus real", "Within", "Found", "Goal"], rows)
+
+
+def _exchanged(results: Results) -> Lines:
+    """Which part of the output the gap comes from."""
+    yield from ("## Which part the gap comes from", "", filled(prose.EXCHANGED))
+    decimals = {key: BY_KEY[key].decimals for key in EXCHANGED_SCORES}
+    for into, title in (("simulated", "Simulated detections, with real"), (REAL, "Real detections, with simulated")):
+        rows = [
+            [
+                " and ".join(each["parts"]) or "nothing",
+                *(
+                    ", ".join(signed(found[key]["mean"], decimals[key]) for key in EXCHANGED_SCORES)
+                    for found in each["trackers"].values()
+                ),
+            ]
+            for each in results["exchanged"]
+            if each["into"] == into
+        ]
+        yield from table([title, *code(results["trackers"])], rows)
 
 
 def _classifier(results: Results) -> Lines:

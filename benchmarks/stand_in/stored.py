@@ -25,20 +25,22 @@ from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.run import run_scene
 
 STORED = ROOT / "docs" / "campaigns" / "stand_in_detections.parquet"
+JUDGED = STORED.with_name("stand_in_judged.parquet")
+"""The films to work with, from `MIN_CONFIDENCE` on; those that models are judged on, with all that was found."""
 _BOX_DIGITS, _SCORE_DIGITS = 3, 6
 """Decimals of the files of films."""
 _NUMBERS = ("image", "x", "y", "width", "height", "score")
 
 
-def store(films: Sequence[Film], path: Path = STORED) -> None:
-    """Write what was found in films with enough confidence to be compared.
+def store(films: Sequence[Film], path: Path = STORED, least: float = MIN_CONFIDENCE) -> None:
+    """Write what was found in films from a confidence on.
 
     Columns are whole thousandths of a pixel and millionths of confidence.
     """
     parts = []
     for film in films:
         every = json.loads(film.real.read_text(encoding="utf-8"))
-        found = [each for each in every if each["score"] >= MIN_CONFIDENCE]
+        found = [each for each in every if each["score"] >= least]
         box = np.array([each["bbox"] for each in found], dtype=np.float64).reshape(-1, 4)
         columns = {name: _whole(box[:, k], _BOX_DIGITS) for k, name in enumerate(("x", "y", "width", "height"))}
         score = _whole(np.array([each["score"] for each in found], dtype=np.float64), _SCORE_DIGITS)

@@ -53,18 +53,6 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
-def farthest(found: Sequence[Numbers]) -> float | None:
-    """The largest difference that the intervals allow; None if any has no interval."""
-    if any(each["low"] is None for each in found):
-        return None
-    return float(max(max(abs(each["low"]), abs(each["high"])) for each in found))
-
-
-def upwards(value: float, decimals: int = 3) -> str:
-    """A bound, rounded so that it still is one."""
-    return f"{math.ceil(value * 10**decimals - 1e-9) / 10**decimals:.{decimals}f}"
-
-
 @dataclass(frozen=True)
 class Step:
     """What a rung changes in the mean gap: the mean over trackers of the size of the mean difference of HOTA.
@@ -110,17 +98,22 @@ def steps(results: Numbers) -> list[Step]:
 
 
 def headline(results: Numbers) -> str:
-    """The sentence that the page begins with, and one on the margin."""
-    top = results["rungs"][-1]["name"]
-    found = [each["hota"] for each in results["differences"][top].values()]
-    bound, models = farthest(found), [str(step) for step in steps(results) if step.after < step.before]
-    if bound is None:
-        return "On this detector, there are too few films to say how far HOTA from simulation lies from the real one."
-    why = f"because of {listed(models)}" if models else "no model beyond the plainest surely brought it closer"
-    films, margin = max(each["films"] for each in found), BY_KEY["hota"].least
-    mean = f"mean HOTA over {films} films from simulation was within {upwards(bound)} of the real one"
-    kept = "That is within the margin of" if bound <= margin else "That is not within the margin of"
-    return f"On this detector, {mean}, {why}, and here is the evidence. {kept} {margin:g} that was fixed beforehand."
+    """The sentence that the page begins with, and one on what brought it about."""
+    found = {name: each["hota"] for name, each in results["differences"][top_rung(results)].items()}
+    if any(each["low"] is None for each in found.values()):
+        return "There are too few films to say how far HOTA from simulation lies from the real one."
+    films, margin = max(each["films"] for each in found.values()), BY_KEY["hota"].least
+    gaps = listed([f"{signed(e['mean'], 3)} ± {e['high'] - e['mean']:.3f} for `{name}`" for name, e in found.items()])
+    shown = [name for name, each in found.items() if each["verdict"] == AGREES]
+    others = [name for name in found if name not in shown]
+    said = [f"shown for {listed(code(shown))}"] if shown else []
+    said += [f"not shown for {listed(code(others))}"] if others else []
+    models = [str(step) for step in steps(results) if step.after < step.before]
+    why = f"What brought it closer: {listed(models)}." if models else "No model surely brought it closer."
+    return (
+        f"Mean HOTA gap over {films} films, simulated minus real: {gaps}; agreement within {margin:g} is "
+        f"{listed(said)}. {why}"
+    )
 
 
 def kinder(score: Score, found: Numbers) -> str:

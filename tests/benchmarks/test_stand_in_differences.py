@@ -5,9 +5,10 @@ import pytest
 
 from benchmarks.stand_in.differences import AGREES, DIFFERS, UNDECIDED, difference, verdict
 from benchmarks.stand_in.distributions import compared, gaps_and_runs, holm, wasserstein
+from benchmarks.stand_in.goals import goals
 from benchmarks.stand_in.margins import BY_KEY
 from benchmarks.stand_in.ranking import ranking, tau
-from benchmarks.stand_in.words import farthest, films_needed, headline, steps, upwards
+from benchmarks.stand_in.words import films_needed, headline, steps
 
 
 def test_a_difference_of_three_films_by_hand_and_none_of_one() -> None:
@@ -117,7 +118,11 @@ def test_films_that_differ_from_each_other_are_no_difference_of_real_and_simulat
 
 def _results(*means: float) -> dict:
     """Results of two trackers whose differences have these means over four films, rung by rung, ± 0.01."""
-    each = [{"hota": {"films": 4, "mean": mean, "low": mean - 0.01, "high": mean + 0.01}} for mean in means]
+    ends = [(mean, mean - 0.01, mean + 0.01) for mean in means]
+    each = [
+        {"hota": {"films": 4, "mean": mean, "low": low, "high": high, "verdict": verdict(low, high, 0.02)}}
+        for mean, low, high in ends
+    ]
     noise = np.array([-0.02, 0.02, -0.02, 0.02])  # the same at all rungs: films differ by it, rungs do not
     scores: dict = {str(k): (0.5 + noise + mean).tolist() for k, mean in enumerate(means)}
     return {
@@ -129,12 +134,11 @@ def _results(*means: float) -> dict:
 
 def test_the_headline_names_what_brought_the_scores_closer() -> None:
     assert headline(_results(0.15, 0.07, 0.068, -0.0069)) == (
-        "On this detector, mean HOTA over 4 films from simulation was within 0.017 of the real one, because of "
-        "*model 1* (mean gap 0.150 before, 0.070 after) and *model 3* (mean gap 0.068 before, 0.007 after), and here "
-        "is the evidence. That is within the margin of 0.02 that was fixed beforehand."
+        "Mean HOTA gap over 4 films, simulated minus real: −0.007 ± 0.010 for `sort` and −0.007 ± 0.010 for `ocsort`; "
+        "agreement within 0.02 is shown for `sort` and `ocsort`. What brought it closer: *model 1* (mean gap 0.150 "
+        "before, 0.070 after) and *model 3* (mean gap 0.068 before, 0.007 after)."
     )
-    assert "no model beyond the plainest" in headline(_results(0.01, 0.01))
-    assert "That is not within the margin of 0.02" in headline(_results(0.1, 0.05))
+    assert "not shown for `sort` and `ocsort`. No model surely brought it closer." in headline(_results(0.015, 0.015))
     # A rung that takes scores farther, or helps in some films only, is no cause.
     (farther,) = steps(_results(0.1, 0.2))
     assert (farther.before, farther.after) == pytest.approx((0.1, 0.2))
@@ -144,12 +148,41 @@ def test_the_headline_names_what_brought_the_scores_closer() -> None:
     assert steps(results) == []
 
 
-def test_a_bound_is_rounded_away_from_0_and_films_needed_grow_with_the_square_of_the_interval() -> None:
-    assert upwards(0.0121) == "0.013" and upwards(0.012) == "0.012"
-    assert farthest([{"low": -0.03, "high": 0.02}, {"low": 0.0, "high": 0.01}]) == 0.03
-    assert farthest([{"low": None, "high": None}]) is None
+def test_films_needed_grow_with_the_square_of_the_interval() -> None:
     assert films_needed({"low": -0.03, "high": 0.05, "mean": 0.01, "margin": 0.02, "films": 10}) == 160
     assert films_needed({"low": 0.0, "high": 0.06, "mean": 0.03, "margin": 0.02, "films": 10}) is None
     # Margins of counts are shares but for small ones.
     assert [BY_KEY["false_tracks"].margin(real) for real in (0.3, 30)] == [0.5, 3]
     assert BY_KEY["gospa"].margin(100) == 5 and BY_KEY["hota"].margin(0.4) == 0.02
+
+
+def test_a_goal_is_reached_missed_or_not_shown() -> None:
+    def found(mean: float, half: float) -> dict:
+        return {"mean": mean, "low": mean - half, "high": mean + half, "real": 5.0}
+
+    scores = {"hota": found(0.005, 0.01), "assa": found(-0.06, 0.01), "id_switches": found(0.9, 0.3)}
+    results = {
+        "rungs": [{"name": "a", "title": ""}],
+        "differences": {"a": {"sort": scores}},
+        "groups": {"a": {"sort": {"place: strait": found(0.06, 0.02), "weather: clear": found(0.0, 0.1)}}},
+        "film_correlation": {"a": {"sort": {"real": 0.8, "seeds": 0.86}}},
+    }
+    verdicts = [(goal.title, goal.verdict) for goal in goals(results, "sort")]
+    assert verdicts == [
+        ("mean HOTA", "reached"),
+        ("mean AssA", "missed"),
+        ("ID switches of a film", "not shown; the mean lies inside"),
+        ("mean HOTA, strait", "not shown; the mean lies outside"),
+        ("correlation of films' HOTA", "missed"),
+    ]
+
+
+def test_trackers_that_are_surely_apart_are_compared_in_pairs() -> None:
+    rng = np.random.default_rng(0)
+    film = rng.normal(0.5, 0.1, 40)
+    real = np.column_stack([film, film + 0.05 + rng.normal(0, 0.02, 40), film + rng.normal(0, 0.02, 40)])
+    simulated = np.repeat((real - [0, 0.02, 0])[:, :, None], 2, axis=2)
+    found = ranking(real, simulated, ("a", "b", "c"))["pairs"]
+    assert [(each["better"], each["worse"]) for each in found] == [("b", "a"), ("b", "c")]
+    assert found[0]["real"] == pytest.approx(0.05, abs=0.01)
+    assert found[0]["real"] - found[0]["simulated"] == pytest.approx(0.02)
