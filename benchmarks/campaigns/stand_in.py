@@ -40,7 +40,8 @@ def main() -> None:
         known, judged = all_films(given.work), [] if given.develop else judged_films(given.work)
         if given.stored:
             restore_films(given.work, known)
-            restore_films(given.work, judged, JUDGED)
+            if judged:
+                restore_films(given.work, judged, JUDGED)
         else:
             make_films(given.work, [*known, *judged], given.workers)
             store(known, STORED)
