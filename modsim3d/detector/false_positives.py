@@ -287,7 +287,9 @@ class OnVessels:
     mean: tuple[float, ...] = (0.0,) * 4  # centre from the vessel's, in its width and height, and log of both ratios
     std: tuple[float, ...] = (0.0,) * 4
 
-    def boxes_px(self, vessels_px: Array, image_size_px: tuple[int, int], uniforms: Array) -> tuple[Array, Mask]:
+    def boxes_px(
+        self, vessels_px: Array, image_size_px: tuple[int, int] | Array, uniforms: Array
+    ) -> tuple[Array, Mask]:
         """Boxes on vessels, and which are there, a pixel wide and high in the image, from uniform numbers (n, 5).
         Boxes have shape (n, 4)."""
         place = np.array(self.mean) + np.array(self.std) * grid_normals(uniforms[:, 1:])

@@ -239,7 +239,7 @@ def _run_s(observed: Observed, form: DetectorForm) -> float:
         form.false_positives.lifetime_s,
         form.confidence.confidence_s,
         form.multiple_boxes.merge_s,
-        form.multiple_boxes.on_vessel_s,
+        form.multiple_boxes.on_vessel_s or 0.0,
     )
     if longest <= 0:
         return 0.0

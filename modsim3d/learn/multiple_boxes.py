@@ -79,13 +79,13 @@ class MultipleBoxForm:
     """Types among `counted_types.NAMES` that the data show, with their thresholds, None for one that has none.
 
     `merge_s` is the rough correlation time of merges, `on_vessel_s` of false detections on vessels, 0 if they do not
-    persist.
+    persist, and None if none lie on vessels.
     """
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
     merge_s: float = 0.0
-    on_vessel_s: float = 0.0
+    on_vessel_s: float | None = None
 
     def noting(self, note: str) -> MultipleBoxForm:
         """Form with another note."""
@@ -99,14 +99,12 @@ class MultipleBoxForm:
             merge_s = Entry(Key(("persistence", "merge_s")), consecutive.products().column(resampling))
             factor["merges"] = consecutive.inflation(float(merge_s.estimate))
         for name, _ in self.shown:
-            if name == "on_vessels":
-                continue
             sums = hits_and_trials(observed.kinds.trials[name], resampling)
             share = np.clip(ratio(sums[:, 0], sums[:, 1]), 0, 1)
             column = Column(share, "share", np.array(sums[0, 1]), factor.get(name, 1.0))
             entries.append(Entry(Key(("false_positives", name)), column))
         on_vessels = None
-        if "on_vessels" in dict(self.shown):
+        if self.on_vessel_s is not None:
             on_vessels = LearnedOnVessels.of(observed, self.on_vessel_s, resampling)
         return LearnedMultipleBoxes(self, tuple(entries), merge_s, on_vessels)
 
@@ -174,8 +172,7 @@ class LearnedMultipleBoxes:
         section: dict[str, Any] = {}
         if self.on_vessels is not None:
             section["on_vessels"] = self.on_vessels.section()
-        shown = [(name, least) for name, least in self.form.shown if name != "on_vessels"]
-        for (name, least), entry in zip(shown, self.shares, strict=True):
+        for (name, least), entry in zip(self.form.shown, self.shares, strict=True):
             section[name] = digits(np.nan_to_num(entry.estimate))
             if least is not None and least != THRESHOLDS[name][1]:
                 section[THRESHOLDS[name][0]] = least
@@ -196,8 +193,8 @@ def choose_multiple_boxes(observed: Observed) -> MultipleBoxForm:
         0.0 if "persistence" in observed.without else _lasting_s(observed, name, key, notes)
         for name, key in (("merges", "persistence.merge_s"), ("on_vessels", "false_positives.on_vessels.lifetime_s"))
     )
-    shown = tuple((name, kinds.thresholds.get(name)) for name in kinds.trials)
-    return MultipleBoxForm(shown, tuple(notes), merge_s, on_vessel_s)
+    shown = tuple((name, kinds.thresholds.get(name)) for name in kinds.trials if name != "on_vessels")
+    return MultipleBoxForm(shown, tuple(notes), merge_s, on_vessel_s if "on_vessels" in kinds.trials else None)
 
 
 def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> float:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import centres, sizes, unions
@@ -14,11 +13,11 @@ from modsim3d.detector import records
 from modsim3d.detector.chain import DetectorPart, false_positive_rates, false_positive_source
 from modsim3d.detector.draws import select
 from modsim3d.detector.false_positive_placement import DRAWS
-from modsim3d.detector.false_positives import FrameCounts, persistent_false_positives
+from modsim3d.detector.false_positives import FrameCounts, OnVessels, persistent_false_positives
 from modsim3d.detector.merges_and_splits import MIN_SPLIT_PX, MergesAndSplits
 from modsim3d.detector.model import DetectorModel
 from modsim3d.verify.class_checks import expected_outcomes, lag_pairs, turn_before
-from modsim3d.verify.evidence import CameraEvidence, Evidence, frames_above_max, unknown_rest_note
+from modsim3d.verify.evidence import CameraEvidence, Evidence, Instances, frames_above_max, unknown_rest_note
 from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact, ImageRate, Rate
 from modsim3d.verify.parameters import Law, Parameter
 
@@ -356,48 +355,47 @@ def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     return parameters
 
 
-_REACH = 5.0
-"""Standard deviations of its place within which a false detection on a vessel surely lies."""
+_SAMPLED = 20_000
+"""Vessels of which it is drawn how often a false detection on one lies in the image."""
 
 
 def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
-    """Share, stay and place of false detections on vessels, of those vessels around which the image has room."""
+    """Share, stay and place of false detections on vessels. The image's edge leaves some out and cuts others: how many,
+    and how, is drawn anew around the same vessels."""
     law, false = seen.model.false_positives.on_vessels, seen.evidence.false_detections
     name, lying = "false_positives.on_vessels", np.flatnonzero(false.kind == records.ON_VESSEL)
     if law is None:
         measure = Exact(len(lying), len(false.kind))
         return [Parameter(f"{name}.share", DetectorPart.FALSE_POSITIVES, measure)] if len(lying) else []
-    instances = seen.evidence.instances
-    middle, sides = centres(instances.boxes_px), sizes(instances.boxes_px)
-    reach = np.array(law.mean) + np.array([[-1], [1]]) * _REACH * np.array(law.std)
-    half = sides * np.exp(reach[1, 2:]) / 2
-    ends = [middle + sides * place[:2] + side * half for place, side in zip(reach, (-1, 1), strict=True)]
-    room = np.all((ends[0] > 0) & (ends[1] < instances.image_px) & (sides * np.exp(reach[0, 2:]) > 1), axis=1)
-    some = room & expected_outcomes(seen.model, seen.evidence).passed
-    shown, box_px = np.zeros(len(some), dtype=bool), np.full((len(some), 4), np.nan)
-    shown[false.instance[lying]], box_px[false.instance[lying]] = True, false.boxes_px[lying]
+    instances, rng = seen.evidence.instances, np.random.default_rng(0)
+    passed = np.flatnonzero(expected_outcomes(seen.model, seen.evidence).passed)
+    shown, place = np.zeros(len(instances.vessel), dtype=bool), np.full((len(instances.vessel), 4), np.nan)
+    rows = false.instance[lying]
+    shown[rows], place[rows] = True, _place_on(instances.boxes_px[rows], false.boxes_px[lying])
+    chosen = rng.choice(passed, min(len(passed), _SAMPLED), replace=False)
+    drawn = _drawn_on(law, instances, np.repeat(chosen, _DRAWS_EACH), rng)
+    inside = len(drawn) / max(len(chosen) * _DRAWS_EACH, 1)
     before = turn_before(seen.model, seen.evidence)
-    later = np.flatnonzero(some & (before >= 0) & some[before])
-    apart_s = instances.time_s[later] - instances.time_s[before[later]]
-    kept = np.exp(-apart_s / law.lifetime_s) if law.lifetime_s else np.zeros(len(later))
-    again = shown[before[later]]
+    later = np.flatnonzero((before >= 0) & shown[before])
+    kept = np.zeros(len(later))
+    if law.lifetime_s:
+        kept = np.exp(-(instances.time_s[later] - instances.time_s[before[later]]) / law.lifetime_s)
     usual = float(kept.mean()) if len(kept) else 0.0
-    goes_on = law.share + (1 - law.share) * kept[again]
-    place = np.hstack([centres(box_px) - middle, np.zeros_like(sides)]) / np.tile(sides, 2)
-    place[:, 2:] = np.log(sizes(box_px) / sides)
-    new = some & shown
-    new[later] &= ~again | (np.abs(place[later] - place[before[later]]).max(axis=1) > 10.0**-_DIGITS)
+    goes_on = usual + (1 - usual) * law.share * inside
+    fresh = shown.copy()
+    # Of one that stays the image's edge changes some numbers at most.
+    fresh[later] &= np.abs(place[later] - place[before[later]]).min(axis=1) > 10.0**-_PLACE_DIGITS
+    new = np.flatnonzero(fresh)
+    around = _drawn_on(law, instances, np.repeat(new, _DRAWS_EACH), rng)
+    share = _rate(shown[passed], law.share, (1 + usual) / max(1 - usual, 1e-9), inside)
     measures: dict[str, tuple[Rate | Law | None, float]] = {
-        "share": (_rate(shown[some], law.share, (1 + usual) / max(1 - usual, 1e-9)), law.share),
-        "lifetime_s": (_rate(shown[later[again]], float(goes_on.mean()) if again.any() else 0.0, 1.0), law.lifetime_s),
+        "share": (share, law.share),
+        "lifetime_s": (_rate(shown[later], goes_on), law.lifetime_s),
     }
     for k, axis in enumerate(("across", "down", "log width", "log height")):
-        if law.std[k] > 0:
-            values = special.ndtr((place[new, k] - law.mean[k]) / law.std[k])
-            measures[f"place[{axis}]"] = (
-                Law.of(values, np.array([0.0, 1.0])) if len(values) >= MIN_FALSE else None,
-                0.0,
-            )
+        worth = len(new) * _DRAWS_EACH // (_DRAWS_EACH + 1)
+        compared = Law(_distance(place[new, k], around[:, k]), worth) if len(new) >= MIN_FALSE else None
+        measures[f"place[{axis}]"] = (compared, 0.0)
     return [
         Parameter(f"{name}.{key}", DetectorPart.FALSE_POSITIVES, measure, asked, note=_ON_VESSEL_NOTES.get(key, ""))
         for key, (measure, asked) in measures.items()
@@ -405,10 +403,29 @@ def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
 
 
 _ON_VESSEL_NOTES = {"lifetime_s": "as the chance that one is there in the next frame again"}
+_PLACE_DIGITS = 4
+"""Decimals of a place on a vessel: boxes that were read back from a table are rounded."""
 
 
-def _rate(happened: Mask, asked: float, inflation: float) -> Rate | None:
-    return Rate(int(happened.sum()), len(happened), asked, inflation) if len(happened) >= MIN_FALSE else None
+def _place_on(vessels_px: Array, boxes_px: Array) -> Array:
+    """Centres from those of vessels in their sides, and logarithms of the ratios of sides, shape (m, 4)."""
+    sides = sizes(vessels_px)
+    shift = (centres(boxes_px) - centres(vessels_px)) / sides
+    return np.round(np.hstack([shift, np.log(sizes(boxes_px) / sides)]), _PLACE_DIGITS)
+
+
+def _drawn_on(law: OnVessels, instances: Instances, rows: Indices, rng: np.random.Generator) -> Array:
+    """Places of false detections that are drawn on vessels, as the image shows them, shape (at most m, 4)."""
+    uniforms = rng.random((len(rows), 5))
+    uniforms[:, 0] = 0.0  # on each of them
+    boxes, there = law.boxes_px(instances.boxes_px[rows], instances.image_px[rows], uniforms)
+    return _place_on(instances.boxes_px[rows[there]], boxes[there])
+
+
+def _rate(happened: Mask, asked: float, inflation: float = 1.0, inside: float = 1.0) -> Rate | None:
+    """Share of those that happened of all that could, which is a part `inside` of them."""
+    trials = inside * len(happened)
+    return Rate(int(happened.sum()), trials, asked, inflation) if trials >= MIN_FALSE else None
 
 
 def _merge_check(seen: FalsePositiveEvidence) -> Parameter:
