@@ -80,7 +80,7 @@ def _opening(results: Results) -> Lines:
     yield filled(
         prose.DONE,
         films=len(films),
-        learned=results["learned_from"],
+        learned=results.get("learned_from", 21),
         trackers=_count(len(trackers)),
         clear=(total["found"] - total["found_hidden"]) / max(total["vessel_frames"] - total["hidden"], 1),
         hidden=total["found_hidden"] / max(total["hidden"], 1),
@@ -223,6 +223,9 @@ def _parts_of_films(results: Results) -> Lines:
 
 def _goals(results: Results) -> Lines:
     """The goals that were fixed before these films were made."""
+    if "judged" not in results:  # a comparison of older models
+        yield from (filled(prose.OLDER, films=len(results["films"])), "")
+        return
     settled = prose.JUDGED if results["judged"] else prose.DEVELOPED
     said = filled(settled, films=len(results["films"]), learned=results["learned_from"])
     yield from ("## Goals", "", f"{said} {filled(prose.GOALS)}")
@@ -236,6 +239,8 @@ def _goals(results: Results) -> Lines:
 
 def _exchanged(results: Results) -> Lines:
     """Which part of the output the gap comes from."""
+    if "exchanged" not in results:  # of an older comparison
+        return
     yield from ("## Which part the gap comes from", "", filled(prose.EXCHANGED))
     decimals = {key: BY_KEY[key].decimals for key in EXCHANGED_SCORES}
     for into, title in (("simulated", "Simulated detections, with real"), (REAL, "Real detections, with simulated")):
