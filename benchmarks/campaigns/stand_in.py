@@ -19,7 +19,7 @@ from benchmarks.stand_in.films import WORK, Film, all_films, judged_films, make_
 from benchmarks.stand_in.measure import measure, rounded
 from benchmarks.stand_in.page import write_page
 from benchmarks.stand_in.rungs import MIN_CONFIDENCE, RUNGS, learned_files
-from benchmarks.stand_in.stored import JUDGED, STORED, restore_films, store
+from benchmarks.stand_in.stored import JUDGED, STORED, names_in, restore_films, store
 from benchmarks.stand_in.tell_apart import told_apart
 from benchmarks.stand_in.weights import PACKAGE, SHA256
 from modsim3d.core.errors import ModsimError
@@ -43,6 +43,8 @@ def main() -> None:
             if judged:
                 restore_films(given.work, judged, JUDGED)
         else:
+            kept = names_in(JUDGED)  # films are made in parts, and kept
+            restore_films(given.work, [film for film in judged if film.name in kept], JUDGED)
             make_films(given.work, [*known, *judged], given.workers)
             store(known, STORED)
             if judged:

@@ -73,6 +73,11 @@ def restore_films(work: Path, films: Sequence[Film], path: Path = STORED) -> Non
             restore_film(film, found.filter(pc.equal(found["film"].cast(pa.string()), film.name)))
 
 
+def names_in(path: Path) -> set[str]:
+    """Names of the films of a file; none if it is not there."""
+    return set(pq.read_table(path, columns=["film"])["film"].to_pylist()) if path.is_file() else set()
+
+
 def restore_film(film: Film, found: pa.Table) -> None:
     """Run a film's scene and write its folder, with detections from its rows of the stored table.
 

@@ -233,6 +233,10 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
     by_chance = np.zeros(len(sought))
     for moved in shuffled(loose_on, images):
         np.add.at(by_chance, match_shapes.on_vessels(sought, moved)[0], 1 / SHUFFLES)
+    # Only those that lie anywhere meet vessels by chance; of F, of which a share c would, (F − H)/(1 − c) lie anywhere.
+    meeting = by_chance.sum() / max(len(loose_on.row), 1)
+    anywhere = (len(loose_on.row) - len(vessel)) / max(len(loose_on.row) * (1 - meeting), 1e-9)
+    by_chance *= min(anywhere, 1.0)
     recognition = Recognition.of(sought, pairs, whole)
     merges = _merge_trials(detected, rows, pairs, common, recognition, chance["merges"])
     ambiguous = _ambiguous_pairs(detected, pairs, recognition)
