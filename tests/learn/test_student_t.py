@@ -107,9 +107,25 @@ def test_normal_errors_stay_normal_and_heavy_ones_do_not(kept: float) -> None:
     heavy = standardised(StudentT(6.0), normal_chain(kept, np.random.default_rng(7), 150, 20, 5))
     heavy = heavy.reshape(-1, 4) @ ROOT.T
     assert "tails are heavier" in heavy_tails(at_sea(heavy), "px", kept)
-    without_normal = heavy_tails(at_sea(heavy), "px", kept, normal=-np.inf)
+    fits = at_sea(heavy)
+    normal_fit = fits.fit("px")
+    assert normal_fit is not None
+    fits._found["px", False] = replace(normal_fit, settled=False)  # as where too many boxes fail
+    without_normal = heavy_tails(fits, "px", kept)
     assert "no normal errors fit" in without_normal and "inf" not in without_normal
     assert not heavy_tails(at_sea(t_errors(99, 3.0)), "px", 0.0)
+
+
+def test_a_few_boxes_that_are_none_of_the_vessel_are_no_heavy_tails() -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        errors = rng.normal(size=(1200, 4)) @ ROOT.T
+        strays = rng.choice(1200, 1 + seed, replace=False)
+        errors[strays] = rng.uniform(-60, 60, (1 + seed, 4))
+        fits = at_sea(errors)
+        assert fits.value("px", heavy=True) - fits.value("px") > 10  # which alone would be enough
+        assert not heavy_tails(fits, "px", 0.0), seed
+        assert heavy_tails(at_sea(np.vstack([errors[:20], t_errors(400, 6.0, seed)])), "px", 0.0), seed
 
 
 def test_a_fit_that_cannot_reach_what_is_asked_is_given_up() -> None:

@@ -12,7 +12,7 @@ from modsim3d.detector.file.schema import covariance_problems
 from modsim3d.detector.model import ERROR_COMPONENTS, ERROR_PAIRS
 from modsim3d.learn import bootstrap
 from modsim3d.learn.box_errors import matched_edges
-from modsim3d.learn.box_errors.fit import ErrorFit
+from modsim3d.learn.box_errors.fit import ErrorFit, gain_beside_strays
 from modsim3d.learn.matches import ErrorFits
 
 # ---- Which kind of distribution the box errors of a state speak for ----
@@ -66,7 +66,7 @@ def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenL
     if "student_t" not in without:
         best = -np.inf
         for each in (unit,) if "relative" in without else (unit, _other(unit)):
-            reason = heavy_tails(fits, each, kept, fits.value(unit))
+            reason = heavy_tails(fits, each, kept, unit)
             if reason and fits.value(each, heavy=True) > best:
                 best, chosen = fits.value(each, heavy=True), ChosenLaw(each, "student_t", (reason,))
     if "mixed" not in without and len(fits.edges) >= MIXED_NEEDED and _sides_differ(fits.edges):
@@ -78,26 +78,30 @@ def _other(unit: matched_edges.Unit) -> matched_edges.Unit:
     return "px" if unit == "relative" else "relative"
 
 
-def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, normal: float | None = None) -> str:
-    """Why Student's t law describes errors in a unit better than normal ones; empty if it does not.
-
-    `normal` is the log-likelihood of the normal ones, by default in the same unit.
-    """
+def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, plain: matched_edges.Unit | None = None) -> str:
+    """Why Student's t law describes errors in a unit better than normal ones in the plain one, by default the same;
+    empty if it does not."""
     if not _heavy_possible(fits, unit == "relative"):
         return ""
-    normal, alike = fits.value(unit) if normal is None else normal, excess(kept**4)
-    least = normal + alike * _needed_of_tails(len(fits.edges), alike)
-    return _tails(fits.value(unit, heavy=True, least=least) - normal, len(fits.edges), kept)
+    plain = plain or unit
+    normal, alike = fits.value(plain), excess(kept**4)
+    fits.value(unit, heavy=True, least=normal + alike * _needed_of_tails(len(fits.edges), alike))
+    return _tails(fits, unit, plain, kept)
 
 
-def _tails(gain: float, count: int, kept: float) -> str:
+def _tails(fits: ErrorFits, unit: matched_edges.Unit, plain: matched_edges.Unit, kept: float) -> str:
+    """The same, given that Student's t law has been fitted. Its gain must be enough beside strays, too."""
     alike = excess(kept**4)
-    gain, needed = gain / alike, _needed_of_tails(count, alike)
-    if not gain > needed:
+    gain, needed = fits.value(unit, heavy=True) - fits.value(plain), _needed_of_tails(len(fits.edges), alike)
+    if not gain / alike > needed:
         return ""
     if not np.isfinite(gain):
         return "tails are heavier than normal ones (so many boxes fail the matching that no normal errors fit)"
-    return f"tails are heavier than normal ones (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
+    heavy, normal = fits.fit(unit, heavy=True), fits.fit(plain)
+    gain = gain if heavy is None or normal is None else min(gain, gain_beside_strays(heavy, normal))
+    if not gain / alike > needed:
+        return ""
+    return f"tails are heavier than normal ones (log-likelihood {gain / alike:.1f} larger, needs {needed:.1f})"
 
 
 def _needed_of_tails(count: int, alike: float) -> float:
@@ -114,14 +118,13 @@ def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozen
     tailed = -np.inf
     if "student_t" not in without and _mixed_may_be_heavy(fits, plain):
         tailed = fits.value("mixed", heavy=True, least=least + needed * alike + of_tails * (not plain.heavy))
-    mixed_heavy = tailed - normal > of_tails
-    value = (tailed if mixed_heavy else normal) - of_tails * (mixed_heavy - plain.heavy)
+    tails = _tails(fits, "mixed", "mixed", kept) if tailed - normal > of_tails else ""
+    value = tailed - of_tails * (not plain.heavy) if tails else normal + of_tails * plain.heavy
     gain = (value - least) / alike
     if not gain > needed:
         return plain
     why = f"spreads have a fixed and a growing part (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
-    tails = _tails(tailed - normal, len(fits.edges), kept) if mixed_heavy else ""
-    return ChosenLaw("mixed", "student_t" if mixed_heavy else "normal", (why, tails) if tails else (why,))
+    return ChosenLaw("mixed", "student_t", (why, tails)) if tails else ChosenLaw("mixed", reasons=(why,))
 
 
 def _heavy_possible(fits: ErrorFits, relative: bool) -> bool:
