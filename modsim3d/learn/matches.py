@@ -32,6 +32,7 @@ class ErrorFits:
 
     edges: MatchedEdges
     _found: dict[tuple[Unit, bool], ErrorFit | None] = field(default_factory=dict)
+    _again: dict[Unit, ErrorFit] = field(default_factory=dict)
 
     def fit(self, unit: Unit, heavy: bool = False, least: float = -np.inf) -> ErrorFit | None:
         """The likeliest distribution of a kind; None where the errors determine none. One that will surely not reach
@@ -40,6 +41,20 @@ class ErrorFits:
             start = self._start(unit, heavy) if len(self.edges) else None
             self._found[unit, heavy] = None if start is None else fit_errors(start, self.edges, least)
         return self._found[unit, heavy]
+
+    def likeliest_normal(self, unit: Unit) -> ErrorFit | None:
+        """Normal errors of the largest log-likelihood that was found, which need not be the maximum if they are not
+        settled. Where Student's t law was fitted, they are begun from it once more, and count as the fit if they
+        settle."""
+        fit, heavy = self.fit(unit), self._found.get((unit, True))
+        if fit is None or fit.settled:
+            return fit
+        if unit not in self._again and heavy is not None:
+            self._again[unit] = again = fit_errors(replace(heavy.model, freedom=np.inf), self.edges)
+            if again.settled:
+                self._found[unit, False] = again
+        again = self._again.get(unit, fit)
+        return again if again.settled or again.value > fit.value else fit
 
     def chosen(self, unit: Unit, heavy: bool = False) -> ErrorFit | None:
         """Fit; where so many boxes fail the matching that it has no maximum, as if matching cut off nothing."""

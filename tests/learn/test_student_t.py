@@ -16,6 +16,7 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule
 from modsim3d.io.input_files import data_folder
 from modsim3d.learn.bootstrap import resample
+from modsim3d.learn.box_errors.estimate import choose_box_errors
 from modsim3d.learn.box_errors.fit import ErrorFit, slopes
 from modsim3d.learn.box_errors.laws import ErrorSample, heavy_tails, learned_errors
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit, fit_student_t
@@ -23,14 +24,16 @@ from modsim3d.learn.box_errors.persistence import correlation_left
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.matches import ErrorFits
+from modsim3d.learn.states import each_its_own
 from tests.formats.labelled_sets import images
-from tests.learn.one_state import normal_chain
+from tests.learn.one_state import normal_chain, observed_as
 from tests.learn.round_trip import DETECTOR, asked_of, command, outside, simulate
 
 MEAN = np.array([1.0, -2.0, 0.5, 3.0])
 ROOT = np.array([[4.0, 0, 0, 0], [1, 3, 0, 0], [2, 0, 5, 0], [0, -1, 1, 2]])
 COVARIANCE = ROOT @ ROOT.T
 KEPT = np.exp(-0.1 / 0.6)
+UNITS: tuple[Unit, ...] = ("px", "relative")
 
 
 def t_errors(count: int, nu: float, seed: int = 0) -> np.ndarray:
@@ -108,9 +111,10 @@ def test_normal_errors_stay_normal_and_heavy_ones_do_not(kept: float) -> None:
     heavy = heavy.reshape(-1, 4) @ ROOT.T
     assert "tails are heavier" in heavy_tails(at_sea(heavy), "px", kept)
     fits = at_sea(heavy)
-    normal_fit = fits.fit("px")
-    assert normal_fit is not None
-    fits._found["px", False] = replace(normal_fit, settled=False)  # as where too many boxes fail
+    for unit in UNITS:
+        normal_fit = fits.fit(unit)
+        assert normal_fit is not None
+        fits._found[unit, False] = fits._again[unit] = replace(normal_fit, settled=False)
     without_normal = heavy_tails(fits, "px", kept)
     assert "no normal errors fit" in without_normal and "inf" not in without_normal
     assert not heavy_tails(at_sea(t_errors(99, 3.0)), "px", 0.0)
@@ -182,6 +186,16 @@ def test_every_number_of_a_t_law_comes_back_inside_its_interval_and_in_the_file_
         assert "states.clear.box_error: student_t, for tails are heavier than normal ones" in each
     assert "states.clear.box_error_degrees_of_freedom" in page.replace("<wbr>", "") and "law: student_t" in text
     assert all(isinstance(state.box_error.distribution, StudentT) for state in load_detector(out).states)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_normal_errors_half_of_which_were_drawn_anew_are_learned_as_normal_ones(seed: int, tmp_path: Path) -> None:
+    thesis = data_folder("scenes") / "detectors/thesis.yaml"
+    labelled, _ = labelled_run(simulate("simulation_1", tmp_path, 0, 900, seed, thesis))
+    states = each_its_own(("excellent", "good", "bad", "terrible"))
+    image_state = states.of_images(labelled.images, labelled.conditions)
+    form = choose_box_errors(observed_as(labelled, states.names, image_state, Rule("provenance")))
+    assert {state.law for state in form.states} == {"normal"}
 
 
 def test_errors_half_of_which_were_drawn_anew_are_not_known(tmp_path: Path) -> None:

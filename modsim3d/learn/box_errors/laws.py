@@ -91,17 +91,27 @@ def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, plain: m
 
 def _tails(fits: ErrorFits, unit: matched_edges.Unit, plain: matched_edges.Unit, kept: float) -> str:
     """The same, given that Student's t law has been fitted. Its gain must be enough beside strays, too."""
+    heavy, normal = fits.fit(unit, heavy=True), _likeliest_normal(fits, plain)
+    if heavy is None or normal is None or not heavy.settled:
+        return ""
     alike = excess(kept**4)
-    gain, needed = fits.value(unit, heavy=True) - fits.value(plain), _needed_of_tails(len(fits.edges), alike)
-    if not gain / alike > needed:
+    gain, needed = (heavy.value - normal.value) / alike, _needed_of_tails(len(fits.edges), alike)
+    if gain > needed:
+        gain = min(gain, gain_beside_strays(heavy, normal) / alike)
+    if not gain > needed:
         return ""
-    if not np.isfinite(gain):
+    if not normal.settled:
         return "tails are heavier than normal ones (so many boxes fail the matching that no normal errors fit)"
-    heavy, normal = fits.fit(unit, heavy=True), fits.fit(plain)
-    gain = gain if heavy is None or normal is None else min(gain, gain_beside_strays(heavy, normal))
-    if not gain / alike > needed:
-        return ""
-    return f"tails are heavier than normal ones (log-likelihood {gain / alike:.1f} larger, needs {needed:.1f})"
+    return f"tails are heavier than normal ones (log-likelihood {gain:.1f} larger, needs {needed:.1f})"
+
+
+def _likeliest_normal(fits: ErrorFits, plain: matched_edges.Unit) -> ErrorFit | None:
+    """Normal errors in the plain unit; where they are not settled, the likeliest ones that were found in any."""
+    found = fits.likeliest_normal(plain)
+    if found is None or found.settled:
+        return found
+    others = [fits.likeliest_normal(unit) for unit in ("px", "relative") if unit != plain]
+    return max([found, *(each for each in others if each is not None)], key=lambda fit: fit.value)
 
 
 def _needed_of_tails(count: int, alike: float) -> float:
@@ -114,6 +124,9 @@ def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozen
     of_tails = _needed_of_tails(len(fits.edges), alike_tails) * alike_tails
     needed = max(_GROWTHS * np.log(len(fits.edges) / alike), _GROWTHS_SIGNIFICANT) / 2
     least = fits.value(plain.unit, plain.heavy)
+    if not np.isfinite(least):  # others are not chosen because these did not settle
+        unsettled = _likeliest_normal(fits, plain.unit)
+        least = -np.inf if unsettled is None else unsettled.value
     normal = fits.value("mixed", least=fits.value(plain.unit))
     tailed = -np.inf
     if "student_t" not in without and _mixed_may_be_heavy(fits, plain):
