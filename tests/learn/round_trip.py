@@ -15,7 +15,7 @@ from modsim3d.io.input_files import data_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 DETECTOR = ROOT / "tests" / "data" / "learn" / "round_trip.yaml"
-SETTINGS = {"reference", "merge_overlap", "split_aspect", "edges", "rate"}
+SETTINGS = {"reference", "merge_overlap", "split_aspect", "edges", "rate", "times_s"}
 """Numbers of a detector file that stand beside those that are learned."""
 
 
@@ -28,6 +28,9 @@ def simulate(name: str, folder: Path, mode: int, steps=None, seed=0, detector=DE
     """Run a shipped scene with vessels of the detector's labels and the detector; gives the run directory. With a size,
     images are the middles of the cameras' images, of that size."""
     scene = yaml.safe_load((data_folder("scenes") / f"{name}.yaml").read_text())
+    if isinstance(scene["vessels"], str):  # in files of their own
+        scene["vessels"] = json.loads((data_folder("scenes") / scene["vessels"]).read_text())
+        scene["poses"]["file"] = str(data_folder("scenes") / scene["poses"]["file"])
     labels = yaml.safe_load(Path(detector).read_text())["labels"]
     for number, vessel in enumerate(scene["vessels"].values()):
         vessel["label"] = labels[number % len(labels)]
