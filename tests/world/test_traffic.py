@@ -7,8 +7,11 @@ import pytest
 import shapely
 from scipy import stats
 
+from modsim3d.world.bodies import Obstacle, extruded
+from modsim3d.world.traffic.clearance import Land, Waters
 from modsim3d.world.traffic.generate import plan
-from modsim3d.world.traffic.tracks import shipped_kinds
+from modsim3d.world.traffic.paths import VesselPath
+from modsim3d.world.traffic.tracks import DrawnHull, Track, shipped_kinds
 from tests.scenes import rectangles
 from tests.world.drawn_traffic import LAND, OWN, TRAFFIC, Drive, draw, traffic_keys
 
@@ -66,6 +69,27 @@ def test_vessels_pass_below_a_bridge_that_is_above_their_masts_and_no_other():
         crossed += crosses
         assert not crosses or craft.track.hull.air_draft_m <= 18.5
     assert crossed
+
+
+def test_a_track_keeps_the_clearance_from_vessels_and_from_land_and_room_beyond_it_is_preferred():
+    def abeam(north_m: float) -> Track:
+        path = VesselPath.through(np.array([[0, north_m], [600, north_m]]))
+        return Track(DrawnHull("boat", 20, 6, 4, 30), path, 5, 0)
+
+    quay = extruded(np.array([[0.0, -100.0], [600.0, -100.0], [600.0, -61.0], [0.0, -61.0]]), 0, 3)
+    waters = Waters.during(Land.of([Obstacle("quay", quay)]), 100, 1.0, clearance_m=10)
+    waters.add(abeam(0))
+    # Sides are 6 m nearer than centres; what hulls may move between two steps takes 1.75 m more, and 3.5 m to land.
+    for north_m, clear, roomy in ((14, False, False), (17.7, False, False), (17.8, True, False), (34, True, True)):
+        verdict = waters.judge([abeam(north_m)])
+        assert waters.is_clear(abeam(north_m), 10, 60) == clear == (verdict.track is not None), north_m
+        assert (verdict.crowding == 0) == roomy, north_m
+    for north_m, clear, roomy in ((-44.6, False, False), (-44.4, True, False), (-34.4, True, True)):
+        verdict = waters.judge([abeam(north_m)])
+        assert waters.is_clear(abeam(north_m), 10, 60) and (verdict.track is not None) == clear, north_m
+        assert (verdict.crowding == 0) == roomy, north_m
+    ways = [abeam(north_m) for north_m in (-44.6, -44.4, -39)]
+    assert waters.judge(ways).track is ways[2]
 
 
 def bearing(places, headings, others):
