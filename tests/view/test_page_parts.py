@@ -4,9 +4,11 @@ import re
 
 import numpy as np
 
+from modsim3d.core import document as doc
 from modsim3d.view import palette
 from modsim3d.view.pages import charts, tables
 from modsim3d.view.pages.charts import Axes, error_scatter, precision_recall, timeline
+from modsim3d.view.pages.page import html_of
 from modsim3d.view.pages.tables import aligned, table
 
 
@@ -53,6 +55,25 @@ def test_spaces_that_align_an_interval_belong_to_it_and_a_checksum_between_numbe
     checksum = "6c5565f7c7d53c2a0301052c9311c88904166820ee6fe3257c0885f4296d9476"
     written = table([["seed", "3"], ["steps", "60"], ["scene_sha256", checksum]], ("", "A"))
     assert '<td class="number broken">6c5565f7c7d53c2a<wbr>0301052c9311c889<wbr>' in written
+
+
+def test_whatever_a_document_says_is_text_in_a_page_and_in_a_notebook() -> None:
+    said, everywhere = '"><s>', doc.Where.EVERYWHERE
+    mixed = [[doc.Cell(said, 0.5, bar=True), said, f"1.5 {said}", said], ["a", "b", "2.5", "c"]]
+    for block, in_page, in_notebook in (
+        (doc.Heading(said), 1, 0),
+        (doc.Text(said, where=everywhere), 1, 1),
+        (doc.Text(said, "code", everywhere), 1, 1),
+        (doc.Text(said, "bad", everywhere), 1, 1),
+        (doc.Items([said], everywhere), 1, 1),
+        (doc.Tiles([(said, said, said)]), 3, 0),
+        (doc.Figure(lambda: "", said), 1, 0),
+        (doc.Fold(said, [doc.Text(said)]), 2, 0),
+        (doc.Table(said, [said] * 4, mixed, notes={0: said}, about=said, where=everywhere), 19, 9),
+        (doc.Table(said, (), [(said, said)], where=everywhere), 3, 3),
+    ):
+        for written, count in ((html_of(block), in_page), (doc.Document("", [], [block]).notebook(), in_notebook)):
+            assert "<s>" not in written and written.count("&gt;&lt;s&gt;") == count, block
 
 
 def lines(svg):
