@@ -1,4 +1,4 @@
-"""mutants: one small change at a time to the camera, the truth and the detector must make a test fail.
+"""mutants: one small change at a time to camera, truth, renderer, verdicts and detector must make a test fail.
 
 A mutant is a module with one operator, number, index, condition, argument, result or statement changed. Each meets the
 tests that reach the changed line, the quickest first, until one fails or `BUDGET_S` of processor time is used up. The
@@ -32,14 +32,16 @@ from benchmarks.mutants.trials import Trial, outcomes, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"
-ROOMS = {"geometry": 1.0, "truth": 0.4, "detector": 0.25}
-"""Share of the mutants of each file of these rooms that is tried."""
+ROOMS = {"geometry": 1.0, "truth": 0.4, "render": 0.4, "campaign/verdicts": 0.3, "detector": 0.25}
+"""Share of the mutants of each file of these folders of modsim3d that is tried."""
 TESTS = {
-    "geometry": ("geometry", "truth", "motion", "scene"),
-    "truth": ("truth", "geometry", "render", "vessels", "motion", "scene"),
+    "geometry": ("geometry", "truth", "world", "scene"),
+    "truth": ("truth", "geometry", "render", "world", "scene"),
+    "render": ("render", "truth", "view/test_shaded.py"),
+    "campaign/verdicts": ("campaign",),
     "detector": ("detector", "verify", "learn"),
 }
-"""Where the tests of a room are."""
+"""Where the tests of a room are, its own first."""
 BUDGET_S = 2.0
 SEED = 1
 
@@ -51,10 +53,14 @@ def sources(only: str | None) -> list[str]:
     return [path for path in every if only is None or only in path]
 
 
+def room_of(path: str) -> str:
+    return path.removeprefix("modsim3d/").rpartition("/")[0]
+
+
 def sampled(path: str, share: float | None) -> tuple[int, list[Mutant]]:
     """How many mutants a file has, and a random share of them, the same every time."""
     every = mutants_of((ROOT / path).read_text(encoding="utf-8"))
-    share = ROOMS[path.split("/")[1]] if share is None else share
+    share = ROOMS[room_of(path)] if share is None else share
     chosen = random.Random(f"{SEED} {path}").sample(every, math.ceil(share * len(every)))
     return len(every), sorted(chosen, key=lambda mutant: mutant.index)
 
@@ -62,7 +68,8 @@ def sampled(path: str, share: float | None) -> tuple[int, list[Mutant]]:
 def trial_of(path: str, mutant: Mutant, reach: Reach, budget_s: float) -> Trial:
     tests = reach.of_lines(path, mutant.lines)
     if not mutant.function:  # constants and defaults, which no test is seen to reach
-        tests = reach.of_file(path) | {name for name in reach.cost_s if name.split("/")[1] == path.split("/")[1]}
+        own = f"tests/{TESTS[room_of(path)][0]}/"
+        tests = reach.of_file(path) | {name for name in reach.cost_s if name.startswith(own)}
     chosen = {name: reach.alone_s(name) for name in reach.quickest(tests, budget_s)}
     tree = functools.partial(mutated, (ROOT / path).read_text(encoding="utf-8"), mutant.index)
     return Trial(key(path, mutant.index), path, mutant.function, tree, chosen)
@@ -156,6 +163,10 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
         f"meets the tests that reach its line, the quickest first, for up to {BUDGET_S:.0f} s; tests of more than "
         f"{SLOW_S:.0f} s, and those of other rooms, are left out, and can only kill more.",
         "",
+        "Tried is a random share of the mutants of each file: "
+        + ", ".join(f"{share:.0%} in `{room}`" for room, share in ROOMS.items())
+        + ".",
+        "",
         "Killed later are those that survived the first run, but not one with more tests. A survivor is harmless "
         "if it changes no result that a user can see: it is equivalent, within a tolerance, or changes the text of a "
         "message or the speed only. The others are open.",
@@ -167,7 +178,7 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
     for room in ROOMS:
         part: Counter[str] = Counter()
         for path, row in files.items():
-            if path.startswith(f"modsim3d/{room}/") and row["tried"]:
+            if room_of(path) == room and row["tried"]:
                 counts = figures(path, row, judged)
                 part += counts
                 lines.append(table_row(f"`{path.removeprefix('modsim3d/')}`", counts))
@@ -238,12 +249,13 @@ def main() -> int:
 def reach_of(folder: Path, rooms: list[str], options: list[str]) -> Reach:
     """What the tests of some rooms reach, from files in a folder where these are."""
     places = dict.fromkeys(place for room in rooms for place in TESTS[room])
+    kept = {place: folder / f"{place.replace('/', '_')}.json" for place in places}
     folder.mkdir(exist_ok=True)
     for place in places:
-        if not (folder / f"{place}.json").exists():
+        if not kept[place].exists():
             print(f"what tests/{place} reach", file=sys.stderr)
-            map_tests(ROOT, sources(None), [*options, f"tests/{place}"], folder / f"{place}.json")
-    return Reach.joined([Reach.load(folder / f"{place}.json") for place in places])
+            map_tests(ROOT, sources(None), [*options, f"tests/{place}"], kept[place])
+    return Reach.joined([Reach.load(path) for path in kept.values()])
 
 
 def campaign(asked: argparse.Namespace, before: dict[str, Any]) -> dict[str, Any]:
@@ -251,7 +263,7 @@ def campaign(asked: argparse.Namespace, before: dict[str, Any]) -> dict[str, Any
     chosen = chosen_mutants(asked, before)
     with tempfile.TemporaryDirectory() as folder:
         kept, options = asked.keep or Path(folder), [f"--basetemp={folder}/tests"]
-        reach = reach_of(kept, [name.split("/")[1] for name in chosen], options)
+        reach = reach_of(kept, [room_of(name) for name in chosen], options)
         done = {} if asked.survivors else outcomes(kept / "outcomes")
         trials = [
             trial_of(name, mutant, reach, asked.budget) for name, (_, mutants) in chosen.items() for mutant in mutants

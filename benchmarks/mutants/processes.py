@@ -68,6 +68,7 @@ def _child(work: Callable[[], bool], cpu_s: float | None) -> None:
 
 def caches_of_all() -> list[functools._lru_cache_wrapper[Any]]:
     """The cached functions of the package and of the tests."""
+    gc.unfreeze()  # what the tests hide from Python's collector is not listed
     found = [each for each in gc.get_objects() if isinstance(each, functools._lru_cache_wrapper)]
     return [each for each in found if each.__module__.startswith(("modsim3d", "tests"))]
 

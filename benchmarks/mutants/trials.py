@@ -86,7 +86,10 @@ class _Runner(_StopAtOnce):
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         items = {item.nodeid: item for item in session.items}
-        functions, caches = _functions({trial.module for trial in self.trials}), caches_of_all()
+        functions, caches = functions_of({trial.module for trial in self.trials}), caches_of_all()
+        if unknown := {trial.function for trial in self.trials if not functions[trial.module, trial.function]}:
+            print("no such functions:", *sorted(unknown), file=sys.stderr)
+            raise RuntimeError("mutants that change nothing would all survive")
         for trial in self.trials:
             chosen = [items[name] for name in trial.tests]
             work = functools.partial(_run_items, trial, functions, caches, chosen)
@@ -111,10 +114,11 @@ def _run_items(
     return True
 
 
-def _functions(modules: set[str]) -> dict[tuple[str, str], list[FunctionType]]:
+def functions_of(modules: set[str]) -> dict[tuple[str, str], list[FunctionType]]:
     """All functions of some modules by module and qualified name."""
     for name in modules:
         importlib.import_module(name)
+    gc.unfreeze()  # what the tests hide from Python's collector is not listed
     found = defaultdict(list)
     for each in gc.get_objects():
         if isinstance(each, FunctionType) and each.__module__ in modules:

@@ -2,12 +2,15 @@
 
 import ast
 import functools
+import gc
 from collections import Counter
 from pathlib import Path
 
 from benchmarks.mutants.mutations import mutants_of, mutated
-from benchmarks.mutants.processes import KILLED, SURVIVED, TIMED_OUT, in_a_process
+from benchmarks.mutants.processes import KILLED, SURVIVED, TIMED_OUT, caches_of_all, in_a_process
 from benchmarks.mutants.reach import Reach
+from benchmarks.mutants.trials import functions_of
+from modsim3d.world.traffic.tracks import shipped_kinds
 
 SOURCE = '''
 """A module."""
@@ -70,6 +73,16 @@ def test_process_survives_is_killed_or_times_out():
     assert in_a_process(lambda: False, 10) == KILLED
     assert in_a_process(functools.partial(int, "no number"), 10) == KILLED
     assert in_a_process(loop, 1) == TIMED_OUT
+
+
+def test_functions_and_caches_are_found_although_the_tests_hide_them_from_pythons_collector():
+    def found() -> bool:
+        gc.freeze()
+        functions = functions_of({"modsim3d.world.traffic.tracks"})
+        gc.freeze()
+        return ("modsim3d.world.traffic.tracks", "draw_one") in functions and shipped_kinds in caches_of_all()
+
+    assert in_a_process(found, 10) == SURVIVED
 
 
 def test_quickest_tests_that_reach_a_line_come_first_within_the_budget(tmp_path: Path):
