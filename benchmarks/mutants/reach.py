@@ -101,7 +101,7 @@ class _Mapper:
     """A plug-in of pytest that notes which lines each test reaches.
 
     Lines that a shared fixture reaches count for every test that uses the fixture. A test that takes longer than
-    `SLOW_S` is interrupted and left out.
+    `SLOW_S` is interrupted and left out, and so is one that then fails because it shares the fixture that took so long.
     """
 
     def __init__(self, sources: Sequence[str]) -> None:
@@ -112,6 +112,7 @@ class _Mapper:
         self.fixture: dict[Any, str] = {}
         self.failed: list[str] = []
         self.slow: set[str] = set()
+        self.interrupted: set[str] = set()
         self.since = 0.0
 
     def _switch(self, context: str) -> str:
@@ -132,11 +133,14 @@ class _Mapper:
             signal.setitimer(signal.ITIMER_VIRTUAL, SLOW_S)
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
             signal.setitimer(signal.ITIMER_VIRTUAL, 0)
-            defined = item._fixtureinfo.name2fixturedefs.values()
-            self.shared_by[item.nodeid] = {self.fixture[each[-1]] for each in defined if each[-1] in self.fixture}
+            self.shared_by[item.nodeid] = self._shared(item)
         self._switch("")
         self.measured.stop()
         return True
+
+    def _shared(self, item: Any) -> set[str]:
+        defined = item._fixtureinfo.name2fixturedefs.values()
+        return {self.fixture[each[-1]] for each in defined if each[-1] in self.fixture}
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
@@ -147,14 +151,19 @@ class _Mapper:
         before = self._switch(name)
         try:
             return (yield)
+        except _TooSlowError:
+            self.interrupted.add(name)
+            raise
         finally:
             self._switch(before)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> None:
-        if call.excinfo is not None and isinstance(call.excinfo.value, _TooSlowError):
+        if call.excinfo is None:
+            return
+        if isinstance(call.excinfo.value, _TooSlowError) or not self.interrupted.isdisjoint(self._shared(item)):
             self.slow.add(item.nodeid)
-        elif call.excinfo is not None:
+        else:
             self.failed.append(item.nodeid)
 
     def reach(self, root: Path) -> Reach:

@@ -1,0 +1,136 @@
+"""Which OpenGL is taken, and what is said where there is none, without loading any."""
+
+import os
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from modsim3d.core.errors import RendererError
+from modsim3d.render import context
+from modsim3d.render.id_pass import MAX_REGION_PX, Region
+from modsim3d.render.shaded_pass import LitFaces, ShadedRenderer
+
+
+def said_by(function, *arguments) -> str:
+    with pytest.raises(RendererError) as caught:
+        function(*arguments)
+    return str(caught.value)
+
+
+@pytest.fixture
+def plain(monkeypatch):
+    """An environment that says nothing of OpenGL."""
+    for name in [*os.environ]:
+        if name.startswith((*context.MESA_OBEYS, "MODSIM3D_")):
+            monkeypatch.delenv(name)
+    return monkeypatch
+
+
+def test_backend_is_the_one_asked_for_or_the_first_whose_library_is_there(plain):
+    there = {"osmesa", "egl"}
+    plain.setattr(context, "library_found", lambda backend: backend in there)
+    assert context.choose_backend() == "osmesa"
+    plain.setenv("MODSIM3D_GL", "EGL")
+    assert context.choose_backend() == "egl"
+    there.remove("egl")
+    assert "(egl)" in said_by(context.choose_backend)
+    plain.setenv("MODSIM3D_GL", "auto")
+    assert context.choose_backend() == "osmesa"
+    there.clear()
+    assert "(OSMesa or EGL)" in said_by(context.choose_backend)
+    plain.setenv("MODSIM3D_GL", "glx")
+    assert said_by(context.choose_backend) == "MODSIM3D_GL='glx': use one of osmesa, egl, auto"
+
+
+def test_library_is_looked_for_by_its_names_and_then_by_the_system(plain):
+    loads: set[str] = set()
+
+    def load(name):
+        if name not in loads:
+            raise OSError(name)
+
+    plain.setattr(context.ctypes, "CDLL", load)
+    for backend, library, named, there in (
+        ("osmesa", "libOSMesa.so.6", None, True),
+        ("osmesa", "libOSMesa.so.7", "libOSMesa.so.7", True),
+        ("osmesa", "libEGL.so.1", "libOSMesa.so.7", False),
+        ("egl", "libEGL.so.1", None, True),
+        ("egl", "libOSMesa.so.6", None, False),
+    ):
+        loads = {library}
+        plain.setattr(context.ctypes.util, "find_library", {"OSMesa" if backend == "osmesa" else "EGL": named}.get)
+        assert context.library_found(backend) is there, (backend, library)
+
+
+def test_device_is_one_of_those_that_there_are_and_the_first_without_a_number(plain):
+    plain.setattr(context, "_is_software", lambda device: device == "llvmpipe")
+    devices = ["card", "card", "llvmpipe"]
+    assert context._number(devices) == 0
+    plain.setenv("MODSIM3D_EGL_DEVICE", "2")
+    assert context._number(devices) == 2
+    for wrong in ("3", "-1", "card"):
+        plain.setenv("MODSIM3D_EGL_DEVICE", wrong)
+        assert said_by(context._number, devices) == (
+            f"MODSIM3D_EGL_DEVICE={wrong!r}: use a number from 0 to 2 (graphics cards here: 2, software renderers: 1)"
+        )
+
+
+def test_variables_with_which_mesa_ends_the_process_are_refused(plain):
+    for name, value, backend, said in (
+        ("GALLIUM_DRIVER", "softpipe", "osmesa", "OSMesa has llvmpipe only"),
+        ("GALLIUM_DRIVER", "softpipe", "egl", ""),
+        ("GALLIUM_DRIVER", "llvmpipe", "osmesa", ""),
+        ("MESA_GLSL_VERSION_OVERRIDE", "449", "egl", "OpenGL 4.5 has 450"),
+        ("MESA_GLSL_VERSION_OVERRIDE", "450", "egl", ""),
+        ("MESA_EXTENSION_OVERRIDE", "+GL_a -GL_b", "osmesa", "takes away"),
+        ("MESA_EXTENSION_OVERRIDE", "+GL_a", "osmesa", ""),
+    ):
+        with plain.context() as patch:
+            patch.setenv(name, value)
+            if said:
+                assert f"{name}={value!r}" in (problem := said_by(context._refuse_crashes, backend)) and said in problem
+            else:
+                context._refuse_crashes(backend)
+
+
+def test_failure_names_the_variables_that_mesa_obeys(plain):
+    def fail(*_):
+        raise OSError("no such library")
+
+    for name, stand_in in {"_open_here": None, "choose_backend": lambda: "egl", "_make_context": fail}.items():
+        plain.setattr(context, name, stand_in)
+    plain.setattr(context, "prepare_environment", lambda backend: None)
+    opened = context.open_context()
+    assert said_by(opened.__enter__) == "the egl renderer cannot be used: no such library"
+    for name in ("MESA_A", "LIBGL_DRIVERS_PATH", "OTHER"):
+        plain.setenv(name, "1")
+    hint = " (the environment has MESA_A='1', LIBGL_DRIVERS_PATH='1': try without)"
+    assert said_by(context.open_context().__enter__).endswith(f"no such library{hint}")
+
+
+def test_description_has_the_backend_the_renderer_and_the_version(renderer):
+    name, version = re.fullmatch(r"(?:osmesa|egl): (.+), OpenGL (4\.[5-9].*)", renderer.context.description).groups()
+    assert not name.startswith("4.") and name != version
+
+
+class _NoFramebuffer:
+    """OpenGL that cannot draw into a buffer."""
+
+    def __getattr__(self, name):
+        return name if name.startswith("GL_") else lambda *_: (name, name)
+
+
+def test_what_is_too_large_or_of_another_format_is_an_error_and_the_largest_is_drawn(renderer):
+    corners, size = np.array([[[0.0, 0.0], [0.0, 9.0], [9e4, 0.0]]]), (MAX_REGION_PX, 3)
+    assert renderer.draw(corners, np.ones((1, 3)), np.ones(1, int), Region(0, 0, *size)).sum() == 3 * MAX_REGION_PX
+    for region in (Region(0, 0, size[0] + 1, 3), Region(0, 0, 3, size[0] + 1)):
+        said = said_by(renderer.draw, corners, np.ones((1, 3)), np.ones(1, int), region)
+        assert said.endswith(f"is too large: at most {MAX_REGION_PX} px a side")
+    faces = LitFaces(np.ones((1, 3, 3)), np.ones((1, 3)), np.ones((1, 3)))
+    shaded = SimpleNamespace()  # which draws nothing before it looks at the size
+    said = said_by(ShadedRenderer.draw, shaded, faces, np.eye(3), 0.5, (3, size[0] + 1), (), (1, 1, 1))
+    assert said.startswith(f"a picture of 3 × {size[0] + 1} px is too large: at most {size[0]} px a side")
+    said = said_by(context.make_framebuffer, _NoFramebuffer(), (64, 32), 7, "a picture")
+    assert said == "the renderer cannot draw a picture of 64 × 32 px with float depth"
