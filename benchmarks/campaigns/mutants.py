@@ -167,11 +167,12 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
         + ", ".join(f"{share:.0%} in `{room}`" for room, share in ROOMS.items())
         + ".",
         "",
-        "Killed later are those that survived the first run, but not one with more tests. A survivor is harmless "
+        "Killed later are those that survived the first run, but not one with more tests. A survivor is explained "
         "if it changes no result that a user can see: it is equivalent, within a tolerance, or changes the text of a "
-        "message or the speed only. The others are open.",
+        "message or the speed only; or if tests that start a program notice it there, which was tried by hand: the "
+        "campaign changes its own process only. The others are open.",
         "",
-        "| File | Mutants | Tried | Killed | of these later | Timed out | Survived | Harmless | Open |",
+        "| File | Mutants | Tried | Killed | of these later | Timed out | Survived | Explained | Open |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     total: Counter[str] = Counter()
@@ -197,7 +198,7 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
 
 def figures(path: str, row: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]]) -> Counter[str]:
     known = [judged.get((path, each["mutant"])) for each in row["survivors"]]
-    harmless = sum(verdict is not None for verdict in known)
+    explained = sum(verdict is not None for verdict in known)
     return Counter(
         mutants=row["mutants"],
         tried=row["tried"],
@@ -205,13 +206,13 @@ def figures(path: str, row: dict[str, Any], judged: dict[tuple[str, str], dict[s
         killed_later=row["killed_later"],
         timed_out=row["timed_out"],
         survived=len(known),
-        harmless=harmless,
-        open=len(known) - harmless,
+        explained=explained,
+        open=len(known) - explained,
     )
 
 
 def table_row(name: str, counts: Counter[str]) -> str:
-    columns = ("mutants", "tried", "killed", "killed_later", "timed_out", "survived", "harmless", "open")
+    columns = ("mutants", "tried", "killed", "killed_later", "timed_out", "survived", "explained", "open")
     return f"| {name} | " + " | ".join(f"{counts[column]:,}" for column in columns) + " |"
 
 

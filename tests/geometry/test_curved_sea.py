@@ -149,6 +149,9 @@ def test_the_horizon_is_where_the_textbook_has_it_and_above_it_the_inverse_range
     up, down = np.array([[640.0, 300.0]]), np.array([[640.0, 500.0]])
     afloat, sunk = (poses_ashore(Mount((0.0, 0.0, height_m)), 1) for height_m in (5.0, -1.0))
     assert look(PINHOLE, afloat, up)[0, 1] < 0 < look(PINHOLE, afloat, down)[0, 1]
+    low = poses_ashore(Mount((0.0, 0.0, 0.5)), 1)  # which sees the same ray meet the sea at a tenth of the distance
+    assert 0.5 * look(PINHOLE, low, down)[0, 1] == pytest.approx(5.0 * look(PINHOLE, afloat, down)[0, 1])
+    assert 1 / horizon_inverse_range(np.array([0.5]), curved=True)[0] == pytest.approx(2524, abs=1)
     # Under water there is none.
     assert np.isnan(horizon_inverse_range(np.array([-1.0, 0.0]), curved=True)).all()
     assert np.isnan(look(PINHOLE, sunk, down)[0, 1])

@@ -92,9 +92,16 @@ def test_vessels_that_cross_at_right_angles_are_nearest_where_their_relative_tra
 
 def test_only_times_count_at_which_both_are_there() -> None:
     times, still = np.arange(4.0), np.zeros((4, 2))
-    for there, expected in (([1, 1, 0, 0], (30.0, 1.0)), ([0, 0, 0, 1], (50.0, 3.0))):
+    for there, expected in (
+        ([1, 1, 0, 0], (30.0, 1.0)),
+        ([0, 0, 0, 1], (50.0, 3.0)),
+        ([1, 0, 1, 1], (2.0, 2.0)),
+    ):
         other = np.where(np.array(there)[:, None], [[40.0, 0.0], [30.0, 0.0], [2.0, 0.0], [50.0, 0.0]], np.nan)
         assert closest_approach(times, still, other) == pytest.approx(expected)
+    assert closest_approach(times, still, still + np.array([3.0, 4.0])) == (5.0, 0.0)  # in company
+    slow = np.array([3.0, -0.75]) + np.outer(times, [0.0, 0.5])
+    assert closest_approach(times, still, slow) == pytest.approx((3.0, 1.5))
     distance, when = closest_approach(times, still, np.full((4, 2), np.nan))
     assert distance == np.inf and np.isnan(when)
 

@@ -44,6 +44,7 @@ def test_projection_is_that_of_opencv():
         *([962.0735224293, 596.6639164481], [640, 360]),
     ]
     np.testing.assert_allclose(lens.project(points), expected, rtol=0, atol=1e-6)
+    assert Distortion() == Distortion(0.0, 0.0, 0.0, 0.0, 0.0)  # what is not given distorts nothing
 
 
 @given(st.tuples(*[coefficient] * 5), st.tuples(*[st.floats(-0.8, 0.8)] * 2))

@@ -1,8 +1,11 @@
 """Which OpenGL is taken, and what is said where there is none, without loading any."""
 
+import ctypes
 import os
 import re
+import sys
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -75,6 +78,52 @@ def test_device_is_one_of_those_that_there_are_and_the_first_without_a_number(pl
         assert said_by(context._number, devices) == (
             f"MODSIM3D_EGL_DEVICE={wrong!r}: use a number from 0 to 2 (graphics cards here: 2, software renderers: 1)"
         )
+
+
+class _Egl:
+    """EGL with two graphics cards and a software renderer between them, which notes what is called."""
+
+    EGLint, EGLConfig, EGLDeviceEXT = ctypes.c_int, ctypes.c_int, ctypes.c_int
+    devices: ClassVar = {1: b"EGL_EXT_device_drm", 2: b"EGL_MESA_device_software", 3: None}
+
+    def __init__(self):
+        self.called = []
+
+    def __getattr__(self, name):
+        if name.startswith("EGL_"):
+            return len(name)
+        return lambda *arguments: self.called.append((name, arguments)) or 70 + len(self.called)
+
+    def eglQueryDevicesEXT(self, size, devices, count):
+        devices[: len(self.devices)], count[0] = [*self.devices], len(self.devices)
+        return True
+
+    def eglQueryDeviceStringEXT(self, device, _):
+        return self.devices[device]
+
+    def eglChooseConfig(self, display, wanted, config, size, count):
+        config[0] = 5
+        return True
+
+
+def test_egl_gives_a_context_of_the_first_card_with_the_config_it_chose_and_takes_it_back(plain, renderer):
+    import OpenGL
+
+    egl = _Egl()
+    plain.setattr(OpenGL, "EGL", egl, raising=False)
+    plain.setitem(sys.modules, "OpenGL.platform", SimpleNamespace(PLATFORM=SimpleNamespace(EGL=egl)))
+    for name in ("EXT.platform_base", "EXT.device_enumeration", "EXT.device_query"):
+        plain.setitem(sys.modules, f"OpenGL.EGL.{name}", egl)
+    assert context._devices() == [1, 3, 2]
+    plain.setenv("MODSIM3D_GL", "egl")
+    with context.egl_context():
+        (display, asked), *_, (made, (of, config, *_)), (current, arguments) = egl.called
+        assert (display, asked[1]) == ("eglGetPlatformDisplayEXT", 1)
+        assert (made, of, config, current) == ("eglCreateContext", 71, 5, "eglMakeCurrent")
+        opened = arguments[-1]
+        count = len(egl.called)
+    (released, last), (destroyed, which) = egl.called[count:]
+    assert (released, last[-1], destroyed, which) == ("eglMakeCurrent", 14, "eglDestroyContext", (71, opened))
 
 
 def test_variables_with_which_mesa_ends_the_process_are_refused(plain):
