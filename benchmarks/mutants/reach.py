@@ -46,16 +46,16 @@ class Reach:
         return set().union(*self.tests.get(path, {}).values())
 
     def quickest(self, tests: set[str], budget_s: float) -> list[str]:
-        """The quickest tests, at least one if there are any, that take no longer together than the budget."""
+        """The quickest tests, at least one if there are any, that take no longer together than the budget. A quick test
+        whose fixtures would take too long keeps out no other."""
         chosen, spent, paid = [], 0.0, set[str]()
         for name in sorted(tests, key=lambda name: (self.cost_s[name], name)):
             shared = self.shared_s.get(name, {})
-            spent += self.cost_s[name] + sum(cost for fixture, cost in shared.items() if fixture not in paid)
-            paid |= set(shared)
-            if chosen and spent > budget_s:
-                break
-            chosen.append(name)
-        return chosen
+            cost = self.cost_s[name] + sum(cost for fixture, cost in shared.items() if fixture not in paid)
+            if spent + cost <= budget_s:
+                chosen.append(name)
+                spent, paid = spent + cost, paid | set(shared)
+        return chosen or sorted(tests, key=lambda name: (self.alone_s(name), name))[:1]
 
     def alone_s(self, name: str) -> float:
         """Processor time of a test with all its fixtures."""

@@ -96,5 +96,7 @@ def test_quickest_tests_that_reach_a_line_come_first_within_the_budget(tmp_path:
     reach = Reach({"a": 0.1, "b": 0.2, "c": 0.3}, {"a.py": {3: {"a"}}}, fixtures)
     assert reach.quickest(set("abc"), 1.35) == ["a", "b"]
     assert reach.quickest(set("abc"), 1.7) == ["a", "b", "c"] and reach.alone_s("c") == 1.3
+    reach = Reach({"a": 0.1, "b": 0.2, "c": 0.3}, {}, {"a": {"campaign": 9.0}})  # which keeps out no other test
+    assert reach.quickest(set("abc"), 1.0) == ["b", "c"] and reach.quickest(set("abc"), 0.1) == ["b"]
     reach.save(tmp_path / "reach.json")
     assert Reach.load(tmp_path / "reach.json") == reach
