@@ -32,14 +32,14 @@ from benchmarks.mutants.trials import Trial, outcomes, run_trials
 
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "docs" / "campaigns"
-ROOMS = {"geometry": 1.0, "truth": 0.4, "render": 0.4, "campaign/verdicts": 0.3, "detector": 0.25}
+ROOMS = {"geometry": 1.0, "truth": 0.4, "render": 0.4, "campaign/verdicts": 0.3, "detector": 0.1}
 """Share of the mutants of each file of these folders of modsim3d that is tried."""
 TESTS = {
     "geometry": ("geometry", "truth", "world", "scene"),
     "truth": ("truth", "geometry", "render", "world", "scene"),
     "render": ("render", "truth", "view/test_shaded.py"),
     "campaign/verdicts": ("campaign",),
-    "detector": ("detector", "verify", "learn"),
+    "detector": ("detector", "verify"),
 }
 """Where the tests of a room are, its own first."""
 BUDGET_S = 2.0
@@ -114,7 +114,7 @@ def summed_up(path: str, count: int, tried: list[Mutant], ends: list[str]) -> di
 
 
 def chosen_mutants(asked: argparse.Namespace, before: dict[str, Any]) -> dict[str, tuple[int, list[Mutant]]]:
-    """What is to be tried of each file: a share of its mutants or, on request, those that survived the last time."""
+    """What is to be tried of each file: a share of its mutants or, on request, the survivors that are open."""
     chosen = {path: sampled(path, asked.share) for path in sources(asked.only)}
     if not asked.survivors:
         return chosen
@@ -122,7 +122,7 @@ def chosen_mutants(asked: argparse.Namespace, before: dict[str, Any]) -> dict[st
     changed = [path for path in known if before[path]["sha256"] != digest(path)]
     if changed:
         raise SystemExit(f"{', '.join(changed)}: changed since the campaign; run it without --survivors")
-    alive = {path: {row["index"] for row in before[path]["survivors"]} for path in known}
+    alive = {path: {row["index"] for row in still_open(path, before[path], asked.out)} for path in known}
     return {
         path: (
             count,
@@ -132,14 +132,21 @@ def chosen_mutants(asked: argparse.Namespace, before: dict[str, Any]) -> dict[st
     }
 
 
-def updated(row: dict[str, Any], again: dict[str, Any]) -> dict[str, Any]:
-    """A file's row after its survivors were tried again."""
+def still_open(path: str, row: dict[str, Any], folder: Path) -> list[dict[str, Any]]:
+    judged = verdicts(folder)
+    return [survivor for survivor in row["survivors"] if (path, survivor["mutant"]) not in judged]
+
+
+def updated(path: str, row: dict[str, Any], again: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """A file's row after its open survivors were tried again."""
+    tried = [survivor["index"] for survivor in still_open(path, row, folder)]
+    explained = [survivor for survivor in row["survivors"] if survivor["index"] not in tried]
     return {
         **row,
         "killed": row["killed"] + again["killed"],
         "timed_out": row["timed_out"] + again["timed_out"],
         "killed_later": row.get("killed_later", 0) + again["killed"] + again["timed_out"],
-        "survivors": again["survivors"],
+        "survivors": sorted(explained + again["survivors"], key=lambda survivor: survivor["index"]),
     }
 
 
@@ -226,7 +233,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="script/campaign mutants", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", help="files whose path contains this; the other rows stay as they are written")
     parser.add_argument("--share", type=float, help="another share of each file's mutants, for a try")
-    parser.add_argument("--survivors", action="store_true", help="only those that survived the last time")
+    parser.add_argument("--survivors", action="store_true", help="only survivors of the last time without a verdict")
     parser.add_argument("--page", action="store_true", help="only write the page anew, after a change of the verdicts")
     parser.add_argument("--budget", type=float, default=BUDGET_S, help="seconds of tests for each mutant")
     parser.add_argument("--keep", type=Path, help="folder that keeps what is found, to go on after an interruption")
@@ -274,7 +281,7 @@ def campaign(asked: argparse.Namespace, before: dict[str, Any]) -> dict[str, Any
     rows = {}
     for name, (count, mutants) in chosen.items():
         row = summed_up(name, count, mutants, [done[key(name, mutant.index)] for mutant in mutants])
-        rows[name] = updated(before[name], row) if asked.survivors else row
+        rows[name] = updated(name, before[name], row, asked.out) if asked.survivors else row
     return rows
 
 

@@ -7,8 +7,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from modsim3d.geometry import camera_poses
-from modsim3d.geometry.camera import Distortion, Intrinsics, clip_triangles, guard_planes, near_plane
-from modsim3d.geometry.camera_poses import Mount, camera_R_parent, heading_of, poses_ashore, rotation, rotation_vector
+from modsim3d.geometry.camera import Camera, Distortion, Intrinsics, clip_triangles, guard_planes, near_plane
+from modsim3d.geometry.camera_poses import (
+    Mount,
+    camera_R_parent,
+    heading_of,
+    poses_ashore,
+    poses_on_board,
+    rotation,
+    rotation_vector,
+)
+from modsim3d.geometry.kinematics import KNOT_M_S, NAUTICAL_MILE_M
 
 LEGACY = Intrinsics.from_lens(0.05, (1e-5, 1e-5), (1800, 1200), (3600, 2400))
 SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)
@@ -16,6 +25,18 @@ SKEWED = Intrinsics((900.0, 1300.0), (410.0, 290.0), (800, 600), skew=25.0)
 
 def image_of(point, mount, intrinsics=LEGACY):
     return intrinsics.project(poses_ashore(mount, 1).to_camera(np.array([point], dtype=float)))[0]
+
+
+def test_what_is_not_said_of_a_camera_is_nothing_and_a_mile_has_1852_metres():
+    plain = Intrinsics((900.0, 900.0), (400.0, 300.0), (800, 600))
+    assert (plain.skew, plain.near_clip_m, plain.distortion) == (0.0, 0.1, None)
+    assert Camera("C0", plain, Mount((0, 0, 0))).start_offset_s == 0
+    assert not camera_poses.BASE_R_WORLD.flags.writeable
+    board = Mount((5, 0, 2), pitch_rad=0.1), np.zeros((1, 3)), np.zeros(1), np.array([[0.1, 0.2, 0.0]])
+    rigid = poses_on_board(*board, "rigid").camera_R_world
+    np.testing.assert_array_equal(poses_on_board(*board).camera_R_world, rigid)
+    assert NAUTICAL_MILE_M == 1852
+    assert pytest.approx(0.5144444) == KNOT_M_S
 
 
 def test_worked_examples_of_the_source_and_positive_roll_lowers_port():
