@@ -30,6 +30,12 @@ def test_the_needed_seeds_are_the_fewest_whose_exact_bound_reaches_the_share(sha
         assert exact_bounds(needed - 1 - failures, needed - 1, 1 - confidence)[0] < share + 1e-12
 
 
+def test_one_seed_shows_little_and_none_shows_nothing():
+    assert (bounds.clean_seeds_needed(0.01, 0.5), bounds.clean_seeds_needed(0.01, 0.5, 1)) == (1, 2)
+    assert bounds.mixture_bounds(np.zeros(0, dtype=bool), ALPHA) == (0.0, 1.0)
+    assert bounds.betting_bounds(np.zeros(0), ALPHA) == (0.0, 1.0)
+
+
 def test_capitals_are_the_integral_of_the_likelihood_over_jeffreys_prior_and_the_sum_of_what_stakes_came_to():
     right = np.array([True, True, False, True])
     shares = np.sin(np.linspace(0, np.pi / 2, 200_001)) ** 2  # equally likely by beta(1/2, 1/2)
@@ -124,6 +130,8 @@ def test_a_bound_of_skewed_values_errs_as_often_as_it_may_where_t_errs_twice_as_
     half = stats.t.ppf(1 - ALPHA, 19) * values.std(axis=1, ddof=1) / math.sqrt(20)
     assert np.mean(values.mean(axis=1) + half <= 1) > 0.08
     assert np.mean(high <= 1) <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(values))
+    close = bounds.corrected_bounds(0.9, 0.2, 1.0, 400, ALPHA, 0.901)  # to the best value: twice the half-width at most
+    assert close == pytest.approx(0.9 - 2 * stats.t.ppf(1 - ALPHA, 399) * 0.2 / 20)
     few = np.array([[0.2, 0.3, 0.9], [0.5, 0.4, 0.1]])
     assert bounds.skewed_bounds(1e6 * few, ALPHA, 1e6) == pytest.approx(1e6 * bounds.skewed_bounds(few, ALPHA, 1.0))
 

@@ -40,6 +40,9 @@ def test_what_is_met_leaves_the_rest_of_the_level_to_the_others():
     # Met and failed step down by themselves.
     outcomes = [(each.outcome, round(each.confidence, 6)) for each in verdicts_of([0, 40, 4], 46)]
     assert outcomes == [("met", 0.983333), ("failed", 0.983333), ("undecided", 0.975)]
+    # What is open could still be met or fail: its level is the stricter one.
+    outcomes = [(each.outcome, each.confidence) for each in verdicts_of([0, 4], 46)]
+    assert outcomes == [("met", 0.975), ("undecided", 0.975)]
 
 
 @pytest.mark.parametrize("stop", ["once", "sequential"])

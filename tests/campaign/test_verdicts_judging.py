@@ -238,6 +238,8 @@ def test_a_sequential_difference_has_an_interval_only_if_the_score_has_bounds_an
     values = np.tile([[0.9, 0.3], [0.8, 0.4]], (100, 1))
     (found,) = paired(plan, table_of_scores(plan, "hota", values), "hota")
     assert found.low < 0.5 < found.high and found.low > 0.3
+    (nothing,) = paired(plan, table_of_scores(plan, "hota", values[:0]), "hota")
+    assert (nothing.mean, nothing.low, nothing.high) == (None, None, None)
     (unbounded,) = paired(plan, table_of_scores(plan, "gospa", values), "gospa")
     assert unbounded.low is unbounded.high is None and unbounded.mean == pytest.approx(0.5)
     alike, values = plan_of(3, [], ("bytetrack", "sort")), np.array([[0.9, 0.8], [0.7, 0.6], [0.4, 0.3]])

@@ -1,5 +1,7 @@
 """What a source says about occlusion as rows are chosen and turned into the truth record, and whether masks fit it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -45,6 +47,19 @@ def test_chosen_rows_keep_their_hiders_and_the_pairs_of_which_both_are_chosen():
     assert found.occluders == ((), ((0, 3.0), (1, 5.0)), ()) and found.intersecting.tolist() == [[0, 2]]
     np.testing.assert_array_equal(found.silhouette_px, [0.0, 20.0, 30.0])
     assert five_rows().take(np.array([1, 2, 3, 4])).intersecting.tolist() == [[0, 3]]
+
+
+def test_parts_that_are_joined_are_the_rows_that_are_chosen_again():
+    drawn = replace(five_rows(), drawn=np.array([True, False, True, True, False]))
+    joined = Occlusion.joined([drawn, five_rows()])
+    for part, rows in ((drawn, np.arange(5)), (five_rows(), np.arange(5, 10))):
+        again = joined.take(rows)
+        assert again.occluders == part.occluders and again.drawn.dtype == bool
+        np.testing.assert_array_equal(again.intersecting, part.intersecting)
+        np.testing.assert_array_equal(again.was_drawn(), part.was_drawn())
+        for name in ("full_boxes_px", "visible_boxes_px", "silhouette_px", "visible_px"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(part, name))
+    assert not five_rows().was_drawn().any()
 
 
 def test_record_has_the_steps_of_the_frames_nothing_annotated_and_no_share_that_is_visible_without_a_pixel():
