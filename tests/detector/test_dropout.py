@@ -15,6 +15,7 @@ from modsim3d.detector.draws import select
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import with_miss_rate
 from modsim3d.detector.records import TRUE, CameraFrames, Detections, Gates, Targets
+from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.formats.labelled_video.detect_truth import check_needs
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.evidence import CameraEvidence, Evidence
@@ -96,6 +97,23 @@ def test_anchored_misses_have_the_states_rate_on_average_over_the_scene(dropout:
         assert rates[targets.label == label].std() > 0.05
     missed = labels_of(build.run(model_data(dropout=dropout | {"anchor": "state_rate"}), frames, targets), targets) < 0
     assert abs(missed.mean() - 0.25) < 4 * np.sqrt(0.25 * 0.75 / len(missed))
+
+
+def test_a_score_says_who_is_missed_and_how_sure_the_detector_is_and_labels_keep_their_share_of_the_column() -> None:
+    targets, frames, model = varied_targets(), build.make_frames(FRAMES), parse_detector(model_data())
+    classifier = ConfusionClassifier.from_model(model, TargetStatistics())
+    uniforms, states = np.empty(len(targets)), np.zeros(FRAMES, dtype=np.int64)
+    for label in (0, 1):
+        rows = np.flatnonzero(targets.label == label)
+        uniforms[rows] = (np.arange(len(rows)) + 0.5) / len(rows)
+    labels, level = classifier.classify_scored(frames, states, targets, uniforms, np.full(len(targets), 0.9))
+    for label in (0, 1):
+        *column, missed = model.states[0].confusion[:, label]
+        rows = targets.label == label
+        np.testing.assert_allclose(level[rows], (0.9 - missed) / (1 - missed), atol=1e-6)
+        share = np.bincount(labels[rows], minlength=2) / rows.sum()
+        np.testing.assert_allclose(share, np.array(column) / (1 - missed), atol=2 / rows.sum())
+    assert (classifier.classify_scored(frames, states, targets, uniforms, np.full(len(targets), 0.1))[0] == -1).all()
 
 
 def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is_and_all_odds_are_finite() -> None:

@@ -11,7 +11,13 @@ from scipy.optimize import linprog
 from modsim3d.geometry.camera_poses import rotation, world_R_vehicle
 from modsim3d.truth import occlusion_order
 from modsim3d.truth.analytic import analytic_occlusion, image_silhouettes, rectangle_occlusion
-from modsim3d.truth.occlusion_order import axis_count, candidate_axes, order_of
+from modsim3d.truth.occlusion_order import (
+    axis_count,
+    candidate_axes,
+    order_of,
+    overlapping_pairs,
+    widest_gap_axis,
+)
 from modsim3d.truth.rendered import rendered_occlusion
 from modsim3d.verify.sources.agreement import compare_with_analytic
 from modsim3d.world.vessels import shoebox
@@ -201,6 +207,36 @@ def test_separating_planes_are_found_exactly_where_linear_programming_finds_one(
     assert clear.sum() > 290
     np.testing.assert_array_equal(order.intersecting[clear], (gaps == 0)[clear])
     assert 60 < order.intersecting.sum() < 240
+
+
+def test_axis_across_the_widest_gap_of_two_hulls_is_a_unit_vector_that_no_other_direction_beats():
+    rng = np.random.default_rng(11)
+
+    def gaps(hulls, axes):
+        """Of hulls along axes whose greatest component is 1."""
+        along = axes / np.abs(axes).max(axis=1, keepdims=True)
+        return (hulls[1] @ along.T).min(axis=0) - (hulls[0] @ along.T).max(axis=0)
+
+    for _ in range(20):
+        away = rng.normal(size=3)
+        places = rng.uniform(-200, 200, 3) + np.outer([0, rng.uniform(5, 40)], away / np.linalg.norm(away))
+        hulls = [rng.normal(size=(count, 3)) + place for count, place in zip((12, 9), places, strict=True)]
+        axis = widest_gap_axis(*hulls)
+        assert np.linalg.norm(axis) == pytest.approx(1)
+        others = np.concatenate([rng.normal(size=(3000, 3)), axis + 0.02 * rng.normal(size=(300, 3))])
+        assert gaps(hulls, axis[None])[0] >= gaps(hulls, others).max() - 1e-9 > 0
+    cube = shoebox().vertices
+    np.testing.assert_allclose(widest_gap_axis(cube, cube + np.array([9.0, 0.0, 0.0])), [1, 0, 0], atol=1e-9)
+    assert not widest_gap_axis(cube, cube + np.array([0.5, 0.0, 0.0])).any()
+
+
+def test_boxes_that_only_touch_do_not_overlap():
+    boxes = np.array([[0.0, 0.0, 2.0, 2.0], [0.0, 2.0, 2.0, 4.0], [2.0, 0.0, 4.0, 2.0], [1.0, 1.0, 3.0, 3.0]])
+    for order in ([0, 1, 2, 3], [3, 2, 1, 0]):
+        first, second = overlapping_pairs(np.zeros(4, dtype=int), boxes[order])
+        assert {frozenset((order[i], order[j])) for i, j in zip(first, second, strict=True)} == {
+            frozenset((other, 3)) for other in range(3)
+        }
 
 
 def test_upright_boxes_intersect_exactly_where_their_footprints_do():
