@@ -10,7 +10,14 @@ import pytest
 from modsim3d.campaign.verdicts.bounds import skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.verdicts.wording import levels_of, seeds_needed, warnings_of
+from modsim3d.campaign.verdicts.wording import (
+    levels_of,
+    rounded,
+    rounded_down,
+    rounded_up,
+    seeds_needed,
+    warnings_of,
+)
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
@@ -120,6 +127,58 @@ def test_a_requirement_is_judged_by_all_runs(case):
 def test_a_mean_is_judged_on_the_side_that_the_requirement_names(mean, least, most, stop):
     plan = plan_of(100, [HOTA, {"score": "hota", "at_most": 0.6}], stop=stop)
     assert [each.outcome for each in judged(plan, table_of_scores(plan, "hota", around(mean, 0.05)))] == [least, most]
+
+
+SAID = {
+    "a mean with two bounds": (
+        {**SEQUENTIAL}, HOTA, np.tile([0.7, 0.8], 200), (),
+        "Over 400 traffic seeds the mean is 0.75; the true mean is at least 0.7408 and at most 0.7569, each with 95 % "
+        "confidence."),
+    "a share with crashed runs": (
+        {}, {**HOTA, "in": 0.5}, [0.7, 0.7, 0.7, 0.1, 0.7, 0.7], (0, 1),
+        "3 of 6 traffic seeds are right; the true share is at least 0.1531 and at most 0.8469, each with 95 % "
+        "confidence. 2 runs crashed: these count as wrong."),
+    "one bound": (
+        {}, {**HOTA, "in": 0.5}, [0.7] * 6, (),
+        "6 of 6 traffic seeds are right; the true share is at least 0.6069 and at most 1, each with 95 % confidence."),
+    "one seed": (
+        {}, HOTA, [0.7], (),
+        "Over 1 traffic seed the mean is 0.7; one seed says nothing of how much seeds differ. This plan can never meet "
+        f"it: the lower bound of a mean of hota needs {NEEDED} traffic seeds with a value, and has 1: with fewer it "
+        "errs too often; a share of seeds with `in` is exact."),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("keys", "requirement", "values", "crashed", "said"), SAID.values(), ids=SAID)
+def test_a_verdict_says_what_it_rests_on_in_sentences(keys, requirement, values, crashed, said):
+    assert one(plan_of(len(values), [requirement], **keys), "hota", values, crashed).why == said
+
+
+def test_runs_that_are_lost_are_counted_by_their_kind_in_one_sentence():
+    both = ({"tracker": "sort", "name": "old"}, {"tracker": "bytetrack", "name": "new"})
+    difference = {"score": "hota", "of": "new", "minus": "old", "at_least": 0.1, "in": 0.5}
+    (verdict,) = judged(plan := plan_of(4, [difference], both), table_of_scores(plan, "hota", [0.5, 0.9] * 4, (0,)))
+    assert verdict.why.endswith(" 1 run crashed, of either tracker: this counts as wrong.")
+    resting = {"score": "assa", "at_least": 0.1, "in": 0.5, "resting_on": 0.5}
+    for more, words in ((resting, " or too little"), ({**resting, "resting_on": None}, "")):
+        rows = ({"appearances": 2, "assa": None if run == 1 else 0.7} for run in range(4))
+        (verdict,) = judged(plan_of(4, [more]), table_of_runs(rows, (0,)))
+        assert f"1 run crashed and in 1 run the tracker gave nothing{words} to score" in verdict.why, verdict.why
+
+
+def test_numbers_have_four_digits_and_bounds_are_rounded_away_from_what_they_bound():
+    for value, down, near, up in (
+        (23456.7, "23456", "23457", "23457"),
+        (120.0, "120", "120", "120"),
+        (1.23456, "1.234", "1.235", "1.235"),
+        (-1.23456, "-1.235", "-1.235", "-1.234"),
+        (0.0123456, "0.01234", "0.01235", "0.01235"),
+        (0.999951234, "0.99995123", "0.99995123", "0.99995124"),  # of what it lacks to 1
+        (0.3 - 0.1, "0.2", "0.2", "0.2"),  # a hair below
+        (0.0, "0", "0", "0"),
+        (np.inf, "∞", "∞", "∞"),
+    ):
+        assert (rounded_down(value), rounded(value), rounded_up(value)) == (down, near, up)
 
 
 def test_seeds_in_which_nothing_went_wrong_fail_nothing_and_one_with_a_run_of_nothing_is_wrong():
