@@ -176,8 +176,8 @@ def page(files: dict[str, Any], judged: dict[tuple[str, str], dict[str, str]], p
         "",
         "Killed later are those that survived the first run, but not one with more tests. A survivor is explained "
         "if it changes no result that a user can see: it is equivalent, within a tolerance, or changes the text of a "
-        "message or the speed only; or if tests that start a program notice it there, which was tried by hand: the "
-        "campaign changes its own process only. The others are open.",
+        "message or the speed only; or if tests that are left out notice it, which was tried by hand: those of other "
+        "rooms, and those that start a program, as the campaign changes its own process only. The others are open.",
         "",
         "| File | Mutants | Tried | Killed | of these later | Timed out | Survived | Explained | Open |",
         "|---|---|---|---|---|---|---|---|---|",

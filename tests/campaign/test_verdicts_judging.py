@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.verdicts.bounds import skewed_bounds
+from modsim3d.campaign.verdicts.bounds import perfect_seeds_needed, skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import (
@@ -164,6 +164,38 @@ def test_runs_that_are_lost_are_counted_by_their_kind_in_one_sentence():
         rows = ({"appearances": 2, "assa": None if run == 1 else 0.7} for run in range(4))
         (verdict,) = judged(plan_of(4, [more]), table_of_runs(rows, (0,)))
         assert f"1 run crashed and in 1 run the tracker gave nothing{words} to score" in verdict.why, verdict.why
+
+
+def test_levels_are_told_of_one_verdict_of_two_and_of_a_family():
+    def said(count, **keys):
+        return levels_of(plan_of(9, [{**HOTA, "in": 0.5}, {**CLEAN, "in": 0.5}][:count], **keys)).sentences()
+
+    assert said(0) == []
+    (alone,) = said(1)
+    assert alone.endswith("called failed with at most 5 %, if the campaign is looked at once.")
+    assert said(1, **SEQUENTIAL)[0].endswith(", however often the campaign is looked at.")
+    _, all_met, any_wrong = said(2)
+    assert "all 2 verdicts are met" in all_met and any_wrong.endswith("are wrong is at most 10 %.")
+    _, family = said(2, level="family")
+    assert "one or more of the 2 verdicts are met wrongly is at most 5 %" in family and family.endswith("by Holm.")
+    assert len(said(1, level="family")) == 1
+    of_mean = levels_of(plan_of(9, [HOTA])).sentences()
+    assert of_mean[0].endswith("looked at once, of means as far as it was measured.") and "is no proof" in of_mean[1]
+
+
+def test_what_a_plan_can_never_meet_is_said_of_the_side_that_is_asked():
+    def reason(requirement, seeds=20, **keys):
+        return " ".join(warnings_of(plan_of(seeds, [{"score": "hota", **requirement}], **keys)))
+
+    assert "no number of runs shows that a mean is the greatest possible value" in reason({"at_least": 1.0})
+    assert "no number of runs shows that a mean is the least possible value" in reason({"at_most": 0.0})
+    assert "the lower bound of a mean of hota needs" in reason({"at_least": 0.5}, 1)
+    assert "the upper bound of a mean of hota needs" in reason({"at_most": 0.5}, 1)
+    for requirement, share in (({"at_least": 0.9}, 0.9), ({"at_most": 0.1}, 0.9), ({"at_most": 0.6}, 0.4)):
+        needed = int(perfect_seeds_needed(share, 0.95))
+        said = f"it needs {needed} traffic seeds even if every score is perfect, and has {needed - 1}"
+        assert said in reason(requirement, needed - 1, **SEQUENTIAL)
+        assert reason(requirement, needed, **SEQUENTIAL) == ""
 
 
 def test_numbers_have_four_digits_and_bounds_are_rounded_away_from_what_they_bound():
