@@ -90,7 +90,7 @@ def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, plain: m
 
 
 def _tails(fits: ErrorFits, unit: matched_edges.Unit, plain: matched_edges.Unit, kept: float) -> str:
-    """The same, given that Student's t law has been fitted. Its gain must be enough beside strays, too."""
+    """Why tails are heavy, given that Student's t law has been fitted; its gain must be enough beside strays, too."""
     heavy, normal = fits.fit(unit, heavy=True), _likeliest_normal(fits, plain)
     if heavy is None or normal is None or not heavy.settled:
         return ""
