@@ -10,8 +10,8 @@ from scipy import special
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.dropout import WHOLLY_VISIBLE
 from modsim3d.learn.bootstrap import Resampling
+from modsim3d.learn.lags import THINGS_NEEDED
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.persistence import THINGS_NEEDED
 
 MISSES_FOR_EACH = 20
 """Misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996) ask for 10)."""

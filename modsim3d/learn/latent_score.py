@@ -7,14 +7,14 @@ import numpy as np
 from scipy import special
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.learn import persistence
+from modsim3d.learn import lags
 from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, digits, nested
 from modsim3d.learn.matches import Observed
 
 # ---- Misses of which each thing keeps a share of the noise for as long as it is seen ----
 
 
-def miss_lags(observed: Observed, chance: Array, slopes: int) -> persistence.LagTable:
+def miss_lags(observed: Observed, chance: Array, slopes: int) -> lags.LagTable:
     """Products of the residuals of misses at all times between, given the fitted chance of each to be missed (n,), and
     the number of slopes that were fitted beside the rates of each state and label."""
     residual, variance = observed.missed - chance, np.maximum(chance * (1 - chance), 1e-12)
@@ -27,7 +27,7 @@ def miss_lags(observed: Observed, chance: Array, slopes: int) -> persistence.Lag
         return residual[earlier] * residual[later], same * (size[earlier] + size[later]) / 2
 
     group = observed.state * len(observed.labelled.labels) + observed.label
-    return persistence.LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
+    return lags.LagTable.of(observed.labelled, observed.rows, group, compare, slopes)
 
 
 # ---- Whether confidence falls before a miss ----
@@ -68,7 +68,7 @@ def behaves_like_a_score(observed: Observed, chance: Array, notes: list[str]) ->
 
 def _correlation_of_losses(lost: float, p: float) -> float:
     """Correlation of two scores with which a share of the found with a chance p of a miss is lost a frame later."""
-    return float(np.interp(-lost, -(p - persistence.both_missed(np.array([p]))) / (1 - p), persistence.LATENT_SHARES))
+    return float(np.interp(-lost, -(p - lags.both_missed(np.array([p]))) / (1 - p), lags.LATENT_SHARES))
 
 
 def _mean_level_before_a_miss(p: float, correlation: float) -> float:
@@ -106,20 +106,18 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
     and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test of
     whether they are there."""
     table = miss_lags(observed, chance, slopes)
-    times_s, found = persistence.memory_shares(table, persistence.latent_share(chance), resampling)
+    times_s, found = lags.memory_shares(table, lags.latent_share(chance), resampling)
     path = ("persistence", "score")
     kept, shares = (
-        persistence.replace_values(found, found.values[:, 0]),
-        persistence.replace_values(found, found.values[:, 1:]),
+        lags.replace_values(found, found.values[:, 0]),
+        lags.replace_values(found, found.values[:, 1:]),
     )
     level = float(
-        persistence.level_of(chance)[
-            np.searchsorted(persistence.LATENT_SHARES, min(float(kept.estimate), persistence.LATENT_SHARES[-1]))
-        ]
+        lags.level_of(chance)[np.searchsorted(lags.LATENT_SHARES, min(float(kept.estimate), lags.LATENT_SHARES[-1]))]
     )
     return LearnedScore(
         Entry(Key((*path, "vessel_share")), kept),
-        Entry(Key((*path, "shares"), axes=(persistence.in_seconds(times_s),)), shares),
+        Entry(Key((*path, "shares"), axes=(lags.in_seconds(times_s),)), shares),
         tuple(times_s.tolist()),
         level,
         label_memory_s(observed),
@@ -142,6 +140,6 @@ def label_memory_s(observed: Observed) -> float:
     if by_chance >= 1 - 1e-9:
         return 0.0
     agree = float((seen_as[earlier[both]] == seen_as[later[both]]).mean())
-    kept = min((agree - by_chance) / (1 - by_chance), persistence.GREATEST_SHARE)
+    kept = min((agree - by_chance) / (1 - by_chance), lags.GREATEST_SHARE)
     errors = np.sqrt(by_chance * (1 - by_chance) / both.sum()) / (1 - by_chance)
     return float(-np.median(apart_s[both]) / np.log(kept)) if kept > SIGNIFICANT * errors else 0.0

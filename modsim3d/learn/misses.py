@@ -14,9 +14,10 @@ from modsim3d.core.text import counted
 from modsim3d.learn import bootstrap
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, resample, widened
 from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, REFERENCES, EffectTerm, MissFit, attribute_values, fit_misses
+from modsim3d.learn.lags import latent_share, vessel_noise, why_none
 from modsim3d.learn.latent_score import LearnedScore, behaves_like_a_score, learned_score, miss_lags
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
-from modsim3d.learn.persistence import Consecutive, latent_share, vessel_noise, why_no_steps, why_none
+from modsim3d.learn.persistence import Consecutive, why_no_steps
 
 # ---- Effects on misses that performance states have for themselves ----
 

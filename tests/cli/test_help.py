@@ -11,8 +11,7 @@ from typing import Any, get_type_hints
 import pytest
 import typer
 
-from modsim3d.cli.main import COMMANDS, GROUPS, app
-from modsim3d.cli.old_names import OLD_NAMES
+from modsim3d.cli.main import COMMANDS, GROUPS, OLD_NAMES, app
 from modsim3d.learn.model_selection import RICHER
 from tests.cli.conftest import Modsim3d
 

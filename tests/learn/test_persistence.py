@@ -12,9 +12,10 @@ from scipy.stats import binom
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.bootstrap import Resampling
+from modsim3d.learn.lags import LagTable
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.misses import choose_classes
-from modsim3d.learn.persistence import Consecutive, LagTable, SightingStretches
+from modsim3d.learn.persistence import Consecutive, SightingStretches
 from tests.formats.labelled_sets import found
 from tests.learn.one_state import learned_in, moored, normal_chain, observed_in
 

@@ -15,8 +15,9 @@ from modsim3d.learn.box_errors import persistence
 from modsim3d.learn.box_errors.fit import ErrorFit
 from modsim3d.learn.box_errors.laws import ChosenLaw, ErrorSample, LearnedErrors, choose_law, learned_errors, plain_unit
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit
+from modsim3d.learn.lags import LagTable, vessel_noise, why_none
 from modsim3d.learn.matches import ErrorFits, ErrorSource, Observed, Pairs, kept_share
-from modsim3d.learn.persistence import Consecutive, LagTable, vessel_noise, why_none
+from modsim3d.learn.persistence import Consecutive
 
 # ---- Which matches the box error of a state was learned from ----
 

@@ -14,7 +14,7 @@ from scipy import special
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.learn import persistence
+from modsim3d.learn import lags, persistence
 from modsim3d.learn.bootstrap import Entry, Key, Resampling, digits, nested
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
 from modsim3d.learn.matches import Observed, Pairs
@@ -234,7 +234,7 @@ class ComponentMemory:
         }
 
 
-def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[persistence.LagTable], float]:
+def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[lags.LagTable], float]:
     """Products at all times between of each component, and of the size of errors where tails are heavy.
 
     Also the share of large errors, 0 without heavy tails.
@@ -253,25 +253,23 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
     size = large - np.bincount(state, large)[state] / np.maximum(np.bincount(state), 1)[state]
     numbers = [*latent.T, size] if large.any() else [*latent.T]
 
-    def compare(number: Array) -> persistence.Compare:
+    def compare(number: Array) -> lags.Compare:
         return lambda earlier, later: (
             number[earlier] * number[later],
             (number[earlier] ** 2 + number[later] ** 2) / 2,
         )
 
-    tables = [
-        persistence.LagTable.of(observed.labelled, pairs.rows[rows], state, compare(number)) for number in numbers
-    ]
+    tables = [lags.LagTable.of(observed.labelled, pairs.rows[rows], state, compare(number)) for number in numbers]
     return tables, float(large.mean()) if len(rows) else 0.0
 
 
-def components_differ(tables: Sequence[persistence.LagTable]) -> bool:
+def components_differ(tables: Sequence[lags.LagTable]) -> bool:
     """Whether the four components clearly last differently long: mean correlations over all lags, less their mean.
 
     Their covariance is that of leaving single things out.
     """
     first = tables[0]
-    if first.things < persistence.THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
+    if first.things < lags.THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
         return False
     one = Resampling(np.ones((1, int(first.image.max()) + 1)), np.zeros(0, dtype=np.int64))
     found = np.array([np.average(table.ratios(one)[0], weights=table.weight) for table in tables[:4]])
@@ -283,21 +281,19 @@ def components_differ(tables: Sequence[persistence.LagTable]) -> bool:
     return bool(special.fdtrc(3, count - 3, distance * (count - 3) / (3 * (count - 1))) < _ALIKE_P)
 
 
-def component_memory(tables: Sequence[persistence.LagTable], large: float, resampling: Resampling) -> ComponentMemory:
+def component_memory(tables: Sequence[lags.LagTable], large: float, resampling: Resampling) -> ComponentMemory:
     """Shares of each component with replicates."""
-    latent = persistence.latent_share(np.full(2, large)) if len(tables) > 4 else None
+    latent = lags.latent_share(np.full(2, large)) if len(tables) > 4 else None
     columns = []
     for k, table in enumerate(tables):
-        times_s, column = persistence.memory_shares(
-            table, latent if k == 4 and latent is not None else np.asarray, resampling
-        )
+        times_s, column = lags.memory_shares(table, latent if k == 4 and latent is not None else np.asarray, resampling)
         columns.append(column)
     joined = np.stack([column.values for column in columns], axis=-1)
     names = MEMORY_COMPONENTS[: len(tables)]
     path = ("persistence", "box")
-    kept, shares = (persistence.replace_values(columns[0], values) for values in (joined[:, 0], joined[:, 1:]))
+    kept, shares = (lags.replace_values(columns[0], values) for values in (joined[:, 0], joined[:, 1:]))
     return ComponentMemory(
         Entry(Key((*path, "vessel_share"), axes=(names,)), kept),
-        Entry(Key((*path, "shares"), axes=(persistence.in_seconds(times_s), names)), shares),
+        Entry(Key((*path, "shares"), axes=(lags.in_seconds(times_s), names)), shares),
         tuple(times_s.tolist()),
     )
