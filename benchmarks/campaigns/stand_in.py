@@ -2,8 +2,8 @@
 
 Films of three places in three weathers are drawn in light and shade and shown to a pretrained detector. Detector files
 are learned from some of them, each with more models than the last, and trackers are scored behind real and simulated
-detections on others that no model was settled on: once, when all of them are there. The weights are fetched, and films
-that the work folder has are not made again.
+detections on others that no model was settled on: once, when all of them are there. What was found in a film is stored:
+only films of which nothing is stored are drawn, and the weights are fetched for them.
 """
 
 from __future__ import annotations
@@ -34,21 +34,16 @@ def main() -> None:
     parser.add_argument("--develop", action="store_true", help="on the films that the models are settled on")
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds of the simulated detector on a film")
     parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes (2 unless given)")
-    parser.add_argument("--stored", action="store_true", help="take what was found in the films, without pictures")
+    parser.add_argument("--draw", action="store_true", help="draw films of which something is stored, too")
     given = parser.parse_args()
     try:
         known, judged = all_films(given.work), [] if given.develop else judged_films(given.work)
-        if given.stored:
-            restore_films(given.work, known)
-            if judged:
-                restore_films(given.work, judged, JUDGED)
-        else:
-            kept = names_in(JUDGED)  # films are made in parts, and kept
-            restore_films(given.work, [film for film in judged if film.name in kept], JUDGED)
-            make_films(given.work, [*known, *judged], given.workers)
-            store(known, STORED)
-            if judged:
-                store(judged, JUDGED, 0.0)
+        for films, path, least in ((known, STORED, MIN_CONFIDENCE), (judged, JUDGED, 0.0)):
+            stored = names_in(path) if not given.draw else set()
+            restore_films(given.work, [film for film in films if film.name in stored], path)
+            if len(stored) < len(films):  # films may be made in parts
+                make_films(given.work, films, given.workers)
+                store(films, path, least)
         learn_from = [film for film in known if not given.develop or film.role == "learn"]
         scored = judged or [film for film in known if film.role == "compare"]
         results = compared(learn_from, scored, given.work / "detectors", given.seeds, given.workers)

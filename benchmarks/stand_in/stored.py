@@ -64,6 +64,8 @@ def restore_films(work: Path, films: Sequence[Film], path: Path = STORED) -> Non
         ModsimError: The file cannot be read, or does not have one of the films.
     """
     there = {film.name for film in stored_films(work)}
+    if there >= {film.name for film in films}:
+        return
     try:
         found = pq.read_table(path)
     except (OSError, pa.ArrowInvalid) as error:
@@ -85,7 +87,7 @@ def restore_film(film: Film, found: pa.Table) -> None:
         ModsimError: The table is empty.
     """
     if not len(found):
-        raise ModsimError(f"{film.name}: nothing is stored of this film: leave out --stored to draw it")
+        raise ModsimError(f"{film.name}: nothing is stored of this film: draw it with --draw")
     run_scene(film.scene(), film.run, overwrite=True)
     box = np.column_stack([found[name].to_numpy() for name in ("x", "y", "width", "height")]) / 10**_BOX_DIGITS
     score = found["score"].to_numpy() / 10**_SCORE_DIGITS

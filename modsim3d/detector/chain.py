@@ -103,7 +103,8 @@ class Detector:
         nothing of a box, however often it is drawn."""
         states = self._states.at(frames)
         passed = self.model.gates.passed(frames, targets)
-        detected = self._detected(frames, states, targets, np.flatnonzero(passed))
+        rows = np.flatnonzero(passed)
+        detected = self._detected(frames, states, targets, rows)
         vessels = detected.targets
         latent = self._noise.normals(frames, vessels, self._box_error.extra_normals)
         placed = self._box_error.misplace(self._streams, TrueBoxes.of(frames, states, vessels), latent)
@@ -114,7 +115,7 @@ class Detector:
             *self._duplicates(frames, states, detected, events),
             *self._fragments(frames, detected, placed, events),
             *self._false_positives(frames, states, vessels, events),
-            *self._on_vessels(frames, states, targets, np.flatnonzero(passed)),
+            *self._on_vessels(frames, states, targets, rows),
         ]
         return self._scored(states, parts, passed)
 
