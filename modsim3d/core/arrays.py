@@ -82,6 +82,15 @@ def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:
     return first, stop - first
 
 
+def positions(keys: Indices, wanted: Indices) -> Indices:
+    """Where each of m wanted keys stands among n distinct keys, `NOBODY` if nowhere, shape (m,)."""
+    if not len(keys):
+        return np.full(len(wanted), NOBODY)
+    order = np.argsort(keys)
+    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
+    return np.where(keys[place] == wanted, place, NOBODY)
+
+
 def occurring(indices: Indices, count: int) -> tuple[Indices, Indices]:
     """Indices below `count` that occur, ascending, and the place of each of n indices among them, shapes (k,) and (n,).
     What `np.unique` gives, but faster for few indices; and that loads `numpy.ma` at its first call, which takes

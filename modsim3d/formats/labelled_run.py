@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Indices, Mask, positions
 from modsim3d.core.boxes import iou, unions
 from modsim3d.core.paths import StrPath
 from modsim3d.detector.records import FALSE_KINDS, KINDS, MERGED, ON_VESSEL
 from modsim3d.formats.labelled import Annotations, Images, LabelledSet, Results
 from modsim3d.formats.matching import image_pairs
-from modsim3d.runs.files.tables import indices, number_column, positions
+from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Columns, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask, positions
 from modsim3d.geometry.camera import Camera
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.tables import indices, number_column, positions
+from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.runs.tracker_view import TrackerDetections, anonymised

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +18,13 @@ from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.blocks import Block, CameraBlock, frames_of
 from modsim3d.runs.frames import Frame
+from modsim3d.runs.given_detections import given_detections
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.reading import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
 from modsim3d.truth.analytic import analytic_occlusion, rectangle_occlusion
+from modsim3d.truth.labelled import labelled_truth
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth
@@ -56,6 +59,9 @@ def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
 def truth_block(scene: Scene, first: int, stop: int, renderer: IdRenderer | None) -> Truth:
     """Truth of all cameras in the frames that they take at steps first to stop − 1; `open_renderer` gives the renderer.
     Raises ModsimError if the vessel that carries a camera is missing."""
+    if scene.labels is not None:
+        truth = labelled_truth(scene.labels, first, stop)
+        return truth.with_annotated(annotated_rows(truth, scene.annotation))
     taken = [(index, camera, scene.frame_steps(camera, first, stop)) for index, camera in enumerate(scene.cameras)]
     every = taken[0][2]
     if len(taken) > 1:
@@ -111,7 +117,7 @@ class DetectorInput:
 def detector_inputs(scene: Scene, truth: Truth, first: int, stop: int) -> Iterator[DetectorInput]:
     """The input of each camera's detector at steps first to stop − 1, in the order of the cameras."""
     index = {label: i for i, label in enumerate(scene.detector.labels)}
-    labels = np.array([index[vessel.label] for vessel in scene.vessels])
+    labels = np.array([index[vessel.label] for vessel in scene.vessels], dtype=np.int64)
     times_s = scene.times_s(first, stop)
     for number, camera in enumerate(scene.cameras):
         seen = truth.of_camera(number)
@@ -178,13 +184,16 @@ class Simulation:
         self._detector = Detector(scene.detector, scene.detector_seed, statistics, scene.times_s)
 
     def detect(self, truth: Truth, first: int, stop: int) -> Block:
-        """Run the detector over the truth of steps first to stop − 1."""
-        return detected_block(self.scene, truth, first, stop, self._detector.detect)
+        """Run the detector over the truth of steps first to stop − 1; a real one's detections are given with it."""
+        labels = self.scene.labels
+        given = None if labels is None or labels.detections is None else partial(given_detections, labels)
+        return detected_block(self.scene, truth, first, stop, given or self._detector.detect)
 
 
 def block_steps(scene: Scene) -> int:
     """Number of steps of a scene in a block; no result depends on it."""
-    return max(1, min(MAX_BLOCK_STEPS, BLOCK_VESSELS // len(scene.vessels)))
+    seen = len(scene.vessels) if scene.labels is None else -(-len(scene.labels.boxes) // scene.steps)
+    return max(1, min(MAX_BLOCK_STEPS, BLOCK_VESSELS // max(seen, 1)))
 
 
 def block_ranges(steps: int, block_steps: int) -> list[Range]:

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, positions
 from modsim3d.detector.records import FALSE_KINDS, KINDS
 from modsim3d.runs.counts import Outcomes, outcomes
 from modsim3d.runs.files.tables import (
@@ -21,7 +21,6 @@ from modsim3d.runs.files.tables import (
     indices,
     integer_column,
     number_column,
-    positions,
     truth_boxes_px,
 )
 from modsim3d.runs.stored_run import StoredRun

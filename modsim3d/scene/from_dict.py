@@ -18,6 +18,7 @@ from modsim3d.scene.reading import assembled
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import Setting, replacing
 from modsim3d.world.poses.arrays import FILE, KEYS, ArrayKeys, pose_file
+from modsim3d.world.poses.labelled import LABELS, GivenLabels, LabelledPoses
 from modsim3d.world.poses.registry import NamedSource
 from modsim3d.world.poses.replay import RecordedPoses
 
@@ -66,8 +67,11 @@ def scene_from_dict(
 
 
 def _arrays(content: dict[str, Any], data: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """The section `poses` if it has arrays; otherwise the content gets it."""
+    """The section `poses` if it has arrays or labels; otherwise the content gets it."""
     poses = data.get("poses")
+    if isinstance(poses, Mapping) and isinstance(poses.get(LABELS), LabelledPoses):
+        content["poses"] = {LABELS: FILE}
+        return poses
     if isinstance(poses, Mapping) and any(key in poses for key in KEYS):
         content["poses"] = {"file": FILE}
         return poses
@@ -114,7 +118,9 @@ class _DictParts(SceneParts):
         that was read, None if `data` names a file."""
         self._arrays, self._inline = arrays, detector
         super().__init__(Path(name), data, settings)
-        if arrays is not None and isinstance(self.poses, RecordedPoses) and self.vessels is not None:
+        if isinstance(self.poses, LabelledPoses) and arrays is not None:
+            self.contents[FILE] = self.poses.written()
+        elif arrays is not None and isinstance(self.poses, RecordedPoses) and self.vessels is not None:
             poses, names = self.poses, [vessel.name for vessel in self.vessels]
             self._keep(FILE, lambda: pose_file(poses, names, self.name))
 
@@ -145,4 +151,6 @@ class _DictParts(SceneParts):
     def _source(self) -> NamedSource | None:
         if self._arrays is None:
             return super()._source()
+        if LABELS in self._arrays:
+            return NamedSource(LABELS, GivenLabels(self._arrays[LABELS], self.name, FILE), None)
         return NamedSource("file", ArrayKeys(self._arrays, self.name), None)

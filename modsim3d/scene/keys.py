@@ -125,7 +125,7 @@ class AnnotationKeys(Strict):
     """Annotation mode, source and filters (Jessen & Mohr (2023), §7.5.1)."""
 
     mode: Annotated[int, Limits(ge=0, le=2)] = 0
-    source: Literal["rendered", "analytic", "rectangles"] = "rendered"
+    source: Literal["rendered", "analytic", "rectangles", "labels"] = "rendered"
     supersample: Annotated[int, Limits(ge=1, le=8)] = 1
     render: Literal["regions", "full"] = "regions"
     min_visible_px: NotNegative = 0.0
@@ -296,6 +296,28 @@ class SceneKeys(Strict):
         if numbers:
             raise ValueError(f"a vessel's ID must be text: put {', '.join(numbers[:MOST_PROBLEMS])} in quotes")
         return vessels
+
+
+OF_LABELS = {"mode": 1, "source": "labels", "check": "off"}
+"""Annotation of a scene of labels: boxes of whoever is seen, of which nothing can be drawn."""
+
+
+class LabelledSceneKeys(SceneKeys):
+    """A scene file whose truth is labels of videos, which have vessels and cameras of their own."""
+
+    vessels: dict[str, object] = Field(default_factory=dict)
+    cameras: dict[str, CameraKeys] = Field(default_factory=dict)
+    annotation: AnnotationKeys = AnnotationKeys.model_validate(OF_LABELS)
+
+    @model_validator(mode="after")
+    def _nothing_of_the_world(self) -> LabelledSceneKeys:
+        known = ("steps", "seed", "detector_seed", "poses", "annotation", "detector")
+        if stray := sorted(name for name in self.model_fields_set if name not in known and getattr(self, name)):
+            raise ValueError(f"{', '.join(stray)}: not in a scene of labels, whose world is not known: leave out")
+        if wrong := [key for key, value in OF_LABELS.items() if getattr(self.annotation, key) != value]:
+            told = ", ".join(f"annotation.{key}: {OF_LABELS[key]}" for key in wrong)
+            raise ValueError(f"a scene of labels has {told}")
+        return self
 
 
 # ---- What a scene says about the AIS equipment of its vessels ----

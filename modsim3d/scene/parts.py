@@ -18,11 +18,12 @@ from modsim3d.detector.file.reading import shipped_detectors
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import Plugin
 from modsim3d.io.validation import MOST_PROBLEMS, describe, join_path, nearest
-from modsim3d.scene.keys import ObstacleKeys, SceneKeys
+from modsim3d.scene.keys import OF_LABELS, LabelledSceneKeys, ObstacleKeys, SceneKeys
 from modsim3d.scene.settings import Setting, Settings
 from modsim3d.world.bodies import Obstacle, extruded, placed
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.poses.base import PoseRequest, PoseSource, SourceKeys
+from modsim3d.world.poses.labelled import LABELS, LabelledPoses
 from modsim3d.world.poses.registry import NamedSource, read_source
 from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.second_order_waves import Axes, find_level
@@ -195,6 +196,10 @@ class SceneParts:
         """Read all parts."""
         self.path, self.settings = path, Settings(settings)
         self.data = self.settings.in_scene(data)  # content of the scene file with what the caller sets
+        if self.labelled:
+            annotation = self.data.get("annotation") or {}
+            self.data = {"vessels": {}, "cameras": {}, **self.data}
+            self.data["annotation"] = {**OF_LABELS, **annotation} if isinstance(annotation, dict) else annotation
         self.changed_detector: dict[str, Any] | None = None  # the detector file's with that; None if none is for it
         self.contents: dict[str, bytes] = {}  # path in a copy of the scene → content, of what stands for a file
         self.folder = path.resolve().parent
@@ -214,6 +219,9 @@ class SceneParts:
         self.wave_level = self._wave_level()
         # Those of the scene file, then those that the pose source draws.
         self.vessels = None if boxes is None else (*map(self._with_mesh, boxes), *(drawn or ()))
+        if isinstance(self.poses, LabelledPoses):
+            self.vessels = self.poses.as_vessels
+            self.problems += self._labelled_problems(self.vessels)
         self.problems = self.settings.problems + self.settings.named(self.problems)
 
     @property
@@ -231,6 +239,12 @@ class SceneParts:
         """The scene file, and the files of vessels and poses that it names."""
         entry, files = self.data.get("vessels"), self.source.keys.files if self.source else ()
         return (self.path, *(self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files]))
+
+    @property
+    def labelled(self) -> bool:
+        """Whether its truth is labels of videos."""
+        poses = self.data.get("poses")
+        return isinstance(poses, dict) and LABELS in poses
 
     @property
     def draws_vessels(self) -> bool:
@@ -257,8 +271,9 @@ class SceneParts:
 
     def _keys(self) -> SceneKeys | None:
         cameras = self.data.get("cameras")
+        model = LabelledSceneKeys if self.labelled else SceneKeys
         if isinstance(cameras, dict):
-            if not cameras:
+            if not cameras and not self.labelled:
                 self.problems.append("cameras: no cameras; a scene needs at least one")
             self.problems += [
                 f"cameras.{name}: a camera's name goes into file names: at most 100 letters, digits, '_', '-' and '.' "
@@ -267,9 +282,9 @@ class SceneParts:
                 if not CAMERA_NAME.fullmatch(str(name))
             ]
         try:
-            return SceneKeys.model_validate(self.data)
+            return model.model_validate(self.data)
         except ValidationError as error:
-            self.problems += describe(error, SceneKeys)
+            self.problems += describe(error, model)
             return None
 
     def _vessels_at(self) -> _Location:
@@ -289,7 +304,7 @@ class SceneParts:
     def _boxes(self) -> tuple[Vessel, ...] | None:
         """The vessels of the scene file as shoeboxes."""
         entries, place = self.vessel_entries, self.vessels_at
-        if entries == {} and self.draws_vessels:
+        if entries == {} and (self.draws_vessels or self.labelled):
             return ()
         return None if entries is None else self._collect(lambda: parse_vessels(entries, place.source, *place.path))
 
@@ -382,6 +397,12 @@ class SceneParts:
             name = "the pose file" if source.name == "file" else f"poses.{source.name}"
             self.problems.append(f"steps: {steps} asked for, but {name} has {available}")
         return poses
+
+    def _labelled_problems(self, vessels: Sequence[Vessel]) -> Iterator[str]:
+        """Labels of videos that the detector does not have."""
+        labels = [vessel.label for vessel in vessels] if self.detector is None else self.detector.labels
+        for label in dict.fromkeys(vessel.label for vessel in vessels if vessel.label not in labels):
+            yield f"poses.{LABELS}: '{label}' is not one of the detector's labels ({nearest(label, labels)})"
 
     def _wave_level(self) -> tuple[Axes, Plugin | None] | None:
         waves = self.data.get("waves")

@@ -27,6 +27,7 @@ from modsim3d.scene.sight import Sight
 from modsim3d.truth.record import Annotation
 from modsim3d.world.bodies import PREFIX
 from modsim3d.world.floating_vessels import PEAKEDNESS, FloatingVessels, Hull, jonswap_sea
+from modsim3d.world.poses.labelled import LabelledPoses
 from modsim3d.world.poses.registry import read_source
 from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.second_order_waves import AXES, Axes, Axis, SecondOrderWaves
@@ -53,6 +54,8 @@ def scene_problems(scene: Scene) -> list[str]:
     ]
     if scene.live:
         return problems + _live_problems(scene)
+    if scene.labels is not None:
+        return problems
     problems += [problem for camera in scene.cameras if (problem := _frame_problem(scene, camera))]
     misplaced: dict[str, tuple[str, ...]] = {}
     for first in range(0, scene.steps, CHECKED_STEPS):
@@ -253,7 +256,9 @@ def assembled(parts: SceneParts) -> Scene:
         steps=keys.steps or (MAX_STEPS if live else len(poses.timestamps)),
         vessels=vessels,
         poses=poses,
-        cameras=tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
+        cameras=tuple(each.camera for each in poses.sequences)
+        if isinstance(poses, LabelledPoses)
+        else tuple(_camera(name, camera) for name, camera in keys.cameras.items()),
         annotation=Annotation(**keys.annotation.model_dump()),
         detector=detector,
         copy=copy,
@@ -264,7 +269,7 @@ def assembled(parts: SceneParts) -> Scene:
         origin=(keys.origin.latitude_deg, keys.origin.longitude_deg) if keys.origin else None,
         ais=Ais(**keys.ais.model_dump()),
         plugins=parts.plugins,
-        drawn_vessels=len(vessels) - len(parts.vessel_entries or ()),
+        drawn_vessels=0 if parts.labelled else len(vessels) - len(parts.vessel_entries or ()),
     )
     problems = scene_problems(scene)
     if keys.imu is not None and not scene.own_ships:

@@ -26,6 +26,7 @@ from modsim3d.scene.sight import Sight, Snapshot, line_of_sight
 from modsim3d.truth.record import Annotation
 from modsim3d.world.bodies import PREFIX, Obstacle
 from modsim3d.world.poses.base import PoseSource, times_s
+from modsim3d.world.poses.labelled import EVERYWHERE, LabelledPoses
 from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.vessel_motion import PERFECT_IMU, Imu, PosesInWaves, VesselMotion, Waves
 from modsim3d.world.vessels import Vessel
@@ -264,6 +265,11 @@ class Scene:
         """Whether its steps arrive while it runs."""
         return isinstance(self.poses, LivePoses)
 
+    @cached_property
+    def labels(self) -> LabelledPoses | None:
+        """The labels of videos that its truth is; None if vessels are where their poses are."""
+        return self.poses if isinstance(self.poses, LabelledPoses) else None
+
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
         """Texts of the times of steps first to stop − 1."""
         return tuple(self.poses.timestamps[first:stop])
@@ -327,6 +333,8 @@ class Scene:
         `Intrinsics.sea_half_plane`."""
         if not len(steps):
             return np.empty((0, 3))
+        if self.labels is not None:
+            return np.tile(self.labels.sequence(camera.name).sea or EVERYWHERE, (len(steps), 1))
         if camera.mount.vessel is None:  # then no vessel's poses are needed
             poses = poses_ashore(camera.mount, len(steps))
         else:
@@ -354,6 +362,8 @@ class Scene:
     def frame_steps(self, camera: Camera, first: int, stop: int) -> Indices:
         """The steps first to stop − 1 at which a camera takes a frame, ascending, shape (n,). The result does not
         depend on where a run is split into blocks."""
+        if self.labels is not None:
+            return self.labels.frame_steps(camera.name, first, stop)
         if camera.frame_rate_hz is None and not camera.start_offset_s:
             return np.arange(first, stop)
         begin = max(first - 1, 0)

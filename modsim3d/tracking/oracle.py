@@ -9,13 +9,13 @@ import numpy as np
 from pydantic import ValidationError
 from scipy.optimize import minimize
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, positions
 from modsim3d.core.boxes import at_least_a_pixel, centre_form, clip, corner_form
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import NotNegative, Positive, Strict, describe
-from modsim3d.runs.files.tables import indices, number_column, positions
+from modsim3d.runs.files.tables import indices, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.tracker_view import TrackerDetections, anonymised
 from modsim3d.tracking.kalman import MotionEstimates

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
 
-from modsim3d.core.arrays import NOBODY, Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices, positions
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
@@ -26,7 +26,7 @@ from modsim3d.io.validation import Count, Strict, describe, nearest, shown
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.files.run_file import FileEntry, Sha256, Text
 from modsim3d.runs.files.table_columns import BOX_SIDES
-from modsim3d.runs.files.tables import ROW_GROUP_ROWS, indices, integer_column, number_column, positions
+from modsim3d.runs.files.tables import ROW_GROUP_ROWS, indices, integer_column, number_column
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracks.diagnosis import CORNERS, BoxRows, KnownBoxes, misreading

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices
+from modsim3d.core.arrays import NOBODY, Array, Indices, positions
 from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import read_text
 from modsim3d.io.misreadings import no_commas, other_unit
 from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
-from modsim3d.runs.files.tables import positions
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks import tracks
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, BoxForm

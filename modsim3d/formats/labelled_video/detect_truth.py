@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from importlib.metadata import version
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,14 @@ import orjson
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import sizes
-from modsim3d.core.errors import InputError, ModsimError, OutputError
+from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table
 from modsim3d.detector.file.reading import content_of
 from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
-from modsim3d.formats.labelled import FileIds, half_plane
-from modsim3d.formats.labelled_video.detecting import VideoChunk, count_part, detected_parts, tables_of
+from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
+from modsim3d.formats.labelled_video.labels import labels_of
 from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import read_truth
@@ -31,10 +31,15 @@ from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
 from modsim3d.io.overwrite_guard import claimed, identities, identity
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.overwrite import RUN_FILE, is_of_a_run, read_json, remove_files, safe_names
-from modsim3d.runs.run import VERSIONED
-from modsim3d.runs.tracker_view import BOX_DECIMALS, TRACKER_INPUT, TrackerDetections, detection_lines
+from modsim3d.runs.files.overwrite import LOG_FILE, RUN_FILE, read_json, remove_files, safe_names
+from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
+from modsim3d.runs.run import run_scene
+from modsim3d.runs.stored_run import StoredRun, open_run
+from modsim3d.runs.tracker_view import BOX_DECIMALS, TrackerDetections
+from modsim3d.scene.from_dict import scene_from_dict
+from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import choose_detector
+from modsim3d.world.poses.labelled import LABELS
 
 # ---- What a tracker and an evaluator read ----
 
@@ -52,38 +57,26 @@ def class_numbers(classes: FileClasses, to_label: Sequence[int], labels: Sequenc
     return numbers
 
 
-def tracker_files(parts: Sequence[VideoChunk], model: DetectorModel) -> dict[str, bytes]:
-    """`tracker_input_<sequence>.jsonl` of each sequence."""
-    files: dict[str, bytes] = {}
-    for part in parts:
-        name = f"{TRACKER_INPUT}_{part.video.file_name}.jsonl"
-        lines = detection_lines(part.detections, model.labels, part.steps, part.times_s)
-        files[name] = files.get(name, b"") + lines
-    return files
-
-
-def mot_files(truth: bytes, video: Video, parts: Sequence[VideoChunk], numbers: Sequence[int]) -> dict[str, bytes]:
+def mot_files(truth: bytes, video: Video, found: TrackerDetections, numbers: Sequence[int]) -> dict[str, bytes]:
     """A MOT sequence: the truth as it was read, detections, and `seqinfo.ini`. Detections name their class where the
-    detector has several labels, whose numbers are given."""
+    detector has several labels, whose numbers are given. `found` has the place of its image as the frame."""
     count, duration_s = len(video.images), float(video.times_s[-1] - video.times_s[0])
     rate_hz = (count - 1) / duration_s if count > 1 else ONE_FRAME_HZ
-    text = ""
-    for part in parts:
-        found = TrackerDetections.of(part.detections)
-        found = replace(found, frame=part.steps[found.frame])
-        text += detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
+    text = detection_text(found, np.array(numbers)[found.label] if len(numbers) > 1 else None)
     info = sequence_text(video.name, video.size_px, rate_hz, count)
     return {"gt/gt.txt": truth, "det/det.txt": text.encode(), "seqinfo.ini": info.encode()}
 
 
-def coco_results(parts: Iterable[VideoChunk], images: Sequence[int | str], numbers: Sequence[int]) -> bytes:
-    """COCO results, with the image IDs of the truth's file and the category of each label."""
+def coco_results(
+    found: Sequence[tuple[Video, TrackerDetections]], images: Sequence[int | str], numbers: Sequence[int]
+) -> bytes:
+    """COCO results, with the image IDs of the truth's file and the category of each label. Detections have the place of
+    their image as the frame."""
     entries: list[dict[str, Any]] = []
-    for part in parts:
-        found = TrackerDetections.of(part.detections)
-        shapes = np.round(np.concatenate([found.boxes_px[:, :2], sizes(found.boxes_px)], axis=1), BOX_DECIMALS)
-        rows = part.video.images[part.steps[found.frame]].tolist()
-        columns = rows, found.label.tolist(), shapes.tolist(), found.confidence.tolist()
+    for video, each in found:
+        shapes = np.round(np.concatenate([each.boxes_px[:, :2], sizes(each.boxes_px)], axis=1), BOX_DECIMALS)
+        rows = video.images[each.frame].tolist()
+        columns = rows, each.label.tolist(), shapes.tolist(), each.confidence.tolist()
         entries += [
             {"image_id": images[row], "category_id": numbers[label], "bbox": box, "score": score}
             for row, label, box, score in zip(*columns, strict=True)
@@ -243,22 +236,17 @@ def detect_truth(
         model, file = choose_detector(detector, settings=settings, state=state, state_from=state_from)
         options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz)
         work = _Work.of(truth, options, model, f"detector {file}", labels, horizon)
-        if is_of_a_run(read_json(folder / RUN_FILE)):
-            raise OutputError(f"{folder} holds a run: choose another folder")
         names = work.file_names()
+        result = run_scene(work.scene(seed), folder, overwrite=overwrite, thesis_json=False)
         with claimed([folder / name for name in names], overwrite=overwrite, inputs=read):
-            parts = list(detected_parts(work.videos, work.sought, work.ids.identities, model, seed, work.horizon))
-            contents = work.contents(truth, parts)
-            counts = {video.name: Counts() for video in work.videos}
-            for part in parts:
-                counts[part.video.name] += count_part(part, work.sought)
+            contents = work.contents(truth, open_run(folder))
             hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
             files = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-            contents[SUMMARY] = json_text({**work.summary(seed, counts), "inputs": hashes, "files": files})
+            contents[SUMMARY] = json_text({**work.summary(), "inputs": hashes, "files": files})
             _put(folder, contents, read)
-    paths = tuple(folder / name for name in names)
+    paths = tuple(folder / name for name in (*names, RUN_FILE, LOG_FILE, *read_json(folder / RUN_FILE)["files"]))
     seconds = time.perf_counter() - started
-    return TruthResult(folder, work.kind, counts, work.occlusion(), work.notes, paths, seconds)
+    return TruthResult(folder, work.kind, result.camera_counts, work.occlusion(), work.notes, paths, seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,6 +254,9 @@ class _Work:
     """Targets to be detected, and the detector."""
 
     kind: str
+    source: str  # what messages call the file
+    stem: str  # its name without ending
+    labelled: LabelledSet
     model: DetectorModel
     ids: FileIds
     classes: FileClasses
@@ -297,57 +288,63 @@ class _Work:
         to_label, taken = to_labels(classes, considered > 0, labels, model.labels)
         sought = sought_in(labelled, to_label, ids.identities, source)
         sea = None if horizon is None else half_plane(horizon, {video.size_px for video in videos})
-        left_out = check_needs(model, detector, sought.depth_m[sought.visible], sea)
+        left_out = check_needs(model, detector, sought.depth_m[sought.visible_fraction > 0], sea)
         notes = (*labelled.notes, *taken, *sought.notes, *left_out, *dead_lines(model))
-        return cls(kind, model, ids, classes, to_label, videos, sought, sea, notes)
+        return cls(kind, source, truth.stem, labelled, model, ids, classes, to_label, videos, sought, sea, notes)
 
     @property
     def numbers(self) -> dict[str, int]:
         """Number of the class or category of each label in the file."""
         return class_numbers(self.classes, self.to_label.tolist(), self.model.labels)
 
-    def file_names(self) -> list[str]:
-        """Paths of all files in the folder."""
-        own = ["gt/gt.txt", "det/det.txt", "seqinfo.ini"] if self.kind == "MOT" else ["dt.json"]
-        inputs = [f"tracker_input_{video.file_name}.jsonl" for video in self.videos]
-        return [*own, *inputs, "frames.parquet", "truth.parquet", "detections.parquet", SUMMARY]
+    def scene(self, seed: int) -> Scene:
+        """The scene whose truth these labels are."""
+        names = self.ids.identities, self.ids.images
+        labels = labels_of(self.labelled, self.videos, self.sought, names, self.model.labels, self.horizon, self.source)
+        name = re.sub("[^A-Za-z0-9_-]", "_", self.videos[0].file_name if len(self.videos) == 1 else self.stem)
+        scene = scene_from_dict({"poses": {LABELS: labels}, "detector": self.model, "seed": seed}, name=name)
+        whole = truth_block(scene, 0, scene.steps, None), 0, scene.steps
+        Simulation(scene, scene_statistics(scene, [whole]))  # its errors come before a folder is made
+        return scene
 
-    def contents(self, truth: Path, parts: Sequence[VideoChunk]) -> dict[str, bytes]:
-        """The content of each file but the summary."""
+    def file_names(self) -> list[str]:
+        """Paths of the files beside those of the run."""
+        return ["gt/gt.txt", "det/det.txt", "seqinfo.ini", SUMMARY] if self.kind == "MOT" else ["dt.json", SUMMARY]
+
+    def contents(self, truth: Path, run: StoredRun) -> dict[str, bytes]:
+        """The content of each of these files but the summary."""
         numbers = list(self.numbers.values())
+        cameras = [camera.name for camera in run.scene.cameras]
+        parts: dict[str, list[TrackerDetections]] = {name: [] for name in cameras}
+        for block in run.blocks():
+            for part in block.cameras:
+                found = TrackerDetections.of(part.detections)
+                name = cameras[part.camera]
+                place = np.searchsorted(run.scene.frame_steps(run.scene.cameras[part.camera], 0, run.steps), part.steps)
+                parts[name].append(replace(found, frame=place[found.frame]))
+        of_videos = [(video, TrackerDetections.join(parts[video.file_name])) for video in self.videos]
         if self.kind == "MOT":
             with open_input(truth, "ground truth") as file:
-                own = mot_files(file.read(), self.videos[0], parts, numbers)
-        else:
-            own = {"dt.json": coco_results(parts, self.ids.images, numbers)}
-        tables = tables_of(parts, self.sought, self.ids.identities, self.ids.images, self.model)
-        stored = {f"{name}.parquet": content for name, content in tables.items()}
-        return {**own, **tracker_files(parts, self.model), **stored}
+                return mot_files(file.read(), *of_videos[0], numbers)
+        return {"dt.json": coco_results(of_videos, self.ids.images, numbers)}
 
     def occlusion(self) -> dict[str, int]:
         """Sources of visible fractions."""
-        from_overlap = int(self.sought.from_overlap.sum())
+        from_overlap = self.sought.from_overlap
         return {"from_file": len(self.sought) - from_overlap, "from_overlap": from_overlap}
 
-    def summary(self, seed: int, counts: Mapping[str, Counts]) -> dict[str, Any]:
-        """Content of `detect.json`, but for the files."""
+    def summary(self) -> dict[str, Any]:
+        """Content of `detect.json`, but for the files: what `run.json` and the run's scene do not say."""
         names = [self.model.labels[index] if index >= 0 else None for index in self.to_label.tolist()]
         return {
             "format": FORMAT,
             "kind": self.kind,
-            "seed": seed,
             "detector": content_of(self.model),
             "labels": dict(zip(self.classes.names, names, strict=True)),
             "class_numbers": self.numbers,
             "horizon": None if self.horizon is None else self.horizon.tolist(),
             "occlusion": self.occlusion(),
-            "sequences": {
-                video.name: {"frames": len(video.images), "image_size_px": list(video.size_px)} for video in self.videos
-            },
-            "counts": asdict(Counts.total(counts)),
-            "sequence_counts": {name: asdict(each) for name, each in counts.items()},
             "notes": list(self.notes),
-            "versions": {name: version(name) for name in VERSIONED},
         }
 
 

@@ -52,18 +52,13 @@ class TargetBoxes:
     boxes_px: Array  # cut at the edge of the image: (n, 4)
     visible_fraction: Array
     depth_m: Array  # NaN where unknown: (n,)
-    from_overlap: Mask  # whether the visible fraction comes from the overlap of boxes, not from the file: (n,)
+    rows: Indices  # of each among the annotations: (n,)
+    from_overlap: int  # visible fractions that come from the overlap of boxes, not from the file
     notes: tuple[str, ...]  # what was left out, and where visible fractions come from
 
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.image)
-
-    @property
-    def visible(self) -> Mask:
-        """Mask of the boxes with a visible part, which are given to the detector, shape (n,)."""
-        mask: Mask = self.visible_fraction > 0
-        return mask
 
 
 def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str, ...], source: str) -> TargetBoxes:
@@ -97,7 +92,8 @@ def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str,
     names = np.argsort(np.argsort(np.array([str(track) for track in tracks], dtype=object), kind="stable"))
     order = found[np.lexsort((names[rows.identity[found]] if len(names) else found, rows.image[found]))]
     places = rows.image[order], rows.identity[order], to_label[rows.label[order]], boxes_px[order]
-    return TargetBoxes(*places, fractions[order], rows.depth_m[order], from_overlap[order], (*said, *notes))
+    by_overlap = int(from_overlap[order].sum())
+    return TargetBoxes(*places, fractions[order], rows.depth_m[order], order, by_overlap, (*said, *notes))
 
 
 def _visible(
@@ -140,8 +136,9 @@ class Video:
 
     @property
     def file_name(self) -> str:
-        """The name with no character that a file's name should not have."""
-        return _UNSAFE.sub("_", self.name)[:_MAX_NAME]
+        """The name with no character that a file's name should not have: that of its camera."""
+        name = _UNSAFE.sub("_", self.name)
+        return (name if name[:1].isalnum() else f"v{name}")[:_MAX_NAME]
 
 
 def videos_of(labelled: LabelledSet, ids: FileIds, source: str) -> list[Video]:

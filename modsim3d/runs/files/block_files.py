@@ -192,7 +192,7 @@ def _has_values(truth: Truth, scene: Scene) -> bool:
         (truth.visible_px, 0.0, most_px, True),
         (truth.visible_fraction, 0.0, 1 + ROUNDING, True),
         (truth.in_frame_fraction, 0.0, 1 + ROUNDING, True),
-        (truth.depth_m, -MAX_DEPTH_M, MAX_DEPTH_M, False),
+        (truth.depth_m, -MAX_DEPTH_M, MAX_DEPTH_M, scene.labels is not None),
         (truth.occluder_px, 0.0, hidden, False),
     )
     boxes = _in_image(truth.full_boxes_px, sizes_px) & (unseen | _in_image(truth.visible_boxes_px, sizes_px))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, positions
 from modsim3d.core.boxes import centre_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.records import FALSE_KINDS, FALSE_POSITIVE, KINDS, MERGED, PERSISTENT
@@ -138,7 +138,7 @@ def _frame_numbers(rows: TableRows, scene: Scene) -> Indices:
 def check_truth(rows: TableRows, scene: Scene) -> None:
     """Check rows of `truth`."""
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
-    rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     vessel = rows.names("vessel", scene.vessel_names)
     key = frame * len(scene.vessels) + vessel
     rows.refuse("vessel", np.diff(key, prepend=-1) <= 0, "after the row before, in order of step, camera and vessel")
@@ -179,7 +179,7 @@ def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
     rows.numbers("visible_px", 0.0, silhouette_px * (1 + ROUNDING) + ROUNDING, nullable=True)
     rows.numbers("visible_fraction", 0.0, 1 + ROUNDING, nullable=True)
     rows.numbers("in_frame_fraction", 0.0, 1 + ROUNDING, nullable=True)
-    rows.numbers("depth_m", -MAX_DEPTH_M, MAX_DEPTH_M)
+    rows.numbers("depth_m", -MAX_DEPTH_M, MAX_DEPTH_M, nullable=scene.labels is not None)
     rows.filled("occluded_by")
     occluders, wrong = tables.Occluders.of(rows.table, scene.occluder_names), np.zeros(len(rows.table), dtype=bool)
     wrong[occluders.hidden[occluders.name == NOBODY]] = True
@@ -192,7 +192,7 @@ def _check_visibility(rows: TableRows, scene: Scene, most_px: Array) -> None:
 def check_detections(rows: TableRows, scene: Scene) -> None:
     """Check rows of `detections`."""
     frame, taken = _frame_numbers(rows, scene), frames_taken(scene, rows.first, rows.stop)
-    rows.refuse("step", tables.positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
+    rows.refuse("step", positions(taken, frame) == NOBODY, "one at which the camera takes a frame")
     rows.refuse("step", np.diff(frame, prepend=-1) < 0, "after the row before, in order of step and camera")
     number = np.arange(len(frame)) - np.searchsorted(frame, frame)
     rows.refuse("detection", rows.integers("detection") != number, "the number of the row in its frame, from 0")
@@ -223,7 +223,7 @@ def check_together(frames: TableRows, truth: TableRows, detections: TableRows, s
     frame, of_truth, drawn = (_numbers_of(rows.table, scene) for rows in (frames, truth, detections))
     state = tables.indices(frames.table, "state", [state.name for state in scene.detector.states])
     written = tables.indices(detections.table, "state", [state.name for state in scene.detector.states])
-    detections.refuse("state", written != state[tables.positions(frame, drawn)], "that of the frame in frames.parquet")
+    detections.refuse("state", written != state[positions(frame, drawn)], "that of the frame in frames.parquet")
     annotated, detected = tables.flags(truth.table, "annotated"), tables.flags(truth.table, "detected")
     kind = tables.indices(detections.table, "kind", KINDS)
     own = ~np.isin(kind, FALSE_KINDS)
@@ -232,12 +232,12 @@ def check_together(frames: TableRows, truth: TableRows, detections: TableRows, s
 
     def count(numbers: Indices) -> Indices:
         """Number of times that the number of each row of `frames` is among some frame numbers."""
-        return np.bincount(tables.positions(frame, numbers), minlength=len(frame))
+        return np.bincount(positions(frame, numbers), minlength=len(frame))
 
     merged, without_box = count(drawn[kind == MERGED]), count(of_truth[detected & (boxes == 0)])
     strange, right = merged != without_box, "so that each merged box has a second vessel, detected without a box"
-    truth.refuse("detected", detected & (boxes == 0) & strange[tables.positions(frame, of_truth)], right)
-    detections.refuse("kind", (kind == MERGED) & strange[tables.positions(frame, drawn)], right)
+    truth.refuse("detected", detected & (boxes == 0) & strange[positions(frame, of_truth)], right)
+    detections.refuse("kind", (kind == MERGED) & strange[positions(frame, drawn)], right)
     counts = count(of_truth[annotated]), count(drawn[own]), count(drawn[~own])
     for name, found in zip(("n_annotated", "n_detected", "n_false"), counts, strict=True):
         right = "the number in truth.parquet and detections.parquet"
@@ -260,7 +260,7 @@ def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask
         + tables.indices(truth.table, "vessel", scene.vessel_names)[rows]
     )
     vessel = tables.indices(detections.table, "vessel", scene.vessel_names)
-    place = tables.positions(key, drawn * vessels + vessel)
+    place = positions(key, drawn * vessels + vessel)
     strange = (vessel != NOBODY) & (place == NOBODY)
     detections.refuse("vessel", strange, "annotated in truth.parquet in this frame")
     found = np.flatnonzero(own)

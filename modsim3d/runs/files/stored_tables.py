@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.core.arrays import NOBODY, Indices
+from modsim3d.core.arrays import NOBODY, Indices, positions
 from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import RunDirectoryError
 from modsim3d.detector.model import DetectorModel
@@ -60,7 +60,7 @@ def detections_of(
     kind = tables.indices(table, "kind", KINDS)
     count, vessel = len(targets.vessel_ids), tables.indices(table, "vessel", targets.vessel_ids)
     wanted = np.where(vessel == NOBODY, NOBODY, frame * count + vessel)
-    target = tables.positions(targets.frame * count + targets.vessel, wanted)
+    target = positions(targets.frame * count + targets.vessel, wanted)
     return Detections(
         states=_known_indices(chosen["frames"], "state", [state.name for state in model.states]),
         frame=frame,

@@ -221,15 +221,6 @@ def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     return np.asarray(found.fill_null(NOBODY).to_numpy(zero_copy_only=False), dtype=np.int64)
 
 
-def positions(keys: Indices, wanted: Indices) -> Indices:
-    """Where each of m wanted keys stands among n distinct keys, `NOBODY` if nowhere, shape (m,)."""
-    if not len(keys):
-        return np.full(len(wanted), NOBODY)
-    order = np.argsort(keys)
-    place = order[np.minimum(np.searchsorted(keys, wanted, sorter=order), len(keys) - 1)]
-    return np.where(keys[place] == wanted, place, NOBODY)
-
-
 def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
     """The `full` or `visible` boxes of a truth table as x_min, y_min, x_max, y_max; NaN for no box, shape (n, 4)."""
     return np.column_stack([number_column(table, f"{prefix}_{side}") for side in BOX_SIDES])

@@ -95,6 +95,8 @@ def breakdown(scored: Scored) -> Breakdown:
     states = [state.name for state in detector.states]
     visibility = "share of the vessel's silhouette in the image that is visible"
     edge = (~(in_frame >= 1)).astype(np.int64)  # it is unknown where the near plane cuts the vessel
+    if rows.scene.labels is not None:
+        edge[:] = NOBODY
     groups = {
         "visible_fraction": (visibility, BINS["visible_fraction"], _visibility(visible)),
         "range": ("mean distance along the axis of the camera, m", BINS["range"], _places(depth_m, RANGE_EDGES_M)),
@@ -131,8 +133,9 @@ def _visibility(fraction: Array) -> Indices:
 
 
 def _places(values: Array, edges: Sequence[int]) -> Indices:
-    """Index of the interval of each value; an edge belongs to the interval above it."""
-    return np.asarray(np.searchsorted(np.array(edges), values, side="right"), dtype=np.int64)
+    """Index of the interval of each value, `NOBODY` where it is unknown; an edge belongs to the interval above it."""
+    index: Indices = np.where(np.isnan(values), NOBODY, np.searchsorted(np.array(edges), values, side="right"))
+    return index
 
 
 def _by_occlusion(scored: Scored, followed: _Followed) -> tuple[Group, Group]:

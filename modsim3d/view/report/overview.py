@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Indices, Mask, positions
 from modsim3d.runs.counts import Outcome, having
-from modsim3d.runs.files.tables import positions
 from modsim3d.scene.scene import Scene
 from modsim3d.view.report.packing import NONE, ROW_BEFORE, Coded, Column, Stretches, StretchesBuilder, onsets
 from modsim3d.world.vessel_motion import PosesInWaves

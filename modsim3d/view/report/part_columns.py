@@ -100,6 +100,7 @@ def number_columns(rows: RunRows, shown: Indices, main_hider: Indices) -> dict[s
 
 NO_STATE, ALL_SEA = 255, (0.0, 0.0, 1.0)  # state and horizon of a camera that has not taken a frame yet
 PER_METRE = 100  # depths are in centimetres
+NO_DEPTH = 2**32 - 1
 
 
 class PartFrames:
@@ -158,12 +159,18 @@ def truth_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str
         "vessel": Coded(rows.truth_vessel[shown].astype(np.uint16), by=ROW_BEFORE),
         "flags": (ANNOTATED * rows.annotated[shown] + DETECTED * rows.detected[shown]).astype(np.uint8),
         "fraction": Coded(in_250ths(rows.numbers("visible_fraction")[shown]), by="vessel"),
-        "depth": Coded(np.rint(PER_METRE * depth_m[shown]).astype(np.uint32), by="vessel"),
+        "depth": Coded(_depths(depth_m[shown]), by="vessel"),
         "hider": Coded(hiders[shown].astype(np.uint16), by="vessel"),
         "full": Coded(in_quanta(rows.boxes_px("full")[shown], quantum), by="vessel"),
         "visible": Coded(in_quanta(rows.boxes_px("visible")[shown], quantum), base="full"),
         **number_columns(rows, shown, hiders),
     }
+
+
+def _depths(depth_m: Array) -> Column:
+    """Depths in centimetres; the largest number where one is not known."""
+    known = np.isfinite(depth_m)
+    return np.where(known, np.rint(PER_METRE * np.where(known, depth_m, 0.0)), NO_DEPTH).astype(np.uint32)
 
 
 def detection_columns(rows: RunRows, frames: PartFrames, quantum: float) -> dict[str, Column | Coded]:

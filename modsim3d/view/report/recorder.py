@@ -142,6 +142,8 @@ class Places:
         self._land = [footprint(obstacle) for obstacle in scene.obstacles]
         self._reach: list[Array] = []
         self._half_m = np.array([vessel.length_m for vessel in scene.vessels])[:, None] / 2
+        if scene.labels is not None:
+            self._reach.append(np.zeros((1, 2)))  # nobody has a place
 
     def columns(self, steps: Indices, motion: PartMotion) -> dict[str, packing.Column | packing.Coded]:
         """The places at ascending steps, shape (S,): a row a step, with a column for each vessel or camera."""
@@ -166,7 +168,7 @@ class Places:
     def facts(self) -> dict[str, Any]:
         """Dimensions of vessels, outlines of obstacles, least and greatest w1 and w2 of what moves, in metres."""
         return {
-            "dimensions": [[round(v.length_m, 2), round(v.beam_m, 2)] for v in self._scene.vessels],
+            "dimensions": [np.round(np.nan_to_num(v.extents_m[:2]), 2).tolist() for v in self._scene.vessels],
             "obstacles": [_rings(shape) for shape in self._land],
             "extent": np.round(self._reach[0], 2).tolist(),
         }
@@ -176,7 +178,7 @@ def _camera_places(scene: Scene, camera: Camera, steps: Indices, motion: PartMot
     """Place and view of a camera at ascending steps, shape (S,): w1 and w2, shape (S, 2); the directions to the left
     and the right end of its horizon, shape (S, 2); whether it is there, shape (S,): not while the vessel that carries
     it is absent, which may be so between its frames."""
-    there = np.ones(len(steps), dtype=bool)
+    there = np.full(len(steps), scene.labels is None)
     if camera.mount.vessel is not None:
         there = motion.at(steps).poses.present[:, scene.vessel_names.index(camera.mount.vessel)]
     place_m, looks_rad = np.zeros((2, len(steps), 2))

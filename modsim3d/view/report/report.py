@@ -197,11 +197,18 @@ def check_steps(run: StoredRun) -> None:
 
 def _lead(run: StoredRun, every: int) -> str:
     scene, last = run.scene, (run.steps - 1) // every * every
-    cameras, vessels = counted(len(scene.cameras), "simulated camera"), counted(len(scene.vessels), "vessel")
+    vessels, seconds = counted(len(scene.vessels), "vessel"), round(float(scene.times_s(0, last + 1)[-1]), 6)
+    if scene.labels is not None:
+        detector = "a simulated" if scene.labels.detections is None else "a real"
+        videos = counted(len(scene.cameras), "labelled video")
+        return (
+            f"What {videos} show of {vessels} in {seconds:g} s, and what {detector} vessel detector made of it. The "
+            "labels are taken for the truth, a box for a silhouette, and each mistake is counted and marked."
+        )
+    cameras = counted(len(scene.cameras), "simulated camera")
     return (
-        f"What {cameras} saw of {vessels} in {round(float(scene.times_s(0, last + 1)[-1]), 6):g} s, and what a "
-        "simulated vessel detector made of it. The truth is known exactly, so each mistake of the detector is counted "
-        "and marked."
+        f"What {cameras} saw of {vessels} in {seconds:g} s, and what a simulated vessel detector made of it. The truth "
+        "is known exactly, so each mistake of the detector is counted and marked."
     )
 
 

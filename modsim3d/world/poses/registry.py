@@ -14,6 +14,7 @@ from modsim3d.io.validation import MAX_COORDINATE_M, describe
 from modsim3d.world.poses.agents import AgentsKeys
 from modsim3d.world.poses.base import PoseRequest, Poses, PoseSource, SourceKeys, TracksKeys
 from modsim3d.world.poses.circular import CircularKeys
+from modsim3d.world.poses.labelled import LABELS, LabelsKeys
 from modsim3d.world.poses.replay import FileKeys, LivePoses, Step, StreamKeys, time_problems
 from modsim3d.world.traffic.generate import TrafficKeys
 
@@ -85,6 +86,7 @@ SOURCES: dict[str, type[SourceKeys]] = {
     "agents": AgentsKeys,
     "traffic": TrafficKeys,
     "stream": StreamKeys,
+    LABELS: LabelsKeys,
 }
 
 

@@ -363,8 +363,8 @@ def test_either_a_run_or_a_truth_is_given_and_options_of_the_other_are_refused(i
         refusal(call, ("detect", tmp_path / "run", *option, *out), f"{option[0]} is for --truth: a run says it itself")
     line = ("detect", "--truth", tmp_path / "run", *KNOWN, *out)
     refusal(call, line, "is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON")
-    line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "run", "--overwrite")
-    refusal(call, line, "holds a run: choose another folder")
+    line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "run")
+    refusal(call, line, "holds a run: use --overwrite, or choose another folder")
     assert not (tmp_path / "out").exists()
 
 
@@ -372,7 +372,7 @@ def test_the_truth_is_not_written_over(call: Call, tmp_path: Path) -> None:
     (tmp_path / "gt").mkdir()
     (tmp_path / "gt" / "gt.txt").write_text(LINE)
     line = ("detect", "--truth", tmp_path / "gt" / "gt.txt", *KNOWN, "--out", tmp_path, "--overwrite")
-    refusal(call, line, f"{tmp_path / 'gt' / 'gt.txt'} is read by this command")
+    refusal(call, line, "exists and is not a run directory: choose another folder")
     assert [path.name for path in tmp_path.iterdir()] == ["gt"]
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import yaml
 from hypothesis import given, settings
@@ -18,12 +17,11 @@ from scipy import stats
 import modsim3d
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.records import KINDS
-from modsim3d.formats.labelled_video import detecting
 from modsim3d.formats.labelled_video.detect_truth import class_numbers, detect_truth
-from modsim3d.formats.labelled_video.detecting import TABLES
 from modsim3d.formats.labelled_video.targets import FileClasses, to_labels, visible_fractions
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
+from modsim3d.runs import pipeline
 from modsim3d.runs.files.table_columns import BOX_SIDES, ERRORS
 from modsim3d.runs.run import detect_run, run_scene
 from modsim3d.runs.stored_run import open_run
@@ -55,15 +53,12 @@ def test_a_mot_sequence_comes_out_as_one_that_evaluators_find(tmp_path: Path) ->
     assert len(pair.images) == 45
     table = rows(tmp_path / "out" / "detections.parquet")
     assert len(pair.results) == len(table) > 50
-    assert [row["image"] for row in rows(tmp_path / "out" / "frames.parquet")] == [str(k) for k in range(1, 46)]
+    (sequence,) = open_run(tmp_path / "out").scene.labels.sequences
+    assert sequence.images == tuple(str(k) for k in range(1, 46))
     found = sorted(zip(pair.results.image.tolist(), pair.results.boxes_px.round(2).tolist(), strict=True))
     sides = ("x_min_px", "y_min_px", "x_max_px", "y_max_px")
     asked = sorted((row["step"], [round(row[side], 2) for side in sides]) for row in table)
     assert np.allclose([box for _, box in found], [box for _, box in asked], atol=0.02)
-    for name, columns in TABLES.items():
-        schema = pq.read_schema(tmp_path / "out" / f"{name}.parquet")
-        assert schema.names == [column.name for column in columns]
-        assert all(field.metadata[b"description"] for field in schema)
 
 
 def test_coco_results_have_the_ids_of_the_file_and_its_owner_reads_them(tmp_path: Path) -> None:
@@ -109,10 +104,10 @@ def test_the_same_file_and_seed_give_the_same_bytes_however_the_work_is_split(tm
     due = {"detector.gates.update_interval_s": 0.4}
     options = {"detector": tmp_path / "detector.yaml", "frame_rate_hz": 5, "settings": due}
     modsim3d.detect_truth(truth, tmp_path / "one", seed=1, **options)
-    monkeypatch.setattr(detecting, "BLOCK_BOXES", 10)
-    monkeypatch.setattr(detecting, "BLOCK_FRAMES", 7)
+    monkeypatch.setattr(pipeline, "BLOCK_VESSELS", 10)
     modsim3d.detect_truth(truth, tmp_path / "two", seed=1, **options)
-    assert content(tmp_path / "one") == content(tmp_path / "two")
+    one, two = (content(tmp_path / name) for name in ("one", "two"))
+    assert one.pop("run.log") and two.pop("run.log") and one == two
     modsim3d.detect_truth(truth, tmp_path / "three", seed=2, **options)
     name = "det/det.txt" if kind == "MOT" else "dt.json"
     assert (tmp_path / "one" / name).read_bytes() != (tmp_path / "three" / name).read_bytes()
@@ -167,7 +162,7 @@ def test_visibility_comes_from_the_file_or_from_overlap_and_the_result_says_whic
 def test_boxes_are_cut_at_the_image_and_hidden_by_those_that_are_not_to_be_detected(tmp_path: Path) -> None:
     text = "1,1,101,101,40,40,1,1\n1,2,121,111,40,40,0,1\n"
     (row,), _ = detected(tmp_path / "hidden", text)
-    assert (row["visible_fraction"], row["from_overlap"], row["annotated"]) == (1 - 20 * 30 / 40**2, True, True)
+    assert (row["visible_fraction"], row["annotated"]) == (1 - 20 * 30 / 40**2, True)
     text = "1,1,-19,101,60,40,1,1,1\n1,2,701,100,50,50,1,1,1\n2,1,621,461,60,40,1,1,1\n"
     table, notes = detected(tmp_path / "cut", text)
     sides = [f"full_{side}_px" for side in ("x_min", "y_min", "x_max", "y_max")]
@@ -192,7 +187,7 @@ def test_what_an_earlier_result_had_does_not_stay_beside_a_new_one(tmp_path: Pat
     write(tmp_path / "gt.json", coco(TWO))
     modsim3d.detect_truth(tmp_path / "gt.json", tmp_path / "out", detector="thesis", frame_rate_hz=5)
     (tmp_path / "out" / "notes.txt").write_text("mine")
-    with pytest.raises(ModsimError, match="exists: use --overwrite"):
+    with pytest.raises(ModsimError, match="holds a run: use --overwrite"):
         modsim3d.detect_truth(mot(tmp_path / "bay"), tmp_path / "out", detector="thesis")
     result = modsim3d.detect_truth(tmp_path / "bay/gt/gt.txt", tmp_path / "out", detector="thesis", overwrite=True)
     kept = {str(path.relative_to(tmp_path / "out")) for path in result.files}
@@ -216,7 +211,7 @@ def test_false_alarms_stay_below_the_horizon_that_is_given(tmp_path: Path) -> No
     assert (tilted[:, 1] > 300 - 100 * tilted[:, 0] / 640 - 1).all() and (tilted[:, 1] < 300).any()
 
 
-def test_the_detectors_time_begins_with_the_file_and_a_tracker_reads_the_files_own(tmp_path: Path) -> None:
+def test_time_begins_with_the_file_and_tables_have_the_files_own(tmp_path: Path) -> None:
     schedule = {"detector.performance.schedule": [[2, "terrible"]], "detector.persistence.class_s": 1}
     for start_s in (0, 1_000_000):
         labelled = coco(TWO)
@@ -228,7 +223,7 @@ def test_the_detectors_time_begins_with_the_file_and_a_tracker_reads_the_files_o
     assert [{**row, "timestamp": ""} for row in one] == [{**row, "timestamp": ""} for row in other]
     assert {row["state"] for row in one if row["step"] >= 8} == {"terrible"} != {row["state"] for row in one}
     line = json.loads((tmp_path / "1000000" / "tracker_input_right.jsonl").read_text().splitlines()[2])
-    assert line["time_s"] == 1_000_000.5
+    assert line["time_s"] == 0.5 and other[-1]["timestamp"] == "1000006.75"
 
 
 SIDE = 12

@@ -38,6 +38,7 @@ class Above {
   // `shown` are the cameras whose images are on the page.
   draw(recording, shown, index, chosen) {
     const { context } = this, { facts } = recording, { vessels, cameras } = recording.places(index);
+    this.canvas.hidden = facts.extent.flat().every((side) => side === 0); // of a labelled video no place is known
     this.names = facts.vessels.map(({ name }) => name);
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     this.fit(facts.extent);

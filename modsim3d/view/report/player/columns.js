@@ -1,6 +1,6 @@
 // Columns of whole numbers, as recording/packing.py has packed them.
 
-const NONE = 0xffff;
+const NONE = 0xffff, NO_DEPTH = 0xffffffff;
 const ARRAYS = { uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, int32: Int32Array, float32: Float32Array };
 const WHOLE_ARRAYS = { 1: Uint8Array, 2: Uint16Array, 4: Uint32Array };
 const ALIGNED_BYTES = 8;

@@ -159,7 +159,7 @@ class Recording {
     return {
       row, vessel: vessel[row], annotated, detected, missed: annotated && !detected,
       fraction: fraction[row] === UNKNOWN_FRACTION ? null : fraction[row] / WHOLE,
-      depth: depth[row] / 100, hider: hider[row] === NONE ? null : this.facts.occluders[hider[row]].replace(/^obstacle:/, ''),
+      depth: depth[row] === NO_DEPTH ? null : depth[row] / 100, hider: hider[row] === NONE ? null : this.facts.occluders[hider[row]].replace(/^obstacle:/, ''),
       full, visible, target: this.facts.mode === 2 ? visible ?? full : full,
     };
   }

@@ -1,0 +1,135 @@
+"""Labels of a video as the truth of a scene, with what a real detector found if that is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from modsim3d.core.arrays import NOBODY, Array, Indices
+from modsim3d.core.boxes import clip, sizes
+from modsim3d.core.errors import InputError
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled_video.targets import TargetBoxes, Video
+from modsim3d.formats.matching import Rule, match
+from modsim3d.world.poses.labelled import (
+    GivenDetections,
+    IgnoredRegions,
+    ImageSequence,
+    LabelledBoxes,
+    LabelledPoses,
+)
+
+
+def labels_of(
+    labelled: LabelledSet,
+    videos: Sequence[Video],
+    sought: TargetBoxes,
+    names: tuple[Sequence[int | str], Sequence[int | str]],
+    labels: Sequence[str],
+    sea: Array | None,
+    source: str,
+) -> LabelledPoses:
+    """Labels of videos as a scene has them. `names` are those of tracks and of images in the file, `labels` the
+    detector's, `sea` the half-plane below the horizon: (3,), None if it is not known; `source` names the file in
+    errors. Detections are those of the labelled set. Raises InputError if tracks cannot be told apart."""
+    tracks, images = names
+    place = _Places(videos, len(labelled.images))
+    used, vessel = np.unique(sought.track, return_inverse=True)
+    ids = np.array([str(tracks[track]) for track in used.tolist()], dtype=object)
+    if len(set(ids)) < len(ids):
+        raise InputError(source, ["tracks of one name that are a number here and a text there: give all one form"])
+    order = np.argsort(ids, kind="stable")
+    rank = np.empty(len(ids), dtype=np.int64)
+    rank[order] = np.arange(len(ids))
+    counts = np.zeros((len(ids), len(labels)), dtype=np.int64)
+    np.add.at(counts, (vessel, sought.label), 1)
+    turning = int((np.count_nonzero(counts, axis=1) > 1).sum())
+    notes = [f"{turning} of {len(ids)} tracks change their class, and have the one of most of their boxes"]
+    of_vessel = [labels[label] for label in counts.argmax(axis=1)[order].tolist()]
+    step, camera = place.of(sought.image)
+    by_place = np.lexsort((rank[vessel], camera, step))
+    boxes = LabelledBoxes(step, camera, rank[vessel], sought.boxes_px, sought.visible_fraction, sought.depth_m).take(
+        by_place
+    )
+    row_of = np.full(len(labelled.annotations), NOBODY)
+    row_of[sought.rows[by_place]] = np.arange(len(boxes))
+    return LabelledPoses(
+        tuple(map(repr, place.times_s.tolist())),
+        tuple(
+            ImageSequence(
+                video.file_name,
+                video.size_px,
+                steps,
+                tuple(str(images[image]) for image in video.images.tolist()),
+                None if sea is None else tuple(sea.tolist()),
+            )
+            for video, steps in zip(videos, place.steps, strict=True)
+        ),
+        dict(zip(ids[order].tolist(), of_vessel, strict=True)),
+        boxes,
+        _regions(labelled, place),
+        _detections(labelled, row_of, place) if len(labelled.results) else None,
+        (*labelled.notes, *sought.notes, *(notes if turning else ())),
+    )
+
+
+class _Places:
+    """Steps and cameras of the images of some videos; each time of an image is a step."""
+
+    def __init__(self, videos: Sequence[Video], count: int) -> None:
+        """Number the times of all `count` images."""
+        self.times_s = np.unique(np.concatenate([video.times_s for video in videos]))
+        self.steps = [np.searchsorted(self.times_s, video.times_s) for video in videos]
+        self._step, self._camera = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+        for camera, (video, steps) in enumerate(zip(videos, self.steps, strict=True)):
+            self._step[video.images], self._camera[video.images] = steps, camera
+
+    def of(self, image: Indices) -> tuple[Indices, Indices]:
+        """Step and camera of some images, by their rows, shapes (n,)."""
+        return self._step[image], self._camera[image]
+
+
+def _regions(labelled: LabelledSet, place: _Places) -> IgnoredRegions:
+    rows = labelled.annotations
+    boxes_px = clip(rows.boxes_px, labelled.images.sizes_px[rows.image])
+    kept = np.flatnonzero((rows.ignored | rows.crowd) & (sizes(boxes_px) > 0).all(axis=1))
+    step, camera = place.of(rows.image[kept])
+    return IgnoredRegions(step, camera, boxes_px[kept], rows.crowd[kept]).take(np.lexsort((camera, step)))
+
+
+def _detections(labelled: LabelledSet, row_of: Indices, place: _Places) -> GivenDetections:
+    """Detections of a real detector, cut at the edge of the image; `row_of` has the row of each annotation among the
+    boxes of the scene, shape (T,)."""
+    results = labelled.results
+    if np.isnan(results.confidence).any() and not np.isnan(results.confidence).all():
+        raise InputError("detections", ["some have a confidence, and others have none"])
+    boxes_px = clip(results.boxes_px, labelled.images.sizes_px[results.image])
+    inside = np.flatnonzero((sizes(boxes_px) > 0).all(axis=1))
+    matched = match(labelled, Rule("confidence" if labelled.scored else "optimal")).annotation
+    step, camera = place.of(results.image)
+    row = np.where(matched >= 0, np.append(row_of, NOBODY)[matched], NOBODY)
+    confidence = np.nan_to_num(results.confidence, nan=1.0)
+    found = GivenDetections(step, camera, results.label, boxes_px, confidence, row).take(inside)
+    return found.take(np.lexsort((-found.confidence, found.camera, found.step)))
+
+
+def given_detector(labels: Sequence[str]) -> dict[str, Any]:
+    """Content of a detector file with these labels and a state `given`, for a scene whose detections are given: it is
+    never asked."""
+    count = len(labels)
+    state = {
+        "confusion": [*np.eye(count).tolist(), [0.0] * count],
+        "false_positive_labels": [1 / count] * count,
+        "false_discovery_rate": 0.0,
+        "box_error": {"unit": "px", "mean": [0.0] * 4, "covariance": np.eye(4).tolist()},
+        "confidence": {"true": {"mean": 0.5, "std": 0.1}, "false": {"mean": 0.5, "std": 0.1}},
+    }
+    return {
+        "labels": list(labels),
+        "confidence_threshold": 0.0,
+        "initial_state": "given",
+        "transition_matrix": [[1.0]],
+        "states": {"given": state},
+    }

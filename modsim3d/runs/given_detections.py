@@ -1,0 +1,39 @@
+"""Detections of a real detector, in the place of a simulated one's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modsim3d.core.arrays import NOBODY, positions
+from modsim3d.core.boxes import centre_form
+from modsim3d.core.errors import ModsimError
+from modsim3d.detector.records import FALSE_POSITIVE, TRUE, CameraFrames, Detections, Targets
+from modsim3d.world.poses.labelled import LabelledPoses
+
+
+def given_detections(labels: LabelledPoses, frames: CameraFrames, targets: Targets) -> Detections:
+    """Detections of a real detector in a camera's frames. Those that detect no target are false."""
+    given, boxes = labels.detections, labels.boxes
+    camera = [each.name for each in labels.sequences].index(frames.camera)
+    if given is None:
+        raise ModsimError("the labels have no detections")
+    found = given.take(np.isin(given.step, frames.steps) & (given.camera == camera))
+    vessels, last = len(targets.vessel_ids), np.append(boxes.vessel, NOBODY)
+    key = np.searchsorted(frames.steps, found.step) * vessels + last[found.row]
+    target = positions(targets.frame * vessels + targets.vessel, np.where(found.row >= 0, key, NOBODY))
+    own = target >= 0
+    errors_px = np.full((len(found), 4), np.nan)
+    errors_px[own] = centre_form(found.boxes_px[own]) - centre_form(targets.boxes_px[target[own]])
+    return Detections(
+        states=np.zeros(len(frames), dtype=np.int64),
+        frame=np.searchsorted(frames.steps, found.step),
+        target=target,
+        partner=np.full(len(found), NOBODY),
+        kind=np.where(own, TRUE, FALSE_POSITIVE),
+        label=found.label,
+        confidence=found.confidence,
+        boxes_px=found.boxes_px,
+        errors_px=errors_px,
+        redrawn=np.zeros(len(found), dtype=bool),
+        gated=np.zeros(len(targets), dtype=bool),
+    )

@@ -1,0 +1,256 @@
+"""Labels of videos in place of poses: who is seen where in which image, while nobody's place in the world is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import orjson
+from pydantic import RootModel
+
+from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask
+from modsim3d.core.errors import InputError
+from modsim3d.geometry.camera import Camera, Intrinsics
+from modsim3d.geometry.camera_poses import Mount
+from modsim3d.io.strict_text import load_json
+from modsim3d.io.validation import shown
+from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
+from modsim3d.world.poses.replay import time_problems
+from modsim3d.world.vessels import Vessel, name_problem
+
+LABELS = "labels"
+"""The name of this source in a scene file."""
+FORMAT = 1
+EVERYWHERE = (0.0, 0.0, 1.0)
+"""The half-plane of a sea that fills the image."""
+_UNKNOWN = float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class ImageSequence:
+    """Images of one camera, one after another.
+
+    Attributes:
+        name: Of the camera.
+        image_size_px: Width and height.
+        steps: Step of each image, ascending, shape (S,).
+        images: What the file of labels calls each.
+        sea: (a, b, c): a·x + b·y + c >= 0 on the sea's side of the horizon, in pixels; None if it is not known.
+    """
+
+    name: str
+    image_size_px: tuple[int, int]
+    steps: Indices
+    images: tuple[str, ...]
+    sea: tuple[float, float, float] | None = None
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, of which nothing but the size of its images is known."""
+        unknown = Intrinsics((_UNKNOWN, _UNKNOWN), (_UNKNOWN, _UNKNOWN), self.image_size_px)
+        return Camera(self.name, unknown, Mount((_UNKNOWN, _UNKNOWN, _UNKNOWN)))
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledBoxes(Columns):
+    """Boxes of vessels, n rows in order of step, camera and vessel."""
+
+    step: Indices  # (n,)
+    camera: Indices  # index of the sequence, (n,)
+    vessel: Indices  # (n,)
+    boxes_px: Array  # x_min, y_min, x_max, y_max, cut at the edge of the image, (n, 4)
+    visible_fraction: Array  # (n,)
+    depth_m: Array  # NaN where unknown, (n,)
+
+
+@dataclass(frozen=True, eq=False)
+class IgnoredRegions(Columns):
+    """Boxes in which a detection counts neither for nor against anybody, k rows in order of step and camera."""
+
+    step: Indices  # (k,)
+    camera: Indices  # index of the sequence, (k,)
+    boxes_px: Array  # (k, 4)
+    crowd: Mask  # whether half of a detection inside is enough; else its IoU must be a half, (k,)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenDetections(Columns):
+    """Detections of a real detector, m rows in order of step and camera."""
+
+    step: Indices  # (m,)
+    camera: Indices  # index of the sequence, (m,)
+    label: Indices  # index into the detector's labels, (m,)
+    boxes_px: Array  # (m, 4)
+    confidence: Array  # (m,)
+    row: Indices  # row of the labelled boxes that it detects, `NOBODY` for none, (m,)
+
+
+_PARTS = {"boxes": LabelledBoxes, "regions": IgnoredRegions, "detections": GivenDetections}
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledPoses:
+    """Labels of one or several videos, as a source of poses that knows no place of anybody.
+
+    Attributes:
+        timestamps: Texts of the times of all images, in order; each is a step.
+        sequences: One for each camera.
+        vessels: ID → label of each vessel, in the order of `LabelledBoxes.vessel`.
+        boxes: What is to be detected.
+        regions: What is to be ignored.
+        detections: What a real detector found; None if a simulated one is to work on the labels.
+        notes: What was left out and what was taken for what, each a sentence.
+    """
+
+    timestamps: tuple[str, ...]
+    sequences: tuple[ImageSequence, ...]
+    vessels: Mapping[str, str]
+    boxes: LabelledBoxes
+    regions: IgnoredRegions
+    detections: GivenDetections | None = None
+    notes: tuple[str, ...] = ()
+
+    def poses(self, first: int, stop: int) -> Poses:
+        """Nobody, at steps first to stop − 1."""
+        return Poses.absent(stop - first, len(self.vessels))
+
+    @property
+    def as_vessels(self) -> tuple[Vessel, ...]:
+        """The vessels, whose sizes are not known."""
+        return tuple(Vessel(name, label, _UNKNOWN, _UNKNOWN, _UNKNOWN) for name, label in self.vessels.items())
+
+    def frame_steps(self, camera: str, first: int, stop: int) -> Indices:
+        """Steps first to stop − 1 at which a camera has an image, ascending, shape (n,)."""
+        steps = self.sequence(camera).steps
+        return steps[slice(*np.searchsorted(steps, (first, stop)))]
+
+    def sequence(self, camera: str) -> ImageSequence:
+        """The images of a camera, by its name."""
+        return next(each for each in self.sequences if each.name == camera)
+
+    def written(self) -> bytes:
+        """The file that `read_labels` reads."""
+        content = {
+            "format": FORMAT,
+            "timestamps": self.timestamps,
+            "sequences": [asdict(each) for each in self.sequences],
+            "vessels": dict(self.vessels),
+            **{part: None if (rows := getattr(self, part)) is None else vars(rows) for part in _PARTS},
+            "notes": self.notes,
+        }
+        return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY) + b"\n"
+
+
+def read_labels(path: Path) -> LabelledPoses:
+    """The labels in a file that modsim3d has written. Raises InputError if it is something else."""
+    source = f"labels {path}"
+    content = load_json(path, "labels", bytes_per_value=2)
+    try:
+        if content["format"] != FORMAT:
+            raise InputError(source, [f"format: must be {FORMAT} (got {shown(content['format'])})"])
+        sequences = tuple(_sequence(each) for each in content["sequences"])
+        parts = {name: _columns(kind, content[name]) for name, kind in _PARTS.items()}
+        labels = LabelledPoses(
+            tuple(map(str, content["timestamps"])),
+            sequences,
+            {str(name): str(label) for name, label in content["vessels"].items()},
+            notes=tuple(map(str, content["notes"])),
+            **parts,
+        )
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise InputError(source, [f"is not what modsim3d writes: {type(error).__name__}: {error}"]) from None
+    return _checked(labels, source)
+
+
+def _sequence(content: Mapping[str, Any]) -> ImageSequence:
+    width, height = map(int, content["image_size_px"])
+    sea = content["sea"] if content["sea"] is None else tuple(map(float, content["sea"]))
+    steps = np.array(content["steps"], dtype=np.int64)
+    return ImageSequence(str(content["name"]), (width, height), steps, tuple(map(str, content["images"])), sea)  # type: ignore[arg-type]
+
+
+def _columns(kind: type[Any], content: Mapping[str, Any] | None) -> Any:
+    """Rows of a part of the file; whole numbers, truth values and numbers, of which null is NaN."""
+    if content is None:
+        return None
+    columns = {}
+    for field in fields(kind):
+        form = {"Indices": np.int64, "Mask": np.bool_}.get(str(field.type), np.float64)
+        values: np.ndarray[Any, Any] = np.array(content[field.name], dtype=form)
+        columns[field.name] = values.reshape(-1, 4) if field.name == "boxes_px" else values
+    if len({len(column) for column in columns.values()}) > 1:
+        raise ValueError(f"columns of different lengths: {', '.join(columns)}")
+    return kind(**columns)
+
+
+def _checked(labels: LabelledPoses, source: str) -> LabelledPoses:
+    """The labels. Raises InputError if they cannot be those of a scene."""
+    problems = time_problems(list(labels.timestamps))
+    problems += [f"track {shown(name)}: {problem}" for name in labels.vessels if (problem := name_problem(name))]
+    problems += [
+        f"sequence '{each.name}': steps must ascend within the timestamps, one for each of its images"
+        for each in labels.sequences
+        if len(each.steps) != len(each.images)
+        or (np.diff(each.steps, prepend=-1, append=len(labels.timestamps)) <= 0).any()
+    ]
+    places = np.concatenate([each.steps * len(labels.sequences) + k for k, each in enumerate(labels.sequences)])
+    sizes_px = np.array([each.image_size_px * 2 for each in labels.sequences])
+    for name in _PARTS:
+        if (rows := getattr(labels, name)) is None:
+            continue
+        if not np.isin(rows.step * len(labels.sequences) + rows.camera, places).all():
+            problems.append(f"{name}: a row where a camera has no image")
+        elif not ((rows.boxes_px >= 0) & (rows.boxes_px <= sizes_px[rows.camera])).all():
+            problems.append(f"{name}: a box outside its image")
+    boxes = labels.boxes
+    if not ((boxes.vessel >= 0) & (boxes.vessel < len(labels.vessels))).all():
+        problems.append("boxes: a vessel that the file does not have")
+    key = (boxes.step * len(labels.sequences) + boxes.camera) * max(len(labels.vessels), 1) + boxes.vessel
+    if (np.diff(key) <= 0).any():
+        problems.append("boxes: rows must be in order of step, camera and vessel, one for each vessel in an image")
+    found = labels.detections
+    if found is not None and not ((found.row >= NOBODY) & (found.row < len(boxes))).all():
+        problems.append("detections: a row of a box that the file does not have")
+    if problems:
+        raise InputError(source, problems)
+    return labels
+
+
+class LabelsKeys(SourceKeys, RootModel[str]):
+    """The file of labels, which modsim3d has written."""
+
+    generated: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file."""
+        return (self.root,)
+
+    def build(self, request: PoseRequest) -> LabelledPoses:
+        """The labels in the file, up to the steps that the scene asks for."""
+        return read_labels(request.folder / self.root)
+
+
+@dataclass(frozen=True, eq=False)
+class GivenLabels(SourceKeys):
+    """Labels that are in memory, in place of a file; `file` is what a copy of the scene calls it, `source` what errors
+    call them."""
+
+    labels: LabelledPoses
+    source: str
+    file: str
+    generated: ClassVar[bool] = False
+    drawn: ClassVar[bool] = False
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The file that a copy of the scene has."""
+        return (self.file,)
+
+    def build(self, request: PoseRequest) -> LabelledPoses:
+        """The labels."""
+        return _checked(self.labels, self.source)
