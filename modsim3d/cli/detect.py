@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 from modsim3d.cli import shared
@@ -16,8 +18,14 @@ from modsim3d.core.errors import InputError, ModsimError
 
 if TYPE_CHECKING:
     from modsim3d.io.processes import WorkerCount
+    from modsim3d.runs.stored_run import StoredRun
 
 # ---- Options of the commands that read labelled sets ----
+
+TruthOption = Annotated[Path | None, option("FILE", "Ground truth of a labelled video, in place of RUN.")]
+DetectionsOption = Annotated[
+    Path | None, option("FILE", "What a real detector found in the video of --truth.", "--detections")
+]
 
 FILES = "Labelled files"
 ImageSizeOption = Annotated[
@@ -82,6 +90,9 @@ def detect_command(
         Path | None,
         option("FILE", "Ground truth of a labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
     ] = None,
+    detections: Annotated[
+        Path | None, option("FILE", "What a real detector found in the video of --truth, in place of a simulated one.")
+    ] = None,
     detector: Annotated[Path | None, option("FILE", "Detector file, in place of the run's.")] = None,
     detector_seed: Annotated[
         int | None, option("N", "Seed of the detector, in place of the run's; 0 with --truth.", min=0)
@@ -92,6 +103,7 @@ def detect_command(
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
     horizon: HorizonOption = None,
+    confidence_scale: ConfidenceScaleOption = None,
     skip_bad: SkipBadOption = False,
     settings: shared.SetOption = None,
     state: shared.StateOption = None,
@@ -104,7 +116,7 @@ def detect_command(
 ) -> None:
     """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
 
-    With --truth, run a detector over the truth of a labelled video from elsewhere (docs/other_truth.md).
+    With --truth, make a run of a labelled video from elsewhere (docs/labelled_video.md).
 
     Example: modsim3d detect runs/first --detector-seed 7 --out runs/second
     """
@@ -117,7 +129,9 @@ def detect_command(
         "state_from": state_from,
         "overwrite": overwrite,
     }
-    of_truth = {
+    of_truth: dict[str, object] = {
+        "--detections": detections,
+        "--confidence-scale": confidence_scale,
         "--labels": labels,
         "--image-size": image_size,
         "--frame-rate": frame_rate,
@@ -133,9 +147,12 @@ def detect_command(
         if workers != 1:
             raise ModsimError("--workers is for RUN: with --truth the detector works in one process")
         size_px = None if image_size is None else parsed_size(image_size)
-        read = {"image_size_px": size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad}
+        scale = None if confidence_scale is None else parsed_scale(confidence_scale)
+        read = {"image_size_px": size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad, "confidence_scale": scale}
         names = None if labels is None else tuple(name.strip() for name in labels.split(","))
-        _detect_truth(truth, out, detector_seed or 0, {**given, **read, "labels": names}, horizon)
+        _detect_truth(
+            truth, out, detector_seed or 0, {**given, **read, "detections": detections, "labels": names}, horizon
+        )
     else:
         raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")
 
@@ -165,3 +182,40 @@ def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], h
     tell_files(dict.fromkeys(read))
     print_truth_summary(result)
     say_json(truth_json(result))
+
+
+@contextmanager
+def opened(
+    run: Path | None, truth: Path | None, detections: Path | None, image_size: str | None, frame_rate: float | None
+) -> Iterator[StoredRun]:
+    """The run of a directory, or that of a labelled video and of what a real detector found in it, which is in a folder
+    of its own as long as it is used. Raises ModsimError if neither or both are given."""
+    from modsim3d.formats.labelled_video.detect_truth import detect_truth
+    from modsim3d.io.input_files import inputs_noted
+    from modsim3d.runs.files.overwrite import read_of_run
+    from modsim3d.runs.stored_run import open_run
+
+    if (run is None) == (truth is None):
+        raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")
+    if truth is None:
+        for name, value in (("--detections", detections), ("--image-size", image_size), ("--frame-rate", frame_rate)):
+            if value is not None:
+                raise ModsimError(f"{name} is for --truth: a run says it itself")
+        with timed("opening the run"):
+            stored = open_run(run or Path())
+        tell_files(read_of_run(stored.folder))
+        yield stored
+        return
+    with TemporaryDirectory(prefix="modsim3d_") as folder:
+        size_px = None if image_size is None else parsed_size(image_size)
+        with inputs_noted() as read, timed("reading the labels"):
+            result = detect_truth(
+                truth,
+                Path(folder) / truth.stem,
+                detections=detections,
+                truth_alone=detections is None,
+                image_size_px=size_px,
+                frame_rate_hz=frame_rate,
+            )
+        tell_files(dict.fromkeys(read))
+        yield open_run(result.folder)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from modsim3d.cli import shared
+from modsim3d.cli.detect import DetectionsOption, FrameRateOption, ImageSizeOption, TruthOption, opened
 from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
 from modsim3d.cli.terminal_tables import print_document
@@ -15,10 +16,14 @@ from modsim3d.core.errors import ModsimError
 
 def score_command(
     context: typer.Context,
-    run: shared.FinishedRunArgument,
+    run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run; not with --truth.")] = None,
     tracks: Annotated[
-        list[Path], argument("TRACKS", "Folders that `modsim3d track` wrote, or files of your own tracker.")
-    ],
+        list[Path] | None, argument("TRACKS", "Folders that `modsim3d track` wrote, or files of your own tracker.")
+    ] = None,
+    truth: TruthOption = None,
+    detections: DetectionsOption = None,
+    image_size: ImageSizeOption = None,
+    frame_rate: FrameRateOption = None,
     vessels: Annotated[
         Literal["annotated", "full"],
         typer.Option(
@@ -52,22 +57,25 @@ def score_command(
     """
     from modsim3d.io.overwrite_guard import claimed
     from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.stored_run import open_run
     from modsim3d.tracking.score_outcome import score_data
     from modsim3d.tracking.score_page import FILES, document, write_scores
     from modsim3d.tracking.score_run import score_run
 
-    with timed("opening the run"):
-        opened = open_run(run)
+    if truth is not None and run is not None:
+        tracks, run = [run, *(tracks or ())], None
+    if not tracks:
+        raise ModsimError("give TRACKS: folders that `modsim3d track` wrote, or files of your own tracker")
     paths = [] if out is None else [out / file for file in FILES]
     name, scale_px = shared.parse_similarity(similarity)
     cutoff, power = parse_gospa(gospa)
-    read = [*read_of_run(run), *tracks]
-    tell_files(read)
-    with claimed(paths, overwrite=overwrite, inputs=read):
+    with (
+        opened(run, truth, detections, image_size, frame_rate) as stored,
+        claimed(paths, overwrite=overwrite, inputs=[*read_of_run(stored.folder), *tracks]),
+    ):
+        tell_files(tracks)
         with timed("scores"), shared.progress("seeds", seeds) if seeds else nullcontext(lambda done: None) as advance:
             scores = score_run(
-                opened,
+                stored,
                 tracks,
                 truth=vessels,
                 similarity=name,
@@ -85,10 +93,10 @@ def score_command(
         if out is not None:
             with timed("files"):
                 write_scores(scores, out, shared.typed_command(context))
-    console = open_console()
-    print_document(console, document(scores))
-    shared.print_written(console, paths)
-    say_json({"command": "score", **score_data(scores), "written": paths})
+        console = open_console()
+        print_document(console, document(scores))
+        shared.print_written(console, paths)
+        say_json({"command": "score", **score_data(scores), "written": paths})
 
 
 def parse_gospa(text: str | None) -> tuple[float | None, float]:

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from modsim3d.cli import shared
-from modsim3d.cli.shared import option
-from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
+from modsim3d.cli.detect import DetectionsOption, FrameRateOption, ImageSizeOption, TruthOption, opened
+from modsim3d.cli.shared import argument, option
+from modsim3d.cli.terminal import open_console, say_json, tell, timed
 from modsim3d.cli.terminal_tables import print_prose, print_table
+from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
     from modsim3d.tracking.track_run import TrackCounts, TrackResult
@@ -19,8 +21,12 @@ HEADER = ("camera", "frames", "detections", "tracks", "boxes", "median track")
 
 
 def track_command(
-    run: shared.FinishedRunArgument,
     out: Annotated[Path, option("DIR", "Folder for tracks.parquet and tracks.json.")],
+    run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run.")] = None,
+    truth: TruthOption = None,
+    detections: DetectionsOption = None,
+    image_size: ImageSizeOption = None,
+    frame_rate: FrameRateOption = None,
     tracker: Annotated[
         str,
         option(
@@ -41,22 +47,20 @@ def track_command(
 
     Example: modsim3d track runs/first --tracker reference --out tracks/reference
     """
-    from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.stored_run import open_run
     from modsim3d.scene.settings import read_settings
     from modsim3d.tracking.track_run import track_run
     from modsim3d.tracks.reading import track_paths
 
     given = read_settings(settings or (), _EXAMPLE)
-    with timed("opening the run"):
-        stored = open_run(run)
-    tell_files(read_of_run(run))
-    frames = None if stored.stored is None else stored.settings["counts"]["frames"]
-    with timed("tracks and files"), shared.progress(tracker, frames) as advance:
-        result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)
+    if truth is not None and detections is None:
+        raise ModsimError("--truth needs --detections: what a real detector found, for the tracker to work on")
+    with opened(run, truth, detections, image_size, frame_rate) as stored:
+        frames = None if stored.stored is None else stored.settings["counts"]["frames"]
+        with timed("tracks and files"), shared.progress(tracker, frames) as advance:
+            result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)
     tell("tracker", ", ".join(f"{name} {version}" for name, version in result.origin.versions.items()))
     written = track_paths(out)
-    _print_result(result, run, written)
+    _print_result(result, shlex.quote(str(run)) if run else f"--truth {truth} --detections {detections}", written)
     say_json(track_json(result, stored.scene.name, written))
 
 
@@ -77,13 +81,13 @@ def track_json(result: TrackResult, scene: str, written: list[Path]) -> dict[str
     }
 
 
-def _print_result(result: TrackResult, run: Path, written: list[Path]) -> None:
+def _print_result(result: TrackResult, run: str, written: list[Path]) -> None:
     console = open_console()
     print_prose(console, f"{result.name}: {result.origin.package}; settings: {result.origin.chosen}")
     rows = [_cells(name, counts) for name, counts in result.camera_counts.items()]
     print_table(console, "tracks", rows, header=HEADER, right=range(1, len(HEADER)))
     shared.print_written(console, written)
-    shared.print_line(console, f"\nnext\n  modsim3d score {shlex.quote(str(run))} {shlex.quote(str(result.folder))}")
+    shared.print_line(console, f"\nnext\n  modsim3d score {run} {shlex.quote(str(result.folder))}")
 
 
 def _cells(name: str, counts: TrackCounts) -> tuple[str, ...]:

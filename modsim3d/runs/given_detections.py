@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from modsim3d.core.arrays import NOBODY, positions
-from modsim3d.core.boxes import centre_form
+from modsim3d.core.boxes import errors_between
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.records import FALSE_POSITIVE, TRUE, CameraFrames, Detections, Targets
 from modsim3d.world.poses.labelled import LabelledPoses
@@ -23,7 +23,7 @@ def given_detections(labels: LabelledPoses, frames: CameraFrames, targets: Targe
     target = positions(targets.frame * vessels + targets.vessel, np.where(found.row >= 0, key, NOBODY))
     own = target >= 0
     errors_px = np.full((len(found), 4), np.nan)
-    errors_px[own] = centre_form(found.boxes_px[own]) - centre_form(targets.boxes_px[target[own]])
+    errors_px[own] = errors_between(found.boxes_px[own], targets.boxes_px[target[own]])
     return Detections(
         states=np.zeros(len(frames), dtype=np.int64),
         frame=np.searchsorted(frames.steps, found.step),

@@ -25,6 +25,7 @@ from modsim3d.runs.files.tables import (
 )
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
+from modsim3d.world.poses.labelled import IgnoredRegions
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,11 @@ class RunRows:
             detection_frame=frame_of(detections),
             detection_vessel=indices(detections, "vessel", scene.vessel_names),
         )
+
+    @property
+    def regions(self) -> IgnoredRegions | None:
+        """Regions of a labelled video in which a track that follows nothing is ignored."""
+        return None if self.scene.labels is None else self.scene.labels.regions
 
     def in_cameras(self, cameras: Sequence[int]) -> Self:
         """The rows of some cameras, by their indices; frames keep their numbers."""

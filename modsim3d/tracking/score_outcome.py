@@ -32,7 +32,8 @@ def conclusion_of(scores: ScoredTracks) -> str:
     if scores.trackers:
         bins = [(each, length_bins(each.scores.occlusions)) for each in scores.trackers]
         outcomes = [TrackerOutcome(each.name, keys_of(each.scores), lengths) for each, lengths in bins]
-        said.append(conclusion(outcomes, keys_of(scores.references[SMOOTHED])))
+        oracle = scores.references.get(SMOOTHED)
+        said.append(conclusion(outcomes, {"hota": None} if oracle is None else keys_of(oracle)))
     if scores.world:
         said.append(world_conclusion(scores))
     return " ".join(said)
@@ -40,7 +41,7 @@ def conclusion_of(scores: ScoredTracks) -> str:
 
 def remarks_of(scores: ScoredTracks) -> str:
     """Remarks to read before using the scores in the images."""
-    raw = keys_of(scores.references[RAW])["hota"]
+    raw = keys_of(scores.references[RAW])["hota"] if scores.references else None
     if scores.rules.similarity.name != "iou" or raw is None or raw >= NOISY_BOXES:
         return ONE_RUN
     return (

@@ -80,13 +80,14 @@ def document(scores: score_outcome.ScoredTracks) -> Document:
 def _in_images(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     run = scores.run
     yield _score_table(scores)
-    yield Text(
-        "The last two lines are the same detections with perfect association: each detection is given to the vessel "
-        "that it came from, and false ones are removed. They are references and no ceilings: a tracker that smooths "
-        "better may exceed them.",
-        "soft",
-        Where.PAGE,
-    )
+    if scores.references:
+        yield Text(
+            "The last two lines are the same detections with perfect association: each detection is given to the "
+            "vessel that it came from, and false ones are removed. They are references and no ceilings: a tracker that "
+            "smooths better may exceed them.",
+            "soft",
+            Where.PAGE,
+        )
     of_run = f"This run has {counted(run.steps, 'step')} and {counted(len(run.scene.cameras), 'camera')}."
     yield Text(f"{of_run} {score_outcome.remarks_of(scores)}", "soft")
     yield Fold("What the scores mean", [Table("", (), list(MEANINGS.items()), where=Where.PAGE)])
@@ -154,10 +155,11 @@ def _alpha_chart(curves: Mapping[str, Array]) -> str:
 
 def _breakdowns(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
-    best, oracle = scores.trackers[0], ("oracle", scores.references[SMOOTHED])
+    best, oracle = scores.trackers[0], scores.references.get(SMOOTHED)
     yield Heading(f"Where {best.name} loses vessels", where=Where.TERMINAL)
     yield from _breakdown_tables([("", best.scores)], Where.TERMINAL)
-    yield from _breakdown_tables([*((each.name, each.scores) for each in scores.trackers), oracle], Where.PAGE)
+    named = [(each.name, each.scores) for each in scores.trackers] + ([("oracle", oracle)] if oracle else [])
+    yield from _breakdown_tables(named, Where.PAGE)
     groups = [(GROUP_NAMES[group.name], group.explanation) for group in best.scores.breakdown]
     yield Fold("What the lines are", [Table("", (), groups, where=Where.PAGE)])
 

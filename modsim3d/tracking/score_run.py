@@ -138,7 +138,7 @@ def score_run(
         WorldTrackScores(each.name, path, score_world(rows, each, gate_m, in_metres)) for path, each in in_world
     )
     scored = [TrackScores(each.name, path, each, score_tracks(rows, each.tracks, rules)) for path, each in in_images]
-    references = reference_tracks(rows, rules) if in_images else {}
+    references = reference_tracks(rows, rules) if in_images and len(rows.detections) else {}
     return RunScores(
         run,
         rules,

@@ -6,10 +6,12 @@ from typing import Literal, Self
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask, extents
+from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask, extents, ranges
+from modsim3d.core.boxes import areas, intersections, iou
 from modsim3d.runs.files.tables import indices
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.tracks import Similarity, Tracks
+from modsim3d.world.poses.labelled import IgnoredRegions
 
 TruthName = Literal["annotated", "full"]
 DEFAULT_GAP_S = 2.0  # after so long outside the image a vessel that comes back is a new identity
@@ -84,17 +86,19 @@ class Following:
     similarity: Similarity
     track_row: Indices  # row of the track that follows each vessel, `NOBODY` for none: (n,)
     truth_row: Indices  # row of the vessel that each track follows, `NOBODY` for none: (k,)
+    ignored: Mask  # tracks that follow nothing, where that is not to be counted: (k,)
 
     @property
     def counted(self) -> Mask:
-        """Mask of the rows of the tracks that are scored: all but those on a vessel that is not, shape (k,)."""
-        counted: Mask = np.append(self.truth.scored, True)[self.truth_row]  # the last is that of NOBODY
+        """Mask of the rows of the tracks that are scored: all but those on a vessel that is not, and those in a region
+        that is to be ignored, shape (k,)."""
+        counted: Mask = np.append(self.truth.scored, True)[self.truth_row] & ~self.ignored  # the last is NOBODY's
         return counted
 
     @property
     def false(self) -> Mask:
         """Mask of the rows of the tracks that follow nothing, shape (k,)."""
-        return np.equal(self.truth_row, NOBODY)
+        return np.equal(self.truth_row, NOBODY) & ~self.ignored
 
     @property
     def found(self) -> Mask:
@@ -102,8 +106,25 @@ class Following:
         return np.not_equal(self.track_row, NOBODY)
 
 
-def follow(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -> Following:
-    """Assign tracks to vessels in each frame."""
+_HALF = 0.5
+
+
+def _in_regions(tracks: Tracks, rows: Indices, regions: IgnoredRegions, cameras: int) -> Mask:
+    """Mask of the tracks that lie in a region that is to be ignored, of some rows (m,), shape (k,): half of the box in
+    a crowd, or with IoU of a half with another."""
+    inside = np.zeros(len(tracks), dtype=bool)
+    first, count = extents(regions.step * cameras + regions.camera, tracks.frame[rows])
+    row, region = rows.repeat(count), ranges(first, count)
+    boxes_px, region_px = tracks.boxes_px[row], regions.boxes_px[region]
+    in_crowd = regions.crowd[region] & (intersections(boxes_px, region_px) >= _HALF * areas(boxes_px))
+    inside[row[in_crowd | (iou(boxes_px, region_px) >= _HALF)]] = True
+    return inside
+
+
+def follow(
+    truth: TrueTracks, tracks: Tracks, similarity: Similarity, regions: IgnoredRegions | None = None
+) -> Following:
+    """Assign tracks to vessels in each frame. Of those that follow nothing, the ones in `regions` are ignored."""
     track_row, truth_row = np.full(len(truth), NOBODY), np.full(len(tracks), NOBODY)
     before: dict[int, dict[int, int]] = {}  # camera: track that followed each identity in the camera's frame before
     frames = np.union1d(truth.frame, tracks.frame)
@@ -119,7 +140,10 @@ def follow(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -> Followi
         track_row[a[i]], truth_row[b[j]] = b[j], a[i]
         followed, by = truth.identity[a[i]].tolist(), tracks.identity[b[j]].tolist()
         before[frame % truth.cameras] = dict(zip(followed, by, strict=True))
-    return Following(truth, tracks, similarity, track_row, truth_row)
+    false, ignored = np.flatnonzero(truth_row == NOBODY), np.zeros(len(tracks), dtype=bool)
+    if regions is not None and len(regions):
+        ignored = _in_regions(tracks, false, regions, truth.cameras)
+    return Following(truth, tracks, similarity, track_row, truth_row, ignored)
 
 
 def best_pairs(alike: Array, least: float, kept: Mask) -> tuple[Indices, Indices]:

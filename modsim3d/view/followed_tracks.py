@@ -41,9 +41,9 @@ class FollowedTracks:
         Rows on vessels that are not scored are found first. The others are then matched without those vessels, as CLEAR
         MOT's scores are, so that the switches are theirs."""
         tracks = track_set.tracks
-        first = follow(TrueTracks.of(rows), tracks, similarity)
+        first = follow(TrueTracks.of(rows), tracks, similarity, rows.regions)
         counted = first.counted
-        again = follow(first.truth.take(first.truth.scored), tracks.take(counted), similarity)
+        again = follow(first.truth.take(first.truth.scored), tracks.take(counted), similarity, rows.regions)
         vessel, switched = _vessels(first), np.zeros(len(tracks), dtype=bool)
         vessel[counted] = _vessels(again)
         track = np.append(again.tracks.identity, NOBODY)[again.track_row]

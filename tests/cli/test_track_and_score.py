@@ -145,3 +145,33 @@ def test_the_keys_of_its_object_are_those_of_the_page(tmp_path: Path, modsim3d: 
     for key in ("kind", "counts", "occlusion", "notes"):
         assert stored[key] == found[key], key
     assert {str(path) for path in (tmp_path / "out").rglob("*") if path.is_file()} == set(found["written"])
+
+
+def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Path, modsim3d: Modsim3d) -> None:
+    truth, folder = mot(tmp_path / "bay"), tmp_path / "sim"
+    run = ("detect", "--truth", truth, "--detector", "coastal", "--labels", "boat", "--horizon", 150, "--out", folder)
+    assert modsim3d(*run).status == 0
+    files = ("--truth", truth, "--detections", folder / "det" / "det.txt")
+    for line in (
+        ("detect", *files, "--out", tmp_path / "real"),
+        ("track", tmp_path / "real", "--tracker", "sort", "--out", tmp_path / "of_run"),
+        ("track", *files, "--tracker", "sort", "--out", tmp_path / "of_files"),
+    ):
+        assert modsim3d(*line).status == 0
+    tracks = [(tmp_path / name / "tracks.parquet").read_bytes() for name in ("of_run", "of_files")]
+    assert tracks[0] == tracks[1]
+    scores = [
+        json.loads(modsim3d("score", *line, tmp_path / "of_files", "--json").out)["trackers"][0]["hota"]
+        for line in ((tmp_path / "real",), files)
+    ]
+    assert scores[0] == scores[1] > 0.2
+    alone = modsim3d("score", "--truth", truth, truth)
+    assert alone.status == 0 and "1.000" in alone.out and "perfect association" not in alone.out
+    for line, said in (
+        (("track", *files[:2], "--out", tmp_path / "x"), "--truth needs --detections"),
+        (("score", tmp_path / "real"), "give TRACKS"),
+        (("track", "--out", tmp_path / "x"), "give either RUN"),
+        (("track", tmp_path / "real", "--frame-rate", 5, "--out", tmp_path / "x"), "--frame-rate is for --truth"),
+    ):
+        refused = modsim3d(*line)
+        assert refused.status == 2 and said in refused.err

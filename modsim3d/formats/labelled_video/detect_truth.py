@@ -18,14 +18,14 @@ from modsim3d.core.boxes import sizes
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table
-from modsim3d.detector.file.reading import content_of
+from modsim3d.detector.file.reading import content_of, parse_detector
 from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
-from modsim3d.formats.labelled_video.labels import labels_of
+from modsim3d.formats.labelled_video.labels import given_detector, labels_of
 from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
-from modsim3d.formats.reading.pair import read_truth
+from modsim3d.formats.reading.pair import file_kind, read_pair, read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text
 from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
@@ -189,25 +189,31 @@ def detect_truth(
     truth: StrPath,
     folder: StrPath,
     *,
+    detections: StrPath | None = None,
+    truth_alone: bool = False,
     detector: StrPath | None = None,
     seed: int = 0,
     labels: Sequence[str] | None = None,
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
     horizon: float | Sequence[float] | None = None,
+    confidence_scale: tuple[float, float] | None = None,
     skip_bad: bool = False,
     settings: Mapping[str, object] | None = None,
     state: str | None = None,
     state_from: StrPath | None = None,
     overwrite: bool = False,
 ) -> TruthResult:
-    """Run a detector over the truth of a labelled video, which need not be a simulated one.
+    """Make a run of a labelled video: of what a simulated detector makes of its truth, or of what a real one found.
 
         modsim3d.detect_truth("gt.txt", "out", detector="thesis", seed=7)
+        modsim3d.detect_truth("gt.txt", "real", detections="det.txt")
 
     Args:
         truth: MOT `gt.txt`, or COCO ground truth with tracks.
-        folder: Folder for the files; it is made where it is not there.
+        folder: The run directory; it is made where it is not there.
+        detections: What a real detector found, in the form of the truth, in place of a simulated detector.
+        truth_alone: Make a run without detections, to score tracks on.
         detector: A detector file, or the name of a shipped detector.
         seed: Seed of the detector.
         labels: The detector's label of each class in the order of its number (MOT) or of the file (COCO), `-` for one
@@ -215,7 +221,8 @@ def detect_truth(
         image_size_px: Width and height, for MOT without `seqinfo.ini`.
         frame_rate_hz: For MOT without `seqinfo.ini`, and for COCO whose images have a `frame_id` and no time.
         horizon: The row of the horizon, or x and y of two of its points, if false positives are to lie on the sea.
-        skip_bad: Leave out wrong entries of the truth, and say how many.
+        confidence_scale: Confidences in the detections that stand for 0 and for 1.
+        skip_bad: Leave out wrong entries of the files, and say how many.
         settings: Keys below `detector`, as those of `load_scene`.
         state: As that of `load_scene`.
         state_from: As that of `load_scene`, in place of `detector`.
@@ -233,11 +240,21 @@ def detect_truth(
     if seed < 0:
         raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
-        model, file = choose_detector(detector, settings=settings, state=state, state_from=state_from)
-        options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz)
-        work = _Work.of(truth, options, model, f"detector {file}", labels, horizon)
+        options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz, confidence_scale=confidence_scale)
+        if not (given := detections is not None or truth_alone):
+            model, file = choose_detector(detector, settings=settings, state=state, state_from=state_from)
+            work = _Work.of(*read_truth(truth, options), truth, model, f"detector {file}", labels, horizon)
+        elif detector is None and state is None and state_from is None and not settings and not seed:
+            options = replace(options, labels=tuple(labels or ()))
+            read_labels = read_truth(truth, options)[0]
+            if detections is not None:
+                read_labels = read_pair(truth.stem, truth, detections, options)
+            model = parse_detector(given_detector(read_labels.labels), "detector")
+            work = _Work.of(read_labels, file_kind(truth), truth, model, "detector", None, horizon)
+        else:
+            raise InputError("--detections", ["are those of a real detector: leave out what chooses a simulated one"])
         names = work.file_names()
-        result = run_scene(work.scene(seed), folder, overwrite=overwrite, thesis_json=False)
+        result = run_scene(work.scene(seed, given), folder, overwrite=overwrite, thesis_json=False)
         with claimed([folder / name for name in names], overwrite=overwrite, inputs=read):
             contents = work.contents(truth, open_run(folder))
             hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
@@ -269,15 +286,15 @@ class _Work:
     @classmethod
     def of(
         cls,
+        labelled: LabelledSet,
+        kind: str,
         truth: Path,
-        options: ReadOptions,
         model: DetectorModel,
         detector: str,
         labels: Sequence[str] | None,
         horizon: float | Sequence[float] | None,
     ) -> _Work:
-        """Read the truth. Raises ModsimError if it is wrong, or if the detector cannot work on it."""
-        labelled, kind = read_truth(truth, options)
+        """Look at what was read of a truth. Raises ModsimError if the detector cannot work on it."""
         source = f"ground truth {truth}"
         if (ids := labelled.ids) is None:
             raise ModsimError(f"{source}: its images and tracks have no names")
@@ -297,10 +314,12 @@ class _Work:
         """Number of the class or category of each label in the file."""
         return class_numbers(self.classes, self.to_label.tolist(), self.model.labels)
 
-    def scene(self, seed: int) -> Scene:
-        """The scene whose truth these labels are."""
+    def scene(self, seed: int, given: bool) -> Scene:
+        """The scene whose truth these labels are; `given` has the detections that were read."""
         names = self.ids.identities, self.ids.images
-        labels = labels_of(self.labelled, self.videos, self.sought, names, self.model.labels, self.horizon, self.source)
+        labels = labels_of(
+            self.labelled, self.videos, self.sought, names, self.model.labels, self.horizon, self.source, given
+        )
         name = re.sub("[^A-Za-z0-9_-]", "_", self.videos[0].file_name if len(self.videos) == 1 else self.stem)
         scene = scene_from_dict({"poses": {LABELS: labels}, "detector": self.model, "seed": seed}, name=name)
         whole = truth_block(scene, 0, scene.steps, None), 0, scene.steps

@@ -30,10 +30,11 @@ def labels_of(
     labels: Sequence[str],
     sea: Array | None,
     source: str,
+    given: bool,
 ) -> LabelledPoses:
     """Labels of videos as a scene has them. `names` are those of tracks and of images in the file, `labels` the
     detector's, `sea` the half-plane below the horizon: (3,), None if it is not known; `source` names the file in
-    errors. Detections are those of the labelled set. Raises InputError if tracks cannot be told apart."""
+    errors; `given` takes the detections of the labelled set. Raises InputError if tracks cannot be told apart."""
     tracks, images = names
     place = _Places(videos, len(labelled.images))
     used, vessel = np.unique(sought.track, return_inverse=True)
@@ -70,7 +71,7 @@ def labels_of(
         dict(zip(ids[order].tolist(), of_vessel, strict=True)),
         boxes,
         _regions(labelled, place),
-        _detections(labelled, row_of, place) if len(labelled.results) else None,
+        _detections(labelled, row_of, place) if given else None,
         (*labelled.notes, *sought.notes, *(notes if turning else ())),
     )
 

@@ -33,7 +33,7 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
     missing = [(what, path) for what, path in (("truth", truth), ("detections", detections)) if not path.exists()]
     if missing:
         raise InputError(f"condition {condition}", [f"{what} {path}: no such file or folder" for what, path in missing])
-    kinds = [_kind(path) for path in (truth, detections)]
+    kinds = [file_kind(path) for path in (truth, detections)]
     if kinds[0] != kinds[1]:
         mixed = f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"
         raise InputError(f"condition {condition}", [mixed])
@@ -120,12 +120,13 @@ def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[Label
     path = as_path(truth, "truth")
     if not path.exists():
         raise InputError(f"truth {path}", ["no such file"])
-    kind = _kind(path)
+    kind = file_kind(path)
     if kind == "YOLO":
         raise InputError(f"truth {path}", ["is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON"])
     labelled = {"COCO": read_coco, "MOT": read_mot}[kind](path.stem, path, None, options)
     return _plausible(labelled, _FORMS[kind], path), kind
 
 
-def _kind(path: Path) -> str:
+def file_kind(path: Path) -> str:
+    """`YOLO`, `MOT` or `COCO`, by what a path is called."""
     return "YOLO" if path.is_dir() else "MOT" if path.suffix in (".txt", ".csv") else "COCO"

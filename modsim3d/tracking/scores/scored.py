@@ -60,7 +60,7 @@ class Scored:
     def of(cls, rows: RunRows, tracks: Tracks, rules: Rules) -> Self:
         """Match all tracks with all vessels."""
         truth = TrueTracks.of(rows, rules.truth, rules.gap_s)
-        return cls(rows, rules, follow(truth, tracks, rules.similarity), rows.frames)
+        return cls(rows, rules, follow(truth, tracks, rules.similarity, rows.regions), rows.frames)
 
     def in_frames(self, frames: Indices) -> Self:
         """Matching in some frames only."""

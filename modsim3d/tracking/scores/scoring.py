@@ -127,5 +127,6 @@ def _by_class(scored: Scored) -> Iterator[Scored]:
     """Vessels and tracks of each label alone, matched with each other."""
     truth, tracks, rules = scored.following.truth, scored.following.tracks, scored.rules
     for label in range(len(scored.rows.scene.detector.labels)):
-        alone = follow(truth.take(truth.label == label), tracks.take(tracks.label == label), rules.similarity)
+        ours = truth.take(truth.label == label), tracks.take(tracks.label == label)
+        alone = follow(*ours, rules.similarity, scored.rows.regions)
         yield Scored(scored.rows, rules, alone, scored.frames)

@@ -196,6 +196,8 @@ def _checked(labels: LabelledPoses, source: str) -> LabelledPoses:
         if len(each.steps) != len(each.images)
         or (np.diff(each.steps, prepend=-1, append=len(labels.timestamps)) <= 0).any()
     ]
+    if not labels.sequences:
+        raise InputError(source, ["sequences: there are none"])
     places = np.concatenate([each.steps * len(labels.sequences) + k for k, each in enumerate(labels.sequences)])
     sizes_px = np.array([each.image_size_px * 2 for each in labels.sequences])
     for name in _PARTS:
