@@ -176,7 +176,7 @@ def _beside(pixels: Array, image_size_px: tuple[int, int]) -> Indices:
 
 def blind_cameras(scene: Scene, steps: int, camera_counts: dict[str, Counts]) -> list[str]:
     """A sentence on each camera that saw no vessel in a run of so many steps: which way it looks, where they are."""
-    blind = [camera for camera in scene.cameras if not camera_counts[camera.name].seen]
+    blind = [camera for camera in scene.cameras if scene.labels is None and not camera_counts[camera.name].seen]
     looked_at = {camera.name: _some_frames(scene, camera, steps) for camera in blind}
     return [
         _sentence(Outlook.of(scene, camera, looked_at[camera.name]), f"its {camera_counts[camera.name].frames} frames")
@@ -189,7 +189,7 @@ def blind_at_first(scene: Scene) -> list[str]:
     """A sentence on each camera that sees no vessel in its first frames, nor in some others over the whole scene. Of a
     live scene nothing is said: its poses are not there yet."""
     sentences = []
-    for camera in () if scene.live else scene.cameras:
+    for camera in () if scene.live or scene.labels is not None else scene.cameras:
         steps = _some_frames(scene, camera, scene.steps)
         outlook = Outlook.of(scene, camera, steps)
         if len(steps) and not outlook.sees_a_vessel():

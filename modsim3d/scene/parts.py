@@ -284,7 +284,7 @@ class SceneParts:
         try:
             return model.model_validate(self.data)
         except ValidationError as error:
-            self.problems += describe(error, model)
+            self.problems += [problem.removeprefix(": ") for problem in describe(error, model)]
             return None
 
     def _vessels_at(self) -> _Location:

@@ -270,6 +270,11 @@ class Scene:
         """The labels of videos that its truth is; None if vessels are where their poses are."""
         return self.poses if isinstance(self.poses, LabelledPoses) else None
 
+    def check_world(self, what: str) -> None:
+        """Raise ModsimError where something needs to know where things are, and the truth is labels of videos."""
+        if self.labels is not None:
+            raise ModsimError(f"{self.title}: {what} needs places in the world, and labels of videos have none")
+
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
         """Texts of the times of steps first to stop − 1."""
         return tuple(self.poses.timestamps[first:stop])

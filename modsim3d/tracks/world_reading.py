@@ -311,6 +311,7 @@ def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -
         ModsimError: rosbags is not installed, and a bag needs it.
     """
     path = as_path(path, "path", "tracks")
+    run.scene.check_world("a score of tracks in the world")
     run.check_has_steps()
     if path.is_dir() or is_bag(path):
         return checked(read_world_bag(path, run, topic), run)

@@ -90,6 +90,7 @@ class BirdsEye:
     @cached_property
     def extent_m(self) -> tuple[float, float, float, float]:
         """Least and greatest w1, least and greatest w2: all tracks, and the cameras ashore and obstacles near them."""
+        self.scene.check_world("a map")
         half = np.array([vessel.length_m for vessel in self.scene.vessels])[:, None] / 2
         points = [(self.tracks_m + half).reshape(-1, 2), (self.tracks_m - half).reshape(-1, 2), *self.circles_m]
         points = points if any(np.isfinite(some).any() for some in points) else [*self.ashore_m, *_corners(self.land)]

@@ -114,15 +114,18 @@ def coverage_of(rows: RunRows) -> dict[str, int | float]:
       times for which vessels in the image are wholly hidden. Missing where the source of the truth cannot tell.
     - `covered.wave_height_m`: significant height; 0 for calm water, missing for waves without a height.
     - `covered.camera_roll_rad`: largest angle of the horizon in an image.
+
+    Of a labelled video the last two are missing, and a range is the labels' distance, if they have one.
     """
     visible = rows.numbers("visible_px") != 0  # where it is unknown, a vessel in the image is taken as seen
-    poses = tuple(_camera_poses(rows))
+    known = rows.scene.labels is None
+    poses = tuple(_camera_poses(rows)) if known else ()
     numbers = {
         **_encounters(rows, visible),
         **_sights(rows, visible, poses),
         **_occlusions(rows),
-        **_waves(rows.scene),
-        "covered.camera_roll_rad": max(_roll_rad(each) for each in poses),
+        **(_waves(rows.scene) if known else {}),
+        **({"covered.camera_roll_rad": max(_roll_rad(each) for each in poses)} if known else {}),
     }
     return {name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in numbers.items()}
 
@@ -151,9 +154,11 @@ def _sights(rows: RunRows, visible: Mask, poses: tuple[CameraPoses, ...]) -> dic
     scene, cameras = rows.scene, len(rows.scene.cameras)
     step, camera = np.divmod(rows.truth_frame[visible], cameras)
     vessel = rows.truth_vessel[visible]
-    places_m = np.stack([each.positions_m[:, :2] for each in poses])
-    centres_m = scene.poses.poses(0, rows.steps).positions_m[..., :2]
-    range_m = np.hypot(*(centres_m[step, vessel] - places_m[camera, step]).T)
+    range_m = rows.numbers("depth_m")[visible]
+    if scene.labels is None:
+        places_m = np.stack([each.positions_m[:, :2] for each in poses])
+        centres_m = scene.poses.poses(0, rows.steps).positions_m[..., :2]
+        range_m = np.hypot(*(centres_m[step, vessel] - places_m[camera, step]).T)
     box = rows.annotated_boxes_px[visible]
     size_px = np.sqrt((box[:, 2] - box[:, 0]) * (box[:, 3] - box[:, 1]))
     classes = Counter(dict.fromkeys(sorted({vessel.label for vessel in scene.vessels}), 0))
@@ -164,7 +169,7 @@ def _sights(rows: RunRows, visible: Mask, poses: tuple[CameraPoses, ...]) -> dic
         **{VESSELS + label: count for label, count in classes.items()},
         **RANGES.counts(range_m),
         **SIZES.counts(size_px),
-        **_extremes("range_m", range_m),
+        **_extremes("range_m", range_m[np.isfinite(range_m)]),
         **_extremes("size_px", size_px[np.isfinite(size_px)]),
     }
 

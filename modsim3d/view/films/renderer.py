@@ -195,7 +195,8 @@ class FilmRenderer:
             return ids_picture(camera_view.solids, window, self._id_renderer, nominal)
         layers, on_scene = self._plan.layers_of(kind), kind == "scene" or self._plan.boxes_on_scene
         ground = None
-        if self._shaded_renderer is not None and kind != "corners" and on_scene:
+        shaded = self._shaded_renderer is not None and self._scene.labels is None
+        if shaded and self._shaded_renderer is not None and kind != "corners" and on_scene:
             night = self._shaded_renderer.style.night
             speeds_m_s = ground_speeds(self._scene, camera_view.frame.step) if night else None
             ground = self._shaded_renderer.picture(camera_view.solids, window, speeds_m_s)

@@ -39,22 +39,20 @@ class Solids:
     camera: Camera
     outlines: Outlines  # a row for each solid before the camera
     extents_m: Array  # length, beam and air draft of all vessels, shape (V, 3)
+    sea_half_plane: Array  # the side of the horizon on which the sea lies, shape (3,)
 
     @classmethod
     def at(cls, scene: Scene, camera: Camera, step: int) -> Solids:
         """The solids before a camera of a scene at a step."""
         sight = scene.sight(camera, np.array([step]))
-        return cls(sight, camera, sight.outlines(), np.array([vessel.extents_m for vessel in scene.vessels]))
+        extents_m = np.array([vessel.extents_m for vessel in scene.vessels]).reshape(-1, 3)
+        (sea,) = scene.sea_half_planes(camera, np.array([step]))
+        return cls(sight, camera, sight.outlines(), extents_m, sea)
 
     @property
     def intrinsics(self) -> Intrinsics:
         """The camera's intrinsics."""
         return self.camera.intrinsics
-
-    @property
-    def sea_half_plane(self) -> Array:
-        """The side of the horizon on which the sea lies, shape (3,)."""
-        return self.intrinsics.sea_half_plane(self.sight.camera_poses.camera_R_world[0])
 
     @property
     def occluders(self) -> Indices:

@@ -259,7 +259,7 @@ def seen(
     to front, with the place of their step as their frame. `hides` are the keys from `hiding`, shape (m,)."""
     camera = scene.cameras[index]
     sight, numbers = scene.sight(camera, steps, motion), steps * len(scene.cameras) + index
-    half_planes = camera.intrinsics.sea_half_plane(sight.camera_poses.camera_R_world)
+    half_planes = scene.sea_half_planes(camera, steps)
     before = sight.outlines(measured=False)
     numbered = replace(before, frame=numbers[before.frame])
     drawn = shapes(numbered, camera.intrinsics, quantum_px, len(scene.occluder_names), hides)
