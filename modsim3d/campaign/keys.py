@@ -212,6 +212,43 @@ class SearchKeys(Strict):
         return self
 
 
+class LabelledVideos(Strict):
+    """Labelled videos in place of a scene: each traffic seed shows one of them. A scene is made of them beside the
+    campaign file, in the folder `NAME_scene`."""
+
+    truth: Text
+    detections: Text | None = None
+    detector: Text | None = None
+    labels: list[Text] | None = None
+    image_size_px: tuple[Number, Number] | None = None
+    frame_rate_hz: Number | None = None
+    horizon: Number | tuple[Number, Number, Number, Number] | None = None
+
+    def written(self, base: Path) -> str:
+        """The path of the scene, from the folder that paths are relative to; InputError if a file is wrong."""
+        from modsim3d.formats.labelled_video.detect_truth import write_labelled_scene
+        from modsim3d.formats.reading.builder import ReadOptions
+
+        truth, options = base / self.truth, ReadOptions((), self.image_size_px, False, self.frame_rate_hz)
+        folder = Path(f"{Path(self.truth).stem}_scene")
+        detector = self.detector and str(base / self.detector if (base / self.detector).is_file() else self.detector)
+        found = None if self.detections is None else base / self.detections
+        try:
+            file = write_labelled_scene(
+                truth,
+                base / folder,
+                options=options,
+                detections=found,
+                detector=detector,
+                labels=self.labels,
+                horizon=self.horizon,
+            )
+        except InputError as error:
+            told = [f"{error.source}: {problem}" for problem in error.problems]
+            raise InputError(f"scenes: {self.truth}", told) from None
+        return (folder / file.name).as_posix()
+
+
 class CampaignKeys(Strict):
     """The keys of a campaign file."""
 
@@ -275,6 +312,15 @@ def find_campaign(campaign: StrPath) -> Path:
     raise InputError(f"campaign {path}", [f"no such file, and no shipped campaign has this name ({hint})"])
 
 
+def _with_scenes(data: dict[str, Any], base: Path) -> dict[str, Any]:
+    """The content of a campaign file with the path of a scene in place of each mapping of labelled videos."""
+    given = data.get("scenes", [data["scene"]] if "scene" in data else None)
+    if not isinstance(given, list) or not any(isinstance(each, dict) for each in given):
+        return data
+    made = [LabelledVideos.model_validate(each).written(base) if isinstance(each, dict) else each for each in given]
+    return {**{key: value for key, value in data.items() if key != "scene"}, "scenes": made}
+
+
 def read_campaign(campaign: StrPath) -> CampaignFile:
     """Read a campaign file; InputError with every problem of its keys, TypeError if it is neither text nor a path."""
     path = find_campaign(campaign)
@@ -283,7 +329,7 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
         needed = f"a mapping of keys is needed (got {kind_of(data)})"
         raise InputError(f"campaign {path}", ["the file is empty" if data is None else needed])
     try:
-        keys = CampaignKeys.model_validate(data)
+        keys = CampaignKeys.model_validate(_with_scenes(data, path.resolve().parent))
     except ValidationError as error:
         # A colon stands before a problem of the whole file.
         problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]

@@ -70,7 +70,7 @@ def _arrays(content: dict[str, Any], data: Mapping[str, Any]) -> Mapping[str, An
     """The section `poses` if it has arrays or labels; otherwise the content gets it."""
     poses = data.get("poses")
     if isinstance(poses, Mapping) and isinstance(poses.get(LABELS), LabelledPoses):
-        content["poses"] = {LABELS: FILE}
+        content["poses"] = {LABELS: {"file": FILE, "by_seed": True} if poses.get("by_seed") else FILE}
         return poses
     if isinstance(poses, Mapping) and any(key in poses for key in KEYS):
         content["poses"] = {"file": FILE}
@@ -152,5 +152,5 @@ class _DictParts(SceneParts):
         if self._arrays is None:
             return super()._source()
         if LABELS in self._arrays:
-            return NamedSource(LABELS, GivenLabels(self._arrays[LABELS], self.name, FILE), None)
+            return NamedSource(LABELS, GivenLabels(file=FILE, labels=self._arrays[LABELS], source=self.name), None)
         return NamedSource("file", ArrayKeys(self._arrays, self.name), None)

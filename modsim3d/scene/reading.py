@@ -149,7 +149,8 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def find_scene(scene: StrPath) -> Path:
-    """The scene file that a path, a folder with a `scene.yaml` or the name of a shipped scene stands for. Raises
+    """The scene file that a path, a folder with a `scene.yaml`, a run directory or the name of a shipped scene stands
+    for. Raises
     InputError if there is no such file and no such scene; TypeError for what is neither text nor a path."""
     path, shipped = as_path(scene, "scene", "a path or the name of a shipped scene"), shipped_scenes()
     name = os.fspath(scene)
@@ -162,11 +163,18 @@ def find_scene(scene: StrPath) -> Path:
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"scene {shown(name)}", [f"cannot be read: {why}"]) from None
     if exists and not (folder and name in shipped):
-        return path / SCENE_FILE if folder and (path / SCENE_FILE).is_file() else path
+        in_folder = (path / SCENE_FILE, *(path / "scene" / f"{each}.json" for each in _scenes_of_run(path)))
+        return next((file for file in in_folder if folder and file.is_file()), path)
     if name in shipped:
         return shipped[name]
     problem = f"no such file, and no shipped scene has this name ({nearest(name, shipped)})"
     raise InputError(f"scene {name}", [problem])
+
+
+def _scenes_of_run(folder: Path) -> list[str]:
+    """The name of the scene in a run directory; none if the folder is no such directory."""
+    file = folder / "run.json"
+    return [str(load_json(file, "run").get("scene"))] if file.is_file() else []
 
 
 def draws_traffic(path: Path) -> bool:

@@ -336,6 +336,9 @@ def _keys_of(factor: Any) -> Iterator[str]:
 def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin]) -> ConditionFacts:
     """Facts about a condition; the files and plug-ins that it is made of are added to those given."""
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
+    if scene.labels is not None and 1 < scene.labels.videos < plan.keys.seeds.traffic:
+        videos, asked = scene.labels.videos, plan.keys.seeds.traffic
+        raise ModsimError(f"{scene.title}: has {videos} videos, too few for {asked} traffic seeds: each shows one")
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
     named = {

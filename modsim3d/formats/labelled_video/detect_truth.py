@@ -25,7 +25,7 @@ from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
 from modsim3d.formats.labelled_video.labels import given_detector, labels_of
 from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
-from modsim3d.formats.reading.pair import file_kind, read_pair, read_truth
+from modsim3d.formats.reading.pair import read_pair, read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text
 from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
@@ -235,26 +235,22 @@ def detect_truth(
     """
     started = time.perf_counter()
     truth, folder = as_path(truth, "truth"), as_path(folder, "folder")
-    if frame_rate_hz is not None and not 0 < frame_rate_hz < np.inf:
-        raise InputError("--frame-rate", [f"must be above 0 (got {frame_rate_hz:g})"])
     if seed < 0:
         raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
-        options = ReadOptions((), image_size_px, skip_bad, frame_rate_hz, confidence_scale=confidence_scale)
-        if not (given := detections is not None or truth_alone):
-            model, file = choose_detector(detector, settings=settings, state=state, state_from=state_from)
-            work = _Work.of(*read_truth(truth, options), truth, model, f"detector {file}", labels, horizon)
-        elif detector is None and state is None and state_from is None and not settings and not seed:
-            options = replace(options, labels=tuple(labels or ()))
-            read_labels = read_truth(truth, options)[0]
-            if detections is not None:
-                read_labels = read_pair(truth.stem, truth, detections, options)
-            model = parse_detector(given_detector(read_labels.labels), "detector")
-            work = _Work.of(read_labels, file_kind(truth), truth, model, "detector", None, horizon)
-        else:
-            raise InputError("--detections", ["are those of a real detector: leave out what chooses a simulated one"])
+        work = _Work.of_files(
+            truth,
+            ReadOptions((), image_size_px, skip_bad, frame_rate_hz, confidence_scale=confidence_scale),
+            None if truth_alone else detections,
+            {"detector": detector, "settings": settings, "state": state, "state_from": state_from},
+            labels,
+            horizon,
+            given=detections is not None or truth_alone,
+        )
+        if work.given and seed:
+            raise InputError("--detector-seed", ["is for a simulated detector: leave it out"])
+        result = run_scene(work.scene(seed), folder, overwrite=overwrite, thesis_json=False)
         names = work.file_names()
-        result = run_scene(work.scene(seed, given), folder, overwrite=overwrite, thesis_json=False)
         with claimed([folder / name for name in names], overwrite=overwrite, inputs=read):
             contents = work.contents(truth, open_run(folder))
             hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
@@ -264,6 +260,23 @@ def detect_truth(
     paths = tuple(folder / name for name in (*names, RUN_FILE, LOG_FILE, *read_json(folder / RUN_FILE)["files"]))
     seconds = time.perf_counter() - started
     return TruthResult(folder, work.kind, result.camera_counts, work.occlusion(), work.notes, paths, seconds)
+
+
+def write_labelled_scene(
+    truth: Path,
+    folder: Path,
+    *,
+    options: ReadOptions,
+    detections: Path | None = None,
+    detector: StrPath | None = None,
+    labels: Sequence[str] | None = None,
+    horizon: float | Sequence[float] | None = None,
+) -> Path:
+    """Write a scene of labelled videos, of which each seed shows one, into a folder, and return its file; for the
+    arguments see `detect_truth`. Raises as it does."""
+    given = detections is not None
+    work = _Work.of_files(truth, options, detections, {"detector": detector}, labels, horizon, given=given)
+    return work.scene(0, by_seed=True).copy.write(folder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,7 +294,36 @@ class _Work:
     videos: list[Video]
     sought: TargetBoxes
     horizon: Array | None  # the half-plane of the sea: (3,); None if it is not known
+    given: bool  # whether the detections are a real detector's
     notes: tuple[str, ...]
+
+    @classmethod
+    def of_files(
+        cls,
+        truth: Path,
+        options: ReadOptions,
+        detections: StrPath | None,
+        detector: Mapping[str, Any],
+        labels: Sequence[str] | None,
+        horizon: float | Sequence[float] | None,
+        *,
+        given: bool,
+    ) -> _Work:
+        """Read the files; `detector` has the arguments of `choose_detector`, and `given` takes the detections in its
+        place. Raises ModsimError if they are wrong, or the detector cannot work on them."""
+        if options.frame_rate_hz is not None and not 0 < options.frame_rate_hz < np.inf:
+            raise InputError("--frame-rate", [f"must be above 0 (got {options.frame_rate_hz:g})"])
+        if not given:
+            model, file = choose_detector(**detector)
+            return cls.of(*read_truth(truth, options), truth, model, f"detector {file}", labels, horizon, given)
+        if any(detector.values()):
+            raise InputError("--detections", ["are those of a real detector: leave out what chooses a simulated one"])
+        options = replace(options, labels=tuple(labels or ()))
+        labelled, kind = read_truth(truth, options)
+        if detections is not None:
+            labelled = read_pair(truth.stem, truth, detections, options)
+        model = parse_detector(given_detector(labelled.labels), "detector")
+        return cls.of(labelled, kind, truth, model, "detector", None, horizon, given)
 
     @classmethod
     def of(
@@ -293,6 +335,7 @@ class _Work:
         detector: str,
         labels: Sequence[str] | None,
         horizon: float | Sequence[float] | None,
+        given: bool,
     ) -> _Work:
         """Look at what was read of a truth. Raises ModsimError if the detector cannot work on it."""
         source = f"ground truth {truth}"
@@ -307,21 +350,23 @@ class _Work:
         sea = None if horizon is None else half_plane(horizon, {video.size_px for video in videos})
         left_out = check_needs(model, detector, sought.depth_m[sought.visible_fraction > 0], sea)
         notes = (*labelled.notes, *taken, *sought.notes, *left_out, *dead_lines(model))
-        return cls(kind, source, truth.stem, labelled, model, ids, classes, to_label, videos, sought, sea, notes)
+        return cls(kind, source, truth.stem, labelled, model, ids, classes, to_label, videos, sought, sea, given, notes)
 
     @property
     def numbers(self) -> dict[str, int]:
         """Number of the class or category of each label in the file."""
         return class_numbers(self.classes, self.to_label.tolist(), self.model.labels)
 
-    def scene(self, seed: int, given: bool) -> Scene:
-        """The scene whose truth these labels are; `given` has the detections that were read."""
+    def scene(self, seed: int, *, by_seed: bool = False) -> Scene:
+        """The scene whose truth these labels are; in its copy, `by_seed` lets the seed choose one of the videos."""
         names = self.ids.identities, self.ids.images
         labels = labels_of(
-            self.labelled, self.videos, self.sought, names, self.model.labels, self.horizon, self.source, given
+            self.labelled, self.videos, self.sought, names, self.model.labels, self.horizon, self.source, self.given
         )
         name = re.sub("[^A-Za-z0-9_-]", "_", self.videos[0].file_name if len(self.videos) == 1 else self.stem)
-        scene = scene_from_dict({"poses": {LABELS: labels}, "detector": self.model, "seed": seed}, name=name)
+        scene = scene_from_dict(
+            {"poses": {LABELS: labels, "by_seed": by_seed}, "detector": self.model, "seed": seed}, name=name
+        )
         whole = truth_block(scene, 0, scene.steps, None), 0, scene.steps
         Simulation(scene, scene_statistics(scene, [whole]))  # its errors come before a folder is made
         return scene

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import orjson
-from pydantic import RootModel
+from pydantic import InstanceOf, model_validator
 
 from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.io.strict_text import load_json
-from modsim3d.io.validation import shown
+from modsim3d.io.validation import Strict, shown
 from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
 from modsim3d.world.poses.replay import time_problems
 from modsim3d.world.vessels import Vessel, name_problem
@@ -112,6 +112,8 @@ class LabelledPoses:
     regions: IgnoredRegions
     detections: GivenDetections | None = None
     notes: tuple[str, ...] = ()
+    videos: int = 1
+    """Number of videos of which this is one, where the seed chooses."""
 
     def poses(self, first: int, stop: int) -> Poses:
         """Nobody, at steps first to stop − 1."""
@@ -130,6 +132,32 @@ class LabelledPoses:
     def sequence(self, camera: str) -> ImageSequence:
         """The images of a camera, by its name."""
         return next(each for each in self.sequences if each.name == camera)
+
+    def alone(self, number: int) -> LabelledPoses:
+        """One of the sequences with its own steps and vessels, by its place."""
+        own = self.sequences[number]
+
+        def ours(rows: Any) -> Any:
+            chosen = rows.take(rows.camera == number)
+            return replace(chosen, step=np.searchsorted(own.steps, chosen.step), camera=np.zeros_like(chosen.camera))
+
+        boxes, found = ours(self.boxes), self.detections
+        used, vessel = np.unique(boxes.vessel, return_inverse=True)
+        if found is not None:
+            before = np.cumsum(self.boxes.camera == number) - 1
+            found = ours(found)
+            found = replace(found, row=np.where(found.row >= 0, np.append(before, NOBODY)[found.row], NOBODY))
+        names = list(self.vessels)
+        return replace(
+            self,
+            timestamps=tuple(self.timestamps[step] for step in own.steps.tolist()),
+            sequences=(replace(own, steps=np.arange(len(own.steps))),),
+            vessels={names[index]: self.vessels[names[index]] for index in used.tolist()},
+            boxes=replace(boxes, vessel=vessel),
+            regions=ours(self.regions),
+            detections=found,
+            videos=len(self.sequences),
+        )
 
     def written(self) -> bytes:
         """The file that `read_labels` reads."""
@@ -221,37 +249,40 @@ def _checked(labels: LabelledPoses, source: str) -> LabelledPoses:
     return labels
 
 
-class LabelsKeys(SourceKeys, RootModel[str]):
-    """The file of labels, which modsim3d has written."""
+class LabelsKeys(SourceKeys, Strict):
+    """The file of labels, which modsim3d has written. With `by_seed` each seed shows one of its videos."""
 
     generated: ClassVar[bool] = False
-    drawn: ClassVar[bool] = False
+
+    file: str
+    by_seed: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, keys: Any) -> Any:
+        return {"file": keys} if isinstance(keys, str) else keys
+
+    @property
+    def drawn(self) -> bool:  # type: ignore[override]
+        """Whether the seed chooses the video."""
+        return self.by_seed
 
     @property
     def files(self) -> tuple[str, ...]:
         """The file."""
-        return (self.root,)
+        return (self.file,)
 
     def build(self, request: PoseRequest) -> LabelledPoses:
-        """The labels in the file, up to the steps that the scene asks for."""
-        return read_labels(request.folder / self.root)
+        """The labels in the file, or those of the seed's video."""
+        labels = read_labels(request.folder / self.file)
+        return labels.alone(request.seed % len(labels.sequences)) if self.by_seed else labels
 
 
-@dataclass(frozen=True, eq=False)
-class GivenLabels(SourceKeys):
-    """Labels that are in memory, in place of a file; `file` is what a copy of the scene calls it, `source` what errors
-    call them."""
+class GivenLabels(LabelsKeys):
+    """Labels that are in memory; `file` is what a copy of the scene calls them, `source` what errors call them."""
 
-    labels: LabelledPoses
+    labels: InstanceOf[LabelledPoses]
     source: str
-    file: str
-    generated: ClassVar[bool] = False
-    drawn: ClassVar[bool] = False
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """The file that a copy of the scene has."""
-        return (self.file,)
 
     def build(self, request: PoseRequest) -> LabelledPoses:
         """The labels."""
