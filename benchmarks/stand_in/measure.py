@@ -28,7 +28,6 @@ from benchmarks.stand_in.exchange import SCORES as EXCHANGED_SCORES
 from benchmarks.stand_in.margins import BY_KEY, SCORES
 from benchmarks.stand_in.ranking import ranking
 from benchmarks.stand_in.scores import (
-    BINS,
     SETTINGS_OF,
     TRACKERS,
     OpenFilm,
@@ -100,6 +99,7 @@ def measure(
     trackers: Sequence[str] = TRACKERS,
     threshold: float = 0.2,
     *,
+    of_films: Mapping[str, Mapping[str, Path]] | None = None,
     titles: Mapping[str, str] | None = None,
     workers: int = 2,
     learned_from: int = 0,
@@ -113,6 +113,7 @@ def measure(
         seeds: Seeds of the simulated detector.
         trackers: Names of trackers.
         threshold: The least confidence of a detection, real or simulated.
+        of_films: Detector files of single films by their names, in place of `detectors`.
         titles: What each rung adds, in words.
         workers: Number of processes; no number depends on it.
         learned_from: Number of films that the detector files were learned from.
@@ -125,7 +126,7 @@ def measure(
         raise ModsimError(
             f"a comparison needs films, seeds and detector files (got {len(films)}, {len(seeds)}, {len(detectors)})"
         )
-    jobs = [Job(film, detectors, seeds, trackers, threshold) for film in films]
+    jobs = [Job(film, (of_films or {}).get(film.name, detectors), seeds, trackers, threshold) for film in films]
     measured = list(_told(_each(measured_film, jobs, workers), len(jobs)))
     named = [{"name": name, "title": (titles or {}).get(name, name)} for name in detectors]
     found: dict[str, Any] = rounded(
@@ -325,7 +326,7 @@ def _bins(measured: Sequence[Measured], rung: str, tracker: str) -> dict[str, An
             kind: difference(of(REAL, bin_name, kind)[:, 0], of(rung, bin_name, kind), BIN_MARGIN).as_json()
             for kind in ("recall", "association")
         }
-        for bin_name, _ in BINS
+        for bin_name in measured[0].outputs[REAL][0].bins[tracker]
     }
 
 
@@ -351,7 +352,7 @@ def _distributions(measured: Sequence[Measured], rung: str, trackers: Sequence[s
 
 def _settings(trackers: Sequence[str], place: str) -> dict[str, Any]:
     """The settings of each tracker at a place."""
-    return {name: named_tracker(name, {}, SETTINGS_OF[place]).origin.settings for name in trackers}
+    return {name: named_tracker(name, {}, SETTINGS_OF.get(place)).origin.settings for name in trackers}
 
 
 def _each(work: Callable[[Job], Measured], jobs: Sequence[Job], workers: int) -> Iterable[Measured]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from modsim3d.learn.learning import LearnResult, learn_detector
 from modsim3d.learn.model_selection import RICHER
@@ -53,8 +53,8 @@ def _rungs() -> Iterator[Rung]:
 RUNGS = tuple(_rungs())
 
 
-def learn_rung(films: Sequence[Film], rung: Rung) -> LearnResult:
-    """Learn from films, with their weather as the performance state.
+def learn_rung(films: Sequence[Film], rung: Rung, confidence: float = MIN_CONFIDENCE, **given: Any) -> LearnResult:
+    """Learn from films, with their weather as the performance state, from a confidence on; `given` goes to learning.
 
     Raises:
         ModsimError: The films' files cannot be read.
@@ -65,9 +65,10 @@ def learn_rung(films: Sequence[Film], rung: Rung) -> LearnResult:
         conditions=[film.weather for film in films],
         match="confidence",
         least_iou=MIN_IOU,
-        confidence=MIN_CONFIDENCE,
+        confidence=confidence,
         without=sorted(rung.without),
         check=False,  # the comparison on other films is the check
+        **given,
     )
 
 

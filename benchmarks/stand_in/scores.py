@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.stand_in.margins import SCORES
 from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.boxes import areas
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
 from modsim3d.runs.files.stored_tables import truth_of
@@ -47,6 +48,18 @@ BINS = (
 )
 """Vessel-frames that are looked at alone, and what they are."""
 NEAR_M, FAR_M = 150, 300
+PICTURE_BINS = (
+    *BINS[:2],
+    ("near", "nearer than 20 m"),
+    ("middle", "20 m to 40 m"),
+    ("far", "40 m and farther"),
+    ("small", "box smaller than 32 px"),
+    ("medium", "box of 32 px to 96 px"),
+    ("large", "box of 96 px and more"),
+)
+"""The same for real pictures, with sizes: the side of a square as large as the box, as COCO has them."""
+PICTURE_NEAR_M, PICTURE_FAR_M = 20, 40
+SIZES_PX = (32, 96)
 _SEEDS_OF_A_FILM = 1000
 
 
@@ -103,6 +116,8 @@ def real_detections(opened: OpenFilm, threshold: float) -> TrackerDetections:
     Raises:
         ModsimError: The images of the file are not the frames of the run, or it has a label that the run has not.
     """
+    if opened.rows.scene.labels is not None:
+        return _confident(opened.sequence.detections, threshold)  # the run is of real detections
     truth = json.loads(Path(opened.film.truth).read_text(encoding="utf-8"))
     found = json.loads(Path(opened.film.real).read_text(encoding="utf-8"))
     frame_of = {image["id"]: frame for frame, image in enumerate(truth["images"])}
@@ -142,6 +157,8 @@ def simulated_detections(
     if unknown := set(opened.rows.scene.detector.labels) - set(model.labels):
         raise ModsimError(f"{file}: has no label '{min(unknown)}', which the film {opened.film.name} has")
     scene = replace(opened.rows.scene, detector=model)
+    if scene.labels is not None:
+        scene = replace(scene, poses=replace(scene.labels, detections=None))
     statistics = scene_statistics(scene, opened.blocks)
     own = [_SEEDS_OF_A_FILM * opened.film.seed + seed for seed in seeds]
     return [_simulated(opened, Simulation(replace(scene, detector_seed=seed), statistics), threshold) for seed in own]
@@ -162,9 +179,9 @@ def _confident(detections: TrackerDetections, threshold: float) -> TrackerDetect
 
 def scored_tracks(opened: OpenFilm, detections: TrackerDetections, tracker: str) -> Scored:
     """Run a tracker over the detections of a film, and match its tracks with the truth."""
-    named = named_tracker(tracker, {}, SETTINGS_OF[opened.film.place])
+    named = named_tracker(tracker, {}, SETTINGS_OF.get(opened.film.place))
     tracks = tracked(named, [replace(opened.sequence, detections=detections)], (0,), opened.rows.scene)
-    return Scored(opened.rows, RULES, follow(opened.truth, tracks, RULES.similarity), opened.rows.frames)
+    return Scored(opened.rows, RULES, follow(opened.truth, tracks, RULES.similarity, opened.rows.regions), opened.rows.frames)
 
 
 def scores_of(opened: OpenFilm, scored: Scored) -> dict[str, float]:
@@ -205,8 +222,15 @@ def recall_of_bins(opened: OpenFilm, scored: Scored) -> dict[str, dict[str, floa
 def bins_of(opened: OpenFilm, truth: TrueTracks) -> dict[str, Mask]:
     """Which rows of the truth belong to each of `BINS`, shapes (n,)."""
     visible, depth_m = (opened.rows.numbers(name)[truth.row] for name in ("visible_fraction", "depth_m"))
-    near, far = depth_m < NEAR_M, depth_m >= FAR_M
-    return {"visible": visible >= 0.5, "hidden": visible < 0.5, "near": near, "middle": ~near & ~far, "far": far}
+    pictures = opened.rows.scene.labels is not None
+    near, far = depth_m < (PICTURE_NEAR_M if pictures else NEAR_M), depth_m >= (PICTURE_FAR_M if pictures else FAR_M)
+    found = {"visible": visible >= 0.5, "hidden": visible < 0.5, "near": near, "middle": ~near & ~far, "far": far}
+    if not pictures:
+        return found
+    side_px = np.sqrt(areas(truth.boxes_px))
+    small, large = side_px < SIZES_PX[0], side_px >= SIZES_PX[1]
+    return {**found, "middle": found["middle"] & ~np.isnan(depth_m), "small": small, "medium": ~small & ~large,
+            "large": large}  # fmt: skip
 
 
 def found_vessels(opened: OpenFilm, detections: TrackerDetections) -> tuple[Mask, Indices]:

@@ -22,6 +22,10 @@ def report_command(
     tracks: shared.TracksOption = None,
     similarity: shared.SimilarityOption = None,
     threshold: shared.ThresholdOption = None,
+    images: Annotated[
+        Path | None,
+        option("DIR|FILM", "Pictures to show below the boxes: a folder with one for each frame, or a film."),
+    ] = None,
     parts: Annotated[
         bool, flag("--parts", "Write the frames into a folder beside the page, for very long runs.")
     ] = False,
@@ -39,11 +43,13 @@ def report_command(
     from modsim3d.io.overwrite_guard import claimed, claimed_folders
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.report.images import film_frames
     from modsim3d.view.report.report import PART_FILES, REPORT_FILE, parts_folder, write_report
     from modsim3d.view.report.side_by_side import SIDE_BY_SIDE_FILE, write_side_by_side
 
-    if other is not None and tracks is not None:
-        raise ModsimError("--tracks is for one run: leave out RUN_B, or --tracks")
+    for name, given in (("--tracks", tracks), ("--images", images)):
+        if other is not None and given is not None:
+            raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
     with timed("opening the run"):
         opened = open_run(run)
         second = None if other is None else open_run(other)
@@ -52,6 +58,9 @@ def report_command(
     followed = shared.opened_tracks(tracks, opened, similarity, threshold)
     path = shared.out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
     folders = {parts_folder(path): PART_FILES} if parts else {}
+    decoded = path.with_name(f"{path.stem}_images") if images is not None and images.is_file() else None
+    if decoded is not None:
+        folders[decoded] = "*.jpg"
     with (
         timed("page"),
         claimed([path], overwrite=overwrite, inputs=read),
@@ -64,8 +73,11 @@ def report_command(
         def advance(steps: int) -> None:
             bar.update(task, advance=steps, refresh=True)
 
+        if images is not None and decoded is not None:
+            images = film_frames(images, decoded)
         if second is None:
-            write_report(opened, path, every, advance, followed, shared.typed_command(context), tracks, in_files=parts)
+            command = shared.typed_command(context)
+            write_report(opened, path, every, advance, followed, command, tracks, in_files=parts, images=images)
         else:
             write_side_by_side(opened, second, path, every, advance, shared.typed_command(context), in_files=parts)
     if followed is not None:

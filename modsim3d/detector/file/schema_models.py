@@ -304,7 +304,7 @@ class ConfidenceKeys(Strict):
 
     alternatives: ClassVar = (("mean", "std"), ("true", "false"), ("precision_recall",))
 
-    mean: Probability | None = None
+    mean: Number | None = None
     std: NotNegative | None = None
     true: ScoreSection | None = None
     false: ScoreSection | None = None

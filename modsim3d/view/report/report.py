@@ -22,6 +22,7 @@ from modsim3d.view.pages import provenance
 from modsim3d.view.pages.page import PRINT_STYLE, folded, heading, mark_of, sheet_style
 from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 from modsim3d.view.report import count_tables
+from modsim3d.view.report.images import image_facts
 from modsim3d.view.report.packing import as_text
 from modsim3d.view.report.recorder import Recording, recording
 
@@ -117,7 +118,7 @@ def _page(text: PageText, recordings: Sequence[Recording], folder: Path | None, 
         "name": html.escape(text.name),
         # No script but this one and the parts' files runs and nothing is fetched, whatever a vessel is called.
         "policy": f"default-src 'none'; script-src 'sha256-{digest}'{FILES if folder else ''}; "
-        "style-src 'unsafe-inline'; img-src data:",
+        f"style-src 'unsafe-inline'; img-src data:{FILES if 'images' in recordings[0].facts else ''}",
         "style": "".join(map(_part, STYLES))
         + TABLE_STYLE
         + provenance.PROVENANCE_STYLE
@@ -159,19 +160,24 @@ def write_report(
     tracks: Path | None = None,
     *,
     in_files: bool = False,
+    images: Path | None = None,
 ) -> Path:
     """Write the page of a run, finished or interrupted, and return its file, by default `report.html` in the run
     directory; the same run gives the same bytes.
     The page shows every K-th step (`every`); its tables count all of them. It has lanes for the tracks `followed`,
     which were read from `tracks`, and says that `command` made it, or the call from Python if None. With `in_files` it
-    reads the parts of the recording from `parts_folder(out)` when it needs them. `progress` is called with the number
+    reads the parts of the recording from `parts_folder(out)` when it needs them. It shows the pictures in the folder
+    `images` below the boxes, from where they are. `progress` is called with the number
     of shown steps done since its last call.
     Raises RunDirectoryError if an interrupted run has kept nothing yet or the tables are not what a run has written,
     and OutputError for a file that cannot be written."""
     check_steps(run)
     out = run.folder / REPORT_FILE if out is None else out
     counts = count_tables.CountTables(run.scene)
+    pictures = None if images is None else image_facts(run, images, out, every)
     frames = recording(run, every, progress, followed, count=counts.add)
+    if pictures is not None:
+        frames.facts["images"] = pictures
     lead = html.escape(_lead(run, every))
     text = PageText(
         title=f"{run.scene.name}: report of a run",
@@ -200,10 +206,11 @@ def _lead(run: StoredRun, every: int) -> str:
     vessels, seconds = counted(len(scene.vessels), "vessel"), round(float(scene.times_s(0, last + 1)[-1]), 6)
     if scene.labels is not None:
         detector = "a simulated" if scene.labels.detections is None else "a real"
-        videos = counted(len(scene.cameras), "labelled video")
+        videos, several = counted(len(scene.cameras), "labelled video"), len(scene.cameras) > 1
         return (
-            f"What {videos} show of {vessels} in {seconds:g} s, and what {detector} vessel detector made of it. The "
-            "labels are taken for the truth, a box for a silhouette, and each mistake is counted and marked."
+            f"What {videos} {'show' if several else 'shows'} of {vessels} in {seconds:g} s, and what {detector} vessel "
+            "detector made of it. The labels are taken for the truth, a box for a silhouette, and each mistake is "
+            "counted and marked."
         )
     cameras = counted(len(scene.cameras), "simulated camera")
     return (

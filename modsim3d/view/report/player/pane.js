@@ -16,6 +16,7 @@ class Pane {
     this.picture = tracks ? new TrackPicture(canvas, NARROW_PX) : new Picture(canvas, NARROW_PX);
     this.show(camera);
     $('stage').append(node);
+    canvas.addEventListener('loaded', () => window.player?.draw());
   }
 
   show(camera) { this.camera = this.select.value = camera; }

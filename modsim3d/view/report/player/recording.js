@@ -3,6 +3,7 @@
 
 const UNKNOWN_FRACTION = 255, WHOLE = 250, STILL = 2 ** 31;
 const MOST_PARTS = 8; // unpacked at once
+const MOST_IMAGES = 64; // the user's pictures that are kept
 const AROUND = 20; // steps before and after a frame that are made ready with it
 
 async function openRecording(name) {
@@ -49,6 +50,22 @@ class Recording {
   async unpack(number) {
     const { partSteps } = this.facts, text = await textOfPart(this.facts.folder, this.name, number);
     return new Part(await unpackColumns(text), number * partSteps, Math.min((number + 1) * partSteps, this.length));
+  }
+
+  // The picture that a camera has taken at a step, or nothing until it is there; `loaded` is called when it is.
+  image(index, camera, loaded) {
+    const { files, shown } = this.facts.images?.[camera] ?? {}, file = files?.[shown[index]];
+    if (!file) return null;
+    this.images ??= new Map();
+    let image = this.images.get(file);
+    if (!image) {
+      image = new Image();
+      image.addEventListener('load', () => loaded());
+      image.src = file;
+      this.images.set(file, image);
+      if (this.images.size > MOST_IMAGES) this.images.delete(this.images.keys().next().value);
+    }
+    return image.complete && image.naturalWidth ? image : null;
   }
 
   // Make ready what may be wanted next.

@@ -52,7 +52,13 @@ function pictureName({ recording: { facts }, run, facts: { name } }, index) {
 async function savePicture(player) {
   await player.waiting;
   const { pane, index } = player;
-  const blob = await new Promise((done) => captioned(pane, index).toBlob(done, 'image/png'));
+  let blob;
+  try {
+    blob = await new Promise((done) => captioned(pane, index).toBlob(done, 'image/png'));
+  } catch { // of a page on a disk: no program may read other files from it
+    say('The browser does not let this page save your pictures: serve it, for instance with python -m http.server');
+    return;
+  }
   const link = element('a', { href: URL.createObjectURL(blob), download: pictureName(pane, index) });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);

@@ -1,0 +1,1 @@
+"""Comparison of simulated with real detections on real pictures."""

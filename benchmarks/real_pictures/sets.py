@@ -1,0 +1,146 @@
+"""Films of real pictures: labels and detections of public data sets in a folder of the user, as runs of labelled video.
+
+A film is a folder with `truth.json` and `detections.json` (COCO) and the run of both. Films that are there stay.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from modsim3d.core.errors import ModsimError
+from modsim3d.formats.labelled_video.detect_truth import detect_truth
+
+LABELS, DETECTIONS = "evaluation/KITTI/data/gt/label_02", "data/detections/2D"
+RATE_HZ, SIZE_PX = 10.0, (1242, 375)
+"""Of the pictures; the sizes of KITTI's differ by up to 18 × 6 px."""
+VISIBLE = {0: 1.0, 1: 0.7, 2: 0.3}
+"""Visible share that stands for KITTI's classes of occlusion: fully visible, partly and largely occluded."""
+SOUGHT, BESIDE, REGION = "Car", "Van", "DontCare"
+"""A class that is to be detected, one that is ignored, since it hardly differs, and regions that nobody labelled."""
+TO_DEVELOP, TO_JUDGE = range(14), range(14, 21)
+WEATHER = "daylight"
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A public detector's output: its name, the folder of its files, and the columns of box and score."""
+
+    name: str
+    folder: str
+    first: int
+
+    def entries(self, data: Path, number: int) -> Iterator[dict[str, Any]]:
+        """Its detections in a film as COCO has them; scores above 1 are 1.
+
+        Raises:
+            ModsimError: A line is wrong.
+        """
+        path = data / DETECTIONS / self.folder / f"{number:04d}.txt"
+        for at, line in enumerate(_lines(path), 1):
+            try:
+                values = [float(each) for each in line.split(",")]
+                x, y, right, bottom, score = values[self.first : self.first + 5]
+                frame = int(values[0])
+            except (ValueError, IndexError):
+                raise ModsimError(f"{path} line {at}: must be numbers with commas between them (got {line!r})") from None
+            if right > x and bottom > y:
+                box = [x, y, right - x, bottom - y]
+                yield {"image_id": frame, "category_id": 1, "bbox": box, "score": min(max(score, 0.0), 1.0)}
+
+
+DETECTORS = {"rrc": Detector("RRC", "rrc/training/Car", 1), "yolov3": Detector("YOLOv3", "yolov3/train/Car", 2)}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A film of real pictures; `run` has its truth and what the detector found."""
+
+    folder: Path
+    name: str
+    place: str
+    seed: int
+    weather: str = WEATHER
+    rate_hz: float = RATE_HZ
+
+    @property
+    def run(self) -> Path:
+        """The run directory."""
+        return self.folder / "run"
+
+    @property
+    def truth(self) -> Path:
+        """What is labelled, as COCO."""
+        return self.folder / "truth.json"
+
+    @property
+    def real(self) -> Path:
+        """What the detector found, as COCO results."""
+        return self.folder / "detections.json"
+
+
+def pictures(data: Path, work: Path, detector: str, numbers: Sequence[int]) -> list[Picture]:
+    """The films of a detector by their numbers, made where they are not there.
+
+    Raises:
+        ModsimError: A file of the data set is missing or wrong.
+    """
+    films = [Picture(work / detector / f"{number:04d}", f"{number:04d}", "kitti", number) for number in numbers]
+    for film in films:
+        if not (film.run / "run.json").is_file():
+            film.folder.mkdir(parents=True, exist_ok=True)
+            film.truth.write_text(json.dumps(truth_of(data, film.seed)), encoding="utf-8")
+            found = list(DETECTORS[detector].entries(data, film.seed))
+            film.real.write_text(json.dumps(found), encoding="utf-8")
+            detect_truth(film.truth, film.run, detections=film.real, overwrite=True)
+    return films
+
+
+def truth_of(data: Path, number: int) -> dict[str, Any]:
+    """KITTI's labels of a film as COCO has them, with cars as targets.
+
+    Raises:
+        ModsimError: A line is wrong.
+    """
+    path = data / LABELS / f"{number:04d}.txt"
+    rows = [line.split() for line in _lines(path)]
+    try:
+        frames = range(max(int(row[0]) for row in rows) + 1)
+        entries = [_entry(at, row) for at, row in enumerate(rows, 1) if row[2] in (SOUGHT, BESIDE, REGION)]
+    except (ValueError, IndexError):
+        raise ModsimError(f"{path}: is no file of KITTI's tracking labels") from None
+    size = {"width": SIZE_PX[0], "height": SIZE_PX[1]}
+    images = [{"id": frame, "sequence": f"{number:04d}", "time_s": frame / RATE_HZ, **size} for frame in frames]
+    return {"images": images, "annotations": entries, "categories": [{"id": 1, "name": SOUGHT}]}
+
+
+def _entry(number: int, row: Sequence[str]) -> dict[str, Any]:
+    frame, track, occlusion = int(row[0]), int(row[1]), int(row[4])
+    left, top, right, bottom = map(float, row[6:10])
+    flags = {"iscrowd": int(row[2] == REGION), "ignore": int(row[2] == BESIDE)}
+    entry = {"id": number, "image_id": frame, "category_id": 1, "bbox": [left, top, right - left, bottom - top], **flags}
+    if row[2] == REGION:
+        return entry
+    known = {"visible_fraction": VISIBLE[occlusion]} if occlusion in VISIBLE else {}
+    return {**entry, "track_id": track, "distance_m": max(float(row[15]), 0.0), **known}
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except OSError as error:
+        raise ModsimError(f"{path}: cannot be read ({error.strerror}); --data is a folder as the page says") from None
+
+
+def checksums(data: Path, numbers: Sequence[int]) -> Mapping[str, str]:
+    """SHA-256 of all files of labels and of each detector's, one after the other."""
+    folders = {"labels": data / LABELS} | {name: data / DETECTIONS / each.folder for name, each in DETECTORS.items()}
+    return {
+        name: hashlib.sha256(b"".join((folder / f"{n:04d}.txt").read_bytes() for n in numbers)).hexdigest()
+        for name, folder in folders.items()
+        if folder.is_dir()
+    }

@@ -1,0 +1,72 @@
+"""The page of a labelled video: the user's pictures below the boxes, in their frames, and no map."""
+
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from PIL import Image
+
+import modsim3d
+from modsim3d.core.errors import ModsimError
+from modsim3d.view.report.images import film_frames
+from modsim3d.view.report.report import write_report
+from tests.formats.labelled_video.videos import mot
+
+FRAMES, SIZE = 45, (640, 480)
+
+
+def colour_of(frame: int) -> tuple[int, int, int]:
+    return 4 * frame, 200 - 4 * frame, 60
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    """A picture of one colour for each frame."""
+    (tmp_path / "pictures").mkdir()
+    for frame in range(FRAMES):
+        Image.new("RGB", SIZE, colour_of(frame)).save(tmp_path / "pictures" / f"{frame + 1}.png")
+    return tmp_path / "pictures"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return modsim3d.detect_truth(mot(tmp_path / "bay"), tmp_path / "run", detector="thesis").folder
+
+
+def test_each_frame_is_shown_over_its_own_picture_and_there_is_no_map(tmp_path, run, pictures, browser) -> None:
+    page = write_report(modsim3d.open_run(run), tmp_path / "page.html", images=pictures)
+    browser.open(page)
+    for index in (0, 17, FRAMES - 1):
+        browser.run(f"player.go({index})")
+        browser.run("new Promise(done => setTimeout(done, 300))")
+        x, y = browser.place("#picture", 0.97, 0.97)
+        browser.screenshot(tmp_path / "seen.png")
+        seen = np.array(Image.open(tmp_path / "seen.png").convert("RGB"))[int(y), int(x)]
+        assert np.abs(seen.astype(int) - colour_of(index)).max() <= 3, index
+    assert browser.run("document.querySelector('#above').hidden")
+    browser.click("[data-do=save]")
+    browser.run("new Promise(done => setTimeout(done, 300))")
+    assert "does not let this page save your pictures" in browser.text("body")
+    assert "1 labelled video shows of 3 vessels" in browser.text("body")
+
+
+def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, run: Path, pictures: Path) -> None:
+    film = np.stack([np.full((*SIZE[::-1], 3), colour_of(frame), dtype=np.uint8) for frame in range(FRAMES)])
+    iio.imwrite(tmp_path / "film.mp4", film, fps=10, macro_block_size=1)
+    folder = film_frames(tmp_path / "film.mp4", tmp_path / "decoded")
+    assert len(list(folder.iterdir())) == FRAMES
+    (tmp_path / "empty").mkdir()
+    opened = modsim3d.open_run(run)
+    (pictures / "45.png").unlink()
+    Image.new("RGB", (64, 48)).save(folder / "000001.jpg")
+    for images, said in (
+        (pictures, "has 44 pictures, and camera 'bay' has 45 frames"),
+        (folder, "has 64 × 48 px, and 'bay' 640 × 480"),
+        (tmp_path / "empty", "has no pictures"),
+        (tmp_path / "nowhere", "is no folder of pictures"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            write_report(opened, tmp_path / "page.html", images=images)
+    with pytest.raises(ModsimError, match="cannot be read as a film"):
+        film_frames(run / "run.json", tmp_path / "other")
