@@ -33,7 +33,7 @@ MENU = {
     "The detector": ["docs/detector", "docs/learn", "docs/voyage", "docs/learned_models", "docs/conditions"],
     "Test a tracker": [
         *("docs/track", "docs/trackers", "docs/track_files", "docs/score", "docs/scores", "docs/world_tracks"),
-        *("docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/other_truth"),
+        *("docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/labelled_video"),
     ],
     "Campaigns": [
         *("docs/campaign", "docs/requirements", "docs/campaign_report", "docs/worst_runs", "docs/search"),

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled_video.detect_truth import detect_truth
+from modsim3d.formats.labelled_video.targets import visible_fractions
 
 LABELS, DETECTIONS = "evaluation/KITTI/data/gt/label_02", "data/detections/2D"
 RATE_HZ, SIZE_PX = 10.0, (1242, 375)
@@ -47,7 +50,9 @@ class Detector:
                 x, y, right, bottom, score = values[self.first : self.first + 5]
                 frame = int(values[0])
             except (ValueError, IndexError):
-                raise ModsimError(f"{path} line {at}: must be numbers with commas between them (got {line!r})") from None
+                raise ModsimError(
+                    f"{path} line {at}: must be numbers with commas between them (got {line!r})"
+                ) from None
             if right > x and bottom > y:
                 box = [x, y, right - x, bottom - y]
                 yield {"image_id": frame, "category_id": 1, "bbox": box, "score": min(max(score, 0.0), 1.0)}
@@ -113,6 +118,7 @@ def truth_of(data: Path, number: int) -> dict[str, Any]:
         entries = [_entry(at, row) for at, row in enumerate(rows, 1) if row[2] in (SOUGHT, BESIDE, REGION)]
     except (ValueError, IndexError):
         raise ModsimError(f"{path}: is no file of KITTI's tracking labels") from None
+    _fill_in(entries)
     size = {"width": SIZE_PX[0], "height": SIZE_PX[1]}
     images = [{"id": frame, "sequence": f"{number:04d}", "time_s": frame / RATE_HZ, **size} for frame in frames]
     return {"images": images, "annotations": entries, "categories": [{"id": 1, "name": SOUGHT}]}
@@ -122,11 +128,28 @@ def _entry(number: int, row: Sequence[str]) -> dict[str, Any]:
     frame, track, occlusion = int(row[0]), int(row[1]), int(row[4])
     left, top, right, bottom = map(float, row[6:10])
     flags = {"iscrowd": int(row[2] == REGION), "ignore": int(row[2] == BESIDE)}
-    entry = {"id": number, "image_id": frame, "category_id": 1, "bbox": [left, top, right - left, bottom - top], **flags}
+    entry = {
+        "id": number,
+        "image_id": frame,
+        "category_id": 1,
+        "bbox": [left, top, right - left, bottom - top],
+        **flags,
+    }
     if row[2] == REGION:
         return entry
     known = {"visible_fraction": VISIBLE[occlusion]} if occlusion in VISIBLE else {}
     return {**entry, "track_id": track, "distance_m": max(float(row[15]), 0.0), **known}
+
+
+def _fill_in(entries: Sequence[dict[str, Any]]) -> None:
+    """Give the overlap with other boxes as visible share where the occlusion is unknown."""
+    solid = sorted((each for each in entries if not each["iscrowd"]), key=lambda each: each["image_id"])
+    if not solid:
+        return
+    image, corner = (np.array([each[key] for each in solid]) for key in ("image_id", "bbox"))
+    boxes_px = np.hstack([corner[:, :2], corner[:, :2] + corner[:, 2:]])
+    for entry, share in zip(solid, visible_fractions(image, boxes_px, boxes_px[:, 3]).tolist(), strict=True):
+        entry.setdefault("visible_fraction", share)
 
 
 def _lines(path: Path) -> list[str]:

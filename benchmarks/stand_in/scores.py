@@ -181,7 +181,9 @@ def scored_tracks(opened: OpenFilm, detections: TrackerDetections, tracker: str)
     """Run a tracker over the detections of a film, and match its tracks with the truth."""
     named = named_tracker(tracker, {}, SETTINGS_OF.get(opened.film.place))
     tracks = tracked(named, [replace(opened.sequence, detections=detections)], (0,), opened.rows.scene)
-    return Scored(opened.rows, RULES, follow(opened.truth, tracks, RULES.similarity, opened.rows.regions), opened.rows.frames)
+    return Scored(
+        opened.rows, RULES, follow(opened.truth, tracks, RULES.similarity, opened.rows.regions), opened.rows.frames
+    )
 
 
 def scores_of(opened: OpenFilm, scored: Scored) -> dict[str, float]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 TruthOption = Annotated[Path | None, option("FILE", "Ground truth of a labelled video, in place of RUN.")]
 DetectionsOption = Annotated[
-    Path | None, option("FILE", "What a real detector found in the video of --truth.", "--detections")
+    Path | None, option("FILE", "Detections of a real detector in the video of --truth.", "--detections")
 ]
 
 FILES = "Labelled files"
@@ -91,7 +91,7 @@ def detect_command(
         option("FILE", "Ground truth of a labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
     ] = None,
     detections: Annotated[
-        Path | None, option("FILE", "What a real detector found in the video of --truth, in place of a simulated one.")
+        Path | None, option("FILE", "Detections of a real detector in the video, in place of a simulated one.")
     ] = None,
     detector: Annotated[Path | None, option("FILE", "Detector file, in place of the run's.")] = None,
     detector_seed: Annotated[

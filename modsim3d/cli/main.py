@@ -68,7 +68,6 @@ OLD_NAMES = {
     "score --gospa-c": "score --gospa C",
     "score --gospa-p": "score --gospa C:P",
     "score --scale": "score --similarity centre:PX",
-    "score --truth": "score --vessels annotated|full",
     "verify": "check run",
     "view": "view film RUN, view frame RUN STEP, view map RUN or view sheet RUN",
     "view --at": "view map RUN STEP",

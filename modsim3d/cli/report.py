@@ -22,7 +22,7 @@ def report_command(
     tracks: shared.TracksOption = None,
     similarity: shared.SimilarityOption = None,
     threshold: shared.ThresholdOption = None,
-    images: Annotated[
+    pictures: Annotated[
         Path | None,
         option("DIR|FILM", "Pictures to show below the boxes: a folder with one for each frame, or a film."),
     ] = None,
@@ -47,7 +47,7 @@ def report_command(
     from modsim3d.view.report.report import PART_FILES, REPORT_FILE, parts_folder, write_report
     from modsim3d.view.report.side_by_side import SIDE_BY_SIDE_FILE, write_side_by_side
 
-    for name, given in (("--tracks", tracks), ("--images", images)):
+    for name, given in (("--tracks", tracks), ("--pictures", pictures)):
         if other is not None and given is not None:
             raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
     with timed("opening the run"):
@@ -58,7 +58,7 @@ def report_command(
     followed = shared.opened_tracks(tracks, opened, similarity, threshold)
     path = shared.out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
     folders = {parts_folder(path): PART_FILES} if parts else {}
-    decoded = path.with_name(f"{path.stem}_images") if images is not None and images.is_file() else None
+    decoded = path.with_name(f"{path.stem}_images") if pictures is not None and pictures.is_file() else None
     if decoded is not None:
         folders[decoded] = "*.jpg"
     with (
@@ -73,11 +73,11 @@ def report_command(
         def advance(steps: int) -> None:
             bar.update(task, advance=steps, refresh=True)
 
-        if images is not None and decoded is not None:
-            images = film_frames(images, decoded)
+        if pictures is not None and decoded is not None:
+            pictures = film_frames(pictures, decoded)
         if second is None:
             command = shared.typed_command(context)
-            write_report(opened, path, every, advance, followed, command, tracks, in_files=parts, images=images)
+            write_report(opened, path, every, advance, followed, command, tracks, in_files=parts, pictures=pictures)
         else:
             write_side_by_side(opened, second, path, every, advance, shared.typed_command(context), in_files=parts)
     if followed is not None:

@@ -34,7 +34,7 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
         size = _size(files[0])
         if size != tuple(camera.intrinsics.image_size_px):
             wanted = " × ".join(map(str, camera.intrinsics.image_size_px))
-            raise InputError(f"--images {files[0]}", [f"has {size[0]} × {size[1]} px, and '{camera.name}' {wanted}"])
+            raise InputError(f"--pictures {files[0]}", [f"has {size[0]} × {size[1]} px, and '{camera.name}' {wanted}"])
         shown = np.searchsorted(taken, np.arange(0, run.steps, every), side="right") - 1
         addresses = [quote(Path(os.path.relpath(file, page.parent)).as_posix()) for file in files]
         found.append({"files": addresses, "shown": shown.tolist()})
@@ -44,10 +44,10 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
 def _pictures(folder: Path) -> list[Path]:
     """The pictures of a folder, in the order of the numbers in their names."""
     if not folder.is_dir():
-        raise InputError(f"--images {folder}", ["is no folder of pictures"])
+        raise InputError(f"--pictures {folder}", ["is no folder of pictures"])
     files = [path for path in folder.iterdir() if path.suffix.lower() in KINDS]
     if not files:
-        raise InputError(f"--images {folder}", [f"has no pictures ({', '.join(KINDS)})"])
+        raise InputError(f"--pictures {folder}", [f"has no pictures ({', '.join(KINDS)})"])
     return sorted(files, key=lambda path: [int(each) if each.isdigit() else each for each in _DIGITS.split(path.name)])
 
 
@@ -59,7 +59,7 @@ def _of_frames(files: list[Path], scene: Scene, camera: str, count: int, folder:
         return [by_name[name] for name in names]
     if len(files) < count:
         told = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"
-        raise InputError(f"--images {folder}", [told])
+        raise InputError(f"--pictures {folder}", [told])
     return files[:count]
 
 
@@ -68,7 +68,7 @@ def _size(path: Path) -> tuple[int, int]:
         with Image.open(path) as picture:
             return picture.size
     except OSError as error:
-        raise InputError(f"--images {path}", [f"is no picture ({error})"]) from None
+        raise InputError(f"--pictures {path}", [f"is no picture ({error})"]) from None
 
 
 def film_frames(film: Path, folder: Path, progress: Callable[[int], None] = lambda frames: None) -> Path:
@@ -80,7 +80,7 @@ def film_frames(film: Path, folder: Path, progress: Callable[[int], None] = lamb
             Image.fromarray(frame).save(folder / f"{number:06d}.jpg", quality=_QUALITY)
             progress(1)
     except ImportError:
-        raise ModsimError("--images of a film needs ffmpeg: pip install 'modsim3d[video]'") from None
+        raise ModsimError("--pictures of a film needs ffmpeg: pip install 'modsim3d[video]'") from None
     except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"--images {film}", [f"cannot be read as a film ({error})"]) from None
+        raise InputError(f"--pictures {film}", [f"cannot be read as a film ({error})"]) from None
     return folder

@@ -160,24 +160,24 @@ def write_report(
     tracks: Path | None = None,
     *,
     in_files: bool = False,
-    images: Path | None = None,
+    pictures: Path | None = None,
 ) -> Path:
     """Write the page of a run, finished or interrupted, and return its file, by default `report.html` in the run
     directory; the same run gives the same bytes.
     The page shows every K-th step (`every`); its tables count all of them. It has lanes for the tracks `followed`,
     which were read from `tracks`, and says that `command` made it, or the call from Python if None. With `in_files` it
     reads the parts of the recording from `parts_folder(out)` when it needs them. It shows the pictures in the folder
-    `images` below the boxes, from where they are. `progress` is called with the number
+    `pictures` below the boxes, from where they are. `progress` is called with the number
     of shown steps done since its last call.
     Raises RunDirectoryError if an interrupted run has kept nothing yet or the tables are not what a run has written,
     and OutputError for a file that cannot be written."""
     check_steps(run)
     out = run.folder / REPORT_FILE if out is None else out
     counts = count_tables.CountTables(run.scene)
-    pictures = None if images is None else image_facts(run, images, out, every)
+    shown = None if pictures is None else image_facts(run, pictures, out, every)
     frames = recording(run, every, progress, followed, count=counts.add)
-    if pictures is not None:
-        frames.facts["images"] = pictures
+    if shown is not None:
+        frames.facts["images"] = shown
     lead = html.escape(_lead(run, every))
     text = PageText(
         title=f"{run.scene.name}: report of a run",

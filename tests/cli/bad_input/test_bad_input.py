@@ -34,7 +34,7 @@ CONFUSION, ERRORS = "states/clear/confusion", "states/clear/box_error/covariance
 TURNED, SKEW = [[0.9, 0.1], [0.2, 0.8]], [[100.0, 7, 0, 0], *COVARIANCE[1:]]
 INDEFINITE = [[4.0, 5, 0, 0], [5, 4, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 VESSEL, SHORE = GOOD["vessels"]["vehicle2"], lens(pose=ASHORE)
-EXACTLY = "poses: give exactly one of file, circular, tracks, agents, traffic, stream"
+EXACTLY = "poses: give exactly one of file, circular, tracks, agents, traffic, stream, labels"
 WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     # unknown, missing and misspelt
     ("scene", "sed", 3, "sed: unknown key (did you mean 'seed'?)"),

@@ -35,7 +35,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_each_frame_is_shown_over_its_own_picture_and_there_is_no_map(tmp_path, run, pictures, browser) -> None:
-    page = write_report(modsim3d.open_run(run), tmp_path / "page.html", images=pictures)
+    page = write_report(modsim3d.open_run(run), tmp_path / "page.html", pictures=pictures)
     browser.open(page)
     for index in (0, 17, FRAMES - 1):
         browser.run(f"player.go({index})")
@@ -67,6 +67,6 @@ def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, 
         (tmp_path / "nowhere", "is no folder of pictures"),
     ):
         with pytest.raises(ModsimError, match=said):
-            write_report(opened, tmp_path / "page.html", images=images)
+            write_report(opened, tmp_path / "page.html", pictures=images)
     with pytest.raises(ModsimError, match="cannot be read as a film"):
         film_frames(run / "run.json", tmp_path / "other")
