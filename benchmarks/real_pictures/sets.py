@@ -9,6 +9,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -96,13 +97,18 @@ def pictures(data: Path, work: Path, detector: str, numbers: Sequence[int]) -> l
     """
     films = [Picture(work / detector / f"{number:04d}", f"{number:04d}", "kitti", number) for number in numbers]
     for film in films:
-        if not (film.run / "run.json").is_file():
-            film.folder.mkdir(parents=True, exist_ok=True)
-            film.truth.write_text(json.dumps(truth_of(data, film.seed)), encoding="utf-8")
-            found = list(DETECTORS[detector].entries(data, film.seed))
-            film.real.write_text(json.dumps(found), encoding="utf-8")
-            detect_truth(film.truth, film.run, detections=film.real, overwrite=True)
+        _make(film, truth_of(data, film.seed), list(DETECTORS[detector].entries(data, film.seed)))
     return films
+
+
+def _make(film: Picture, truth: Mapping[str, Any], found: Sequence[Mapping[str, Any]]) -> None:
+    """Write a film's files and its run, if they are not there."""
+    if (film.run / "run.json").is_file():
+        return
+    film.folder.mkdir(parents=True, exist_ok=True)
+    film.truth.write_text(json.dumps(truth), encoding="utf-8")
+    film.real.write_text(json.dumps(found), encoding="utf-8")
+    detect_truth(film.truth, film.run, detections=film.real, overwrite=True)
 
 
 def truth_of(data: Path, number: int) -> dict[str, Any]:
@@ -159,11 +165,56 @@ def _lines(path: Path) -> list[str]:
         raise ModsimError(f"{path}: cannot be read ({error.strerror}); --data is a folder as the page says") from None
 
 
-def checksums(data: Path, numbers: Sequence[int]) -> Mapping[str, str]:
-    """SHA-256 of all files of labels and of each detector's, one after the other."""
-    folders = {"labels": data / LABELS} | {name: data / DETECTIONS / each.folder for name, each in DETECTORS.items()}
+def checksums(data: Path, numbers: Sequence[int], detector: str) -> Mapping[str, str]:
+    """SHA-256 of all files of labels and of a detector's, one after the other.
+
+    Raises:
+        ModsimError: A file is missing.
+    """
+    folders = {"labels": data / LABELS, "detections": data / DETECTIONS / DETECTORS[detector].folder}
     return {
-        name: hashlib.sha256(b"".join((folder / f"{n:04d}.txt").read_bytes() for n in numbers)).hexdigest()
+        name: hashlib.sha256(
+            "".join(f"{line}\n" for n in numbers for line in _lines(folder / f"{n:04d}.txt")).encode()
+        ).hexdigest()
         for name, folder in folders.items()
-        if folder.is_dir()
     }
+
+
+RIVER_TRUTH, RIVER_FOUND = "fvessel/Video-01_gt_tracking.txt", "fvessel/Video-01_re_detection.txt"
+RIVER_SIZE_PX, RIVER_HZ, BLOCKS = (2560, 1440), 1.0, 10
+
+
+def river(data: Path, work: Path) -> list[Picture]:
+    """Blocks of FVessel's Video-01, each as a film of its own.
+
+    Raises:
+        ModsimError: A file is missing or wrong.
+    """
+    truth, found = (_numbers(data / name) for name in (RIVER_TRUTH, RIVER_FOUND))
+    edges = np.linspace(0, max(row[0] for row in truth) + 1, BLOCKS + 1).astype(int).tolist()
+    films = []
+    for number, (first, stop) in enumerate(pairwise(edges)):
+        film = Picture(work / "fvessel" / f"block_{number}", f"block {number + 1}", "river", number, rate_hz=RIVER_HZ)
+        films.append(film)
+        size = {"width": RIVER_SIZE_PX[0], "height": RIVER_SIZE_PX[1], "sequence": film.name}
+        images = [{"id": frame, "time_s": frame / RIVER_HZ, **size} for frame in range(first, stop)]
+        entries = [
+            {"id": at, "image_id": int(row[0]), "category_id": 1, "track_id": int(row[1]), "bbox": row[2:6]}
+            for at, row in enumerate(truth, 1)
+            if first <= row[0] < stop
+        ]
+        results = [
+            {"image_id": int(row[0]), "category_id": 1, "bbox": row[2:6], "score": row[6]}
+            for row in found
+            if first <= row[0] < stop
+        ]
+        labelled = {"images": images, "annotations": entries, "categories": [{"id": 1, "name": "Vessel"}]}
+        _make(film, labelled, results)
+    return films
+
+
+def _numbers(path: Path) -> list[list[float]]:
+    try:
+        return [[float(each) for each in line.split(",")] for line in _lines(path)]
+    except ValueError:
+        raise ModsimError(f"{path}: must be numbers with commas between them") from None
