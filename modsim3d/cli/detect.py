@@ -34,6 +34,9 @@ ImageSizeOption = Annotated[
 FrameRateOption = Annotated[
     float | None, under(FILES, "HZ", "Frames per second, for MOT without seqinfo.ini and for COCO without times.")
 ]
+FirstFrameOption = Annotated[
+    int | None, under(FILES, "N", "Number of the first frame, and of the first pixel, in MOT.", min=0, max=1)
+]
 ConfidenceScaleOption = Annotated[
     str | None, under(FILES, "LOW,HIGH", "Confidences in the files that stand for 0 and for 1, such as 0,100.")
 ]
@@ -102,6 +105,7 @@ def detect_command(
     ] = None,
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
+    first_frame: FirstFrameOption = None,
     horizon: HorizonOption = None,
     confidence_scale: ConfidenceScaleOption = None,
     skip_bad: SkipBadOption = False,
@@ -135,6 +139,7 @@ def detect_command(
         "--labels": labels,
         "--image-size": image_size,
         "--frame-rate": frame_rate,
+        "--first-frame": first_frame,
         "--horizon": horizon,
         "--skip-bad": skip_bad or None,
     }
@@ -148,7 +153,8 @@ def detect_command(
             raise ModsimError("--workers is for RUN: with --truth the detector works in one process")
         size_px = None if image_size is None else parsed_size(image_size)
         scale = None if confidence_scale is None else parsed_scale(confidence_scale)
-        read = {"image_size_px": size_px, "frame_rate_hz": frame_rate, "skip_bad": skip_bad, "confidence_scale": scale}
+        read = {"image_size_px": size_px, "frame_rate_hz": frame_rate, "first_frame": first_frame}
+        read |= {"skip_bad": skip_bad, "confidence_scale": scale}
         names = None if labels is None else tuple(name.strip() for name in labels.split(","))
         _detect_truth(
             truth, out, detector_seed or 0, {**given, **read, "detections": detections, "labels": names}, horizon
@@ -185,11 +191,9 @@ def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], h
 
 
 @contextmanager
-def opened(
-    run: Path | None, truth: Path | None, detections: Path | None, image_size: str | None, frame_rate: float | None
-) -> Iterator[StoredRun]:
+def opened(run: Path | None, truth: Path | None, detections: Path | None, **options: Any) -> Iterator[StoredRun]:
     """The run of a directory, or that of a labelled video and of what a real detector found in it, which is in a folder
-    of its own as long as it is used. Raises ModsimError if neither or both are given."""
+    of its own as long as it is used; `options` are those of files. Raises ModsimError if neither or both are given."""
     from modsim3d.formats.labelled_video.detect_truth import detect_truth
     from modsim3d.io.input_files import inputs_noted
     from modsim3d.runs.files.overwrite import read_of_run
@@ -198,24 +202,19 @@ def opened(
     if (run is None) == (truth is None):
         raise ModsimError("give either RUN, a finished run, or --truth FILE, a labelled video")
     if truth is None:
-        for name, value in (("--detections", detections), ("--image-size", image_size), ("--frame-rate", frame_rate)):
+        for name, value in {"detections": detections, **options}.items():
             if value is not None:
-                raise ModsimError(f"{name} is for --truth: a run says it itself")
+                raise ModsimError(f"--{name.replace('_', '-')} is for --truth: a run says it itself")
         with timed("opening the run"):
             stored = open_run(run or Path())
         tell_files(read_of_run(stored.folder))
         yield stored
         return
+    size, rate_hz = options.pop("image_size"), options.pop("frame_rate")
+    options |= {"image_size_px": None if size is None else parsed_size(size), "frame_rate_hz": rate_hz}
     with TemporaryDirectory(prefix="modsim3d_") as folder:
-        size_px = None if image_size is None else parsed_size(image_size)
+        out, alone = Path(folder) / truth.stem, detections is None
         with inputs_noted() as read, timed("reading the labels"):
-            result = detect_truth(
-                truth,
-                Path(folder) / truth.stem,
-                detections=detections,
-                truth_alone=detections is None,
-                image_size_px=size_px,
-                frame_rate_hz=frame_rate,
-            )
+            result = detect_truth(truth, out, detections=detections, truth_alone=alone, **options)
         tell_files(dict.fromkeys(read))
         yield open_run(result.folder)

@@ -107,6 +107,7 @@ def learn_command(
     labels: LabelsOption = None,
     image_size: detect.ImageSizeOption = None,
     frame_rate: detect.FrameRateOption = None,
+    first_frame: detect.FirstFrameOption = None,
     horizon: detect.HorizonOption = None,
     category_offset: CategoryOffsetOption = 0,
     skip_bad: detect.SkipBadOption = False,
@@ -150,6 +151,7 @@ def learn_command(
         context,
         image_size_px=None if image_size is None else detect.parsed_size(image_size),
         horizon=None if horizon is None else detect.parsed_horizon(horizon),
+        first_frame=first_frame,
         check=not no_check,
     )
     out = shared.out_file(out, Path("detector.yaml"))

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from modsim3d.cli import shared
-from modsim3d.cli.detect import DetectionsOption, FrameRateOption, ImageSizeOption, TruthOption, opened
+from modsim3d.cli import detect, shared
 from modsim3d.cli.shared import argument, flag, option
 from modsim3d.cli.terminal import open_console, say_json, tell_files, timed
 from modsim3d.cli.terminal_tables import print_document
@@ -20,10 +19,11 @@ def score_command(
     tracks: Annotated[
         list[Path] | None, argument("TRACKS", "Folders that `modsim3d track` wrote, or files of your own tracker.")
     ] = None,
-    truth: TruthOption = None,
-    detections: DetectionsOption = None,
-    image_size: ImageSizeOption = None,
-    frame_rate: FrameRateOption = None,
+    truth: detect.TruthOption = None,
+    detections: detect.DetectionsOption = None,
+    image_size: detect.ImageSizeOption = None,
+    frame_rate: detect.FrameRateOption = None,
+    first_frame: detect.FirstFrameOption = None,
     vessels: Annotated[
         Literal["annotated", "full"],
         typer.Option(
@@ -69,7 +69,9 @@ def score_command(
     name, scale_px = shared.parse_similarity(similarity)
     cutoff, power = parse_gospa(gospa)
     with (
-        opened(run, truth, detections, image_size, frame_rate) as stored,
+        detect.opened(
+            run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame
+        ) as stored,
         claimed(paths, overwrite=overwrite, inputs=[*read_of_run(stored.folder), *tracks]),
     ):
         tell_files(tracks)

@@ -6,8 +6,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from modsim3d.cli import shared
-from modsim3d.cli.detect import DetectionsOption, FrameRateOption, ImageSizeOption, TruthOption, opened
+from modsim3d.cli import detect, shared
 from modsim3d.cli.shared import argument, option
 from modsim3d.cli.terminal import open_console, say_json, tell, timed
 from modsim3d.cli.terminal_tables import print_prose, print_table
@@ -23,10 +22,11 @@ HEADER = ("camera", "frames", "detections", "tracks", "boxes", "median track")
 def track_command(
     out: Annotated[Path, option("DIR", "Folder for tracks.parquet and tracks.json.")],
     run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run.")] = None,
-    truth: TruthOption = None,
-    detections: DetectionsOption = None,
-    image_size: ImageSizeOption = None,
-    frame_rate: FrameRateOption = None,
+    truth: detect.TruthOption = None,
+    detections: detect.DetectionsOption = None,
+    image_size: detect.ImageSizeOption = None,
+    frame_rate: detect.FrameRateOption = None,
+    first_frame: detect.FirstFrameOption = None,
     tracker: Annotated[
         str,
         option(
@@ -54,7 +54,9 @@ def track_command(
     given = read_settings(settings or (), _EXAMPLE)
     if truth is not None and detections is None:
         raise ModsimError("--truth needs --detections: what a real detector found, for the tracker to work on")
-    with opened(run, truth, detections, image_size, frame_rate) as stored:
+    with detect.opened(
+        run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame
+    ) as stored:
         frames = None if stored.stored is None else stored.settings["counts"]["frames"]
         with timed("tracks and files"), shared.progress(tracker, frames) as advance:
             result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)

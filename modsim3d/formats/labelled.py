@@ -87,6 +87,7 @@ class FileIds:
     labels: tuple[int, ...]  # ID of each label's category in COCO, number of its class in MOT; 0 for one without
     sequences: tuple[int | str | None, ...]  # name or number of each; None for one without
     identities: tuple[int | str, ...]  # the tracks
+    first_frame: int = 1  # number of the first frame, and of the first pixel, in MOT
 
 
 @dataclass(frozen=True, eq=False)

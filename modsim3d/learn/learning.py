@@ -197,6 +197,7 @@ def learn_detector(
     labels: Sequence[str] = (),
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
+    first_frame: int | None = None,
     horizon: float | tuple[float, float, float, float] | None = None,
     check: bool = True,
 ) -> LearnResult:
@@ -226,6 +227,7 @@ def learn_detector(
         labels: Names of the classes, for MOT and YOLO.
         image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
         frame_rate_hz: Frames in a second, where the files do not say.
+        first_frame: Number of the first frame and pixel in MOT, 0 or 1; if None, 0 where a file has a frame 0.
         horizon: Row of the horizon in images that do not say theirs, or x and y of two of its points.
         check: Compare with the real results where it was not learned: what is learned from each half of the data is
             simulated over the other. It takes several times as long as to learn.
@@ -249,6 +251,7 @@ def learn_detector(
         labels=labels,
         image_size_px=image_size_px,
         frame_rate_hz=frame_rate_hz,
+        first_frame=first_frame,
         horizon=horizon,
         check=check,
     )

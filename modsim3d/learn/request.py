@@ -40,6 +40,7 @@ class LearnRequest(Strict):
     labels: tuple[str, ...] = ()
     image_size_px: tuple[Positive, Positive] | None = None
     frame_rate_hz: Positive | None = None
+    first_frame: Literal[0, 1] | None = None
     horizon: Number | tuple[Number, Number, Number, Number] | None = None
     category_offset: int = 0  # added to the category IDs of COCO results
     skip_bad: bool = False  # whether wrong entries of the files are left out
@@ -70,6 +71,7 @@ class LearnRequest(Strict):
             self.category_offset,
             self.confidence_scale,
             (line,) if isinstance(line, float) else line,
+            self.first_frame,
         )
 
     def settings(self, labelled: LabelledSet, position_m: float = 0.0) -> LearnSettings:

@@ -15,7 +15,7 @@ from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks import tracks
-from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, BoxForm
+from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, TOP_LEFT, BoxForm
 from modsim3d.tracks.tracks import COVARIANCES, Tracks, camera_sequence_names, covariances, source_of
 
 # ---- The rows of a file ----
@@ -272,7 +272,9 @@ def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
     further = (f"number {index}" for index in range(len(_FIRST) + 1, cells + 1))
     table = TextTable.of(text, [*_FIRST, *further][:cells], source)
     many = len(table)
-    frame = _mot_frames(table, rows, camera)
+    labels = rows.scene.labels
+    first = 1 if labels is None else labels.sequences[camera].first_frame
+    frame = _mot_frames(table, rows, camera, first)
     track = table.identities("identity", _NO_CONFIDENCE)
     unknown = "identity is -1, as in a file of detections: tracks need one of 0 or more"
     table.problems.refuse(track == NOBODY, lambda row: unknown)
@@ -281,18 +283,20 @@ def _read(path: Path, camera: int, rows: RunRows) -> FileRows:
     table.problems.settle()
     confidence = np.where(confidence == _NO_CONFIDENCE, np.nan, confidence)
     covariance = np.full((many, 2, 2), np.nan)
-    return FileRows(table.problems, frame, track, numbers, MOT, np.full(many, NOBODY), confidence, covariance)
+    meant = MOT if first else TOP_LEFT
+    return FileRows(table.problems, frame, track, numbers, meant, np.full(many, NOBODY), confidence, covariance)
 
 
-def _mot_frames(table: TextTable, rows: RunRows, camera: int) -> Indices:
-    """Number of the frame of each row, shape (k,)."""
+def _mot_frames(table: TextTable, rows: RunRows, camera: int, first: int) -> Indices:
+    """Number of the frame of each row, which the file counts from `first`, shape (k,)."""
     taken = rows.frames[rows.frames % len(rows.scene.cameras) == camera]
     number = table.whole_numbers("frame", 0)
     name = rows.scene.cameras[camera].name
-    table.problems.refuse(number == 0, lambda row: "frame is 0: frames count from 1, and here perhaps from 0")
-    has = f"camera '{name}' has frames 1 to {len(taken)}"
-    table.problems.refuse(number > len(taken), lambda row: f"there is no frame {number[row]}: {has}")
-    there = (number >= 1) & (number <= len(taken))
+    told = "frame is 0: frames count from 1, and here perhaps from 0"
+    table.problems.refuse((number == 0) & (first == 1), lambda row: told)
+    has = f"camera '{name}' has frames {first} to {len(taken) - 1 + first}"
+    table.problems.refuse(number >= len(taken) + first, lambda row: f"there is no frame {number[row]}: {has}")
+    there = (number >= first) & (number < len(taken) + first)
     found = np.full(len(table), NOBODY)
-    found[there] = taken[number[there] - 1]
+    found[there] = taken[number[there] - first]
     return found

@@ -160,7 +160,7 @@ def test_mot(tmp_path):
     assert (found.boxes_px[1].tolist(), found.image.tolist()) == ([11, 19, 41, 59], [0, 1])
     assert (truth.identity.tolist(), truth.ignored.tolist()) == ([0, 0, 1], [False, False, True])
     assert truth.visible_fraction.tolist() == [0.5, 1, 1]
-    wrong = "0,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
+    wrong = "-1,-1,12,20,30,40,0.9\n1,-1,12,20,0,40,0.9\n1,-1,1\n1,-1,1,1,1,1,x\n1,-1,1,1,1,1,7\n"
     (tmp_path / "det.txt").write_text(wrong)
     with pytest.raises(InputError) as raised:
         read_pair("day", folder / "gt.txt", tmp_path / "det.txt", ReadOptions())

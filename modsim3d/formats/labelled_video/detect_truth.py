@@ -25,7 +25,7 @@ from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
 from modsim3d.formats.labelled_video.labels import given_detector, labels_of
 from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
-from modsim3d.formats.reading.pair import read_pair, read_truth
+from modsim3d.formats.reading.pair import file_kind, read_pair, read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text
 from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
@@ -145,7 +145,7 @@ class TruthResult:
 
     Attributes:
         folder: The folder with the files.
-        kind: What the truth was: `MOT` or `COCO`.
+        kind: What the truth was: `MOT`, `COCO`, `KITTI` or `YOLO`.
         sequence_counts: What happened in the frames of each sequence, by its name.
         occlusion: How many visible fractions came `from_file` and `from_overlap` of boxes.
         notes: What was left out, and what was taken for what, each a sentence.
@@ -196,6 +196,7 @@ def detect_truth(
     labels: Sequence[str] | None = None,
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
+    first_frame: int | None = None,
     horizon: float | Sequence[float] | None = None,
     confidence_scale: tuple[float, float] | None = None,
     skip_bad: bool = False,
@@ -210,7 +211,8 @@ def detect_truth(
         modsim3d.detect_truth("gt.txt", "real", detections="det.txt")
 
     Args:
-        truth: MOT `gt.txt`, or COCO ground truth with tracks.
+        truth: MOT `gt.txt`, COCO ground truth with tracks, KITTI's labels or a folder of YOLO labels with tracks; or a
+            folder with a MOT or KITTI file of each sequence.
         folder: The run directory; it is made where it is not there.
         detections: What a real detector found, in the form of the truth, in place of a simulated detector.
         truth_alone: Make a run without detections, to score tracks on.
@@ -220,6 +222,7 @@ def detect_truth(
             that is not to be detected. Needed where the classes are not called as the detector's labels.
         image_size_px: Width and height, for MOT without `seqinfo.ini`.
         frame_rate_hz: For MOT without `seqinfo.ini`, and for COCO whose images have a `frame_id` and no time.
+        first_frame: Number of the first frame and pixel in MOT, 0 or 1; if None, 0 where a file has a frame 0.
         horizon: The row of the horizon, or x and y of two of its points, if false positives are to lie on the sea.
         confidence_scale: Confidences in the detections that stand for 0 and for 1.
         skip_bad: Leave out wrong entries of the files, and say how many.
@@ -240,7 +243,7 @@ def detect_truth(
     with inputs_noted() as read:
         work = _Work.of_files(
             truth,
-            ReadOptions((), image_size_px, skip_bad, frame_rate_hz, confidence_scale=confidence_scale),
+            ReadOptions((), image_size_px, skip_bad, frame_rate_hz, 0, confidence_scale, None, first_frame),
             None if truth_alone else detections,
             {"detector": detector, "settings": settings, "state": state, "state_from": state_from},
             labels,
@@ -253,7 +256,7 @@ def detect_truth(
         names = work.file_names()
         with claimed([folder / name for name in names], overwrite=overwrite, inputs=read):
             contents = work.contents(truth, open_run(folder))
-            hashes = {path.name: file_sha256(path) for path in sorted(set(read))}
+            hashes = {"/".join(path.parts[-3 * truth.is_dir() - 1 :]): file_sha256(path) for path in sorted(set(read))}
             files = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
             contents[SUMMARY] = json_text({**work.summary(), "inputs": hashes, "files": files})
             _put(folder, contents, read)
@@ -290,6 +293,7 @@ class _Work:
     model: DetectorModel
     ids: FileIds
     classes: FileClasses
+    pair: bool  # whether a pair of files in the form of the truth is written too, as of MOT and COCO
     to_label: Indices  # the detector's label of each class, −1 for none: (k,)
     videos: list[Video]
     sought: TargetBoxes
@@ -313,14 +317,17 @@ class _Work:
         place. Raises ModsimError if they are wrong, or the detector cannot work on them."""
         if options.frame_rate_hz is not None and not 0 < options.frame_rate_hz < np.inf:
             raise InputError("--frame-rate", [f"must be above 0 (got {options.frame_rate_hz:g})"])
+        if options.first_frame not in (None, 0, 1):
+            raise InputError("--first-frame", [f"must be 0 or 1 (got {options.first_frame})"])
         if not given:
             model, file = choose_detector(**detector)
             return cls.of(*read_truth(truth, options), truth, model, f"detector {file}", labels, horizon, given)
         if any(detector.values()):
             raise InputError("--detections", ["are those of a real detector: leave out what chooses a simulated one"])
-        options = replace(options, labels=tuple(labels or ()))
-        labelled, kind = read_truth(truth, options)
-        if detections is not None:
+        options, kind = replace(options, labels=tuple(labels or ())), file_kind(truth)
+        if detections is None:
+            labelled = read_truth(truth, options)[0]
+        else:
             labelled = read_pair(truth.stem, truth, detections, options)
         model = parse_detector(given_detector(labelled.labels), "detector")
         return cls.of(labelled, kind, truth, model, "detector", None, horizon, given)
@@ -350,7 +357,10 @@ class _Work:
         sea = None if horizon is None else half_plane(horizon, {video.size_px for video in videos})
         left_out = check_needs(model, detector, sought.depth_m[sought.visible_fraction > 0], sea)
         notes = (*labelled.notes, *taken, *sought.notes, *left_out, *dead_lines(model))
-        return cls(kind, source, truth.stem, labelled, model, ids, classes, to_label, videos, sought, sea, given, notes)
+        pair = truth.is_file() and kind in ("MOT", "COCO")
+        return cls(
+            kind, source, truth.stem, labelled, model, ids, classes, pair, to_label, videos, sought, sea, given, notes
+        )
 
     @property
     def numbers(self) -> dict[str, int]:
@@ -359,9 +369,8 @@ class _Work:
 
     def scene(self, seed: int, *, by_seed: bool = False) -> Scene:
         """The scene whose truth these labels are; in its copy, `by_seed` lets the seed choose one of the videos."""
-        names = self.ids.identities, self.ids.images
         labels = labels_of(
-            self.labelled, self.videos, self.sought, names, self.model.labels, self.horizon, self.source, self.given
+            self.labelled, self.videos, self.sought, self.ids, self.model.labels, self.horizon, self.source, self.given
         )
         name = re.sub("[^A-Za-z0-9_-]", "_", self.videos[0].file_name if len(self.videos) == 1 else self.stem)
         scene = scene_from_dict(
@@ -373,10 +382,13 @@ class _Work:
 
     def file_names(self) -> list[str]:
         """Paths of the files beside those of the run."""
-        return ["gt/gt.txt", "det/det.txt", "seqinfo.ini", SUMMARY] if self.kind == "MOT" else ["dt.json", SUMMARY]
+        pair = ["gt/gt.txt", "det/det.txt", "seqinfo.ini"] if self.kind == "MOT" else ["dt.json"]
+        return [*pair, SUMMARY] if self.pair else [SUMMARY]
 
     def contents(self, truth: Path, run: StoredRun) -> dict[str, bytes]:
         """The content of each of these files but the summary."""
+        if not self.pair:
+            return {}
         numbers = list(self.numbers.values())
         cameras = [camera.name for camera in run.scene.cameras]
         parts: dict[str, list[TrackerDetections]] = {name: [] for name in cameras}
@@ -388,8 +400,11 @@ class _Work:
                 parts[name].append(replace(found, frame=place[found.frame]))
         of_videos = [(video, TrackerDetections.join(parts[video.file_name])) for video in self.videos]
         if self.kind == "MOT":
+            before = 1 - self.ids.first_frame  # of frames and pixels that the file counts from 0
+            ((video, found),) = of_videos
+            found = replace(found, frame=found.frame - before, boxes_px=found.boxes_px - before)
             with open_input(truth, "ground truth") as file:
-                return mot_files(file.read(), *of_videos[0], numbers)
+                return mot_files(file.read(), video, found, numbers)
         return {"dt.json": coco_results(of_videos, self.ids.images, numbers)}
 
     def occlusion(self) -> dict[str, int]:

@@ -10,7 +10,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import InputError
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.labelled_video.targets import TargetBoxes, Video
 from modsim3d.formats.matching import Rule, match
 from modsim3d.world.poses.labelled import (
@@ -26,28 +26,27 @@ def labels_of(
     labelled: LabelledSet,
     videos: Sequence[Video],
     sought: TargetBoxes,
-    names: tuple[Sequence[int | str], Sequence[int | str]],
+    ids: FileIds,
     labels: Sequence[str],
     sea: Array | None,
     source: str,
     given: bool,
 ) -> LabelledPoses:
-    """Labels of videos as a scene has them. `names` are those of tracks and of images in the file, `labels` the
+    """Labels of videos as a scene has them. `ids` are those of tracks and of images in the file, `labels` the
     detector's, `sea` the half-plane below the horizon: (3,), None if it is not known; `source` names the file in
     errors; `given` takes the detections of the labelled set. Raises InputError if tracks cannot be told apart."""
-    tracks, images = names
     place = _Places(videos, len(labelled.images))
     used, vessel = np.unique(sought.track, return_inverse=True)
-    ids = np.array([str(tracks[track]) for track in used.tolist()], dtype=object)
-    if len(set(ids)) < len(ids):
+    named = np.array([str(ids.identities[track]) for track in used.tolist()], dtype=object)
+    if len(set(named)) < len(named):
         raise InputError(source, ["tracks of one name that are a number here and a text there: give all one form"])
-    order = np.argsort(ids, kind="stable")
-    rank = np.empty(len(ids), dtype=np.int64)
-    rank[order] = np.arange(len(ids))
-    counts = np.zeros((len(ids), len(labels)), dtype=np.int64)
+    order = np.argsort(named, kind="stable")
+    rank = np.empty(len(named), dtype=np.int64)
+    rank[order] = np.arange(len(named))
+    counts = np.zeros((len(named), len(labels)), dtype=np.int64)
     np.add.at(counts, (vessel, sought.label), 1)
     turning = int((np.count_nonzero(counts, axis=1) > 1).sum())
-    notes = [f"{turning} of {len(ids)} tracks change their class, and have the one of most of their boxes"]
+    notes = [f"{turning} of {len(named)} tracks change their class, and have the one of most of their boxes"]
     of_vessel = [labels[label] for label in counts.argmax(axis=1)[order].tolist()]
     step, camera = place.of(sought.image)
     by_place = np.lexsort((rank[vessel], camera, step))
@@ -63,12 +62,13 @@ def labels_of(
                 video.file_name,
                 video.size_px,
                 steps,
-                tuple(str(images[image]) for image in video.images.tolist()),
+                tuple(str(ids.images[image]) for image in video.images.tolist()),
                 None if sea is None else tuple(sea.tolist()),
+                ids.first_frame,
             )
             for video, steps in zip(videos, place.steps, strict=True)
         ),
-        dict(zip(ids[order].tolist(), of_vessel, strict=True)),
+        dict(zip(named[order].tolist(), of_vessel, strict=True)),
         boxes,
         _regions(labelled, place),
         _detections(labelled, row_of, place) if given else None,

@@ -79,7 +79,7 @@ def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str,
     if len(without := found[rows.identity[found] < 0]):
         image = shown(labelled.images.names[rows.image[without[0]]])
         what = f"{len(without)} of {len(found)} boxes have no track, the first is in image {image}"
-        raise InputError(source, [f"{what}: each needs a track_id in COCO, or an identity of 0 or more in MOT"])
+        raise InputError(source, [f"{what}: each needs a track_id in COCO, or a track of 0 or more in a text file"])
     feet_px = rows.boxes_px[:, 3]
     fractions, from_overlap, notes = _visible(rows.visible_fraction, rows.image, boxes_px, feet_px, solid, found)
     left_out = {
@@ -209,13 +209,13 @@ NO_TARGET = "-"  # in place of a label: things of this class are not to be detec
 class FileClasses:
     """The classes of a file."""
 
-    kind: str  # `MOT` or `COCO`
+    kind: str  # of the file, as `file_kind` has it
     names: tuple[str, ...]  # MOT's have none of their own and are called `class_1`, `class_2` and so on
     numbers: tuple[int, ...]  # 0 in a MOT file without classes
 
     def in_words(self, index: int) -> str:
         """Name of a class in messages."""
-        if self.kind == "COCO":
+        if self.kind != "MOT":
             return f"category {shown(self.names[index])}"
         return f"class {self.numbers[index]}" if self.numbers[index] else "the one class of the file"
 
@@ -259,7 +259,7 @@ def _given_problems(classes: FileClasses, used: Mask, given: Sequence[str], labe
     for name in dict.fromkeys(given):
         if name not in labels and name != NO_TARGET:
             yield f"'{name}' is not one of the detector's labels ({nearest(name, labels)})"
-    if classes.kind == "COCO" and len(given) > len(classes.names):
+    if classes.kind != "MOT" and len(given) > len(classes.names):
         yield f"names {len(given)} categories, and the file has {len(classes.names)}"
     for index in np.flatnonzero(used)[np.flatnonzero(used) >= len(given)].tolist():
         yield f"does not say what {classes.in_words(index)} is: {_how(classes)}"

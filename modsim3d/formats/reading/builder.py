@@ -37,6 +37,7 @@ class ReadOptions:
     category_offset: int = 0  # to be added to the category IDs of COCO results
     confidence_scale: tuple[float, float] | None = None  # what stands for 0 and for 1 in the files; None: 0 and 1
     horizon: tuple[float, ...] | None = None  # of images without one: its row, or x and y of two of its points
+    first_frame: int | None = None  # number of the first frame and of the first pixel in MOT, 0 or 1; None: see `mot`
 
 
 NO_OPTIONS = ReadOptions()

@@ -3,15 +3,17 @@
 A line of truth is frame, identity, x, y, width, height, flag (0 is ignored), class, visibility. A line of detections is
 frame, −1, x, y, width, height, confidence, and a class if the eighth number is 1 or more; if no line has a class, there
 is only one label. A confidence of −1 in every line means that none is given. Frames and pixels count from 1: a box that
-begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). A `seqinfo.ini` beside or
-above the truth gives the size of the images, their number and the frame rate.
+begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). Both count from 0 in both
+files where one of them has a frame 0, as in FVessel's: boxes that its image of 2560 columns cuts begin at 0 and end at
+2559. A `seqinfo.ini` beside or above the truth gives the size of the images, their number and the frame rate.
 Lines of ten numbers may have others in the last three: places in the world (MOT15), or class, truncation and occlusion
-(VisDrone). These are recognised and not read as class or visibility."""
+(VisDrone, whose class 0 is a region to be ignored). These are recognised, and not read as class or visibility."""
 
 import configparser
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -103,10 +105,23 @@ class _Known:
     classed: str
     most_frames: int
     said: Sequence[str]
+    first: int  # number of the first frame, and of the first pixel
 
 
 Line = tuple[str, list[float]]
 Lines = list[Line]  # where each line is, and its numbers
+
+
+@dataclass(frozen=True)
+class SequenceLines:
+    """Lines of a sequence in the form of MOT; those of truth may have a distance in metres after the visibility."""
+
+    annotated: Lines
+    detected: Lines | None  # None if there is no such file
+    regions: Lines  # of truth that are to be ignored, whatever the class
+    names: dict[int, str]  # of classes by number; none if there is one label alone
+    first: int  # number of the first frame, and of the first pixel
+    said: Sequence[str]  # remarks
 
 
 def read_mot(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
@@ -114,21 +129,43 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     detections, all classes up to the largest number are labels, if the truth names any. A frame rate that is given
     overrides that of `seqinfo.ini`; if neither gives one, frames have no times. Raises InputError if the files are
     wrong; each problem names its line."""
-    labels, problems = options.labels, Problems(f"ground truth {truth}", options.skip_bad)
-    annotated, said = plain_lines(number_lines(truth, "ground truth", ",", 6, problems), truth.name, problems)
-    wrong, detected = Problems(f"detections {detections}", options.skip_bad), list[Line]()
+    problems, wrong = problems_of(truth, detections, options)
+    written = list(number_lines(truth, "ground truth", ",", 6, problems))
+    annotated, said = plain_lines(written, truth.name, problems)
+    visdrone, detected = _is_visdrone(written), None
+    regions = [line for line in annotated if visdrone and _class_of(line[1]) == 0]
+    annotated = [(where, numbers[:9]) for where, numbers in annotated if not visdrone or _class_of(numbers) != 0]
     if detections is not None:
         lines = number_lines(detections, "detections", ",", 7, wrong)
         detected, found = plain_lines(lines, detections.name, wrong)
         said += found
+    first, from_0 = _first_frame([(truth, annotated), (detections, detected or [])], options.first_frame)
+    names = _class_names(annotated, detected, options.labels)
+    said += [*from_0, *_said_of_columns(annotated, names, truth.name, detected is not None, visdrone)]
+    lines_of = SequenceLines(annotated, detected, regions, names, first, said)
+    return sequence_set(condition, truth, lines_of, options, problems, wrong)
+
+
+def problems_of(truth: Path, detections: Path | None, options: ReadOptions) -> tuple[Problems, Problems]:
+    """Problems of a pair of files, of which there are none so far."""
+    sources = f"ground truth {truth}", f"detections {detections}"
+    return Problems(sources[0], options.skip_bad), Problems(sources[1], options.skip_bad)
+
+
+def sequence_set(
+    condition: str, truth: Path, lines: SequenceLines, options: ReadOptions, problems: Problems, wrong: Problems
+) -> LabelledSet:
+    """The labelled set of a sequence; `wrong` are the problems of detections."""
+    annotated, detected, names, first = lines.annotated, lines.detected or [], lines.names, lines.first
     info = sequence_info(truth, options.image_size_px, problems.source)
-    names = _class_names(annotated, None if detections is None else detected, labels)
     spanned = max(info.frames, FREE_FRAMES + FRAMES_A_ROW * (len(annotated) + len(detected)))
     own = {name: number for number, name in reversed(names.items())}  # several numbers may have one name
     order = list(dict.fromkeys(names.values()))
     to_label = {number: order.index(name) for number, name in names.items()}
-    known = _Known(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), said)
+    known = _Known(to_label, "detections" if detected else "other lines", min(spanned, MAX_FRAMES), lines.said, first)
     annotations = _annotations(annotated, known, problems)
+    labels = len(order) if detected else 1  # detections may be matched label by label
+    _add_regions(lines.regions, labels or 1, known, annotations, problems)
     confidences = Confidences.of(((where, numbers[6]) for where, numbers in detected), options.confidence_scale, wrong)
     results = _results(detected, known, confidences, wrong)
     notes = problems.settle() + wrong.settle() + confidences.notes
@@ -141,14 +178,22 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
         notes.append(f"seqinfo.ini says {info.frames:,} frames (seqLength), and the last with a box is {last:,}")
     for frame in range(max(info.frames, last)):
         time_s = math.nan if rate_hz is None else frame / rate_hz
-        images.add(f"{condition} frame {frame + 1}", info.size_px, time_s=time_s)
-    notes += [*said, *_said_of_columns(annotated, names, truth.name, detections is not None)]
+        images.add(f"{condition} frame {frame + first}", info.size_px, time_s=time_s)
+    notes += lines.said
     if options.image_size_px and options.image_size_px != info.size_px:
         notes.append("--image-size is not used: seqinfo.ini says {:g} x {:g}".format(*info.size_px))
-    only = (labels[0] if labels else "object",)
-    frames = tuple(range(1, len(images.names) + 1))
-    ids = FileIds(frames, tuple(own[name] for name in order) or (0,), (info.name,), annotations.identities)
+    only = (options.labels[0] if options.labels else "object",)
+    frames = tuple(range(first, len(images.names) + first))
+    ids = FileIds(frames, tuple(own[name] for name in order) or (0,), (info.name,), annotations.identities, first)
     return builder.labelled_set(condition, tuple(order) or only, images, annotations, results, notes, ids)
+
+
+def _first_frame(files: Iterable[tuple[Path | None, Lines]], given: int | None) -> tuple[int, list[str]]:
+    """Number of the first frame of files; and a remark if it is not given, and a file has a frame 0."""
+    at_0 = [path.name for path, lines in files if path and any(numbers[0] == 0 for _, numbers in lines)]
+    if given is not None or not at_0:
+        return 1 if given is None else given, []
+    return 0, [f"frames and pixels count from 0, because {' and '.join(at_0)} has a frame 0 (or give --first-frame)"]
 
 
 def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[Lines, list[str]]:
@@ -165,21 +210,48 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
     for where, numbers in broken:
         problems.add(f"{where}: class must be a whole number (got {numbers[7]:g})")
     lines = [(where, numbers) for where, numbers in lines if len(numbers) < 8 or numbers[7] == int(numbers[7])]
-    if wide and all(numbers[8] in (0, 1) and numbers[9] in (0, 1, 2) for _, numbers in classed):
-        zeros = sum(numbers[8] == 0 for _, numbers in classed)
-        told = f"{file}: columns nine and ten are truncation and occlusion, as in VisDrone, and not read as visibility"
-        said = [f"{told} (the ninth is 0 in {zeros:,} of {len(classed):,} lines)"]
-        return [(where, numbers[:8]) for where, numbers in lines], said
-    return lines, []
+    ends = {(numbers[8], numbers[9]) for _, numbers in classed} if wide else {(-1.0, -1.0)}
+    told, cut = f"{file}: columns nine and ten are", [(where, numbers[:8]) for where, numbers in lines]
+    if not all(truncation in (0, 1) and occlusion in (0, 1, 2) for truncation, occlusion in ends):
+        return lines, []
+    if ends == {(1, 1)}:
+        return cut, [f"{told} 1 in every line, and not read as visibility"]
+    if _is_visdrone(lines):
+        lines = [
+            (where, [*numbers[:8], *(VISIBLE_FRACTIONS[int(n)] for n in numbers[9:10])]) for where, numbers in lines
+        ]
+        return lines, [f"{told} truncation and occlusion, as in VisDrone: {OCCLUSION}"]
+    zeros = f"(the ninth is 0 in {sum(numbers[8] == 0 for _, numbers in classed):,} of {len(classed):,} lines)"
+    return cut, [f"{told} truncation and occlusion, as in VisDrone, and not read as visibility {zeros}"]
 
 
-def _said_of_columns(annotated: Lines, names: Mapping[int, str], file: str, paired: bool) -> Iterator[str]:
+VISIBLE_FRACTIONS = (1.0, 0.75, 0.25, _UNKNOWN)
+"""Visible fraction of each class of occlusion: nothing hidden, up to half, more than half, not known. They are the
+middles of VisDrone's classes, which are in per cent; KITTI calls its own partly and largely."""
+OCCLUSION = "a visible fraction of 0.75 stands for boxes up to half hidden, and 0.25 for those that are hidden more"
+_VISDRONE_CLASSES = range(12)  # 0 is a region to be ignored, 11 is `others`
+
+
+def _is_visdrone(lines: Lines) -> bool:
+    """Whether lines of ten numbers end with one of VisDrone's classes, a truncation and an occlusion, which is not the
+    same everywhere."""
+    ends = {tuple(numbers[7:10]) for _, numbers in lines if len(numbers) > 7}
+    forms = all(
+        len(end) == 3 and end[0] in _VISDRONE_CLASSES and end[1] in (0, 1) and end[2] in (0, 1, 2) for end in ends
+    )
+    return forms and len({end[2] for end in ends}) > 1
+
+
+def _said_of_columns(
+    annotated: Lines, names: Mapping[int, str], file: str, paired: bool, occlusion: bool
+) -> Iterator[str]:
     """Remarks on how the eighth and ninth column of the truth are read, if there are any."""
     most = max((len(numbers) for _, numbers in annotated), default=0)
     classes = ", ".join(f"{number} is {shown(name)}" for number, name in list(names.items())[:8])
     used = f"where {classes}" if names else "not used" + ", because no detection has a class" * paired
     if most > 7:
-        yield f"{file}: the eighth column is the class, {used}{'; the ninth is the visibility' * (most > 8)}"
+        ninth = "; the ninth is the visibility" * (most > 8 and not occlusion)
+        yield f"{file}: the eighth column is the class, {used}{ninth}"
 
 
 def _class_of(numbers: list[float]) -> int:
@@ -200,7 +272,7 @@ def _class_names(annotated: Lines, detected: Lines | None, labels: tuple[str, ..
 
 
 def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.AnnotationRows:
-    rows = builder.AnnotationRows(_corners)
+    rows = builder.AnnotationRows(partial(_corners, first=known.first))
     for where, numbers in lines:
         if not is_number(numbers[1], builder.NOT_GIVEN) or numbers[1] != int(numbers[1]):
             low = "-1 or more" if numbers[1] < builder.NOT_GIVEN else f"at most {builder.MAX_NUMBER:g}"
@@ -208,7 +280,7 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.Ann
             problems.add(f"{where}: identity must be {wanted} (got {numbers[1]:g})")
             continue
         identity = int(numbers[1]) if numbers[1] >= 0 else None
-        if rows.has(int(numbers[0]) - 1, identity):
+        if rows.has(int(numbers[0]) - known.first, identity):
             problems.add(f"{where}: identity {identity} is in frame {numbers[0]:g} already")
             continue
         place = _place(where, numbers, problems, known)
@@ -224,12 +296,22 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.Ann
             elif flag is not None and 0 < flag < 1:
                 problems.hint = "the seventh column may be confidences: in truth it is 1, or 0 for what is left out"
             if problems.count == before:
-                rows.add(place, not considered, False, identity, math.nan if visible is None else visible)
+                depth_m = numbers[9] if len(numbers) > 9 else math.nan
+                rows.add(place, not considered, False, identity, math.nan if visible is None else visible, depth_m)
     return rows
 
 
+def _add_regions(lines: Lines, labels: int, known: _Known, rows: builder.AnnotationRows, problems: Problems) -> None:
+    """Append regions that are to be ignored, for each of so many labels: half of a detection inside is enough."""
+    for where, numbers in lines:
+        place = _place(where, [*numbers[:6], 0, next(iter(known.to_label), 0)], problems, known)
+        for label in range(labels):
+            if place is not None:
+                rows.add(replace(place, label=label), ignored=True, crowd=True)
+
+
 def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Problems) -> builder.ResultRows:
-    rows = builder.ResultRows(_corners)
+    rows = builder.ResultRows(partial(_corners, first=known.first))
     for where, numbers in lines:
         confidence = confidences.read(numbers[6], where, problems)
         place = None if confidence is None else _place(where, numbers, problems, known)
@@ -238,21 +320,20 @@ def _results(lines: Lines, known: _Known, confidences: Confidences, problems: Pr
     return rows
 
 
-def _corners(boxes_px: Array) -> Array:
-    """Boxes with pixels counted from 0, of those of a file, shapes (n, 4)."""
-    return from_top_left(boxes_px) - 1
+def _corners(boxes_px: Array, first: int) -> Array:
+    """Boxes with pixels counted from 0, of those of a file that counts from `first`, shapes (n, 4)."""
+    return from_top_left(boxes_px) - first
 
 
 def _place(where: str, numbers: list[float], problems: Problems, known: _Known) -> LabelledRow | None:
     """Image, label and box of a line; None with a problem if it has none."""
     frame, number, to_label = numbers[0], _class_of(numbers), known.to_label
-    if not 1 <= frame <= known.most_frames or frame != int(frame):
-        problems.add(f"{where}: frame must be a whole number from 1 to {known.most_frames} (got {frame:.15g})")
+    if not known.first <= frame <= known.most_frames or frame != int(frame):
+        span = f"from {known.first} to {known.most_frames}"
+        problems.add(f"{where}: frame must be a whole number {span} (got {frame:.15g})")
         if known.most_frames < frame:
             spanned = f"so few lines may span {known.most_frames:,} frames"
             problems.hint = f"{spanned}, and up to {MAX_FRAMES:,} where seqLength in a seqinfo.ini says so"
-        elif frame == 0:
-            problems.hint = problems.hint or "frames count from 1, and in this file perhaps from 0"
     elif number > _MAX_CLASSES:
         problems.add(f"{where}: class must be at most {_MAX_CLASSES} (got {numbers[7]:g})")
     elif to_label and number not in to_label:
@@ -260,7 +341,7 @@ def _place(where: str, numbers: list[float], problems: Problems, known: _Known) 
         problems.add(f"{where}: has no class in its eighth column, but {known.classed} have (got {got})")
         problems.hint = next((told for told in known.said if told.startswith(where.partition(" line ")[0])), "")
     elif builder.valid_box(numbers[2:6], where, problems):
-        return LabelledRow(int(frame) - 1, to_label[number] if to_label else 0, numbers[2:6])
+        return LabelledRow(int(frame) - known.first, to_label[number] if to_label else 0, numbers[2:6])
     return None
 
 

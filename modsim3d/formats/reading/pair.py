@@ -9,37 +9,42 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
+from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import Images, LabelledSet, with_horizon
 from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
+from modsim3d.formats.reading.kitti import chosen_types, is_kitti, read_kitti
 from modsim3d.formats.reading.mot import read_mot
+from modsim3d.formats.reading.sequences import read_sequences, sequence_files
 from modsim3d.formats.reading.yolo import read_yolo
+from modsim3d.io.input_files import read_text
 from modsim3d.io.validation import shown
 from modsim3d.tracks import diagnosis
 from modsim3d.tracks.diagnosis import BoxForm, BoxRows, KnownBoxes, agree, implausible, misreading
 
-_FORMS = {"COCO": diagnosis.TOP_LEFT, "MOT": diagnosis.MOT, "YOLO": diagnosis.CENTRE}
+_FORMS = {"COCO": diagnosis.TOP_LEFT, "KITTI": diagnosis.CORNERS, "MOT": diagnosis.MOT, "YOLO": diagnosis.CENTRE}
 _UNUSED = {
-    "COCO": {"--labels": "labels", "--image-size": "image_size_px"},
+    "COCO": {"--labels": "labels", "--image-size": "image_size_px", "--first-frame": "first_frame"},
+    "KITTI": {"--category-offset": "category_offset", "--first-frame": "first_frame"},
     "MOT": {"--category-offset": "category_offset"},
-    "YOLO": {"--category-offset": "category_offset", "--frame-rate": "frame_rate_hz"},
+    "YOLO": {"--category-offset": "category_offset", "--first-frame": "first_frame"},
 }
 
 
 def read_pair(condition: str, truth: StrPath, detections: StrPath, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition: folders are YOLO's, `.txt` and `.csv` are MOT's, anything else is COCO's. Raises InputError
-    if the files are wrong, or of two kinds."""
+    """Read one condition from files of one kind, see `file_kind`. Raises InputError if they are wrong, or of two."""
     truth, detections = as_path(truth, "truth"), as_path(detections, "detections")
     missing = [(what, path) for what, path in (("truth", truth), ("detections", detections)) if not path.exists()]
     if missing:
         raise InputError(f"condition {condition}", [f"{what} {path}: no such file or folder" for what, path in missing])
     kinds = [file_kind(path) for path in (truth, detections)]
-    if kinds[0] != kinds[1]:
+    if kinds[0] != kinds[1] and not (kinds[0] == "KITTI" and not _first_line(detections)):
         mixed = f"{truth} looks like {kinds[0]} and {detections} like {kinds[1]}: give one kind"
         raise InputError(f"condition {condition}", [mixed])
-    read = {"COCO": read_coco, "MOT": read_mot, "YOLO": read_yolo}[kinds[0]]
-    labelled = _plausible(read(condition, truth, detections, options), _FORMS[kinds[0]], truth, detections)
-    found, annotated = compared(labelled, _FORMS[kinds[0]])
+    labelled = _read(kinds[0], condition, truth, detections, options)
+    form = _form(kinds[0], labelled)
+    labelled = _plausible(labelled, form, truth, detections)
+    found, annotated = compared(labelled, form)
     problem, files = misreading(*found), [f"detections {detections}", f"ground truth {truth}"]
     if problem is None:
         problem, files = misreading(*annotated, only_forms=True), files[::-1]
@@ -48,10 +53,28 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
             raise InputError(files[0], [f"{problem.told}, or {files[1]} is wrong, the other way round"])
         note = f"{condition}: {problem.told}, or the detector has such a bias, which is learned"
         labelled = replace(labelled, notes=(*labelled.notes, note))
-    given = (option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name))
+    given = (
+        option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name) != getattr(NO_OPTIONS, name)
+    )
     unused = [f"{option} is not used: {kinds[0]} does not need it" for option in given]
     labelled = replace(labelled, notes=(*labelled.notes, *unused, *_left_out(labelled, condition)))
     return with_horizon(labelled, options.horizon)
+
+
+def _read(kind: str, condition: str, truth: Path, detections: Path | None, options: ReadOptions) -> LabelledSet:
+    if kind == "KITTI":
+        found = sequence_files(detections) if detections else []
+        options = replace(options, labels=chosen_types(options.labels, sequence_files(truth), found))
+    read = {"COCO": read_coco, "KITTI": read_kitti, "MOT": read_mot, "YOLO": read_yolo}[kind]
+    if truth.is_dir() and kind != "YOLO":
+        return read_sequences(read, condition, truth, detections, options)
+    return read(condition, truth, detections, options)
+
+
+def _form(kind: str, labelled: LabelledSet) -> BoxForm:
+    """The form of boxes in files of a kind; MOT's count pixels from 0 where they count frames so."""
+    from_0 = kind == "MOT" and labelled.ids is not None and labelled.ids.first_frame == 0
+    return diagnosis.TOP_LEFT if from_0 else _FORMS[kind]
 
 
 def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Path | None = None) -> LabelledSet:
@@ -115,18 +138,32 @@ def _box_rows(images: Images, image: Indices, boxes_px: Array, form: BoxForm) ->
 
 
 def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[LabelledSet, str]:
-    """Read the truth of a labelled video without any detections, and say of which kind it is: `MOT` or `COCO`. Raises
-    InputError if the file is wrong, or is a folder, as YOLO's are."""
+    """Read the truth of labelled videos without any detections, and say of which kind it is, see `file_kind`. Raises
+    InputError if it is wrong."""
     path = as_path(truth, "truth")
     if not path.exists():
-        raise InputError(f"truth {path}", ["no such file"])
+        raise InputError(f"truth {path}", ["no such file or folder"])
     kind = file_kind(path)
-    if kind == "YOLO":
-        raise InputError(f"truth {path}", ["is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON"])
-    labelled = {"COCO": read_coco, "MOT": read_mot}[kind](path.stem, path, None, options)
-    return _plausible(labelled, _FORMS[kind], path), kind
+    labelled = _read(kind, path.stem, path, None, options)
+    return _plausible(labelled, _form(kind, labelled), path), kind
+
+
+_MOT_NUMBERS = 6  # that a line has at least
 
 
 def file_kind(path: Path) -> str:
-    """`YOLO`, `MOT` or `COCO`, by what a path is called."""
-    return "YOLO" if path.is_dir() else "MOT" if path.suffix in (".txt", ".csv") else "COCO"
+    """`COCO`, `KITTI`, `MOT` or `YOLO`: text is KITTI's where its third word is a type, else MOT's; a folder is what
+    its files are, and YOLO's if they are neither; anything else is COCO's. Raises InputError if it cannot be read."""
+    if not path.is_dir() and path.suffix not in (".txt", ".csv"):
+        return "COCO"
+    line = _first_line(path)
+    if is_kitti(line):
+        return "KITTI"
+    numbers = [number_in(cell) for cell in line.strip().rstrip(",").split(",")]
+    return "MOT" if path.is_file() or (len(numbers) >= _MOT_NUMBERS and not np.isnan(numbers).any()) else "YOLO"
+
+
+def _first_line(path: Path) -> str:
+    """First line that is not empty of a text, or of the files of a folder; empty if there is none."""
+    texts = (read_text(file, "labels") for file in sequence_files(path))
+    return next((line for text in texts for line in text.splitlines() if line.strip()), "")

@@ -1,10 +1,12 @@
 """YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
 
-Lines of detections end with the confidence, and perhaps the number of a track. The images lie in the folder `images`
-beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their labels; their files give their sizes.
-Without such files, every file in either folder stands for an image, and `images.txt` beside the labels, a name on each
-line, adds others. An image without a file of labels, or with an empty one, has nothing in it."""
+Lines of detections end with the confidence, and perhaps the number of a track. Lines of truth may end with the number
+of a track, before which a confidence may stand, as ultralytics' trackers write both. The images lie in the folder
+`images` beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their labels; their files give their
+sizes. Without such files, every file in either folder stands for an image, and `images.txt` beside the labels, a name
+on each line, adds others. An image without a file of labels, or with an empty one, has nothing in it."""
 
+import math
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -15,7 +17,7 @@ from typing import Any
 
 from modsim3d.core.boxes import corner_form
 from modsim3d.core.errors import InputError
-from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.reading import builder
 from modsim3d.formats.reading.builder import NO_OPTIONS, Confidences, ImageRows, LabelledRow, Problems, ReadOptions
 from modsim3d.formats.reading.mot import number_lines
@@ -70,25 +72,28 @@ def image_size_px(path: Path) -> tuple[float, float]:
     return (height, width) if lying else (width, height)
 
 
-def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
-    """Read one condition from the folders of labels and predictions, or those that have them as `labels`. Names of the
-    classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images. Raises InputError if
-    the files are wrong; each problem names its file and line."""
-    folder, predicted = _folder(truth, needed=True), _folder(detections)
+def read_yolo(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read one condition from the folders of labels and predictions, or those that have them as `labels`, or of labels
+    alone. Names of the classes that are not given come from a file of `_LISTS` or `_TABLES`, sizes from the images.
+    With a frame rate the images are frames of one video, see `_frame_numbers`. Raises InputError if the files are
+    wrong; each problem names its file and line."""
+    folder, found_in = _folder(truth, needed=True), _folder(detections) if detections else None
+    predicted = _files(found_in) if found_in else []
     files = _images(folder, truth)
     if options.image_size_px is None and not files:
         problem = "YOLO's files do not say how large the images are, which are not beside them: give --image-size"
         raise InputError(f"ground truth {truth}", [problem])
     names = options.labels or _names(truth, folder)
-    own = {composed(path.stem) for path in (*_files(folder), *_files(predicted))}
-    stems = files or own | _listed(folder) | _listed(truth)
-    images = ImageRows()
-    for stem in sorted(stems):
-        images.add(stem, options.image_size_px or image_size_px(files[stem]))
+    own = {composed(path.stem) for path in (*_files(folder), *predicted)}
+    stems = sorted(files or own | _listed(folder) | _listed(truth))
+    images, rate_hz = ImageRows(), options.frame_rate_hz
+    for stem, frame in zip(stems, _frame_numbers(stems), strict=True):
+        size_px = options.image_size_px or image_size_px(files[stem])
+        images.add(stem, size_px, time_s=math.nan if rate_hz is None else frame / rate_hz)
     problems = Problems(f"ground truth {truth}", options.skip_bad)
     wrong = Problems(f"detections {detections}", options.skip_bad)
     annotations = _annotations(_files(folder), images, problems)
-    results, remarks = _results(_files(predicted), images, options.confidence_scale, wrong)
+    results, remarks = _results(predicted, images, options.confidence_scale, wrong)
     notes = problems.settle() + wrong.settle() + remarks
     found = {place.label for place in annotations.places + results.places}
     numbers = sorted({*range(len(names)), *found})
@@ -98,16 +103,34 @@ def read_yolo(condition: str, truth: Path, detections: Path, options: ReadOption
     to_label = {number: label for label, number in enumerate(numbers)}
     for rows in (annotations, results):
         rows.places = [replace(place, label=to_label[place.label]) for place in rows.places]
-    return builder.labelled_set(condition, whole, images, annotations, results, notes)
+    ids = FileIds(tuple(images.names), tuple(numbers), (truth.resolve().name or None,), annotations.identities)
+    return builder.labelled_set(condition, whole, images, annotations, results, notes, ids)
+
+
+def _frame_numbers(stems: Sequence[str]) -> list[int]:
+    """Number of the frame of each image, from 0: the place of its name. Of names that are alike but for a number at the
+    end it is that number, divided by what all differences have in common, so that a frame without a file is a gap."""
+    parts = [part for stem in stems if (part := re.fullmatch(r"(.*?)(\d{1,15})", stem))]
+    numbers = {int(part[2]): part[1] for part in parts}
+    if len(numbers) < len(stems) or len(set(numbers.values())) > 1:
+        return list(range(len(stems)))
+    apart = math.gcd(*(number - min(numbers) for number in numbers))
+    return [(number - min(numbers)) // (apart or 1) for number in numbers]
 
 
 def _annotations(paths: list[Path], images: ImageRows, problems: Problems) -> builder.AnnotationRows:
     rows = builder.AnnotationRows(corner_form)
     for image, where, numbers in _lines(paths, images, "labels", problems):
-        if len(numbers) > 5:
-            problems.add(f"{where}: has {len(numbers)} numbers, must have 5: class, x, y, width, height")
+        track = numbers[-1] if len(numbers) > 5 else None
+        if len(numbers) > 7 or (track is not None and not (0 <= track <= _MAX_TRACK and track == int(track))):
+            wanted = (
+                "must have 5: class, x, y, width, height, and then perhaps a confidence and a track, a whole number"
+            )
+            problems.add(f"{where}: has {len(numbers)} numbers, {wanted} (got {shown(numbers)})")
+        elif track is not None and rows.has(image, int(track)):
+            problems.add(f"{where}: track {track:g} is in the image already")
         elif (place := _place(where, numbers, image, images.sizes_px[image], problems)) is not None:
-            rows.add(place)
+            rows.add(place, identity=None if track is None else int(track))
     return rows
 
 
@@ -159,6 +182,7 @@ def _place(
 
 
 _MAX_CLASSES = 10_000  # a larger number is no class but something else
+_MAX_TRACK = 1e15
 _LISTS, _TABLES = ("classes.txt", "obj.names"), ("data.yaml", "dataset.yaml")
 """Files that name the classes, beside the labels or above: a name on each line, or all in one; `names` of YAML."""
 _LABELS, _NOT_LABELS = ("labels", "obj_train_data"), ("classes.txt", "images.txt")

@@ -39,6 +39,7 @@ class ImageSequence:
         steps: Step of each image, ascending, shape (S,).
         images: What the file of labels calls each.
         sea: (a, b, c): a·x + b·y + c >= 0 on the sea's side of the horizon, in pixels; None if it is not known.
+        first_frame: Number of the first frame, and of the first pixel, in files of its tracks.
     """
 
     name: str
@@ -46,6 +47,7 @@ class ImageSequence:
     steps: Indices
     images: tuple[str, ...]
     sea: tuple[float, float, float] | None = None
+    first_frame: int = 1
 
     @property
     def camera(self) -> Camera:
@@ -197,7 +199,8 @@ def _sequence(content: Mapping[str, Any]) -> ImageSequence:
     width, height = map(int, content["image_size_px"])
     sea = content["sea"] if content["sea"] is None else tuple(map(float, content["sea"]))
     steps = np.array(content["steps"], dtype=np.int64)
-    return ImageSequence(str(content["name"]), (width, height), steps, tuple(map(str, content["images"])), sea)  # type: ignore[arg-type]
+    images, first_frame = tuple(map(str, content["images"])), int(content["first_frame"])
+    return ImageSequence(str(content["name"]), (width, height), steps, images, sea, first_frame)  # type: ignore[arg-type]
 
 
 def _columns(kind: type[Any], content: Mapping[str, Any] | None) -> Any:

@@ -362,7 +362,7 @@ def test_either_a_run_or_a_truth_is_given_and_options_of_the_other_are_refused(i
     for option in (("--labels", "a"), SIZE, RATE, ("--horizon", "4"), ("--skip-bad",)):
         refusal(call, ("detect", tmp_path / "run", *option, *out), f"{option[0]} is for --truth: a run says it itself")
     line = ("detect", "--truth", tmp_path / "run", *KNOWN, *out)
-    refusal(call, line, "is a folder: a file with tracks is needed, MOT gt.txt or COCO JSON")
+    refusal(call, line, "has no labels: no .txt file")
     line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "run")
     refusal(call, line, "holds a run: use --overwrite, or choose another folder")
     assert not (tmp_path / "out").exists()

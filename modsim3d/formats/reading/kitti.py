@@ -1,0 +1,107 @@
+"""KITTI's tracking labels: a line for each object, whose third word is its type.
+
+A line is frame, track, type, truncation, occlusion, angle; left, top, right and bottom of the box; height, width and
+length of the object, its x, y and z before the camera in metres, its rotation; and in results a score. Frames and
+pixels count from 0 (readme of the tracking benchmark's development kit). Occlusion is a class, and becomes the visible
+fraction. Truncation is not read: a visible fraction is that of what lies in the image. `DontCare` is a region to be
+ignored."""
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from modsim3d.core.errors import InputError
+from modsim3d.core.text import number_in
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.reading.builder import NO_OPTIONS, Problems, ReadOptions
+from modsim3d.formats.reading.mot import OCCLUSION, VISIBLE_FRACTIONS, SequenceLines, problems_of, sequence_set
+from modsim3d.io.input_files import read_text
+from modsim3d.io.validation import nearest, shown
+
+TYPES = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram", "Misc", "Person")
+NEIGHBOURS = {"Van": "Car", "Person_sitting": "Pedestrian", "Person": "Pedestrian"}
+"""Types that the benchmark counts neither for nor against a detector of the other; a sitting person has two names."""
+REGION = "DontCare"
+_TYPE, _OCCLUSION, _DEPTH, _SCORE = 2, 4, 15, 17  # columns from 0
+
+
+def is_kitti(line: str) -> bool:
+    """Whether a line has the form: words without commas, of which the third alone is no number."""
+    words = line.split()
+    return len(words) > 9 and [k for k, word in enumerate(words) if math.isnan(number_in(word))] == [_TYPE]
+
+
+def read_kitti(condition: str, truth: Path, detections: Path | None, options: ReadOptions = NO_OPTIONS) -> LabelledSet:
+    """Read one condition, a sequence of frames, from labels and results, or from labels alone. The classes are those of
+    the options, or all types; then neighbours of one of them are ignored, and other types are left out. Raises
+    InputError if the files are wrong; each problem names its line."""
+    problems, wrong = problems_of(truth, detections, options)
+    labels = list(_lines(truth, "ground truth", _SCORE, problems))
+    results = list(_lines(detections, "detections", _SCORE + 1, wrong)) if detections else []
+    found = {name for _, name, _ in (*labels, *results)} - {REGION}
+    names = options.labels or (*TYPES, *sorted(found - set(TYPES)))
+    number_of = {name: float(number) for number, name in enumerate(names, 1)}
+    beside = {name: number_of[other] for name, other in NEIGHBOURS.items() if other in names and name not in names}
+    annotated = [
+        (where, [*_place(row), name in names, {**beside, **number_of}[name], *_visibility_and_depth(row)])
+        for where, name, row in labels
+        if name in names or name in beside
+    ]
+    regions = [(where, _place(row)) for where, name, row in labels if name == REGION]
+    detected = [(where, [*_place(row), row[_SCORE], number_of[name]]) for where, name, row in results if name in names]
+    said = [
+        f"KITTI: occlusion is a class: {OCCLUSION}",
+        f"KITTI: half of a detection in {REGION} is enough to ignore it",
+    ]
+    if options.labels:
+        near = [f"{name} beside {NEIGHBOURS[name]}" for name in beside if name in found]
+        said.append(
+            f"KITTI: types other than {', '.join(names)} are left out; to be ignored: {', '.join(near) or 'none'}"
+        )
+    in_words = dict(enumerate(names, 1))
+    lines = SequenceLines(annotated, detected if detections else None, regions, in_words, 0, said)
+    return sequence_set(condition, truth, lines, options, problems, wrong)
+
+
+def chosen_types(given: tuple[str, ...], truth: Sequence[Path], detections: Sequence[Path]) -> tuple[str, ...]:
+    """The types that are given; if none are, those that detections name. Raises InputError if no file has one."""
+    in_truth, detected = (_types_in(paths) for paths in (truth, detections))
+    known = (*TYPES, *sorted((in_truth | detected) - set(TYPES)))
+    if unknown := [name for name in given if name not in known]:
+        wrong = (f"{shown(name)} is no type in the files ({nearest(name, known)})" for name in unknown)
+        raise InputError("--labels", list(wrong))
+    return given or tuple(name for name in known if name in detected)
+
+
+def _types_in(paths: Sequence[Path]) -> set[str]:
+    lines = (line.split() for path in paths for line in read_text(path, "labels").splitlines())
+    return {words[_TYPE] for words in lines if len(words) > _TYPE} - {REGION}
+
+
+def _lines(path: Path, what: str, least: int, problems: Problems) -> Iterator[tuple[str, str, list[float]]]:
+    """Place in the file, type and numbers, NaN for the type, of the lines that are right in themselves."""
+    for index, text in enumerate(read_text(path, what).splitlines()):
+        words, where = text.split(), f"{path.name} line {index + 1}"
+        numbers = [number_in(word) for word in words]
+        if not words:
+            continue
+        if len(words) < least:
+            wanted = f"must have {least}{', of which the last is the score' * (least > _SCORE)}"
+            problems.add(f"{where}: has {len(words)} columns, {wanted} (got {shown(text)})")
+        elif [place for place, number in enumerate(numbers[:least]) if math.isnan(number)] != [_TYPE]:
+            problems.add(f"{where}: must be finite numbers but for the third column, a type (got {shown(text)})")
+        elif least == _SCORE and numbers[_OCCLUSION] not in (-1, 0, 1, 2, 3):
+            got = f"{numbers[_OCCLUSION]:g}"
+            problems.add(f"{where}: occlusion must be 0, 1, 2 or 3, or -1 where it is not known (got {got})")
+        else:
+            yield where, words[_TYPE], numbers
+
+
+def _place(row: list[float]) -> list[float]:
+    """Frame, track, left, top, width and height, as MOT has them."""
+    left, top, right, bottom = row[6:10]
+    return [*row[:2], left, top, right - left, bottom - top]
+
+
+def _visibility_and_depth(row: list[float]) -> tuple[float, float]:
+    return VISIBLE_FRACTIONS[int(row[_OCCLUSION])], row[_DEPTH] if row[_DEPTH] > 0 else math.nan

@@ -1,0 +1,190 @@
+"""Labelled videos as other data sets have them: frames from 0, VisDrone, KITTI, YOLO with tracks."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import modsim3d
+from modsim3d.core.errors import InputError
+from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.formats.reading.pair import read_pair, read_truth
+from tests.formats import labelled_files
+from tests.formats.labelled_files import HEIGHT, WIDTH, Video
+from tests.formats.labelled_video.videos import mot, rows
+
+SIZED: dict[str, Any] = {"image_size_px": (WIDTH, HEIGHT), "frame_rate_hz": 5}
+NO_INFO = ReadOptions(**SIZED)
+
+
+def shifted(path: Path, by: int = -1) -> None:
+    lines = (line.split(",") for line in path.read_text().splitlines())
+    new = ([int(frame) + by, track, float(x) + by, float(y) + by, *rest] for frame, track, x, y, *rest in lines)
+    path.write_text("".join(",".join(map(str, line)) + "\n" for line in new))
+
+
+def test_frames_and_pixels_from_0_are_those_from_1(tmp_path: Path) -> None:
+    files = labelled_files.mot(tmp_path, Video.of())
+    usual, lines = read_pair("day", *files), files[1].read_text().splitlines(keepends=True)
+
+    def told(rows: slice = slice(None), first_frame: int | None = None) -> str:
+        labelled = read_pair("day", *files, ReadOptions(first_frame=first_frame))
+        boxes, asked = labelled.annotations, usual.annotations.take(np.arange(len(usual.annotations))[rows])
+        np.testing.assert_allclose(boxes.boxes_px, asked.boxes_px, atol=1e-9)
+        assert labelled.ids is not None and labelled.ids.images[:2] == (0, 1)
+        return " ".join(labelled.notes)
+
+    for path in files:
+        shifted(path)
+    assert "gt.txt and det.txt has a frame 0" in told()
+    with pytest.raises(InputError, match=r"frame must be a whole number from 1 to \d+ \(got 0\)"):
+        read_pair("day", *files, ReadOptions(first_frame=1))
+    files[1].write_text("".join(lines[6:]))
+    shifted(files[1])
+    assert "because gt.txt has a frame 0" in told()
+    files[1].write_text("".join(lines))
+    with pytest.raises(InputError, match="frames are one too high, and pixels"):
+        read_pair("day", *files)
+    shifted(files[1])
+    for path in files:
+        path.write_text("".join(line for line in path.read_text().splitlines(keepends=True) if line[:2] != "0,"))
+    assert "has a frame 0" not in told(slice(6, None), first_frame=0)
+
+
+def test_detections_of_frames_from_0_are_written_so_and_tracks_are_read_so(tmp_path: Path) -> None:
+    truth, runs = mot(tmp_path / "bay"), []
+    for name in ("from_1", "from_0"):
+        run = modsim3d.detect_truth(truth, tmp_path / name, detector="thesis").folder
+        runs.append(sorted(read_pair("day", truth, run / "det/det.txt").results.boxes_px.round(2).tolist()))
+        assert modsim3d.score_run(run, truth).trackers[0].scores.flat()["hota"] == pytest.approx(1)
+        shifted(truth)
+    assert np.allclose(runs[0], runs[1], atol=0.02) and len(runs[0]) > 50
+
+
+def test_occlusion_of_visdrone_is_a_visible_fraction_and_its_class_0_a_region(tmp_path: Path) -> None:
+    files = tmp_path / "gt.txt", tmp_path / "det.txt"
+    files[1].write_text("1,-1,10,20,30,40,0.9,4,-1,-1\n")
+
+    def read(*ends: str) -> LabelledSet:
+        tracks = [7 if end.startswith("0,0") else k for k, end in enumerate(ends)]
+        files[0].write_text("".join(f"1,{tracks[k]},{10 + 50 * k},20,30,40,{end}\n" for k, end in enumerate(ends)))
+        return read_pair("day", *files, NO_INFO)
+
+    boxes = read("1,4,0,0", "0,0,0,0", "0,0,0,0", "1,5,1,1", "0,11,0,2").annotations
+    assert sorted(boxes.label[boxes.crowd].tolist()) == [0, 0, 1, 1, 2, 2]  # of each of three labels
+    assert boxes.visible_fraction[~boxes.crowd].tolist() == [1, 0.75, 0.25]
+    assert boxes.ignored[~boxes.crowd].tolist() == [False, False, True] and (boxes.identity[boxes.crowd] == -1).all()
+    for ends in (("1,4,0,0", "1,12,0,1"), ("1,4,0,0", "1,4,1,0"), ("1,1,1,1", "1,1,1,1")):
+        labelled = read(*ends)
+        assert np.isnan(labelled.annotations.visible_fraction).all()
+    assert any("nine and ten are 1 in every line" in note for note in labelled.notes)
+
+
+WORLD, FAR = "1.5 1.6 3.9 -4 1.8 {} -2.1", "-1000 -1000 -1000 -10 -1000 -1000 -1000"
+KITTI = f"""0 -1 DontCare -1 -1 -10 600 100 700 180 {FAR}
+0 -1 DontCare -1 -1 -10 900 100 950 180 {FAR}
+0 0 Car 0 0 -1.7 100 150 200 250 {WORLD.format(13.4)}
+0 1 Car 1 2 -1.7 300 150 400 250 {WORLD.format(9)}
+1 0 Car 0 1 -1.7 101 150 201 250 {WORLD.format(13)}
+2 1 Car 0 3 -1.7 301 150 401 250 {WORLD.format(-1000)}
+2 2 Van 0 0 -1.7 500 150 590 250 {WORLD.format(20)}
+2 3 Pedestrian 0 0 0 800 150 830 250 {WORLD.format(20)}
+"""
+BOXES = "0 {} 102 150 202 250", "0 {} 650 120 750 170", "2 {} 500 150 590 250"
+FOUND = "".join(f"{box.format('-1 Car -1 -1 -10')} {FAR} 0.9\n" for box in BOXES)
+
+
+def kitti(folder: Path, name: str = "0000", truth: str = KITTI, found: str = FOUND) -> tuple[Path, Path]:
+    files = folder / "labels" / f"{name}.txt", folder / "results" / f"{name}.txt"
+    for path, text in zip(files, (truth, found), strict=True):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    return files
+
+
+def test_labels_of_kitti(tmp_path: Path) -> None:
+    labelled = read_pair("day", *kitti(tmp_path), NO_INFO)
+    boxes, ids, cars = labelled.annotations, labelled.ids, ~labelled.annotations.ignored
+    assert labelled.labels == ("Car",) and ids is not None and (ids.images, ids.identities) == ((0, 1, 2), (0, 1, 2))
+    assert boxes.boxes_px[cars][0].tolist() == [100, 150, 200, 250] and boxes.identity[cars].tolist() == [0, 1, 0, 1]
+    np.testing.assert_array_equal(boxes.visible_fraction[cars], [1, 0.25, 0.75, np.nan])
+    np.testing.assert_array_equal(boxes.depth_m[cars], [13.4, 9, 13, np.nan])
+    assert (boxes.crowd.sum(), (boxes.ignored & ~boxes.crowd).sum()) == (2, 1)  # regions, and a van
+    assert match(labelled, Rule()).counts.tolist() == [True, False, False]  # half in a region; the van
+    both = read_pair("day", *kitti(tmp_path), replace(NO_INFO, labels=("Pedestrian", "Car"))).annotations
+    assert (both.label[~both.ignored].tolist(), both.label[both.crowd].tolist()) == ([1, 1, 1, 1, 0], [0, 1, 0, 1])
+    alone, kind = read_truth(tmp_path / "labels" / "0000.txt", NO_INFO)
+    assert kind == "KITTI" and alone.labels[:2] == ("Car", "Van") and alone.annotations.ignored.sum() == 2
+    assert not len(read_pair("day", *kitti(tmp_path, found=""), NO_INFO).results)
+
+
+CAR = "0 0 Car 0 0 -1.7 100 150 200 250 1.5 1.6 3.9 -4 1.8 13.4 -2.1"
+WRONG = {
+    CAR[:-5]: "line 2: has 16 columns, must have 17 ",
+    CAR.replace("13.4", "near"): "must be finite numbers but for the third column, a type",
+    CAR.replace(" 0 0 -1.7", " 0 7 -1.7"): "occlusion must be 0, 1, 2 or 3, or -1 where it is not known (got 7)",
+    CAR.replace("0 0", "0.5 0", 1): "frame must be a whole number from 0 to 10",
+    CAR.replace("200 250", "90 250"): "bbox has no area: width -10, height 100",
+    f"{CAR}\n{CAR}": "line 3: identity 0 is in frame 0 already",
+}
+
+
+def test_wrong_labels_of_kitti_are_refused_or_left_out(tmp_path: Path) -> None:
+    for text, told in WRONG.items():
+        files = kitti(tmp_path, truth=f"5{CAR[1:]}\n{text}\n")
+        with pytest.raises(InputError, match=re.escape(told)):
+            read_pair("day", *files, NO_INFO)
+        assert "left out" in read_pair("day", *files, replace(NO_INFO, skip_bad=True)).notes[0]
+    with pytest.raises(InputError, match=r"'car' is no type in the files \(did you mean 'Car'"):
+        read_pair("day", *files, replace(NO_INFO, labels=("car",)))
+
+
+def test_a_folder_of_files_is_a_sequence_each_and_their_tracks_are_different_things(tmp_path: Path) -> None:
+    kitti(tmp_path), kitti(tmp_path, "0001", found=FOUND.replace("102 150 202", "100 150 200"))
+    given = tmp_path / "labels", tmp_path / "results"
+    result = modsim3d.detect_truth(given[0], tmp_path / "out", detections=given[1], **SIZED)
+    assert {name: counts.detected for name, counts in result.sequence_counts.items()} == {"0000": 1, "0001": 1}
+    boxes = rows(tmp_path / "out" / "truth.parquet")
+    assert {row["camera"] + row["vessel"] for row in boxes} == {f"{s}{s}/{k}" for s in ("0000", "0001") for k in (0, 1)}
+    (given[1] / "0001.txt").unlink()
+    with pytest.raises(InputError, match=r"0001.txt: no such file, and .*labels has it"):
+        read_pair("day", *given, NO_INFO)
+    gt = mot(tmp_path / "bay", frames=5).read_text()
+    (tmp_path / "gt").mkdir()
+    for name in "ab":
+        (tmp_path / "gt" / f"{name}.txt").write_text(gt)
+    shifted(tmp_path / "gt" / "a.txt")
+    whole = read_truth(tmp_path / "gt", NO_INFO)[0]
+    assert whole.ids is not None and whole.ids.sequences == ("a", "b") and whole.ids.first_frame == 0
+    assert len(set(whole.annotations.identity.tolist())) == len(whole.ids.identities) == 6
+
+
+@pytest.mark.parametrize("name", ["{}", "river_{:04}", "river_{}"])
+def test_a_folder_of_yolo_with_tracks_is_the_video_of_its_mot_file(tmp_path: Path, name: str) -> None:
+    truth, folder = mot(tmp_path / "bay", visible="", frames=20), tmp_path / "labels"
+    truth.write_text("".join(line for line in truth.read_text().splitlines(keepends=True) if line[:2] != "7,"))
+    (truth.parent.parent / "seqinfo.ini").unlink()
+    folder.mkdir()
+    for k, line in enumerate(truth.read_text().splitlines()):
+        frame, track, x, y, w, h = map(float, line.split(",")[:6])
+        box = (x - 1 + w / 2) / 640, (y - 1 + h / 2) / 480, w / 640, h / 480
+        with (folder / f"{name.format(int(frame) * 10)}.txt").open("a") as file:
+            file.write(f"0 {' '.join(map(repr, box))}{' 0.9' * (k % 2)} {track:.0f}\n")
+    options, tables = replace(NO_INFO, image_size_px=(640, 480)), []
+    for given in (truth, folder):
+        labelled = read_truth(given, options)[0]
+        boxes, tracks = labelled.annotations, np.array(labelled.ids.identities if labelled.ids else ())
+        columns = labelled.images.time_s[boxes.image], tracks[boxes.identity], *boxes.boxes_px.T
+        tables.append(sorted(zip(*(column.round(4).tolist() for column in columns), strict=True)))
+    assert tables[0] == tables[1] and len(tables[0]) == 57 and tables[0][-1][0] == 3.8
+    result = modsim3d.detect_truth(folder, tmp_path / "out", detector="thesis", labels=("Vessel",), **SIZED)
+    assert result.counts.annotated == 57
+    for line, told in (("0 .5 .5 .1 .1 0.87\n", "must have 5: class"), ("0 .5 .5 .1 .1 3\n" * 2, "track 3 is in the ")):
+        next(folder.iterdir()).write_text(line)
+        with pytest.raises(InputError, match=told):
+            read_truth(folder, NO_INFO)
