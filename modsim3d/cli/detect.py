@@ -29,10 +29,10 @@ DetectionsOption = Annotated[
 
 FILES = "Labelled files"
 ImageSizeOption = Annotated[
-    str | None, under(FILES, "W,H", "Size of the images in pixels, for YOLO and for MOT without seqinfo.ini.")
+    str | None, under(FILES, "W,H", "Size of the images in pixels, for YOLO, KITTI and MOT without seqinfo.ini.")
 ]
 FrameRateOption = Annotated[
-    float | None, under(FILES, "HZ", "Frames per second, for MOT without seqinfo.ini and for COCO without times.")
+    float | None, under(FILES, "HZ", "Frames per second, for YOLO, and for others whose files do not say it.")
 ]
 FirstFrameOption = Annotated[
     int | None, under(FILES, "N", "Number of the first frame, and of the first pixel, in MOT.", min=0, max=1)
@@ -91,7 +91,7 @@ def detect_command(
     run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run.")] = None,
     truth: Annotated[
         Path | None,
-        option("FILE", "Ground truth of a labelled video, in place of RUN: MOT gt.txt, or COCO JSON with tracks."),
+        option("FILE", "Ground truth of a labelled video, in place of RUN: MOT, COCO, KITTI or YOLO, with tracks."),
     ] = None,
     detections: Annotated[
         Path | None, option("FILE", "Detections of a real detector in the video, in place of a simulated one.")

@@ -73,7 +73,9 @@ BootstrapSeedOption = Annotated[
     int, option("N", "Seed of all random numbers: of the bootstrap.", "--seed", rich_help_panel=NUMBERS)
 ]
 BetaOption = Annotated[float, under(NUMBERS, "B", "How many times more recall weighs than precision in F-beta.")]
-LabelsOption = Annotated[str | None, under(detect.FILES, "A,B,...", "Labels of the classes of MOT and YOLO, in order.")]
+LabelsOption = Annotated[
+    str | None, under(detect.FILES, "A,B,...", "Labels of the classes of MOT and YOLO, in order; types of KITTI.")
+]
 CategoryOffsetOption = Annotated[int, under(detect.FILES, "N", "Number to add to the category IDs of COCO results.")]
 
 
@@ -87,11 +89,11 @@ def learn_command(
         list[Path] | None, argument("RUN", "Run directories, in place of --truth and --detections.")
     ] = None,
     truth: Annotated[
-        list[Path] | None, option("FILE", "Ground truth: COCO JSON, MOT gt.txt or YOLO folder; repeatable.")
+        list[Path] | None, option("FILE", "Ground truth: COCO JSON, MOT or KITTI text, or a folder; repeatable.")
     ] = None,
     detections: Annotated[
         list[Path] | None,
-        option("FILE", "Detections of each --truth: COCO results, MOT det.txt or YOLO folder; repeatable."),
+        option("FILE", "Detections of each --truth, in the same form; repeatable."),
     ] = None,
     condition: Annotated[
         list[str] | None, option("NAME", "Condition that a pair of --truth and --detections shows; repeatable.")

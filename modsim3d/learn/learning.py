@@ -207,7 +207,7 @@ def learn_detector(
         learned.write("my_detector.yaml")
 
     Args:
-        truth: The labelled set: COCO's JSON, MOT's `gt.txt` or a folder of YOLO labels; several for several conditions.
+        truth: The labelled set: COCO, MOT, KITTI or YOLO, a file or a folder; several for several conditions.
         detections: The detector's results on it, in the same format, as many.
         run: A run, or its directory, in place of both.
         conditions: A name for each pair of truth and detections.
@@ -224,7 +224,7 @@ def learn_detector(
         replicates: Number of replicates of the bootstrap.
         seed: Seed of the bootstrap.
         without: Models to leave out, whatever the data carry; docs/learn.md has their names.
-        labels: Names of the classes, for MOT and YOLO.
+        labels: Names of the classes, for MOT and YOLO; types of KITTI.
         image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
         frame_rate_hz: Frames in a second, where the files do not say.
         first_frame: Number of the first frame and pixel in MOT, 0 or 1; if None, 0 where a file has a frame 0.

@@ -220,8 +220,8 @@ def detect_truth(
         seed: Seed of the detector.
         labels: The detector's label of each class in the order of its number (MOT) or of the file (COCO), `-` for one
             that is not to be detected. Needed where the classes are not called as the detector's labels.
-        image_size_px: Width and height, for MOT without `seqinfo.ini`.
-        frame_rate_hz: For MOT without `seqinfo.ini`, and for COCO whose images have a `frame_id` and no time.
+        image_size_px: Width and height, for MOT and KITTI without `seqinfo.ini`, and YOLO without images.
+        frame_rate_hz: For YOLO, MOT and KITTI without `seqinfo.ini`, and COCO with a `frame_id` and no time.
         first_frame: Number of the first frame and pixel in MOT, 0 or 1; if None, 0 where a file has a frame 0.
         horizon: The row of the horizon, or x and y of two of its points, if false positives are to lie on the sea.
         confidence_scale: Confidences in the detections that stand for 0 and for 1.
