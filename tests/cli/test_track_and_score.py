@@ -173,7 +173,6 @@ def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Pa
         (("track", "--out", tmp_path / "x"), "give either RUN"),
         (("track", tmp_path / "real", "--frame-rate", 5, "--out", tmp_path / "x"), "--frame-rate is for --truth"),
         (("score", tmp_path / "real", tmp_path, "--first-frame", 0), "--first-frame is for --truth"),
-        (("score", *files, truth, "--first-frame", 2), "--first-frame"),
     ):
         refused = modsim3d(*line)
         assert refused.status == 2 and said in refused.err

@@ -117,6 +117,7 @@ def test_frame_numbers_are_no_times_unless_the_rate_is_given(tmp_path):
     mot, numbered = (tmp_path / "gt.txt", tmp_path / "det.txt"), {"video_id": 3, "frame_id": 5}
     for files, rate_hz, times in (
         (coco(tmp_path, [result(11)], images=numbered), 10, [0.5] * 3),
+        (coco(tmp_path, [result(11)], images={"frame_index": 5}), 5, [1] * 3),
         (mot, 4, [0, 0.25, 0.5]),
     ):
         plain = read_pair("day", *files, ReadOptions(image_size_px=(640, 480)))

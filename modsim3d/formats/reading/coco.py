@@ -1,9 +1,9 @@
 """COCO ground truth and COCO results, as most detection libraries write them.
 
 Beyond COCO's own keys these are read where they are given: of an image `condition`, `sequence` (or `video_id`),
-`time_s` or `frame_id`, and `horizon`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and
-`distance_m`; of a result `probabilities`, one for each category in their order. Boxes come from `bbox`; masks are
-ignored.
+`time_s` or `frame_id` (or `frame_index`), and `horizon`; of an annotation `ignore`, `track_id` (or `instance_id`),
+`visible_fraction` and `distance_m`; of a result `probabilities`, one for each category in their order. Boxes come from
+`bbox`; masks are ignored.
 
 `image_id` names the image of a result, or a `file_name` beside it does. Programs that know no IDs, such as
 ultralytics, write the name of the image's file without its ending as `image_id`, as a number if it is one.
@@ -48,7 +48,7 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
     notes = problems.settle()
     if detections is not None:
         notes += _read_results(detections, known, images.names, options, results)
-    numbered = any(isinstance(entry, dict) and "frame_id" in entry for entry in content["images"])
+    numbered = any(isinstance(entry, dict) and _FRAME & entry.keys() for entry in content["images"])
     if numbered and frame_rate_hz is None and any(map(math.isnan, images.time_s)):
         notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
     labels = [name for name, _ in categories.values()]
@@ -211,7 +211,7 @@ def _image(
             problems.add(f"{where}: {key} must be text (got {shown(value)})")
     time_s = _time_s(entry, frame_rate_hz)
     if time_s is None:
-        got = shown(entry.get("time_s", entry.get("frame_id")))
+        got = shown(entry.get("time_s", entry.get("frame_id", entry.get("frame_index"))))
         problems.add(f"{where}: time_s and frame_id must be numbers (got {got})")
     sea = read_horizon(entry.get("horizon"), size_px[0] if size_px else math.nan)
     if sea is None:
@@ -224,7 +224,7 @@ def _image(
     return True
 
 
-_MIN_PX = 1e-6
+_MIN_PX, _FRAME = 1e-6, {"frame_id", "frame_index"}
 
 
 def _is_id(value: Any) -> TypeGuard[ID]:
@@ -236,7 +236,7 @@ def _time_s(entry: Mapping[str, Any], frame_rate_hz: float | None) -> float | No
     """Time of an image, NaN where it is not known, None where it is no number."""
     time = entry.get("time_s")
     if time is None and frame_rate_hz is not None:
-        frame = entry.get("frame_id")
+        frame = entry.get("frame_id", entry.get("frame_index"))
         time = frame / frame_rate_hz if is_number(frame) else frame
     if time is None:
         return math.nan

@@ -148,8 +148,7 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
 
 def problems_of(truth: Path, detections: Path | None, options: ReadOptions) -> tuple[Problems, Problems]:
     """Problems of a pair of files, of which there are none so far."""
-    sources = f"ground truth {truth}", f"detections {detections}"
-    return Problems(sources[0], options.skip_bad), Problems(sources[1], options.skip_bad)
+    return Problems(f"ground truth {truth}", options.skip_bad), Problems(f"detections {detections}", options.skip_bad)
 
 
 def sequence_set(
@@ -193,7 +192,7 @@ def _first_frame(files: Iterable[tuple[Path | None, Lines]], given: int | None) 
     at_0 = [path.name for path, lines in files if path and any(numbers[0] == 0 for _, numbers in lines)]
     if given is not None or not at_0:
         return 1 if given is None else given, []
-    return 0, [f"frames and pixels count from 0, because {' and '.join(at_0)} has a frame 0 (or give --first-frame)"]
+    return 0, [f"frames and pixels count from 0: there is a frame 0 in {' and '.join(at_0)} (or give --first-frame)"]
 
 
 def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[Lines, list[str]]:
