@@ -25,8 +25,8 @@ SOURCES = (
     "KITTI's tracking films (Geiger, Lenz & Urtasun (2012)): 21 films of a driving car's camera at 10 Hz, 8,008 "
     "images. Labels and the detections of RRC (Ren et al. (2017)) are in the public repository "
     "wangxiyang2022/DeepFusionMOT, `evaluation/KITTI/data/gt/label_02` and `data/detections/2D/rrc`; those of YOLOv3 "
-    "(Redmon & Farhadi (2018)) in its history, at commit 832ab540, `data/detections/2D/yolov3`. Their licence allows no "
-    "commercial use, so only numbers worked out from them are here. RRC was trained on a part of these films, so it "
+    "(Redmon & Farhadi (2018)) in its history, at commit 832ab540, `data/detections/2D/yolov3`. Their licence allows "
+    "no commercial use, so only numbers worked out from them are here. RRC was trained on a part of these films, so it "
     "looks better in them than elsewhere.",
     "FVessel's Video-01 (Guo et al. (2023); gy65896/FVessel, MIT): a river seen from a bridge, 620 s at 1 Hz, five "
     "vessels. Its published detections are its tracker's boxes, without confidences: no claim is made on identity "
