@@ -117,8 +117,9 @@ def compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, Kn
     """The most confident detections, as many as there are annotations, in the form of their file, with annotations;
     then the annotations that are nearest to these, with them. The size of images that do not say it is taken to be as
     far as annotations reach."""
-    images, results, sought = labelled.images, labelled.results, ~labelled.annotations.ignored
-    image, annotated_px = labelled.annotations.image[sought], labelled.annotations.boxes_px[sought]
+    images, results = labelled.images, labelled.results
+    solid = ~labelled.annotations.crowd  # what is ignored is found, too
+    image, annotated_px = labelled.annotations.image[solid], labelled.annotations.boxes_px[solid]
     rows = np.sort(np.argsort(-results.confidence, kind="stable")[: len(annotated_px)])
     image_found, found_px = results.image[rows], results.boxes_px[rows]
     reach_px = annotated_px[:, 2:].max(axis=0, initial=1.0)
