@@ -54,8 +54,9 @@ class Parts:
         detection[row[on_vessel]] = on_vessel
         source, known = _nearest(truth.identity, truth.frame, found)
         sides = np.tile(sizes(truth.boxes_px[source]), 2)
-        errors = errors_between(detections.boxes_px[detection[source]], truth.boxes_px[source]) / sides
-        confidence = detections.confidence[detection[source]]
+        boxes_px = np.vstack([detections.boxes_px, np.zeros((1, 4))])  # the last stands for none where there are none
+        errors = errors_between(boxes_px[detection[source]], truth.boxes_px[source]) / sides
+        confidence = np.append(detections.confidence, 0.0)[detection[source]]
         return cls(found, known, errors, confidence, detections.take(row < 0))
 
 
