@@ -1,5 +1,6 @@
 """The keys of a campaign file."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -14,6 +15,8 @@ from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, 
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 
+POSES = "poses.json"
+"""The file of labels in the folder of a scene that was made of them."""
 MAX_SEEDS = 1_000_000
 MAX_DETECTOR_SEEDS = 1_000
 MAX_BASE = 9_000
@@ -214,9 +217,10 @@ class SearchKeys(Strict):
 
 class LabelledVideos(Strict):
     """Labelled videos in place of a scene: each traffic seed shows one of them. A scene is made of them beside the
-    campaign file, in the folder `NAME_scene`."""
+    campaign file FILE, in the folder `FILE_scenes/NAME`."""
 
     truth: Text
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")] | None = None  # in tables
     detections: Text | None = None
     detector: Text | None = None
     labels: list[Text] | None = None
@@ -224,19 +228,28 @@ class LabelledVideos(Strict):
     frame_rate_hz: Number | None = None
     horizon: Number | tuple[Number, Number, Number, Number] | None = None
 
-    def written(self, base: Path) -> str:
-        """The path of the scene, from the folder that paths are relative to; InputError if a file is wrong."""
+    @property
+    def called(self) -> str:
+        """Its name in tables: that of the file, or of the folder of a MOT sequence."""
+        path = Path(self.truth)
+        found = path.parts[-3] if path.parts[-2:] == ("gt", "gt.txt") and len(path.parts) > 2 else path.stem
+        return self.name or re.sub("[^A-Za-z0-9_-]", "_", found)
+
+    def written(self, campaign: Path) -> None:
+        """Write the scene of a campaign file; InputError if a file is wrong, or something else is in its place."""
         from modsim3d.formats.labelled_video.detect_truth import write_labelled_scene
         from modsim3d.formats.reading.builder import ReadOptions
 
+        base, folder = campaign.parent, campaign.parent / self.scene_of(campaign)
         truth, options = base / self.truth, ReadOptions((), self.image_size_px, False, self.frame_rate_hz)
-        folder = Path(f"{Path(self.truth).stem}_scene")
+        if folder.parent.exists() and not (folder.parent / POSES).is_file():
+            raise InputError(f"scenes: {self.truth}", [f"{folder.parent} is in the way: move it, or give another name"])
         detector = self.detector and str(base / self.detector if (base / self.detector).is_file() else self.detector)
         found = None if self.detections is None else base / self.detections
         try:
-            file = write_labelled_scene(
+            write_labelled_scene(
                 truth,
-                base / folder,
+                folder,
                 options=options,
                 detections=found,
                 detector=detector,
@@ -246,7 +259,10 @@ class LabelledVideos(Strict):
         except InputError as error:
             told = [f"{error.source}: {problem}" for problem in error.problems]
             raise InputError(f"scenes: {self.truth}", told) from None
-        return (folder / file.name).as_posix()
+
+    def scene_of(self, campaign: Path) -> str:
+        """The path of its scene, from the folder of a campaign file."""
+        return f"{campaign.stem}_scenes/{self.called}/{self.called}.json"
 
 
 class CampaignKeys(Strict):
@@ -312,13 +328,23 @@ def find_campaign(campaign: StrPath) -> Path:
     raise InputError(f"campaign {path}", [f"no such file, and no shipped campaign has this name ({hint})"])
 
 
-def _with_scenes(data: dict[str, Any], base: Path) -> dict[str, Any]:
-    """The content of a campaign file with the path of a scene in place of each mapping of labelled videos."""
+def _labelled_videos(data: dict[str, Any], path: Path) -> tuple[list[LabelledVideos], dict[str, Any]]:
+    """The labelled videos of a campaign file, and its content with the path of a scene in place of each of them."""
     given = data.get("scenes", [data["scene"]] if "scene" in data else None)
     if not isinstance(given, list) or not any(isinstance(each, dict) for each in given):
-        return data
-    made = [LabelledVideos.model_validate(each).written(base) if isinstance(each, dict) else each for each in given]
-    return {**{key: value for key, value in data.items() if key != "scene"}, "scenes": made}
+        return [], data
+    videos, scenes = list[LabelledVideos](), list[Any]()
+    for place, each in enumerate(given):
+        if isinstance(each, dict):
+            try:
+                videos.append(LabelledVideos.model_validate(each))
+            except ValidationError as error:
+                raise InputError(f"campaign {path}", describe(error, LabelledVideos, "scenes", place)) from None
+        scenes.append(videos[-1].scene_of(path) if isinstance(each, dict) else each)
+    names = [each.called for each in videos]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise InputError(f"campaign {path}", [f"scenes: two are called '{twice[0]}': give them a name of their own"])
+    return videos, {**{key: value for key, value in data.items() if key != "scene"}, "scenes": scenes}
 
 
 def read_campaign(campaign: StrPath) -> CampaignFile:
@@ -329,9 +355,12 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
         needed = f"a mapping of keys is needed (got {kind_of(data)})"
         raise InputError(f"campaign {path}", ["the file is empty" if data is None else needed])
     try:
-        keys = CampaignKeys.model_validate(_with_scenes(data, path.resolve().parent))
+        videos, data = _labelled_videos(data, path.resolve())
+        keys = CampaignKeys.model_validate(data)
     except ValidationError as error:
         # A colon stands before a problem of the whole file.
         problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]
         raise InputError(f"campaign {path}", problems) from None
+    for each in videos:
+        each.written(path.resolve())
     return CampaignFile(path, keys)

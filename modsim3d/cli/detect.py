@@ -34,6 +34,9 @@ ImageSizeOption = Annotated[
 FrameRateOption = Annotated[
     float | None, under(FILES, "HZ", "Frames per second, for YOLO, and for others whose files do not say it.")
 ]
+LabelsOption = Annotated[
+    str | None, option("A,B,...", "Labels of the classes of --truth, in order; - for one that is no target.")
+]
 FirstFrameOption = Annotated[
     int | None, under(FILES, "N", "Number of the first frame, and of the first pixel, in MOT.", min=0, max=1)
 ]
@@ -100,9 +103,7 @@ def detect_command(
     detector_seed: Annotated[
         int | None, option("N", "Seed of the detector, in place of the run's; 0 with --truth.", min=0)
     ] = None,
-    labels: Annotated[
-        str | None, option("A,B,...", "Labels of the classes of --truth, in order; - for one that is no target.")
-    ] = None,
+    labels: LabelsOption = None,
     image_size: ImageSizeOption = None,
     frame_rate: FrameRateOption = None,
     first_frame: FirstFrameOption = None,
@@ -210,8 +211,9 @@ def opened(run: Path | None, truth: Path | None, detections: Path | None, **opti
         tell_files(read_of_run(stored.folder))
         yield stored
         return
-    size, rate_hz = options.pop("image_size"), options.pop("frame_rate")
+    size, rate_hz, labels = (options.pop(name) for name in ("image_size", "frame_rate", "labels"))
     options |= {"image_size_px": None if size is None else parsed_size(size), "frame_rate_hz": rate_hz}
+    options |= {"labels": None if labels is None else parsed_names(labels, "--labels")}
     with TemporaryDirectory(prefix="modsim3d_") as folder:
         out, alone = Path(folder) / truth.stem, detections is None
         with inputs_noted() as read, timed("reading the labels"):

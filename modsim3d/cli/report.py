@@ -43,7 +43,7 @@ def report_command(
     from modsim3d.io.overwrite_guard import claimed, claimed_folders
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.report.images import film_frames
+    from modsim3d.view.report.images import FILM_FILES, film_frames
     from modsim3d.view.report.report import PART_FILES, REPORT_FILE, parts_folder, write_report
     from modsim3d.view.report.side_by_side import SIDE_BY_SIDE_FILE, write_side_by_side
 
@@ -60,7 +60,7 @@ def report_command(
     folders = {parts_folder(path): PART_FILES} if parts else {}
     decoded = path.with_name(f"{path.stem}_images") if pictures is not None and pictures.is_file() else None
     if decoded is not None:
-        folders[decoded] = "*.jpg"
+        folders[decoded] = FILM_FILES
     with (
         timed("page"),
         claimed([path], overwrite=overwrite, inputs=read),
@@ -74,7 +74,7 @@ def report_command(
             bar.update(task, advance=steps, refresh=True)
 
         if pictures is not None and decoded is not None:
-            pictures = film_frames(pictures, decoded)
+            pictures = film_frames(pictures, decoded, opened)
         if second is None:
             command = shared.typed_command(context)
             write_report(opened, path, every, advance, followed, command, tracks, in_files=parts, pictures=pictures)

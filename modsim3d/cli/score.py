@@ -21,6 +21,7 @@ def score_command(
     ] = None,
     truth: detect.TruthOption = None,
     detections: detect.DetectionsOption = None,
+    labels: detect.LabelsOption = None,
     image_size: detect.ImageSizeOption = None,
     frame_rate: detect.FrameRateOption = None,
     first_frame: detect.FirstFrameOption = None,
@@ -70,7 +71,7 @@ def score_command(
     cutoff, power = parse_gospa(gospa)
     with (
         detect.opened(
-            run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame
+            run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame, labels=labels
         ) as stored,
         claimed(paths, overwrite=overwrite, inputs=[*read_of_run(stored.folder), *tracks]),
     ):

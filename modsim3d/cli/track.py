@@ -24,6 +24,7 @@ def track_command(
     run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run.")] = None,
     truth: detect.TruthOption = None,
     detections: detect.DetectionsOption = None,
+    labels: detect.LabelsOption = None,
     image_size: detect.ImageSizeOption = None,
     frame_rate: detect.FrameRateOption = None,
     first_frame: detect.FirstFrameOption = None,
@@ -54,15 +55,16 @@ def track_command(
     given = read_settings(settings or (), _EXAMPLE)
     if truth is not None and detections is None:
         raise ModsimError("--truth needs --detections: what a real detector found, for the tracker to work on")
-    with detect.opened(
-        run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame
-    ) as stored:
+    files = {"image_size": image_size, "frame_rate": frame_rate, "first_frame": first_frame, "labels": labels}
+    with detect.opened(run, truth, detections, **files) as stored:
         frames = None if stored.stored is None else stored.settings["counts"]["frames"]
         with timed("tracks and files"), shared.progress(tracker, frames) as advance:
             result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)
     tell("tracker", ", ".join(f"{name} {version}" for name, version in result.origin.versions.items()))
     written = track_paths(out)
-    _print_result(result, shlex.quote(str(run)) if run else f"--truth {truth} --detections {detections}", written)
+    typed = {"truth": truth, "detections": detections, **files}
+    options = [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in typed.items() if value]
+    _print_result(result, shlex.quote(str(run)) if run else " ".join(options), written)
     say_json(track_json(result, stored.scene.name, written))
 
 

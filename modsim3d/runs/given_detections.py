@@ -12,7 +12,8 @@ from modsim3d.world.poses.labelled import LabelledPoses
 
 
 def given_detections(labels: LabelledPoses, frames: CameraFrames, targets: Targets) -> Detections:
-    """Detections of a real detector in a camera's frames. Those that detect no target are false."""
+    """Detections of a real detector in a camera's frames. Those that detect nothing are false; those of a box that is
+    not annotated, since nothing of it is visible or it is too small, are neither right nor false and left out."""
     given, boxes = labels.detections, labels.boxes
     camera = [each.name for each in labels.sequences].index(frames.camera)
     if given is None:
@@ -21,6 +22,8 @@ def given_detections(labels: LabelledPoses, frames: CameraFrames, targets: Targe
     vessels, last = len(targets.vessel_ids), np.append(boxes.vessel, NOBODY)
     key = np.searchsorted(frames.steps, found.step) * vessels + last[found.row]
     target = positions(targets.frame * vessels + targets.vessel, np.where(found.row >= 0, key, NOBODY))
+    counts = (found.row < 0) | (target >= 0)
+    found, target = found.take(counts), target[counts]
     own = target >= 0
     errors_px = np.full((len(found), 4), np.nan)
     errors_px[own] = errors_between(found.boxes_px[own], targets.boxes_px[target[own]])

@@ -24,6 +24,7 @@ from modsim3d.runs.workers import BlockMaker, BlockTally, BlockWorkers, backend_
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
+from modsim3d.world.poses.labelled import LABELS
 
 FORMAT = 2
 """Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
@@ -327,4 +328,11 @@ def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, o
         if key.partition(".")[0] not in ("detector", "detector_seed"):
             raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])
     scene_seed = None if run.scene.truth_has_seed else seed
+    if run.scene.labels is not None and run.scene.labels.detections is not None:
+        if not (detector.get("detector") or detector.get("state_from")):
+            told = "has the detections of a real detector, which no seed and no setting changes"
+            raise ModsimError(f"{run.folder}: {told}: give a detector, which works on the labels in its place")
+        poses = run.scene.copy.document["poses"][LABELS]
+        settings = {**settings, f"poses.{LABELS}": {**(poses if isinstance(poses, dict) else {"file": poses}),
+                                                    "simulated": True}}  # fmt: skip
     return load_scene(run.scene.path, seed=scene_seed, detector_seed=seed, settings=settings, **detector)

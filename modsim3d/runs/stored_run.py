@@ -85,6 +85,8 @@ class StoredRun:
         """Way for a user to finish an interrupted run: the poses of a live one cannot come again, but are kept."""
         if (self.folder / UNFINISHED / POSES_FILE).is_file():
             return f"`modsim3d run {self.scene.path} --out DIR` makes a finished run of the poses that came in"
+        if self.scene.labels is not None:
+            return "run `modsim3d detect --truth` again with --overwrite"
         return "finish it with `modsim3d run SCENE --resume` first"
 
     def frames(self, first: int = 0, stop: int | None = None) -> Iterator[Frame]:

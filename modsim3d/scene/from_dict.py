@@ -18,7 +18,7 @@ from modsim3d.scene.reading import assembled
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import Setting, replacing
 from modsim3d.world.poses.arrays import FILE, KEYS, ArrayKeys, pose_file
-from modsim3d.world.poses.labelled import LABELS, GivenLabels, LabelledPoses
+from modsim3d.world.poses.labelled import LABELS, GivenLabels, LabelledPoses, LabelsKeys
 from modsim3d.world.poses.registry import NamedSource
 from modsim3d.world.poses.replay import RecordedPoses
 
@@ -70,7 +70,7 @@ def _arrays(content: dict[str, Any], data: Mapping[str, Any]) -> Mapping[str, An
     """The section `poses` if it has arrays or labels; otherwise the content gets it."""
     poses = data.get("poses")
     if isinstance(poses, Mapping) and isinstance(poses.get(LABELS), LabelledPoses):
-        content["poses"] = {LABELS: {"file": FILE, "by_seed": True} if poses.get("by_seed") else FILE}
+        content["poses"] = {LABELS: {"file": FILE, **{key: each for key, each in poses.items() if key != LABELS}}}
         return poses
     if isinstance(poses, Mapping) and any(key in poses for key in KEYS):
         content["poses"] = {"file": FILE}
@@ -119,7 +119,7 @@ class _DictParts(SceneParts):
         self._arrays, self._inline = arrays, detector
         super().__init__(Path(name), data, settings)
         if isinstance(self.poses, LabelledPoses) and arrays is not None:
-            self.contents[FILE] = self.poses.written()
+            self.contents[FILE] = arrays[LABELS].written()
         elif arrays is not None and isinstance(self.poses, RecordedPoses) and self.vessels is not None:
             poses, names = self.poses, [vessel.name for vessel in self.vessels]
             self._keep(FILE, lambda: pose_file(poses, names, self.name))
@@ -152,5 +152,9 @@ class _DictParts(SceneParts):
         if self._arrays is None:
             return super()._source()
         if LABELS in self._arrays:
-            return NamedSource(LABELS, GivenLabels(file=FILE, labels=self._arrays[LABELS], source=self.name), None)
+            source = super()._source()
+            if source is None or not isinstance(source.keys, LabelsKeys):
+                return None
+            keys = source.keys.model_dump()
+            return NamedSource(LABELS, GivenLabels(labels=self._arrays[LABELS], source=self.name, **keys), None)
         return NamedSource("file", ArrayKeys(self._arrays, self.name), None)

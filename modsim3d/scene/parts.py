@@ -23,7 +23,7 @@ from modsim3d.scene.settings import Setting, Settings
 from modsim3d.world.bodies import Obstacle, extruded, placed
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.poses.base import PoseRequest, PoseSource, SourceKeys
-from modsim3d.world.poses.labelled import LABELS, LabelledPoses
+from modsim3d.world.poses.labelled import LABELS, REAL, LabelledPoses
 from modsim3d.world.poses.registry import NamedSource, read_source
 from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.second_order_waves import Axes, find_level
@@ -399,7 +399,14 @@ class SceneParts:
         return poses
 
     def _labelled_problems(self, vessels: Sequence[Vessel]) -> Iterator[str]:
-        """Labels of videos that the detector does not have."""
+        """Labels of videos that the detector does not have, and detections that are not its own."""
+        real = isinstance(self.poses, LabelledPoses) and self.poses.detections is not None
+        if real and self.detector is not None and [state.name for state in self.detector.states] != [REAL]:
+            yield (
+                f"poses.{LABELS}: has the detections of a real detector, and a detector is given: with "
+                f"poses.{LABELS}.simulated: true it works on the labels"
+            )
+            return
         labels = [vessel.label for vessel in vessels] if self.detector is None else self.detector.labels
         for label in dict.fromkeys(vessel.label for vessel in vessels if vessel.label not in labels):
             yield f"poses.{LABELS}: '{label}' is not one of the detector's labels ({nearest(label, labels)})"

@@ -326,6 +326,7 @@ class Scene:
             InputError: The vessel that carries a camera has no pose at this step.
             ModsimError: The scene has no such step.
         """
+        self.check_world("a view of a step")
         if not 0 <= step < self.steps:
             raise ModsimError(f"{self.title}: there is no step {step}; the scene has steps 0 to {self.steps - 1}")
         steps = np.array([step])

@@ -131,6 +131,10 @@ def score_run(
     if seeds is not None:
         from modsim3d.tracking.detector_seeds import check_seeds, spread_over_seeds
 
+        if run.scene.labels is not None and run.scene.labels.detections is not None:
+            raise ModsimError(
+                "--seeds is for a simulated detector, and these are the detections of a real one: leave out"
+            )
         check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
     in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p)

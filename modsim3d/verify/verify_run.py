@@ -12,6 +12,7 @@ from typing import Any
 import orjson
 
 from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Items, Table, Text, Tiles, Where
+from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
 from modsim3d.detector.file.reading import find_detector
@@ -347,6 +348,8 @@ def verify_run(run: StoredRun | StrPath, detector: StrPath | None = None) -> Ver
         TypeError: The run or the detector is neither text nor a path.
     """
     run = opened_run(run)
+    if run.scene.labels is not None and run.scene.labels.detections is not None:
+        raise ModsimError(f"{run.folder}: holds what a real detector found, which obeys no detector file")
     path = None if detector is None else find_detector(detector)
     tables = run.finished_tables.rows(0, run.steps)
     scene = run.scene if path is None else load_scene(run.scene.path, detector=path)

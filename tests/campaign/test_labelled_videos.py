@@ -27,7 +27,7 @@ def test_each_traffic_seed_shows_another_video_and_its_run_is_made_again(tmp_pat
     assert sorted(row["frames"] for row in rows) == sorted(FILMS.values())
     for row in rows:
         seeds = {"seed": row["traffic_seed"], "detector_seed": row["detector_seed"]}
-        scene = modsim3d.load_scene(tmp_path / "many_scene" / "many.json", state="haze", **seeds)
+        scene = modsim3d.load_scene(tmp_path / "videos_scenes" / "many" / "many.json", state="haze", **seeds)
         run = modsim3d.run_scene(scene, tmp_path / f"run_{row['run']}").folder
         assert FILMS[scene.cameras[0].name] == scene.steps == row["frames"]
         tracks = modsim3d.track_run(run, tmp_path / f"tracks_{row['run']}", tracker="sort").folder

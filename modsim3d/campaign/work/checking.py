@@ -31,6 +31,7 @@ from modsim3d.core.text import counted
 from modsim3d.io.plugins import Plugin, changed_plugins
 from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
+from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.trackers.registry import named_tracker
 
@@ -336,9 +337,7 @@ def _keys_of(factor: Any) -> Iterator[str]:
 def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugins: set[Plugin]) -> ConditionFacts:
     """Facts about a condition; the files and plug-ins that it is made of are added to those given."""
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
-    if scene.labels is not None and 1 < scene.labels.videos < plan.keys.seeds.traffic:
-        videos, asked = scene.labels.videos, plan.keys.seeds.traffic
-        raise ModsimError(f"{scene.title}: has {videos} videos, too few for {asked} traffic seeds: each shows one")
+    _check_labels(scene, run.condition.of_detector(), plan.keys)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
     named = {
@@ -356,6 +355,23 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
         tuple(camera.name for camera in scene.cameras),
         {label: vars(each.origin) for label, each in named.items()},
     )
+
+
+def _check_labels(scene: Scene, of_detector: Mapping[str, Any], keys: CampaignKeys) -> None:
+    """Raise ModsimError where seeds or settings of a scene of labels would repeat what is the same."""
+    labels = scene.labels
+    if labels is None:
+        return
+    if scene.traffic_has_seed and labels.videos < keys.seeds.traffic:
+        videos = counted(labels.videos, "video")
+        raise ModsimError(
+            f"{scene.title}: has {videos}, too few for {keys.seeds.traffic} traffic seeds: each shows one"
+        )
+    if labels.detections is not None and (keys.seeds.detector > 1 or of_detector):
+        raise ModsimError(
+            f"{scene.title}: has the detections of a real detector, which no seed and no key of a detector changes: "
+            "leave them out, or give a detector in place of the detections"
+        )
 
 
 def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[str]:

@@ -23,15 +23,23 @@ from modsim3d.detector.file.unread import dead_lines
 from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
 from modsim3d.formats.labelled_video.labels import given_detector, labels_of
-from modsim3d.formats.labelled_video.targets import FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
+from modsim3d.formats.labelled_video.targets import (
+    NO_TARGET,
+    FileClasses,
+    TargetBoxes,
+    Video,
+    sought_in,
+    to_labels,
+    videos_of,
+)
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import file_kind, read_pair, read_truth
 from modsim3d.formats.writing.mot import detection_text, sequence_text
 from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input
-from modsim3d.io.overwrite_guard import claimed, identities, identity
+from modsim3d.io.overwrite_guard import check_not_read, claimed
 from modsim3d.runs.counts import Counts
-from modsim3d.runs.files.overwrite import LOG_FILE, RUN_FILE, read_json, remove_files, safe_names
+from modsim3d.runs.files.overwrite import DETECT_FILE, LOG_FILE, RUN_FILE, made_of_run, read_json
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import StoredRun, open_run
@@ -136,7 +144,7 @@ def _horizon_problems(model: DetectorModel) -> Iterator[str]:
         yield f"false_positives.far_half_px: {needed}--set detector.false_positives.far_half_px=null"
 
 
-FORMAT, SUMMARY = 1, "detect.json"  # the file with settings, hashes and counts
+FORMAT, SUMMARY = 1, DETECT_FILE
 
 
 @dataclass(frozen=True, repr=False)
@@ -252,34 +260,37 @@ def detect_truth(
         )
         if work.given and seed:
             raise InputError("--detector-seed", ["is for a simulated detector: leave it out"])
-        result = run_scene(work.scene(seed), folder, overwrite=overwrite, thesis_json=False)
-        names = work.file_names()
+        names, scene = work.file_names(), work.scene(seed)
+        notes = tuple(dict.fromkeys((*work.notes, *(scene.labels.notes if scene.labels else ()))))
+        for name in {*names, *(made_of_run(folder) if folder.is_dir() else ())}:
+            check_not_read(folder / name, read)
+        result = run_scene(scene, folder, overwrite=overwrite, thesis_json=False)
         with claimed([folder / name for name in names], overwrite=overwrite, inputs=read):
             contents = work.contents(truth, open_run(folder))
             hashes = {"/".join(path.parts[-3 * truth.is_dir() - 1 :]): file_sha256(path) for path in sorted(set(read))}
             files = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-            contents[SUMMARY] = json_text({**work.summary(), "inputs": hashes, "files": files})
-            _put(folder, contents, read)
+            contents[SUMMARY] = json_text({**work.summary(), "notes": list(notes), "inputs": hashes, "files": files})
+            write_files({folder / name: content for name, content in contents.items()})
     paths = tuple(folder / name for name in (*names, RUN_FILE, LOG_FILE, *read_json(folder / RUN_FILE)["files"]))
     seconds = time.perf_counter() - started
-    return TruthResult(folder, work.kind, result.camera_counts, work.occlusion(), work.notes, paths, seconds)
+    return TruthResult(folder, work.kind, result.camera_counts, work.occlusion(), notes, paths, seconds)
 
 
 def write_labelled_scene(
     truth: Path,
-    folder: Path,
+    file: Path,
     *,
     options: ReadOptions,
     detections: Path | None = None,
     detector: StrPath | None = None,
     labels: Sequence[str] | None = None,
     horizon: float | Sequence[float] | None = None,
-) -> Path:
-    """Write a scene of labelled videos, of which each seed shows one, into a folder, and return its file; for the
-    arguments see `detect_truth`. Raises as it does."""
+) -> None:
+    """Write a scene of labelled videos, of which each seed shows one, into the folder of its file; see `detect_truth`
+    for the arguments. Raises as it does."""
     given = detections is not None
     work = _Work.of_files(truth, options, detections, {"detector": detector}, labels, horizon, given=given)
-    return work.scene(0, by_seed=True).copy.write(folder)
+    work.scene(0, by_seed=True, name=file.stem).copy.write(file.parent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,13 +335,14 @@ class _Work:
             return cls.of(*read_truth(truth, options), truth, model, f"detector {file}", labels, horizon, given)
         if any(detector.values()):
             raise InputError("--detections", ["are those of a real detector: leave out what chooses a simulated one"])
-        options, kind = replace(options, labels=tuple(labels or ())), file_kind(truth)
+        kind = file_kind(truth)
         if detections is None:
             labelled = read_truth(truth, options)[0]
         else:
             labelled = read_pair(truth.stem, truth, detections, options)
-        model = parse_detector(given_detector(labelled.labels), "detector")
-        return cls.of(labelled, kind, truth, model, "detector", None, horizon, given)
+        targets = tuple(dict.fromkeys(name for name in labels or labelled.labels if name != NO_TARGET))
+        model = parse_detector(given_detector(targets or labelled.labels), "detector")
+        return cls.of(labelled, kind, truth, model, "detector", labels, horizon, given)
 
     @classmethod
     def of(
@@ -367,14 +379,23 @@ class _Work:
         """Number of the class or category of each label in the file."""
         return class_numbers(self.classes, self.to_label.tolist(), self.model.labels)
 
-    def scene(self, seed: int, *, by_seed: bool = False) -> Scene:
+    def scene(self, seed: int, *, by_seed: bool = False, name: str | None = None) -> Scene:
         """The scene whose truth these labels are; in its copy, `by_seed` lets the seed choose one of the videos."""
         labels = labels_of(
-            self.labelled, self.videos, self.sought, self.ids, self.model.labels, self.horizon, self.source, self.given
+            self.labelled,
+            self.videos,
+            self.sought,
+            self.ids,
+            self.model.labels,
+            self.to_label,
+            self.horizon,
+            self.source,
+            self.given,
         )
-        name = re.sub("[^A-Za-z0-9_-]", "_", self.videos[0].file_name if len(self.videos) == 1 else self.stem)
+        usual = re.sub("[^A-Za-z0-9_-]", "_", self.videos[0].file_name if len(self.videos) == 1 else self.stem)
         scene = scene_from_dict(
-            {"poses": {LABELS: labels, "by_seed": by_seed}, "detector": self.model, "seed": seed}, name=name
+            {"poses": {LABELS: labels, **({"by_seed": True} if by_seed else {})}, "detector": self.model, "seed": seed},
+            name=name or usual,
         )
         whole = truth_block(scene, 0, scene.steps, None), 0, scene.steps
         Simulation(scene, scene_statistics(scene, [whole]))  # its errors come before a folder is made
@@ -423,15 +444,4 @@ class _Work:
             "class_numbers": self.numbers,
             "horizon": None if self.horizon is None else self.horizon.tolist(),
             "occlusion": self.occlusion(),
-            "notes": list(self.notes),
         }
-
-
-def _put(folder: Path, contents: Mapping[str, bytes], read: Sequence[Path]) -> None:
-    """Write all files, and remove those that an earlier result had and this one has not."""
-    before = read_json(folder / SUMMARY)
-    listed = before.get("files") if isinstance(before, dict) else None
-    write_files({folder / name: content for name, content in contents.items()})
-    old = safe_names(listed) - contents.keys() if isinstance(listed, dict) else set[str]()
-    inputs = identities(read)
-    remove_files(folder, {name for name in old if identity(folder / name) not in inputs})

@@ -14,6 +14,7 @@ from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.labelled_video.targets import TargetBoxes, Video
 from modsim3d.formats.matching import Rule, match
 from modsim3d.world.poses.labelled import (
+    REAL,
     GivenDetections,
     IgnoredRegions,
     ImageSequence,
@@ -28,13 +29,15 @@ def labels_of(
     sought: TargetBoxes,
     ids: FileIds,
     labels: Sequence[str],
+    to_label: Indices,
     sea: Array | None,
     source: str,
     given: bool,
 ) -> LabelledPoses:
-    """Labels of videos as a scene has them. `ids` are those of tracks and of images in the file, `labels` the
-    detector's, `sea` the half-plane below the horizon: (3,), None if it is not known; `source` names the file in
-    errors; `given` takes the detections of the labelled set. Raises InputError if tracks cannot be told apart."""
+    """Labels of videos as a scene has them. `ids` names tracks and images as the file does, `labels` are the detector's
+    and `to_label` the one of each class: (k,), `sea` the half-plane below the horizon: (3,), None if it is not known;
+    `source` names the file in errors; `given` takes the detections of the labelled set. Raises InputError if tracks
+    cannot be told apart."""
     place = _Places(videos, len(labelled.images))
     used, vessel = np.unique(sought.track, return_inverse=True)
     named = np.array([str(ids.identities[track]) for track in used.tolist()], dtype=object)
@@ -55,6 +58,7 @@ def labels_of(
     )
     row_of = np.full(len(labelled.annotations), NOBODY)
     row_of[sought.rows[by_place]] = np.arange(len(boxes))
+    found, said = _detections(labelled, row_of, to_label, place) if given else (None, [])
     return LabelledPoses(
         tuple(map(repr, place.times_s.tolist())),
         tuple(
@@ -71,8 +75,8 @@ def labels_of(
         dict(zip(named[order].tolist(), of_vessel, strict=True)),
         boxes,
         _regions(labelled, place),
-        _detections(labelled, row_of, place) if given else None,
-        (*labelled.notes, *sought.notes, *(notes if turning else ())),
+        found,
+        (*labelled.notes, *sought.notes, *(notes if turning else ()), *said),
     )
 
 
@@ -100,24 +104,33 @@ def _regions(labelled: LabelledSet, place: _Places) -> IgnoredRegions:
     return IgnoredRegions(step, camera, boxes_px[kept], rows.crowd[kept]).take(np.lexsort((camera, step)))
 
 
-def _detections(labelled: LabelledSet, row_of: Indices, place: _Places) -> GivenDetections:
-    """Detections of a real detector, cut at the edge of the image; `row_of` has the row of each annotation among the
-    boxes of the scene, shape (T,)."""
+def _detections(
+    labelled: LabelledSet, row_of: Indices, to_label: Indices, place: _Places
+) -> tuple[GivenDetections, list[str]]:
+    """Detections of a real detector, cut at the edge of the image, and remarks. `row_of` has the row of each annotation
+    among the boxes of the scene, shape (T,), `to_label` the detector's label of each class: (k,). Those of a class that
+    is no target, or that match what is to be ignored, are left out, as evaluations leave them out."""
     results = labelled.results
     if np.isnan(results.confidence).any() and not np.isnan(results.confidence).all():
         raise InputError("detections", ["some have a confidence, and others have none"])
     boxes_px = clip(results.boxes_px, labelled.images.sizes_px[results.image])
-    inside = np.flatnonzero((sizes(boxes_px) > 0).all(axis=1))
-    matched = match(labelled, Rule("confidence" if labelled.scored else "optimal")).annotation
+    matched = match(labelled, Rule("confidence" if labelled.scored else "optimal"))
+    row = np.append(row_of, NOBODY)[matched.annotation]  # the last is that of none
+    known = matched.counts & ((matched.annotation < 0) | (row >= 0)) & (to_label[results.label] >= 0)
+    kept = np.flatnonzero((sizes(boxes_px) > 0).all(axis=1) & known)
     step, camera = place.of(results.image)
-    row = np.where(matched >= 0, np.append(row_of, NOBODY)[matched], NOBODY)
     confidence = np.nan_to_num(results.confidence, nan=1.0)
-    found = GivenDetections(step, camera, results.label, boxes_px, confidence, row).take(inside)
-    return found.take(np.lexsort((-found.confidence, found.camera, found.step)))
+    found = GivenDetections(step, camera, to_label[results.label], boxes_px, confidence, row).take(kept)
+    notes = []
+    if left := int((~known).sum()):
+        notes.append(f"{left:,} of {len(results):,} detections are left out: they lie where nothing counts")
+    if not labelled.scored:
+        notes.append("the detections have no confidence: 1 stands for it")
+    return found.take(np.lexsort((-found.confidence, found.camera, found.step))), notes
 
 
 def given_detector(labels: Sequence[str]) -> dict[str, Any]:
-    """Content of a detector file with these labels and a state `given`, for a scene whose detections are given: it is
+    """Content of a detector file with these labels, for a scene whose detections are given: it is
     never asked."""
     count = len(labels)
     state = {
@@ -130,7 +143,7 @@ def given_detector(labels: Sequence[str]) -> dict[str, Any]:
     return {
         "labels": list(labels),
         "confidence_threshold": 0.0,
-        "initial_state": "given",
+        "initial_state": REAL,
         "transition_matrix": [[1.0]],
-        "states": {"given": state},
+        "states": {REAL: state},
     }

@@ -35,6 +35,7 @@ def files(request: ExportRequest) -> tuple[str, ...]:
 
 def write(request: ExportRequest, folder: Path) -> None:
     """Write a run."""
+    request.run.scene.check_world("a table of bearings and places")
     scene, rows, measured = request.run.scene, RunRows.of(request.run), request.attitude == "measured"
     tables: dict[str, Columns] = {}
     for index, sequence in zip(request.cameras, request.sequences, strict=True):

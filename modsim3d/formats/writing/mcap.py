@@ -335,8 +335,9 @@ FILES = tuple(f"{bag}/{name}" for bag in BAGS for name in (f"{bag}.mcap", "metad
 
 
 def files(request: ExportRequest) -> tuple[str, ...]:
-    """The paths of the files. Raises ModsimError if rosbags is not installed, the run has no step, or its names or
-    times cannot be those of a bag."""
+    """The paths of the files. Raises ModsimError if rosbags is not installed, the run has no step or knows no places,
+    or its names or times cannot be those of a bag."""
+    request.run.scene.check_world("a bag of poses")
     _recording(request)
     return FILES
 

@@ -13,6 +13,8 @@ import orjson
 from modsim3d.io.overwrite_guard import LOCK_FILE
 
 RUN_FILE, LOG_FILE = "run.json", "run.log"
+DETECT_FILE = "detect.json"
+"""What is said of a labelled video beside its run, with the files that were written besides."""
 UNFINISHED = "unfinished"
 """The folder inside a run directory with the files of a run that goes on."""
 SCENE_FOLDER = "scene"
@@ -31,7 +33,11 @@ _FILMS = "detections|scene|ids|corners|map|all"
 _PICTURE = re.compile(rf"(?:{_FILMS})(?:_\d+\.(?:png|svg|pdf)|\.(?:mp4|gif))")
 _FRAME = re.compile(r"frame_\d+\.png")
 _PART = re.compile(r"[AB]-\d+\.js")
-_FOLDERS = {**dict.fromkeys(_FILMS.split("|"), _FRAME), **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART)}
+_FOLDERS = {
+    **dict.fromkeys(_FILMS.split("|"), _FRAME),
+    **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART),
+    "report_images": re.compile(r"\d{6}\.jpg"),
+}
 """Folders that other commands make in a run directory, and the names of the files in them."""
 LONGEST_NAME = 255
 """Bytes that a file system allows."""
@@ -62,6 +68,9 @@ def _names_without_list(folder: Path, run: dict[str, Any]) -> Iterator[str]:
 def made_of_run(folder: Path) -> set[str]:
     """Paths inside a run directory of what other commands have written there under the names that are their default."""
     made = {name for name in MADE_OF_A_RUN if (folder / name).is_file()}
+    labelled = read_json(folder / DETECT_FILE)
+    if isinstance(labelled, dict) and isinstance(labelled.get("files"), dict):
+        made |= {DETECT_FILE, *(name for name in safe_names(labelled["files"]) if (folder / name).is_file())}
     for path in folder.iterdir():
         if path.is_file() and _PICTURE.fullmatch(path.name):
             made.add(path.name)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -14,10 +13,13 @@ import numpy as np
 from PIL import Image
 
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.geometry.camera import Camera
+from modsim3d.io.atomic_write import put_folder_in_place
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
 
 KINDS = (".jpg", ".jpeg", ".png", ".webp", ".bmp")
+FILM_FILES = "*.jpg"
 _DIGITS = re.compile(r"(\d+)")
 _QUALITY = 85
 
@@ -31,10 +33,7 @@ def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[di
         folder = images if len(scene.cameras) == 1 and not (images / camera.name).is_dir() else images / camera.name
         taken = scene.frame_steps(camera, 0, run.steps)
         files = _of_frames(_pictures(folder), scene, camera.name, len(taken), folder)
-        size = _size(files[0])
-        if size != tuple(camera.intrinsics.image_size_px):
-            wanted = " × ".join(map(str, camera.intrinsics.image_size_px))
-            raise InputError(f"--pictures {files[0]}", [f"has {size[0]} × {size[1]} px, and '{camera.name}' {wanted}"])
+        _check_size(files[0], camera, files[0])
         shown = np.searchsorted(taken, np.arange(0, run.steps, every), side="right") - 1
         addresses = [quote(Path(os.path.relpath(file, page.parent)).as_posix()) for file in files]
         found.append({"files": addresses, "shown": shown.tolist()})
@@ -57,30 +56,51 @@ def _of_frames(files: list[Path], scene: Scene, camera: str, count: int, folder:
     names = () if scene.labels is None else scene.labels.sequence(camera).images
     if names and all(name in by_name for name in names):
         return [by_name[name] for name in names]
-    if len(files) < count:
+    if len(files) != count:
         told = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"
-        raise InputError(f"--pictures {folder}", [told])
-    return files[:count]
+        raise InputError(f"--pictures {folder}", [f"{told}, or names as those of the labelled images"])
+    return files
 
 
-def _size(path: Path) -> tuple[int, int]:
+def _check_size(path: Path, camera: Camera, given: Path) -> None:
     try:
         with Image.open(path) as picture:
-            return picture.size
+            width, height = picture.size
     except OSError as error:
         raise InputError(f"--pictures {path}", [f"is no picture ({error})"]) from None
+    if (width, height) != tuple(camera.intrinsics.image_size_px):
+        wanted = " × ".join(map(str, camera.intrinsics.image_size_px))
+        raise InputError(f"--pictures {given}", [f"has {width} × {height} px, and '{camera.name}' {wanted}"])
 
 
-def film_frames(film: Path, folder: Path, progress: Callable[[int], None] = lambda frames: None) -> Path:
-    """Write the frames of a film as pictures into a folder, and return it. Raises ModsimError if the film cannot be
-    read, or ffmpeg is not there."""
-    folder.mkdir(parents=True, exist_ok=True)
+def film_frames(film: Path, folder: Path, run: StoredRun) -> Path:
+    """Write the pictures of a film at the times of a run's frames into a folder, and return it; the film begins with
+    the first frame. Raises ModsimError if the run has several cameras, the film cannot be read, is of another size or
+    too short, or ffmpeg is not there."""
+    scene = run.scene
+    if len(scene.cameras) > 1:
+        raise ModsimError(f"--pictures {film}: a film is of one camera, and the run has {len(scene.cameras)}")
+    (camera,) = scene.cameras
+    times_s = scene.times_s(0, run.steps)[scene.frame_steps(camera, 0, run.steps)]
     try:
-        for number, frame in enumerate(iio.imiter(film, plugin="FFMPEG"), 1):
-            Image.fromarray(frame).save(folder / f"{number:06d}.jpg", quality=_QUALITY)
-            progress(1)
+        rate_hz = float(iio.immeta(film, plugin="FFMPEG")["fps"])
+        wanted = np.rint((times_s - times_s[0]) * rate_hz).astype(np.int64).tolist()
+        with put_folder_in_place(folder, FILM_FILES) as partial:
+            written = 0
+            for number, frame in enumerate(iio.imiter(film, plugin="FFMPEG")):
+                while written < len(wanted) and wanted[written] == number:
+                    written += 1
+                    Image.fromarray(frame).save(partial / f"{written:06d}.jpg", quality=_QUALITY)
+            if written < len(wanted):
+                told = (
+                    f"ends after {number + 1:,} pictures at {rate_hz:g} a second, and the run after {times_s[-1]:g} s"
+                )
+                raise InputError(f"--pictures {film}", [told])
+            _check_size(partial / "000001.jpg", camera, film)
     except ImportError:
         raise ModsimError("--pictures of a film needs ffmpeg: pip install 'modsim3d[video]'") from None
-    except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"--pictures {film}", [f"cannot be read as a film ({error})"]) from None
+    except (OSError, ValueError, RuntimeError, KeyError) as error:
+        if isinstance(error, ModsimError):
+            raise
+        raise InputError(f"--pictures {film}", [f"cannot be read as a film ({str(error).splitlines()[0]})"]) from None
     return folder

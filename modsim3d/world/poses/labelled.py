@@ -23,6 +23,8 @@ from modsim3d.world.vessels import Vessel, name_problem
 
 LABELS = "labels"
 """The name of this source in a scene file."""
+REAL = "given"
+"""The one performance state of a detector whose detections are given, and which is never asked."""
 FORMAT = 1
 EVERYWHERE = (0.0, 0.0, 1.0)
 """The half-plane of a sea that fills the image."""
@@ -253,12 +255,14 @@ def _checked(labels: LabelledPoses, source: str) -> LabelledPoses:
 
 
 class LabelsKeys(SourceKeys, Strict):
-    """The file of labels, which modsim3d has written. With `by_seed` each seed shows one of its videos."""
+    """The file of labels, which modsim3d has written. With `by_seed` a seed shows one of its videos. With `simulated`
+    the detections of a real detector are left out, so that the scene's own works on the labels."""
 
     generated: ClassVar[bool] = False
 
     file: str
     by_seed: bool = False
+    simulated: bool = False
 
     @model_validator(mode="before")
     @classmethod
@@ -277,8 +281,11 @@ class LabelsKeys(SourceKeys, Strict):
 
     def build(self, request: PoseRequest) -> LabelledPoses:
         """The labels in the file, or those of the seed's video."""
-        labels = read_labels(request.folder / self.file)
-        return labels.alone(request.seed % len(labels.sequences)) if self.by_seed else labels
+        return self._chosen(read_labels(request.folder / self.file), request.seed)
+
+    def _chosen(self, labels: LabelledPoses, seed: int) -> LabelledPoses:
+        labels = replace(labels, detections=None) if self.simulated else labels
+        return labels.alone(seed % len(labels.sequences)) if self.by_seed else labels
 
 
 class GivenLabels(LabelsKeys):
@@ -289,4 +296,4 @@ class GivenLabels(LabelsKeys):
 
     def build(self, request: PoseRequest) -> LabelledPoses:
         """The labels."""
-        return _checked(self.labels, self.source)
+        return self._chosen(_checked(self.labels, self.source), request.seed)

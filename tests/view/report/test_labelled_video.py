@@ -54,10 +54,15 @@ def test_each_frame_is_shown_over_its_own_picture_and_there_is_no_map(tmp_path, 
 def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, run: Path, pictures: Path) -> None:
     film = np.stack([np.full((*SIZE[::-1], 3), colour_of(frame), dtype=np.uint8) for frame in range(FRAMES)])
     iio.imwrite(tmp_path / "film.mp4", film, fps=10, macro_block_size=1)
-    folder = film_frames(tmp_path / "film.mp4", tmp_path / "decoded")
-    assert len(list(folder.iterdir())) == FRAMES
-    (tmp_path / "empty").mkdir()
     opened = modsim3d.open_run(run)
+    folder = film_frames(tmp_path / "film.mp4", tmp_path / "decoded", opened)
+    assert len(list(folder.iterdir())) == FRAMES
+    iio.imwrite(tmp_path / "fast.mp4", np.repeat(film, 3, axis=0), fps=30, macro_block_size=1)
+    film_frames(tmp_path / "fast.mp4", folder, opened)
+    for frame in (0, 20, FRAMES - 1):  # by time, whatever the film's rate
+        seen = np.array(Image.open(folder / f"{frame + 1:06d}.jpg"))[240, 320].astype(int)
+        assert np.abs(seen - colour_of(frame)).max() <= 12, frame
+    (tmp_path / "empty").mkdir()
     (pictures / "45.png").unlink()
     Image.new("RGB", (64, 48)).save(folder / "000001.jpg")
     for images, said in (
@@ -69,4 +74,8 @@ def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, 
         with pytest.raises(ModsimError, match=said):
             write_report(opened, tmp_path / "page.html", pictures=images)
     with pytest.raises(ModsimError, match="cannot be read as a film"):
-        film_frames(run / "run.json", tmp_path / "other")
+        film_frames(run / "run.json", tmp_path / "other", opened)
+    iio.imwrite(tmp_path / "short.mp4", film[:9], fps=10, macro_block_size=1)
+    with pytest.raises(ModsimError, match="ends after 9 pictures at 10 a second, and the run after 4.4 s"):
+        film_frames(tmp_path / "short.mp4", folder, opened)
+    assert len(list(folder.iterdir())) == FRAMES
