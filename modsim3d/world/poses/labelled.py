@@ -23,7 +23,7 @@ from modsim3d.world.vessels import Vessel, name_problem
 
 LABELS = "labels"
 """The name of this source in a scene file."""
-REAL = "given"
+REAL = "real"
 """The one performance state of a detector whose detections are given, and which is never asked."""
 FORMAT = 1
 EVERYWHERE = (0.0, 0.0, 1.0)
