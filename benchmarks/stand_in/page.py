@@ -80,7 +80,7 @@ def _opening(results: Results) -> Lines:
     yield filled(
         prose.DONE,
         films=len(films),
-        learned=results.get("learned_from", 21),
+        learned=results["learned_from"],
         trackers=_count(len(trackers)),
         clear=(total["found"] - total["found_hidden"]) / max(total["vessel_frames"] - total["hidden"], 1),
         hidden=total["found_hidden"] / max(total["hidden"], 1),
@@ -223,9 +223,6 @@ def _parts_of_films(results: Results) -> Lines:
 
 def _goals(results: Results) -> Lines:
     """The goals that were fixed before these films were made."""
-    if "judged" not in results:  # a comparison of older models
-        yield from (filled(prose.OLDER, films=len(results["films"])), "")
-        return
     settled = prose.JUDGED if results["judged"] else prose.DEVELOPED
     said = filled(settled, films=len(results["films"]), learned=results["learned_from"])
     yield from ("## Goals", "", f"{said} {filled(prose.GOALS)}")
@@ -239,8 +236,6 @@ def _goals(results: Results) -> Lines:
 
 def _exchanged(results: Results) -> Lines:
     """Which part of the output the gap comes from."""
-    if "exchanged" not in results:  # of an older comparison
-        return
     yield from ("## Which part the gap comes from", "", filled(prose.EXCHANGED))
     decimals = {key: BY_KEY[key].decimals for key in EXCHANGED_SCORES}
     for into, title in (("simulated", "Simulated detections, with real"), (REAL, "Real detections, with simulated")):
@@ -256,6 +251,19 @@ def _exchanged(results: Results) -> Lines:
             if each["into"] == into
         ]
         yield from table([title, *code(results["trackers"])], rows)
+    yield from (" ".join(_closed(results, tracker) for tracker in results["trackers"]), "")
+
+
+def _closed(results: Results, tracker: str) -> str:
+    """The single part whose exchange brings the simulated HOTA nearest to the real one."""
+    gaps = {
+        " and ".join(each["parts"]): each["trackers"][tracker]["hota"]["mean"]
+        for each in results["exchanged"]
+        if each["into"] != REAL and len(each["parts"]) < 2
+    }
+    usual, best = gaps[""], min(gaps, key=lambda part: abs(gaps[part]))
+    what = f"goes to {signed(gaps[best], 3)} with real {best}" if best else "is nearest to 0 as it is"
+    return f"For `{tracker}` the gap of HOTA of {signed(usual, 3)} {what}."
 
 
 def _classifier(results: Results) -> Lines:

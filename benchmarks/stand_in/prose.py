@@ -77,11 +77,6 @@ Limits, films, seeds and when to stop (at the last film, scored once) were fixed
 model was changed after that. These {films} films are the second set: the models were settled on {learned} other films,
 from which the detector files are learned. A change of the models after this needs a third set.
 """
-OLDER = """
-These figures are older than the last models: one score behind misses and confidence, a memory of each component of box
-errors, merges that take the smaller vessel whatever becomes of it, and false detections on vessels. Those were settled
-in sight of the same {films} films, and are judged on films that nobody has seen.
-"""
 DEVELOPED = """
 The models were settled in sight of these {films} films; the detector files are learned from {learned} others. So this
 says what the models can do, and not yet how they do on films that nobody has seen.

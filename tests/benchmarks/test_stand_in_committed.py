@@ -5,24 +5,24 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.stand_in.films import Film, all_films
+from benchmarks.stand_in.films import Film, all_films, judged_films
 from benchmarks.stand_in.page import page
 from benchmarks.stand_in.rungs import MIN_CONFIDENCE, RUNGS, learn_rung
 from benchmarks.stand_in.scores import open_film, real_detections, scored_tracks, scores_of
-from benchmarks.stand_in.stored import restore_films
+from benchmarks.stand_in.stored import JUDGED, restore_films
 from modsim3d.core.errors import ModsimError
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = json.loads((ROOT / "docs" / "campaigns" / "stand_in.json").read_text(encoding="utf-8"))
-NAME = "basin_800m_133"
+NAME = "basin_800m_1036"
 
 
 @pytest.fixture(scope="module")
 def film(tmp_path_factory) -> Film:
     """A film with few vessels, made again from its scene and what was found in it."""
     work = tmp_path_factory.mktemp("stand_in")
-    (film,) = (film for film in all_films(work) if film.name == NAME)
-    restore_films(work, [film])
+    (film,) = (film for film in judged_films(work) if film.name == NAME)
+    restore_films(work, [film], JUDGED)
     return film
 
 
