@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
@@ -219,4 +220,4 @@ def opened(run: Path | None, truth: Path | None, detections: Path | None, **opti
         with inputs_noted() as read, timed("reading the labels"):
             result = detect_truth(truth, out, detections=detections, truth_alone=alone, **options)
         tell_files(dict.fromkeys(read))
-        yield open_run(result.folder)
+        yield replace(open_run(result.folder), made_of=tuple(path for path in (truth, detections) if path is not None))

@@ -43,6 +43,7 @@ class StoredRun:
         scene: The scene, read from its copy in the folder.
         steps: Number of steps that are there; of an interrupted run, those whose truth was kept.
         stored: The tables of a finished run; None of an interrupted one.
+        made_of: Labels and detections that the run was made of for one command, which its folder does not outlive.
     """
 
     folder: Path
@@ -50,6 +51,7 @@ class StoredRun:
     scene: Scene
     steps: int
     stored: StoredTables | None
+    made_of: tuple[Path, ...] = ()
 
     def __repr__(self) -> str:
         """Where it is, and what is in it, in a line."""

@@ -92,7 +92,7 @@ def score_data(scores: ScoredTracks) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "scene": scores.run.scene.name,
-        "run": scores.run.folder,
+        "run": (*scores.run.made_of, scores.run.folder)[0],
         "conclusion": conclusion_of(scores),
         "rules": _rules(scores.rules),
         "trackers": [_tracker(each) for each in scores.trackers],

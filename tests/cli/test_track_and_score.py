@@ -165,6 +165,10 @@ def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Pa
         for line in ((tmp_path / "real",), files)
     ]
     assert scores[0] == scores[1] > 0.2
+    said = modsim3d("score", *files, tmp_path / "of_files", "--out", tmp_path / "scores", "--json").out
+    assert json.loads(said)["run"] == str(truth)
+    page = (tmp_path / "scores" / "score.html").read_text(encoding="utf-8")
+    assert str(truth) in page and str(files[3]) in page and "modsim3d_" not in page
     alone = modsim3d("score", "--truth", truth, truth)
     assert alone.status == 0 and "1.000" in alone.out and "perfect association" not in alone.out
     for line, said in (

@@ -151,7 +151,11 @@ CHANGED = "not the file that the run wrote: run.json has another checksum"
 def run_inputs(run: StoredRun) -> tuple[Input, ...]:
     """Scene, detector, manifest and tables of a run, with the checksums that the files have now.
     An interrupted run has its settings and the truth that it has kept in place of the last two.
-    Raises InputError if a file cannot be read."""
+    Of a labelled video, its labels and detections are the files. Raises InputError if a file cannot be read."""
+    if run.made_of:
+        return tuple(
+            _file_or_folder(what, path) for what, path in zip(("labels", "detections"), run.made_of, strict=False)
+        )
     work = run.folder if run.finished else run.folder / UNFINISHED
     scene_folder, copy = work / SCENE_FOLDER, run.scene.copy
     listing = RUN_FILE if run.finished else SETTINGS_FILE
@@ -180,13 +184,15 @@ def _run_file(run: StoredRun, path: Path, what: str) -> Input:
 
 def track_inputs(name: str, path: Path | None) -> Iterator[Input]:
     """The files with the tracks of a tracker."""
-    if path is None:
-        yield Input(f"tracks of {name}", "given in memory", None)
-    elif path.is_dir():
-        files = [each for each in path.rglob("*") if each.is_file() and not each.name.startswith(".")]
-        yield folder_input(f"tracks of {name}", path, files)
-    else:
-        yield file_input(f"tracks of {name}", path)
+    what = f"tracks of {name}"
+    yield Input(what, "given in memory", None) if path is None else _file_or_folder(what, path)
+
+
+def _file_or_folder(what: str, path: Path) -> Input:
+    """A file, or all files of a folder that are not hidden."""
+    if not path.is_dir():
+        return file_input(what, path)
+    return folder_input(what, path, [each for each in path.rglob("*") if each.is_file() and each.name[0] != "."])
 
 
 def run_seeds(run: StoredRun) -> tuple[tuple[str, str], ...]:
