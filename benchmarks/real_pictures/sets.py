@@ -182,6 +182,7 @@ def checksums(data: Path, numbers: Sequence[int], detector: str) -> Mapping[str,
 
 RIVER_TRUTH, RIVER_FOUND = "fvessel/Video-01_gt_tracking.txt", "fvessel/Video-01_re_detection.txt"
 RIVER_SIZE_PX, RIVER_HZ, BLOCKS = (2560, 1440), 1.0, 10
+STREETS, STREET_SIZE_PX, STREET_HZ = ("TUD-Campus", "TUD-Stadtmitte"), (640, 480), 25.0
 
 
 def river(data: Path, work: Path) -> list[Picture]:
@@ -196,21 +197,48 @@ def river(data: Path, work: Path) -> list[Picture]:
     for number, (first, stop) in enumerate(pairwise(edges)):
         film = Picture(work / "fvessel" / f"block_{number}", f"block {number + 1}", "river", number, rate_hz=RIVER_HZ)
         films.append(film)
-        size = {"width": RIVER_SIZE_PX[0], "height": RIVER_SIZE_PX[1], "sequence": film.name}
-        images = [{"id": frame, "time_s": frame / RIVER_HZ, **size} for frame in range(first, stop)]
-        entries = [
-            {"id": at, "image_id": int(row[0]), "category_id": 1, "track_id": int(row[1]), "bbox": row[2:6]}
-            for at, row in enumerate(truth, 1)
-            if first <= row[0] < stop
-        ]
-        results = [
-            {"image_id": int(row[0]), "category_id": 1, "bbox": row[2:6], "score": row[6]}
-            for row in found
-            if first <= row[0] < stop
-        ]
-        labelled = {"images": images, "annotations": entries, "categories": [{"id": 1, "name": "Vessel"}]}
-        _make(film, labelled, results)
+        _make_of_rows(film, truth, found, range(first, stop), RIVER_SIZE_PX, "Vessel")
     return films
+
+
+def streets(data: Path, work: Path) -> list[Picture]:
+    """People in the two shortest films of MOT15.
+
+    Raises:
+        ModsimError: A file is missing or wrong.
+    """
+    films = []
+    for number, name in enumerate(STREETS):
+        film = Picture(work / "tud" / name, name, "street", number, rate_hz=STREET_HZ)
+        films.append(film)
+        truth, found = (_numbers(data / "tud" / name / file) for file in ("gt.txt", "det.txt"))
+        frames = range(1, int(max(row[0] for row in truth)) + 1)
+        _make_of_rows(film, truth, found, frames, STREET_SIZE_PX, "Person")
+    return films
+
+
+def _make_of_rows(
+    film: Picture,
+    truth: Sequence[Sequence[float]],
+    found: Sequence[Sequence[float]],
+    frames: range,
+    size_px: tuple[int, int],
+    label: str,
+) -> None:
+    """Make a film of rows of frame, identity, left, top, width, height and confidence."""
+    size = {"width": size_px[0], "height": size_px[1], "sequence": film.name}
+    images = [{"id": frame, "time_s": frame / film.rate_hz, **size} for frame in frames]
+    entries = [
+        {"id": at, "image_id": int(row[0]), "category_id": 1, "track_id": int(row[1]), "bbox": row[2:6]}
+        for at, row in enumerate(truth, 1)
+        if row[0] in frames
+    ]
+    results = [
+        {"image_id": int(row[0]), "category_id": 1, "bbox": row[2:6], "score": row[6]}
+        for row in found
+        if row[0] in frames
+    ]
+    _make(film, {"images": images, "annotations": entries, "categories": [{"id": 1, "name": label}]}, results)
 
 
 def _numbers(path: Path) -> list[list[float]]:

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.campaigns.real_pictures import PAGE, RESULTS
 from benchmarks.real_pictures.compared import compared
 from benchmarks.real_pictures.page import page
-from benchmarks.real_pictures.sets import DETECTIONS, DETECTORS, LABELS, checksums, pictures, river
+from benchmarks.real_pictures.sets import DETECTIONS, DETECTORS, LABELS, checksums, pictures, river, streets
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
@@ -74,6 +74,16 @@ def test_a_river_is_ten_films_with_the_identities_of_the_file(tmp_path: Path) ->
     assert [run.steps for run in runs] == [10] * 10
     assert all(len(np.unique(TrueTracks.of(RunRows.of(run)).identity)) == 2 for run in runs)
     assert all(run.settings["counts"]["detected"] == 20 for run in runs)
+
+
+def test_streets_count_their_frames_from_one(tmp_path: Path) -> None:
+    for name in ("TUD-Campus", "TUD-Stadtmitte"):
+        (tmp_path / "tud" / name).mkdir(parents=True)
+        for file, first, last in (("gt.txt", 7, 1), ("det.txt", -1, 0.5)):
+            lines = [f"{frame},{first},{100 + frame},200,50,100,{last},-1,-1,-1" for frame in range(1, 31)]
+            (tmp_path / "tud" / name / file).write_text("\n".join(lines))
+    runs = [open_run(film.run) for film in streets(tmp_path, tmp_path / "work")]
+    assert [(run.steps, run.settings["counts"]["detected"]) for run in runs] == [(30, 30)] * 2
 
 
 def test_the_committed_page_says_what_its_numbers_say() -> None:
