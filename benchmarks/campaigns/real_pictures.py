@@ -1,7 +1,7 @@
 """real_pictures: do trackers score on simulated detections as on those of real detectors in real pictures?
 
 Cars in KITTI's films by two public detectors: films 0 to 13 are learned from in halves, each compared on the other;
-films 14 to 20 are scored once, by what all of those taught. Vessels in ten minutes of FVessel's river, block by block,
+films 14 to 20, but 17 without a car, are scored once, by what all of those taught. Vessels in ten minutes of FVessel's river, block by block,
 and people in two short films of MOT15.
 The data are read from `--data`; only numbers worked out from them are written.
 """
@@ -13,6 +13,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -53,15 +54,20 @@ def main() -> None:
             else:
                 known = pictures(given.data, given.work, name, TO_DEVELOP)
                 found["halves"] = compared(known, given.work / name, given.seeds, given.workers)
+                found["sha256"] = checksums(given.data, (*TO_DEVELOP, *TO_JUDGE), name)
+                _write(results, given.out)
                 if given.judge:
                     kept = pictures(given.data, given.work, name, TO_JUDGE)
                     found["judged"] = judged(known, kept, given.work / name, given.seeds, given.workers)
-                found["sha256"] = checksums(given.data, (*TO_DEVELOP, *TO_JUDGE), name)
-            given.out.write_text(json.dumps(rounded(results), separators=(",", ":")) + "\n", encoding="utf-8")
-            if given.out == RESULTS:
-                PAGE.write_text(page(results), encoding="utf-8")
+            _write(results, given.out)
     except ModsimError as error:
         sys.exit(f"error: {error}")
+
+
+def _write(results: dict[str, Any], path: Path) -> None:
+    path.write_text(json.dumps(rounded(results), separators=(",", ":")) + "\n", encoding="utf-8")
+    if path == RESULTS:
+        PAGE.write_text(page(results), encoding="utf-8")
 
 
 if __name__ == "__main__":
