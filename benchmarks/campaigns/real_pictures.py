@@ -1,8 +1,8 @@
 """real_pictures: do trackers score on simulated detections as on those of real detectors in real pictures?
 
 Cars in KITTI's films by two public detectors: films 0 to 13 are learned from in halves, each compared on the other;
-films 14 to 20, but 17 without a car, are scored once, by what all of those taught. Vessels in ten minutes of FVessel's river, block by block,
-and people in two short films of MOT15.
+films 14 to 20, but 17 without a car, are scored once, by what all of those taught. Vessels in ten minutes of FVessel's
+river, block by block, and people in two short films of MOT15.
 The data are read from `--data`; only numbers worked out from them are written.
 """
 

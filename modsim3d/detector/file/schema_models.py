@@ -304,7 +304,8 @@ class ConfidenceKeys(Strict):
 
     alternatives: ClassVar = (("mean", "std"), ("true", "false"), ("precision_recall",))
 
-    mean: Number | None = None
+    # Beyond 1 where nearly all are clipped; far beyond, they are in per cent.
+    mean: Annotated[float, Field(ge=-10, le=10)] | None = None
     std: NotNegative | None = None
     true: ScoreSection | None = None
     false: ScoreSection | None = None

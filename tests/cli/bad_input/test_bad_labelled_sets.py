@@ -372,7 +372,7 @@ def test_the_truth_is_not_written_over(call: Call, tmp_path: Path) -> None:
     (tmp_path / "gt").mkdir()
     (tmp_path / "gt" / "gt.txt").write_text(LINE)
     line = ("detect", "--truth", tmp_path / "gt" / "gt.txt", *KNOWN, "--out", tmp_path, "--overwrite")
-    refusal(call, line, "exists and is not a run directory: choose another folder")
+    refusal(call, line, "gt.txt is read by this command, so it is not written over")
     assert [path.name for path in tmp_path.iterdir()] == ["gt"]
 
 

@@ -221,11 +221,12 @@ def test_a_run_does_not_replace_a_file_that_a_hard_link_leads_to(inputs: Inputs,
     refusal(call, line, "this run reads it", kept=tmp_path)
 
 
-@pytest.mark.parametrize("name", sorted({*writers.FOLDER_WRITERS} - {"campaign reproduce"}))  # reuses its own
+@pytest.mark.parametrize("name", ["run", "detect", "detect: truth", "ais"])  # `campaign reproduce` reuses its own
 def test_a_folder_that_holds_something_is_refused_without_overwrite(run: Path, call: Call, tmp_path, name) -> None:
     lines = {
         "run": ("run", tmp_path / "scene.yaml", "--steps", 3, "--source", "analytic", "--no-sheet"),
         "detect": ("detect", run, "--detector-seed", 3),
+        "detect: truth": writers.labelled(run),
         "ais": ("ais", SAMPLES / "danish.csv"),
     }
     out = tmp_path / "new"

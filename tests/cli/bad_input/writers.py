@@ -42,7 +42,6 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "export: ais": ("ais.nmea", lambda run, out: ("export", run, "--format", "ais", "--out", out.parent)),
     "export: mot": ("frames.csv", lambda run, out: ("export", run, "--format", "mot", "--out", out.parent)),
     "export: yolo": ("data.yaml", lambda run, out: ("export", run, "--format", "yolo", "--out", out.parent)),
-    "detect: truth": ("dt.json", lambda run, out: (*labelled(run), "--out", out.parent)),
     "track": ("tracks.parquet", lambda run, out: ("track", run, "--out", out.parent)),
     "score": ("score.json", lambda run, out: ("score", run, run.parent / "tracks.csv", "--out", out.parent)),
     "campaign table": ("means.csv", lambda run, out: ("campaign", "table", small_campaign(run.parent), "--out", out)),
@@ -67,7 +66,6 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
     "learn: guess": lambda run: run / "scene" / "detector.yaml",
     "campaign table": lambda run: small_campaign(run.parent) / "plan.json",
     "campaign report": lambda run: small_campaign(run.parent) / "plan.json",
-    "detect: truth": lambda run: run.parent / "coco" / "gt.json",
 }
 """A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais", "campaign reproduce")
@@ -93,7 +91,7 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
 }
 """What a command writes into the run directory unless told otherwise."""
 READ = {"scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"}
-READ |= {"images", "attitude", "like", "runs"}
+READ |= {"pictures", "images", "attitude", "like", "runs"}
 """Parameters that name what is read."""
 WRITTEN = {"out", "cache", "write_scene"}
 """Parameters that name what is written."""
