@@ -39,7 +39,14 @@ MENU = {
         *("docs/campaign", "docs/requirements", "docs/campaign_report", "docs/worst_runs", "docs/search"),
         *("docs/uncertainty", "docs/cluster"),
     ],
-    "Check it": ["docs/verify", "docs/stand_in", "docs/real_pictures", "docs/truth", "docs/reliability", "docs/assurance"],
+    "Check it": [
+        "docs/verify",
+        "docs/stand_in",
+        "docs/real_pictures",
+        "docs/truth",
+        "docs/reliability",
+        "docs/assurance",
+    ],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [
         "docs/tables",
