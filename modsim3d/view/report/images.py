@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -86,9 +85,9 @@ def film_frames(film: Path, folder: Path, run: StoredRun) -> Path:
     try:
         rate_hz = float(iio.immeta(film, plugin="FFMPEG")["fps"])
         wanted = np.rint((times_s - times_s[0]) * rate_hz).astype(np.int64).tolist()
-        with put_folder_in_place(folder, FILM_FILES) as partial, closing(iio.imiter(film, plugin="FFMPEG")) as frames:
+        with put_folder_in_place(folder, FILM_FILES) as partial:
             written = 0
-            for number, frame in enumerate(frames):
+            for number, frame in enumerate(iio.imiter(film, plugin="FFMPEG")):
                 while written < len(wanted) and wanted[written] == number:
                     written += 1
                     Image.fromarray(frame).save(partial / f"{written:06d}.jpg", quality=_QUALITY)
