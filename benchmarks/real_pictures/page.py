@@ -78,7 +78,7 @@ def _gaps(found: Results) -> dict[str, Mapping[str, Any]]:
 
 
 def _opening(results: Results) -> str:
-    said = []
+    missed, reached = [], []
     for name, title in TITLES.items():
         part = next((part for part in PARTS if part in results.get(name, {})), None)
         if part is None or name not in DETECTORS:
@@ -92,11 +92,11 @@ def _opening(results: Results) -> str:
         whole = f"the whole interval for {listed(code(shown))}" if shown else "no interval lies wholly within"
         values = listed([f"{signed(gap['mean'], 3)} ± {gap['high'] - gap['mean']:.3f}" for gap in gaps.values()])
         films = len(results[name][part]["films"])
-        said.append(
+        (missed if outside else reached).append(
             f"**{title}**, {films} {PARTS[part]}: mean HOTA, simulated minus real, is {listed(words)}; {whole} "
             f"({values}, in the order of the table)."
         )
-    return " ".join(said) or "The films that were kept for the end are not scored yet."
+    return " ".join([*missed, *reached]) or "The films that were kept for the end are not scored yet."
 
 
 def _verdict(gap: Results) -> str:
