@@ -83,7 +83,7 @@ def extents(column: Indices, wanted: Indices) -> tuple[Indices, Indices]:
 
 
 def positions(keys: Indices, wanted: Indices) -> Indices:
-    """Where each of m wanted keys stands among n distinct keys, `NOBODY` if nowhere, shape (m,)."""
+    """Place of each of m wanted keys among n distinct keys, `NOBODY` if nowhere, shape (m,)."""
     if not len(keys):
         return np.full(len(wanted), NOBODY)
     order = np.argsort(keys)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.campaigns.real_pictures import PAGE, RESULTS
+from benchmarks.processes import ROOT
 from benchmarks.real_pictures.compared import compared
 from benchmarks.real_pictures.page import page
 from benchmarks.real_pictures.sets import DETECTIONS, DETECTORS, LABELS, checksums, pictures, river, streets
@@ -88,3 +89,17 @@ def test_streets_count_their_frames_from_one(tmp_path: Path) -> None:
 
 def test_the_committed_page_says_what_its_numbers_say() -> None:
     assert PAGE.read_text(encoding="utf-8") == page(json.loads(RESULTS.read_text(encoding="utf-8")))
+
+
+def test_the_readme_says_how_far_hota_lies_apart() -> None:
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    films = json.loads((ROOT / "docs" / "campaigns" / "stand_in.json").read_text(encoding="utf-8"))
+    cars = json.loads(RESULTS.read_text(encoding="utf-8"))
+    for results, rung, sign, said in (
+        (films, "i", 1, "was {} too high"),
+        (films, "a", -1, "thesis's model made it {} too low"),
+        (cars["rrc"]["judged"], "i", -1, "was {} too low behind one"),
+        (cars["yolov3"]["judged"], "i", -1, "and {} behind another"),
+    ):
+        gaps = sorted(sign * each["hota"]["mean"] for each in results["differences"][rung].values())
+        assert said.format(f"{gaps[0]:.2f} to {gaps[-1]:.2f}") in readme, (rung, gaps)
