@@ -175,6 +175,11 @@ BAD = [
 ]
 
 
+def test_nearly_all_confidences_may_be_clipped() -> None:
+    model = parse_detector(changed(SCORES, {"mean": 1.3, "std": 0.2}), "detector")
+    assert model.states[1].confidence.true == NormalScores(1.3, 0.2)
+
+
 def test_a_bad_value_is_told_with_its_path_and_what_would_be_right() -> None:
     for path, value, message in BAD:
         assert message in "\n".join(problems(changed(path, value))), (path, value)
