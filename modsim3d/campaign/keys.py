@@ -15,8 +15,6 @@ from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, 
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 
-POSES = "poses.json"
-"""The file of labels in the folder of a scene that was made of them."""
 MAX_SEEDS = 1_000_000
 MAX_DETECTOR_SEEDS = 1_000
 MAX_BASE = 9_000
@@ -227,6 +225,9 @@ class LabelledVideos(Strict):
     image_size_px: tuple[Number, Number] | None = None
     frame_rate_hz: Number | None = None
     horizon: Number | tuple[Number, Number, Number, Number] | None = None
+    first_frame: Literal[0, 1] | None = None
+    confidence_scale: tuple[Number, Number] | None = None
+    skip_bad: bool = False
 
     @property
     def called(self) -> str:
@@ -234,31 +235,6 @@ class LabelledVideos(Strict):
         path = Path(self.truth)
         found = path.parts[-3] if path.parts[-2:] == ("gt", "gt.txt") and len(path.parts) > 2 else path.stem
         return self.name or re.sub("[^A-Za-z0-9_-]", "_", found)
-
-    def written(self, campaign: Path) -> None:
-        """Write the scene of a campaign file; InputError if a file is wrong, or something else is in its place."""
-        from modsim3d.formats.labelled_video.detect_truth import write_labelled_scene
-        from modsim3d.formats.reading.builder import ReadOptions
-
-        base, folder = campaign.parent, campaign.parent / self.scene_of(campaign)
-        truth, options = base / self.truth, ReadOptions((), self.image_size_px, False, self.frame_rate_hz)
-        if folder.parent.exists() and not (folder.parent / POSES).is_file():
-            raise InputError(f"scenes: {self.truth}", [f"{folder.parent} is in the way: move it, or give another name"])
-        detector = self.detector and str(base / self.detector if (base / self.detector).is_file() else self.detector)
-        found = None if self.detections is None else base / self.detections
-        try:
-            write_labelled_scene(
-                truth,
-                folder,
-                options=options,
-                detections=found,
-                detector=detector,
-                labels=self.labels,
-                horizon=self.horizon,
-            )
-        except InputError as error:
-            told = [f"{error.source}: {problem}" for problem in error.problems]
-            raise InputError(f"scenes: {self.truth}", told) from None
 
     def scene_of(self, campaign: Path) -> str:
         """The path of its scene, from the folder of a campaign file."""
@@ -304,6 +280,7 @@ class CampaignFile:
 
     path: Path
     keys: CampaignKeys
+    videos: tuple[LabelledVideos, ...] = ()  # whose scenes are written when the campaign is checked
 
     @property
     def base(self) -> Path:
@@ -361,6 +338,4 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
         # A colon stands before a problem of the whole file.
         problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]
         raise InputError(f"campaign {path}", problems) from None
-    for each in videos:
-        each.written(path.resolve())
-    return CampaignFile(path, keys)
+    return CampaignFile(path, keys, tuple(videos))

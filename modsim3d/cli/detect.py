@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 from modsim3d.cli import shared
@@ -196,7 +194,7 @@ def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], h
 def opened(run: Path | None, truth: Path | None, detections: Path | None, **options: Any) -> Iterator[StoredRun]:
     """The run of a directory, or that of a labelled video and of what a real detector found in it, which is in a folder
     of its own as long as it is used; `options` are those of files. Raises ModsimError if neither or both are given."""
-    from modsim3d.formats.labelled_video.detect_truth import detect_truth
+    from modsim3d.formats.labelled_video.detect_truth import labelled_video
     from modsim3d.io.input_files import inputs_noted
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
@@ -215,9 +213,12 @@ def opened(run: Path | None, truth: Path | None, detections: Path | None, **opti
     size, rate_hz, labels = (options.pop(name) for name in ("image_size", "frame_rate", "labels"))
     options |= {"image_size_px": None if size is None else parsed_size(size), "frame_rate_hz": rate_hz}
     options |= {"labels": None if labels is None else parsed_names(labels, "--labels")}
-    with TemporaryDirectory(prefix="modsim3d_") as folder:
-        out, alone = Path(folder) / truth.stem, detections is None
+    with ExitStack() as stack:
         with inputs_noted() as read, timed("reading the labels"):
-            result = detect_truth(truth, out, detections=detections, truth_alone=alone, **options)
+            try:
+                stored = stack.enter_context(labelled_video(truth, detections, **options))
+            except InputError as error:
+                others = {"--(skip-bad|confidence-scale)": r"`modsim3d detect --truth` with --\1"}
+                raise error.reworded(others) from None
         tell_files(dict.fromkeys(read))
-        yield replace(open_run(result.folder), made_of=tuple(path for path in (truth, detections) if path is not None))
+        yield stored

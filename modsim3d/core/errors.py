@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
 
 MAX_LINES, LONGEST_LINE = 500, 2000
 """A name in an input may be a megabyte long, and each of a million entries may be wrong."""
@@ -26,6 +27,13 @@ class InputError(ModsimError):
         self.source = source
         self.problems = _shortened(problems)
         super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self.problems)]))
+
+    def reworded(self, words: Mapping[str, str]) -> InputError:
+        """The error with other words in place of some, each a regular expression, the first of them first."""
+        source, problems = self.source, list(self.problems)
+        for pattern, word in words.items():
+            source, *problems = (re.sub(pattern, word, text) for text in (source, *problems))
+        return InputError(source, problems)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, tuple[str, ...]]]:
         """Arguments to rebuild it from in another process."""

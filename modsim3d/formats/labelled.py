@@ -47,6 +47,7 @@ class Annotations(Columns):
     # Whether something hides a part of it, which may really be another part, so that the box of what is left tells
     # nothing of box errors: (T,); None if that is so of none.
     unsure_box: Mask | None = None
+    in_frame_fraction: Array | None = None  # share inside the image, NaN where unknown: (T,); None if unknown of all
 
     @property
     def size_px(self) -> Array:

@@ -13,7 +13,7 @@ from modsim3d.world.poses.labelled import LabelledPoses
 
 def labelled_truth(labels: LabelledPoses, first: int, stop: int) -> Truth:
     """Truth of all cameras at steps first to stop − 1: the pixels of a vessel are those of its box, of which a share is
-    visible. Who hides it, and how much of it is outside the image, is not known."""
+    visible. Who hides it is not known."""
     boxes = labels.boxes.take(slice(*np.searchsorted(labels.boxes.step, (first, stop))))
     rows, box_px = len(boxes), areas(boxes.boxes_px)
     return replace(
@@ -26,7 +26,7 @@ def labelled_truth(labels: LabelledPoses, first: int, stop: int) -> Truth:
         silhouette_px=box_px,
         visible_px=box_px * boxes.visible_fraction,
         visible_fraction=boxes.visible_fraction,
-        in_frame_fraction=np.full(rows, np.nan),
+        in_frame_fraction=boxes.in_frame_fraction,
         depth_m=boxes.depth_m,
         occluder_offsets=np.zeros(rows + 1, dtype=np.int64),
         annotated=np.ones(rows, dtype=bool),

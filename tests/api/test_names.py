@@ -20,7 +20,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 NAMES = {
     *("ModsimError", "Scene", "camera_placement", "detect_run", "detect_truth", "learn_detector", "learn_voyage"),
     *("load_detector", "load_scene", "locate", "open_campaign", "open_run", "run_campaign", "run_scene", "score_run"),
-    *("simulate_frames", "track_run", "verify_run"),
+    *("simulate_frames", "track_run", "verify_run", "labelled_video"),
 }
 ELSEWHERE = {
     *("closest_approach", "density_per_km2", "encounter", "frame_picture", "hull_tracks", "lane_offsets"),

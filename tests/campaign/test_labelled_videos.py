@@ -37,7 +37,10 @@ def test_each_traffic_seed_shows_another_video_and_its_run_is_made_again(tmp_pat
 
 
 def test_a_run_of_labels_is_a_scene_of_a_campaign_and_wrong_labels_are_named(tmp_path: Path) -> None:
-    path = campaign(tmp_path)
+    path, wrong = campaign(tmp_path), coco(FILMS)
+    for entry in wrong["annotations"][:100]:
+        entry["bbox"][2] = -1
+    write(tmp_path / "wrong.json", wrong)
     options = {"detector": "coastal", "labels": ("boat",), "frame_rate_hz": 5, "horizon": 150}
     run = modsim3d.detect_truth(tmp_path / "many.json", tmp_path / "run", **options).folder
     whole = modsim3d.run_campaign(
@@ -48,7 +51,11 @@ def test_a_run_of_labels_is_a_scene_of_a_campaign_and_wrong_labels_are_named(tmp
     for labels, said in (
         ({"truth": "none.json", "detector": "coastal"}, "scenes: none.json.*no such file"),
         ({"truth": "many.json", "fps": 5}, "unknown key"),
+        ({"truth": "many.json", "detector": "coastal", "labels": ["boat"]}, "no time.*: give frame_rate_hz,"),
+        ({"truth": "many.json", "detector": "coastal", "frame_rate_hz": 5}, r"labels: give labels: \[A, B, ...\] with"),
+        ({"truth": "wrong.json", "detector": "coastal"}, "wrong.json.*skip_bad: true leaves all such entries out"),
     ):
-        with pytest.raises(ModsimError, match=f"(?s){said}"):
+        with pytest.raises(ModsimError, match=f"(?s){said}") as error:
             modsim3d.run_campaign(campaign(tmp_path, scenes=[labels]), tmp_path / "bad", workers=1)
+        assert "--" not in str(error.value)
     assert path.is_file()

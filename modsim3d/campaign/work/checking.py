@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.keys import CampaignFile, CampaignKeys, Requirement, TrackerKeys
+from modsim3d.campaign.keys import CampaignFile, CampaignKeys, LabelledVideos, Requirement, TrackerKeys
 from modsim3d.campaign.plan import (
     CAMERA,
     SCENE,
@@ -28,6 +28,8 @@ from modsim3d.campaign.work.scenes import Scenes, checksums, detector_digest, di
 from modsim3d.campaign.work.task import condition_problems, key_readings, tracker_problems
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import counted
+from modsim3d.formats.labelled_video.detect_truth import write_labelled_scene
+from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.io.plugins import Plugin, changed_plugins
 from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
@@ -166,12 +168,15 @@ class CheckedCampaign:
 
 
 def checked(file: CampaignFile) -> CheckedCampaign:
-    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values. Raises
-    InputError with every problem, and ModsimError if a library that it needs is not installed."""
+    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values. The
+    scenes of labelled videos are written before. Raises InputError with every problem, and ModsimError if a library
+    that it needs is not installed."""
     keys, source = file.keys, f"campaign {file.path}"
     packages = {**versions(), **search_versions(keys)}
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
+    for each in file.videos:
+        _write_scene(each, file.path.resolve())
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
     paths, plugins = set[Path](), set[Plugin]()
     wrong_keys = [*_vary_problems(keys)]
@@ -195,6 +200,54 @@ def checked(file: CampaignFile) -> CheckedCampaign:
         "versions": packages,
     }
     return CheckedCampaign(file, plan, tuple(facts), content, plan_digest(content))
+
+
+_POSES = "poses.json"
+"""The file of labels in the folder of a scene that was made of them."""
+_KEYS = {
+    r"--set detector\.(\S+)=(\S+)": r"\1: \2",
+    r"--labels A,B,\.\.\.": "labels: [A, B, ...]",
+    r"--(horizon) ROW, or X1,Y1,X2,Y2": r"\1: ROW, or [X1, Y1, X2, Y2],",
+    r"--confidence-scale (\S+),(\S+)": r"confidence_scale: [\1, \2]",
+    "--frame-rate(?: HZ)?": "frame_rate_hz",
+    "--image-size": "image_size_px",
+    "--skip-bad": "skip_bad: true",
+    "--first-frame": "first_frame",
+    "--(labels|horizon|detections)": r"\1",
+}
+"""Patterns of options in errors, and the keys of a campaign that stand for them."""
+
+
+def _write_scene(videos: LabelledVideos, campaign: Path) -> None:
+    """Write the scene of labelled videos beside a campaign file. Raises InputError if a file is wrong, or something
+    else is in its place."""
+    base, folder = campaign.parent, campaign.parent / videos.scene_of(campaign)
+    source = f"scenes: {videos.truth}"
+    if folder.parent.exists() and not (folder.parent / _POSES).is_file():
+        raise InputError(source, [f"{folder.parent} is in the way: move it, or give another name"])
+    detector = videos.detector
+    if detector and (base / detector).is_file():
+        detector = str(base / detector)
+    try:
+        write_labelled_scene(
+            base / videos.truth,
+            folder,
+            options=ReadOptions(
+                (),
+                videos.image_size_px,
+                videos.skip_bad,
+                videos.frame_rate_hz,
+                confidence_scale=videos.confidence_scale,
+                first_frame=videos.first_frame,
+            ),
+            detections=None if videos.detections is None else base / videos.detections,
+            detector=detector,
+            labels=videos.labels,
+            horizon=videos.horizon,
+        )
+    except InputError as error:
+        told = error.reworded(_KEYS)
+        raise InputError(source, [f"{told.source}: {problem}" for problem in told.problems]) from None
 
 
 def _size_problems(keys: CampaignKeys) -> Iterator[str]:

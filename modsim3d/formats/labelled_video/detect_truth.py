@@ -6,8 +6,10 @@ import hashlib
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -249,7 +251,7 @@ def detect_truth(
     if seed < 0:
         raise InputError("--detector-seed", [f"must be 0 or more (got {seed})"])
     with inputs_noted() as read:
-        work = _Work.of_files(
+        work = _ReadVideos.of_files(
             truth,
             ReadOptions((), image_size_px, skip_bad, frame_rate_hz, 0, confidence_scale, None, first_frame),
             None if truth_alone else detections,
@@ -276,6 +278,31 @@ def detect_truth(
     return TruthResult(folder, work.kind, result.camera_counts, work.occlusion(), notes, paths, seconds)
 
 
+@contextmanager
+def labelled_video(truth: StrPath, detections: StrPath | None = None, **options: Any) -> Iterator[StoredRun]:
+    """Make a run of a labelled video and of what a real detector found in it, in a folder that is kept as long as the
+    run is used: for a tracker or for scores.
+
+        with modsim3d.labelled_video("gt.txt") as run:
+            print(modsim3d.score_run(run, "my_tracks.txt"))
+
+    Args:
+        truth: As that of `detect_truth`.
+        detections: What a real detector found; None for scores of tracks alone.
+        options: Arguments of `detect_truth` that say how the files are read.
+
+    Raises:
+        ModsimError: The files are wrong.
+        TypeError: One of them is neither text nor a path.
+    """
+    truth = as_path(truth, "truth")
+    given = (truth,) if detections is None else (truth, as_path(detections, "detections"))
+    with TemporaryDirectory(prefix="modsim3d_") as folder:
+        out, alone = Path(folder) / truth.stem, detections is None
+        detect_truth(truth, out, detections=detections, truth_alone=alone, **options)
+        yield replace(open_run(out), made_of=given)
+
+
 def write_labelled_scene(
     truth: Path,
     file: Path,
@@ -289,12 +316,12 @@ def write_labelled_scene(
     """Write a scene of labelled videos, of which each seed shows one, into the folder of its file; see `detect_truth`
     for the arguments. Raises as it does."""
     given = detections is not None
-    work = _Work.of_files(truth, options, detections, {"detector": detector}, labels, horizon, given=given)
+    work = _ReadVideos.of_files(truth, options, detections, {"detector": detector}, labels, horizon, given=given)
     work.scene(0, by_seed=True, name=file.stem).copy.write(file.parent)
 
 
 @dataclass(frozen=True, eq=False)
-class _Work:
+class _ReadVideos:
     """Targets to be detected, and the detector."""
 
     kind: str
@@ -323,7 +350,7 @@ class _Work:
         horizon: float | Sequence[float] | None,
         *,
         given: bool,
-    ) -> _Work:
+    ) -> _ReadVideos:
         """Read the files; `detector` has the arguments of `choose_detector`, and `given` takes the detections in its
         place. Raises ModsimError if they are wrong, or the detector cannot work on them."""
         if options.frame_rate_hz is not None and not 0 < options.frame_rate_hz < np.inf:
@@ -355,7 +382,7 @@ class _Work:
         labels: Sequence[str] | None,
         horizon: float | Sequence[float] | None,
         given: bool,
-    ) -> _Work:
+    ) -> _ReadVideos:
         """Look at what was read of a truth. Raises ModsimError if the detector cannot work on it."""
         source = f"ground truth {truth}"
         if (ids := labelled.ids) is None:

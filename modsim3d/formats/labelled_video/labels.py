@@ -53,9 +53,8 @@ def labels_of(
     of_vessel = [labels[label] for label in counts.argmax(axis=1)[order].tolist()]
     step, camera = place.of(sought.image)
     by_place = np.lexsort((rank[vessel], camera, step))
-    boxes = LabelledBoxes(step, camera, rank[vessel], sought.boxes_px, sought.visible_fraction, sought.depth_m).take(
-        by_place
-    )
+    known = sought.visible_fraction, sought.depth_m, sought.in_frame_fraction
+    boxes = LabelledBoxes(step, camera, rank[vessel], sought.boxes_px, *known).take(by_place)
     row_of = np.full(len(labelled.annotations), NOBODY)
     row_of[sought.rows[by_place]] = np.arange(len(boxes))
     found, said = _detections(labelled, row_of, to_label, place) if given else (None, [])

@@ -52,6 +52,7 @@ class TargetBoxes:
     boxes_px: Array  # cut at the edge of the image: (n, 4)
     visible_fraction: Array
     depth_m: Array  # NaN where unknown: (n,)
+    in_frame_fraction: Array  # NaN where unknown: (n,)
     rows: Indices  # of each among the annotations: (n,)
     from_overlap: int  # visible fractions that come from the overlap of boxes, not from the file
     notes: tuple[str, ...]  # what was left out, and where visible fractions come from
@@ -93,7 +94,8 @@ def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str,
     order = found[np.lexsort((names[rows.identity[found]] if len(names) else found, rows.image[found]))]
     places = rows.image[order], rows.identity[order], to_label[rows.label[order]], boxes_px[order]
     by_overlap = int(from_overlap[order].sum())
-    return TargetBoxes(*places, fractions[order], rows.depth_m[order], order, by_overlap, (*said, *notes))
+    in_frame = np.full(len(order), np.nan) if rows.in_frame_fraction is None else rows.in_frame_fraction[order]
+    return TargetBoxes(*places, fractions[order], rows.depth_m[order], in_frame, order, by_overlap, (*said, *notes))
 
 
 def _visible(

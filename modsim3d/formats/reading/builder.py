@@ -140,7 +140,7 @@ class _Rows:
 class AnnotationRows(_Rows):
     """Annotations as they are read; see the columns of `Annotations`."""
 
-    attributes: list[tuple[bool, bool, Any, float, float]] = field(default_factory=list)
+    attributes: list[tuple[bool, bool, Any, float, float, float]] = field(default_factory=list)
     _seen: set[tuple[int, Any]] = field(default_factory=set)
 
     def has(self, image: int, identity: Any) -> bool:
@@ -155,30 +155,32 @@ class AnnotationRows(_Rows):
         identity: Any = None,
         visible_fraction: float = math.nan,
         depth_m: float = math.nan,
+        in_frame_fraction: float = math.nan,
     ) -> None:
         """Append a row; an unknown identity is None, other unknown values are NaN."""
         self._seen.add((place.image, identity))
         self.places.append(place)
-        self.attributes.append((ignored, crowd, identity, visible_fraction, depth_m))
+        self.attributes.append((ignored, crowd, identity, visible_fraction, depth_m, in_frame_fraction))
 
     @property
     def identities(self) -> tuple[Any, ...]:
         """All identities, in the order in which they appear."""
-        of_rows = (identity for _, _, identity, _, _ in self.attributes)
+        of_rows = (attributes[2] for attributes in self.attributes)
         return tuple(dict.fromkeys(each for each in of_rows if each is not None))
 
     def annotations(self) -> Annotations:
         """The rows as columns, ordered by image; identities are numbered in the order in which they appear."""
-        nothing = ((),) * 5
+        nothing = ((),) * 6
         numbers = {name: number for number, name in enumerate(self.identities)}
-        ignored, crowd, identity, visible_fraction, depth_m = tuple(zip(*self.attributes, strict=True)) or nothing
+        ignored, crowd, identity, visible, depth_m, in_frame = tuple(zip(*self.attributes, strict=True)) or nothing
         return Annotations(
             *self._columns(),
             ignored=np.array(ignored, dtype=bool),
             crowd=np.array(crowd, dtype=bool),
             identity=np.array([NOBODY if each is None else numbers[each] for each in identity], dtype=np.int64),
-            visible_fraction=np.array(visible_fraction, dtype=np.float64),
+            visible_fraction=np.array(visible, dtype=np.float64),
             depth_m=np.array(depth_m, dtype=np.float64),
+            in_frame_fraction=np.array(in_frame, dtype=np.float64),
         ).by_image()
 
 

@@ -3,8 +3,8 @@
 A line is frame, track, type, truncation, occlusion, angle; left, top, right and bottom of the box; height, width and
 length of the object, its x, y and z before the camera in metres, its rotation; and in results a score. Frames and
 pixels count from 0 (readme of the tracking benchmark's development kit). Occlusion is a class, and becomes the visible
-fraction. Truncation is not read: a visible fraction is that of what lies in the image. `DontCare` is a region to be
-ignored."""
+fraction; truncation, a class too or a share outside the image, becomes the share inside it. `DontCare` is a region to
+be ignored."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -14,7 +14,14 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import NO_OPTIONS, Problems, ReadOptions
-from modsim3d.formats.reading.mot import OCCLUSION, VISIBLE_FRACTIONS, SequenceLines, problems_of, sequence_set
+from modsim3d.formats.reading.mot import (
+    OCCLUSION,
+    VISIBLE_FRACTIONS,
+    SequenceLines,
+    problems_of,
+    sequence_set,
+    share_in_image,
+)
 from modsim3d.io.input_files import read_text
 from modsim3d.io.validation import nearest, shown
 
@@ -22,7 +29,7 @@ TYPES = ("Car", "Van", "Truck", "Pedestrian", "Person_sitting", "Cyclist", "Tram
 NEIGHBOURS = {"Van": "Car", "Person_sitting": "Pedestrian", "Person": "Pedestrian"}
 """Types that the benchmark counts neither for nor against a detector of the other; a sitting person has two names."""
 REGION = "DontCare"
-_TYPE, _OCCLUSION, _DEPTH, _SCORE = 2, 4, 15, 17  # columns from 0
+_TYPE, _TRUNCATION, _OCCLUSION, _DEPTH, _SCORE = 2, 3, 4, 15, 17  # columns from 0
 
 
 def is_kitti(line: str) -> bool:
@@ -43,14 +50,14 @@ def read_kitti(condition: str, truth: Path, detections: Path | None, options: Re
     number_of = {name: float(number) for number, name in enumerate(names, 1)}
     beside = {name: number_of[other] for name, other in NEIGHBOURS.items() if other in names and name not in names}
     annotated = [
-        (where, [*_place(row), name in names, {**beside, **number_of}[name], *_visibility_and_depth(row)])
+        (where, [*_place(row), name in names, {**beside, **number_of}[name], *_visibility_and_place(row)])
         for where, name, row in labels
         if name in names or name in beside
     ]
     regions = [(where, _place(row)) for where, name, row in labels if name == REGION]
     detected = [(where, [*_place(row), row[_SCORE], number_of[name]]) for where, name, row in results if name in names]
     said = [
-        f"KITTI: occlusion is a class: {OCCLUSION}",
+        f"KITTI: occlusion is a class: {OCCLUSION}; truncation likewise for what the image cuts",
         f"KITTI: half of a detection in {REGION} is enough to ignore it",
     ]
     if options.labels:
@@ -93,6 +100,9 @@ def _lines(path: Path, what: str, least: int, problems: Problems) -> Iterator[tu
         elif least == _SCORE and numbers[_OCCLUSION] not in (-1, 0, 1, 2, 3):
             got = f"{numbers[_OCCLUSION]:g}"
             problems.add(f"{where}: occlusion must be 0, 1, 2 or 3, or -1 where it is not known (got {got})")
+        elif least == _SCORE and not (0 <= numbers[_TRUNCATION] <= 1 or numbers[_TRUNCATION] in (-1, 2)):
+            wanted = "a class 0, 1 or 2, a share up to 1, or -1 where it is not known"
+            problems.add(f"{where}: truncation must be {wanted} (got {numbers[_TRUNCATION]:g})")
         else:
             yield where, words[_TYPE], numbers
 
@@ -103,5 +113,6 @@ def _place(row: list[float]) -> list[float]:
     return [*row[:2], left, top, right - left, bottom - top]
 
 
-def _visibility_and_depth(row: list[float]) -> tuple[float, float]:
-    return VISIBLE_FRACTIONS[int(row[_OCCLUSION])], row[_DEPTH] if row[_DEPTH] > 0 else math.nan
+def _visibility_and_place(row: list[float]) -> tuple[float, float, float]:
+    in_image = math.nan if row[_TRUNCATION] == -1 else share_in_image(row[_TRUNCATION])
+    return VISIBLE_FRACTIONS[int(row[_OCCLUSION])], row[_DEPTH] if row[_DEPTH] > 0 else math.nan, in_image

@@ -114,7 +114,8 @@ Lines = list[Line]  # where each line is, and its numbers
 
 @dataclass(frozen=True)
 class SequenceLines:
-    """Lines of a sequence in the form of MOT; those of truth may have a distance in metres after the visibility."""
+    """Lines of a sequence in the form of MOT; those of truth may have a distance in metres and the share of the box
+    inside the image after the visibility."""
 
     annotated: Lines
     detected: Lines | None  # None if there is no such file
@@ -134,7 +135,8 @@ def read_mot(condition: str, truth: Path, detections: Path | None, options: Read
     annotated, said = plain_lines(written, truth.name, problems)
     visdrone, detected = _is_visdrone(written), None
     regions = [line for line in annotated if visdrone and _class_of(line[1]) == 0]
-    annotated = [(where, numbers[:9]) for where, numbers in annotated if not visdrone or _class_of(numbers) != 0]
+    columns = 11 if visdrone else 9
+    annotated = [(where, numbers[:columns]) for where, numbers in annotated if not visdrone or _class_of(numbers) != 0]
     if detections is not None:
         lines = number_lines(detections, "detections", ",", 7, wrong)
         detected, found = plain_lines(lines, detections.name, wrong)
@@ -217,9 +219,13 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
         return cut, [f"{told} 1 in every line, and not read as visibility"]
     if _is_visdrone(lines):
         lines = [
-            (where, [*numbers[:8], *(VISIBLE_FRACTIONS[int(n)] for n in numbers[9:10])]) for where, numbers in lines
+            (
+                where,
+                row if len(row) < 10 else [*row[:8], VISIBLE_FRACTIONS[int(row[9])], math.nan, share_in_image(row[8])],
+            )
+            for where, row in lines
         ]
-        return lines, [f"{told} truncation and occlusion, as in VisDrone: {OCCLUSION}"]
+        return lines, [f"{told} truncation and occlusion, as in VisDrone: {OCCLUSION}; so for what the image cuts"]
     zeros = f"(the ninth is 0 in {sum(numbers[8] == 0 for _, numbers in classed):,} of {len(classed):,} lines)"
     return cut, [f"{told} truncation and occlusion, as in VisDrone, and not read as visibility {zeros}"]
 
@@ -227,6 +233,13 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
 VISIBLE_FRACTIONS = (1.0, 0.75, 0.25, _UNKNOWN)
 """Visible fraction of each class of occlusion: nothing hidden, up to half, more than half, not known. They are the
 middles of VisDrone's classes, which are in per cent; KITTI calls its own partly and largely."""
+
+
+def share_in_image(truncation: float) -> float:
+    """Share inside the image of a class of truncation, which has the same fractions, or of a share outside it."""
+    return VISIBLE_FRACTIONS[int(truncation)] if truncation in (0, 1, 2) else 1 - truncation
+
+
 OCCLUSION = "a visible fraction of 0.75 stands for boxes up to half hidden, and 0.25 for those that are hidden more"
 _VISDRONE_CLASSES = range(12)  # 0 is a region to be ignored, 11 is `others`
 
@@ -295,8 +308,8 @@ def _annotations(lines: Lines, known: _Known, problems: Problems) -> builder.Ann
             elif flag is not None and 0 < flag < 1:
                 problems.hint = "the seventh column may be confidences: in truth it is 1, or 0 for what is left out"
             if problems.count == before:
-                depth_m = numbers[9] if len(numbers) > 9 else math.nan
-                rows.add(place, not considered, False, identity, math.nan if visible is None else visible, depth_m)
+                visible = math.nan if visible is None else visible
+                rows.add(place, not considered, False, identity, visible, *numbers[9:11])
     return rows
 
 

@@ -96,7 +96,7 @@ def breakdown(scored: Scored) -> Breakdown:
     visibility = "share of the vessel's silhouette in the image that is visible"
     edge = (~(in_frame >= 1)).astype(np.int64)  # it is unknown where the near plane cuts the vessel
     if rows.scene.labels is not None:
-        edge[:] = NOBODY
+        edge[np.isnan(in_frame)] = NOBODY
     groups = {
         "visible_fraction": (visibility, BINS["visible_fraction"], _visibility(visible)),
         "range": ("mean distance along the axis of the camera, m", BINS["range"], _places(depth_m, RANGE_EDGES_M)),

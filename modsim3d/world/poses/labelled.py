@@ -68,6 +68,7 @@ class LabelledBoxes(Columns):
     boxes_px: Array  # x_min, y_min, x_max, y_max, cut at the edge of the image, (n, 4)
     visible_fraction: Array  # (n,)
     depth_m: Array  # NaN where unknown, (n,)
+    in_frame_fraction: Array  # share inside the image, NaN where unknown, (n,)
 
 
 @dataclass(frozen=True, eq=False)

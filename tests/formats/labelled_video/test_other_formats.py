@@ -77,6 +77,7 @@ def test_occlusion_of_visdrone_is_a_visible_fraction_and_its_class_0_a_region(tm
     boxes = read("1,4,0,0", "0,0,0,0", "0,0,0,0", "1,5,1,1", "0,11,0,2").annotations
     assert sorted(boxes.label[boxes.crowd].tolist()) == [0, 0, 1, 1, 2, 2]  # of each of three labels
     assert boxes.visible_fraction[~boxes.crowd].tolist() == [1, 0.75, 0.25]
+    assert boxes.in_frame_fraction[~boxes.crowd].tolist() == [1, 0.75, 1]
     assert boxes.ignored[~boxes.crowd].tolist() == [False, False, True] and (boxes.identity[boxes.crowd] == -1).all()
     for ends in (("1,4,0,0", "1,12,0,1"), ("1,4,0,0", "1,4,1,0"), ("1,1,1,1", "1,1,1,1")):
         labelled = read(*ends)
@@ -89,7 +90,7 @@ FAR = "-1000 -1000 -1000 -10 -1000 -1000 -1000"
 KITTI = (
     f"0 -1 DontCare -1 -1 -10 600 100 700 180 {FAR}\n0 -1 DontCare -1 -1 -10 900 100 950 180 {FAR}\n"
     f"{CAR}\n0 1 Car 1 2 -1.7 300 150 400 250 {WORLD.format(9)}\n"
-    f"1 0 Car 0 1 -1.7 101 150 201 250 {WORLD.format(13)}\n2 1 Car 0 3 -1.7 301 150 401 250 {WORLD.format(-1000)}\n"
+    f"1 0 Car 0 1 -1.7 101 150 201 250 {WORLD.format(13)}\n2 1 Car -1 3 -1.7 301 150 401 250 {WORLD.format(-1000)}\n"
     f"2 2 Van 0 0 -1.7 500 150 590 250 {WORLD.format(20)}\n2 3 Pedestrian 0 0 0 800 150 830 250 {WORLD.format(20)}\n"
 )
 BOXES = "0 {} 102 150 202 250", "0 {} 650 120 750 170", "2 {} 500 150 590 250"
@@ -110,6 +111,7 @@ def test_labels_of_kitti(tmp_path: Path) -> None:
     assert boxes.boxes_px[cars][0].tolist() == [100, 150, 200, 250] and boxes.identity[cars].tolist() == [0, 1, 0, 1]
     np.testing.assert_array_equal(boxes.visible_fraction[cars], [1, 0.25, 0.75, np.nan])
     np.testing.assert_array_equal(boxes.depth_m[cars], [13.4, 9, 13, np.nan])
+    np.testing.assert_array_equal(boxes.in_frame_fraction[cars], [1, 0.75, 1, np.nan])
     assert (boxes.crowd.sum(), (boxes.ignored & ~boxes.crowd).sum()) == (2, 1)  # regions, and a van
     assert match(labelled, Rule()).counts.tolist() == [True, False, False]  # half in a region; the van
     both = read_pair("day", *kitti(tmp_path), replace(NO_INFO, labels=("Pedestrian", "Car"))).annotations
@@ -123,6 +125,7 @@ WRONG = {
     CAR[:-5]: "line 2: has 16 columns, must have 17 ",
     CAR.replace("13.4", "near"): "must be finite numbers but for the third column, a type",
     CAR.replace(" 0 0 -1.7", " 0 7 -1.7"): "occlusion must be 0, 1, 2 or 3, or -1 where it is not known (got 7)",
+    CAR.replace("Car 0 0", "Car 3 0"): "truncation must be a class 0, 1 or 2, a share up to 1, or -1 where it is ",
     CAR.replace("200 250", "90 250"): "bbox has no area: width -10, height 100",
     f"{CAR}\n{CAR}": "line 3: identity 0 is in frame 0 already",
 }
@@ -143,6 +146,9 @@ def test_a_folder_of_files_is_a_sequence_each_and_their_tracks_are_different_thi
     given = tmp_path / "labels", tmp_path / "results"
     result = modsim3d.detect_truth(given[0], tmp_path / "out", detections=given[1], **SIZED)
     assert {name: counts.detected for name, counts in result.sequence_counts.items()} == {"0000": 1, "0001": 1}
+    scores = modsim3d.score_run(tmp_path / "out", modsim3d.track_run(tmp_path / "out", tmp_path / "tracks").folder)
+    edge = next(group for group in scores.trackers[0].scores.breakdown if group.name == "edge")
+    assert [(each.bin, each.vessel_frames) for each in edge.rows] == [("whole in the image", 4), ("cut by the edge", 2)]
     boxes = rows(tmp_path / "out" / "truth.parquet")
     assert {row["camera"] + row["vessel"] for row in boxes} == {f"{s}{s}/{k}" for s in ("0000", "0001") for k in (0, 1)}
     (given[1] / "0001.txt").unlink()
