@@ -89,6 +89,7 @@ class FileIds:
     sequences: tuple[int | str | None, ...]  # name or number of each; None for one without
     identities: tuple[int | str, ...]  # the tracks
     first_frame: int = 1  # number of the first frame, and of the first pixel, in MOT
+    files: tuple[str, ...] = ()  # file of each image, where COCO names it
 
 
 @dataclass(frozen=True, eq=False)

@@ -259,9 +259,8 @@ def open_run(folder: StrPath) -> StoredRun:
     if (folder / UNFINISHED / SETTINGS_FILE).is_file():
         return _interrupted_run(folder)
     if not folder.is_dir():
-        raise RunDirectoryError(
-            f"{folder} " + ("is a file, not a run directory" if folder.exists() else "does not exist")
-        )
+        file = "is a file, not a run directory (labels of a video go with --truth)"
+        raise RunDirectoryError(f"{folder} {file if folder.exists() else 'does not exist'}")
     if any((folder / f"{name}.parquet").exists() for name in TABLES):
         raise RunDirectoryError(f"{folder / RUN_FILE} is missing: a finished run has it; copy the whole run directory")
     raise RunDirectoryError(f"{folder} is no run directory: it has no run.json")

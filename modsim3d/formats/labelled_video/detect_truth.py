@@ -387,7 +387,7 @@ class _ReadVideos:
         source = f"ground truth {truth}"
         if (ids := labelled.ids) is None:
             raise ModsimError(f"{source}: its images and tracks have no names")
-        check_whole((str(name) for name in (*ids.images, *ids.sequences, *ids.identities)), source)
+        check_whole((str(name) for name in (*ids.images, *ids.files, *ids.sequences, *ids.identities)), source)
         videos = videos_of(labelled, ids, source)
         classes = FileClasses(kind, labelled.labels, ids.labels)
         considered = np.bincount(labelled.annotations.label[~labelled.annotations.ignored], minlength=len(ids.labels))

@@ -65,7 +65,7 @@ def labels_of(
                 video.file_name,
                 video.size_px,
                 steps,
-                tuple(str(ids.images[image]) for image in video.images.tolist()),
+                tuple(str((ids.files or ids.images)[image]) for image in video.images.tolist()),
                 None if sea is None else tuple(sea.tolist()),
                 ids.first_frame,
             )

@@ -52,7 +52,7 @@ def read_coco(condition: str, truth: Path, detections: Path | None, options: Rea
     if numbered and frame_rate_hz is None and any(map(math.isnan, images.time_s)):
         notes.append("images have a frame_id, and no time: --frame-rate HZ would make one of it")
     labels = [name for name, _ in categories.values()]
-    ids = FileIds(tuple(rows_of), tuple(categories), sequences, annotations.identities)
+    ids = FileIds(tuple(rows_of), tuple(categories), sequences, annotations.identities, files=tuple(images.names))
     return builder.labelled_set(condition, labels, images, annotations, results, notes, ids)
 
 

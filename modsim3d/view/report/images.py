@@ -53,8 +53,9 @@ def _pictures(folder: Path) -> list[Path]:
 def _of_frames(files: list[Path], scene: Scene, camera: str, count: int, folder: Path) -> list[Path]:
     """The picture of each of a camera's frames: by the names of its labelled images if all are there, else in order."""
     by_name = {name: path for path in files for name in (path.name, path.stem)}
-    names = () if scene.labels is None else scene.labels.sequence(camera).images
-    if names and all(name in by_name for name in names):
+    called = () if scene.labels is None else scene.labels.sequence(camera).images
+    names = list(dict.fromkeys(Path(name).name for name in called))
+    if len(names) == count and all(name in by_name for name in names):
         return [by_name[name] for name in names]
     if len(files) != count:
         told = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"

@@ -39,7 +39,7 @@ class ImageSequence:
         name: Of the camera.
         image_size_px: Width and height.
         steps: Step of each image, ascending, shape (S,).
-        images: What the file of labels calls each.
+        images: File of each where the labels name it, else what they call it.
         sea: (a, b, c): a·x + b·y + c >= 0 on the sea's side of the horizon, in pixels; None if it is not known.
         first_frame: Number of the first frame, and of the first pixel, in files of its tracks.
     """

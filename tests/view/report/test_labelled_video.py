@@ -11,9 +11,9 @@ from PIL import Image
 
 import modsim3d
 from modsim3d.core.errors import ModsimError
-from modsim3d.view.report.images import film_frames
+from modsim3d.view.report.images import film_frames, image_facts
 from modsim3d.view.report.report import write_report
-from tests.formats.labelled_video.videos import mot
+from tests.formats.labelled_video.videos import coco, mot, write
 
 FRAMES, SIZE = 45, (640, 480)
 
@@ -51,6 +51,20 @@ def test_each_frame_is_shown_over_its_own_picture_and_there_is_no_map(tmp_path, 
     browser.run("new Promise(done => setTimeout(done, 300))")
     assert "does not let this page save your pictures" in browser.text("body")
     assert "1 labelled video shows of 3 vessels" in browser.text("body")
+
+
+def test_pictures_are_found_by_the_names_that_labels_give_their_files(tmp_path: Path) -> None:
+    labels, wanted = coco({"left": 4}), [f"{7 - k}.png" for k in range(4)]
+    for image, name in zip(labels["images"], wanted, strict=True):
+        image["file_name"] = f"val/{name}"
+        Image.new("RGB", SIZE).save(tmp_path / name)
+    truth = write(tmp_path / "gt.json", labels)
+    options = {"detector": "thesis", "labels": ("Vessel",), "frame_rate_hz": 5}
+    run = modsim3d.open_run(modsim3d.detect_truth(truth, tmp_path / "run", **options).folder)
+    (facts,) = image_facts(run, tmp_path, tmp_path / "page.html", 1)
+    assert facts["files"] == wanted
+    Image.new("RGB", SIZE).save(tmp_path / "9.png")
+    assert image_facts(run, tmp_path, tmp_path / "page.html", 1)[0]["files"] == wanted
 
 
 def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, run: Path, pictures: Path) -> None:
