@@ -1,8 +1,8 @@
 """Whether a learned detector behaves as the real one where it was not learned.
 
 The data are split in two. Each half is simulated by what was learned from the other, over its own annotations, and what
-matters to a tracker is counted in the real results and in the simulated ones. The detector that is written is learned
-from all data.
+matters to a tracker is counted in the real results and in the simulated ones, and trackers are run over both. The
+detector that is written is learned from all data.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import centres, iou, sizes
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import listed
@@ -24,6 +24,13 @@ from modsim3d.learn.bootstrap import Entry, resample, with_entries
 from modsim3d.learn.learned import Learned, LearnSettings, choose_form
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.simulated_results import simulated
+from modsim3d.runs.tracker_view import anonymised
+from modsim3d.tracking.scores.association import hota_of, joined_sequence, metrics
+from modsim3d.tracking.trackers.interface import CameraFacts
+from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
+from modsim3d.tracking.trackers.running import answered
+from modsim3d.tracks.tracks import Similarity, Tracks
+from modsim3d.tracks.true_tracks import TrueTracks, follow
 
 SEEDS = 20
 """Simulated runs that each half is compared with."""
@@ -31,6 +38,9 @@ LEVEL = 0.05
 """Probability that any of the numbers is said to differ by chance."""
 MIN_COUNT = 20
 """What a number must be counted from, in the real results."""
+TRACKERS = ("reference", "sort")
+TRACKED_SEEDS = 5
+"""Simulated runs of each half that trackers work on, which takes longer than to count."""
 _BLOCKS = 4
 _ON_A_VESSEL = 0.1
 
@@ -100,11 +110,12 @@ def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[R
         seen = replace(observed, image_state=np.where(ours, -1, observed.image_state))
         if not len(unseen.found) or not len(seen.found):
             raise ModsimError("one half of the data has no matches, so nothing learned from the other can be checked")
-        real, drawn = counts_of(unseen, observed), []
+        real, drawn = counts_of(unseen, observed) | hota_counts(unseen), []
         for seed, model in enumerate(_models_of(seen, learned, settings, seeds)):
             labelled = simulated(observed.labelled, unseen.image_state, model, settings.seed + number * seeds + seed)
             matched = match(labelled, settings.rule, settings.threshold)
-            drawn.append(counts_of(replace(unseen, labelled=labelled, matched=matched), observed))
+            again = replace(unseen, labelled=labelled, matched=matched)
+            drawn.append(counts_of(again, observed) | (hota_counts(again) if seed < TRACKED_SEEDS else {}))
         compared.append({each.name: each for each in _compared(real, drawn)})
     rows = [_worse(*(half_of[name] for half_of in compared)) for name in compared[0] if name in compared[1]]
     if not rows:
@@ -290,3 +301,78 @@ def _of_false(observed: Observed) -> Counts:
         "false detections an image": _mean(number.astype(np.float64)),
         "share of false detections on a vessel": _mean(on_vessel),
     }
+
+
+# ---- What trackers make of it ----
+
+
+def hota_counts(observed: Observed) -> Counts:
+    """HOTA of trackers, with their settings for scenes that are not shipped, counted once for each vessel in an image.
+    There is none where vessels have no identities, images no times, or a library of the trackers is not installed."""
+    labelled, rows = observed.labelled, observed.labelled.annotations
+    image = np.flatnonzero(observed.image_state >= 0)
+    known = np.isfinite(labelled.images.time_s[image]).all() and np.isfinite(labelled.images.sizes_px[image]).all()
+    if not known or not len(observed.rows) or (rows.identity[observed.rows] < 0).any():
+        return {}
+    films = _Films.of(observed)
+    seen = observed.rows[np.lexsort((rows.identity[observed.rows], films.frame[rows.image[observed.rows]]))]
+    frame, identity = films.frame[rows.image[seen]], rows.identity[seen]
+    hidden = rows.visible_fraction[seen] == 0
+    appearance = np.unique(frame % films.count + films.count * identity, return_inverse=True)[1].ravel()
+    kept = seen, frame, identity, appearance, rows.label[seen], rows.boxes_px[seen], ~hidden, hidden
+    truth = TrueTracks(films.count, *kept)
+    counts = Counts()
+    for name in TRACKERS:
+        try:
+            metrics()
+            tracks = films.tracks(observed, named_tracker(name, {}, ""))
+        except ModsimError:
+            continue
+        following = follow(truth, tracks, Similarity())
+        counted = truth.take(truth.scored), tracks.take(following.counted)
+        value = hota_of(joined_sequence(*counted, following.similarity)).hota
+        number = np.count_nonzero(truth.scored)
+        counts[f"HOTA of {name}"] = (number * (value or 0.0), float(number))
+    return counts
+
+
+@dataclass(frozen=True, eq=False)
+class _Films:
+    """Images that take part as films without gaps in time; a frame is place in the film × films + film, as in runs."""
+
+    count: int
+    frame: Indices  # of each image, `NOBODY` where it takes no part, (I,)
+    images: tuple[Indices, ...]  # of each film, in order of time
+
+    @classmethod
+    def of(cls, observed: Observed) -> _Films:
+        images = observed.labelled.images
+        order = np.lexsort((images.time_s, images.sequence))
+        ours = observed.image_state[order] >= 0
+        begins = np.diff(images.sequence[order], prepend=NOBODY) != 0
+        begins[1:] |= ~ours[:-1]
+        film = np.cumsum(begins & ours) - 1
+        parts = [order[ours & (film == number)] for number in range(int(film.max(initial=NOBODY)) + 1)]
+        frame = np.full(len(order), NOBODY)
+        for number, part in enumerate(parts):
+            frame[part] = np.arange(len(part)) * len(parts) + number
+        return cls(len(parts), frame, tuple(parts))
+
+    def tracks(self, observed: Observed, named: NamedTracker) -> Tracks:
+        """Tracks over the detections in all films, but for those that lie where nothing counts."""
+        images, results = observed.labelled.images, observed.labelled.results
+        confidence = np.nan_to_num(results.confidence, nan=1.0)
+        kept = np.flatnonzero((self.frame[results.image] >= 0) & observed.matched.counts)
+        frame = self.frame[results.image[kept]]
+        found = anonymised(frame, results.label[kept], results.boxes_px[kept], confidence[kept])
+        frames, answers = [], []
+        for number, part in enumerate(self.images):
+            here = found.take(found.frame % self.count == number)
+            times_s = images.time_s[part] - images.time_s[part[0]]
+            rate_hz = (len(part) - 1) / float(times_s[-1]) if len(part) > 1 and times_s[-1] > 0 else 1.0
+            width, height = images.sizes_px[part[0]].tolist()
+            facts = CameraFacts(f"film {number}", (int(width), int(height)), rate_hz, tuple(observed.labelled.labels))
+            answers.append(answered(named, facts, times_s, replace(here, frame=here.frame // self.count)))
+            frames.append(answers[-1].frame * self.count + number)
+        track, boxes_px = (np.concatenate([getattr(each, name) for each in answers]) for name in ("track", "boxes_px"))
+        return Tracks.of(self.count, np.concatenate(frames), track, boxes_px)

@@ -1,20 +1,25 @@
 """A learned detector is compared with the real one where it was not learned."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import modsim3d
 from modsim3d import ModsimError, learn_detector, load_scene, run_scene
 from modsim3d.cli.learn import learn_json
 from modsim3d.cli.main import app
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
+from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn.learned import LearnSettings
-from modsim3d.learn.self_check import RealityComparison, self_check
+from modsim3d.learn.self_check import RealityComparison, hota_counts, self_check
 from modsim3d.learn.simulated_results import simulated
-from tests.learn.one_state import detected, detector, learned_in, moored, observed_in
+from tests.formats.labelled_video.videos import coco, write
+from tests.learn.one_state import detected, detector, learned_in, moored, observed_as, observed_in
 
 FRAMES, BOATS, SEEDS = 400, 20, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
@@ -46,7 +51,8 @@ def checked(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> tup
 def test_a_detector_of_the_models_that_are_learned_is_found_again() -> None:
     rows = compared()
     assert not [row for row in rows.values() if row.differs]
-    for name in ("share found", "frames of a gap", "confidence before a miss", "false detections an image"):
+    names = ("share found", "frames of a gap", "confidence before a miss", "false detections an image")
+    for name in (*names, "HOTA of reference", "HOTA of sort"):
         assert rows[name].real == pytest.approx(rows[name].simulated, rel=0.2)
         assert 0 < rows[name].spread < rows[name].real
 
@@ -73,6 +79,28 @@ def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_pat
     out = tmp_path / "detector.yaml"
     said = CliRunner().invoke(app, ["learn", str(short_run), "--out", str(out), "--replicates", "20", "--no-check"])
     assert said.exit_code == 0 and "Where it was not learned" not in said.output + out.with_suffix(".html").read_text()
+
+
+def test_hota_in_the_check_is_that_of_the_tracker_over_the_same_files(tmp_path) -> None:
+    labels = coco({"left": 60, "right": 40}, categories=modsim3d.load_detector("coastal").labels)
+    region = {"category_id": 4, "bbox": [0, 345, 640, 135], "iscrowd": 1}  # in which nothing counts
+    labels["annotations"] += [region | {"id": -each["id"], "image_id": each["id"]} for each in labels["images"]]
+    truth, size = write(tmp_path / "gt.json", labels), {"frame_rate_hz": 5.0}
+    options = {"detector": "coastal", "horizon": 150, **size}
+    found = modsim3d.detect_truth(truth, tmp_path / "simulated", **options).folder / "dt.json"
+    stays = {"category_id": 4, "bbox": [500, 400, 60, 60], "score": 0.9}
+    write(found, json.loads(found.read_text()) + [stays | {"image_id": each["id"]} for each in labels["images"]])
+    run = modsim3d.detect_truth(truth, tmp_path / "run", detections=found, **size).folder
+    labelled = read_pair("day", truth, found, ReadOptions(**size))
+    counts = hota_counts(observed_as(labelled, ("usual",), np.zeros(len(labelled.images), dtype=np.int64)))
+    for name in ("reference", "sort"):
+        tracks = modsim3d.track_run(run, tmp_path / name, tracker=name).folder
+        asked = modsim3d.score_run(run, tracks).trackers[0].scores.flat()["hota"]
+        total, number = counts[f"HOTA of {name}"]
+        assert total / number == pytest.approx(asked, abs=1e-9) and 0.1 < asked < 0.99
+    halves = np.repeat([0, -1, 0, -1], 25)
+    first = hota_counts(observed_as(labelled, ("usual",), halves))
+    assert first["HOTA of sort"][1] == 150  # three vessels in 50 images
 
 
 def test_halves_that_differ_in_opposite_ways_are_told_and_one_without_matches_is_refused() -> None:

@@ -10,6 +10,8 @@ from scipy.optimize import linear_sum_assignment
 from modsim3d.core.arrays import Array, Indices, extents, ranges
 from modsim3d.core.errors import ModsimError
 from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracks.tracks import Similarity, Tracks
+from modsim3d.tracks.true_tracks import TrueTracks
 
 Data = dict[str, Any]  # what `eval_sequence` of a metric of TrackEval is given; see its own documentation
 
@@ -24,13 +26,16 @@ def metrics() -> Any:  # a module of a library without types
 
 
 def sequence(scored: Scored) -> Data:
-    """The vessels and the tracks that are scored, as one sequence. Identities of different cameras are different, and
-    the frames of a camera stand together, since CLEAR prefers the pairs of the frame before. So the scores are those
-    that TrackEval combines from a sequence for each camera. Frames without vessels and without tracks are left out:
-    they change no score."""
-    truth, tracks = scored.truth, scored.tracks
+    """The vessels and the tracks that are scored, as one sequence."""
+    return joined_sequence(scored.truth, scored.tracks, scored.rules.similarity)
+
+
+def joined_sequence(truth: TrueTracks, tracks: Tracks, similarity: Similarity) -> Data:
+    """Vessels and tracks as one sequence. Identities of different cameras are different, and the frames of a camera
+    stand together, since CLEAR prefers the pairs of the frame before. So the scores are those that TrackEval combines
+    from a sequence for each camera. Frames without vessels and without tracks are left out: they change no score."""
     frames = np.union1d(truth.frame, tracks.frame)
-    frames = frames[np.lexsort((frames, frames % scored.by_step))]
+    frames = frames[np.lexsort((frames, frames % truth.cameras))]
     truth_first, truth_count = extents(truth.frame, frames)
     track_first, track_count = extents(tracks.frame, frames)
     truth_id, track_id = (np.unique(each, return_inverse=True)[1] for each in (truth.identity, tracks.identity))
@@ -42,18 +47,26 @@ def sequence(scored: Scored) -> Data:
         "num_tracker_ids": int(track_id.max(initial=-1)) + 1,
         "gt_ids": _cut(truth_id, truth_first, truth_count),
         "tracker_ids": _cut(track_id, track_first, track_count),
-        "similarity_scores": _similarities(scored, (truth_first, truth_count), (track_first, track_count)),
+        "similarity_scores": _similarities(
+            truth, tracks, similarity, (truth_first, truth_count), (track_first, track_count)
+        ),
     }
 
 
-def _similarities(scored: Scored, truth: tuple[Indices, Indices], tracks: tuple[Indices, Indices]) -> list[Array]:
+def _similarities(
+    truth: TrueTracks,
+    tracks: Tracks,
+    similarity: Similarity,
+    of_truth: tuple[Indices, Indices],
+    of_tracks: tuple[Indices, Indices],
+) -> list[Array]:
     """Similarity of each vessel to each track of its frame: of each of F frames a matrix."""
-    (truth_first, truth_count), (track_first, track_count) = truth, tracks
+    (truth_first, truth_count), (track_first, track_count) = of_truth, of_tracks
     rows = ranges(truth_first, truth_count)  # each vessel stands as often as its frame has tracks
     tracks_of_row = np.repeat(track_count, truth_count)
     i = np.repeat(rows, tracks_of_row)
     j = ranges(np.repeat(track_first, truth_count), tracks_of_row)
-    alike = scored.rules.similarity(scored.truth.boxes_px[i], scored.tracks.boxes_px[j])
+    alike = similarity(truth.boxes_px[i], tracks.boxes_px[j])
     sizes = truth_count * track_count
     parts = _cut(alike, np.cumsum(sizes) - sizes, sizes)
     shapes = zip(truth_count.tolist(), track_count.tolist(), strict=True)

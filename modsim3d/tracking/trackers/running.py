@@ -11,6 +11,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.plugins import failed
 from modsim3d.runs.camera_sequences import CameraSequence
+from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
 from modsim3d.tracking.trackers.registry import NamedTracker
@@ -142,9 +143,9 @@ def tracked(
     found = [Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))]
     frames = [np.empty(0, dtype=np.int64)]
     for sequence, camera in zip(sequences, cameras, strict=True):
-        feed = _CameraFeed(named, sequence, tuple(labels))
-        answers = Answers(list(feed.answers(progress)), feed.facts, feed.problem)
-        found.append(answers.numbered())
+        facts = CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, tuple(labels))
+        answers = answered(named, facts, sequence.times_s, sequence.detections, progress)
+        found.append(answers)
         frames.append(sequence.steps[answers.frame] * count + camera)
     columns = ("track", "boxes_px", "label", "confidence", "covariance_px2")
     return Tracks.of(
@@ -152,25 +153,37 @@ def tracked(
     )
 
 
+def answered(
+    named: NamedTracker,
+    facts: CameraFacts,
+    times_s: Array,
+    detections: TrackerDetections,
+    progress: Progress = lambda frames: None,
+) -> Answers:
+    """The answers of a tracker to the frames of one camera, at these times, shape (F,); frames of the detections are
+    places among them. Raises as `tracked` does."""
+    feed = _CameraFeed(named, facts, times_s, detections)
+    return Answers(list(feed.answers(progress)), facts, feed.problem).numbered()
+
+
 class _CameraFeed:
     """A tracker and the frames of one camera, which it is given one by one."""
 
-    def __init__(self, named: NamedTracker, sequence: CameraSequence, labels: tuple[str, ...]) -> None:
-        self._named, self._sequence = named, sequence
-        self.facts = CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, labels)
+    def __init__(self, named: NamedTracker, facts: CameraFacts, times_s: Array, detections: TrackerDetections) -> None:
+        self._named, self._facts, self._times_s, self._detections = named, facts, times_s, detections
         self._read = 0
 
     def problem(self, at: int, text: str) -> ModsimError:
         """The error of a problem in a frame, by its place in the sequence."""
-        return ModsimError(f"{self._named}: camera '{self._sequence.camera.name}'{self._when(at)}: {text}")
+        return ModsimError(f"{self._named}: camera '{self._facts.name}'{self._when(at)}: {text}")
 
     def _when(self, at: int) -> str:
-        return f" at {self._sequence.times_s[at]:g} s" if at < len(self._sequence.times_s) else ""
+        return f" at {self._times_s[at]:g} s" if at < len(self._times_s) else ""
 
     def answers(self, progress: Progress) -> Iterator[TrackedFrame]:
         """The tracker's answer to each frame. Raises ModsimError if it fails, reads a frame before it has answered the
         one before, or answers too often or seldom."""
-        frames = len(self._sequence.steps)
+        frames = len(self._times_s)
         answers = self._started()
         for at in range(frames):
             try:
@@ -194,7 +207,7 @@ class _CameraFeed:
 
     def _started(self) -> Iterator[TrackedFrame]:
         try:
-            answers = self._named.tracker.follow(self._frames(), self.facts)
+            answers = self._named.tracker.follow(self._frames(), self._facts)
         except (Exception, SystemExit) as error:
             raise self._failed(error, 0) from error
         if not hasattr(answers, "__iter__"):
@@ -213,11 +226,11 @@ class _CameraFeed:
         """The error of a plug-in with the camera and the time; that of a built-in tracker as it is."""
         if self._named.plugin is None:
             return error
-        return ModsimError(f"{failed(self._named.plugin, error)}, camera '{self.facts.name}'{self._when(at)}")
+        return ModsimError(f"{failed(self._named.plugin, error)}, camera '{self._facts.name}'{self._when(at)}")
 
     def _frames(self) -> Iterator[SensedFrame]:
         """The frames of the camera, with arrays of their own, which a tracker may write to."""
-        sensed, times_s = self._sequence.detections, self._sequence.times_s
+        sensed, times_s = self._detections, self._times_s
         edges = np.searchsorted(sensed.frame, np.arange(len(times_s) + 1)).tolist()
         for at, (start, stop) in enumerate(pairwise(edges)):
             self._read += 1
