@@ -27,9 +27,9 @@ if TYPE_CHECKING:  # what a type checker takes; it finds a misspelt name
     from modsim3d.detector.file.reading import load_detector as load_detector
     from modsim3d.detector.model import DetectorModel as DetectorModel
     from modsim3d.detector.truncation import truncated_errors as truncated_errors
-    from modsim3d.formats.labelled_video.detect_truth import TruthResult as TruthResult
-    from modsim3d.formats.labelled_video.detect_truth import detect_truth as detect_truth
-    from modsim3d.formats.labelled_video.detect_truth import labelled_video as labelled_video
+    from modsim3d.formats.detect_truth import TruthResult as TruthResult
+    from modsim3d.formats.detect_truth import detect_truth as detect_truth
+    from modsim3d.formats.detect_truth import labelled_video as labelled_video
     from modsim3d.geometry.kinematics import closest_approach as closest_approach
     from modsim3d.learn.learning import LearnResult as LearnResult
     from modsim3d.learn.learning import learn_detector as learn_detector
@@ -94,7 +94,7 @@ _NAMES = LazyNames(
         "modsim3d.detector.file.reading": "load_detector",
         "modsim3d.detector.model": "DetectorModel",
         "modsim3d.detector.truncation": "truncated_errors",
-        "modsim3d.formats.labelled_video.detect_truth": "TruthResult detect_truth labelled_video",
+        "modsim3d.formats.detect_truth": "TruthResult detect_truth labelled_video",
         "modsim3d.geometry.kinematics": "closest_approach",
         "modsim3d.learn.learning": "LearnResult learn_detector",
         "modsim3d.learn.voyage.learn_voyage": "VoyageResult learn_voyage",

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.formats.labelled_video.detect_truth import detect_truth
-from modsim3d.formats.labelled_video.targets import visible_fractions
+from modsim3d.formats.detect_truth import detect_truth
+from modsim3d.formats.video_targets import visible_fractions
 
 LABELS, DETECTIONS = "evaluation/KITTI/data/gt/label_02", "data/detections/2D"
 RATE_HZ, SIZE_PX = 10.0, (1242, 375)

@@ -178,8 +178,8 @@ def _detect_run(run: Path, out: Path, seed: int | None, workers: WorkerCount, gi
 
 
 def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], horizon: str | None) -> None:
+    from modsim3d.formats.detect_truth import detect_truth
     from modsim3d.formats.labelled import parse_horizon
-    from modsim3d.formats.labelled_video.detect_truth import detect_truth
     from modsim3d.io.input_files import inputs_noted
 
     line = None if horizon is None else parse_horizon(horizon)
@@ -194,7 +194,7 @@ def _detect_truth(truth: Path, out: Path, seed: int, given: Mapping[str, Any], h
 def opened(run: Path | None, truth: Path | None, detections: Path | None, **options: Any) -> Iterator[StoredRun]:
     """The run of a directory, or that of a labelled video and of what a real detector found in it, which is in a folder
     of its own as long as it is used; `options` are those of files. Raises ModsimError if neither or both are given."""
-    from modsim3d.formats.labelled_video.detect_truth import labelled_video
+    from modsim3d.formats.detect_truth import labelled_video
     from modsim3d.io.input_files import inputs_noted
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run

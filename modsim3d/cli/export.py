@@ -9,7 +9,7 @@ from modsim3d.cli import shared
 from modsim3d.cli.shared import flag, option
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
 from modsim3d.core.errors import ModsimError
-from modsim3d.formats.writing.registry import FORMATS
+from modsim3d.formats.writing.export_formats import FORMATS
 
 RERUN = "rerun"
 ExportFormat = Enum("ExportFormat", {name: name for name in (*FORMATS, RERUN)}, type=str)  # type: ignore[misc]
@@ -46,7 +46,7 @@ def export_command(
 
     Example: modsim3d export runs/first --format coco --out exported
     """
-    from modsim3d.formats.writing.request import ExportRequest
+    from modsim3d.formats.writing.export_formats import ExportRequest
     from modsim3d.io.overwrite_guard import claimed, claimed_folders
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.selection import select_cameras

@@ -22,13 +22,11 @@ from modsim3d.cli.export import export_command
 from modsim3d.cli.learn import learn_command
 from modsim3d.cli.learn_voyage import learn_voyage_command
 from modsim3d.cli.report import report_command
-from modsim3d.cli.run import run_command
-from modsim3d.cli.scenes import scenes_command
-from modsim3d.cli.score import score_command
+from modsim3d.cli.run import run_command, scenes_command
 from modsim3d.cli.shared import INTERRUPTED, flag
 from modsim3d.cli.stream import stream_command
 from modsim3d.cli.terminal import check_arguments, lost_output, prepare_output, say, say_error, start_afresh
-from modsim3d.cli.track import track_command
+from modsim3d.cli.track_and_score import score_command, track_command
 from modsim3d.cli.view import view_film_command, view_frame_command, view_map_command, view_sheet_command
 from modsim3d.core.errors import ModsimError
 

@@ -1,4 +1,4 @@
-"""The command `modsim3d run`."""
+"""The commands `modsim3d run` and `modsim3d scenes`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from modsim3d.cli.terminal_tables import print_prose, print_table
 from modsim3d.core.errors import ModsimError
 
 if TYPE_CHECKING:
-    from modsim3d.formats.labelled_video.detect_truth import TruthResult
+    from modsim3d.formats.detect_truth import TruthResult
     from modsim3d.runs.run import RunResult
     from modsim3d.scene.scene import Scene
 
@@ -199,3 +199,29 @@ def _with_picture(folder: Path) -> Iterator[None]:
             raise
         write_difference(error.masks, path)
         raise ModsimError(f"{error}\n  {path} shows the truth, what was drawn, and where they differ") from None
+
+
+# ---- Scenes that can be run ----
+
+
+def scenes_command(json: shared.JsonOption = False) -> None:
+    """List the shipped scenes, and the detection conditions for --state NAME --from conditions.
+
+    Example: modsim3d scenes
+    """
+    from modsim3d.io.validation import CONDITIONS, conditions_in
+    from modsim3d.scene.reading import draws_traffic, shipped_scenes
+
+    console, entries = open_console(), []
+    for name, path in shipped_scenes().items():
+        with path.open(encoding="utf-8") as file:
+            title = file.readline().strip("# \n")
+        drawn = draws_traffic(path)
+        entries.append({"name": name, "title": title, "path": path, "traffic_drawn": drawn})
+        shared.print_line(console, name, "bold")
+        print_prose(console, title, indent=4)
+        shared.print_line(console, f"    traffic: {'drawn from the seed' if drawn else 'this traffic only'}")
+        shared.print_line(console, f"    {path}", "dim")
+    shared.print_line(console, f"--from {CONDITIONS}", "bold")
+    print_prose(console, ", ".join(conditions_in()), indent=4)
+    say_json({"format": 1, "command": "scenes", "scenes": entries, "conditions": list(conditions_in())})

@@ -18,13 +18,12 @@ from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.blocks import Block, CameraBlock, frames_of
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.given_detections import given_detections
+from modsim3d.runs.labelled_frames import given_detections, labelled_truth
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.reading import place_problems
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.sight import Sight
 from modsim3d.truth.analytic import analytic_occlusion, rectangle_occlusion
-from modsim3d.truth.labelled import labelled_truth
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth

@@ -17,7 +17,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams
 from modsim3d.formats.writing.ais.log import EPOCH_S, files, notes, reports, write
 from modsim3d.formats.writing.ais.sensors import stations, stays
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.ais.messages import local_metres

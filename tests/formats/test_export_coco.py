@@ -15,7 +15,7 @@ from pycocotools.cocoeval import COCOeval
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.writing import coco
 from modsim3d.formats.writing.coco import Pixels, mask_entries
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.render.id_pass import Region
 from modsim3d.runs.stored_run import StoredRun
 from tests.formats.exported import exported_run

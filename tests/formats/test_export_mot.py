@@ -14,7 +14,7 @@ from trackers.eval import evaluate_mot_sequences
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing import mot
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.runs.camera_sequences import SequenceTruth
 from modsim3d.runs.stored_run import StoredRun
 from tests.formats.exported import LABELS, STEPS, VESSELS

@@ -15,8 +15,7 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.formats.writing import yolo
 from modsim3d.formats.writing.coco import coco_results
-from modsim3d.formats.writing.registry import FORMATS
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
 from modsim3d.runs.camera_sequences import camera_sequences
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun

@@ -10,9 +10,9 @@ import yaml
 
 import modsim3d
 from modsim3d.core.errors import InputError
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.formats.writing.mcap import FILES, write
 from modsim3d.formats.writing.mcap_messages import stamps_ns
-from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.runs import pipeline
 from tests.cli.bad_input.builders import content
 from tests.formats import bags

@@ -15,7 +15,7 @@ from modsim3d import RunRows, StoredRun, Tracks
 from modsim3d.core.arrays import NOBODY
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.writing import mot
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.tracking.scores.association import clear, hota, identity, sequence
 from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracks.tracks import Similarity

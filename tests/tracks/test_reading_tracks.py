@@ -11,8 +11,8 @@ import yaml
 from modsim3d import track_run
 from modsim3d.core.boxes import centre_form as centred
 from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.formats.writing.mot import files as mot_files
-from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.reading import read_tracks

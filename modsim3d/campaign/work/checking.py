@@ -28,7 +28,7 @@ from modsim3d.campaign.work.scenes import Scenes, checksums, detector_digest, di
 from modsim3d.campaign.work.task import condition_problems, key_readings, tracker_problems
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.text import counted
-from modsim3d.formats.labelled_video.detect_truth import write_labelled_scene
+from modsim3d.formats.detect_truth import write_labelled_scene
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.io.plugins import Plugin, changed_plugins
 from modsim3d.io.validation import nearest, shown

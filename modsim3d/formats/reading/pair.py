@@ -1,6 +1,6 @@
-"""Choice of a reader for a pair of files, or for a file of truth alone."""
+"""Choice of a reader for a pair of files or of folders with a file of each sequence, or for truth alone."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +10,11 @@ from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import number_in
-from modsim3d.formats.labelled import Images, LabelledSet, with_horizon
+from modsim3d.formats.labelled import FileIds, Images, LabelledSet, joined, with_horizon
 from modsim3d.formats.reading.builder import NO_OPTIONS, ReadOptions
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.kitti import chosen_types, is_kitti, read_kitti
 from modsim3d.formats.reading.mot import read_mot
-from modsim3d.formats.reading.sequences import read_sequences, sequence_files
 from modsim3d.formats.reading.yolo import read_yolo
 from modsim3d.io.input_files import read_text
 from modsim3d.io.validation import shown
@@ -168,3 +167,44 @@ def _first_line(path: Path) -> str:
     """First line that is not empty of a text, or of the files of a folder; empty if there is none."""
     texts = (read_text(file, "labels") for file in sequence_files(path))
     return next((line for text in texts for line in text.splitlines() if line.strip()), "")
+
+
+# ---- Folders with a file of each sequence, as KITTI's: one labelled set of all of them ----
+
+Reader = Callable[[str, Path, Path | None, ReadOptions], LabelledSet]
+
+
+def sequence_files(folder: Path) -> list[Path]:
+    """The text files of a folder, in order of their names; a file stands for itself."""
+    return sorted(folder.glob("*.txt")) if folder.is_dir() else [folder]
+
+
+def read_sequences(
+    read: Reader, condition: str, truth: Path, detections: Path | None, options: ReadOptions
+) -> LabelledSet:
+    """Read the files of a folder, each a sequence that is called as its file. Detections are in files of the same
+    names. Tracks of different files are different things: they are called `FILE/TRACK`. If one file counts frames from
+    0, all do. Raises InputError if a file has no detections, or is wrong."""
+    paths, found = sequence_files(truth), {path.name: path for path in sequence_files(detections)} if detections else {}
+    if detections and (missing := [path.name for path in paths if path.name not in found]):
+        told = f"{', '.join(missing[:5])}: no such file, and {truth} has it: without any detections it must be empty"
+        raise InputError(f"detections {detections}", [told])
+    parts = [read(path.stem, path, found.get(path.name), options) for path in paths]
+    if len(firsts := {part.ids.first_frame for part in parts if part.ids}) > 1:
+        options = replace(options, first_frame=0)
+        parts = [read(path.stem, path, found.get(path.name), options) for path in paths]
+    notes = [note for part in parts for note in part.notes]
+    if extra := sorted(found.keys() - {path.name for path in paths}):
+        notes.append(f"{len(extra)} files of detections have no truth and are left out, the first is {shown(extra[0])}")
+    whole = joined(parts)
+    named = [(path.stem, part.ids) for path, part in zip(paths, parts, strict=True) if part.ids is not None]
+    numbers = {name: ids.labels[k] for part in parts if (ids := part.ids) for k, name in enumerate(part.labels)}
+    ids = FileIds(
+        tuple(f"{stem}/{image}" for stem, each in named for image in each.images),
+        tuple(numbers[name] for name in whole.labels),
+        tuple(stem for stem, _ in named),
+        tuple(f"{stem}/{identity}" for stem, each in named for identity in each.identities),
+        min(firsts),
+    )
+    images = replace(whole.images, condition=0 * whole.images.condition, source=0 * whole.images.source)
+    return replace(whole, conditions=(condition,), images=images, notes=tuple(dict.fromkeys(notes)), ids=ids)

@@ -21,7 +21,7 @@ from modsim3d.core.arrays import Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import LabelledSet, written_horizon
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.render.id_pass import IdRenderer, Region
 from modsim3d.runs.camera_sequences import CameraSequence

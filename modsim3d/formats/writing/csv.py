@@ -10,7 +10,7 @@ import pyarrow as pa
 from pyarrow import csv
 
 from modsim3d.core.arrays import Array, Indices
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.geometry.camera import Camera
 from modsim3d.geometry.camera_poses import BASE_R_WORLD, CameraPoses
 from modsim3d.io.atomic_write import write_files

@@ -17,8 +17,8 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import InputError
 from modsim3d.formats.writing import mcap_messages
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.formats.writing.mcap_messages import FrameBoxes, FramePlace, MeasuredMotion, Messages, quaternions
-from modsim3d.formats.writing.request import ExportRequest
 from modsim3d.geometry.camera_poses import camera_R_parent, vehicle_R_nominal, world_R_vehicle
 from modsim3d.geometry.kinematics import first_derivative, slopes
 from modsim3d.io.atomic_write import make_folder, put_in_place

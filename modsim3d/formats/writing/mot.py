@@ -22,7 +22,7 @@ import numpy as np
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import iou, sizes
 from modsim3d.core.errors import OutputError
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.runs.camera_sequences import CameraSequence, SequenceTruth
 from modsim3d.runs.tracker_view import TrackerDetections

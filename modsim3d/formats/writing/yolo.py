@@ -14,7 +14,7 @@ from PIL import Image
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import centre_form
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.io.atomic_write import encoded, make_folder, put_folder_in_place, write_files
 from modsim3d.runs.camera_sequences import CameraSequence
 

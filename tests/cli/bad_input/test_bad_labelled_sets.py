@@ -15,8 +15,8 @@ import pytest
 from PIL import Image
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.formats.labelled_video import targets
-from modsim3d.formats.labelled_video.detect_truth import detect_truth
+from modsim3d.formats import video_targets
+from modsim3d.formats.detect_truth import detect_truth
 from modsim3d.formats.reading import builder
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
@@ -377,7 +377,7 @@ def test_the_truth_is_not_written_over(call: Call, tmp_path: Path) -> None:
 
 
 def test_an_image_of_very_many_boxes_is_refused(refuse_truth: Refuse, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(targets, "MAX_BOXES", 3)
+    monkeypatch.setattr(video_targets, "MAX_BOXES", 3)
     text = "".join(f"2,{track},10,20,30,40,1,1,1\n" for track in range(4))
     refuse_truth(text, KNOWN, "image 'gt frame 2' has 4 boxes, and at most 3 can be compared")
 

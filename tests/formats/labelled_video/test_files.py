@@ -17,10 +17,10 @@ from scipy import stats
 import modsim3d
 from modsim3d.core.errors import ModsimError
 from modsim3d.detector.records import KINDS
-from modsim3d.formats.labelled_video.detect_truth import class_numbers, detect_truth
-from modsim3d.formats.labelled_video.targets import FileClasses, to_labels, visible_fractions
+from modsim3d.formats.detect_truth import class_numbers, detect_truth
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.reading.mot import read_mot
+from modsim3d.formats.video_targets import FileClasses, to_labels, visible_fractions
 from modsim3d.runs import pipeline
 from modsim3d.runs.files.table_columns import BOX_SIDES, ERRORS
 from modsim3d.runs.run import detect_run, run_scene

@@ -7,8 +7,7 @@ import pytest
 from modsim3d import Scene, load_scene, open_run, run_scene
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.labelled_run import labelled_run
-from modsim3d.formats.writing.registry import FORMATS
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
 from modsim3d.runs.streaming.lines import header_line, step_lines
 
 STEPS = 24

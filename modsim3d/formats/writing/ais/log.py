@@ -16,7 +16,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.formats.writing.ais import reporting, sensors
 from modsim3d.formats.writing.ais.sensors import Noise, SensorReadings, Station, Stay, stations
-from modsim3d.formats.writing.request import ExportRequest
+from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.scene.scene import Scene
 

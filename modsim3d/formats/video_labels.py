@@ -11,8 +11,8 @@ from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import InputError
 from modsim3d.formats.labelled import FileIds, LabelledSet
-from modsim3d.formats.labelled_video.targets import TargetBoxes, Video
 from modsim3d.formats.matching import Rule, match
+from modsim3d.formats.video_targets import TargetBoxes, Video
 from modsim3d.world.poses.labelled import (
     REAL,
     GivenDetections,

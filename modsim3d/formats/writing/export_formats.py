@@ -1,16 +1,42 @@
-"""Formats by the name that `modsim3d export --format` takes. To add one, write a module and enter it here."""
+"""Exports: the request of one, and the formats by the name that `modsim3d export --format` takes. To add one, write a
+module and enter it here."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from modsim3d.formats.writing.request import ExportRequest
+if TYPE_CHECKING:  # the command's help shows the formats, and needs no run
+    from modsim3d.runs.camera_sequences import CameraSequence
+    from modsim3d.runs.locating import Attitude
+    from modsim3d.runs.stored_run import StoredRun
+
+
+@dataclass(frozen=True, eq=False)
+class ExportRequest:
+    """A finished run, and which of its cameras are exported."""
+
+    run: StoredRun
+    cameras: tuple[int, ...]  # indices into the scene's cameras, ascending
+    masks: bool = False  # whether the pixels of the vessels are written too
+    attitude: Attitude = "measured"  # of cameras on board: as the inertial unit measures it, or the true one
+
+    @cached_property
+    def sequences(self) -> tuple[CameraSequence, ...]:
+        """The frames of the cameras, with what is true in them and what a tracker may read of them."""
+        from modsim3d.runs.camera_sequences import camera_sequences
+
+        return camera_sequences(self.run, self.cameras)
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Names of the cameras."""
+        return tuple(self.run.scene.cameras[index].name for index in self.cameras)
 
 
 @dataclass(frozen=True)

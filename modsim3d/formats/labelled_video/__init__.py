@@ -1,1 +1,0 @@
-"""The detector over other people's labelled videos."""
