@@ -81,16 +81,13 @@ def test_a_hundred_thousand_seeds_all_alike_give_finite_bounds(stop, clean):
     assert 1 - 2e-4 < low < 1 and high == 1
 
 
-def test_ten_thousand_values_all_alike_give_finite_bounds():
-    for value in (0.0, 0.5, 1.0):
-        low, high = bounds.betting_bounds(np.full(10_000, value), ALPHA)
-        assert low <= value <= high and high - low < 0.05
-
-
-def test_a_mean_close_to_its_greatest_value_needs_as_many_seeds_as_it_says():
+def test_a_mean_close_to_its_greatest_value_needs_as_many_seeds_as_it_says_and_ten_thousand_alike_have_finite_bounds():
     needed = bounds.perfect_seeds_needed(0.99, 0.95)
     enough, fewer = (bounds.betting_bounds(np.ones(count), ALPHA)[0] for count in (needed, needed - 1))
     assert enough >= 0.99 > fewer and math.isinf(bounds.perfect_seeds_needed(1.0, 0.95))
+    for value in (0.0, 0.5, 1.0):
+        low, high = bounds.betting_bounds(np.full(10_000, value), ALPHA)
+        assert low <= value <= high and high - low < 0.05
 
 
 def test_t_bounds_are_those_of_a_textbook_and_no_bound_says_anything_of_equal_values_or_one():
@@ -101,7 +98,14 @@ def test_t_bounds_are_those_of_a_textbook_and_no_bound_says_anything_of_equal_va
     assert bounds.skewed_bounds(np.full(10, 0.1), ALPHA) == bounds.skewed_bounds(np.array([1.0]), ALPHA) == -math.inf
 
 
-LIMITS = (1.0, bounds.VARIATION), (math.inf, bounds.VARIATION), (0.0, bounds.VARIATION_FROM_ZERO)
+def test_a_bound_gains_by_what_the_mean_lacks_to_the_best_value_twice_the_half_width_at_most():
+    half = stats.t.ppf(1 - ALPHA, 399) * 0.2 / 20
+    for lacks, widths in ((0.2, 1 + 1.5 * half / 0.2), (0.001, 2)):
+        low = bounds.corrected_bounds(0.5, 0.2, 0.0, 400, ALPHA, 0.5 + lacks)
+        assert low == pytest.approx(0.5 - widths * half)
+
+
+LIMITS = (1.0, 1.5), (math.inf, 1.5), (0.0, 1.1)
 
 
 @given(st.lists(st.floats(0, 0.9), min_size=3, max_size=40), st.floats(0.01, 0.3), st.sampled_from(LIMITS))
@@ -130,8 +134,6 @@ def test_a_bound_of_skewed_values_errs_as_often_as_it_may_where_t_errs_twice_as_
     half = stats.t.ppf(1 - ALPHA, 19) * values.std(axis=1, ddof=1) / math.sqrt(20)
     assert np.mean(values.mean(axis=1) + half <= 1) > 0.08
     assert np.mean(high <= 1) <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(values))
-    close = bounds.corrected_bounds(0.9, 0.2, 1.0, 400, ALPHA, 0.901)  # to the best value: twice the half-width at most
-    assert close == pytest.approx(0.9 - 2 * stats.t.ppf(1 - ALPHA, 399) * 0.2 / 20)
     few = np.array([[0.2, 0.3, 0.9], [0.5, 0.4, 0.1]])
     assert bounds.skewed_bounds(1e6 * few, ALPHA, 1e6) == pytest.approx(1e6 * bounds.skewed_bounds(few, ALPHA, 1.0))
 
@@ -144,13 +146,9 @@ def test_bounds_that_contradict_each_other_stay_where_they_were_before():
     assert low > high and found.low == low
 
 
-def campaigns(rng, share, seeds, count=400):
-    return rng.random((count, seeds)) < share
-
-
 @pytest.mark.parametrize("share", [0.99, 0.9, 0.5])
 def test_a_sequence_of_a_share_errs_at_most_five_percent_however_often_it_is_looked_at(share):
-    right = campaigns(np.random.default_rng(1), share, 2_000)
+    right = np.random.default_rng(1).random((400, 2_000)) < share
     ever = np.any(bounds.mixture_log_capital(right, share) >= -math.log(ALPHA), axis=1)
     assert ever.mean() <= ALPHA + 3 * math.sqrt(ALPHA * (1 - ALPHA) / len(ever))
 
@@ -158,7 +156,7 @@ def test_a_sequence_of_a_share_errs_at_most_five_percent_however_often_it_is_loo
 def test_99_percent_need_299_clean_seeds_or_473_with_one_failure_and_looking_at_both_errs_more_than_five_percent():
     assert [bounds.clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
     assert bounds.clean_seeds_needed_sequential(0.99, 0.95) == 680
-    right = campaigns(np.random.default_rng(2), 0.99, 473, 20_000)
+    right = np.random.default_rng(2).random((20_000, 473)) < 0.99
     met = [(~right[:, :size]).sum(axis=1) <= failures for size, failures in ((299, 0), (473, 1))]
     once, twice = met[0].mean(), (met[0] | met[1]).mean()
     assert once == pytest.approx(0.05, abs=0.005) and twice == pytest.approx(0.076, abs=0.006)

@@ -56,7 +56,7 @@ def test_a_bound_is_over_the_span_of_differences_and_a_lost_run_of_either_tracke
     values, requirement = values_of(0.0, 100), {**NO_WORSE, "at_least": -0.1}
     met, lost = one(requirement, values), one(requirement, values, crashed)
     assert (met.outcome, lost.outcome, lost.crashed) == ("met", "met", 1)
-    assert "siap_completeness of new minus old at least -0.1" in met.text
+    assert "siap_completeness of new minus old at least -0.1" in met.text and "best possible difference in" in lost.why
     difference = values[:, 1] - values[:, 0]
     for verdict, each in ((met, difference), (lost, np.append(-1.0, difference[1:]))):
         assert verdict.low == pytest.approx(float(skewed_bounds(each, 0.05, 1.0)))

@@ -72,6 +72,8 @@ def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach_and_levels_
     seeds = clean_seeds_needed(0.9, 0.975)
     assert warnings_of(plan_of(seeds, [CLEAN] * 2, level="family")) == []
     assert len(warnings_of(plan_of(seeds - 1, [CLEAN] * 2, level="family"))) == 2
+    assert clean_seeds_needed(0.92, 0.95) == seeds < clean_seeds_needed(0.92, 0.975)  # if the other is met first
+    assert warnings_of(plan_of(seeds, [CLEAN, {**CLEAN, "in": 0.92}], level="family")) == []
     (first, _) = needed_seeds(plan_of(5, [CLEAN] * 2, level="family"), {}, None)
     assert first.seeds == seeds
     levels = levels_of(plan_of(5, [CLEAN] * 4, level="family"))

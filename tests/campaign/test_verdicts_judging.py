@@ -10,14 +10,7 @@ import pytest
 from modsim3d.campaign.verdicts.bounds import perfect_seeds_needed, skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.verdicts.wording import (
-    levels_of,
-    rounded,
-    rounded_down,
-    rounded_up,
-    seeds_needed,
-    warnings_of,
-)
+from modsim3d.campaign.verdicts.wording import levels_of, rounded, rounded_down, rounded_up, seeds_needed, warnings_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
@@ -74,13 +67,16 @@ VERDICTS = {
     "equal values prove nothing of a mean": Case(HOTA, [0.7] * 50, "undecided", why=("`in`",)),
     "a crashed run counts as wrong and never drops out": Case(
         CLEAN, [0] * 299, "undecided", {"seeds": 299, "crashed": 1, "estimate": 298 / 299}, crashed={7}),
-    "a mean holds with the worst value for a crashed run": Case(HOTA, around(0.7), "met", crashed=range(1)),
+    "a mean holds with the worst value for a crashed run": Case(
+        HOTA, around(0.7), "met", why=("1 run crashed: the bounds take the worst and the best possible score in",),
+        crashed=range(1)),
     "a mean does not hold with the worst value for 30": Case(HOTA, around(0.7), "undecided", crashed=range(30)),
     "a mean fails with the best value for crashed runs": Case(HOTA, around(0.5), "failed", crashed=range(2)),
     "a mean does not fail with the best value for 30": Case(HOTA, around(0.5), "undecided", crashed=range(30)),
     **{f"every run of {seeds} crashed: {requirement}": Case(
         requirement, [np.nan] * seeds, "failed", {"estimate": None}, (f"no run has {requirement['score']}",),
         range(seeds)) for requirement in (HOTA, GOSPA, LEAST) for seeds in (1, 12)},
+    "every run with something to score crashed": Case(HOTA, [np.nan, np.nan], "failed", {"undefined": 1}, crashed=[0]),
     **{f"an infinite value makes a mean infinite and is not dropped: {side}": Case(
         {"score": "gospa", **side}, [1.1, np.inf, 1.2, np.inf, 1.0, 1.3], outcome,
         {"estimate": np.inf, "seeds": 6, "high": None}, ("the mean is ∞",))
@@ -183,19 +179,26 @@ def test_levels_are_told_of_one_verdict_of_two_and_of_a_family():
     assert of_mean[0].endswith("looked at once, of means as far as it was measured.") and "is no proof" in of_mean[1]
 
 
-def test_what_a_plan_can_never_meet_is_said_of_the_side_that_is_asked():
-    def reason(requirement, seeds=20, **keys):
-        return " ".join(warnings_of(plan_of(seeds, [{"score": "hota", **requirement}], **keys)))
+def test_what_a_plan_can_never_meet_is_said_before_it_starts_and_of_the_side_that_is_asked():
+    def warned(seeds, requirement, **keys):
+        (said,) = warnings_of(plan_of(seeds, [{"score": "hota", **requirement}], **keys)) or [""]
+        return said
 
-    assert "no number of runs shows that a mean is the greatest possible value" in reason({"at_least": 1.0})
-    assert "no number of runs shows that a mean is the least possible value" in reason({"at_most": 0.0})
-    assert "the lower bound of a mean of hota needs" in reason({"at_least": 0.5}, 1)
-    assert "the upper bound of a mean of hota needs" in reason({"at_most": 0.5}, 1)
+    assert "299 traffic seeds that are all right, or 473 if one is not, and has 298" in warned(298, CLEAN)
+    assert "680" in warned(679, CLEAN, stop="sequential")
+    assert warned(299, CLEAN) == warned(680, CLEAN, stop="sequential") == ""
+    assert warned(50, {"at_least": 1.2}) and warned(1, HOTA)
+    assert TOO_FEW in warned(50, {"score": "id_switches", "at_most": 0})
+    assert "over all detectors that the labelled set allows" in warned(50, HOTA, uncertainty="learned")
+    assert warned(50, {**HOTA, "in": 0.9}, uncertainty="learned") == ""
+    for side, best, end, bound in (("at_least", 1.0, "greatest", "lower"), ("at_most", 0.0, "least", "upper")):
+        assert f"no number of runs shows that a mean is the {end} possible value" in warned(20, {side: best})
+        assert f"the {bound} bound of a mean of hota needs" in warned(1, {side: 0.5})
     for requirement, share in (({"at_least": 0.9}, 0.9), ({"at_most": 0.1}, 0.9), ({"at_most": 0.6}, 0.4)):
         needed = int(perfect_seeds_needed(share, 0.95))
         said = f"it needs {needed} traffic seeds even if every score is perfect, and has {needed - 1}"
-        assert said in reason(requirement, needed - 1, **SEQUENTIAL)
-        assert reason(requirement, needed, **SEQUENTIAL) == ""
+        assert said in warned(needed - 1, requirement, **SEQUENTIAL)
+        assert warned(needed, requirement, **SEQUENTIAL) == ""
 
 
 def test_numbers_have_four_digits_and_bounds_are_rounded_away_from_what_they_bound():
@@ -204,6 +207,7 @@ def test_numbers_have_four_digits_and_bounds_are_rounded_away_from_what_they_bou
         (120.0, "120", "120", "120"),
         (1.23456, "1.234", "1.235", "1.235"),
         (-1.23456, "-1.235", "-1.235", "-1.234"),
+        (1.2340000001, "1.234", "1.234", "1.235"),  # more than rounding above
         (0.0123456, "0.01234", "0.01235", "0.01235"),
         (0.999951234, "0.99995123", "0.99995123", "0.99995124"),  # of what it lacks to 1
         (0.3 - 0.1, "0.2", "0.2", "0.2"),  # a hair below
@@ -235,8 +239,9 @@ def test_a_requirement_that_no_tracks_at_all_would_meet_says_so(requirement, sai
     """In each run there are 10 vessel-frames in 10 frames: without tracks GOSPA is half of its cutoff, 100 px."""
     row = {"frames": 10, "true_positives": 8, "misses": 2, "appearances": 2, "id_switches": 0, "false_track_s": 1.0}
     table = table_of_runs({**row, "gospa": 9.0 + run, "mota": 0.7 + run / 100} for run in range(6))
-    (verdict,) = judged(plan_of(6, [requirement]), table)
-    assert verdict.met_without_tracks == said == ("No tracks at all would meet it too" in verdict.why)
+    for seeds in (1, 6):
+        (verdict,) = judged(plan_of(seeds, [requirement]), table.slice(0, seeds))
+        assert verdict.met_without_tracks == said == ("No tracks at all would meet it too" in verdict.why)
 
 
 def test_each_tracker_and_each_condition_has_a_verdict_and_drawn_values_split_nothing():
@@ -260,7 +265,7 @@ def test_levels_leave_out_a_bound_that_says_nothing_and_are_never_a_probability_
     assert any("Of the 21 verdicts up to 1.05 are wrong on average" in each for each in said[21])
     assert not [each for count in (20, 21) for each in said[count] if "100 %" in each or "one or more" in each]
     first, *_, last = said[20]
-    assert "as far as it was measured" in first and "`in` is exact there too" in last
+    assert "as far as it was measured" in first and last.endswith("`in` is exact there too.")
 
 
 def test_rows_behind_a_missing_one_do_not_count_and_a_crashed_run_rests_on_nothing():
@@ -269,20 +274,6 @@ def test_rows_behind_a_missing_one_do_not_count_and_a_crashed_run_rests_on_nothi
     assert judged(plan, pa.concat_tables([table.slice(0, 5), table.slice(6)]))[0].seeds == 5
     values, share = np.array([[1.0], [np.nan], [2.0]]), np.array([[0.8], [np.nan], [0.4]])
     assert Runs(values, np.isnan(values), np.zeros((3, 1), dtype=bool), share).rests_on == pytest.approx(0.4)
-
-
-def test_a_plan_that_is_too_small_is_said_so_before_it_starts():
-    def warned(seeds, requirement, **keys):
-        (said,) = warnings_of(plan_of(seeds, [requirement], **keys)) or [""]
-        return said
-
-    assert "299 traffic seeds that are all right, or 473 if one is not, and has 298" in warned(298, CLEAN)
-    assert "680" in warned(679, CLEAN, stop="sequential")
-    assert warned(299, CLEAN) == warned(680, CLEAN, stop="sequential") == ""
-    assert warned(50, {"score": "hota", "at_least": 1.2}) and warned(1, HOTA)
-    assert TOO_FEW in warned(50, {"score": "id_switches", "at_most": 0})
-    assert "over all detectors that the labelled set allows" in warned(50, HOTA, uncertainty="learned")
-    assert warned(50, {**HOTA, "in": 0.9}, uncertainty="learned") == ""
 
 
 @pytest.mark.parametrize("stop", ["once", "sequential"])
@@ -296,10 +287,11 @@ def test_a_mean_at_the_end_of_its_score_and_a_value_beyond_it_can_never_be_met(r
 
 
 def test_the_seeds_between_two_measured_confidences_are_those_that_both_need(monkeypatch):
-    offers = {"confidences": [0.9, 0.95, 0.99], "seeds": {"hota": {"low": [3, 20, 10], "high": [3, None, 3]}}}
+    seeds = {"hota": {"low": [3, 20, 10, 30], "high": [3, None, 3, 3]}}
+    offers = {"confidences": [0.9, 0.95, 0.99, 0.999], "seeds": seeds}
     monkeypatch.setattr("modsim3d.campaign.verdicts.wording.measured_offers", lambda: offers)
-    found = [seeds_needed("hota", "low", each) for each in (0.89, 0.9, 0.92, 0.95, 0.97, 0.99, 0.995)]
-    assert found == [np.inf, 3, 20, 20, 20, 10, np.inf]
+    found = [seeds_needed("hota", "low", each) for each in (0.89, 0.9, 0.92, 0.95, 0.97, 0.99, 0.995, 0.9995)]
+    assert found == [np.inf, 3, 20, 20, 20, 10, 30, np.inf]
     assert seeds_needed("hota", "high", 0.92) == seeds_needed("loca", "low", 0.95) == np.inf
 
 
