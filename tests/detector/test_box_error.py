@@ -20,6 +20,7 @@ from tests.detector import detector_builders as build
 
 SEEN = {"confusion": build.ALL_SEEN, "false_discovery_rate": 0}
 THESIS = build.box_error(build.MEAN_PX, build.COVARIANCE_PX2)
+HEAVY = THESIS | {"law": "student_t", "degrees_of_freedom": 6.0}
 
 
 def source_of(error: dict[str, Any]) -> BoxErrorSource:
@@ -41,12 +42,6 @@ def test_small_boxes_never_degenerate_and_are_redrawn_as_often_as_the_normal_say
     assert abs(found.redrawn.mean() - p) < 4 * np.sqrt(p * (1 - p) / len(found))
     e_w, std = found.errors_px[:, 2], np.sqrt(build.COVARIANCE_PX2[2][2])
     assert e_w.min() >= -19 and e_w.mean() > build.MEAN_PX[2] + 100 * std / np.sqrt(len(e_w)), "wider than asked"
-
-
-def test_redrawn_errors_have_the_truncated_normal_distribution() -> None:
-    error = build.box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
-    e_w = misplaced(build.centred(11, 100), error, frames=2000, vessels=10).errors_px[:, 2]
-    assert stats.kstest(e_w, stats.truncnorm(-10 / 20, np.inf, scale=20).cdf).pvalue > 1e-4
 
 
 def test_a_detector_without_errors_gives_the_truth_exactly_or_the_pixel_that_a_thinner_box_is_in() -> None:
@@ -107,9 +102,9 @@ def one_at_a_time(source: BoxErrorSource, true: TrueBoxes, row: int) -> np.ndarr
             return error[0]
 
 
-@pytest.mark.parametrize("law", [{}, {"law": "student_t", "degrees_of_freedom": 6.0}], ids=["normal", "student_t"])
-def test_all_boxes_at_once_have_the_redrawn_errors_of_one_at_a_time(law: dict[str, Any]) -> None:
-    source, steps, vessels = source_of(THESIS | law), 40, 25
+@pytest.mark.parametrize("error", [THESIS, HEAVY], ids=["normal", "student_t"])
+def test_all_boxes_at_once_have_the_redrawn_errors_of_one_at_a_time(error: dict[str, Any]) -> None:
+    source, steps, vessels = source_of(error), 40, 25
     low = np.random.default_rng(1).uniform(0, np.array(build.IMAGE_PX) - 4, (steps, vessels, 2))
     targets = build.make_targets(np.concatenate([low, low + 3], axis=-1))
     true = TrueBoxes.of(build.make_frames(steps, first_step=9), np.zeros(steps, dtype=np.int64), targets)
@@ -175,20 +170,24 @@ BOXES = [
 ]
 
 
-@pytest.mark.parametrize("box_px", BOXES)
-def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
-    found, sampling = misplaced(box_px, THESIS, 2000, 10), 4 / np.sqrt(20_000)
-    asked = truncated_errors(source_of(THESIS), 0, np.array([box_px]), build.IMAGE_PX)
+@pytest.mark.parametrize(("error", "box_px", "stray"), [
+    *((THESIS, box_px, 0.02) for box_px in BOXES), *((HEAVY, box_px, 0.06) for box_px in BOXES[:3:2]),
+])  # fmt: skip
+def test_truncated_moments_are_those_of_what_the_detector_draws(error, box_px, stray) -> None:
+    found, sampling = misplaced(box_px, error, 2000, 20), 4 / np.sqrt(40_000)
+    asked = truncated_errors(source_of(error), 0, np.array([box_px]), build.IMAGE_PX)
     std = np.sqrt(np.diag(asked.covariances()[0]))
     assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < (0.02 + sampling) * std)
-    assert np.all(np.abs(found.errors_px.std(axis=0) / std - 1) < 0.02 + sampling)
-    assert abs(found.redrawn.mean() - (1 - asked.accepted[0])) < 0.01 + sampling
+    assert np.all(np.abs(found.errors_px.std(axis=0) / std - 1) < stray + sampling)  # heavy tails stray farther
+    assert abs(found.redrawn.mean() - (1 - asked.accepted[0])) < 0.015
 
 
-def test_truncated_moments_are_the_one_sided_normals_and_those_of_the_file_for_large_boxes() -> None:
+def test_redrawn_errors_and_truncated_moments_are_the_one_sided_normals_and_those_of_the_file_for_large_boxes() -> None:
     error = build.box_error([0, 0, 0, 0], np.diag([1.0, 1.0, 400.0, 1.0]))
     found = truncated_errors(source_of(error), 0, np.array([build.centred(11, 100)]), build.IMAGE_PX)
     law = stats.truncnorm(-10 / 20, np.inf, scale=20)
+    drawn = misplaced(build.centred(11, 100), error, frames=2000, vessels=10).errors_px[:, 2]
+    assert stats.kstest(drawn, law.cdf).pvalue > 1e-4
     assert abs(found.means[0, 2] - law.mean()) < 0.02 * law.std()
     assert abs(np.sqrt(found.covariances()[0, 2, 2]) / law.std() - 1) < 0.02
     assert abs(found.accepted[0] - stats.norm.sf(-0.5)) < 2e-3
@@ -250,3 +249,8 @@ def test_boxes_far_from_their_bounds_have_the_bits_of_the_plain_way(monkeypatch,
         np.testing.assert_array_equal(part.errors, other.errors)
         np.testing.assert_array_equal(part.weights, other.weights)
     assert any(0 < share < 1 for share in far)
+    # A box 100 px wide is gone at a growth of −99 px: given −50 to 50 px, one end is near.
+    wide, growth, given = np.array([[400.0, 400, 500, 500]]), np.zeros((1, 1)), np.array([[-50.0, 50.0]])
+    near, away = (plain(2, wide, images[:1], growth, part * given, np.full((1, 2), 5.0)) for part in (1, 0.2))
+    assert away and not near
+    assert not truncation._uniforms(4, POINTS, 0, 2).flags.writeable  # kept for the next call

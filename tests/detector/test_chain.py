@@ -98,8 +98,8 @@ def test_every_column_fits_the_others_and_states_differ_in_their_confidence() ->
     targets = scattered_targets()
     found = build.run(build.detector_data(), build.make_frames(STEPS), targets)
     false = found.kind == FALSE_POSITIVE
-    assert np.all(found.target[false] == -1) and np.all(np.isnan(found.errors_px[false]))
-    assert not found.redrawn[false].any() and not np.isnan(found.errors_px[~false]).any()
+    assert np.all(found.target[false] == -1) and np.all(np.isnan(found.errors_px) == false[:, None])
+    assert found.redrawn.dtype == bool and not found.redrawn[false].any()
     assert np.array_equal(targets.frame[found.target[~false]], found.frame[~false])
     assert len(np.unique(found.target[~false])) == np.sum(~false) and found.states.shape == (STEPS,)
     state = found.states[found.frame]
@@ -156,8 +156,6 @@ def test_a_camera_with_fewer_frames_sees_in_each_what_one_with_all_of_them_sees(
 
 
 SAMPLE_FRAMES, SAMPLE_VESSELS = 10_000, 20
-
-
 LABEL = np.arange(SAMPLE_VESSELS) % 2
 
 

@@ -65,10 +65,9 @@ def test_calibrated_sizes_come_from_the_vessels_of_the_same_frame_and_say_nothin
         assert abs(found.label[rows].mean() - 0.75) < 4 * np.sqrt(0.75 * 0.25 / rows.sum())
 
 
-@pytest.mark.parametrize(
-    ("n", "rate", "trials"),
-    [(20, 0.5, 10), (28, 0.2, 5), (5, 0.4, 2), (1, 0.1, 0), (5, 0.1, 0)],  # 0.1 · 5 − 0.2 rounds to no trial at all
-)
+@pytest.mark.parametrize(("n", "rate", "trials"), [
+    (20, 0.5, 10), (28, 0.2, 5), (5, 0.4, 2), (1, 0.1, 0), (5, 0.1, 0),  # 0.1 · 5 − 0.2 rounds to no trial at all
+])  # fmt: skip
 def test_thesis_counts_are_binomial_in_the_rounded_rule(n: int, rate: float, trials: int) -> None:
     """Jessen & Mohr (2023), eq. 7.35."""
     found = detected("thesis", rate, build.same_boxes(3000, n, BOX))

@@ -9,7 +9,7 @@ import pytest
 from scipy import integrate, optimize, stats
 
 from modsim3d.detector import confidence
-from modsim3d.detector.confidence import PrecisionRecall, QuantileScores
+from modsim3d.detector.confidence import PrecisionRecall, QuantileScores, StateConfidence
 from modsim3d.detector.records import Detections, Targets
 from tests.detector import detector_builders as build
 
@@ -90,6 +90,13 @@ def test_confidence_falls_with_each_halving_of_the_detectors_own_box_below_the_r
     np.testing.assert_allclose(found.confidence, 0.9 - 0.1 * np.log2(1024 / np.sqrt(120 * 80)))
 
 
+def test_confidence_is_its_laws_without_slopes_and_sizes_have_a_reference_of_64_px() -> None:
+    law, side_px = QuantileScores(np.array([0.9, 0.9])), np.array([16.0, 32.0, 64.0, 128.0])
+    for slope, lost in (({}, 0), ({"size_slope": 0.1}, [0.2, 0.1, 0, 0])):
+        scores = StateConfidence(law, law, **slope).score(np.full(4, 0.5), side_px < 0, np.full(4, 0.5), side_px)
+        np.testing.assert_allclose(scores, 0.9 - np.array(lost))
+
+
 def test_curves_that_no_detector_can_have_fall_between_two_recalls() -> None:
     assert all(PrecisionRecall.through(points).falls() is None for points in CURVES.values())
     curve = PrecisionRecall.through([[0.4, 0.3], [0.5, 0.9]])
@@ -121,7 +128,7 @@ LAWS = [(0.6, 0.2, 0.2), (0.9, 0.3, 0.1), (0.1, 0.15, 0.3), (1.4, 0.5, 0.05), (-
 def test_law_has_the_ends_and_the_moments_of_the_clipped_normal(mean, std, threshold):
     (nodes,), (probabilities,) = confidence.clipped_laws(np.array([mean]), std, threshold)
     normal = stats.norm(mean, std)
-    assert (nodes[0], nodes[-1]) == (threshold, 1.0)
+    assert (nodes[0], nodes[-1]) == (threshold, 1.0) and np.all(np.diff(nodes) >= 0)
     assert probabilities[[0, -1]] == pytest.approx([normal.cdf(threshold), normal.sf(1)], rel=1e-12, abs=1e-300)
     assert probabilities.sum() == pytest.approx(1, abs=1e-12)
     for power in (1, 2, 3):

@@ -12,6 +12,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import target_statistics, used_models
 from modsim3d.detector.classification import ConfusionClassifier
 from modsim3d.detector.draws import select
+from modsim3d.detector.dropout import anchor, size_px
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import with_miss_rate
 from modsim3d.detector.records import TRUE, CameraFrames, Detections, Gates, Targets
@@ -33,11 +34,14 @@ LOGISTIC = {
 TABLE = {"model": "table", "size_px": {"edges": [20, 60], "odds": [4, 2, 1]}}
 
 
+def targets_of(side: np.ndarray) -> Targets:
+    boxes = np.concatenate([1000 - side, 1000 - side / 2, 1000 + side, 1000 + side / 2], axis=-1)
+    return make_targets(boxes, np.arange(side.shape[1]) % 2)
+
+
 def varied_targets(frames: int = FRAMES) -> Targets:
     random = np.random.default_rng(1)
-    side = 2 ** random.uniform(2, 9, (frames, VESSELS, 1))
-    boxes = np.concatenate([1000 - side, 1000 - side / 2, 1000 + side, 1000 + side / 2], axis=-1)
-    targets = build.make_targets(boxes, np.arange(VESSELS) % 2)
+    targets = targets_of(2 ** random.uniform(2, 9, (frames, VESSELS, 1)))
     depths, seen = 10 ** random.uniform(1, 3.3, len(targets)), random.uniform(0, 1, len(targets))
     return dataclasses.replace(targets, visible_fraction=seen, depth_m=depths)
 
@@ -125,6 +129,8 @@ def test_effects_of_nothing_and_of_unknown_visibility_leave_the_chain_as_it_is_a
     ):
         found = build.run(model_data(dropout={"model": "logistic"} | effect), frames, targets)
         assert np.array_equal(labels_of(found, targets), labels_of(build.run(model_data(), frames, targets), targets))
+    assert size_px(build.make_targets([[[0, 0, 0.25, 400], [0, 0, 0.5, 0.5]]])).tolist() == [10, 1]
+    assert anchor(0.0, np.ones(3), np.ones(3)) == anchor(1.0, np.ones(3), np.ones(3)) == 0  # which nothing changes
     thin = build.steady_targets(5, 1, [10, 10, 10, 10.5])
     thin.depth_m[:] = -3  # and near
     assert len(build.run(model_data(dropout=LOGISTIC), build.make_frames(5), thin).gated) == 5
@@ -212,24 +218,19 @@ def own_data(**dropout: Any) -> dict[str, Any]:
 
 def scene(frames: int = SCENE_FRAMES) -> tuple[CameraFrames, Targets]:
     random = np.random.default_rng(1)
-    side = 2 ** random.uniform(3, 8, (frames, SCENE_VESSELS, 1))
-    boxes = np.concatenate([1000 - side, 1000 - side / 2, 1000 + side, 1000 + side / 2], axis=-1)
-    targets = make_targets(boxes, np.arange(SCENE_VESSELS) % 2)
+    targets = targets_of(2 ** random.uniform(3, 8, (frames, SCENE_VESSELS, 1)))
     return make_frames(frames), dataclasses.replace(targets, depth_m=random.uniform(50, 400, len(targets)))
 
 
 def added_log_odds(targets: Targets, per_m: Any) -> np.ndarray:
     """What size and distance add, by hand."""
-    side = np.sqrt(np.prod(sizes(targets.boxes_px), axis=1))
-    return -0.5 * np.log2(side / 50) + per_m * (targets.depth_m - 200)
+    return -0.5 * np.log2(sides_of(targets) / 50) + per_m * (targets.depth_m - 200)
 
 
 def test_misses_follow_the_distance_as_each_state_says() -> None:
     frames, targets = scene()
     found = run(own_data(), frames, targets)
-    missed = np.ones(len(targets), dtype=bool)
-    missed[found.target[found.kind == TRUE]] = False
-    state = found.states[targets.frame]
+    missed, state = labels_of(found, targets) < 0, found.states[targets.frame]
     usual = special.logit(np.array([[0.2, 0.3], [0.4, 0.4]])[state, targets.label])
     rate = special.expit(usual + added_log_odds(targets, np.where(state == FOG_STATE, 0.03, 0.002)))
     for number in range(2):
@@ -297,26 +298,19 @@ def test_a_state_may_be_the_only_one_with_effects() -> None:
     assert all_bytes(own) != all_bytes(run(detector_data(), frames, targets))
 
 
-@pytest.mark.parametrize(
-    ("dropout", "fog", "message"),
-    [
-        ({}, {"distanc_m": FOG}, "states.fog.dropout.distanc_m: unknown key (did you mean 'distance_m'?)"),
-        ({}, {"model": "table"}, "states.fog.dropout.model: unknown key"),
-        ({}, {"distance_m": {"per_unit": 1}}, "states.fog.dropout.distance_m: give exactly one of per_unit and"),
-        ({}, FOG_TABLE, "states.fog.dropout: distance_m: model logistic needs per_unit or per_doubling, and reference"),
-        (NONE, OWN, "states.fog.dropout: model confusion has no distance_m: choose model logistic or table"),
-        ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, partly_hidden"),
-        ({"intercept": [0.1]}, OWN, "has 1 entries, must have one for each of the labels"),
-        (INTERCEPT | {"anchor": "state_rate"}, OWN, "dropout.intercept: anchor state_rate holds"),
-        (
-            {"partly_hidden": {"per_doubling": 1, "reference": 1}},
-            OWN,
-            "partly_hidden: is 0 or 1, which nothing doubles",
-        ),
-        ({"learned_log_odds": [[0.0], [0.0]]}, OWN, "learned_log_odds goes with an intercept"),
-        (NONE | INTERCEPT, {}, "has no intercept"),
-    ],
-)
+@pytest.mark.parametrize(("dropout", "fog", "message"), [
+    ({}, {"distanc_m": FOG}, "states.fog.dropout.distanc_m: unknown key (did you mean 'distance_m'?)"),
+    ({}, {"model": "table"}, "states.fog.dropout.model: unknown key"),
+    ({}, {"distance_m": {"per_unit": 1}}, "states.fog.dropout.distance_m: give exactly one of per_unit and"),
+    ({}, FOG_TABLE, "states.fog.dropout: distance_m: model logistic needs per_unit or per_doubling, and reference"),
+    (NONE, OWN, "states.fog.dropout: model confusion has no distance_m: choose model logistic or table"),
+    ({"size_px": None}, {}, "dropout: model logistic needs at least one of visible_fraction, partly_hidden"),
+    ({"intercept": [0.1]}, OWN, "has 1 entries, must have one for each of the labels"),
+    (INTERCEPT | {"anchor": "state_rate"}, OWN, "dropout.intercept: anchor state_rate holds"),
+    ({"partly_hidden": {"per_doubling": 1, "reference": 1}}, OWN, "partly_hidden: is 0 or 1, which nothing doubles"),
+    ({"learned_log_odds": [[0.0], [0.0]]}, OWN, "learned_log_odds goes with an intercept"),
+    (NONE | INTERCEPT, {}, "has no intercept"),
+])  # fmt: skip
 def test_a_bad_effect_or_intercept_is_told_with_its_path(dropout, fog, message):
     with pytest.raises(InputError) as error:
         parse_detector(data_with({"size_px": SIZE, **dropout}, fog))

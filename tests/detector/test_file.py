@@ -27,8 +27,6 @@ SLOPE = {"per_doubling": 1, "reference": 50}
 GROWTH = {"unit": "mixed", "mean": [0] * 4, "covariance": [[0] * 4] * 4, "growth": [0, 0.1, 0, 0]}
 INDEFINITE = np.diag([4.0, 9.0, 1.0, 1.0])
 INDEFINITE[2, 3] = INDEFINITE[3, 2] = 3.0  # eigenvalues 4 and −2
-
-
 CLUTTER_OFF = {"model": "calibrated", "placement": "uniform", "size": {"model": "truth"}}
 OFF = {
     **{"dropout": {"model": "confusion", "anchor": "state_rate"}, "gates": {}},
@@ -130,11 +128,7 @@ BAD = [
     ("false_positives", {"model": "calibrated", "placement": "density"}, "goes with placement density"),
     ("false_positives", {"model": "calibrated", "density": [[1], [1, 2]]}, "must have rows of one length"),
     ("false_positives", {"model": "calibrated", "density": [[0, 0]]}, "must have a weight above 0"),
-    (
-        "false_positives",
-        {"model": "calibrated", "size": {"model": "fixed"}},
-        "px [width, height] goes with model fixed",
-    ),
+    ("false_positives", {"model": "calibrated", "size": {"model": "fixed"}}, "px [width, height] goes with model f"),
     ("false_positives", {"model": "calibrated", "duplicates": 0.3}, "may make 0.3: lower them, or choose per_image"),
     ("false_positives", {"model": "calibrated", "persistence": {"lifetime_s": 0}}, "greater than or equal to 0.01"),
     ("states.fog.false_positives_per_image", 1, "model calibrated has none"),
@@ -162,11 +156,7 @@ BAD = [
     (SHARE, {"shares": [0.4], "times_s": [0]}, "times_s"),
     ("persistence", {"score": {"vessel_share": 0.3}, "confidence_s": 1.0}, "confidence_s: with a score"),
     ("persistence", {"box": MEMORY, "box_s": 1.0}, "with a memory of each component, box, leave them out"),
-    (
-        BOX,
-        MEMORY | {"vessel_share": [0.5, 0.1]},
-        "vessel_share has 2 numbers, must have one each for e_x, e_y, e_w, e_h",
-    ),
+    (BOX, MEMORY | {"vessel_share": [0.5, 0.1]}, "vessel_share has 2 numbers, must have one each for e_x, e_y, e_w, e"),
     (BOX, MEMORY | {"shares": [[0.1] * 4, [0.1] * 5]}, "shares has 4 numbers"),
     (BOX, MEMORY | {"times_s": [1.0]}, "has 2 lists of shares and 1 times_s"),
     (BOX, MEMORY | {"vessel_share": [0.9, 0, 0, 0, 0]}, "of a component sum to 1.7, must not exceed 1"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
+from modsim3d.detector import persistence
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import TRUE, Detections, Targets
 from modsim3d.scene.reading import load_scene
@@ -94,14 +95,29 @@ def test_what_a_vessel_keeps_is_its_own_whoever_else_is_there_and_however_a_run_
         ours = (whole.kind == TRUE) & (whole.target % 20 == 0)
         for name in ("errors_px", "confidence"):
             np.testing.assert_array_equal(getattr(whole, name)[ours], getattr(alone, name)[alone.kind == TRUE])
+    sure = build.by_frame(whole, whole.confidence, FRAMES, 20)  # as its score is, which correlates by 0.8
+    both = ~np.isnan(sure[1:] + sure[:-1])
+    assert np.corrcoef(sure[1:][both], sure[:-1][both])[0, 1] > 0.5
 
 
-def test_what_is_never_missed_stays_so_and_without_shares_nothing_changes() -> None:
-    found = detect(keeping({"class_vessel_share": 0.9}, confusion=build.ALL_SEEN), seen(40))
-    assert (found.kind == TRUE).sum() == 40 * FRAMES
+def test_what_is_never_missed_stays_so_and_without_shares_nothing_changes(monkeypatch) -> None:
+    for mixed in (persistence.with_share, lambda share, kept, varying: np.full_like(kept, 40.0)):  # of probability 1
+        monkeypatch.setattr(persistence, "with_share", mixed)
+        found = detect(keeping({"class_vessel_share": 0.9}, confusion=build.ALL_SEEN), seen(40))
+        assert (found.kind == TRUE).sum() == 40 * FRAMES
+    monkeypatch.undo()
     times_s, none = {"class_s": TAU_S, "box_s": TAU_S}, {"class_vessel_share": 0.0, "box_vessel_share": 0.0}
     plain, off = (detect(keeping(each), seen(40)) for each in (times_s, times_s | none))
     assert build.all_bytes(plain) == build.all_bytes(off)
+
+
+def test_a_memory_is_as_long_as_its_longest_part_and_endless_where_vessels_keep_a_share() -> None:
+    shares, times_s = (0.2, 0.4), (0.3, 0.8)
+    for kept, memory_s in ((0.0, 0.8), (0.1, persistence.NEVER_CHANGES_S)):
+        box = persistence.BoxMemory(np.full(5, kept), np.tile(shares, (5, 1)).T, np.array(times_s))
+        assert persistence.LatentScore(kept, shares, times_s).memory_s == box.memory_s == memory_s
+    none = persistence.Persistence()
+    assert none.class_memory_s == none.box_memory_s == persistence.LatentScore(0.0).memory_s == 0
 
 
 MEMORY = {

@@ -7,7 +7,8 @@ import pytest
 
 from modsim3d.core.boxes import sizes, unions
 from modsim3d.detector import records
-from modsim3d.detector.merges_and_splits import MergesAndSplits
+from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.merges_and_splits import MergesAndSplits, halves
 from modsim3d.detector.records import Detections, Targets
 from tests.detector import detector_builders as build
 
@@ -56,6 +57,8 @@ def test_the_false_discovery_rate_counts_second_boxes(rate: float) -> None:
     n_true = np.sum(~found.false())
     error = np.sqrt(n_true * rate / (1 - rate)) * n_true / len(found) ** 2
     assert abs(found.false().mean() - rate) < 4 * error
+    thesis = build.one_state_data(false_discovery_rate=0.05) | {"false_positives": keys | {"model": "thesis"}}
+    assert parse_detector(thesis).merges_and_splits.duplicates == 0.1  # whose rule counts no second boxes
 
 
 def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
@@ -73,6 +76,9 @@ def test_split_boxes_are_the_two_parts_of_a_long_vessels_box() -> None:
     assert not np.any(found.kind[found.target == 1] == records.SPLIT)
     from_4 = MergesAndSplits(split_aspect=4.0).looks_long(np.array([[0.0, 0, w, 10] for w in (39, 40, 41)]))
     assert from_4.tolist() == [False, True, True]
+    assert parse_detector(build.one_state_data()).merges_and_splits == MergesAndSplits()
+    larger, smaller = halves(np.array([[0.0, 0, 8, 2]]), np.array([0.5]))
+    assert (larger.tolist(), smaller.tolist()) == ([[0, 0, 4, 2]], [[4, 0, 8, 2]])
 
 
 def test_a_merged_box_is_around_two_vessels_and_counts_for_both() -> None:

@@ -1,14 +1,15 @@
 """Every model of every part is registered once; `verify` and `learn` treat it or say that they do not."""
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 import pytest
 
 from modsim3d.core.arrays import Array
 from modsim3d.detector.chain import MODELS, DetectorPart, model_name, used_models
-from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveRates, FrameCounts, PerImage
+from modsim3d.detector.draws import Normal, StudentT
+from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, FalsePositiveRates, FrameCounts, PerImage, RateKey
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.learn.learned import LEARNERS, models_and_learners
 from modsim3d.verify.evidence import CameraEvidence, Evidence
@@ -21,8 +22,6 @@ DRAWING = {
     **{DetectorPart.STATE: ("at",), DetectorPart.CLASS: ("classify", "of"), DetectorPart.BOX_ERROR: ("scales",)},
     **{DetectorPart.FALSE_POSITIVES: ("draw",), DetectorPart.CONFIDENCE: ("at",)},
 }
-
-
 WITHOUT_CHECKS: set[tuple[DetectorPart, str]] = set()
 WITHOUT_LEARNER = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES, "thesis")}
 
@@ -30,6 +29,8 @@ WITHOUT_LEARNER = {(DetectorPart.CLASS, "table"), (DetectorPart.FALSE_POSITIVES,
 def test_every_registered_model_draws_and_is_checked_and_learned_or_named_here() -> None:
     assert set(MODELS) == set(CHECKED) == set(LEARNERS) == set(DetectorPart)
     assert all(MODELS.values())
+    assert Normal().extra_normals == 0 < StudentT(3.0).extra_normals  # numbers drawn beside the four errors
+    assert {each.rate_key for each in FALSE_POSITIVE_MODELS.values()} == {*get_args(RateKey)}
     for part, name in ((part, name) for part, models in MODELS.items() for name in models):
         assert any(hasattr(MODELS[part][name], method) for method in DRAWING[part]), (part, name)
         assert (name in CHECKED[part]) != ((part, name) in WITHOUT_CHECKS), (part, name)
@@ -43,6 +44,9 @@ def test_the_models_of_a_detector_are_registered_and_another_is_an_error_that_na
         used = list(used_models(parse_detector(variant(name))))
         assert {each.part for each in used} == set(DetectorPart), name
         assert all(each.name in MODELS[each.part] for each in used), name
+    model = parse_detector(one_state_data())
+    assert [each.key for each in used_models(model)][-1] == "states.only.confidence"  # of true and of false ones alike
+    assert model.in_words() in repr(model) and model.in_words() in model._repr_html_()
     with pytest.raises(LookupError, match=r"str is not registered: known are normal, quantiles"):
         model_name(cast(Mapping[str, type], MODELS[DetectorPart.CONFIDENCE]), "uniform")
 

@@ -35,7 +35,9 @@ def below(points: np.ndarray, sea: tuple[float, float, float]) -> np.ndarray:
 
 def test_a_band_holds_all_of_them_and_evenly_and_one_outside_the_image_is_no_place_there() -> None:
     for sea in (LEVEL, TILTED):
-        depth = below(places(Placement(band_px=120), sea), sea)
+        found = places(Placement(band_px=120), sea)
+        depth = false_positive_placement.depths_px(np.tile(sea, (len(found), 1)), found)
+        np.testing.assert_allclose(depth, below(found, sea), atol=1e-9)
         assert depth.min() > -1e-6 and depth.max() < 120 + 1e-6, sea
         assert stats.kstest(depth / 120, "uniform").pvalue > 1e-4, sea
     for sea in ((0.0, 1.0, 500.0), (0.0, 1.0, -9000.0), (0.0, 0.0, 1.0), (0.0, 1.0, -2400.0)):
@@ -62,6 +64,7 @@ def test_the_level_way_and_the_plain_way_spread_alike() -> None:
 def test_a_map_gives_each_cell_its_weight() -> None:
     density = np.array([[0.0, 1.0, 3.0], [2.0, 0.0, 4.0]])
     found = places(Placement(density=density), LEVEL)
+    assert not np.any(1024 * found % 1) and np.any(512 * found % 1)  # on the grid, and on no coarser one
     rows, columns = (found[:, 1] // 1200).astype(int), (found[:, 0] // 1200).astype(int)
     counts = np.zeros((2, 3))
     np.add.at(counts, (np.minimum(rows, 1), np.minimum(columns, 2)), 1)
@@ -69,8 +72,9 @@ def test_a_map_gives_each_cell_its_weight() -> None:
     assert stats.chisquare(counts[density > 0], density[density > 0] / 10 * len(found)).pvalue > 1e-4
     uniforms = np.array([[0.0, 0.0, 0.0], [0.2, 0.5, 0.5], [0.9, 0.25, 0.75]])
     placement = Placement(density=np.array([[1.0, 3.0], [0.0, 4.0]]))
-    found = placement.places(np.tile(HORIZONS[0], (3, 1)), (800, 600), uniforms)
-    np.testing.assert_array_equal(found, [[0, 0], [600, 150], [500, 525]])  # the first is the corner of the image
+    for drift_px, x in ((None, [0, 600, 500]), (np.array([10.0, -20, 400]), [10, 580, 700])):  # the last turns
+        found = placement.places(np.tile(HORIZONS[0], (3, 1)), (800, 600), uniforms, drift_px)
+        np.testing.assert_array_equal(found, np.column_stack([x, [0, 150, 525]]))
 
 
 def test_drift_follows_the_horizon_and_turns_at_the_edge_of_the_image() -> None:

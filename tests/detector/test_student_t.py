@@ -7,11 +7,9 @@ import pytest
 from scipy import special, stats
 
 from modsim3d.core.boxes import inside_image, move
-from modsim3d.detector.box_error import BoxErrorSource
 from modsim3d.detector.draws import StudentT, standardised
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.records import Detections
-from modsim3d.detector.truncation import truncated_errors
 from modsim3d.scene.reading import load_scene
 from modsim3d.verify.error_fit import MomentTable, StateErrors, fit_step
 from modsim3d.verify.error_parameters import ErrorParameters
@@ -96,17 +94,6 @@ def test_scales_persist_like_the_errors_do() -> None:
     lengths = np.log(np.einsum("tvi,ij,tvj->tv", moved, np.linalg.inv(C), moved))
     near, far = (np.corrcoef(lengths[lag:].ravel(), lengths[:-lag].ravel())[0, 1] for lag in (1, 60))
     assert near > 0.8 and abs(far) < 0.1
-
-
-@pytest.mark.parametrize("box_px", [build.centred(20, 20), [0, 1000, 60, 1040]])
-def test_truncated_moments_are_those_of_what_the_detector_draws(box_px: list[float]) -> None:
-    found = drawn(t_error(), box_px, frames=2000)
-    source = BoxErrorSource.from_model(parse_detector(build.one_state_data(**SEEN, box_error=t_error())))
-    asked = truncated_errors(source, 0, np.array([box_px]), build.IMAGE_PX)
-    std = np.sqrt(np.diag(asked.covariances()[0]))
-    assert np.all(np.abs(found.errors_px.mean(axis=0) - asked.means[0]) < 0.04 * std)
-    assert np.all(np.abs(found.errors_px.std(axis=0) / std - 1) < 0.08)  # of heavy tails, which stray farther
-    assert abs((1 - found.redrawn.mean()) - asked.accepted[0]) < 0.015
 
 
 BOXES = np.array([[1800.0, 1200, 1840, 1212], [1800.0, 1200, 2200, 1500], [0.0, 700, 15, 790]])

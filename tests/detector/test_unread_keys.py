@@ -114,14 +114,11 @@ def in_every_state(data: dict[str, Any]) -> dict[str, Any]:
     return {**data, "performance": {**data.get("performance", {}), "schedule": [*schedule, [0.98 * LAST_S, None]]}}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        *(name for name in shipped_detectors() if not name.startswith("conditions/")),
-        *("conditions/foggy_cloudy", "dropout by a table of distance", "Student's t box errors"),
-        *("confidence from a precision-recall curve", "memories"),
-    ],
-)
+@pytest.mark.parametrize("name", [
+    *(name for name in shipped_detectors() if not name.startswith("conditions/")),
+    *("conditions/foggy_cloudy", "dropout by a table of distance", "Student's t box errors"),
+    *("confidence from a precision-recall curve", "memories"),
+])  # fmt: skip
 def test_a_key_changes_the_detections_or_is_refused(name: str) -> None:
     made = {"memories": lambda: variant("plain") | MEMORIES, **{each: partial(variant, each) for each in CHANGES}}
     plain = made[name]() if name in made else load_yaml(shipped_detectors()[name], "detector")
