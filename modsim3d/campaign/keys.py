@@ -1,7 +1,8 @@
 """The keys of a campaign file."""
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -213,9 +214,14 @@ class SearchKeys(Strict):
         return self
 
 
+def _checked_horizon(value: float | list[float] | None) -> float | list[float] | None:
+    if isinstance(value, list) and len(value) != 4:
+        raise ValueError(f"needs a row, or x and y of two points, as in [0, 400, 1920, 410] (got {len(value)} numbers)")
+    return value
+
+
 class LabelledVideos(Strict):
-    """Labelled videos in place of a scene: each traffic seed shows one of them. A scene is made of them beside the
-    campaign file FILE, in the folder `FILE_scenes/NAME`."""
+    """Labelled videos in place of a scene: each traffic seed shows one of them."""
 
     truth: Text
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,99}$")] | None = None  # in tables
@@ -224,10 +230,16 @@ class LabelledVideos(Strict):
     labels: list[Text] | None = None
     image_size_px: tuple[Number, Number] | None = None
     frame_rate_hz: Number | None = None
-    horizon: Number | tuple[Number, Number, Number, Number] | None = None
+    horizon: Annotated[Number | list[Number] | None, AfterValidator(_checked_horizon)] = None
     first_frame: Literal[0, 1] | None = None
     confidence_scale: tuple[Number, Number] | None = None
     skip_bad: bool = False
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.detector is None) == (self.detections is None):
+            raise ValueError("give either detector, a simulated one, or detections, those of a real one")
+        return self
 
     @property
     def called(self) -> str:
@@ -235,10 +247,6 @@ class LabelledVideos(Strict):
         path = Path(self.truth)
         found = path.parts[-3] if path.parts[-2:] == ("gt", "gt.txt") and len(path.parts) > 2 else path.stem
         return self.name or re.sub("[^A-Za-z0-9_-]", "_", found)
-
-    def scene_of(self, campaign: Path) -> str:
-        """The path of its scene, from the folder of a campaign file."""
-        return f"{campaign.stem}_scenes/{self.called}/{self.called}.json"
 
 
 class CampaignKeys(Strict):
@@ -280,7 +288,8 @@ class CampaignFile:
 
     path: Path
     keys: CampaignKeys
-    videos: tuple[LabelledVideos, ...] = ()  # whose scenes are written when the campaign is checked
+    videos: Mapping[int, LabelledVideos] = field(default_factory=dict)
+    """Labelled videos by their place among the scenes, which has their name; `checked` makes scenes of them."""
 
     @property
     def base(self) -> Path:
@@ -305,20 +314,20 @@ def find_campaign(campaign: StrPath) -> Path:
     raise InputError(f"campaign {path}", [f"no such file, and no shipped campaign has this name ({hint})"])
 
 
-def _labelled_videos(data: dict[str, Any], path: Path) -> tuple[list[LabelledVideos], dict[str, Any]]:
-    """The labelled videos of a campaign file, and its content with the path of a scene in place of each of them."""
+def _labelled_videos(data: dict[str, Any], path: Path) -> tuple[dict[int, LabelledVideos], dict[str, Any]]:
+    """The labelled videos of a campaign file, and its content with the name in place of each of them."""
     given = data.get("scenes", [data["scene"]] if "scene" in data else None)
     if not isinstance(given, list) or not any(isinstance(each, dict) for each in given):
-        return [], data
-    videos, scenes = list[LabelledVideos](), list[Any]()
+        return {}, data
+    videos = dict[int, LabelledVideos]()
     for place, each in enumerate(given):
         if isinstance(each, dict):
             try:
-                videos.append(LabelledVideos.model_validate(each))
+                videos[place] = LabelledVideos.model_validate(each)
             except ValidationError as error:
                 raise InputError(f"campaign {path}", describe(error, LabelledVideos, "scenes", place)) from None
-        scenes.append(videos[-1].scene_of(path) if isinstance(each, dict) else each)
-    names = [each.called for each in videos]
+    scenes = [videos[place].called if place in videos else each for place, each in enumerate(given)]
+    names = [each.called for each in videos.values()]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"campaign {path}", [f"scenes: two are called '{twice[0]}': give them a name of their own"])
     return videos, {**{key: value for key, value in data.items() if key != "scene"}, "scenes": scenes}
@@ -338,4 +347,4 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
         # A colon stands before a problem of the whole file.
         problems = [problem.removeprefix(": ") for problem in describe(error, CampaignKeys)]
         raise InputError(f"campaign {path}", problems) from None
-    return CampaignFile(path, keys, tuple(videos))
+    return CampaignFile(path, keys, videos)

@@ -159,6 +159,8 @@ def introduced(campaign: CheckedCampaign) -> list[str]:
     shared.print_line(console, str(campaign.file.path), "bold")
     print_table(console, "", plan_rows(campaign), styles=("dim", ""))
     warnings = [*traffic_warnings(campaign), *warnings_of(campaign.plan)]
+    for note in campaign.notes:
+        print_prose(console, f"Note: {note}.")
     for text in warnings:
         warn(text)
     return warnings

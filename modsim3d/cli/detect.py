@@ -218,7 +218,7 @@ def opened(run: Path | None, truth: Path | None, detections: Path | None, **opti
             try:
                 stored = stack.enter_context(labelled_video(truth, detections, **options))
             except InputError as error:
-                others = {"--(skip-bad|confidence-scale)": r"`modsim3d detect --truth` with --\1"}
-                raise error.reworded(others) from None
+                of_detect = {r"(.*--(?:skip-bad|confidence-scale)\b.*)": r"\1 (an option of `modsim3d detect --truth`)"}
+                raise error.reworded(of_detect) from None
         tell_files(dict.fromkeys(read))
         yield stored

@@ -29,7 +29,7 @@ class InputError(ModsimError):
         super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self.problems)]))
 
     def reworded(self, words: Mapping[str, str]) -> InputError:
-        """The error with other words in place of some, each a regular expression, the first of them first."""
+        """The error with other words in place of regular expressions, the first of them first."""
         source, problems = self.source, list(self.problems)
         for pattern, word in words.items():
             source, *problems = (re.sub(pattern, word, text) for text in (source, *problems))

@@ -279,7 +279,17 @@ def detect_truth(
 
 
 @contextmanager
-def labelled_video(truth: StrPath, detections: StrPath | None = None, **options: Any) -> Iterator[StoredRun]:
+def labelled_video(
+    truth: StrPath,
+    detections: StrPath | None = None,
+    *,
+    labels: Sequence[str] | None = None,
+    image_size_px: tuple[float, float] | None = None,
+    frame_rate_hz: float | None = None,
+    first_frame: int | None = None,
+    confidence_scale: tuple[float, float] | None = None,
+    skip_bad: bool = False,
+) -> Iterator[StoredRun]:
     """Make a run of a labelled video and of what a real detector found in it, in a folder that is kept as long as the
     run is used: for a tracker or for scores.
 
@@ -289,7 +299,12 @@ def labelled_video(truth: StrPath, detections: StrPath | None = None, **options:
     Args:
         truth: As that of `detect_truth`.
         detections: What a real detector found; None for scores of tracks alone.
-        options: Arguments of `detect_truth` that say how the files are read.
+        labels: As those of `detect_truth`.
+        image_size_px: As that of `detect_truth`.
+        frame_rate_hz: As that of `detect_truth`.
+        first_frame: As that of `detect_truth`.
+        confidence_scale: As that of `detect_truth`.
+        skip_bad: As that of `detect_truth`.
 
     Raises:
         ModsimError: The files are wrong.
@@ -298,26 +313,39 @@ def labelled_video(truth: StrPath, detections: StrPath | None = None, **options:
     truth = as_path(truth, "truth")
     given = (truth,) if detections is None else (truth, as_path(detections, "detections"))
     with TemporaryDirectory(prefix="modsim3d_") as folder:
-        out, alone = Path(folder) / truth.stem, detections is None
-        detect_truth(truth, out, detections=detections, truth_alone=alone, **options)
+        out = Path(folder) / (truth.stem or "video")
+        detect_truth(
+            truth,
+            out,
+            detections=detections,
+            truth_alone=detections is None,
+            labels=labels,
+            image_size_px=image_size_px,
+            frame_rate_hz=frame_rate_hz,
+            first_frame=first_frame,
+            confidence_scale=confidence_scale,
+            skip_bad=skip_bad,
+        )
         yield replace(open_run(out), made_of=given)
 
 
-def write_labelled_scene(
+def labelled_scene(
     truth: Path,
-    file: Path,
+    name: str,
     *,
     options: ReadOptions,
     detections: Path | None = None,
     detector: StrPath | None = None,
+    settings: Mapping[str, object] | None = None,
     labels: Sequence[str] | None = None,
     horizon: float | Sequence[float] | None = None,
-) -> None:
-    """Write a scene of labelled videos, of which each seed shows one, into the folder of its file; see `detect_truth`
-    for the arguments. Raises as it does."""
+) -> tuple[Scene, tuple[str, ...]]:
+    """A scene of labelled videos, of which each seed shows one, and remarks on what was read; for the arguments see
+    `detect_truth`. Raises as it does."""
     given = detections is not None
-    work = _ReadVideos.of_files(truth, options, detections, {"detector": detector}, labels, horizon, given=given)
-    work.scene(0, by_seed=True, name=file.stem).copy.write(file.parent)
+    chosen = {"detector": detector, "settings": {} if given else settings}
+    work = _ReadVideos.of_files(truth, options, detections, chosen, labels, horizon, given=given)
+    return work.scene(0, by_seed=True, name=name), work.notes
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,9 +425,8 @@ class _ReadVideos:
         left_out = check_needs(model, detector, sought.depth_m[sought.visible_fraction > 0], sea)
         notes = (*labelled.notes, *taken, *sought.notes, *left_out, *dead_lines(model))
         pair = truth.is_file() and kind in ("MOT", "COCO")
-        return cls(
-            kind, source, truth.stem, labelled, model, ids, classes, pair, to_label, videos, sought, sea, given, notes
-        )
+        stem, known = truth.resolve().stem, (labelled, model, ids, classes, pair, to_label, videos, sought, sea)
+        return cls(kind, source, stem, *known, given, notes)
 
     @property
     def numbers(self) -> dict[str, int]:

@@ -26,10 +26,11 @@ from modsim3d.campaign.plan import (
 from modsim3d.campaign.work.row import RECALL, SCORES, SCORES_BY, is_bounded, rules_of, search_problems, search_versions
 from modsim3d.campaign.work.scenes import Scenes, checksums, detector_digest, digest, plan_digest, versions
 from modsim3d.campaign.work.task import condition_problems, key_readings, tracker_problems
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.core.text import counted
-from modsim3d.formats.detect_truth import write_labelled_scene
+from modsim3d.formats.detect_truth import labelled_scene
 from modsim3d.formats.reading.builder import ReadOptions
+from modsim3d.io.atomic_write import put_folder_in_place
 from modsim3d.io.plugins import Plugin, changed_plugins
 from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
@@ -165,18 +166,19 @@ class CheckedCampaign:
     facts: tuple[ConditionFacts, ...]
     content: dict[str, Any]  # of `plan.json`, with the checksums of files and plug-ins and the versions of packages
     sha256: str  # of all that decides the results
+    notes: tuple[str, ...] = ()  # remarks on labels that were read
 
 
 def checked(file: CampaignFile) -> CheckedCampaign:
-    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values. The
-    scenes of labelled videos are written before. Raises InputError with every problem, and ModsimError if a library
-    that it needs is not installed."""
+    """Check a campaign: each condition with the first traffic seed, and the ends of the ranges of drawn values; scenes
+    of labelled videos are written before. Raises InputError with every problem, and ModsimError if a library that it
+    needs is not installed."""
     keys, source = file.keys, f"campaign {file.path}"
     packages = {**versions(), **search_versions(keys)}
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
-    for each in file.videos:
-        _write_scene(each, file.path.resolve())
+    file, notes = _with_scenes(file)
+    keys = file.keys
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
     paths, plugins = set[Path](), set[Plugin]()
     wrong_keys = [*_vary_problems(keys)]
@@ -199,39 +201,52 @@ def checked(file: CampaignFile) -> CheckedCampaign:
         "plugins": own,
         "versions": packages,
     }
-    return CheckedCampaign(file, plan, tuple(facts), content, plan_digest(content))
+    return CheckedCampaign(file, plan, tuple(facts), content, plan_digest(content), notes)
 
 
-_POSES = "poses.json"
-"""The file of labels in the folder of a scene that was made of them."""
 _KEYS = {
-    r"--set detector\.(\S+)=(\S+)": r"\1: \2",
+    r"--set detector\.(\S+?)=(\S+)": r"detector.\1: \2",
     r"--labels A,B,\.\.\.": "labels: [A, B, ...]",
-    r"--(horizon) ROW, or X1,Y1,X2,Y2": r"\1: ROW, or [X1, Y1, X2, Y2],",
-    r"--confidence-scale (\S+),(\S+)": r"confidence_scale: [\1, \2]",
-    "--frame-rate(?: HZ)?": "frame_rate_hz",
-    "--image-size": "image_size_px",
-    "--skip-bad": "skip_bad: true",
-    "--first-frame": "first_frame",
-    "--(labels|horizon|detections)": r"\1",
+    r"--horizon ROW, or X1,Y1,X2,Y2": "horizon: ROW, or [X1, Y1, X2, Y2],",
+    r"--confidence-scale ([^\s,]+),(\S+)": r"confidence_scale: [\1, \2]",
+    r"--frame-rate(?: HZ)?\b": "frame_rate_hz",
+    r"--image-size\b": "image_size_px",
+    r"--skip-bad\b": "skip_bad: true",
+    r"--first-frame\b": "first_frame",
+    r"--confidence-scale\b": "confidence_scale",
+    r"--(labels|horizon|detections|detector)\b": r"\1",
 }
-"""Patterns of options in errors, and the keys of a campaign that stand for them."""
+"""Keys of a campaign file by the options that errors of a reader name, as regular expressions."""
 
 
-def _write_scene(videos: LabelledVideos, campaign: Path) -> None:
-    """Write the scene of labelled videos beside a campaign file. Raises InputError if a file is wrong, or something
-    else is in its place."""
-    base, folder = campaign.parent, campaign.parent / videos.scene_of(campaign)
-    source = f"scenes: {videos.truth}"
-    if folder.parent.exists() and not (folder.parent / _POSES).is_file():
-        raise InputError(source, [f"{folder.parent} is in the way: move it, or give another name"])
-    detector = videos.detector
-    if detector and (base / detector).is_file():
-        detector = str(base / detector)
+def _with_scenes(file: CampaignFile) -> tuple[CampaignFile, tuple[str, ...]]:
+    """The campaign with a scene in place of each of its labelled videos, and remarks on them. A scene is written beside
+    the file, in a folder whose name has its checksum, so that older campaigns keep theirs. Raises InputError if labels
+    are wrong, or it cannot be written."""
+    scenes, notes, beside = list(file.keys.scenes), list[str](), file.path.resolve().with_suffix("")
+    for place, videos in file.videos.items():
+        scene, said = _scene_of(videos, file)
+        notes += [f"{videos.called}: {note}" for note in said]
+        folder = beside.with_name(f"{beside.name}_scenes") / f"{videos.called}-{scene.copy.sha256()[:12]}"
+        try:
+            if not folder.is_dir():
+                with put_folder_in_place(folder, "*") as partial:
+                    scene.copy.write(partial)
+        except (OSError, OutputError) as error:
+            told = f"a scene is made of them in {folder}, which cannot be written ({error}): copy the campaign file"
+            raise InputError(f"scenes: {videos.truth}", [f"{told} and the labels to a folder of your own"]) from None
+        scenes[place] = str((folder / f"{videos.called}.json").relative_to(file.base))
+    return replace(file, keys=file.keys.model_copy(update={"scenes": scenes})), tuple(notes)
+
+
+def _scene_of(videos: LabelledVideos, file: CampaignFile) -> tuple[Scene, tuple[str, ...]]:
+    detector, settings = videos.detector, {k: v for k, v in file.keys.settings.items() if k.startswith("detector.")}
+    if detector and (file.base / detector).is_file():
+        detector = str(file.base / detector)
     try:
-        write_labelled_scene(
-            base / videos.truth,
-            folder,
+        return labelled_scene(
+            file.base / videos.truth,
+            videos.called,
             options=ReadOptions(
                 (),
                 videos.image_size_px,
@@ -240,14 +255,17 @@ def _write_scene(videos: LabelledVideos, campaign: Path) -> None:
                 confidence_scale=videos.confidence_scale,
                 first_frame=videos.first_frame,
             ),
-            detections=None if videos.detections is None else base / videos.detections,
+            detections=None if videos.detections is None else file.base / videos.detections,
             detector=detector,
+            settings=settings,
             labels=videos.labels,
             horizon=videos.horizon,
         )
     except InputError as error:
-        told = error.reworded(_KEYS)
-        raise InputError(source, [f"{told.source}: {problem}" for problem in told.problems]) from None
+        told = error.reworded({rf"(?<!\S){option}": key for option, key in _KEYS.items()})
+        raise InputError(f"scenes: {videos.truth}", [f"{told.source}: {each}" for each in told.problems]) from None
+    except ModsimError as error:
+        raise InputError(f"scenes: {videos.truth}", [str(error)]) from None
 
 
 def _size_problems(keys: CampaignKeys) -> Iterator[str]:

@@ -39,6 +39,14 @@ class ReadOptions:
     horizon: tuple[float, ...] | None = None  # of images without one: its row, or x and y of two of its points
     first_frame: int | None = None  # number of the first frame and of the first pixel in MOT, 0 or 1; None: see `mot`
 
+    def __post_init__(self) -> None:
+        """Raise InputError if a value is out of range."""
+        scale, size_px = self.confidence_scale, self.image_size_px
+        if scale is not None and not scale[0] < scale[1]:
+            raise InputError("--confidence-scale", [f"must be two numbers that rise, as 0,100 (got {scale})"])
+        if size_px is not None and not min(size_px) > 0:
+            raise InputError("--image-size", [f"must be a width and a height above 0 (got {size_px})"])
+
 
 NO_OPTIONS = ReadOptions()
 

@@ -211,6 +211,8 @@ def _columns(kind: type[Any], content: Mapping[str, Any] | None) -> Any:
     if content is None:
         return None
     columns = {}
+    if kind is LabelledBoxes:  # runs from before this column
+        content = {"in_frame_fraction": [None] * len(content["step"]), **content}
     for field in fields(kind):
         form = {"Indices": np.int64, "Mask": np.bool_}.get(str(field.type), np.float64)
         values: np.ndarray[Any, Any] = np.array(content[field.name], dtype=form)
