@@ -40,6 +40,9 @@ def test_slopes_of_confidence_come_back() -> None:
     page = text({"slopes": {"confidence": summary(case, [run])}})
     assert "| misses in strait, 150 steps | true | IoU: learned | IoU: width of the range | IoU: true in" in page
     assert "| confidence.size_reference_px | 1.000 | 1.000 |" in page and "Large box errors" not in page
+    held = {"seeds": 200, "0.95": dict.fromkeys(("a", "b", "c"), 0.95) | {"b": 0.9, "c": 1.0}, "0.99": {"b": 0.98}}
+    page = text({"slopes": {"confidence": summary(case, [run]) | held}})
+    assert all(row in page for row in ("| a | 0.950 | – |", "| b | 0.900 ▼ | 0.980 |", "| c | 1.000 ▲ | – |"))
 
 
 def test_numbers_of_another_model_are_not_compared() -> None:
