@@ -32,9 +32,9 @@ def ais_command(
         str | None, option("LAT1,LON1,LAT2,LON2", "Keep only positions between these two corners.")
     ] = None,
     start: Annotated[str | None, option("TIME", "Time of the first step, in UTC.", show_default="first report")] = None,
-    end: Annotated[str | None, option("TIME", "Time of the last step, in UTC.", show_default="last report")] = None,
-    duration: Annotated[
-        float | None, option("SECONDS", "Time from the first step to the last, in place of --end.")
+    end: Annotated[
+        str | None,
+        option("TIME", "Time of the last step, in UTC, or +SECONDS from the first.", show_default="last report"),
     ] = None,
     time_step: Annotated[float, option("SECONDS", "Time between steps.")] = 1.0,
     max_gap: Annotated[float, option("SECONDS", "A vessel is absent between reports that are further apart.")] = 400.0,
@@ -58,7 +58,7 @@ def ais_command(
 ) -> None:
     """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
 
-    Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --duration 600 --out scenes/sound
+    Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --end +600 --out scenes/sound
     """
     from modsim3d.io import overwrite_guard
     from modsim3d.io.input_files import data_folder
@@ -73,8 +73,7 @@ def ais_command(
         origin=given.parse_origin(origin) if origin else None,
         region=given.parse_region(region) if region else None,
         start_s=given.parse_time(start, "--start") if start else None,
-        end_s=given.parse_time(end, "--end") if end else None,
-        duration_s=duration,
+        **given.parse_end(end),
         time_step_s=time_step,
         max_gap_s=max_gap,
         max_speed_kn=max_speed,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modsim3d.cli import shared
-from modsim3d.cli.shared import argument, flag, option
+from modsim3d.cli.shared import argument, option
 from modsim3d.cli.terminal import open_console, say, say_json, tell_files, timed
 from modsim3d.cli.terminal_tables import print_blocks, print_prose
 from modsim3d.core.errors import ModsimError
@@ -95,18 +95,23 @@ def _how(found: Present) -> list[str]:
 # ---- The command `modsim3d campaign table` ----
 
 ENDINGS = (".csv", ".parquet")
+RUN = "run"
+"""What `--by` takes in place of a key for the rows of all runs."""
 
 
 def campaign_table_command(
     campaign: shared.CampaignArgument,
     by: Annotated[
         list[str] | None,
-        option("KEY", "Varied key to tell apart; may be repeated.", show_default="all but those drawn"),
+        option(
+            "KEY",
+            "Varied key to tell apart; may be repeated. run: all columns of each run, in place of means.",
+            show_default="all but those drawn",
+        ),
     ] = None,
     score: Annotated[
         list[str] | None, option("NAME", "Column of the rows, such as hota or state.haze.hota; may be repeated.")
     ] = None,
-    runs: Annotated[bool, flag("--runs", "Write all columns of each run, in place of means.")] = False,
     out: Annotated[Path | None, option("FILE", "Table to write, .csv or .parquet.", show_default="none")] = None,
     overwrite: shared.OverwriteOption = False,
     quiet: shared.QuietOption = False,
@@ -122,10 +127,11 @@ def campaign_table_command(
     from modsim3d.campaign.means import mean_rows, mean_table, usual_keys, usual_scores
     from modsim3d.io.overwrite_guard import claimed
 
-    _check(runs, bool(by or score), out)
+    runs = RUN in (by or ())
+    _check(runs, score is not None or len(by or ()) > 1, out)
     opened = opened_campaign(campaign)
     if opened.keys.search is not None and not runs:
-        reason = "no mean may be made of trials that were chosen to be bad: use --runs"
+        reason = "no mean may be made of trials that were chosen to be bad: use --by run"
         raise ModsimError(f"{campaign} holds a search, and {reason}")
     files = files_of_campaign(opened)
     tell_files(files)
@@ -156,9 +162,9 @@ def campaign_table_command(
 def _check(runs: bool, selected: bool, out: Path | None) -> None:
     """Raise a `ModsimError` for options that contradict each other, and for a file of another kind."""
     if runs and selected:
-        raise ModsimError("--runs writes all columns of each run: leave out --by and --score")
+        raise ModsimError("--by run writes all columns of each run: leave out --score and other --by")
     if runs and out is None:
-        raise ModsimError("--runs writes a file: name it with --out, as in --out runs.csv")
+        raise ModsimError("--by run writes a file: name it with --out, as in --out runs.csv")
     if out is not None and out.suffix not in ENDINGS:
         raise ModsimError(f"--out {out}: the name must end in {' or '.join(ENDINGS)}")
 

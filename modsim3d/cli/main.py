@@ -33,11 +33,13 @@ from modsim3d.core.errors import ModsimError
 # ---- What names of commands and options that are no more are called now ----
 
 OLD_NAMES = {
+    "ais --duration": "ais --end +SECONDS",
     "ais --labels": "ais --label type",
     "campaign": "campaign run CAMPAIGN",
     "campaign --like": "campaign plan CAMPAIGN --like DIR",
     "campaign --expect": "campaign plan CAMPAIGN --expect SCORE=MEAN:SPREAD",
     "campaign --plan": "campaign plan CAMPAIGN",
+    "campaign --runs": "campaign table DIR --by run",
     "campaign --scheduler": "campaign run --cluster ADDRESS",
     "campaign --slurm": "campaign run --cluster slurm:JOBS",
     "campaign-report": "campaign report",

@@ -163,7 +163,7 @@ def test_tables_are_written_as_csv_and_parquet(modsim3d: Modsim3d, finished: Pat
     columns = ["state", "tracker", "runs", "crashed", "hota", "hota_low", "hota_high", "hota_seeds"]
     table = pyarrow.csv.read_csv(means)
     assert table.column_names == columns and len(table) == 4
-    assert modsim3d("campaign", "table", finished, "--runs", "--out", runs).status == 0
+    assert modsim3d("campaign", "table", finished, "--by", "run", "--out", runs).status == 0
     assert pq.read_table(runs).equals(package.open_campaign(finished).table)
     assert modsim3d(*line, "--out", means).status == 2
 
@@ -174,7 +174,7 @@ def test_tables_are_written_as_csv_and_parquet(modsim3d: Modsim3d, finished: Pat
     ("table FINISHED --by stat", "--by stat: is not varied in this campaign (did you mean 'state'?)"),
     ("table FINISHED --score hotta", "--score hotta: there is no such score in this campaign (did you mean 'hota'?)"),
     ("table FINISHED --score tracker", "--score tracker: there is no such score"),
-    ("table FINISHED --runs", "--runs writes a file: name it with --out"),
+    ("table FINISHED --by run", "--by run writes a file: name it with --out"),
     ("table FINISHED --out means.txt", "the name must end in .csv or .parquet"),
 ])  # fmt: skip
 def test_wrong_options_are_one_line_and_leave_nothing(modsim3d, file, finished, tmp_path, line, part):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
 from modsim3d.core.errors import InputError
+from modsim3d.core.text import number_in
 from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.ais.hulls import ship_types
 from modsim3d.scene.ais.messages import SeaRegion
@@ -52,12 +53,10 @@ class Options:
                 ("time-step", self.time_step_s),
                 ("max-gap", self.max_gap_s),
                 ("max-speed", self.max_speed_kn),
-                ("duration", self.duration_s),
+                ("end +SECONDS", self.duration_s),
             )
             if value is not None and not MIN_VALUE <= value <= MAX_VALUE
         ]
-        if self.end_s is not None and self.duration_s is not None:
-            problems.append("--end and --duration: only one of them can be given")
         if self.start_s is not None and self.end_s is not None and self.end_s < self.start_s:
             problems.append(f"--end: {time_text(self.end_s)} is before --start, {time_text(self.start_s)}")
         if problems:
@@ -84,6 +83,18 @@ def parse_time(text: str, option: str) -> float:
         problem = f"{option}: a time such as 2024-01-04T10:00:00 is needed, in UTC (got {shown(text)})"
         raise InputError(COMMAND_LINE, [problem]) from None
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
+
+
+def parse_end(text: str | None) -> dict[str, float]:
+    """The option `end_s` or, of a text such as `+600`, `duration_s`. Raises InputError for other texts."""
+    if not text:
+        return {}
+    if not text.startswith("+"):
+        return {"end_s": parse_time(text, "--end")}
+    seconds = number_in(text)
+    if math.isnan(seconds):
+        raise InputError(COMMAND_LINE, [f"--end: needs seconds after the first step, as in +600 (got {shown(text)})"])
+    return {"duration_s": seconds}
 
 
 def parse_origin(text: str) -> tuple[float, float]:

@@ -213,7 +213,7 @@ def _limited(tracks: Iterable[VesselTrack]) -> list[VesselTrack]:
         poses += len(track.steps)
         if poses > MAX_POSES:
             raise ModsimError(
-                f"this would be more than {MAX_POSES:,} poses: take less of it (--start, --duration, --region), "
+                f"this would be more than {MAX_POSES:,} poses: take less of it (--start, --end, --region), "
                 "or fewer steps (--time-step)"
             )
         kept.append(track)

@@ -187,7 +187,7 @@ def time_grid(positions: Positions, options: Options) -> TimeGrid:
     if steps > MAX_STEPS:
         raise ModsimError(
             f"from {time_text(start)} to {time_text(start + span)} in steps of {options.time_step_s:g} s would be "
-            f"{steps:,} steps, more than {MAX_STEPS:,}: choose --start and --duration, or a larger --time-step"
+            f"{steps:,} steps, more than {MAX_STEPS:,}: choose --start and --end, or a larger --time-step"
         )
     timestamps = generated_timestamps(steps, options.time_step_s)
     return TimeGrid(start, np.array([float(text) for text in timestamps]), timestamps)

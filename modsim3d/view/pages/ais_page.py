@@ -223,7 +223,7 @@ def _options(traffic: AisTraffic) -> list[tuple[str, str]]:
     """The options that make this scene again, and which of them were given."""
     options, usual = traffic.options, Options()
     origin, given, default = "{:.7f},{:.7f}".format(*traffic.origin), "given", "by default"
-    end = "by --duration" if options.duration_s is not None else "the last report"
+    end = "by --end" if options.duration_s is not None else "the last report"
     rows = [
         (f"--origin {origin}", given if options.origin else "the median position"),
         (f"--start {time_text(traffic.grid.start_s)}", "the first report" if options.start_s is None else given),

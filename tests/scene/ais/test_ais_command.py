@@ -32,11 +32,11 @@ def test_scene_folder_is_made_and_said_and_runs_as_typed(call, tmp_path):
 
 def test_folder_with_something_in_it_is_left_alone(call, tmp_path):
     out, other = tmp_path / "scene", tmp_path / "other"
-    assert call("ais", DANISH, "--out", out, "--duration", 5)[0] == 0
+    assert call("ais", DANISH, "--out", out, "--end", "+5")[0] == 0
     before = (out / "poses.json.gz").read_bytes()
-    status, said = call("ais", DANISH, "--out", out, "--duration", 9)
+    status, said = call("ais", DANISH, "--out", out, "--end", "+9")
     assert status == 2 and "--overwrite" in said and (out / "poses.json.gz").read_bytes() == before
-    assert call("ais", DANISH, "--out", out, "--duration", 9, "--overwrite")[0] == 0
+    assert call("ais", DANISH, "--out", out, "--end", "+9", "--overwrite")[0] == 0
     assert (out / "poses.json.gz").read_bytes() != before
     other.mkdir()
     (other / "precious").write_text("x")
@@ -173,7 +173,7 @@ def test_every_file_of_no_use_is_named_at_once(problem, tmp_path):
         (("--time-step", 0), "--time-step: must be above 0"),
         (("--max-gap", -1), "--max-gap: must be above 0"),
         (("--time-step", 1e-5), "more than 1,000,000"),
-        (("--duration", 5, "--end", "2024-01-05"), "only one of them"),
+        (("--end", "+soon"), "--end: needs seconds after the first step, as in +600"),
         (("--label", "ferry=Ferry"), "no group 'ferry'"),
         (("--label", "passenger"), "GROUP=LABEL is needed"),
     ],

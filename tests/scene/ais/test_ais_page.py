@@ -129,8 +129,8 @@ def test_a_long_list_is_cut_and_vessels_left_out_are_counted_by_reason(tmp_path)
 
 def test_the_command_writes_the_page_and_names_it(call, tmp_path):
     out = tmp_path / "scene"
-    status, said = call("ais", SAMPLES / "danish.csv", "--out", out, "--duration", 20)
+    status, said = call("ais", SAMPLES / "danish.csv", "--out", out, "--end", "+20")
     assert status == 0 and f"{out / 'ais.html'}" in said.replace("\n", "")
     written = (out / "ais.html").read_text(encoding="utf-8")
-    assert "--duration" in text_of(written)
+    assert "--end +20" in text_of(written)
     assert not re.search(r'(src|href)="(?!#)|url\((?!#)|<script', written)  # nothing is fetched
