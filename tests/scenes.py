@@ -23,8 +23,8 @@ from modsim3d.truth.crosscheck.comparison import mask_of
 from modsim3d.truth.crosscheck.drawing import Drawing, vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.truth.rendered import rendered_spans
-from modsim3d.world.bodies import Obstacle, obstacle_bodies, vessel_bodies
-from modsim3d.world.vessels import Vessel
+from modsim3d.world.bodies import Obstacle, obstacle_bodies, placed, vessel_bodies
+from modsim3d.world.vessels import Vessel, shoebox
 
 CAMERA_HEIGHT_M = 10.0
 INTRINSICS = Intrinsics((1000.0, 1000.0), (400.0, 300.0), (800, 600))
@@ -37,19 +37,25 @@ def vessel(name: str, length: float = 10.0, beam: float = 10.0, height: float = 
     return Vessel(name, "Vessel", length, beam, height)
 
 
+def crate(size_m: Sequence[float], place: tuple[float, float], heading_rad: float = 0.0) -> Obstacle:
+    """A box as an obstacle on the sea, by the centre of its bottom."""
+    return Obstacle("crate", (placed(shoebox(), np.array(size_m), np.array([*place, 0.0]), heading_rad),))
+
+
 def outlines_at(
     boxes: Sequence[Box],
     intrinsics: Intrinsics = INTRINSICS,
     mount: Mount | None = None,
     obstacles: Sequence[Obstacle] = (),
+    **options: Any,
 ) -> Outlines:
-    """Outlines of vessels at any height, and of obstacles, at one step."""
+    """Outlines of vessels at any height, and of obstacles, at one step, with the options of `outline`."""
     positions = np.array([[place for _, place, _ in boxes]], dtype=np.float64).reshape(1, -1, 3)
     headings = np.array([[heading for _, _, heading in boxes]])
     camera = poses_ashore(mount or Mount((0.0, 0.0, CAMERA_HEIGHT_M)), 1)
     vessels, present = [box[0] for box in boxes], np.ones((1, len(boxes)), dtype=bool)
     bodies = vessel_bodies(vessels, present, positions, world_R_vehicle(headings))
-    return outline(intrinsics, camera, bodies + obstacle_bodies(obstacles, len(boxes), 1))
+    return outline(intrinsics, camera, bodies + obstacle_bodies(obstacles, len(boxes), 1), **options)
 
 
 def outlines_of(places: Sequence[Place], *view: Any, **options: Any) -> Outlines:

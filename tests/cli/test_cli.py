@@ -1,7 +1,5 @@
 """What commands write, say and answer; `--out` names a folder, or a file, which in a folder has its usual name."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -31,16 +29,6 @@ def test_run_says_what_happened_writes_the_same_contact_sheet_again_and_ctrl_c_e
     monkeypatch.setattr(main, "_asked", press_ctrl_c)
     assert command_line.call(monkeypatch, "run", "simulation_1") == 130
     assert capsys.readouterr().err == "modsim3d: interrupted\n"
-
-
-def test_run_in_mode_zero_needs_no_renderer_with_the_analytic_source(tmp_path):
-    line = ["modsim3d", "run", "simulation_1", "--steps", "20", "--source", "analytic", "--out", str(tmp_path / "run")]
-    script = (
-        f"import sys; sys.modules['OpenGL'] = None; sys.argv = {line!r}\nfrom modsim3d.cli.main import main\nmain()"
-    )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "run" / "truth.parquet").exists()
 
 
 def test_a_run_without_json_can_be_read(monkeypatch, tmp_path):

@@ -22,6 +22,7 @@ from tests.scenes import (
     CAMERA_HEIGHT_M,
     INTRINSICS,
     camera_keys,
+    crate,
     outlines_of,
     pixel_masks,
     random_scene,
@@ -192,20 +193,17 @@ def test_each_pixel_shows_what_lies_in_its_direction(renderer):
     assert seen > 10_000
 
 
-def test_edge_that_the_lens_bends_reaches_beyond_its_corners(renderer):
-    camera = replace(INTRINSICS, distortion=BARREL)
-    outlines = outlines_of([(vessel("wall", 2, 140, 60), (200.0, 0.0), 0.0)], camera)
-    (exact,) = analytic_occlusion(outlines, camera).full_boxes_px
-    (drawn,) = rendered_occlusion(outlines, camera, renderer).full_boxes_px
-    assert np.abs(exact - drawn).max() <= 1
-    assert exact[1] < camera.project(outlines.parts[0].vertices_camera[0])[:, 1].min() - 3
-
-
-def test_fraction_in_the_image_is_that_of_the_undistorted_area():
-    camera = replace(INTRINSICS, distortion=BARREL)
-    half, inside = ((vessel("half", 1, 40, 10), (50.0, 20.0), 0.0), (vessel("all", 1, 4, 4), (50.0, 0.0), 0.0))
-    assert 0.3 < outlines_of([half], camera).in_frame_fraction[0] < 0.9
-    assert outlines_of([inside], camera).in_frame_fraction[0] == 1.0
+def test_edge_that_the_lens_bends_reaches_beyond_its_corners_and_an_obstacles_box_is_around_what_is_seen(renderer):
+    """Of the last nothing is in the image, though it is not as a whole beyond any of its sides."""
+    camera, wall, half = replace(INTRINSICS, distortion=BARREL), ((2, 140, 60), (200, 0)), ((1, 40, 10), (50, 20))
+    boxes = (*wall, 0), ((20, 8, 6), (90, 30), 0.5), (*half, 0), ((266, 2, 6), (-90, -15), 0.598)
+    outlines = outlines_of([(vessel("any", *size), *rest) for size, *rest in boxes], camera)
+    exact = analytic_occlusion(outlines, camera).full_boxes_px
+    assert np.abs(exact - rendered_occlusion(outlines, camera, renderer).full_boxes_px).max() <= 1
+    assert exact[0, 1] < camera.project(outlines.parts[0].vertices_camera[0])[:, 1].min() - 3
+    around = outlines_of([], camera, obstacles=[crate(*each) for each in boxes]).boxes_px
+    assert (outlines.in_frame_fraction[:2] == 1).all() and 0.3 < outlines.in_frame_fraction[2] < 0.9
+    assert len(around) == len(exact) == 3 and (np.abs(around - exact - (-5, -5, 5, 5)) < 5 + 1e-6).all()
 
 
 def test_subdivision_keeps_the_area_and_makes_edges_short():

@@ -12,16 +12,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from modsim3d.geometry.camera import Distortion
 from modsim3d.geometry.camera_poses import Mount
 from modsim3d.runs.pipeline import truth_block
 from modsim3d.scene.reading import load_scene
-from modsim3d.truth.analytic import analytic_occlusion
+from modsim3d.truth.analytic import analytic_occlusion, boundary_pixels, visible_areas, visible_regions
 from modsim3d.truth.rendered import rendered_occlusion
-from tests.scenes import INTRINSICS, crossing, outlines_of, vessel
-
-
-def seen_of(places, **options):
-    return analytic_occlusion(outlines_of(places, **options), options.get("intrinsics", INTRINSICS))
+from tests.scenes import INTRINSICS, crate, crossing, outlines_of, vessel
 
 
 def seen_by_both(renderer, places, lens=INTRINSICS, mount=None):
@@ -30,37 +27,47 @@ def seen_by_both(renderer, places, lens=INTRINSICS, mount=None):
     return outlines, (analytic_occlusion(outlines, lens), rendered_occlusion(outlines, lens, renderer))
 
 
-def test_lone_box_has_the_area_and_box_of_its_front_face():
-    """20 m wide at 200 m: columns 350–450, rows 300–350."""
-    seen = seen_of([(vessel("lone", 2, 20, 10), (201, 0), 0)])
-    np.testing.assert_allclose(seen.full_boxes_px, [[350, 300, 450, 350]], atol=1e-9)
-    np.testing.assert_array_equal(seen.visible_boxes_px, seen.full_boxes_px)
-    np.testing.assert_allclose(seen.silhouette_px, [5000])
-    assert seen.visible_fraction().tolist() == [1.0] and seen.occluders == ((),)
+BACK, FAR_PX = ((2, 20, 10), (201, 0)), 10_000 / 300  # columns 350–450, rows 300–350; rows that show 10 m at 300 m
+# At 300, 200 and 100 m: columns 350–450, 375–425 and 390–410; columns 395–405, 350–450 and 430–450.
+SMALLER = [((1, 30, 10), (300.5, 0)), ((1, 10, 30), (200.5, 0)), ((1, 2, 30), (100.5, 0))]
+LARGER = [((1, 3, 10), (300.5, 0)), ((1, 20, 30), (200.5, 0)), ((1, 2, 30), (100.5, -4))]
+CASES = {
+    "nothing": ([BACK], (350, 300, 450, 350), 5000, {}),
+    "a side": ([BACK, ((2, 8, 30), (101, 1))], (430, 300, 450, 350), 1000, {1: 4000}),
+    "a side and the pixel beside it": ([BACK, ((2, 8.013, 30), (101, 1.0065))], (430, 300, 450, 350), 1000, {1: 4000}),
+    "a millimetre more": ([BACK, ((2, 8.001, 30), (101, 0.9995))], (430.01, 300, 450, 350), 999.5, {1: 4000.5}),
+    "the middle": ([BACK, ((1, 2, 30), (100.5, 0))], (350, 300, 450, 350), 4000, {1: 1000}),
+    "all, by halves": ([BACK, ((1, 5, 30), (100.5, 2.5)), ((1, 7.5, 30), (150.5, -3.75))], None, 0, {1: 2500, 2: 2500}),
+    "the middle, by two": (SMALLER, (350, 300, 450, 300 + FAR_PX), 50 * FAR_PX, {1: 30 * FAR_PX, 2: 20 * FAR_PX}),
+    "all, by the middle of three": (LARGER, None, 0, {1: 10 * FAR_PX}),
+}
+"""What is hidden of the first: all vessels, what box and area are left, and how much each hides."""
 
 
-def test_side_that_is_covered_is_cut_to_the_exact_column():
-    """Front: at 100 m from w2 = −3 to 5.013: columns 349.87–430, over all rows of the one behind."""
-    back, front = vessel("back", 2, 20, 10), vessel("front", 2, 8.013, 30)
-    seen = seen_of([(back, (201, 0), 0), (front, (101, 1.0065), 0)])
-    np.testing.assert_allclose(seen.visible_boxes_px[0], [430, 300, 450, 350], atol=1e-9)
-    np.testing.assert_allclose(seen.visible_px[0], 20 * 50)
-    np.testing.assert_allclose(seen.visible_fraction(), [0.2, 1.0])
-    assert seen.occluders == (((1, pytest.approx(4000)),), ())
-
-
-def test_edges_between_pixel_centres_are_told_to_a_thousandth_of_a_pixel():
-    """At 100 m a millimetre is a hundredth of a pixel."""
-    back = vessel("back", 2, 20, 10)
-    for width_m in (8.0, 8.001, 8.05):
-        seen = seen_of([(back, (201, 0), 0), (vessel("front", 2, width_m, 30), (101, 5 - width_m / 2), 0)])
-        np.testing.assert_allclose(seen.visible_boxes_px[0, 0], 350 + 10 * width_m, atol=1e-9)
+@pytest.mark.parametrize("what", CASES)
+def test_what_is_hidden_is_cut_at_the_exact_column_and_counted_for_the_front_most(renderer, what):
+    vessels, left, visible_px, hidden_px = CASES[what]
+    outlines, both = seen_by_both(renderer, [(vessel("any", *size), place, 0) for size, place in vessels])
+    rows_px = outlines.boxes_px[0, 3] - 300
+    for seen, on_grid, off_px in zip(both, (np.array, np.rint), (1e-9, 0.5), strict=True):
+        share = on_grid(rows_px) / rows_px
+        np.testing.assert_allclose(seen.full_boxes_px[0], on_grid(outlines.boxes_px[0]), atol=1e-9)
+        np.testing.assert_allclose(seen.visible_boxes_px[0], on_grid(left or [np.nan] * 4), atol=1e-9)
+        assert seen.visible_px[0] == pytest.approx(share * visible_px, abs=off_px)
+        assert dict(seen.occluders[0]) == pytest.approx({row: share * px for row, px in hidden_px.items()}, abs=off_px)
+        hidden = [sum(px for _, px in row) for row in seen.occluders]
+        np.testing.assert_allclose(seen.visible_px + hidden, seen.silhouette_px)
+    np.testing.assert_allclose(outlines.areas_px, both[0].silhouette_px)
+    areas, bounds = visible_areas(outlines, INTRINSICS, 2)
+    regions = visible_regions(outlines, INTRINSICS)
+    around = boundary_pixels(regions.silhouettes, 2) + boundary_pixels(regions.visible, 2)
+    np.testing.assert_allclose([areas, bounds], [both[0].visible_px, around / 4])
 
 
 def test_corner_that_is_covered_cuts_no_side_but_its_area_is_missing():
     """A 2.5 m high box at 100 m, columns 350–400: it hides rows 375–400 there, which begins below the one behind."""
     back, low = vessel("back", 2, 20, 10), vessel("low", 2, 5, 6)
-    seen = seen_of([(back, (201, 0), 0), (low, (101, 2.5), 0)])
+    seen = analytic_occlusion(outlines_of([(back, (201, 0), 0), (low, (101, 2.5), 0)]), INTRINSICS)
     # Its top edge: front face from row 340; the top beyond recedes to 102 m, row 300 + 4000 / 102.
     top = 300 + 4000 / 102
     np.testing.assert_allclose(seen.visible_boxes_px[0], [350, 300, 450, 350], atol=1e-9)
@@ -69,47 +76,6 @@ def test_corner_that_is_covered_cuts_no_side_but_its_area_is_missing():
     face, roof = 50 * 10, (50 + 5000 / 102) / 2 * (340 - top)
     assert (hider, hidden) == (1, pytest.approx(face + roof))
     np.testing.assert_allclose(seen.visible_px[0], 5000 - face - roof)
-
-
-def test_vessel_cut_in_two_by_one_before_it_keeps_the_box_around_both_parts():
-    back, mast = vessel("back", 2, 20, 10), vessel("mast", 1, 2, 30)
-    seen = seen_of([(back, (201, 0), 0), (mast, (100.5, 0), 0)])
-    np.testing.assert_allclose(seen.visible_boxes_px[0], [350, 300, 450, 350], atol=1e-9)
-    np.testing.assert_allclose(seen.visible_px[0], 80 * 50)
-
-
-def test_vessel_behind_a_larger_one_has_no_visible_box_and_keeps_its_full_one(renderer):
-    small, large = vessel("small", 2, 4, 3), vessel("large", 2, 40, 30)
-    for seen in seen_by_both(renderer, [(small, (301, 0), 0), (large, (101, 0), 0)])[1]:
-        assert seen.visible_px[0] == 0 < seen.silhouette_px[0] and np.isnan(seen.visible_boxes_px[0]).all()
-        assert seen.full_boxes_px[0, 2] - seen.full_boxes_px[0, 0] == pytest.approx(4000 / 300, abs=1)
-        assert seen.occluders[0] == ((1, pytest.approx(seen.silhouette_px[0])),)
-
-
-def test_two_that_each_hide_a_half_hide_all():
-    """Columns 350–400 and 400–450, meeting at column 400 but at different distances."""
-    back = vessel("back", 2, 20, 10)
-    left, right = vessel("left", 1, 5, 30), vessel("right", 1, 7.5, 30)
-    seen = seen_of([(back, (201, 0), 0), (left, (100.5, 2.5), 0), (right, (150.5, -3.75), 0)])
-    assert seen.visible_px[0] == 0
-    assert dict(seen.occluders[0]) == {1: pytest.approx(2500), 2: pytest.approx(2500)}
-
-
-def test_each_hidden_point_belongs_to_the_front_most(renderer):
-    """At 300, 200 and 100 m: columns 350–450, 375–425 and 390–410, each over all rows of those behind it."""
-    far, middle, near = vessel("far", 1, 30, 10), vessel("middle", 1, 10, 30), vessel("near", 1, 2, 30)
-    _, both = seen_by_both(renderer, [(far, (300.5, 0), 0), (middle, (200.5, 0), 0), (near, (100.5, 0), 0)])
-    for seen, height in zip(both, (10_000 / 300, 33), strict=True):
-        assert dict(seen.occluders[0]) == {1: pytest.approx(30 * height), 2: pytest.approx(20 * height)}
-        np.testing.assert_allclose(seen.visible_px[0], 50 * height)
-        assert [hider for hider, _ in seen.occluders[1]] == [2]
-
-
-def test_vessel_wholly_behind_the_middle_of_three_is_not_given_to_the_nearest():
-    """The nearest hides none of the farthest: it covers columns 430–450 of the middle one only."""
-    far, middle, near = vessel("far", 1, 3, 10), vessel("middle", 1, 20, 30), vessel("near", 1, 2, 30)
-    seen = seen_of([(far, (300.5, 0), 0), (middle, (200.5, 0), 0), (near, (100.5, -4), 0)])
-    assert dict(seen.occluders[0]) == {1: pytest.approx(10 * 10_000 / 300)}
 
 
 def test_box_across_the_near_plane_is_cut_there_and_hides_what_is_behind_its_visible_part(renderer):
@@ -127,6 +93,28 @@ def test_box_across_the_near_plane_is_cut_there_and_hides_what_is_behind_its_vis
         assert seen.occluders[1] == ((0, pytest.approx(50 * 50)),)
 
 
+def test_what_the_near_plane_or_the_image_edge_cuts_has_the_box_of_what_is_seen_beside_what_is_whole():
+    """The near plane at 10 m. A low quay, 2 to 3 m to port, reaches from behind the camera to 200 m, where it is in
+    columns 385 to 390. Its far top edge is 5 m below the camera, and the lower image edge cuts its far side at 5000 /
+    300 m, in column 400 − 180. A pier is in columns 750 and more."""
+    lens = replace(INTRINSICS, near_clip_m=10.0)
+    quay, pier, buoy = (((220, 1, 5), (90, 2.5)), ((1, 10, 10), (100.5, -40)), ((1, 1, 1), (50.5, 0)))
+    vessels = outlines_of([(vessel("any", *size), place, 0) for size, place in (quay, pier, buoy)], lens)
+    assert np.isnan(vessels.in_frame_fraction[0]) and vessels.in_frame_fraction[2] == 1
+    obstacles = outlines_of([], lens, obstacles=[crate(*each) for each in (quay, pier, buoy)])
+    for outlines in (vessels, obstacles):
+        np.testing.assert_allclose(outlines.boxes_px[0], [220, 325, 390, 600])
+        np.testing.assert_allclose(outlines.boxes_px[1], [400 + 35_000 / 101, 300, 800, 400], atol=1e-9)
+        np.testing.assert_allclose(outlines.boxes_px, vessels.boxes_px, atol=1e-9)
+    beside = [(vessel("beside", 40), place, 0) for place in ((100, 60), (100, -60), (0, 60))]
+    guess = outlines_of([*beside, (vessel("any", *quay[0]), quay[1], 0)], lens, measured=False)
+    assert guess.boxes_px.tolist() == [[0, 0, 800, 600]]
+    lens = replace(INTRINSICS, distortion=Distortion(k1=-0.2))  # bends the box of what is whole too
+    bent = outlines_of([(vessel("any"), (60, 15), 0)], lens)
+    pixels = lens.project(bent.parts[0].vertices_camera[0])
+    np.testing.assert_allclose(bent.boxes_px[0], [*pixels.min(axis=0), *pixels.max(axis=0)], atol=0.3)
+
+
 def test_vessel_cut_at_the_image_edge_is_hidden_in_the_part_that_is_in_the_image():
     """Front face at 100 m, w2 from 30 to 50: columns −100 to 100; a post at 50 m hides columns −20 to 20."""
     wide, post = vessel("wide", 1, 20, 10), vessel("post", 1, 2, 30)
@@ -142,22 +130,8 @@ def test_vessel_cut_at_the_image_edge_is_hidden_in_the_part_that_is_in_the_image
     np.testing.assert_allclose(outlines.in_frame_fraction[0], (100 * 100 + side) / (200 * 100 + side))
 
 
-def test_box_in_front_hides_exactly_the_columns_it_should(renderer):
-    """Back: front face at 200 m, 20 m wide: columns 350–450. Front: at 100 m, from w2 = −3 to 5: columns 350–430."""
-    back, front = vessel("back", 2, 20, 10), vessel("front", 2, 8, 30)
-    outlines, both = seen_by_both(renderer, [(back, (201, 0), 0), (front, (101, 1), 0)])
-    assert outlines.occluder.tolist() == [0, 1]
-    for seen in both:
-        np.testing.assert_allclose(seen.full_boxes_px[:, [0, 2]], [[350, 450], [350, 430]], atol=1e-9)
-        np.testing.assert_allclose(seen.visible_boxes_px[0, [0, 2]], [430, 450], atol=1e-9)
-        assert seen.visible_px[0] == pytest.approx(seen.silhouette_px[0] * 20 / 100)
-        assert seen.occluders == (((1, pytest.approx(seen.silhouette_px[0] * 80 / 100)),), ())
-        assert seen.visible_px[1] == seen.silhouette_px[1]
-
-
-@pytest.mark.parametrize("place", [(-100, 0), (100, 60)], ids=["behind the camera", "outside the image"])
-def test_vessel_behind_the_camera_or_outside_the_image_is_not_in_it(renderer, place):
-    outlines, (exact, drawn) = seen_by_both(renderer, [(vessel("away"), place, 0)])
+def test_vessel_behind_the_camera_or_outside_the_image_is_not_in_it(renderer):
+    outlines, (exact, drawn) = seen_by_both(renderer, [(vessel("away"), place, 0) for place in ((-100, 0), (100, 60))])
     assert len(outlines) == len(exact.visible_px) == len(drawn.visible_px) == 0
 
 
@@ -197,33 +171,25 @@ def test_boxes_that_only_touch_hide_nothing_of_each_other_and_three_hundred_have
             assert mount or seen.full_boxes_px[0, 2] == pytest.approx(400) == seen.full_boxes_px[1, 0]
 
 
-RUN_WITHOUT_OPENGL = """
-import sys
-sys.modules["OpenGL"] = None
-from modsim3d.cli.main import main
-for mode in ("1", "2"):
-    sys.argv = ["modsim3d", "run", SCENE, "--source", "analytic", "--mode", mode]
-    sys.argv += ["--out", FOLDER + "/" + mode]
-    try:
-        main()
-    except SystemExit as stopped:
-        assert not stopped.code, stopped.code
-"""
-
-
-def test_modes_one_and_two_run_from_end_to_end_where_there_is_no_opengl(tmp_path):
+def test_all_modes_run_from_end_to_end_where_there_is_no_opengl(tmp_path):
     scene = crossing(tmp_path)
-    script = f"SCENE, FOLDER = {str(scene)!r}, {str(tmp_path)!r}\n{RUN_WITHOUT_OPENGL}"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
     exact = truth_block(load_scene(scene, source="analytic"), 0, 12, None)
     assert (exact.visible_px == 0).any()
     assert ((exact.visible_fraction > 0) & (exact.visible_fraction < 1)).any()
-    for mode in "12":
-        rows = pq.read_table(tmp_path / mode / "truth.parquet").to_pylist()
-        assert [row["annotated"] for row in rows] == (exact.visible_px > 0).tolist()
+    for mode in "012":
+        line = ["modsim3d", "run", str(scene), "--source", "analytic", "--mode", mode, "--out", str(tmp_path / mode)]
+        script = (
+            f"import sys; sys.modules['OpenGL'] = None; sys.argv = {line!r}\nfrom modsim3d.cli.main import main\nmain()"
+        )
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        rows, kept = (
+            pq.read_table(tmp_path / mode / "truth.parquet").to_pylist(),
+            (exact.visible_px > 0) | (mode == "0"),
+        )
+        assert [row["annotated"] for row in rows] == kept.tolist()
         np.testing.assert_array_equal([row["visible_px"] for row in rows], exact.visible_px)
         boxes = json.loads((tmp_path / mode / "annotations_C0.json").read_text())
         widths = [boat["bbox"]["width"] for step in boxes.values() for boat in step.values()]
-        expected = exact.full_boxes_px if mode == "1" else exact.visible_boxes_px
-        np.testing.assert_allclose(widths, (expected[:, 2] - expected[:, 0])[exact.visible_px > 0])
+        expected = exact.visible_boxes_px if mode == "2" else exact.full_boxes_px
+        np.testing.assert_allclose(widths, (expected[:, 2] - expected[:, 0])[kept])

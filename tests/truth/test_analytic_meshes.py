@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from modsim3d import load_scene, simulate_frames
-from modsim3d.truth import analytic
+from modsim3d.truth import analytic, occlusion_order
 from modsim3d.truth.analytic import analytic_occlusion, boundary_pixels, image_silhouettes
 from modsim3d.truth.full_frame import full_frame_occlusion
 from modsim3d.truth.occlusion_order import hull_vertices, order_of
@@ -69,6 +69,9 @@ def test_full_box_is_that_of_corners_clipped_one_by_one_and_area_that_of_pixels_
     low, high = np.array([each.bounds for each in seen if not each.is_empty]).T.reshape(2, 2, -1)
     exact = analytic_occlusion(outlines, INTRINSICS)
     np.testing.assert_allclose(exact.full_boxes_px[0], [*low.min(axis=1), *high.max(axis=1)], atol=1e-6)
+    if cut != "at the near plane":
+        whole = shapely.union_all([shapely.Polygon(each) for each in part.vertices_px[0][part.solid.faces]])
+        assert outlines.in_frame_fraction[0] == pytest.approx(exact.silhouette_px[0] / whole.area)
     drawn = full_frame_occlusion(outlines, INTRINSICS, renderer, 8)
     bound = boundary_pixels(image_silhouettes(outlines, INTRINSICS), 8)[0] / 64
     assert abs(drawn.silhouette_px[0] - exact.silhouette_px[0]) < min(bound, 0.02 * exact.silhouette_px[0])
@@ -120,19 +123,21 @@ def test_hulls_that_intersect_while_the_meshes_do_not_are_left_to_pixels_and_cou
 
 
 def test_hulls_whose_boxes_intersect_have_a_plane_between_them(renderer):
-    """A kayak's pointed bow reaches past the corner of the box around the other's bow."""
-    outlines, in_boxes = (
-        outlines_of([(ship("kayak", 30, 10, 6, solid), place, 0.0) for place in ((100.0, 0.0), (127.0, 5.0))])
-        for solid in (mesh("kayak"), shoebox())
-    )
-    assert order_of(in_boxes).intersecting.tolist() == [True]
-    order = order_of(outlines)
-    assert (order.first_can_hide.tolist(), order.second_can_hide.tolist()) == ([True], [False])
-    assert (compared(renderer, outlines).worst == Agreement.AGREE).all()
+    """A kayak's pointed bow reaches past the corner of the box around the other's bow, and of a pontoon."""
+    for place, other in (((127.0, 5.0), mesh("kayak")), ((128.0, 7.0), shoebox())):
+        outlines, in_boxes = (
+            outlines_of([(ship("a", 30, 10, 6, first), (100.0, 0.0), 0.0), (ship("b", 30, 10, 6, second), place, 0.0)])
+            for first, second in ((mesh("kayak"), other), (shoebox(), shoebox()))
+        )
+        assert order_of(in_boxes).intersecting.tolist() == [True]
+        order = order_of(outlines)
+        assert (order.first_can_hide.tolist(), order.second_can_hide.tolist()) == ([True], [False])
+        assert (compared(renderer, outlines).worst == Agreement.AGREE).all()
 
 
 def test_wrong_order_of_two_meshes_is_found(renderer, monkeypatch):
     outlines = front_and_back(mesh("sailboat"), mesh("ferry"))
+    monkeypatch.setattr(occlusion_order, "widest_gap_axis", None)  # boxes around them are apart
 
     def swapped(outlines):
         order = order_of(outlines)
@@ -156,6 +161,15 @@ def test_hull_of_a_flat_mesh_is_all_its_vertices():
     assert hull_vertices(flat).tolist() == [0, 1, 2, 3, 4]
     assert hull_vertices(catamaran()).tolist() == sorted({*range(16)} & {*hull_vertices(catamaran()).tolist()})
     assert len(hull_vertices(catamaran())) == 8
+
+
+def test_open_surface_has_the_same_silhouette_from_both_sides():
+    sail = Solid(shoebox().vertices, shoebox().faces[4:8], convex=False, closed=False)
+    turned = replace(sail, faces=sail.faces[:, ::-1])
+    for size, place in (((20, 6, 8), (100.0, 4.0)), ((40, 4, 20), (0.0, 3.0))):  # the near plane cuts the second
+        both = (outlines_of([(ship("sail", *size, solid), place, 0.1)]) for solid in (sail, turned))
+        (one,), (other,) = (analytic_occlusion(outlines, INTRINSICS).silhouette_px for outlines in both)
+        assert one == pytest.approx(other) and one > 1000
 
 
 def test_sources_take_vessels_own_ship_and_obstacles_by_their_meshes(tmp_path):

@@ -12,11 +12,9 @@ import shapely
 
 from modsim3d import InputError, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.render.id_pass import Region
-from modsim3d.truth.analytic import mask_box
+from modsim3d.truth.analytic import image_silhouettes, mask_box
 from modsim3d.truth.full_frame import full_frame_occlusion
-from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.rendered import rendered_occlusion
-from modsim3d.truth.silhouettes import silhouette_polygons
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
 from modsim3d.world.vessels import shoebox
 from tests.scenes import INTRINSICS, camera_keys, outlines_of, random_scene, vessel, write_scene
@@ -58,20 +56,10 @@ def test_drawing_regions_gives_the_truth_of_drawing_everything(renderer, seed):
     assert_same(fast.take(drawn), plain.take(drawn))
 
 
-def alone(name, heading=0.7, place=(120.0, 3.0)):
-    return outlines_of([(replace(vessel("ship", 40, 9, 14), solid=mesh(name)), place, heading)])
-
-
-def silhouette_of(outlines: Outlines):
-    (part,) = outlines.parts
-    vertices = part.vertices_camera, part.vertices_px
-    return silhouette_polygons(INTRINSICS, *vertices, outlines.crosses_near, part.solid)[0]
-
-
 @pytest.mark.parametrize("name", shipped_meshes())
 def test_pixels_of_a_mesh_are_those_inside_its_exact_silhouette(renderer, name):
-    outlines = alone(name)
-    polygon, seen = silhouette_of(outlines), rendered_occlusion(outlines, INTRINSICS, renderer)
+    outlines = outlines_of([(replace(vessel("ship", 40, 9, 14), solid=mesh(name)), (120.0, 3.0), 0.7)])
+    (polygon,), seen = image_silhouettes(outlines, INTRINSICS), rendered_occlusion(outlines, INTRINSICS, renderer)
     x, y = np.meshgrid(np.arange(800) + 0.5, np.arange(600) + 0.5)
     sure, perhaps = (shapely.contains_xy(polygon.buffer(band), x, y) for band in (-1 / 128, 1 / 128))
     assert sure.sum() <= seen.silhouette_px[0] <= perhaps.sum() < 1.02 * sure.sum()
@@ -89,15 +77,6 @@ def test_something_is_seen_between_a_sailboats_mast_and_sail(renderer):
     seen = rendered_occlusion(outlines, INTRINSICS, renderer)
     assert (outlines.boxes_px[1, :2] >= outlines.boxes_px[0, :2]).all()
     assert (outlines.boxes_px[1, 2:] <= outlines.boxes_px[0, 2:]).all() and seen.visible_px[1] > 0
-
-
-def test_mesh_cut_by_the_image_edge_has_the_fraction_of_its_area_that_is_inside():
-    outlines = alone("ferry", heading=np.pi / 2, place=(60.0, 20.0))
-    whole = silhouette_of(outlines)
-    inside = shapely.intersection(whole, shapely.box(0, 0, 800, 600))
-    assert 0 < outlines.in_frame_fraction[0] < 1
-    assert outlines.in_frame_fraction[0] == pytest.approx(inside.area / whole.area)
-    np.testing.assert_allclose(outlines.boxes_px[0], inside.bounds)
 
 
 # At the stern, above deck, looking over the whole boat.
