@@ -57,9 +57,11 @@ CASES = [
 ]
 
 
-def test_first_frame_with_the_camera_in_a_body_that_is_there():
+def test_first_frame_with_the_camera_in_a_body_that_is_there(monkeypatch):
     for cameras, present, expected in CASES:
         assert first_body_around(np.array(cameras, dtype=float), fleet(present)) == expected, (cameras, present)
+    monkeypatch.setattr("modsim3d.truth.outlines.solid_angle", None)  # needed in the box around a body only
+    assert first_body_around(np.array([(0, 3, 1), (6, 0, 1.0)]), fleet([[1, 1]] * 2)) is None
 
 
 def test_earliest_frame_counts_among_bodies_of_several_shapes_and_faces_that_point_inwards_have_an_inside_too():

@@ -59,9 +59,11 @@ def test_overlapping_pairs_are_those_of_all_pairs_and_none_of_boxes_without_a_pi
         for asked, expected in ((None, every), (outlines.boxed, with_vessel)):
             pairs = overlapping_pairs(outlines.frame, outlines.boxes_px, asked)
             assert list(zip(*(rows.tolist() for rows in pairs), strict=True)) == expected
-    boxes = np.array([[0, 0, 9, 9], [4, 2, 4, 6], [np.inf, np.inf, -np.inf, -np.inf], [9, 0, 12, 9]], dtype=np.float64)
-    pairs = overlapping_pairs(np.zeros(4, dtype=np.int64), boxes)
-    assert [rows.tolist() for rows in pairs] == [[0], [1]]  # a box without a width overlaps those around it
+    nothing, touching = (np.inf, np.inf, -np.inf, -np.inf), ((9, 0, 12, 9), (0, 9, 9, 12))
+    boxes = np.array([(0, 0, 9, 9), (4, 2, 4, 6), nothing, *touching], dtype=np.float64)
+    for order in (1, -1):  # a box without a width overlaps those around it
+        pairs = overlapping_pairs(np.zeros(5, dtype=np.int64), boxes[::order])
+        assert [rows.tolist() for rows in pairs] == ([[0], [1]] if order == 1 else [[3], [4]])
 
 
 def random_clusters(rng: np.random.Generator, count: int, most: int) -> list[Cluster]:
@@ -88,6 +90,9 @@ def test_small_clusters_share_buffers_and_large_ones_have_their_own():
     many = batches_of(random_clusters(np.random.default_rng(40), 40, 80))
     assert len(many) == 1
     assert all(side <= most for side, most in zip(many[0].sheet.size, SHEET_PX, strict=True))
-    tall, wide = Region(0, 0, 50, 1100), Region(0, 0, 3600, 700)
-    large = batches_of([Cluster(np.array([row]), region) for row, region in enumerate((tall, wide, tall, wide))])
-    assert sorted(batch.sheet.size for batch in large) == [(50, 1100), (50, 1100), (3600, 700), (3600, 700)]
+    tall, wide = (50, 1100), (3600, 700)
+    halves, levels = ([(512, 9)] * 2, [(1024, 9)]), ([(1024, 512)] * 2, [(1024, 1024)])
+    pairs = halves, levels, ([(600, 9), (425, 9)], [(600, 18)])  # and two that are too wide together by a pixel
+    for sizes, buffers in (((tall, wide, tall, wide), [tall, tall, wide, wide]), *pairs):
+        batches = batches_of([Cluster(np.array([row]), Region(0, 0, *size)) for row, size in enumerate(sizes)])
+        assert sorted(batch.sheet.size for batch in batches) == buffers

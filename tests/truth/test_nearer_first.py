@@ -2,22 +2,24 @@
 
 from dataclasses import fields, replace
 from itertools import compress
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
-from modsim3d.geometry.camera_poses import Mount
+from modsim3d.geometry.camera_poses import Mount, poses_ashore, world_R_vehicle
 from modsim3d.scene.reading import load_scene
+from modsim3d.truth import buffer_drawing, rendered
 from modsim3d.truth import outlines as projection
-from modsim3d.truth import rendered
 from modsim3d.truth.cluster_visibility import ClusteredPairs, OrderedClusters, visibility_in_order
-from modsim3d.truth.full_frame import full_frame_occlusion
+from modsim3d.truth.full_frame import full_frame_occlusion, vessel_masks
 from modsim3d.truth.occlusion_order import in_boxes
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.rendered import _ranks, ranks_of, rendered_occlusion
-from modsim3d.truth.silhouettes import Spans
+from modsim3d.truth.rendered import _ranks, ranks_of, rendered_occlusion, rendered_spans
+from modsim3d.truth.silhouettes import Spans, counts_and_boxes
+from modsim3d.world.bodies import vessel_bodies
 from modsim3d.world.vessels import shoebox
-from tests.scenes import INTRINSICS, outlines_of, random_places, vessel
+from tests.scenes import INTRINSICS, crate, outlines_of, random_places, vessel
 from tests.truth.test_regions_against_full import assert_same
 
 WIDTH, HEIGHT = 60, 40
@@ -34,8 +36,56 @@ class NoRenderer:
 def test_ships_that_are_clear_of_each_other_are_cut_without_a_renderer_as_if_they_were_drawn(renderer, seed):
     outlines = outlines_of(random_places(np.random.default_rng(700 + seed), 25, near_m=150.0))
     cut = rendered_occlusion(outlines, INTRINSICS, NoRenderer())
-    assert (cut.visible_px < cut.silhouette_px).sum() > 3
-    assert_same(cut, full_frame_occlusion(outlines, INTRINSICS, renderer))
+    assert (cut.visible_px < cut.silhouette_px).sum() > 3 and not cut.drawn.any()
+    full = full_frame_occlusion(outlines, INTRINSICS, renderer)
+    assert_same(cut, full)
+    assert full.drawn.dtype == bool and full.drawn.all()
+    (whole, _), (visible, _) = counted(outlines, NoRenderer())
+    np.testing.assert_array_equal([whole, visible], [full.silhouette_px, full.visible_px])
+    masks = dict(vessel_masks(outlines, INTRINSICS, renderer))
+    assert [np.count_nonzero(masks[row].visible) for row in range(len(outlines))] == full.visible_px.tolist()
+
+
+BOAT = vessel("boat", 5, 2, 20)
+IN_DOUBT = [(BOAT, (500.0, 0.0), 0.0), (BOAT, (505.0, 0.0), 0.0)]
+"""From 30 m above one sees the faces at which they touch."""
+
+
+def counted(outlines, *asked):
+    """Pixels and boxes of whole and of visible silhouettes, from their spans."""
+    return [counts_and_boxes(spans, len(outlines)) for spans in rendered_spans(outlines, INTRINSICS, *asked)]
+
+
+def test_only_clusters_in_doubt_are_drawn_and_everything_if_one_of_them_fits_no_buffer(renderer, monkeypatch):
+    raft = [(vessel("raft", 20, 20, 20), (150.0 + 20 * i, 40.0), 0.0) for i in (0, 1)]
+    behind = [(BOAT, (300.0, -40.0), 0.0), (BOAT, (330.0, -44.0), 0.0)]
+    outlines = outlines_of([*IN_DOUBT, *raft, *behind], mount=Mount((0.0, 0.0, 30.0)))
+    full = full_frame_occlusion(outlines, INTRINSICS, renderer)
+    seen = rendered_occlusion(outlines, INTRINSICS, renderer)
+    assert_same(seen, full)
+    assert seen.drawn.tolist() == [True] * 4 + [False] * 2 and 0 < seen.visible_fraction()[5] < 1
+    spans = counted(outlines, renderer)
+    np.testing.assert_array_equal([px for px, _ in spans], [full.silhouette_px, full.visible_px])
+    monkeypatch.setattr(buffer_drawing, "TILE_PX", (60, 600))
+    tiled = rendered_occlusion(outlines, INTRINSICS, renderer)
+    assert_same(tiled, full)
+    assert tiled.drawn.all()
+    np.testing.assert_equal(counted(outlines, renderer), spans)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_obstacles_the_one_in_front_is_named_and_what_is_in_doubt_or_refused_is_drawn(renderer, order, monkeypatch):
+    walls = [crate((1, 20, 6), (120, -2)), crate((1, 20, 6), (150, 2)), crate((1, 20, 6), (150, 2), 0.6)]
+    for obstacles, drawer in ((walls[:2][::order], NoRenderer()), (walls[::order], renderer), ([], NoRenderer())):
+        outlines = outlines_of([(vessel("ship", 8, 40, 15), (200, 0), 0)], obstacles=obstacles)
+        cut = rendered_occlusion(outlines, INTRINSICS, drawer)
+        assert_same(cut, full_frame_occlusion(outlines, INTRINSICS, renderer))
+        assert len(cut.occluders[0]) == len(obstacles)
+        monkeypatch.setattr(rendered, "scan_convert", lambda vertices, *_: (Spans.none(), np.arange(len(vertices))))
+        assert_same(rendered_occlusion(outlines, INTRINSICS, renderer), cut)
+        monkeypatch.setattr(buffer_drawing, "TILE_PX", (800, 40))  # the vessel is in two of them
+        assert_same(rendered_occlusion(outlines, INTRINSICS, renderer), cut)
+        monkeypatch.undo()
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -92,15 +142,16 @@ def test_ranks_rise_from_near_to_far_and_are_unknown_of_solids_too_near_to_each_
 
 
 def test_what_touches_the_far_side_of_a_solid_is_behind_it_unless_the_camera_sees_where_they_touch():
-    boat = vessel("boat", 5, 2, 20)
-    places = [(boat, (500.0, 0.0), 0.0), (boat, (505.0, 0.0), 0.0)]
-    for height_m, known in ((10.0, True), (30.0, False)):  # from above, the faces at which they touch
-        outlines = outlines_of(places, mount=Mount((0.0, 0.0, height_m)))
+    for height_m, known in ((10.0, True), (30.0, False)):
+        outlines = outlines_of(IN_DOUBT, mount=Mount((0.0, 0.0, height_m)))
         assert ranks(outlines) == ([0, 1 if known else 0], [known])
-        assert ranks(outlines_of(places[::-1], mount=Mount((0.0, 0.0, height_m)))) == ([int(known), 0], [known])
-    outlines = outlines_of(places, mount=Mount((0.0, 0.0, 10.0)))
+        assert ranks(outlines_of(IN_DOUBT[::-1], mount=Mount((0.0, 0.0, height_m)))) == ([int(known), 0], [known])
+    outlines = outlines_of(IN_DOUBT, mount=Mount((0.0, 0.0, 10.0)))
     (part,) = outlines.parts
     assert ranks(replace(outlines, parts=(replace(part, solid=replace(part.solid, convex=False)),)))[1] == [False]
+    fronts = outlines_of([(vessel("box", 5, 20, 20), (100 + far_m, 0), 0) for far_m in (0, 0.01)])  # all that is seen
+    for gap_m in (0.009, 0.011):
+        assert rendered._in_front(fronts, np.array([0]), np.array([1]), np.array([gap_m])) == (gap_m < 0.01)
 
 
 def test_two_obstacles_in_unknown_order_leave_it_open_who_hides_a_vessel_where_all_three_boxes_overlap():
@@ -153,14 +204,27 @@ def test_boxes_around_meshes_are_the_shoeboxes_that_vessels_fill(strait):
             assert np.abs(boxes.vertices_camera - corners).max(axis=(1, 2)).min() < 1e-6
 
 
-def test_frames_in_portions_have_the_truth_of_all_at_once(renderer, monkeypatch):
-    scene = load_scene("harbour", mode=2)
-    camera = scene.cameras[0]
-    outlines = scene.sight(camera, np.arange(100, 112)).outlines()
-    whole = rendered_occlusion(outlines, camera.intrinsics, renderer)
-    monkeypatch.setattr(rendered, "MAX_LINES", 400)
-    assert len(rendered._portions(outlines, 1)) > 4
-    assert_same(rendered_occlusion(outlines, camera.intrinsics, renderer), whole)
+def test_frames_in_portions_have_the_truth_of_all_at_once(monkeypatch):
+    outlines = outlines_of(random_places(np.random.default_rng(710), 60, near_m=150.0))
+    outlines = replace(outlines, frame=np.arange(len(outlines)) // 4)
+    whole, heights = rendered_occlusion(outlines, INTRINSICS, NoRenderer()), np.diff(outlines.boxes_px[:, 1::2])[:, 0]
+    monkeypatch.setattr(rendered, "MAX_LINES", 300)
+    lines = np.array([heights[first:stop].sum() for first, stop in rendered._portions(outlines, 1)])
+    assert len(lines) > 3 and np.abs(lines[:-1] - 300).max() < np.bincount(outlines.frame, heights).max()
+    portion = Mock(wraps=rendered._occlusion)
+    monkeypatch.setattr(rendered, "_occlusion", portion)
+    assert_same(rendered_occlusion(outlines, INTRINSICS, NoRenderer()), whole)
+    assert portion.call_count == len(lines) and any(whole.occluders)
+
+
+def test_steps_are_projected_in_portions_of_few_or_two_of_many_as_all_at_once(monkeypatch):
+    positions = np.random.default_rng(720).uniform([60, -20, 0], [200, 20, 0], (12, 3, 3))
+    turned, camera = world_R_vehicle(np.zeros((12, 3))), poses_ashore(Mount((0.0, 0.0, 10.0)), 12)
+    bodies = vessel_bodies([BOAT] * 3, np.ones((12, 3), dtype=bool), positions, turned)
+    whole = projection.outline(INTRINSICS, camera, bodies)
+    for most in (24, 7 * 24):  # corners of three boats
+        monkeypatch.setattr(projection, "MAX_VERTICES", most)
+        assert_same_outlines(projection.outline(INTRINSICS, camera, bodies), whole)
 
 
 def test_steps_that_are_projected_in_portions_and_rows_between_two_have_the_outlines_of_all_at_once(monkeypatch):
