@@ -47,6 +47,7 @@ def test_section_closes_what_the_plane_cuts_open(convex):
         clipped, _ = clip_triangles(triangles, near_plane(LENS))
         section = cut_alone(triangles, solid)[len(clipped) :]
         assert (section[..., 2] == 2.0).all()
+        assert not convex or len(section) == len(np.unique(section.reshape(-1, 3), axis=0)) - 2
         parts = shapely.polygons(section[..., :2])
         hull = shapely.convex_hull(shapely.multipoints(met[:, :2]))
         assert shapely.area(parts).sum() == pytest.approx(hull.area, rel=1e-9)
@@ -57,6 +58,8 @@ def test_section_closes_what_the_plane_cuts_open(convex):
 
 def test_section_leaves_holes_open_and_surfaces_without_an_inside_and_solids_beyond_the_plane_get_none():
     outer, inner = ((shoebox().vertices - [0, 0, 0.5]) * size + [0, 0, 2.0] for size in ([6, 6, 4], [2, 3, 5]))
+    fan = cut_alone(outer[shoebox().faces], shoebox())[-6:]  # corners on a side of the square share a coordinate
+    assert shapely.area(shapely.polygons(fan[..., :2])).sum() == pytest.approx(6 * 6)
     tube = np.concatenate([outer[shoebox().faces], inner[shoebox().faces][:, ::-1]])
     clipped, _ = clip_triangles(tube, near_plane(LENS))
     section = cut_alone(tube, replace(shoebox(), convex=False))[len(clipped) :]
@@ -86,8 +89,8 @@ def test_sections_without_a_corner_of_the_image_add_nothing_to_the_box_of_what_i
     assert 5 < sum(left_open) < 140
 
 
-@pytest.mark.parametrize("convex", [True, False])
-def test_solids_are_cut_together_as_each_by_itself(convex, monkeypatch):
+@pytest.mark.parametrize(("convex", "faces", "together"), [(True, 100, 8), (False, 10, 1)])
+def test_solids_are_cut_together_as_each_by_itself(convex, faces, together, monkeypatch):
     """Bit for bit, also in portions: those that the plane does not cross are left as they are."""
     rng, solid = np.random.default_rng(5), replace(shoebox(), convex=convex)
     vertices = shoebox().vertices * rng.uniform(1, 6, (40, 1, 3)) @ Rotation.random(40, rng=rng).as_matrix()
@@ -95,9 +98,9 @@ def test_solids_are_cut_together_as_each_by_itself(convex, monkeypatch):
     vertices = vertices[(vertices[..., 2] > 2.0).any(axis=1)]
     crosses = (vertices[..., 2] < 2.0).any(axis=1)
     assert 5 < crosses.sum() < len(crosses) - 5
-    monkeypatch.setattr("modsim3d.truth.silhouettes.PORTION_FACES", 100)
+    monkeypatch.setattr("modsim3d.truth.silhouettes.PORTION_FACES", faces)
     portions = list(cut_faces(vertices, crosses, LENS, solid))
-    assert len(portions) > 3
+    assert len(portions) == -(-len(crosses) // together)
     triangles, member = (np.concatenate(parts) for parts in zip(*portions, strict=True))
     for index, cut in enumerate(crosses):
         faces = vertices[index, shoebox().faces]
@@ -172,7 +175,7 @@ def test_only_long_edges_are_cut():
 @pytest.mark.parametrize("factor", [1, 3])
 def test_without_faces_turned_away_the_others_are_the_same(factor):
     outlines = outlines_of(random_places(np.random.default_rng(22), 60, near_m=5.0, far_m=150.0))
-    every, some = (triangles_of(outlines, INTRINSICS, factor, facing_only=only) for only in (False, True))
+    every, some = (triangles_of(outlines, INTRINSICS, factor, **only) for only in ({}, {"facing_only": True}))
     kept = ~every.of_whole | (facing(every.corners_px * factor) > 0)
     assert (every.of_whole & kept).sum() > 100 and len(some.row) < len(every.row) * 0.7
     for name in ("row", "corners_px", "inverse_depth", "of_whole"):

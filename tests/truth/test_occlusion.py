@@ -1,6 +1,6 @@
 """What a source says about occlusion as rows are chosen and turned into the truth record, and whether masks fit it."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -70,6 +70,8 @@ def test_record_has_the_steps_of_the_frames_nothing_annotated_and_no_share_that_
     assert truth.occluders_of(2) == [(0, 3.0), (1, 5.0)]
     np.testing.assert_array_equal(truth.intersections, [[7, 3, 0, 3], [7, 3, 1, 4]])
     np.testing.assert_array_equal(five_rows().visible_fraction(), [np.nan, 0.1, 0.1, 0.1, 0.1])
+    columns = {field.name: getattr(five_rows(), field.name) for field in fields(Occlusion)[:5]}
+    assert Occlusion(**columns).truth(outlines, np.array([7]), 3).intersections.shape == (0, 4)
 
 
 def test_what_pieces_of_one_obstacle_hide_together_counts_once():
@@ -137,7 +139,7 @@ def test_box_and_count_are_those_of_the_mask_they_were_counted_from(factor):
     np.testing.assert_array_equal(box, expected)
     count = mask.sum() / factor**2
     assert counted_from(mask, region, box / factor, count, factor)
-    assert not counted_from(mask, region, box / factor, count + 1 / factor**2, factor)
+    assert counted_from(mask, region, box / factor, count + 1 / factor**2, factor) is False
     assert not counted_from(mask, region, box / factor + [0, 0, 1 / factor, 0], count, factor)
     assert counted_from(np.zeros_like(mask), region, np.full(4, np.nan), 0.0, factor)
     assert not counted_from(np.zeros_like(mask), region, np.full(4, np.nan), 1 / factor**2, factor)

@@ -78,33 +78,29 @@ def flat_box(left: float, top: float, right: float, bottom: float) -> np.ndarray
     return (centre + (np.stack([x, y], axis=-1) - centre) * shrink[:, None])[None]
 
 
-def test_centre_on_an_edge_belongs_to_the_left_and_upper_side(renderer):
+OUTSIDE = [(5.0, -9.0, 20.0, -3.0), (5.0, 43.0, 20.0, 49.0), (-9.0, 5.0, -3.0, 20.0), (43.0, 5.0, 49.0, 20.0)]
+
+
+def test_centre_on_an_edge_belongs_to_the_left_and_upper_side_and_without_a_centre_there_is_no_span(renderer):
     for box, expected in (
         ((10.5, 10.5, 20.5, 20.5), (10, 10, 20, 20)),  # edges through pixel centres: left and top are in
         ((10.51, 10.51, 20.51, 20.51), (11, 11, 21, 21)),
         ((10.49, 10.49, 20.49, 20.49), (10, 10, 20, 20)),
         ((-5.0, -5.0, 3.5, 2.5), (0, 0, 3, 2)),
         ((30.0, 30.0, 60.0, 60.0), (30, 30, 40, 40)),
+        ((10.45, 10.45, 10.55, 10.55), (10, 10, 11, 11)),
+        *((box, (np.inf, np.inf, -np.inf, -np.inf)) for box in (*OUTSIDE, (10.6, 10.45, 10.7, 10.55))),
     ):
         vertices = flat_box(*box)
         spans, odd = scan_convert(vertices, shoebox(), (40, 40))
         assert not len(odd)
         pixels, boxes = counts_and_boxes(spans, 1)
         np.testing.assert_array_equal(boxes[0], expected)
-        assert pixels[0] == (expected[2] - expected[0]) * (expected[3] - expected[1])
+        assert pixels[0] == max(0, expected[2] - expected[0]) * max(0, expected[3] - expected[1])
+        assert (len(spans.row) > 0) == (pixels[0] > 0)
         corners = vertices[0][shoebox().faces]
         drawn = renderer.draw(corners, np.full((12, 3), 0.5), np.ones(12, dtype=int), Region(0, 0, 40, 40))
         np.testing.assert_array_equal(painted(spans, 0, (40, 40)), drawn > 0)
-
-
-OUTSIDE = [(5.0, -9.0, 20.0, -3.0), (5.0, 43.0, 20.0, 49.0), (-9.0, 5.0, -3.0, 20.0), (43.0, 5.0, 49.0, 20.0)]
-
-
-def test_box_outside_the_image_or_between_pixel_centres_has_no_span_and_a_small_one_on_a_centre_has_one():
-    between, on_a_centre = ((x, 10.45, x + 0.1, 10.55) for x in (10.6, 10.45))
-    for box, count in (*((box, 0) for box in (*OUTSIDE, between)), (on_a_centre, 1)):
-        spans, odd = scan_convert(flat_box(*box), shoebox(), (40, 40))
-        assert (len(spans.row), len(odd), counts_and_boxes(spans, 1)[0].tolist()) == (count, 0, [count]), box
 
 
 def test_outline_that_crosses_itself_is_drawn_instead_and_its_neighbours_are_not():

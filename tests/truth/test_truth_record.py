@@ -1,10 +1,12 @@
 """The truth record without rows, as records are joined and rows chosen, and which rows modes and filters annotate."""
 
 from dataclasses import fields, replace
+from typing import get_args
 
 import numpy as np
 
-from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth
+from modsim3d.scene.keys import AnnotationKeys
+from modsim3d.truth.record import SOURCES, Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth
 
 
 def two_rows(step: int, vessels: tuple[int, int], hider: int) -> Truth:
@@ -91,6 +93,8 @@ def test_mode_and_filters_keep_these_rows():
         (0, {"min_visible_px": 50.0, "min_visible_fraction": 0.5}, [WHOLE]),
     ):
         assert np.flatnonzero(annotated_rows(four_rows(), Annotation(mode=mode, **filters))).tolist() == kept, filters
+    one_pixel = replace(four_rows(), visible_px=np.array([1.0, 0.25, 0.0, np.nan]))
+    assert np.flatnonzero(annotated_rows(one_pixel, Annotation(mode=1))).tolist() == [WHOLE, SEEN]
 
 
 def test_visible_boxes_are_annotated_in_mode_two_and_full_ones_otherwise_and_nothing_is_filtered_unasked():
@@ -98,3 +102,4 @@ def test_visible_boxes_are_annotated_in_mode_two_and_full_ones_otherwise_and_not
     for mode, expected in enumerate((truth.full_boxes_px, truth.full_boxes_px, truth.visible_boxes_px)):
         np.testing.assert_array_equal(annotation_boxes(truth, mode), expected)
     assert Annotation() == Annotation(0, "rendered", 1, "regions", 0.0, 0.0, 0.0, False)
+    assert get_args(AnnotationKeys.model_fields["source"].annotation) == (*SOURCES, "labels")

@@ -9,7 +9,7 @@ import pytest
 from modsim3d.render.id_pass import Region
 from modsim3d.truth.buffer_drawing import triangles_of, within_guard
 from modsim3d.truth.scan_conversion import scan_convert
-from modsim3d.truth.silhouettes import edges_of, spans_of_ids, winding_spans
+from modsim3d.truth.silhouettes import _Edges, edges_of, spans_of_ids, winding_spans
 from modsim3d.world.mesh_reading import load_mesh
 from modsim3d.world.vessels import Solid, shoebox
 from tests.scenes import INTRINSICS, outlines_of, random_places
@@ -45,6 +45,7 @@ def seen(solid, seed, count=40):
 def test_convex_solids_have_the_spans_of_convex_scan_conversion(monkeypatch, most):
     monkeypatch.setattr("modsim3d.truth.silhouettes.MAX_CROSSINGS", most)
     pixels, _ = seen(shoebox(), 1)
+    assert (len(_Edges.of(pixels, shoebox(), SIZE[1]).portions()) > 1) == (most == 300)
     expected, odd = scan_convert(pixels, shoebox(), SIZE)
     assert len(odd) == 0 and len(np.unique(expected.row)) > 15
     for name, column in vars(winding_spans(pixels, shoebox(), SIZE)).items():
