@@ -11,7 +11,7 @@ from modsim3d.campaign.keys import ScoreKeys
 from modsim3d.campaign.plan import Case
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.work.row import SCORES, facts_of, score_bounds, without_tracks
+from modsim3d.campaign.work.row import SCORES, SHARES, facts_of, score_bounds, without_tracks
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
@@ -72,6 +72,8 @@ def test_a_perfect_tracker_is_never_at_fault_and_rests_on_everything(score):
     assert not runs.nothing.any() and runs.rests_on == 1
     assert bool(runs.undefined.all()) == facts_of(score).of_faults  # nothing went wrong
     assert runs.undefined.all() or least <= runs.values[0, 0] <= greatest
+    best = score in SHARES and not runs.undefined.all()
+    assert not best or runs.values[0, 0] == pytest.approx(0.0 if facts_of(score).low_is_good else 1.0)
 
 
 @pytest.mark.parametrize("hidden", [[0, 1], [6, 7]], ids=["when it appears", "when it is seen last"])

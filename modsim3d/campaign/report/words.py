@@ -16,7 +16,7 @@ from modsim3d.campaign.plan import Plan, groups_of, key_columns, text_of, value_
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
 from modsim3d.campaign.verdicts.wording import percent, requirement_text
-from modsim3d.campaign.work.row import SHARES
+from modsim3d.campaign.work.row import SHARES, facts_of
 from modsim3d.campaign.work.task import PLAN
 from modsim3d.core.document import Block, Cell, Fold, Heading, Row, Table, Text, Where
 from modsim3d.core.text import counted, three_digits, three_digits_with_interval
@@ -35,8 +35,6 @@ UNITS = {
     "_hz": "Hz",
 }
 """Ends of keys, and the units that they stand for."""
-_LOW_IS_GOOD = ("siap_spuriousness",)
-"""Of the scores from 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Score:
         """Whether low values are the bad ones, by the requirements, or else by what the score is."""
         if self.requirements:
             return self.requirements[0].at_least is not None
-        return (self.key in SHARES and self.key not in _LOW_IS_GOOD) or self.key == "mota"
+        return (self.key in SHARES and not facts_of(self.key).low_is_good) or self.key == "mota"
 
     @property
     def threshold_words(self) -> list[tuple[str, float]]:

@@ -183,6 +183,7 @@ class ScoreFacts:
     of_faults: bool = False  # a mean over things that went wrong: undefined also where nothing did
     basis: Basis = FOLLOWED  # the share that it rests on
     without_tracks: float | None = 0.0  # value without any track; None if it has none, or if it depends on the truth
+    low_is_good: bool = False  # of a share
 
 
 _SHARE = ScoreFacts(greatest=1.0)
@@ -204,7 +205,8 @@ _SURVIVED = ScoreFacts(
 _FAMILIES = {
     "hota deta detre idf1 idr siap_completeness siap_longest_track_share established_share": _SHARE,
     "hidden_followed hidden_same_track": _SHARE,
-    "assa assre asspr loca detpr motp idp siap_spuriousness": _MANAGED_SHARE,
+    "assa assre asspr loca detpr motp idp": _MANAGED_SHARE,
+    "siap_spuriousness": replace(_MANAGED_SHARE, low_is_good=True),
     "siap_ambiguity siap_positional_accuracy_px siap_id_changes_per_s tracks_per_vessel track_breaks_per_hour": _MEAN,
     "rmse_px median_error_px rmse_width_px rmse_height_px": _MEAN,
     "nees anees": _NEES,
