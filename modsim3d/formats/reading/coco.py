@@ -205,7 +205,7 @@ def _image(
     sequence, condition = entry.get("sequence", entry.get("video_id")), entry.get("condition")
     if sequence is not None and not _is_id(sequence):
         problems.add(f"{where}: sequence must be a whole number or text (got {shown(sequence)})")
-    name = entry.get("file_name", entry["id"])
+    name = entry["id"] if (file := entry.get("file_name")) in (None, "") else file
     for key, value in (("file_name", name), ("condition", condition)):
         if value is not None and not (_is_id(value) or is_number(value)):
             problems.add(f"{where}: {key} must be text (got {shown(value)})")

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from pathlib import Path
+from collections import Counter
+from collections.abc import Sequence
+from glob import glob
+from operator import attrgetter
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
@@ -15,28 +19,32 @@ from PIL import Image
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.atomic_write import put_folder_in_place
+from modsim3d.io.validation import shown
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.scene.scene import Scene
 
 KINDS = (".jpg", ".jpeg", ".png", ".webp", ".bmp")
 FILM_FILES = "*.jpg"
+_NAME = attrgetter("name")
 _DIGITS = re.compile(r"(\d+)")
 _QUALITY = 85
 
 
 def image_facts(run: StoredRun, images: Path, page: Path, every: int) -> list[dict[str, Any]]:
     """For each camera the pictures' addresses from the page, `files`, and the place among them of what it shows at each
-    shown step, `shown`, −1 before its first. Pictures of several cameras are in folders called as they are. Raises
-    InputError if there are none, or not as many as the camera has frames."""
-    scene, found = run.scene, []
+    shown step, `shown`, −1 before its first. Pictures that labels do not name are taken in order, those of several
+    cameras in folders called as they are. Raises InputError if there are none, not as many as the camera has frames, or
+    not all that labels name."""
+    scene, found, taken = run.scene, [], set[Path]()
     for camera in scene.cameras:
         folder = images if len(scene.cameras) == 1 and not (images / camera.name).is_dir() else images / camera.name
-        taken = scene.frame_steps(camera, 0, run.steps)
-        files = _of_frames(_pictures(folder), scene, camera.name, len(taken), folder)
+        steps = scene.frame_steps(camera, 0, run.steps)
+        names = () if scene.labels is None else scene.labels.sequence(camera.name).images[: len(steps)]
+        files = _called(names, images, folder, taken) or _in_order(folder, camera.name, len(steps))
+        taken.update(files)
         _check_size(files[0], camera, files[0])
-        shown = np.searchsorted(taken, np.arange(0, run.steps, every), side="right") - 1
+        shown_at = np.searchsorted(steps, np.arange(0, run.steps, every), side="right") - 1
         addresses = [quote(Path(os.path.relpath(file, page.parent)).as_posix()) for file in files]
-        found.append({"files": addresses, "shown": shown.tolist()})
+        found.append({"files": addresses, "shown": shown_at.tolist()})
     return found
 
 
@@ -50,13 +58,44 @@ def _pictures(folder: Path) -> list[Path]:
     return sorted(files, key=lambda path: [int(each) if each.isdigit() else each for each in _DIGITS.split(path.name)])
 
 
-def _of_frames(files: list[Path], scene: Scene, camera: str, count: int, folder: Path) -> list[Path]:
-    """The picture of each of a camera's frames: by the names of its labelled images if all are there, else in order."""
-    by_name = {name: path for path in files for name in (path.name, path.stem)}
-    called = () if scene.labels is None else scene.labels.sequence(camera).images
-    names = list(dict.fromkeys(Path(name).name for name in called))
-    if len(names) == count and all(name in by_name for name in names):
-        return [by_name[name] for name in names]
+def _called(names: Sequence[str], images: Path, folder: Path, taken: set[Path]) -> list[Path]:
+    """The pictures that labels name, none twice and none that is taken, all found in one way: by the path below
+    `images`, by the name there, by the name or by the stem in the camera's folder. Empty if labels do not name files,
+    and not all are found. Raises InputError if they do, and one is missing."""
+    wanted, best = [_plain(name) for name in names if images.is_dir()], list[Path | None]()
+    deep = "**" if any(len(path.parts) > 1 for path in wanted) else "*"
+    for place, pattern, key in ((images, deep, str), (images, "*", _NAME), (folder, "*", _NAME), (folder, "*", _stem)):
+        within = glob(pattern, root_dir=place, recursive=True)  # noqa: PTH207 - that of Path follows no links to folders
+        listed = ((_plain(path), place / path) for path in within)
+        pictures = [(key(path), file) for path, file in listed if path.suffix in KINDS and file not in taken]
+        count = Counter(name for name, _ in pictures)
+        only = {name: file for name, file in pictures if count[name] == 1}
+        files = [only.pop(key(path), None) for path in wanted]
+        if not best or files.count(None) < best.count(None):
+            best = files
+    if None in best and any(path.suffix in KINDS for path in wanted):
+        first = best.index(None)
+        whose = "which labels name" if wanted[first].suffix in KINDS else "an image whose file labels do not name"
+        told = f"has no picture of its own for {shown(names[first])}, {whose} ({best.count(None):,} of {len(best):,})"
+        right = (
+            "the path below this folder, or the name in it or in one called as the camera, must be that of the labels"
+        )
+        raise InputError(f"--pictures {images}", [f"{told}: {right}"])
+    return [] if None in best else [file for file in best if file]
+
+
+def _plain(name: str) -> PurePosixPath:
+    """A path to be compared: without case, and with slashes."""
+    return PurePosixPath(name.replace("\\", "/").casefold())
+
+
+def _stem(path: PurePosixPath) -> str:
+    return path.stem if path.suffix in KINDS else path.name
+
+
+def _in_order(folder: Path, camera: str, count: int) -> list[Path]:
+    """All pictures of a camera's folder, one for each of its frames."""
+    files = _pictures(folder)
     if len(files) != count:
         told = f"has {len(files):,} pictures, and camera '{camera}' has {count:,} frames: one for each is needed"
         raise InputError(f"--pictures {folder}", [f"{told}, or names as those of the labelled images"])
