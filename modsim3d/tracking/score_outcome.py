@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from modsim3d.core.text import UNKNOWN
 from modsim3d.runs.stored_run import StoredRun
-from modsim3d.tracking.oracle import RAW, SMOOTHED
+from modsim3d.tracking.oracle import RAW
 from modsim3d.tracking.score_text import LengthBin, TrackerOutcome, conclusion, keys_of
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode
 from modsim3d.tracking.scores.scored import Rules
@@ -32,11 +32,17 @@ def conclusion_of(scores: ScoredTracks) -> str:
     if scores.trackers:
         bins = [(each, length_bins(each.scores.occlusions)) for each in scores.trackers]
         outcomes = [TrackerOutcome(each.name, keys_of(each.scores), lengths) for each, lengths in bins]
-        oracle = scores.references.get(SMOOTHED)
+        oracle = best_reference(scores)
         said.append(conclusion(outcomes, {"hota": None} if oracle is None else keys_of(oracle)))
     if scores.world:
         said.append(world_conclusion(scores))
     return " ".join(said)
+
+
+def best_reference(scores: ScoredTracks) -> Scores | None:
+    """The reference with the higher HOTA, None without any; where a camera moves, smoothing may cost more than it
+    gains."""
+    return max(scores.references.values(), key=lambda each: keys_of(each)["hota"] or 0, default=None)
 
 
 def remarks_of(scores: ScoredTracks) -> str:

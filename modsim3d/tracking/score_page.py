@@ -13,7 +13,7 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import UNKNOWN, counted, number
 from modsim3d.io.atomic_write import write_files
 from modsim3d.tracking import score_outcome
-from modsim3d.tracking.oracle import REFERENCES, SMOOTHED
+from modsim3d.tracking.oracle import REFERENCES
 from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, rules_in_words
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
@@ -155,7 +155,7 @@ def _alpha_chart(curves: Mapping[str, Array]) -> str:
 
 def _breakdowns(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
     """Recall by each property: on a page of all trackers and the oracle side by side, on a terminal of the best one."""
-    best, oracle = scores.trackers[0], scores.references.get(SMOOTHED)
+    best, oracle = scores.trackers[0], score_outcome.best_reference(scores)
     yield Heading(f"Where {best.name} loses vessels", where=Where.TERMINAL)
     yield from _breakdown_tables([("", best.scores)], Where.TERMINAL)
     named = [(each.name, each.scores) for each in scores.trackers] + ([("oracle", oracle)] if oracle else [])

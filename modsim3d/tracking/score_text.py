@@ -92,7 +92,7 @@ class TrackerOutcome:
 
 
 def conclusion(trackers: Sequence[TrackerOutcome], reference: Keys) -> str:
-    """The outcome of at least one tracker, the best first, beside the scores of the smoothed reference."""
+    """The outcome of at least one tracker, the best first, beside the scores of the better reference."""
     best = trackers[0]
     if not _expected(best.keys):
         return _nothing_expected(trackers)
