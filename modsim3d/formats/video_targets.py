@@ -10,6 +10,7 @@ import shapely
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, clip, intersections, sizes
 from modsim3d.core.errors import InputError
+from modsim3d.core.text import counted
 from modsim3d.formats.labelled import FileIds, Images, LabelledSet
 from modsim3d.io.validation import nearest, shown
 from modsim3d.truth.analytic import NOTHING_PX2, Hiding
@@ -215,6 +216,11 @@ class FileClasses:
     names: tuple[str, ...]  # MOT's have none of their own and are called `class_1`, `class_2` and so on
     numbers: tuple[int, ...]  # 0 in a MOT file without classes
 
+    @property
+    def places(self) -> list[int]:
+        """Place of each class in the list of their names that a user gives: its number in MOT, which counts from 1."""
+        return [max(number - 1, 0) for number in self.numbers] if self.kind == "MOT" else [*range(len(self.names))]
+
     def in_words(self, index: int) -> str:
         """Name of a class in messages."""
         if self.kind != "MOT":
@@ -228,13 +234,15 @@ def to_labels(
     """Index into the detector's labels of each of k classes, −1 for one that is no target: (k,); and remarks. `used`
     are the classes with boxes that are to be detected: (k,), `given` a label of the detector, or `-`, for each class in
     the order of the file or of the numbers, as `--labels` has them, None if there are none. Raises InputError if a
-    class that is used has no label."""
+    class that is used has no label, or there are more names than classes; TypeError if they are no list of names."""
     whole = np.flatnonzero(used)
     if given is not None:
+        if isinstance(given, str) or not all(isinstance(name, str) for name in given):
+            raise TypeError(f"labels: a list of names is needed (got {shown(given)})")
         problems = list(_given_problems(classes, used, given, labels))
         if problems:
             raise InputError("--labels", problems)
-        named = [*given[: len(classes.names)], *[NO_TARGET] * (len(classes.names) - len(given))]
+        named = [given[place] if place < len(given) else NO_TARGET for place in classes.places]
         return np.array([-1 if name == NO_TARGET else labels.index(name) for name in named], dtype=np.int64), []
     if classes.kind == "MOT" and len(whole) == len(labels) == 1:
         mapped = np.full(len(classes.names), -1)
@@ -253,7 +261,7 @@ def to_labels(
 def _how(classes: FileClasses) -> str:
     order = f"in the order of the file ({', '.join(classes.names[:20])})"
     if classes.kind == "MOT":
-        order = f"for each class from 1 to {len(classes.names)}"
+        order = f"for each class from 1 to {max(classes.places) + 1}"
     return f"give --labels A,B,... with a label of the detector {order}; {NO_TARGET} for one that is not to be detected"
 
 
@@ -261,7 +269,8 @@ def _given_problems(classes: FileClasses, used: Mask, given: Sequence[str], labe
     for name in dict.fromkeys(given):
         if name not in labels and name != NO_TARGET:
             yield f"'{name}' is not one of the detector's labels ({nearest(name, labels)})"
-    if classes.kind != "MOT" and len(given) > len(classes.names):
-        yield f"names {len(given)} categories, and the file has {len(classes.names)}"
-    for index in np.flatnonzero(used)[np.flatnonzero(used) >= len(given)].tolist():
-        yield f"does not say what {classes.in_words(index)} is: {_how(classes)}"
+    if len(given) > (count := max(classes.places) + 1):
+        yield f"has {len(given)} names, and the file {counted(count, 'class', 'classes')}"
+    for index in np.flatnonzero(used).tolist():
+        if classes.places[index] >= len(given):
+            yield f"does not say what {classes.in_words(index)} is: {_how(classes)}"
