@@ -159,18 +159,19 @@ def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, 
     if "places" in observed.without:
         return "uniform"
     false, needed = len(sightings), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
-    where = "false_positives.placement:"
+    where, known = "false_positives.placement:", bool(sightings.known.all())
+    uniform = "uniform below the horizon" if known else "uniform"
     if not np.isfinite(observed.labelled.images.sizes_px).all():
-        notes.append(f"{where} uniform below the horizon; the size of some images is not known")
+        notes.append(f"{where} {uniform}; the size of some images is not known")
         return "uniform"
     if false < FALSE_NEEDED:
-        notes.append(f"{where} uniform below the horizon; had {false} false detections, needs {FALSE_NEEDED}")
+        notes.append(f"{where} {uniform}; had {false} false detections, needs {FALSE_NEEDED}")
         return "uniform"
-    if not sightings.known.all():
+    if not known:
         said = "the horizon of some images is not known (--horizon)"
         if false < needed:
             said = f"{said}, and a map needs {needed} false detections, had {false}"
-            notes.append(f"{where} uniform below the horizon; {said}")
+            notes.append(f"{where} {uniform}; {said}")
             return "uniform"
         notes.append(f"{where} a map; {said}")
         return "density"
@@ -179,7 +180,7 @@ def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, 
     above = float((sightings.depth_px < 0).mean())
     lie = f"{above:.1%} of {false:,} false detections lie above the horizon, and 90 % less than {deep:.3g} px below it"
     if placing == "uniform":
-        notes.append(f"{where} uniform below the horizon; no other is clearly likelier; {lie}")
+        notes.append(f"{where} {uniform}; no other is clearly likelier; {lie}")
     else:
         notes.append(f"{where} {placing}, for it is likelier than uniform (log-likelihood {gain:.1f} higher); {lie}")
     return placing

@@ -356,7 +356,7 @@ class FalseSightings:
     boxes_px: Array  # x_min, y_min, x_max, y_max, shape (n, 4)
     image_px: Array  # width and height of the image, NaN where unknown, shape (n, 2)
     half_planes: Array  # the sea's side of the horizon in the image, everywhere where unknown, shape (n, 3)
-    known: Mask  # whether the horizon of the image is known, shape (n,)
+    known: Mask  # whether the image has a horizon that is known, shape (n,)
 
     @classmethod
     def of(cls, observed: Observed) -> FalseSightings:
@@ -365,7 +365,7 @@ class FalseSightings:
         rows = observed.false_positives
         image = results.image[rows]
         given = images.half_planes[image]
-        known: Mask = np.asarray(np.isfinite(given).all(axis=1))
+        known: Mask = np.asarray(np.isfinite(given).all(axis=1) & given[:, :2].any(axis=1))  # see `EVERYWHERE`
         sea = np.where(known[:, None], given, EVERYWHERE)
         return cls(image, results.boxes_px[rows], images.sizes_px[image], sea, known)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.formats.labelled import EVERYWHERE
 from modsim3d.learn.bootstrap import entries_of, resample
 from modsim3d.learn.matches import FalseSightings
 from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
@@ -84,9 +85,11 @@ def test_boxes_that_jitter_from_frame_to_frame_still_stay(staying):
 
 
 def test_without_a_horizon_places_are_a_map_and_a_note_says_so(staying):
-    learned = learned_from(replace(staying, images=replace(staying.images, half_planes=np.full((FRAMES, 3), np.nan))))
-    assert learned.form.false_positives.placing == "density"
-    assert "false_positives.placement: a map; the horizon of some images is not known (--horizon)" in learned.notes
+    for sea in (np.nan, EVERYWHERE):  # of files, and of a run of labels
+        images = replace(staying.images, half_planes=np.tile(sea, (FRAMES, 3 // np.size(sea))))
+        learned = learned_from(replace(staying, images=images))
+        assert learned.form.false_positives.placing == "density"
+        assert "false_positives.placement: a map; the horizon of some images is not known (--horizon)" in learned.notes
 
 
 def test_models_that_are_left_out_are_not_learned(staying):
