@@ -107,7 +107,7 @@ def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
         facts = TrackFacts.model_validate(load_json(folder / FACTS, "tracks"))
     except ValidationError as error:
         raise InputError(source_of(folder / FACTS), describe(error, TrackFacts)) from None
-    _check_run(facts.run, _tracked_run(run), source_of(folder))
+    _check_run(facts.run, _tracked_run(run), source_of(folder), of_files=bool(run.made_of))
     with open_input(folder / TABLE, "tracks", input_files.MAX_TEXT_BYTES) as file:
         content = file.read()
     source = source_of(folder / TABLE)
@@ -134,16 +134,18 @@ def _tracked_run(run: StoredRun) -> TrackedRun:
     )
 
 
-def _check_run(of: TrackedRun, run: TrackedRun, source: str) -> None:
-    """Refuse tracks of other detections; seeds are compared first, as a user knows them."""
+def _check_run(of: TrackedRun, run: TrackedRun, source: str, *, of_files: bool) -> None:
+    """Refuse tracks of other detections; seeds are compared first, as a user knows them. A run `of_files` is made of
+    labels and detections for one command."""
+    remedy = "; --truth, --detections and --labels must be given as for `modsim3d track`" if of_files else ""
     for name in ("scene", "seed", "detector_seed", "traffic_seed", "steps", "scene_sha256"):
         theirs, ours = getattr(of, name), getattr(run, name)
         if theirs != ours:
             told = f"{name} was {shown(theirs)}, and is {shown(ours)} in this run"
-            raise InputError(source, [f"these tracks are of another run: {told}"])
+            raise InputError(source, [f"these tracks are of another run: {told}{remedy}"])
     if None not in (of.detections_sha256, run.detections_sha256) and of.detections_sha256 != run.detections_sha256:
         told = f"checksums these were {of.detections_sha256}, and are {run.detections_sha256} in this run"
-        raise InputError(source, [f"these tracks are of other detections of the same scene and seeds: {told}"])
+        raise InputError(source, [f"these tracks are of other detections of the same scene and seeds: {told}{remedy}"])
 
 
 def _check_columns(table: pa.Table, source: str) -> None:
