@@ -71,7 +71,7 @@ def test_a_file_name_that_two_images_have_stands_for_neither_and_ids_may_be_text
 
 def test_categories_that_count_from_elsewhere_are_told_and_can_be_moved(tmp_path):
     files = coco(tmp_path, [result(11, 0), result(12, 1)])
-    hint = "category IDs are off by one: --category-offset 1 would set them right"
+    hint = "category IDs are off by one: add 1 to those of the detections, with `modsim3d learn` by --category-offset 1"
     refused(rf"\[0\]: unknown category_id 0 \(known: 1, 2\)\n  {hint}\Z", *files)
     assert read_pair("day", *files, ReadOptions(category_offset=1)).results.label.tolist() == [0, 1]
     refused(r"\[1\]: unknown category_id 7 .*\Z", *coco(tmp_path, [result(11, 1), result(12, 7)]), ReadOptions())

@@ -81,7 +81,8 @@ class KnownNames:
             for step in (1, -1):
                 if {number + step for number in classes} <= categories.keys():
                     whole = offset + step
-                    problems.hint = f"category IDs are off by one: --category-offset {whole} would set them right"
+                    by = f"add {whole} to those of the detections, with `modsim3d learn` by --category-offset {whole}"
+                    problems.hint = f"category IDs are off by one: {by}"
         return cls(images.by_image_id, images.by_file_name, categories)
 
     def place(self, entry: Any, where: str, problems: Problems) -> LabelledRow | None:

@@ -3,8 +3,8 @@
 A line is frame, track, type, truncation, occlusion, angle; left, top, right and bottom of the box; height, width and
 length of the object, its x, y and z before the camera in metres, its rotation; and in results a score. Frames and
 pixels count from 0 (readme of the tracking benchmark's development kit). Occlusion is a class, and becomes the visible
-fraction; truncation, a class too or a share outside the image, becomes the share inside it. `DontCare` is a region to
-be ignored."""
+fraction. Truncation becomes the share inside the image: it is the share outside in a file where one is no whole number,
+else a class too. `DontCare` is a region to be ignored."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,6 @@ from modsim3d.formats.reading.mot import (
     SequenceLines,
     problems_of,
     sequence_set,
-    share_in_image,
 )
 from modsim3d.io.input_files import read_text
 from modsim3d.io.validation import nearest, shown
@@ -49,22 +48,27 @@ def read_kitti(condition: str, truth: Path, detections: Path | None, options: Re
     names = options.labels or (*TYPES, *sorted(found - set(TYPES)))
     number_of = {name: float(number) for number, name in enumerate(names, 1)}
     beside = {name: number_of[other] for name, other in NEIGHBOURS.items() if other in names and name not in names}
+    shares = any(row[_TRUNCATION] % 1 for _, _, row in labels)
+    for where, _, row in labels:
+        if shares and row[_TRUNCATION] > 1:
+            problems.add(f"{where}: truncation must be a share up to 1, as in other lines (got {row[_TRUNCATION]:g})")
+    labels = [each for each in labels if not shares or each[2][_TRUNCATION] <= 1]
     annotated = [
-        (where, [*_place(row), name in names, {**beside, **number_of}[name], *_visibility_and_place(row)])
+        (where, [*_place(row), name in names, {**beside, **number_of}[name], *_attributes(row, shares)])
         for where, name, row in labels
         if name in names or name in beside
     ]
     regions = [(where, _place(row)) for where, name, row in labels if name == REGION]
     detected = [(where, [*_place(row), row[_SCORE], number_of[name]]) for where, name, row in results if name in names]
     said = [
-        f"KITTI: occlusion is a class: {OCCLUSION}; truncation likewise for what the image cuts",
+        f"KITTI: occlusion is a class: {OCCLUSION}",
+        "KITTI: truncation is the share outside the image where one in a file is no whole number, else a class: "
+        "1 stands for 0.75 of a vessel inside, and 2 for 0.25",
         f"KITTI: half of a detection in {REGION} is enough to ignore it",
     ]
     if options.labels:
-        near = [f"{name} beside {NEIGHBOURS[name]}" for name in beside if name in found]
-        said.append(
-            f"KITTI: types other than {', '.join(names)} are left out; to be ignored: {', '.join(near) or 'none'}"
-        )
+        near = f"; to be ignored: {', '.join(f'{name} beside {NEIGHBOURS[name]}' for name in beside)}" if beside else ""
+        said.append(f"KITTI: types other than {', '.join(names)} are left out{near}")
     in_words = dict(enumerate(names, 1))
     lines = SequenceLines(annotated, detected if detections else None, regions, in_words, 0, said)
     return sequence_set(condition, truth, lines, options, problems, wrong)
@@ -113,6 +117,8 @@ def _place(row: list[float]) -> list[float]:
     return [*row[:2], left, top, right - left, bottom - top]
 
 
-def _visibility_and_place(row: list[float]) -> tuple[float, float, float]:
-    in_image = math.nan if row[_TRUNCATION] == -1 else share_in_image(row[_TRUNCATION])
-    return VISIBLE_FRACTIONS[int(row[_OCCLUSION])], row[_DEPTH] if row[_DEPTH] > 0 else math.nan, in_image
+def _attributes(row: list[float], shares: bool) -> tuple[float, float, float]:
+    """Visible fraction, distance in metres and share inside the image, whose truncation is a class or a share."""
+    cut = row[_TRUNCATION]
+    inside = math.nan if cut == -1 else 1 - cut if shares else VISIBLE_FRACTIONS[int(cut)]
+    return VISIBLE_FRACTIONS[int(row[_OCCLUSION])], row[_DEPTH] if row[_DEPTH] > 0 else math.nan, inside

@@ -218,26 +218,23 @@ def plain_lines(lines: Iterable[Line], file: str, problems: Problems) -> tuple[L
     if ends == {(1, 1)}:
         return cut, [f"{told} 1 in every line, and not read as visibility"]
     if _is_visdrone(lines):
-        lines = [
-            (
-                where,
-                row if len(row) < 10 else [*row[:8], VISIBLE_FRACTIONS[int(row[9])], math.nan, share_in_image(row[8])],
-            )
-            for where, row in lines
-        ]
-        return lines, [f"{told} truncation and occlusion, as in VisDrone: {OCCLUSION}; so for what the image cuts"]
+        lines = [(where, _visdrone_row(row) if len(row) > 9 else row) for where, row in lines]
+        inside = "truncation 1 stands for 0.75 of a vessel inside the image"
+        return lines, [f"{told} truncation and occlusion, as in VisDrone: {OCCLUSION}; {inside}"]
     zeros = f"(the ninth is 0 in {sum(numbers[8] == 0 for _, numbers in classed):,} of {len(classed):,} lines)"
     return cut, [f"{told} truncation and occlusion, as in VisDrone, and not read as visibility {zeros}"]
 
 
+def _visdrone_row(row: list[float]) -> list[float]:
+    """Numbers of VisDrone up to the class, then visible fraction, distance, which is not known, and share inside."""
+    truncation, occlusion = map(int, row[8:10])
+    return [*row[:8], VISIBLE_FRACTIONS[occlusion], math.nan, VISIBLE_FRACTIONS[truncation]]
+
+
 VISIBLE_FRACTIONS = (1.0, 0.75, 0.25, _UNKNOWN)
 """Visible fraction of each class of occlusion: nothing hidden, up to half, more than half, not known. They are the
-middles of VisDrone's classes, which are in per cent; KITTI calls its own partly and largely."""
-
-
-def share_in_image(truncation: float) -> float:
-    """Share inside the image of a class of truncation, which has the same fractions, or of a share outside it."""
-    return VISIBLE_FRACTIONS[int(truncation)] if truncation in (0, 1, 2) else 1 - truncation
+middles of VisDrone's classes, which are in per cent; KITTI calls its own partly and largely. The classes of truncation
+have the same shares inside the image."""
 
 
 OCCLUSION = "a visible fraction of 0.75 stands for boxes up to half hidden, and 0.25 for those that are hidden more"

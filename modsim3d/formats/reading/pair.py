@@ -56,7 +56,7 @@ def read_pair(condition: str, truth: StrPath, detections: StrPath, options: Read
         option for option, name in _UNUSED[kinds[0]].items() if getattr(options, name) != getattr(NO_OPTIONS, name)
     )
     unused = [f"{option} is not used: {kinds[0]} does not need it" for option in given]
-    labelled = replace(labelled, notes=(*labelled.notes, *unused, *_left_out(labelled, condition)))
+    labelled = replace(labelled, notes=(*labelled.notes, *unused, *_left_out(labelled, condition, kinds[0])))
     return with_horizon(labelled, options.horizon)
 
 
@@ -94,14 +94,18 @@ def _plausible(labelled: LabelledSet, form: BoxForm, truth: Path, detections: Pa
     return replace(labelled, notes=tuple(notes))
 
 
-def _left_out(labelled: LabelledSet, condition: str) -> Iterator[str]:
+_REGIONS = {"COCO": "are crowds (iscrowd)", "KITTI": "are regions (DontCare)", "MOT": "are regions (class 0)"}
+_IGNORED = {"COCO": "ignore", "KITTI": "types to be ignored", "MOT": "flag 0"}
+
+
+def _left_out(labelled: LabelledSet, condition: str, kind: str) -> Iterator[str]:
     """Annotations that are not to be detected, or cannot be, in words."""
     rows = labelled.annotations
     edges_px, boxes_px = labelled.images.sizes_px[rows.image], rows.boxes_px
     outside = ((boxes_px[:, :2] >= edges_px) | (boxes_px[:, 2:] <= 0)).any(axis=1) & ~rows.ignored
     reasons = {
-        "are crowds (iscrowd) and left out": rows.crowd,
-        "are left out (ignore in COCO, flag 0 in MOT)": rows.ignored & ~rows.crowd,
+        f"{_REGIONS.get(kind)} and left out": rows.crowd,
+        f"are left out ({_IGNORED.get(kind)})": rows.ignored & ~rows.crowd,
         "lie outside their image, and count as missed": outside,
     }
     for why, chosen in reasons.items():

@@ -113,6 +113,12 @@ def test_labels_of_kitti(tmp_path: Path) -> None:
     np.testing.assert_array_equal(boxes.depth_m[cars], [13.4, 9, 13, np.nan])
     np.testing.assert_array_equal(boxes.in_frame_fraction[cars], [1, 0.75, 1, np.nan])
     assert (boxes.crowd.sum(), (boxes.ignored & ~boxes.crowd).sum()) == (2, 1)  # regions, and a van
+    regions, van = "are regions (DontCare) and left out", "are left out (types to be ignored)"
+    assert labelled.notes[-2:] == (f"day: 2 of 7 annotations {regions}", f"day: 1 of 7 annotations {van}")
+    text = KITTI.replace("Car 0 0", "Car 0.999 0").replace("Car 1 2", "Car 1.0 2")
+    shares = read_pair("day", *kitti(tmp_path, truth=text), NO_INFO).annotations
+    np.testing.assert_allclose(shares.in_frame_fraction[cars], [0.001, 0, 1, np.nan])
+    kitti(tmp_path)
     assert match(labelled, Rule()).counts.tolist() == [True, False, False]  # half in a region; the van
     both = read_pair("day", *kitti(tmp_path), replace(NO_INFO, labels=("Pedestrian", "Car"))).annotations
     assert (both.label[~both.ignored].tolist(), both.label[both.crowd].tolist()) == ([1, 1, 1, 1, 0], [0, 1, 0, 1])
@@ -127,6 +133,7 @@ WRONG = {
     CAR.replace(" 0 0 -1.7", " 0 7 -1.7"): "occlusion must be 0, 1, 2 or 3, or -1 where it is not known (got 7)",
     CAR.replace("Car 0 0", "Car 3 0"): "truncation must be a class 0, 1 or 2, a share up to 1, or -1 where it is ",
     CAR.replace("200 250", "90 250"): "bbox has no area: width -10, height 100",
+    f"{CAR.replace('0 0 Car 0', '7 0 Car .3')}\n{CAR.replace('Car 0', 'Car 2')}": "line 3: truncation must be a share",
     f"{CAR}\n{CAR}": "line 3: identity 0 is in frame 0 already",
 }
 
@@ -142,9 +149,13 @@ def test_wrong_labels_of_kitti_are_refused_or_left_out(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_files_is_a_sequence_each_and_their_tracks_are_different_things(tmp_path: Path) -> None:
-    kitti(tmp_path), kitti(tmp_path, "0001", found=FOUND.replace("102 150 202", "100 150 200"))
+    kitti(tmp_path, "0001", KITTI.replace("Van", "Tram"), FOUND.replace("102 150 202", "100 150 200"))
+    kitti(tmp_path)
     given = tmp_path / "labels", tmp_path / "results"
     result = modsim3d.detect_truth(given[0], tmp_path / "out", detections=given[1], **SIZED)
+    assert [note for note in result.notes if "types other" in note] == [
+        "KITTI: types other than Car are left out; to be ignored: Van beside Car"
+    ]
     assert {name: counts.detected for name, counts in result.sequence_counts.items()} == {"0000": 1, "0001": 1}
     scores = modsim3d.score_run(tmp_path / "out", modsim3d.track_run(tmp_path / "out", tmp_path / "tracks").folder)
     edge = next(group for group in scores.trackers[0].scores.breakdown if group.name == "edge")
