@@ -173,10 +173,7 @@ def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Pa
     assert alone.status == 0 and "1.000" in alone.out and "perfect association" not in alone.out
     for line, said in (
         (("track", *files[:2], "--out", tmp_path / "x"), "--truth needs --detections"),
-        (
-            ("score", *files[:2], tmp_path / "of_files"),
-            "--detections and --labels must be given as for `modsim3d track`",
-        ),
+        (("score", *files[:2], tmp_path / "of_files"), "--detections and --labels must be given as for `modsim3d"),
         (("score", tmp_path / "real"), "give TRACKS"),
         (("track", "--out", tmp_path / "x"), "give either RUN"),
         (("track", tmp_path / "real", "--frame-rate", 5, "--out", tmp_path / "x"), "--frame-rate is for --truth"),

@@ -77,9 +77,7 @@ def _called(names: Sequence[str], images: Path, folder: Path, taken: set[Path]) 
         first = best.index(None)
         whose = "which labels name" if wanted[first].suffix in KINDS else "an image whose file labels do not name"
         told = f"has no picture of its own for {shown(names[first])}, {whose} ({best.count(None):,} of {len(best):,})"
-        right = (
-            "the path below this folder, or the name in it or in one called as the camera, must be that of the labels"
-        )
+        right = "the path below this folder, or the name in it or in the camera's folder, must be that of the labels"
         raise InputError(f"--pictures {images}", [f"{told}: {right}"])
     return [] if None in best else [file for file in best if file]
 

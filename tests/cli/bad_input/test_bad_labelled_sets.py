@@ -316,7 +316,6 @@ LABEL = ("--labels", "Vessel", *THESIS)
 COCO: dict[str, tuple[Any, tuple[object, ...], str]] = {
     "other labels": (TWICE, THESIS, "labels:\n  category 'boat' is not one of the detector's labels (known: Vessel)\n"),
     "how to name them": (TWICE, THESIS, "A,B,... with a label of the detector in the order of the file (boat); - for"),
-    "too many labels": (TWICE, ("--labels", "Vessel,-", *THESIS), "has 2 names, and the file 1 class"),
     "equal times": (changed(TWICE, ("images", 1, "time_s"), 0.5), LABEL, SAME_TIME),
     "no time": (changed(TWICE, ("images", 1, "time_s"), None), LABEL, "1 of 2 images have no time"),
     "two sizes": (changed(TWICE, ("images", 1, "width"), 320), LABEL, "images are 640 × 480 and 320 × 480 px"),
