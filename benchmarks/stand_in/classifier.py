@@ -23,8 +23,6 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.labelled import LabelledSet
 
-GOAL_AUC = 0.6
-"""Fixed beforehand: up to here real and simulated are said to look alike."""
 FOLDS, MIN_FILMS = 8, 3
 RESAMPLED, LEVEL = 2000, 0.95
 PERMUTATIONS = 3
@@ -87,7 +85,7 @@ def tell_apart(
         seed: Of the classifier, the resampling and the permutations.
 
     Returns:
-        For each kind `auc`, its 95 % interval `low` and `high` from resampled films, `verdict`, `films`, `rows` of the
+        For each kind `auc`, its 95 % interval `low` and `high` from resampled films, `films`, `rows` of the
         real detector, and with `importance` also `groups` and `features`, those that tell most first; see `_told_by`.
 
     Raises:
@@ -154,7 +152,6 @@ def _told(rows: Rows, least_leaf: int, importance: bool, seed: int) -> dict[str,
         "auc": round(auc, 4),
         "low": round(low, 4),
         "high": round(high, 4),
-        "verdict": "alike" if high <= GOAL_AUC else "told apart" if low > GOAL_AUC else "not enough films to say",
         "films": rows.films,
         "rows": int(rows.real.sum()),
     }

@@ -96,16 +96,11 @@ PAIRS = """
 Trackers that are surely apart on real detections, by 95 % intervals of their paired difference in HOTA over films, and
 how far they are apart on simulated ones:
 """
-GOAL = {
-    "alike": "The goal of at most 0.6 is reached.",
-    "told apart": "The goal of at most 0.6 is missed: the two can be told apart.",
-    "not enough films to say": "Whether the goal of at most 0.6 is reached, these films do not say.",
-}
-"""What the verdict on a classifier means."""
 CLASSIFIER = """
 The area under the ROC curve of a gradient-boosted classifier that is shown frames, or tracks of vessels, of films that
-it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty; the goal is at
-most 0.6. *Told by* names the features that reach most alone, with their area.
+it was not trained on, with its 95 % interval over films. 0.5 is guessing, 1 is certainty. There is no goal: it sees
+textures, above all of box errors, that trackers do not feel. *Told by* names the features that reach most alone,
+with their area.
 """
 SEEDS_APART = "check: one seed of the last rung against its others"
 MISSING = (

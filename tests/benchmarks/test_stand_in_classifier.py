@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.stand_in.classifier import GOAL_AUC, Rows, _folds, between_seeds, tell_apart
+from benchmarks.stand_in.classifier import Rows, _folds, between_seeds, tell_apart
 from benchmarks.stand_in.features import Table, frame_features, track_features
 from benchmarks.stand_in.sighted import Sighted, on_one_grid, pairs_of_images
 from modsim3d.core.boxes import unions
@@ -124,7 +124,7 @@ def test_a_simulated_detector_cannot_be_told_from_itself(usual):
     assert told["tracks"]["auc"] == pytest.approx(0.5, abs=0.25)  # 24 tracks
     assert len(told["tracks"]["aucs"]) == 2
     told = tell_apart(FILMS, usual[2], simulated, 0.25, kinds=("frames",), importance=False)["frames"]
-    assert told["low"] < 0.5 < told["high"] and told["verdict"] != "told apart" and told["rows"] == len(FILMS) * IMAGES
+    assert told["low"] < 0.5 < told["high"] and told["rows"] == len(FILMS) * IMAGES
 
 
 def test_no_classifier_is_asked_about_a_film_that_it_learned_from():
@@ -139,8 +139,8 @@ def test_larger_errors_are_told_and_named_and_a_few_films_are_refused(usual):
     films = FILMS[:4]  # so large a difference needs no more
     simulated = {name: [usual[0][name]] for name in films}
     told = tell_apart(films, output(7, spread_px=2.5), simulated, 0.25, kinds=("frames",))["frames"]
-    assert told["auc"] > 0.9 and told["low"] > GOAL_AUC
-    assert told["verdict"] == "told apart" and next(iter(told["groups"])) == "box errors"
+    assert told["auc"] > 0.9
+    assert told["low"] > 0.6 and next(iter(told["groups"])) == "box errors"
     first = told["features"][0]
     assert first["group"] == "box errors" and abs(first["alone"] - 0.5) > 0.2
     alone = {each["name"]: each["alone"] for each in told["features"]}
