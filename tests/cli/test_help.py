@@ -83,7 +83,7 @@ def test_the_help_of_an_option_can_be_read_alone_and_means_the_same_in_every_com
         assert (len(first), len(taken)) == (1, 1) or name == "--out", (name, first, taken)
 
 
-def test_an_old_name_answers_with_a_new_one_that_is_there(modsim3d: Modsim3d) -> None:
+def test_an_old_name_answers_with_a_new_one_which_takes_neither_the_old_options_nor_a_misspelt_name(modsim3d) -> None:
     for old, new in OLD_NAMES.items():
         said = modsim3d(*old.split(" ")[:1], "x", *old.split(" ")[1:], "y")
         told = f"modsim3d: modsim3d {old} is {f'now: modsim3d {new}' if new else 'no more'}\n"
@@ -92,9 +92,6 @@ def test_an_old_name_answers_with_a_new_one_that_is_there(modsim3d: Modsim3d) ->
         assert not new or any(name.split() == words[: len(name.split())] for name in LEAVES), old
         for option in (word for word in words if word.startswith("--")):
             assert option in options_by_name(), old
-
-
-def test_a_new_command_does_not_take_the_old_options_nor_a_misspelt_name(modsim3d: Modsim3d) -> None:
     said = modsim3d("view", "film", "run", "--visibility=800")
     new = "modsim3d: modsim3d view --visibility is now: modsim3d view film --look fog:M\n"
     assert (said.status, said.err) == (2, new)

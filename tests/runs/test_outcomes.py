@@ -49,19 +49,16 @@ def test_a_box_is_right_bad_or_off_its_vessel_by_iou_and_of_a_false_positive_not
     assert outcomes(yes, yes, np.array([VESSEL]), nothing).tolist() == [Outcome.FALSE_POSITIVE]
 
 
-def test_rows_and_frames_agree(run):
+def test_rows_and_frames_agree_and_outcomes_of_every_kind_sum_to_the_counts_of_the_run(run):
     rows = RunRows.of(run)
     assert [outcome for frame in run.frames() for outcome in frame_outcomes(frame)] == rows.outcomes.tolist()
     vessels = rows.truth_vessel[rows.detected_row[rows.detected_row >= 0]]
     of_frames = [frame.truth.vessels[row] for frame in run.frames() for row in detected_rows(frame) if row is not None]
     assert [run.scene.vessel_names[vessel] for vessel in vessels] == of_frames
-
-
-def test_outcomes_of_every_kind_sum_to_the_counts_of_the_run(run):
     kinds = set(run.tables()["detections"]["kind"].to_pylist())
     assert kinds >= {"duplicate", "merged", "split", "fragment", "false_positive"}
     names = ("false_positives", "mislabelled", "below_half_iou", "off_vessel")
-    sums = [having(RunRows.of(run).outcomes, flag).sum() for flag in Outcome]
+    sums = [having(rows.outcomes, flag).sum() for flag in Outcome]
     assert sums == [run.settings["counts"][name] for name in names] and min(sums) > 5
 
 
@@ -97,7 +94,7 @@ def counted(frame):
     }
 
 
-def test_counts_of_each_camera_are_those_of_its_frames(scene, result):
+def test_counts_of_each_camera_are_those_of_its_frames_and_run_json_has_them_and_those_of_all(scene, result):
     by_camera = defaultdict(Counter)
     for frame in simulate_frames(scene):
         by_camera[frame.camera].update(counted(frame))
@@ -106,9 +103,6 @@ def test_counts_of_each_camera_are_those_of_its_frames(scene, result):
         fast = asdict(result.camera_counts[camera])
         assert {name: fast[name] for name in slow} == slow
         assert slow["detected"] > slow["below_half_iou"] > slow["off_vessel"] > 20
-
-
-def test_run_json_has_the_counts_of_all_cameras_and_of_each(result):
     data = json.loads((result.folder / "run.json").read_text())
     assert data["counts"] == asdict(result.counts)
     assert data["camera_counts"] == {name: asdict(counts) for name, counts in result.camera_counts.items()}

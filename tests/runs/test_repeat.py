@@ -14,7 +14,7 @@ import pytest
 from modsim3d import detect_run, load_scene, run_scene
 from modsim3d.runs.repeat_run import difference, repeat_run
 from modsim3d.runs.stored_run import open_run, read_finished
-from tests.cli.bad_input.builders import Call
+from tests.cli.bad_input.builders import Call, answer, refusal
 from tests.runs.test_stream import lines, live_scene
 
 
@@ -37,8 +37,7 @@ def edited(run: Path, **changes: object) -> None:
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_run_repeats(call: Call, run: Path, workers: int) -> None:
     (run / "contact_sheet.png").write_bytes(b"not a file of the run")
-    status, said = call("check", "repeat", run, "--workers", workers)
-    assert status == 0, said
+    said = answer(call, ("check", "repeat", run, "--workers", workers))
     files = len(json.loads((run / "run.json").read_text())["files"]) + 1
     assert f"all {files} files are the same" in said and "made with other versions" not in said
 
@@ -61,18 +60,15 @@ def test_one_changed_bit_is_noticed_and_named(call: Call, run: Path, name: str) 
     content = bytearray((run / name).read_bytes())
     content[len(content) // 2] ^= 1
     (run / name).write_bytes(content)
-    status, said = call("check", "repeat", run)
-    assert status == 1, said
+    said = answer(call, ("check", "repeat", run), status=1)
     assert [line.split()[0] for line in said.splitlines() if "stored:" in line] == [name]
 
 
 def test_a_changed_scene_cannot_be_repeated_and_a_missing_file_is_named(call: Call, run: Path) -> None:
     (run / "frames.parquet").unlink()
-    status, said = call("check", "repeat", run)
-    assert status == 1 and "is missing" in said
+    answer(call, ("check", "repeat", run), "is missing", status=1)
     (run / "scene/detector.yaml").write_text((run / "scene/detector.yaml").read_text() + "\n")
-    status, said = call("check", "repeat", run)
-    assert status == 2 and "is not the scene that the run was made of" in said
+    refusal(call, ("check", "repeat", run), "is not the scene that the run was made of")
 
 
 def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Call, run: Path) -> None:
@@ -83,27 +79,22 @@ def test_a_run_that_comes_out_otherwise_says_which_rows_and_by_how_much(call: Ca
     pq.write_table(moved, run / "detections.parquet", compression="zstd")
     counts = json.loads((run / "run.json").read_text())["counts"]
     edited(run, files={}, versions={"numpy": "0.1"}, counts={**counts, "missed": 12345})
-    status, said = call("check", "repeat", run)
+    said = answer(call, ("check", "repeat", run), status=1)
     parts = "counts.missed 12345 against", "2 of ", "an older version wrote", "numpy then 0.1 now"
     for part in (f"1 of {len(table)} rows differ: centre_x_px in 1 by 0.5 at most", *parts):
         assert part in " ".join(said.split())
-    assert status == 1, said
 
 
 def test_an_older_version_alone_is_named_and_no_error(call: Call, run: Path) -> None:
     edited(run, versions={"numpy": "0.1", "abacus": "3"}, backend="a plotter")
-    status, said = call("check", "repeat", run)
-    assert status == 0, said
-    for part in ("made with other versions", "then 0.1", "abacus", "now none", "then a plotter"):
-        assert part in said
+    parts = ("made with other versions", "then 0.1", "abacus", "now none", "then a plotter")
+    answer(call, ("check", "repeat", run), *parts)
 
 
 def test_an_interrupted_run_is_refused(call: Call, run: Path) -> None:
     shutil.move(run / "scene", run / "unfinished" / "scene")
     (run / "run.json").rename(run / "unfinished" / "settings.json")
-    before = sorted(run.rglob("*"))
-    status, said = call("check", "repeat", run)
-    assert status == 2 and "interrupted" in said and "Traceback" not in said and sorted(run.rglob("*")) == before
+    refusal(call, ("check", "repeat", run), "interrupted", kept=run)
 
 
 def test_differences_of_tables_are_told_by_column(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from modsim3d.truth.crosscheck import comparison
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.silhouettes import Spans
-from tests.cli.bad_input.builders import Call
+from tests.cli.bad_input.builders import Call, answer
 from tests.run_folders import interrupt
 from tests.scenes import CAMERA_HEIGHT_M, camera_keys, write_scene
 
@@ -304,8 +304,7 @@ def test_view_writes_an_id_buffer_as_png_or_npy(call: Call, scene: Scene, tmp_pa
     run_scene(scene, tmp_path / "run")
     expected = scene.at(1).render_ids("C0").ids
     for options in ([], ["--out", tmp_path / "ids.npy"]):
-        status, said = call("view", "frame", tmp_path / "run", 1, "--kind", "id_buffer", *options)
-        assert status == 0 and "near" in said, said
+        answer(call, ("view", "frame", tmp_path / "run", 1, "--kind", "id_buffer", *options), "near")
     np.testing.assert_array_equal(np.array(Image.open(tmp_path / "run" / "id_buffer_C0_000001.png")), expected)
     np.testing.assert_array_equal(np.load(tmp_path / "ids.npy"), expected)
     assert call("view", "frame", tmp_path / "run", "--kind", "id_buffer")[0] != 0

@@ -109,13 +109,19 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def refusal(call: Call, line: Iterable[object], *parts: str, kept: Path | None = None) -> str:
-    """Words of a refused command: exit status 2, no traceback, and some parts; files of `kept` stay as they are."""
-    before = None if kept is None else content(kept)
-    status, said = call(*line)
-    assert status == 2, said
+def answer(call: Call, line: Iterable[object], *parts: str, status: int = 0) -> str:
+    """Words of a command that ends with a status, 0 where it does its work: no traceback, and some parts."""
+    ended, said = call(*line)
+    assert ended == status, said
     assert "Traceback" not in said
     for part in parts:
         assert part in said, f"{part!r} not in:\n{said}"
+    return said
+
+
+def refusal(call: Call, line: Iterable[object], *parts: str, kept: Path | None = None) -> str:
+    """Words of a refused command: exit status 2, no traceback, and some parts; files of `kept` stay as they are."""
+    before = None if kept is None else content(kept)
+    said = answer(call, line, *parts, status=2)
     assert kept is None or content(kept) == before
     return said

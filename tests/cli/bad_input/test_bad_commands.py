@@ -15,7 +15,8 @@ import pytest
 from modsim3d.render import context
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs, content, refusal
+from tests.campaign.campaigns import interrupt
+from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs, answer, content, refusal
 
 
 def test_wrong_arguments_exit_with_two(call, tmp_path, monkeypatch):
@@ -44,8 +45,7 @@ def test_wrong_arguments_exit_with_two(call, tmp_path, monkeypatch):
 @pytest.fixture
 def finished(inputs: Inputs, call: Call, tmp_path: Path) -> Path:
     """A run directory that must not be lost."""
-    status, said = call("run", inputs.write(), "--out", tmp_path / "kept", "--no-sheet")
-    assert status == 0, said
+    answer(call, ("run", inputs.write(), "--out", tmp_path / "kept", "--no-sheet"))
     return tmp_path / "kept"
 
 
@@ -82,10 +82,6 @@ def test_a_run_is_replaced_neither_unasked_nor_by_bad_input(inputs: Inputs, fini
 def test_a_run_that_is_replaced_stays_until_the_new_one_is_finished(inputs, finished, call, monkeypatch):
     before = content(finished)
     inputs.data["scene"]["cameras"].pop("shore")
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
     with monkeypatch.context() as patched:
         patched.setattr("modsim3d.runs.files.run_directory.RunDirectory.write", interrupt)
         assert call("run", inputs.write(), "--out", finished, "--overwrite")[0] == 130
@@ -102,8 +98,7 @@ def test_a_run_killed_at_its_very_start_can_be_begun_again(inputs, call, tmp_pat
     work.mkdir(parents=True)
     if leftover:
         (work / leftover).write_text('{"form')
-    status, said = call("run", inputs.write(), "--out", work.parent, "--resume", "--no-sheet")
-    assert status == 0, said
+    answer(call, ("run", inputs.write(), "--out", work.parent, "--resume", "--no-sheet"))
 
 
 def test_without_an_opengl_library_the_package_to_install_is_named(inputs, call, tmp_path, monkeypatch):
@@ -189,17 +184,13 @@ def test_a_wrong_setting_is_one_error(inputs, call, tmp_path):
     assert "is a detector in place of the scene's: so is --detector" in " ".join(said.split())
 
 
-def test_the_last_value_of_a_repeated_key_counts(inputs: Inputs, call: Call) -> None:
-    scene = str(inputs.write())
-    assert call("check", "scene", scene, "--set", "annotation.mode=7", "--set", "annotation.mode=0")[0] == 0
-    assert call("check", "scene", scene, "--set", "annotation.mode=0", "--set", "annotation.mode=7")[0] == 2
-
-
-def test_a_truth_that_is_kept_cannot_be_set(inputs: Inputs, call: Call, tmp_path: Path) -> None:
-    run, other = str(tmp_path / "run"), tmp_path / "other"
-    scene = str(inputs.write())
-    assert call("run", scene, "--source", "analytic", "--no-sheet", "--out", run)[0] == 0
-    said = refusal(call, ("detect", run, "--out", str(other), "--set", "waves.level=small"))
+def test_the_last_value_of_a_repeated_key_counts_and_a_truth_that_is_kept_cannot_be_set(inputs, call, tmp_path):
+    scene, run, other = inputs.write(), tmp_path / "run", tmp_path / "other"
+    check = ("check", "scene", scene, "--set")
+    answer(call, (*check, "annotation.mode=7", "--set", "annotation.mode=0"))
+    refusal(call, (*check, "annotation.mode=0", "--set", "annotation.mode=7"))
+    answer(call, ("run", scene, "--source", "analytic", "--no-sheet", "--out", run))
+    said = refusal(call, ("detect", run, "--out", other, "--set", "waves.level=small"))
     assert "a finished run keeps its truth: set keys of the detector only" in " ".join(said.split())
     assert not other.exists()
-    assert call("detect", run, "--out", str(other), "--set", "detector.states.fog.false_discovery_rate=0.3")[0] == 0
+    answer(call, ("detect", run, "--out", other, "--set", "detector.states.fog.false_discovery_rate=0.3"))

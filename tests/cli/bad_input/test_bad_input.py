@@ -346,9 +346,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_wrong_traffic_is_one_error_that_names_its_key(tmp_path: Path, refused: Refused, case: str) -> None:
-    changes, message = WRONG[case]
+@pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
+def test_wrong_traffic_is_one_error_that_names_its_key(tmp_path, refused, changes, message: str) -> None:
     refused(written(tmp_path, **changes), message)
 
 

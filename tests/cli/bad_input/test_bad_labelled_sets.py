@@ -22,7 +22,7 @@ from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
-from tests.cli.bad_input.builders import Call, places, refusal
+from tests.cli.bad_input.builders import Call, answer, places, refusal
 from tests.detector_variants import variant
 
 BOX_PX = [10, 20, 30, 40]
@@ -236,20 +236,18 @@ def test_an_image_whose_size_cannot_be_known_is_refused(tmp_path: Path, refuse: 
     assert "secret" not in refuse(truth, found, f"image {path}")
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
-        ("--truth gt.json --detections dt.json", "runs and files are matched differently unless a rule is named: give"),
+def test_a_matching_rule_that_is_not_clear_is_refused(inputs, call, tmp_path):
+    run_scene(load_scene(inputs.write()), tmp_path / "run")
+    both = "--truth gt.json --detections dt.json"
+    for options, part in (
+        (both, "runs and files are matched differently unless a rule is named: give"),
         ("--match provenance:0.3", "--match provenance:0.3: needs confidence or optimal, with a least IoU"),
         ("--match near", "--match near: needs confidence or optimal"),
         ("--match centre:far", "--match centre:far: needs confidence or optimal"),
-    ],
-)
-def test_a_matching_rule_that_is_not_clear_is_refused(inputs, call, tmp_path, options, part):
-    run_scene(load_scene(inputs.write()), tmp_path / "run")
-    said = refusal(call, ("learn", tmp_path / "run", *options.split(), "--out", tmp_path / "d.yaml"), part)
-    assert len(said.splitlines()) == 1
-    assert not (tmp_path / "d.yaml").exists()
+    ):
+        said = refusal(call, ("learn", tmp_path / "run", *options.split(), "--out", tmp_path / "d.yaml"), part)
+        assert len(said.splitlines()) == 1
+        assert not (tmp_path / "d.yaml").exists()
 
 
 TWO = LINE + "2,4,10,20,30,40,1,2,1\n"
@@ -348,8 +346,7 @@ def test_what_a_detector_needs_is_asked_for_by_its_key_and_left_out_as_it_says(
     options = (*SIZE, *RATE, "--detector", tmp_path / "detector.yaml")
     said = refuse_truth(LINE, options, f"detector {tmp_path / 'detector.yaml'}:\n  ", *parts)
     without = said.split("leave it out with ")[1].split()
-    status, said = call("detect", "--truth", tmp_path / "gt.txt", "--out", tmp_path / "out", *options, *without)
-    assert status == 0, said
+    answer(call, ("detect", "--truth", tmp_path / "gt.txt", "--out", tmp_path / "out", *options, *without))
 
 
 def test_either_a_run_or_a_truth_is_given_and_options_of_the_other_are_refused(inputs, call, tmp_path):
@@ -390,17 +387,15 @@ def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(
     refuse_truth(tmp_path / "gt.txt", (*THESIS, *per_image), "but there are none: give false_positives a size")
     size = ("--set", "detector.false_positives.size={model: fixed, px: [20, 10]}")
     line = ("detect", "--truth", tmp_path / "gt.txt", *THESIS, *per_image, *size, "--out", tmp_path / "out")
-    status, said = call(*line)
-    assert status == 0 and "no box of the truth is to be detected: there are only false alarms" in said
+    answer(call, line, "no box of the truth is to be detected: there are only false alarms")
     assert len((tmp_path / "out" / "det" / "det.txt").read_text().splitlines()) > 50
 
 
 def test_wrong_lines_are_left_out_with_skip_bad(call: Call, tmp_path: Path) -> None:
     (tmp_path / "gt.txt").write_text(LINE + "1,4,x\n")
     line = ("detect", "--truth", tmp_path / "gt.txt", *KNOWN, "--out", tmp_path / "out")
-    assert call(*line)[0] == 2
-    status, said = call(*line, "--skip-bad")
-    assert status == 0 and "1 entries left out, the first because gt.txt line 2: must be numbers" in said
+    refusal(call, line)
+    answer(call, (*line, "--skip-bad"), "1 entries left out, the first because gt.txt line 2: must be numbers")
 
 
 READ = ("id", "width", "height", "file_name", "time_s", "sequence", "bbox", "track_id", "visible_fraction")

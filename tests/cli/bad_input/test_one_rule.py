@@ -23,7 +23,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.campaign.small_campaign import small_campaign
 from tests.cli.bad_input import writers
-from tests.cli.bad_input.builders import Call, Inputs, content, refusal
+from tests.cli.bad_input.builders import Call, Inputs, answer, content, refusal
 from tests.run_folders import interrupt, run_files
 from tests.scene.ais.ais_builders import SAMPLES
 from tests.scenes import crossing
@@ -287,8 +287,7 @@ def test_a_file_is_replaced_only_with_overwrite_and_while_nobody_writes_it(store
     out.write_text("mine")
     refusal(call, line(stored, out), f"{out} exists: use --overwrite")
     assert run_files(out.parent) == {name: b"mine"}
-    status, said = call(*line(stored, out), "--overwrite")
-    assert status in (0, 1), said
+    assert call(*line(stored, out), "--overwrite")[0] in (0, 1)
     assert out.read_bytes() != b"mine"
     assert not [path.name for path in out.parent.iterdir() if path.name.startswith(".")]
     (tmp_path / "file").write_text("mine")  # a folder of this name cannot be made
@@ -297,19 +296,7 @@ def test_a_file_is_replaced_only_with_overwrite_and_while_nobody_writes_it(store
     assert (tmp_path / "file").read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        lambda run: ("report", run, "--out", run / "truth.parquet"),
-        lambda run: ("view", "frame", run, 3, "--out", run / "listed.png"),
-        lambda run: ("view", "film", run, "--kind", "ids", "--out", run / "listed.gif"),
-        lambda run: ("learn", run, "--out", run / "run.json"),
-        lambda run: ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
-        lambda run: ("learn", *pair(run), "--out", run.parent / "link" / "dt.json"),
-        lambda run: ("check", "run", run, "--detector", run.parent / "coco/verify.json", "--out", run.parent / "coco"),
-    ],
-)
-def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, tmp_path, line) -> None:
+def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, call: Call, tmp_path) -> None:
     for path in (run / "listed.png", run / "listed.gif", tmp_path / "coco" / "verify.json"):
         path.write_bytes(b"mine")
     (tmp_path / "link").symlink_to(tmp_path / "coco")
@@ -317,15 +304,24 @@ def test_what_a_command_reads_is_not_written_over_even_if_it_is_told_to(run, cal
     entry = {"bytes": 4, "sha256": hashlib.sha256(b"mine").hexdigest()}
     files = {"listed.png": entry, "listed.gif": entry, **settings["files"]}
     (run / "run.json").write_text(json.dumps({**settings, "files": files}))
-    said = "is read by this command, so it is not written over"
-    refusal(call, (*line(run), "--overwrite"), said, kept=tmp_path)
+    for line in (
+        ("report", run, "--out", run / "truth.parquet"),
+        ("view", "frame", run, 3, "--out", run / "listed.png"),
+        ("view", "film", run, "--kind", "ids", "--out", run / "listed.gif"),
+        ("learn", run, "--out", run / "run.json"),
+        ("learn", *pair(run), "--out", run.parent / "coco" / "gt.json"),
+        ("learn", *pair(run), "--out", run.parent / "link" / "dt.json"),
+        ("check", "run", run, "--detector", run.parent / "coco/verify.json", "--out", run.parent / "coco"),
+    ):
+        said = "is read by this command, so it is not written over"
+        refusal(call, (*line, "--overwrite"), said, kept=tmp_path)
 
 
 def pair(run: Path) -> tuple[object, ...]:
     return ("--truth", run.parent / "coco" / "gt.json", "--detections", run.parent / "coco" / "dt.json")
 
 
-def test_only_regular_files_are_written(stored, call: Call, tmp_path) -> None:
+def test_only_regular_files_are_written_links_through_and_no_page_into_the_detector_file(stored, call, tmp_path):
     (tmp_path / "device").symlink_to("/dev/null")
     (tmp_path / "folder" / "report.html").mkdir(parents=True)
     (tmp_path / "circle").symlink_to("circle")
@@ -334,11 +330,6 @@ def test_only_regular_files_are_written(stored, call: Call, tmp_path) -> None:
     assert Path("/dev/null").is_char_device()
     for line in (("report", stored), ("export", stored, "--format", "coco")):
         refusal(call, (*line, "--out", tmp_path / "circle"), str(tmp_path / "circle"))
-
-
-def test_a_link_is_written_through_and_a_page_is_not_written_into_the_detector_file(
-    stored, call: Call, tmp_path
-) -> None:
     (tmp_path / "d.html").symlink_to("d.yaml")
     refusal(call, ("learn", stored, "--out", tmp_path / "d.yaml"), "the page would be written over the detector file")
     assert run_files(tmp_path) == {}
@@ -390,9 +381,7 @@ def test_an_interrupted_film_leaves_what_was_there(stored, call: Call, tmp_path,
             raise KeyboardInterrupt
 
     monkeypatch.setattr("rich.progress.Progress.update", interrupt)
-    status, said = call(*line, "--overwrite")
-    assert status == 130
-    assert "no film was written" in said
+    answer(call, (*line, "--overwrite"), "no film was written", status=130)
     assert run_files(tmp_path) == before
 
 

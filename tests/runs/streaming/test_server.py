@@ -161,7 +161,7 @@ def test_what_a_reader_sends_is_never_taken_in_and_costs_it_no_line() -> None:
         pushing.result()
 
 
-def test_a_reader_that_sends_after_the_last_line_still_gets_all_lines() -> None:
+def test_a_reader_that_sends_after_the_last_line_or_ends_its_own_side_first_still_gets_all_lines() -> None:
     with serve() as server:
         reader = connect(server, small=True)
         send_all(server, LINES[:100])
@@ -170,6 +170,13 @@ def test_a_reader_that_sends_after_the_last_line_still_gets_all_lines() -> None:
             reader.sendall(b"more, please\n")
             time.sleep(0.1)
         assert rest_of(reader) == [HEADER, *LINES[:100]] and ending.result() is None
+    with serve() as server:  # as `nc -N` does with an empty standard input
+        reader = connect(server)
+        reader.shutdown(socket.SHUT_WR)
+        reading = Background(lambda: rest_of(reader))
+        send_all(server)
+        server.finish()
+        assert reading.result() == [HEADER, *LINES]
 
 
 def test_an_end_with_lines_on_the_way_is_no_reader_that_has_everything() -> None:
@@ -186,16 +193,6 @@ def test_an_end_with_lines_on_the_way_is_no_reader_that_has_everything() -> None
         connection.connect(listener.getsockname())
         with pytest.raises(ReaderGone):
             Reader(connection, "it", HEADER, 0).has_hung_up()
-
-
-def test_a_reader_that_ends_its_own_side_first_gets_everything() -> None:
-    with serve() as server:  # as `nc -N` does with an empty standard input
-        reader = connect(server)
-        reader.shutdown(socket.SHUT_WR)
-        reading = Background(lambda: rest_of(reader))
-        send_all(server)
-        server.finish()
-        assert reading.result() == [HEADER, *LINES]
 
 
 def test_one_reader_too_many_is_turned_away(monkeypatch: pytest.MonkeyPatch) -> None:
