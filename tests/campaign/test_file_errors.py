@@ -50,7 +50,7 @@ def test_a_problem_is_named_with_its_key_and_value(tmp_path: Path, text: str, pa
         assert part in found
 
 
-def test_all_problems_are_found_at_once(tmp_path: Path) -> None:
+def test_all_problems_are_found_at_once_and_a_refused_value_of_many_conditions_once_at_both_ends_of_a_range(tmp_path):
     text = "scene: harbur\nsteps: 20\ntrackers: [srt, {tracker: sort, set: {lost: 3}}]\n"
     text += "require: [{score: hotta, at_least: 0.5}]\n"
     found = problems(tmp_path, text)
@@ -58,9 +58,6 @@ def test_all_problems_are_found_at_once(tmp_path: Path) -> None:
     assert [problem.partition(":")[0] for problem in found] == places
     for name in ("harbour", "sort", "lost_s", "hota"):
         assert sum(f"did you mean '{name}'?" in problem for problem in found) == 1
-
-
-def test_a_refused_value_of_many_conditions_is_named_once_and_both_ends_of_a_range_are_tried(tmp_path: Path) -> None:
     text = HARBOUR + "vary: [{grid: {waves.level: [small, 9], state: [good, bad]}}]\n"
     assert problems(tmp_path, text) == ("vary: waves.level 9: text is needed (got 9)",)
     found = "\n".join(problems(tmp_path, HARBOUR + "vary: [{uniform: {detector.false_positives.rate: [-1, 1001]}}]\n"))

@@ -1,5 +1,7 @@
 """A sample of the campaign's cases and every input that failed once: accepted, or refused with a clear error."""
 
+import dataclasses
+import os
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from tests.fuzz.corpora import write_files
 from tests.fuzz.kept import files_of_kept, kept_inputs
 from tests.fuzz.outcomes import ACCEPTED, FAILED, REFUSED, outcome_of, printed
 from tests.fuzz.readers import READERS
-from tests.fuzz.workers import Result, tried, within_limits
+from tests.fuzz.workers import Result, tried, warm_up, within_limits
 
 SAMPLE = 20
 KEPT = [(name, entry) for name in READERS for entry in kept_inputs(name)]
@@ -19,9 +21,7 @@ KEPT = [(name, entry) for name in READERS for entry in kept_inputs(name)]
 
 @pytest.mark.parametrize("name", READERS)
 def test_good_inputs_are_accepted_and_a_sample_of_cases_accepted_or_refused(name: str, tmp_path: Path) -> None:
-    for number, files in enumerate(READERS[name].bases()):
-        write_files(files, tmp_path / f"good_{number}")
-        assert outcome_of(READERS[name].read, tmp_path / f"good_{number}").verdict == ACCEPTED
+    warm_up(name, tmp_path)
     for number in range(SAMPLE):
         write_files(files_of(name, number), tmp_path / str(number))
         outcome = outcome_of(READERS[name].read, tmp_path / str(number), READERS[name].also_names)
@@ -67,12 +67,7 @@ def test_only_a_short_clear_error_that_names_the_source_is_a_refusal(tmp_path: P
     assert "\t" not in printed(ModsimError("a\tb"))
 
 
-def test_a_process_that_crashes_hangs_or_takes_too_much_is_the_result_of_one_case(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    import dataclasses
-    import os
-
+def test_a_process_that_crashes_hangs_or_takes_too_much_is_the_result_of_one_case(monkeypatch) -> None:
     def read(folder: Path) -> None:
         if folder.name == "3":
             os._exit(9)
@@ -81,8 +76,7 @@ def test_a_process_that_crashes_hangs_or_takes_too_much_is_the_result_of_one_cas
         if folder.name == "6":
             bytearray(10**10)
 
-    stand_in = dataclasses.replace(READERS["stream"], read=read)
-    monkeypatch.setitem(READERS, "stream", stand_in)
+    monkeypatch.setitem(READERS, "stream", dataclasses.replace(READERS["stream"], read=read))
     monkeypatch.setattr("tests.fuzz.workers.KILLED_CPU_S", 0.5)
     found = {result.number: within_limits(result) for result in tried("stream", range(8), 1, slice_cases=4)}
     assert sorted(found) == list(range(8))

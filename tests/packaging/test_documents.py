@@ -33,14 +33,9 @@ def blocks(page):
 
 def run_shell(text, folder, prepared):
     path = os.pathsep.join([str(prepared.parent), str(Path(sys.executable).parent), os.environ["PATH"]])
-    finished = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", text],
-        cwd=folder,
-        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "100"},
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-    )
+    options = {"cwd": folder, "env": {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}}
+    command = ["bash", "-euo", "pipefail", "-c", text]
+    finished = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST_S, **options)
     assert finished.returncode == 0, f"{text}\n{finished.stdout}\n{finished.stderr}"
     return finished.stdout
 

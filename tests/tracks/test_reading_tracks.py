@@ -88,9 +88,7 @@ def test_a_tracker_may_have_found_nothing_and_a_confidence_of_minus_one_is_none(
     np.testing.assert_array_equal(found.confidence, [np.nan, 0.25])
 
 
-def test_a_mot_folder_of_our_own_or_of_evaluators_has_a_file_for_each_camera(
-    small_run, small_rows, small_tracks, tmp_path
-):
+def test_a_mot_folder_of_our_own_or_of_evaluators_has_a_file_a_camera(small_run, small_rows, small_tracks, tmp_path):
     assert np.isin(small_tracks.step[small_tracks.camera == 1], [1, 3, 5, 7]).all()  # frames are not steps
     texts = mot_texts(small_rows, small_tracks)
     plain = write_mot(tmp_path / "mine", texts)
@@ -267,9 +265,8 @@ def shares(boxes_px):
     return boxes_px / np.tile(IMAGE_PX, 2)
 
 
-@pytest.mark.parametrize(
-    ("names", "numbers", "what"),
-    [
+def test_boxes_in_another_form_are_recognised(read, read_mot, small_rows, small_tracks):
+    for names, numbers, what in (
         (None, centred, "are read as the corners x_min, y_min, x_max, y_max, but are centre x"),
         (None, top_left, "but are the corner x, y and width, height"),
         (CENTRES, lambda boxes: boxes, "are read as centre x, centre y, width, height, but are the corners"),
@@ -292,14 +289,13 @@ def shares(boxes_px):
         ("MOT", top_left, "pixels are counted from 0, must be counted from 1 (then half of them lie within 0.00%"),
         ("MOT", lambda boxes: exchanged(top_left(boxes)), "x and y of the boxes are exchanged"),
         ("MOT", lambda boxes: top_left(from_below(boxes)), "y is counted from the lower edge of the image"),
-    ],
-)
-def test_boxes_in_another_form_are_recognised(read, read_mot, small_rows, small_tracks, names, numbers, what):
-    given, four = {} if names is None else {"names": names}, numbers(small_tracks.boxes_px)
-    if names == "MOT":
-        assert what in said(read_mot, mot_texts(small_rows, small_tracks, four))
-    else:
-        assert what in said(read, csv_text(small_rows, small_tracks, four, **given))
+    ):
+        four = numbers(small_tracks.boxes_px)
+        if names == "MOT":
+            message = said(read_mot, mot_texts(small_rows, small_tracks, four))
+        else:
+            message = said(read, csv_text(small_rows, small_tracks, four, **{"names": names} if names else {}))
+        assert what in message, (names, what, message)
 
 
 def test_one_file_of_several_and_one_camera_of_a_csv_file_may_be_wrong(read, read_mot, small_rows, small_tracks):

@@ -37,9 +37,7 @@ def rows_of(folder: Path, ways: dict[str, list[Place]], **annotation: object) ->
 
 
 @pytest.mark.parametrize(("away_s", "identities"), [(1, 1), (2, 1), (3, 2)])
-def test_a_vessel_that_was_away_for_longer_than_the_gap_is_a_new_identity(
-    tmp_path: Path, away_s: int, identities: int
-) -> None:
+def test_a_vessel_that_was_away_for_longer_than_the_gap_is_a_new_identity(tmp_path, away_s, identities) -> None:
     rows = rows_of(tmp_path / "run", {"a": [FRONT, FRONT, *[AWAY] * (away_s - 1), FRONT]})
     assert len(np.unique(TrueTracks.of(rows, gap_s=2).identity)) == identities
     assert len(np.unique(TrueTracks.of(rows, gap_s=0).identity)) == (1 if away_s == 1 else 2)

@@ -61,14 +61,11 @@ def test_labels_cover_no_boat_where_there_is_room_elsewhere():
     assert len(plates) == 30 and intersections(plates[:, None], np.array(boats)).max() == 0
 
 
-def test_a_text_is_shortened_only_where_it_would_cover_a_boat():
+def test_a_text_is_shortened_only_where_it_would_cover_a_boat_and_an_optional_label_gives_way():
     beside, label = [(36.0, 0.0, 100.0, 40.0)], Label(BOX, "Vessel 0.67", ORANGE, short="0.67")
     assert texts_drawn([label], (100, 40), []) == ["Vessel 0.67"]
     assert texts_drawn([label], (100, 40), beside) == ["0.67"]
     assert texts_drawn([Label(BOX, "Vessel 0.67", ORANGE)], (100, 40), beside) == ["Vessel 0.67"]
-
-
-def test_an_optional_label_takes_no_room_that_another_needs_and_covers_no_boat():
     hidden, seen = Label(BOX, "hidden", ORANGE, optional=True), Label(BOX, "seen", ORANGE)
     assert texts_drawn([hidden, seen], (60, 24), []) == ["seen"]
     assert texts_drawn([hidden], (60, 40), []) == ["hidden"]

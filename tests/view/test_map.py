@@ -287,7 +287,7 @@ def filmed(request):
     return BirdsEye(scene, 120, tuple(range(len(scene.cameras))))
 
 
-def test_a_frame_is_the_map_drawn_whole(filmed):
+def test_a_frame_is_the_map_drawn_whole_and_only_what_moves_is_drawn_again(filmed):
     size = 800, map_height_px(filmed, 800)
     film = MapFilmRenderer(filmed, size)
     frames = {step: np.asarray(film.picture(step)).astype(int) for step in (119, 0)}
@@ -295,9 +295,6 @@ def test_a_frame_is_the_map_drawn_whole(filmed):
         whole = np.asarray(map_picture(filmed, step, size)).astype(int)
         assert np.abs(frame - whole).max() <= ROUNDING
     assert (np.abs(frames[0] - frames[119]) > ROUNDING).any()
-
-
-def test_only_what_moves_is_drawn_again(filmed):
     film, drawn = MapFilmRenderer(filmed, (640, map_height_px(filmed, 640))), []
     sheet = film.map.sheet
     for artist in film.map.figure.findobj():

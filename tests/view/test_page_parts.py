@@ -27,14 +27,11 @@ ALIGNED = [  # points and signs, both ends of intervals, units within, units, ve
 ]
 
 
-def test_what_belongs_together_is_below_each_other() -> None:
+def test_what_belongs_together_is_below_each_other_and_numbers_are_the_same_without_their_spaces() -> None:
     for cells, below_each_other in ALIGNED:
         assert aligned(cells) == below_each_other
     for cell in ("1. hota at least 0.5", "2. hota at least 0.6", "0.1.0", "2.4.6"):
         assert 'class="number"' not in tables.table([(cell,)], ("version",)), cell
-
-
-def test_numbers_are_the_same_without_their_spaces() -> None:
     rows = [("a", "−1.5 [−2, 3]"), ("b", "100.25 [1, 20.5]")]
     cells = re.findall(r"<td[^>]*>(.*?)</td>", tables.table(rows, ("name", "value [interval]")))
     assert [re.sub(r"<i.*?</i>|<.*?>", "", cell) for cell in cells] == [text for row in rows for text in row]

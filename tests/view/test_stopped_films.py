@@ -45,14 +45,9 @@ def stalled(run, prepared, tmp_path_factory):
         threads = {"OPENBLAS_NUM_THREADS": "1", "JE_ARROW_MALLOC_CONF": "background_thread:false"}
         program = [sys.executable, "-m", "modsim3d.cli.main"] if alone else [prepared]
         arguments = ("view", "film", run, "--kind", "detections", "--width", "320", "--out", out, *options)
-        drawing = subprocess.Popen(
-            [*map(str, program), *map(str, arguments)],
-            env={**os.environ, **({"PYTHONPATH": path, **threads} if alone else {"FIRST": str(first)})},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        command, where = [*program, *arguments], {"PYTHONPATH": path, **threads} if alone else {"FIRST": str(first)}
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
+        drawing = subprocess.Popen([*map(str, command)], env={**os.environ, **where}, **pipes)
         while not reached.exists():
             if drawing.poll() is not None:
                 raise AssertionError(drawing.communicate()[1])

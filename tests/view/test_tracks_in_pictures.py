@@ -10,7 +10,7 @@ from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmLayout
 from modsim3d.view.followed_tracks import FollowedTracks
-from tests.command_line import call
+from tests.cli.bad_input.builders import answer, refusal
 from tests.run_folders import interrupt
 from tests.scenes import crossing
 from tests.view.made_tracks import FALSE_TRACK, as_set, perfect, swapped, with_false, write_csv
@@ -30,12 +30,10 @@ def tracks(rows, followed, tmp_path_factory):
     return write_csv(followed.tracks, rows, tmp_path_factory.mktemp("csv") / "made.csv")
 
 
-def test_a_box_has_its_tracks_colour_and_trail_a_false_one_the_alarms(
-    monkeypatch, capsys, exact_run, followed, tracks, tmp_path
-):
+def test_a_box_has_its_tracks_colour_and_trail_a_false_one_the_alarms(call, exact_run, followed, tracks, tmp_path):
     options = ("--width", WIDTH, "--layers", "tracks", "--tracks", tracks, "--out", tmp_path / "a.png")
-    assert call(monkeypatch, "view", "frame", exact_run, STEP, *options) == 0
-    assert followed.sentence() in " ".join(capsys.readouterr().out.split())
+    said = answer(call, ("view", "frame", exact_run, STEP, *options))
+    assert followed.sentence() in " ".join(said.split())
     with Image.open(tmp_path / "a.png") as written:  # under the head line, with two pixels for one of the image
         picture = np.asarray(written)[FilmLayout(WIDTH, 1, (), ()).head_px :].astype(int)
     here = followed.rows_of(STEP)
@@ -53,35 +51,35 @@ def test_a_box_has_its_tracks_colour_and_trail_a_false_one_the_alarms(
         assert (np.abs(around - palette.track_colour(2)).max(axis=-1) < 40).any()
 
 
-def test_pictures_without_the_layer_are_those_without_tracks(monkeypatch, exact_run, tracks, tmp_path):
+def test_pictures_without_the_layer_are_those_without_tracks(call, exact_run, tracks, tmp_path):
     for name, options in {"a": (), "b": ("--tracks", tracks)}.items():
         layers = ("--layers", "horizon,truth,detections,labels", "--width", 640)
         arguments = (STEP, *layers, *options, "--out", tmp_path / f"{name}.png")
-        assert call(monkeypatch, "view", "frame", exact_run, *arguments) == 0
+        answer(call, ("view", "frame", exact_run, *arguments))
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(monkeypatch, exact_run, tracks, tmp_path):
+def test_films_with_tracks_are_the_same_bytes_whatever_the_workers(call, exact_run, tracks, tmp_path):
     options = ("--kind", "detections", "--every", 4, "--width", 320, "--tracks", tracks)
     for workers in (1, 2):
         out = ("--workers", workers, "--out", tmp_path / f"{workers}.gif")
-        assert call(monkeypatch, "view", "film", exact_run, *options, *out) == 0
+        answer(call, ("view", "film", exact_run, *options, *out))
     assert (tmp_path / "1.gif").read_bytes() == (tmp_path / "2.gif").read_bytes()
 
 
-def test_tracks_not_drawn_or_of_an_interrupted_run_are_refused(monkeypatch, capsys, exact_run, tmp_path, tracks):
+def test_tracks_not_drawn_or_of_an_interrupted_run_are_refused(call, exact_run, tmp_path, tracks):
     for line in (("film", exact_run), ("frame", exact_run, 3)):
-        assert call(monkeypatch, "view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite") == 2
-        assert "--tracks works with --kind detections and all" in capsys.readouterr().err
+        line = ("view", *line, "--kind", "scene", "--tracks", tracks, "--overwrite")
+        refusal(call, line, "--tracks works with --kind detections and all")
     cut = interrupt(load_scene(str(crossing(tmp_path, 400)), source="analytic"), tmp_path / "cut")
     for line in (("report", cut), ("export", cut, "--format", "rerun"), ("view", "frame", cut, 0)):
-        assert call(monkeypatch, *line, "--tracks", tracks, "--out", tmp_path / "x.png") == 2
-        assert "tracks need a finished one" in " ".join(capsys.readouterr().err.split())
+        said = refusal(call, (*line, "--tracks", tracks, "--out", tmp_path / "x.png"))
+        assert "tracks need a finished one" in " ".join(said.split())
 
 
-def test_rerun_has_the_tracks_with_number_and_vessel(monkeypatch, capsys, exact_run, rows, followed, tracks, tmp_path):
-    assert call(monkeypatch, "export", exact_run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path) == 0
-    assert followed.sentence() in " ".join(capsys.readouterr().out.split())
+def test_rerun_has_the_tracks_with_number_and_vessel(call, exact_run, rows, followed, tracks, tmp_path):
+    said = answer(call, ("export", exact_run, "--format", "rerun", "--tracks", tracks, "--out", tmp_path))
+    assert followed.sentence() in " ".join(said.split())
     found, names = read(tmp_path / "run.rrd"), [*rows.scene.vessel_names, "nothing"]
     for step in range(STEPS):
         here = followed.rows_of(step)

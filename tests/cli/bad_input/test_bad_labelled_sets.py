@@ -337,9 +337,7 @@ NEEDS: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize(("name", "parts"), NEEDS.items(), ids=NEEDS)
-def test_what_a_detector_needs_is_asked_for_by_its_key_and_left_out_as_it_says(
-    refuse_truth, call, tmp_path, name, parts
-):
+def test_what_a_detector_needs_is_asked_for_by_its_key_and_left_out_as_said(refuse_truth, call, tmp_path, name, parts):
     false = {"band": {"placement": "horizon_band", "band_px": 50}, "far": {"far_half_px": 50}}.get(name)
     data = variant("plain") | {"false_positives": false} if false else variant(name)
     (tmp_path / "detector.yaml").write_text(json.dumps(data))
@@ -378,9 +376,7 @@ def test_an_image_of_very_many_boxes_is_refused(refuse_truth: Refuse, monkeypatc
     refuse_truth(text, KNOWN, "image 'gt frame 2' has 4 boxes, and at most 3 can be compared")
 
 
-def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(
-    call: Call, refuse_truth: Refuse, tmp_path: Path
-) -> None:
+def test_an_empty_sea_has_false_alarms_only_and_needs_their_size(call, refuse_truth, tmp_path) -> None:
     (tmp_path / "seqinfo.ini").write_text("[Sequence]\nimWidth=640\nimHeight=480\nseqLength=50\nframeRate=10\n")
     (tmp_path / "gt.txt").write_text("")
     per_image = ("--set", "detector.false_positives.model=per_image", "--set", "detector.false_positives.rate=2")

@@ -133,9 +133,7 @@ def test_numbers_beyond_all_floats_are_told(inputs: Inputs, refused: Refused, nu
         assert len(said) < 1000
 
 
-def test_mistakes_are_told_once_not_all_of_thousands_and_long_names_without_their_middle(
-    inputs: Inputs, refused: Refused
-) -> None:
+def test_mistakes_are_told_once_not_all_of_thousands_and_long_names_without_their_middle(inputs, refused) -> None:
     inputs.set("vessels", "vehicle2/mesh", {"file": 5})
     said = refused(inputs.write(), "vehicle2.mesh: the name of a shipped mesh, a file, or a mapping of file")
     assert "dict" not in said and said.count("vehicle2.mesh") == 1  # no word of Python

@@ -14,7 +14,7 @@ from modsim3d.learn.request import LearnRequest
 from modsim3d.learn.voyage.camera_registration import FIXED_NAMES
 from modsim3d.learn.voyage.learn_voyage import Method, VoyageRequest
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction
-from tests.cli.bad_input.builders import Call, refusal
+from tests.cli.bad_input.builders import Call, answer, refusal
 
 WITHOUT = ("relative", "mixed", "student_t", "effects", "persistence", "vessels", "lasting", "slopes")
 """Whose estimates take long."""
@@ -70,8 +70,7 @@ def test_the_command_learns_from_a_log_and_its_help_names_what_may_be_fixed(call
     out, scene = tmp_path / "detector.yaml", voyage / "run" / "scene" / "strait.json"
     line = ("learn-voyage", scene, "--fixed", "all", "--replicates", 20, "--out", out)
     given = ("--detections", voyage / "coco" / "dt.json", "--images", voyage / "coco" / "gt.json", "--camera", "bow")
-    status, said = call(*line, *given)
-    assert status == 0, said
+    said = answer(call, (*line, *given))
     for part in ("nothing was registered", "24 images", "its frames are known from the images of gt.json"):
         assert part in " ".join(said.split())
     assert "# States: voyage = voyage" in out.read_text()

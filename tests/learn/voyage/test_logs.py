@@ -109,9 +109,10 @@ NUMBERED = ["000001.jpg", "000002.jpg", "000003.jpg"]
 BY_NAME = "its image_id are taken for the names of the images' files"
 
 
-@pytest.mark.parametrize(
-    ("files", "given", "frames", "said"),
-    [
+def test_results_name_images_by_ids_or_by_files(tmp_path: Path) -> None:
+    """As detectors write them that do not know the IDs. Of numbered files the other reading moves all detections by one
+    frame."""
+    for files, given, frames, said in (
         (DAY_FILES, ["0002"], [2], BY_NAME),
         (DAY_FILES, ["0002.png"], [2], BY_NAME),
         (DAY_FILES, ["day/0002.png"], [2], BY_NAME),
@@ -120,13 +121,9 @@ BY_NAME = "its image_id are taken for the names of the images' files"
         (NUMBERED, [1.0, 2.0, 3.0], [0, 1, 2], BY_NAME),
         (NUMBERED, [0, 1, 2], [0, 1, 2], ""),
         (NUMBERED, [1, 2], [1, 2], "and the name of another's file too: taken for the id"),
-    ],
-)
-def test_results_name_images_by_ids_or_by_files(tmp_path: Path, files, given, frames, said: str) -> None:
-    """As detectors write them that do not know the IDs. Of numbered files the other reading moves all detections by one
-    frame."""
-    log = frames_of_results(tmp_path, files, given)
-    assert log.frame.tolist() == frames and said in " ".join(log.notes) and bool(said) == bool(log.notes)
+    ):
+        log = frames_of_results(tmp_path, files, given)
+        assert log.frame.tolist() == frames and said in " ".join(log.notes) and bool(said) == bool(log.notes), given
 
 
 def test_a_name_that_none_or_several_images_have_is_refused_and_one_beside_an_image_id_decides(tmp_path: Path) -> None:
@@ -318,16 +315,12 @@ def test_a_row_that_is_there_twice_counts_once(tmp_path: Path) -> None:
 UTC_ROW = "2024-01-04T10:00Z,1,2,3,4,boat,1"
 
 
-@pytest.mark.parametrize(
-    ("row", "given", "said"),
-    [
+def test_a_log_that_does_not_fit_scene_or_options_is_refused(tmp_path: Path, strait: Scene) -> None:
+    for row, given, said in (
         ("0,1,2,3,4,boats,1", {}, r"no label 'boats' \(did you mean 'boat'\?\)"),
         (UTC_ROW, {}, r"its times are UTC .* does not say when it starts"),
         (ROW, {"images": Path("gt.json")}, r"--images:\n +is for COCO results, and .*log.csv says itself"),
-        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave --log-start out"),
-    ],
-    ids=["labels", "UTC", "images are for COCO", "a start is for logs that count from zero"],
-)
-def test_a_log_that_does_not_fit_scene_or_options_is_refused(tmp_path: Path, strait: Scene, row, given, said) -> None:
-    with pytest.raises(InputError, match=said):
-        on_scene(read_log(table(tmp_path, row), LogOptions(**given)), strait, "bow")
+        (UTC_ROW, {"start": Start(0, Clock.STEP)}, "leave --log-start out"),  # for logs that count from zero
+    ):
+        with pytest.raises(InputError, match=said):
+            on_scene(read_log(table(tmp_path, row), LogOptions(**given)), strait, "bow")

@@ -19,7 +19,7 @@ from modsim3d.learn.voyage.non_ais.classification import classify_unmatched
 from modsim3d.learn.voyage.non_ais.rates import TimeSpan
 from modsim3d.learn.voyage.non_ais.tracklets import Behaviour
 from modsim3d.learn.voyage.report import registration_lead, voyage_json
-from tests.cli.bad_input.builders import Call, refusal
+from tests.cli.bad_input.builders import Call, answer, refusal
 from tests.learn.voyage.strait_logs import REALLY, strait_scene, written
 from tests.learn.voyage.test_learn_voyage import QUICK, WITHOUT
 
@@ -108,8 +108,7 @@ def test_the_detector_is_learned_back_and_is_visibly_worse_without_registration(
 def test_the_command_tells_the_registration_writes_the_page_and_the_scene(call, folder, tmp_path) -> None:
     given = (folder / "strait.json", "--detections", folder / "bow.csv", *OPTIONS, "--fixed", "roll,k1")
     out, scene = tmp_path / "detector.yaml", tmp_path / "scene"
-    status, said = call("learn-voyage", *given, "--out", out, "--write-scene", scene, "--empty", "0-9")
-    assert status == 0, said
+    said = answer(call, ("learn-voyage", *given, "--out", out, "--write-scene", scene, "--empty", "0-9"))
     parts = "Camera 'bow' was registered by", "fixed by the user", "What camera 'bow' matched and missed, by range"
     for part in parts:
         assert part in " ".join(said.split())

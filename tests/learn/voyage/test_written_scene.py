@@ -17,12 +17,7 @@ from modsim3d.learn.voyage import camera_registration
 from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_known, with_moved_vessels
 from modsim3d.learn.voyage.clock import noted_clock_s, read_reports
 from modsim3d.learn.voyage.exclusions import ReportAge
-from modsim3d.learn.voyage.labelled_voyage import (
-    Registered,
-    VoyageOptions,
-    labelled_voyage,
-    scene_files,
-)
+from modsim3d.learn.voyage.labelled_voyage import Registered, VoyageOptions, labelled_voyage, scene_files
 from modsim3d.learn.voyage.log_to_scene import on_scene
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.reference_error import TruthNoise

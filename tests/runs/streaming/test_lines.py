@@ -13,6 +13,7 @@ import yaml
 from modsim3d import Scene, load_scene, run_scene
 from modsim3d.detector.records import KINDS
 from modsim3d.runs.streaming.lines import Pace, StepLines, header_line, short_collections, step_lines
+from tests.cli.test_json import documented
 
 STEPS, ANGLES = 12, ("roll", "pitch", "heading")
 ROOT = Path(__file__).resolve().parents[3]
@@ -94,10 +95,8 @@ def test_the_header_has_the_scene_files_numbers_keys_are_documented_and_nothing_
         assert told[place].items() >= given[place].items()
         assert (told["image_size_px"], told["frame_rate_hz"]) == (given["image_size_px"], given.get("frame_rate_hz"))
         assert told["focal_px"] == pytest.approx([given["focal_length_m"] / size for size in given["pixel_size_m"]])
-    section = (ROOT / "docs" / "json.md").read_text().split("## stream\n")[1].split("\n## ")[0]
-    documented = {key for row in re.findall(r"^\| (`.*?`) \|", section, re.M) for key in re.findall(r"`(\w+)`", row)}
     keys = {*header, *(key for camera in header["cameras"].values() for key in camera)}
-    assert documented == keys | {key for step in streamed for line in step.lines for key in json.loads(line)}
+    assert documented("stream") == keys | {key for step in streamed for line in step.lines for key in json.loads(line)}
 
 
 def test_no_step_leaves_before_its_time_and_errors_do_not_add_up() -> None:

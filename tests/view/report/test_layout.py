@@ -109,7 +109,7 @@ def test_what_matters_is_seen_at_once_and_the_hint_inside_the_window_beside_the_
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_texts_and_graphics_stand_out(browser, page, scheme):
+def test_texts_and_graphics_stand_out_and_what_went_wrong_has_rows_of_its_own(browser, page, mistaken_page, scheme):
     browser.scheme(scheme)
     browser.open(page, DESK)
     opacity, bottom = player_value(browser, ONE_MISS)
@@ -121,11 +121,6 @@ def test_texts_and_graphics_stand_out(browser, page, scheme):
     for colour in (each for states in range(1, 7) for each in palette.state_colours(states)):  # under their names
         ink = player_value(browser, f"channels(distinctFrom('{palette.css(colour)}'))")
         assert contrast(ink, colour) >= 4.5
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_what_went_wrong_stands_in_rows_of_its_own_whatever_a_vessels_colour(browser, mistaken_page, scheme):
-    browser.scheme(scheme)
     browser.open(mistaken_page, DESK)
     rows, row, left = browser.run("(t => [t.vessels.map(v => t.topOf(v)), t.rowPx, t.left])(player.timeline)")
     seen_top, seen, marks = player_value(browser, "[seenTopOf(true), SEEN_PX, MARK_ROW_PX]")

@@ -52,7 +52,7 @@ def test_the_table_has_every_column_of_the_truth_and_is_copied_as_cells(browser,
     assert [line.split("\t") for line in detections.split("\n")] == browser.run(ROWS.format("numbersDetections"))
 
 
-def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mistaken_page, mistaken_folder):
+def test_the_detections_have_a_table_that_follows_steps_but_not_play(browser, mistaken_page, mistaken_folder):
     browser.open(mistaken_page, hash=f"#step={STEP}")
     browser.click("#numbers summary")
     browser.run("new Promise(done => setTimeout(done, 50))")  # the browser opens it in its own time
@@ -71,9 +71,6 @@ def test_the_table_has_the_detections_and_follows_steps_but_not_play(browser, mi
     assert f"step {STEP}" in browser.text("#numbersOf")
     browser.run("player.play(false)")
     assert "step 20" in browser.text("#numbersOf")
-
-
-def test_the_tables_that_are_opened_while_the_run_plays_are_those_of_that_frame(browser, mistaken_page):
     browser.open(mistaken_page, hash=f"#step={STEP}")
     browser.run("(player.playback.playing = true, 0)")  # without a clock
     open_numbers(browser)
@@ -92,7 +89,7 @@ HERE = "player.stage.frames[0].truths"
 VESSELS = "player.recording.facts.vessels"
 
 
-def test_the_list_is_sorted_by_what_is_asked_for_and_says_so_and_stays_while_the_run_plays(browser, mistaken_page):
+def test_the_list_has_the_order_and_the_vessels_that_are_asked_for_says_so_and_stays_in_play(browser, mistaken_page):
     browser.open(mistaken_page, hash="#step=100")
     scene = browser.run(LISTED)
     browser.click("[data-order=distance]")
@@ -116,10 +113,6 @@ def test_the_list_is_sorted_by_what_is_asked_for_and_says_so_and_stays_while_the
     browser.run("player.play(false)")
     assert browser.run(LISTED) != before
     browser.choose("which", "all")
-
-
-def test_the_list_shows_only_what_is_asked_for(browser, mistaken_page):
-    browser.open(mistaken_page, hash="#step=100")
     for which, test in (("here", "true"), ("missed", "missed")):
         browser.choose("which", which)
         expected = browser.run(f"{HERE}.filter(({{ missed }}) => {test}).map(({{ vessel }}) => {VESSELS}[vessel].name)")

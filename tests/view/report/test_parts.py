@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.view.report import overview, part_columns
 from modsim3d.view.report.overview import BEGINS, ENDS, Overview, ShownRows, VesselOutcome, steps_in_a_bin
@@ -17,6 +16,7 @@ from modsim3d.view.report.packing import StretchesBuilder
 from modsim3d.view.report.recorder import clock, recording, said
 from modsim3d.view.report.report import parts_folder, write_report
 from modsim3d.world.poses.base import generated_timestamps
+from tests.view.report.test_side_by_side import outcome_in
 from tests.view.report.unpacking import Unpacked, read
 
 PART = 7
@@ -75,15 +75,8 @@ def test_moments_and_counts_are_those_of_the_frames(whole):
 def test_stretches_of_outcomes_are_what_became_of_each_vessel(run):
     names, expected = run.scene.vessel_names, {}
     for frame in (each for each in run.frames() if each.camera == run.scene.cameras[0].name):
-        truth = frame.truth
-        for name, annotated, detected in zip(truth.vessels, truth.annotated, truth.detected, strict=True):
-            became = VesselOutcome.DETECTED if detected else VesselOutcome.MISSED
-            expected[name, frame.step] = became if annotated else VesselOutcome.NOT_ANNOTATED
-        for row, outcome in zip(detected_rows(frame), frame_outcomes(frame), strict=True):
-            if row is not None and outcome:
-                worst = VesselOutcome.OFF_VESSEL if outcome & Outcome.OFF_VESSEL else VesselOutcome.BELOW_HALF_IOU
-                wrong = outcome & (Outcome.OFF_VESSEL | Outcome.BELOW_HALF_IOU)
-                expected[truth.vessels[row], frame.step] = worst if wrong else VesselOutcome.WRONG_CLASS
+        for row, name in enumerate(frame.truth.vessels):
+            expected[name, frame.step] = outcome_in(frame, row)
     found = recording(run).outcomes[0]
     covered = {
         (names[vessel], step): VesselOutcome(outcome)
