@@ -92,8 +92,13 @@ def test_a_live_scene_is_shown_without_waiting_for_its_steps_and_names_are_escap
     assert "<script" not in live._repr_html_() and "<script>" in Page(live._repr_html_()).text
 
 
-def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown, result, monkeypatch):
+def test_all_is_shown_in_few_words_with_a_notebook_table_and_a_frame_as_its_picture(shown, frame, result, monkeypatch):
+    assert frame._repr_html_() is None and frame._repr_png_().startswith(b"\x89PNG")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert frame._repr_png_() is None
+    text = Page(frame._repr_html_()).text
+    for name in (*frame.truth.vessels, *frame.detections.labels, "false_positive", frame.camera):
+        assert name in text
     for each in shown:
         text, page = repr(each), Page(each._repr_html_())
         assert text.startswith(f"<{type(each).__name__}") and text.endswith(">") and "array(" not in text
@@ -103,15 +108,6 @@ def test_everything_is_shown_in_a_few_words_and_has_a_table_in_a_notebook(shown,
     frames, truth = (modsim3d.open_run(result.folder).table(name) for name in ("frames", "truth"))
     assert f"frames {len(frames)}," in repr(result)
     assert f"detected {np.count_nonzero(truth['detected'])}," in repr(result)
-
-
-def test_a_frame_is_its_picture_where_it_can_be_drawn(frame, monkeypatch):
-    assert frame._repr_html_() is None and frame._repr_png_().startswith(b"\x89PNG")
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert frame._repr_png_() is None
-    text = Page(frame._repr_html_()).text
-    for name in (*frame.truth.vessels, *frame.detections.labels, "false_positive", frame.camera):
-        assert name in text
 
 
 def test_a_verified_run_tells_and_writes_its_verdicts_and_names_what_differs(verified, thesis_folder, tmp_path):

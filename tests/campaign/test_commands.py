@@ -125,7 +125,7 @@ def test_json_has_the_documented_keys(modsim3d: Modsim3d, file: Path, finished: 
         assert set(found) == documented(f"campaign {command}") and found["finished"] is True, command
 
 
-def test_status_of_a_campaign_that_is_not_finished_says_who_works_on_it(modsim3d: Modsim3d, begun: Path) -> None:
+def test_status_says_who_works_on_a_campaign_and_of_parts_that_are_all_done_what_is_left(modsim3d, begun, tmp_path):
     with locked_folder(begun):
         said = modsim3d("campaign", "status", begun)
     assert said.status == 0 and "worked on by " in said.out
@@ -135,9 +135,6 @@ def test_status_of_a_campaign_that_is_not_finished_says_who_works_on_it(modsim3d
     assert not any(f" {outcome}" in said.out for outcome in ("met,", "failed,"))
     found = json.loads(modsim3d("campaign", "status", begun, "--json").out)
     assert 0 < found["done"] < RUNS and not found["finished"] and found["left_s"] is found["worked_on_by"] is None
-
-
-def test_status_of_parts_that_are_all_done_says_what_is_left_to_do(modsim3d: Modsim3d, tmp_path: Path) -> None:
     campaign = checked_campaign(tmp_path, scene="harbour", steps=20, trackers=["reference"])
     run_plan(campaign, tmp_path / "out", ThisProcess, shard=(1, 1))
     said = modsim3d("campaign", "status", tmp_path / "out")

@@ -51,16 +51,13 @@ def test_test_runs_all_checks_and_lists_at_the_end_which_passed(tmp_path: Path) 
     assert said[-6:] == [*passed, "FAILED  mypy", "passed  docs"]
 
 
-def test_campaign_lists_the_campaigns_and_refuses_any_other() -> None:
+def test_campaign_lists_the_campaigns_refuses_any_other_and_sets_up_and_runs_the_one_that_is_named(tmp_path) -> None:
     command = REPOSITORY / "script" / "campaign"
     listed = subprocess.run([command], capture_output=True, text=True, check=True).stdout
     names = [line.split(":")[0].strip() for line in listed.splitlines()[1:]]
     assert names == sorted(path.stem for path in (REPOSITORY / "benchmarks" / "campaigns").glob("*.py"))
     finished = subprocess.run([command, "nothing"], capture_output=True, text=True)
     assert (finished.returncode, finished.stderr) == (2, listed)
-
-
-def test_campaign_sets_up_and_runs_the_one_that_is_named(tmp_path: Path) -> None:
     script = copy_of("campaign", tmp_path)
     for command in (tmp_path / "script" / "setup", tmp_path / ".venv" / "bin" / "python"):
         write_program(command, 'echo "${0##*/} $@ in ${PYTHONPATH%%:*}"')

@@ -10,6 +10,7 @@ import yaml
 from modsim3d import InputError, RunDirectoryError, detect_run, load_scene, open_run, run_scene
 from modsim3d.io.input_files import data_folder
 from modsim3d.runs import run as detecting
+from tests.cli.bad_input.builders import answer, refusal
 from tests.run_folders import interrupt, run_files
 
 DETECTORS = data_folder("scenes") / "detectors"
@@ -102,10 +103,9 @@ def test_truth_that_other_versions_made_is_named(first, tmp_path):
 
 def test_the_command_writes_a_run_and_says_what_is_in_it_and_refuses_an_interrupted_one(call, first, tmp_path):
     interrupt(load_scene("simulation_1", steps=STEPS, source="analytic"), tmp_path / "cut")
-    status, said = call("detect", tmp_path / "cut", "--out", tmp_path / "new")
-    assert status == 2 and "interrupted run" in said
+    refusal(call, ("detect", tmp_path / "cut", "--out", tmp_path / "new"), "interrupted run")
     detector = tmp_path / "mine.yml"
     shutil.copy(ORIGINAL, detector)
-    status, said = call("detect", first, "--detector", detector, "--detector-seed", 3, "--out", tmp_path / "new")
-    assert status == 0 and "detections" in said
+    line = ("detect", first, "--detector", detector, "--detector-seed", 3, "--out", tmp_path / "new")
+    answer(call, line, "detections")
     assert (tmp_path / "new/scene/detector.yml").read_bytes() == detector.read_bytes()

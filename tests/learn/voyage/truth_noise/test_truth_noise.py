@@ -269,7 +269,7 @@ def test_errors_that_last_come_back_with_their_time(roads):
     assert any("box_s: an upper bound" in said for said in quick.sentences())
 
 
-def test_wrong_matches_among_the_measured_errors_do_not_pull(exact):
+def test_wrong_matches_do_not_pull_and_one_component_far_from_the_law_leaves_the_others_as_measured(exact):
     errors, sides = exact
     noise = every_row(np.diag([4.0, 0.5, 0.5, 0.5]))
     measured = every_row(np.diag(0.99 * errors.std.estimate) ** 2)
@@ -277,11 +277,7 @@ def test_wrong_matches_among_the_measured_errors_do_not_pull(exact):
     assert std[1][0] == pytest.approx(np.sqrt(measured[0, 0, 0] - 4), rel=1e-6)
     np.testing.assert_allclose(std[2], std[0], rtol=1e-9)
     assert (std[2] < errors.std.estimate).all()
-
-
-def test_one_component_far_from_the_law_leaves_the_others_as_measured(exact):
-    """A vessel that is off its reports widens the tails of the law, which all components share."""
-    errors, sides = exact
+    # A vessel that is off its reports widens the tails of the law, which all components share.
     noise = every_row(np.diag(0.1 * errors.std.estimate**2))
     measured = every_row(np.diag(np.array([3, 0.9, 0.9, 0.9]) * errors.std.estimate) ** 2)
     share = np.sqrt(np.array([1, 0.81, 0.81, 0.81]) - 0.1)
