@@ -40,9 +40,10 @@ def _introduction() -> str:
     wrong = ", ".join(_wrong(name, value) for name, value in WRONG.items())
     return (
         "`script/campaign voyages` simulates voyages whose camera, clock and detector are known, and learns them again "
-        "as [`modsim3d learn-voyage`](../voyage.md) does. The scene that the user has is wrong by these amounts: "
-        f"{wrong}. Each seed draws the detections anew; seeds count from {FIRST_SEED}, since those below were looked "
-        "at while learning was built.\n\n"
+        "as [`modsim3d learn-voyage`](../voyage.md) does. The scene that the user has is wrong by amounts drawn with "
+        f"each seed from minus to plus these: {wrong}. Each seed draws the detections anew, too, and moves each "
+        "vessel's way along its course by up to a quarter of it, so that no two voyages have the same encounters. "
+        f"Seeds count from {FIRST_SEED}, since those below were looked at while learning was built.\n\n"
         f"By AIS means: each coordinate of a position is off by {AIS.position_m:g} m (standard deviation), an error "
         f"that lasts {AIS.position_s:g} s and changes with each report, every {AIS.reports_s:g} s "
         "from a moment of the vessel's own on; a vessel's reports "
@@ -51,8 +52,9 @@ def _introduction() -> str:
         "reports are late it finds itself. Boxes match by centres, as is usual with AIS: by IoU, slivers of vessels at "
         "the image's border and behind others would be taken for false positives, even with true tracks.\n\n"
         "Held is the number of 95 % intervals that hold the true value, of so many voyages. Fewest is the binomial "
-        "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns. Bias and spread are mean "
-        "and standard deviation of the estimates about the true value, half-width the median of the intervals. A "
+        "limit: intervals that hold 95 % of the time fall below it in 1 % of the campaigns; those that hold more often "
+        "are wider than they need to be. Bias and spread are mean and standard deviation of the estimates about the "
+        "true value, half-width the median of the intervals. A "
         "number that a voyage had too little data to learn, or for which it chose another model than the file has, is "
         "not counted in that voyage. Nor are mean box errors, which registration takes as zero, and box errors in "
         "another unit."
@@ -61,7 +63,7 @@ def _introduction() -> str:
 
 def _wrong(name: str, value: float) -> str:
     words = name.rsplit("_", 1)[0]
-    return f"{words} {value:+.0%}" if name == "focal_share" else f"{words} {value:+g} {UNITS[name]}".replace(" °", "°")
+    return f"{words} {value:.0%}" if name == "focal_share" else f"{words} {value:g} {UNITS[name]}".replace(" °", "°")
 
 
 def _summary(results: dict[str, dict[str, Any]]) -> list[str]:
@@ -101,7 +103,7 @@ def _side_by_side(registered: dict[str, Any], plain: dict[str, Any]) -> list[str
             without = plain[name]
             held = " | ".join(f"{each['held']}/{each['of']}" for each in (with_it, without))
             bias = f"{_short(with_it['bias'])} | {_short(without['bias'])}"
-            lines.append(f"| `{short(name)}` | {_short(with_it['asked'])} | {bias} | {held} |")
+            lines.append(f"| `{short(name)}` | {_asked(with_it)} | {bias} | {held} |")
     return [*lines, ""]
 
 
@@ -133,7 +135,13 @@ def _section(case: Case, found: dict[str, Any]) -> list[str]:
 def _row(name: str, score: dict[str, float]) -> str:
     numbers = " | ".join(_short(score[key]) for key in ("bias", "spread", "half_width"))
     held = f"{score['held']:g}/{score['of']:g}"
-    return f"| `{short(name)}` | {_short(score['asked'])} | {held} | {score['fewest']:g} | {numbers} |"
+    return f"| `{short(name)}` | {_asked(score)} | {held} | {score['fewest']:g} | {numbers} |"
+
+
+def _asked(score: dict[str, float]) -> str:
+    """The true value, or the least and the greatest of all voyages."""
+    least, most = (_short(score[key]) for key in ("asked", "greatest_asked"))
+    return least if least == most else f"{least} to {most}"
 
 
 def short(name: str) -> str:

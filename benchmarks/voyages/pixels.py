@@ -99,7 +99,7 @@ def compared(film: Film, variant: str) -> Compared | str:
         if bound and STD.format(component) in numbers:
             numbers[STD.format(component)]["ais_bound"] = 1.0
     (done,) = by_ais.registered
-    return Compared(numbers, registration_numbers(done.registration)["clock_s"])
+    return Compared(numbers, registration_numbers(done.registration, WRONG)["clock_s"])
 
 
 def comparisons(films: Iterable[Numbers]) -> dict[str, dict[str, float]]:

@@ -25,9 +25,9 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     Returns:
         `voyages`, `refused` (reason → number), `cpu_s` of a voyage, the estimates of the `first` voyage, and for
-        `registration` and `detector` each number with how many intervals hold, of how many that are known, the fewest
-        that may, how often it is said to be an upper bound or unknown, bias and spread of the estimates, and the median
-        half-width of the intervals.
+        `registration` and `detector` each number with the least and the greatest true value, how many intervals hold,
+        of how many that are known, the fewest that may, how often it is said to be an upper bound or unknown, bias and
+        spread of the estimates, and the median half-width of the intervals.
     """
     reasons = [trial["refused"] for trial in trials if "refused" in trial]
     found: dict[str, Any] = {
@@ -46,18 +46,20 @@ def scores(trials: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _score(numbers: Sequence[Number]) -> dict[str, float]:
-    value, low, high = (np.array([each[key] for each in numbers]) for key in ("value", "low", "high"))
-    asked, known = numbers[0]["asked"], [each for each in numbers if not each.get("unknown")]
+    asked, value = (np.array([each[key] for each in numbers]) for key in ("asked", "value"))
+    known = [each for each in numbers if not each.get("unknown")]
+    widths = [each["high"] - each["low"] for each in known]
     return {
-        "asked": asked,
+        "asked": float(f"{asked.min():.6g}"),
+        "greatest_asked": float(f"{asked.max():.6g}"),
         "held": sum(holds(each) for each in known),
         "of": len(known),
         "fewest": fewest(len(known)),
         "bounds": sum(bool(each.get("bound")) for each in numbers),
         "unknown": len(numbers) - len(known),
-        "bias": float(f"{value.mean() - asked:.6g}"),
-        "spread": float(f"{value.std():.6g}"),
-        "half_width": float(f"{np.median(high - low) / 2:.6g}"),
+        "bias": float(f"{(value - asked).mean():.6g}"),
+        "spread": float(f"{(value - asked).std():.6g}"),
+        "half_width": float(f"{np.median(widths) / 2:.6g}") if known else 0.0,
     }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from benchmarks.processes import ROOT
 from benchmarks.voyages.cases import BY_NAME, TOLD_M, Case, scene_of_sample
 from benchmarks.voyages.guessed import Guesses
 from benchmarks.voyages.reported import as_reported
-from benchmarks.voyages.wrong_camera import WRONG, Voyage
+from benchmarks.voyages.wrong_camera import Voyage, drawn_traffic, drawn_wrong
 from modsim3d.core.errors import ModsimError
 from modsim3d.learn.bootstrap import Interval
 from modsim3d.learn.voyage.learn_voyage import VoyageResult, learn_voyage
@@ -42,7 +41,8 @@ def trial(name: str, seed: int) -> dict[str, Any]:
     case, start = BY_NAME[name], time.process_time()
     result: dict[str, Any] = {"seed": seed}
     with tempfile.TemporaryDirectory() as folder:
-        voyage, known = _really_and_known(case, seed, Path(folder))
+        wrong = drawn_wrong(seed)
+        voyage, known = _really_and_known(case, seed, Path(folder), wrong)
         try:
             if case.learns:
                 learned = _learned(case, voyage, known, seed, Path(folder))
@@ -50,27 +50,28 @@ def trial(name: str, seed: int) -> dict[str, Any]:
                 done = [each.registration for each in learned.registered if each.registration is not None]
             else:
                 done = [register(known, case.camera, voyage.detections(seed), **dict(case.priors))]
-            result["registration"] = {key: value for each in done for key, value in registration_numbers(each).items()}
+            numbers = [registration_numbers(each, wrong) for each in done]
+            result["registration"] = {name: number for each in numbers for name, number in each.items()}
         except ModsimError as error:
             result["refused"] = str(error).replace(f"{ROOT}/", "")
     return result | {"cpu_s": time.process_time() - start}
 
 
-def _really_and_known(case: Case, seed: int, folder: Path) -> tuple[Voyage, Scene]:
+def _really_and_known(case: Case, seed: int, folder: Path, wrong: Mapping[str, float]) -> tuple[Voyage, Scene]:
     """What the camera really saw, and the scene that the user has; one from AIS is in the folder."""
+    said = drawn_traffic(scene_of_sample(folder) if case.guessed else case.true_scene(), seed)
     if not case.guessed:
-        return _voyage(case.scene, case.camera), as_reported(case.true_scene(), seed, case.errors)[0]
-    said = scene_of_sample(folder)
+        return Voyage.of(said, case.camera, wrong), as_reported(said, seed, case.errors)[0]
     guesses = Guesses.drawn(said, seed)
     true = guesses.true_scene(said)
     known, _ = as_reported(true, seed, case.errors)
-    return Voyage.of(true, case.camera, WRONG), guesses.as_said(known, said)
+    return Voyage.of(true, case.camera, wrong), guesses.as_said(known, said)
 
 
-def registration_numbers(done: Registration) -> dict[str, Number]:
+def registration_numbers(done: Registration, wrong: Mapping[str, float]) -> dict[str, Number]:
     """What was estimated of the camera and the clock, beside what is known."""
     return {
-        each.name: {"asked": WRONG.get(each.name, 0.0), "value": each.value, "low": each.low, "high": each.high}
+        each.name: {"asked": wrong.get(each.name, 0.0), "value": each.value, "low": each.low, "high": each.high}
         for each in done.estimates
         if not each.held
     }
@@ -93,7 +94,7 @@ def _number(each: Interval, place: tuple[int, ...], asked: float, path: str, are
     ends = [float(np.broadcast_to(end, np.shape(each.estimate))[place]) for end in (each.low, each.high)]
     number = {"asked": asked, "value": float(each.estimate[place]), "low": ends[0], "high": ends[1]}
     bound = are_bounds[place[0]] if path == f"{_BOX_ERRORS}std" else path == BOX_S and are_bounds.any()
-    unknown = path == f"{_BOX_ERRORS}correlation" and ends[0] <= -1 and ends[1] >= 1
+    unknown = np.isnan(ends).any() or (path == f"{_BOX_ERRORS}correlation" and ends[0] <= -1 and ends[1] >= 1)
     return number | ({"bound": 1.0} if bound else {}) | ({"unknown": 1.0} if unknown else {})
 
 
@@ -122,10 +123,3 @@ def _learned(case: Case, voyage: Voyage, known: Scene, seed: int, folder: Path) 
         replicates=REPLICATES,
         seed=seed,
     )
-
-
-@cache
-def _voyage(scene: str, camera: str) -> Voyage:
-    """What the camera really saw, the same with all seeds and all errors of AIS."""
-    case = next(case for case in BY_NAME.values() if (case.scene, case.camera) == (scene, camera))
-    return Voyage.of(case.true_scene(), camera, WRONG)

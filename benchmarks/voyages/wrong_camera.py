@@ -15,11 +15,33 @@ from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
+from modsim3d.world.poses.replay import RecordedPoses
 
 WRONG = {"clock_s": 3.7, "pitch_deg": 0.4, "yaw_deg": 2.0, "height_m": 1.0, "focal_share": 0.02}
-"""By how much the camera and the clock of the detector differ from what the user's scene says."""
+"""By how much, at most, the camera and the clock of the detector differ from what the user's scene says."""
 ANGLES = ("roll", "pitch", "yaw")
 COLUMNS = ("time_s", "camera", "label", "score", "left", "top", "right", "bottom")
+
+
+def drawn_wrong(seed: int) -> dict[str, float]:
+    """Amounts drawn from minus to plus those of `WRONG`."""
+    rng = np.random.default_rng([seed, 3])
+    return {name: float(most * rng.uniform(-1, 1)) for name, most in WRONG.items()}
+
+
+def drawn_traffic(scene: Scene, seed: int) -> Scene:
+    """The scene with the way of each vessel but own ship moved along its mean course, by up to a quarter of the way.
+
+    Who is beside, before and behind whom differs by seed; speeds, turns and depths stay those of the scene.
+    """
+    true = scene.poses.poses(0, scene.steps)
+    moved, rng = true.positions_m.copy(), np.random.default_rng([seed, 4])
+    for vessel, there in enumerate(true.present.T):
+        share = rng.uniform(-1, 1) / 4
+        if vessel not in scene.own_ships and there.any():
+            first, last = true.positions_m[there, vessel][[0, -1]]
+            moved[:, vessel] += share * (last - first)
+    return replace(scene, poses=RecordedPoses(scene.poses.timestamps, replace(true, positions_m=moved)))
 
 
 def really(scene: Scene, camera: str, changes: Mapping[str, float]) -> Scene:

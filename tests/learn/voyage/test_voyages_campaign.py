@@ -14,7 +14,7 @@ from benchmarks.voyages.pixels import comparisons
 from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.scores import below, fewest, scores
 from benchmarks.voyages.trials import holds, trial
-from benchmarks.voyages.wrong_camera import WRONG
+from benchmarks.voyages.wrong_camera import WRONG, drawn_traffic, drawn_wrong
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,10 @@ def test_the_page_says_what_its_numbers_say_and_as_many_intervals_hold_as_it_cla
 
 
 def test_scores_count_what_holds_and_two_truths_are_compared_by_their_intervals() -> None:
-    numbers = [{"asked": 1.0, "value": value, "low": value - 1, "high": value + 1} for value in (0.5, 1.0, 3.0)]
+    numbers = [
+        {"asked": asked, "value": asked + off, "low": asked + off - 1, "high": asked + off + 1}
+        for asked, off in ((1.0, -0.5), (-3.0, 0.0), (2.0, 2.0))
+    ]
     numbers.append({"asked": 1.0, "value": 5.0, "low": 4.0, "high": 6.0, "bound": 1.0})
     assert [holds(number) for number in numbers] == [True, True, False, True]
     trials = [{"cpu_s": 1.0, "detector": {"rate": number}} for number in numbers]
@@ -53,6 +56,7 @@ def test_scores_count_what_holds_and_two_truths_are_compared_by_their_intervals(
     assert (found["voyages"], found["refused"]) == (5, {"no": 1})
     rate = found["detector"]["rate"]
     assert (rate["held"], rate["of"], rate["bounds"], rate["bias"]) == (3, 4, 1, 1.375)
+    assert (rate["asked"], rate["greatest_asked"]) == (-3.0, 2.0)
     assert (fewest(50), fewest(1), fewest(0)) == (43, 0, 0)
     unknown = scores([{"cpu_s": 1.0, "detector": {"rate": number | {"unknown": 1.0}}} for number in numbers])
     assert [unknown["detector"]["rate"][key] for key in ("held", "of", "unknown")] == [0, 0, 4]
@@ -70,7 +74,11 @@ def test_with_unknown_vessels_box_errors_grow_where_others_are_matched(committed
     assert all(clock["low"] <= WRONG["clock_s"] <= clock["high"] for clock in clocks)
 
 
-def test_errors_of_positions_are_as_large_and_last_as_long_as_asked() -> None:
+def test_errors_of_positions_are_as_large_and_last_as_long_as_asked_and_no_two_voyages_have_the_same_traffic() -> None:
+    one, other = (drawn_traffic(BY_NAME["strait_true"].true_scene(), seed) for seed in (1, 2))
+    moved = (one.poses.poses(0, 60).positions_m - other.poses.poses(0, 60).positions_m)[..., :2]
+    apart = np.linalg.norm(moved, axis=-1).max(axis=0)
+    assert (apart[list(one.own_ships)] == 0).all() and np.median(apart) > 10 and drawn_wrong(1) != drawn_wrong(2)
     scene = BY_NAME["detector"].true_scene()
     true = scene.poses.poses(0, scene.steps).positions_m
     errors = AisErrors(position_m=2.0, position_s=30.0, reports_s=1.0, absent=0.2)
