@@ -103,7 +103,8 @@ def compared(film: Film, variant: str) -> Compared | str:
 
 
 def comparisons(films: Iterable[Numbers]) -> dict[str, dict[str, float]]:
-    """Over films: means by both truths, in how many films intervals overlap, and in how many AIS is in the full one."""
+    """Over films: means by both truths, in how many films both intervals are known, in how many of them they overlap,
+    and in how many the value by AIS lies in that of full truth."""
     every = list(films)
     result = {}
     for name in dict.fromkeys(name for each in every for name in each):
@@ -112,7 +113,7 @@ def comparisons(films: Iterable[Numbers]) -> dict[str, dict[str, float]]:
             np.array([row[key] for row in rows]) for key in ("value", "low", "high", "ais_value", "ais_low", "ais_high")
         )
         result[name] = {
-            "films": len(rows),
+            "films": int(np.isfinite([low, high, ais_low, ais_high]).all(axis=0).sum()),
             "full": float(f"{value.mean():.6g}"),
             "ais": float(f"{ais.mean():.6g}"),
             "overlap": int(((ais_low <= high) & (low <= ais_high)).sum()),

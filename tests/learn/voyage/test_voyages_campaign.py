@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from benchmarks.campaigns.voyages import OUT
 from benchmarks.voyages.cases import BY_NAME, CASES, FIRST_SEED
@@ -37,10 +38,10 @@ def test_the_page_says_what_its_numbers_say_and_as_many_intervals_hold_as_it_cla
     for case in CASES:
         if "registration" in committed[case.name]:
             assert len(below(committed[case.name]["registration"])) <= 1, case.name
-    for name in ("detector", "detector_all", "detector_ais", "strait_true", "strait_ais"):
-        assert below(committed[name]["detector"]) == [], name
-    for name in ("sample_all", "sample_ais"):
-        assert len(below(committed[name]["detector"])) <= 1, name
+    # Each number may fall below its limit by chance in 1 % of the campaigns.
+    learned = [found["detector"] for name, found in committed.items() if "detector" in found and name != "unregistered"]
+    assert max(len(below(numbers)) for numbers in learned) <= 1
+    assert sum(len(below(numbers)) for numbers in learned) <= stats.binom.ppf(0.99, sum(map(len, learned)), 0.01)
     assert "registration" not in committed["unregistered"] and len(below(committed["unregistered"]["detector"])) > 10
 
 
