@@ -121,7 +121,8 @@ def fit_misses(observed: Observed, effects: tuple[EffectTerm, ...], resampling: 
     curvature = _weighted_information(chance * (1 - chance), group_fitted, x[fitted], count, image, resampling)
     thetas = theta + _steps(curvature, resampling.sums(image, scores), inverse)
     every = np.where(number > 0, hits / np.maximum(number, 1), np.nan)
-    full = np.where(fitted, 0.0, every[group])
+    # Of a label whose every box in a state may be in another's, nobody knows: there it is as elsewhere.
+    full = np.where(fitted, 0.0, np.where(number > 0, every, hits.sum() / number.sum())[group])
     full[fitted] = chance
     rates = _mean_rates(observed, amounts, holds, thetas, usable, every, resampling)
     intercepts, learned = np.zeros_like(rates), np.zeros((states, k, LOG_ODDS_QUANTILES))

@@ -12,11 +12,21 @@ from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
+from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.counted_types import NAMES
+from modsim3d.learn.dropout_fit import fit_misses
 from modsim3d.learn.match_types import kinds_of
 from modsim3d.learn.multiple_boxes import ConsecutiveTrials, choose_multiple_boxes
 from tests.formats.labelled_sets import found, images, truth
-from tests.learn.one_state import learned_by_condition, observed_by_condition, of_boats
+from tests.learn.one_state import (
+    detected,
+    detector_file,
+    learned_by_condition,
+    moored,
+    observed_as,
+    observed_by_condition,
+    of_boats,
+)
 from tests.learn.round_trip import ROOT, asked_of, outside, simulate
 
 DETECTOR = ROOT / "tests" / "data" / "learn" / "multiple_boxes.yaml"
@@ -140,3 +150,12 @@ def test_drawn_second_boxes_leave_room():
         rate_drawn = drawn["detector.states.good.false_discovery_rate"]
         extra = drawn["detector.false_positives.duplicates"] + drawn["detector.false_positives.splits"]
         assert 0 < extra <= rate_drawn / (1 - rate_drawn) + 1e-12
+
+
+def test_where_every_box_of_a_state_may_be_in_anothers_misses_are_as_elsewhere() -> None:
+    labelled = detected(moored(60, 4, columns=4, size_px=(1200.0, 500.0)), detector_file(missed=0.3), 1)
+    observed = observed_as(labelled, ("clear", "haze"), np.repeat([0, 1], 30))
+    observed.__dict__["unambiguous"] = observed.state == 0
+    fit = fit_misses(observed, (), resample(labelled.images, 0, 0))
+    assert fit is not None and fit.chance == pytest.approx(observed.missed[observed.state == 0].mean(), rel=1e-6)
+    assert np.isnan(fit.rates[0, 1]).all()
