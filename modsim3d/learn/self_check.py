@@ -323,11 +323,12 @@ def hota_counts(observed: Observed) -> Counts:
     truth = TrueTracks(films.count, *kept)
     counts = Counts()
     for name in TRACKERS:
+        named = named_tracker(name, {}, "")
         try:
-            metrics()
-            tracks = films.tracks(observed, named_tracker(name, {}, ""))
+            metrics(), named.origin
         except ModsimError:
-            continue
+            continue  # a library is not installed
+        tracks = films.tracks(observed, named)
         following = follow(truth, tracks, Similarity())
         counted = truth.take(truth.scored), tracks.take(following.counted)
         value = hota_of(joined_sequence(*counted, following.similarity)).hota

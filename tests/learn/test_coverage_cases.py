@@ -1,12 +1,13 @@
 """The cases of the campaign that counts how often intervals hold what was asked for."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
-from benchmarks.campaigns.learn_coverage import CASES, learned_again, of_another_model, summary, text
+from benchmarks.campaigns.learn_coverage import CASES, OUT, learned_again, of_another_model, summary, text
 from benchmarks.elsewhere import STRAIT, OtherTruth
 from benchmarks.invented import SHIPPED, invented, models_in
 from modsim3d.detector.file.reading import load_detector, parse_detector
@@ -82,3 +83,9 @@ def test_models_that_a_detector_does_not_have_are_told_from_its_own() -> None:
     for found in invented(case, 1).values():
         assert not any("box_error" in each or "persistence" in each for each in found["invented"])
         assert "persistence.box_s" not in found["missing"]
+
+
+def test_no_lasting_false_positives_were_invented_in_runs_of_the_thesis() -> None:
+    runs = json.loads((OUT / "learn_coverage.json").read_text(encoding="utf-8"))["shipped_thesis"]["runs"]
+    assert f"[{len(runs)} runs](campaigns/learn_coverage.md)" in (OUT.parent / "learn.md").read_text(encoding="utf-8")
+    assert not any("false_positives.persistence" in run["provenance"]["invented"] for run in runs)

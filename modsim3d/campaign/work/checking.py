@@ -28,8 +28,6 @@ from modsim3d.campaign.work.scenes import Scenes, checksums, detector_digest, di
 from modsim3d.campaign.work.task import condition_problems, key_readings, tracker_problems
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.core.text import counted
-from modsim3d.formats.detect_truth import labelled_scene
-from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.io.atomic_write import put_folder_in_place
 from modsim3d.io.plugins import Plugin, changed_plugins
 from modsim3d.io.validation import nearest, shown
@@ -240,6 +238,9 @@ def _with_scenes(file: CampaignFile) -> tuple[CampaignFile, tuple[str, ...]]:
 
 
 def _scene_of(videos: LabelledVideos, file: CampaignFile) -> tuple[Scene, tuple[str, ...]]:
+    from modsim3d.formats.detect_truth import labelled_scene  # few campaigns read labels
+    from modsim3d.formats.reading.builder import ReadOptions
+
     detector, settings = videos.detector, {k: v for k, v in file.keys.settings.items() if k.startswith("detector.")}
     if detector and (file.base / detector).is_file():
         detector = str(file.base / detector)
