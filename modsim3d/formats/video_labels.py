@@ -1,8 +1,9 @@
-"""Labels of a video as the truth of a scene, with what a real detector found if that is given."""
+"""Labels of a video as the truth of a scene, with what a real detector found if that is given, and what a simulated one
+needs to know of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.core.boxes import clip, sizes
 from modsim3d.core.errors import InputError
+from modsim3d.detector.model import DetectorModel
 from modsim3d.formats.labelled import FileIds, LabelledSet
 from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.video_targets import TargetBoxes, Video
@@ -146,3 +148,55 @@ def given_detector(labels: Sequence[str]) -> dict[str, Any]:
         "transition_matrix": [[1.0]],
         "states": {REAL: state},
     }
+
+
+# ---- What a detector file asks for that a labelled video may not have ----
+
+
+def check_needs(model: DetectorModel, source: str, depth_m: Array, horizon: Array | None) -> list[str]:
+    """Remarks on what is left out. `source` is what messages call the detector's file, `depth_m` the distance of each
+    target, NaN where unknown: (n,), `horizon` the half-plane of the sea: (3,), None if it is not known. Raises
+    InputError if the detector asks for what is not known."""
+    problems = list(_distance_problems(model, depth_m))
+    if horizon is None:
+        problems += _horizon_problems(model)
+    if problems:
+        raise InputError(source, problems)
+    placement = model.false_positives.placement
+    rates = (getattr(state, model.false_positives.numbers.rate_key) for state in model.states)
+    if horizon is not None or placement.density is not None or not any(rate > 0 for rate in rates):
+        return []
+    return ["false positives lie anywhere in the image, also in the sky: --horizon would keep them on the sea"]
+
+
+def _distance_problems(model: DetectorModel, depth_m: Array) -> Iterator[str]:
+    unknown = int(np.isnan(depth_m).sum())
+    if not unknown:
+        return
+    needed = (
+        f"needs the distance of every vessel, which {unknown} of {len(depth_m)} boxes do not have: give distance_m of "
+        "each annotation of a COCO file (MOT has no such column), or leave it out with "
+    )
+    if model.gates.max_range_m is not None:
+        yield f"gates.max_range_m: {needed}--set detector.gates.max_range_m=null"
+    keys = [] if not any(effect.attribute == "distance_m" for effect in model.dropout.effects) else ["dropout"]
+    keys += [
+        f"states.{model.states[state].name}.dropout"
+        for state, effects in model.dropout.own.items()
+        if any(effect.attribute == "distance_m" for effect in effects)
+    ]
+    if keys:
+        without = " ".join(f"--set detector.{key}.distance_m=null" for key in keys)
+        if {effect.attribute for effect in model.dropout.every_effect} == {"distance_m"}:
+            without += " --set detector.dropout.model=confusion"
+        yield f"{keys[0]}.distance_m: {needed}{without}"
+
+
+def _horizon_problems(model: DetectorModel) -> Iterator[str]:
+    placement = model.false_positives.placement
+    needed = "needs the horizon: give --horizon ROW, or X1,Y1,X2,Y2 where it is tilted, or leave it out with "
+    if placement.band_px is not None:
+        without = "--set detector.false_positives.placement=uniform --set detector.false_positives.band_px=null"
+        yield f"false_positives.placement: horizon_band {needed}{without}"
+    if placement.far_half_px is not None:
+        yield f"false_positives.far_half_px: {needed}--set detector.false_positives.far_half_px=null"

@@ -17,7 +17,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.file.writing import with_miss_rate
 from modsim3d.detector.records import TRUE, CameraFrames, Detections, Gates, Targets
 from modsim3d.detector.target_statistics import TargetStatistics
-from modsim3d.formats.detect_truth import check_needs
+from modsim3d.formats.video_labels import check_needs
 from modsim3d.verify.class_checks import class_checks
 from modsim3d.verify.evidence import CameraEvidence, Evidence
 from modsim3d.verify.parameters import judge
