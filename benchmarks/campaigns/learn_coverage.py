@@ -173,9 +173,13 @@ def _inside(case: Case, run: Path, method: str, seed: int) -> dict[str, Any]:
 def of_another_model(asked: dict[str, Any], learned: dict[str, Any]) -> tuple[str, ...]:
     """How paths begin of numbers that stand for something else in a learned file than in the one that was asked for.
 
-    Those are box errors in another unit, and confidences for which other slopes were made up.
+    Those are box errors in another unit, confidences for which other slopes were made up, and times of noise of which
+    things keep a share in one of the files only.
     """
-    found = []
+    found, kept = [], [file.get("persistence", {}) for file in (asked, learned)]
+    for name in ("class", "box"):
+        if len({f"{name}_vessel_share" in each for each in kept}) == 2:
+            found.append(f"persistence.{name}_")
     for name, state in asked["states"].items():
         again = learned["states"][name]
         if state["box_error"]["unit"] != again["box_error"]["unit"]:

@@ -147,8 +147,12 @@ class ConfidenceForm:
                     sloped = {kind: (fit, place) for place, kind in enumerate(samples)}
             of_state = None if fit is None else confidence_laws.LearnedSlopes.of(fit, state, chosen["true"], persistent)
             slopes.append(of_state)
+            kept = Inflation()
+            if self.scored:
+                base = chosen["true"].values + (0.0 if of_state is None else of_state.shift(chosen["true"]))
+                kept = Inflation.by_things(base, chosen["true"].thing)
             for kind in KINDS:
-                persists = persistent if kind == "true" else Inflation()
+                persists = persistent.or_more(kept) if kind == "true" else Inflation()
                 keys = LawKeys(("confidence", kind), state, observed.threshold, persists)
                 quantile = forms[kind] == "quantiles"
                 estimate = confidence_laws.quantile_scores if quantile else confidence_laws.normal_scores

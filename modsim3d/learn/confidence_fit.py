@@ -35,18 +35,20 @@ class ObservedConfidences:
     state: Indices
     visible_fraction: Array  # of the detected vessel, NaN where there is none or where it is unknown, shape (n,)
     log_size: Array  # log₂ of the side of a square as large as the detected box, in pixels, shape (n,)
+    thing: Indices  # which thing was detected, a number; one of its own for each whose identity is unknown, shape (n,)
 
     @classmethod
     def of(cls, observed: Observed, kind: Kind) -> ObservedConfidences:
         """Confidences of true or false detections."""
         results = observed.labelled.results
         rows = observed.detection[observed.found] if kind == "true" else observed.false
-        visible = np.full(len(rows), np.nan)
+        visible, thing = np.full(len(rows), np.nan), -1 - np.arange(len(rows))
         if kind == "true":
             visible = observed.labelled.annotations.visible_fraction[observed.rows[observed.found]]
+            thing = np.where(observed.thing[observed.found] >= 0, observed.thing[observed.found], thing)
         image = results.image[rows]
         area = np.prod(np.maximum(sizes(results.boxes_px[rows]), 1e-6), axis=1)
-        return cls(results.confidence[rows], image, observed.image_state[image], visible, np.log2(area) / 2)
+        return cls(results.confidence[rows], image, observed.image_state[image], visible, np.log2(area) / 2, thing)
 
     def __len__(self) -> int:
         """Number of detections."""

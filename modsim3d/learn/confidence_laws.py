@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector import confidence
 from modsim3d.detector.chain import model_name
 from modsim3d.detector.confidence import LEVELS, SCORES, clipped_sums, fit_clipped, pair_likelihood
@@ -20,6 +20,7 @@ from modsim3d.learn.matches import Observed
 from modsim3d.learn.persistence import Consecutive, Steps, steps_between
 
 QUANTILES = 21
+_LIKELY = 0.975
 _QUANTILE_REPLICATES = 200
 _PERCENT = tuple(f"{k / (QUANTILES - 1):.0%}" for k in range(QUANTILES))
 
@@ -46,6 +47,24 @@ class Inflation:
 
     mean: float = 1.0
     std: float = 1.0
+
+    @classmethod
+    def by_things(cls, values: Array, thing: Indices) -> Inflation:
+        """Inflation where each thing keeps a part of its confidence: from the spread of the sums over things, given
+        the thing of each value, shapes (n,). Few things tell their own spread poorly, hence Student's distribution."""
+        _, of_thing = np.unique(thing, return_inverse=True)
+        count = int(of_thing.max(initial=-1)) + 1
+        if count < 2:
+            return cls()
+        wide = float(special.stdtrit(count - 1, _LIKELY) / special.ndtri(_LIKELY)) ** 2 * count / (count - 1)
+        deviation = values - values.mean()
+        parts = (deviation, deviation**2 - deviation.var())
+        each = [(np.bincount(of_thing, part) ** 2).sum() / max((part**2).sum(), 1e-12) for part in parts]
+        return cls(*(max(float(wide * found), 1.0) for found in each))
+
+    def or_more(self, other: Inflation) -> Inflation:
+        """The larger variance of each."""
+        return Inflation(max(self.mean, other.mean), max(self.std, other.std))
 
 
 @dataclass(frozen=True)

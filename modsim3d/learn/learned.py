@@ -183,7 +183,7 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
     return Learned(observed, form, numbers, transitions, resampling, run_s, units)
 
 
-_MAX_LOST = 0.1
+_MAX_LOST = 0.03
 """Share of false detections that may be boxes of vessels that failed the matching."""
 
 
@@ -193,7 +193,9 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     unknown: dict[tuple[str | None, str], str] = {}
     of_state = observed.image_state[observed.labelled.results.image[observed.false]]
     matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false detections
+    failed = 0.0
     for index, used in enumerate(numbers.box_errors.used):
+        failed += used.lost * used.matches
         false = int(np.count_nonzero(of_state == index))
         if not used.settled:
             why = "so many boxes fail the matching, or were drawn anew, that errors may spread farther"
@@ -201,6 +203,14 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
         elif matched and (lost := used.lost * used.matches) > _MAX_LOST * max(false, 1):
             why = f"{lost:.0f} of {false:,} false detections are boxes that failed the matching, by the fit"
             unknown[used.state, "confidence.false"] = why
+    if matched and numbers.multiple_boxes.on_vessels is not None:
+        why = "of a vessel's boxes, matching takes the one that fits best, whichever was drawn for it"
+        unknown |= {(None, f"false_positives.on_vessels.{key}"): why for key in ("lifetime_s", "mean", "std")}
+    if matched and failed > _MAX_LOST * max(len(observed.false), 1):
+        why = f"{failed:.0f} of {len(observed.false):,} false detections are boxes that failed the matching, by the fit"
+        unknown[None, "false_positives.size"] = why
+    elif matched and numbers.multiple_boxes.shares:
+        unknown[None, "false_positives.size"] = "second boxes, parts and merges are told from others by how they look"
     few = "of few vessels that keep a share of the noise; measured, 84 to 88 of 100 such intervals hold"
     if numbers.classes.class_vessel_share is not None:
         unknown[None, "persistence.class_s"] = few

@@ -11,6 +11,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule
 from modsim3d.learn.confidence_fit import ObservedConfidences, SlopeForm, _Point, product_limit
+from modsim3d.learn.confidence_laws import Inflation
 from modsim3d.learn.learned import Learned, uncertainty_text
 from tests.learn.one_state import detected, detector, learned_from, truth_of
 
@@ -138,7 +139,7 @@ def test_the_curvature_of_the_fit_is_the_derivative_of_its_gradient() -> None:
     count = 40
     scores = ObservedConfidences(
         np.clip(rng.normal(0.8, 0.3, count), 0.2, 1), np.arange(count), np.zeros(count, dtype=np.int64),
-        rng.uniform(0, 1, count), rng.uniform(3, 7, count),
+        rng.uniform(0, 1, count), rng.uniform(3, 7, count), np.arange(count),
     )  # fmt: skip
     point = _Point(np.array([0.8, 0.25, 0.3, 0.05]), (scores,), (False,), SlopeForm(True, True, 6.0), 0.2)
     gradient, curvature = point.newton()
@@ -146,3 +147,11 @@ def test_the_curvature_of_the_fit_is_the_derivative_of_its_gradient() -> None:
         ahead, behind = (replace(point, values=point.values + sign * move) for sign in (1, -1))
         np.testing.assert_allclose(-(ahead.newton()[0] - behind.newton()[0]) / 2e-5, curvature[k], rtol=1e-4, atol=1e-3)
         np.testing.assert_allclose((ahead.likelihood() - behind.likelihood()) / 2e-5, gradient[k], rtol=1e-5, atol=1e-4)
+
+
+def test_parts_of_confidence_that_things_keep_widen_its_means_and_spreads() -> None:
+    rng, thing = np.random.default_rng(5), np.repeat(np.arange(2000), 10)
+    values = np.sqrt(0.3) * rng.standard_normal(2000)[thing] + np.sqrt(0.7) * rng.standard_normal(20_000)
+    kept, alone = Inflation.by_things(values, thing), Inflation.by_things(values, np.arange(20_000))
+    assert kept.mean == pytest.approx(1 + 9 * 0.3, rel=0.1) and kept.std == pytest.approx(1 + 9 * 0.3**2, rel=0.1)
+    assert alone.mean == pytest.approx(1, abs=1e-3) and Inflation.by_things(values[:5], thing[:5]) == Inflation()

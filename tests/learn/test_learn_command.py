@@ -306,9 +306,11 @@ def test_matches_that_the_gate_cuts_off_and_labels_that_are_off_by_one_are_remar
         return learn_detector(labelled, replace(settings, rule=Rule(method)), LearnOptions()).remarks
 
     assert remarks(2.0) == ()
-    unknown, near = remarks(8.0)
+    unknown, of_vessels, near = remarks(8.0)
     assert "of the matches have an IoU of less than 0.6" in near
-    assert re.match(r"Not known: states.usual.confidence.false; 1\d\d of \d\d\d false detections are boxes", unknown)
+    assert of_vessels.startswith("Not known: false_positives.on_vessels.lifetime_s, false_positives.on_vessels.mean, ")
+    start = "Not known: states.usual.confidence.false, false_positives.size; "
+    assert re.match(rf"{start}1\d\d of \d\d\d false detections are boxes", unknown)
     assert remarks(8.0, "provenance") == ()
     assert "100% of the matches have the label after" in remarks(2.0, shift=1)[0]
     moved = "In MOT, --labels can give the numbers of both files one name; in COCO, --category-offset -1 moves results"

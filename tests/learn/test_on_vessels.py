@@ -31,10 +31,13 @@ def test_what_was_asked_for_is_learned_again(boats, learned, rule: str) -> None:
     if rule == "confidence":
         learned = learned_from(detected(boats, detector(on_vessels=LAW), 4), Rule(rule, least_iou=0.6))
     intervals = {each.key.path.removeprefix("false_positives.on_vessels."): each for each in learned.intervals(0.999)}
-    stray = 0.04 if rule == "confidence" else 0.0  # others lie on vessels by chance, and some of these beside them
+    stray = 0.06 if rule == "confidence" else 0.0  # others lie on vessels by chance, and some of these beside them
     for key, asked in LAW.items():
         slack = stray * (10 if key == "lifetime_s" else 1)
-        low, high = intervals[key].low - slack, intervals[key].high + slack
+        ends = intervals[key].low, intervals[key].high
+        assert bool(np.isnan(ends).any()) == (rule == "confidence" and key != "share")  # said not to be known
+        low, high = (np.where(np.isnan(end), intervals[key].estimate, end) for end in ends)
+        low, high = low - slack, high + slack
         assert np.all((low <= np.array(asked)) & (np.array(asked) <= high)), (key, intervals[key])
     section = learned.detector()["false_positives"]
     assert section["model"] == "per_image" and "duplicates" not in section
