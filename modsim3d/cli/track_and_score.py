@@ -130,7 +130,11 @@ def score_command(
     by_class: Annotated[bool, flag("--by-class", "Score each class by itself too.")] = False,
     gospa: Annotated[
         str | None,
-        option("C[:P]", "Cutoff of GOSPA, and its power.", show_default="100 px, in the world 50 m; power 1"),
+        option(
+            "C[:P[:G]]",
+            "Cutoff of GOSPA, its power, and what a switch costs T-GOSPA in the world.",
+            show_default="100 px, in the world 50 m; power 1; G as C",
+        ),
     ] = None,
     gate: Annotated[
         float | None, option("M", "Farthest that a track in the world follows a vessel.", show_default="50 m")
@@ -161,7 +165,7 @@ def score_command(
         raise ModsimError("give TRACKS: folders that `modsim3d track` wrote, or files of your own tracker")
     paths = [] if out is None else [out / file for file in FILES]
     name, scale_px = shared.parse_similarity(similarity)
-    cutoff, power = parse_gospa(gospa)
+    cutoff, power, switch = parse_gospa(gospa)
     with (
         detect.opened(
             run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame, labels=labels
@@ -181,6 +185,7 @@ def score_command(
                 by_class=by_class,
                 gospa_c=cutoff,
                 gospa_p=power,
+                gospa_switch=switch,
                 gate_m=gate,
                 cameras=camera,
                 seeds=seeds,
@@ -195,13 +200,12 @@ def score_command(
         say_json({"command": "score", **score_data(scores), "written": paths})
 
 
-def parse_gospa(text: str | None) -> tuple[float | None, float]:
-    """Cutoff of GOSPA, None for the usual one, and its power, from a text such as `70` or `70:2`. Raises ModsimError if
-    it is no such text."""
-    if text is None:
-        return None, 1.0
-    cutoff, colon, power = text.partition(":")
+def parse_gospa(text: str | None) -> tuple[float | None, float, float | None]:
+    """Cutoff of GOSPA, its power, and the cost of a switch, None for the usual ones, from a text such as `70`, `70:2`
+    or `70:2:30`. Raises ModsimError if it is no such text."""
+    given = text.split(":") if text is not None else []
     try:
-        return float(cutoff), float(power) if colon else 1.0
+        numbers = dict(zip(range(3), map(float, given), strict=len(given) > 3))
     except ValueError:
-        raise ModsimError(f"--gospa {text}: needs a cutoff, and its power as in 70:2") from None
+        raise ModsimError(f"--gospa {text}: needs a cutoff, its power as in 70:2, and G as in 70:2:30") from None
+    return numbers.get(0), numbers.get(1, 1.0), numbers.get(2)

@@ -160,6 +160,7 @@ def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
             "gate_m": each.scores.gate_m,
             "gospa_c_m": each.scores.set_distance.cutoff,
             "gospa_p": each.scores.set_distance.power,
+            "gospa_switch_m": each.scores.set_distance.switch or each.scores.set_distance.cutoff,
             **each.scores.flat(),
             "each_encounter": [asdict(met) for met in each.scores.encounters],
         }

@@ -43,6 +43,7 @@ WORLD_COLUMNS: tuple[tuple[str, str, int], ...] = (
     ("RMSE, m/s", "rmse_m_s", 2),
     ("ANEES", "anees", 2),
     ("GOSPA, m", "gospa_m", 1),
+    ("T-GOSPA, m", "t_gospa_m", 1),
     ("followed", "followed_share", 3),
     ("ID switches", "id_switches", 0),
     ("false tracks", "false_tracks", 0),

@@ -82,6 +82,7 @@ def score_run(
     by_class: bool = False,
     gospa_c: float | None = None,
     gospa_p: float = 1.0,
+    gospa_switch: float | None = None,
     gate_m: float | None = None,
     cameras: str | Sequence[str] | None = None,
     seeds: int | None = None,
@@ -102,6 +103,7 @@ def score_run(
         by_class: Score each class by itself too.
         gospa_c: Cutoff of GOSPA and OSPA: 100 px in the images and 50 m in the world if None.
         gospa_p: Power of GOSPA and OSPA.
+        gospa_switch: Cost of a change of a vessel's track in T-GOSPA, for tracks in the world; the cutoff if None.
         gate_m: Farthest that a track in the world follows a vessel; 50 m if None.
         cameras: Names of the cameras to score; all if None, and then no file may lack lines of one.
         seeds: Number of detector seeds to run detector, tracker and scores with as well; for tracks that `track_run`
@@ -128,6 +130,8 @@ def score_run(
         _refuse_image_rules(rules)
     if gate_m is not None and not in_world:
         raise ModsimError("--gate is for tracks in the world, and none are given: leave it out")
+    if gospa_switch is not None and not in_world:
+        raise ModsimError("--gospa C:P:G: G is for tracks in the world, and none are given: leave it out")
     if seeds is not None:
         from modsim3d.tracking.detector_seeds import check_seeds, spread_over_seeds
 
@@ -137,7 +141,7 @@ def score_run(
             )
         check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
-    in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p)
+    in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p, gospa_switch)
     world = tuple(
         WorldTrackScores(each.name, path, score_world(rows, each, gate_m, in_metres)) for path, each in in_world
     )

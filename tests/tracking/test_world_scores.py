@@ -257,3 +257,16 @@ def test_the_page_marks_the_vessels_that_a_camera_saw_and_no_track_followed(run:
     page = score_page(score_run(run, sea_runs.write_csv(tmp_path / "one.csv", columns)))
     assert "one: 2 vessels came nearer to own ship, and 1 passed her in this run. Red: a camera saw" in page
     assert page.count('<tr class="bad"><td data-label="vessel">anchored</td>') == page.count('<tr class="bad">') == 1
+
+
+def test_a_track_that_takes_over_is_a_switch_of_t_gospa_and_half_a_trajectory_of_ospa2(rows: RunRows) -> None:
+    keys = ("t_gospa_switch_m", "t_gospa_missed_m", "t_gospa_false_m", "t_gospa_localisation_m")
+    seen, halves = WorldTruth.of(rows).scored, tracks_of([(ANCHORED, TIMES_S[:30]), (ANCHORED, TIMES_S[30:])])
+    missed = 25 * seen[:, CROSSER].sum() / sea_runs.STEPS
+    found = score_world(rows, halves)
+    assert values(found, *keys) == pytest.approx([50 / sea_runs.STEPS, missed, 0, 0])
+    assert values(found, "t_gospa_m") == pytest.approx([missed + 50 / sea_runs.STEPS])
+    assert values(score_world(rows, halves, set_distance=SetDistance(50, 1, 6)), keys[0]) == pytest.approx([6 / 60])
+    # The run is one window. A half goes to the anchored vessel, which it lacks for the other half, the other to none.
+    longer = max(seen[:30, ANCHORED].sum(), seen[30:, ANCHORED].sum()) / seen[:, ANCHORED].sum()
+    assert values(found, "ospa2_m") == pytest.approx([(50 * (1 - longer) + 50) / 2])

@@ -21,6 +21,7 @@ class SetDistance:
 
     cutoff: float = 100.0  # c, in the unit of the distance; missed and false ones cost c^p / 2 each in GOSPA
     power: float = 1.0  # p; with 1 the parts are additive distances
+    switch: float | None = None  # γ of T-GOSPA, what a change of a vessel's track costs; c if None
 
     def __post_init__(self) -> None:
         """Raise ModsimError if a value is out of range."""
@@ -28,6 +29,10 @@ class SetDistance:
             raise ModsimError(f"--gospa C: must be above 0 and at most {LARGEST_CUTOFF:,.0f} (got {self.cutoff:g})")
         if not 1 <= self.power <= 10:
             raise ModsimError(f"--gospa C:P: must have a power from 1 to 10 (got {self.power:g})")
+        if self.switch is not None and not 0 < self.switch <= LARGEST_CUTOFF:
+            raise ModsimError(
+                f"--gospa C:P:G: must have a G above 0, at most {LARGEST_CUTOFF:,.0f} (got {self.switch:g})"
+            )
 
 
 @dataclass(frozen=True)

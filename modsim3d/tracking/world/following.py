@@ -159,12 +159,14 @@ class WorldFollowing:
         scored = np.pad(self.truth.scored, ((0, 0), (0, 1)), constant_values=True)  # the last is for NOBODY
         return np.asarray(scored[self.estimates.step, self.vessel], dtype=bool)
 
-    def scored_distances(self) -> Iterator[Array]:
-        """Distances of scored vessels to counted estimates at each step, shape (a, b)."""
+    def scored_frames(self) -> Iterator[tuple[Indices, Indices, Array]]:
+        """Indices of the scored vessels (a,), numbers of the counted tracks (b,), and their distances (a, b), at each
+        step."""
         counted = self.counted
         for step, (first, stop) in enumerate(_edges(self.truth, self.estimates)):
             rows = self.estimates.row[first:stop][counted[first:stop]]
-            yield distances_at(self.truth, self.tracks, step, np.flatnonzero(self.truth.scored[step]), rows)
+            vessels = np.flatnonzero(self.truth.scored[step])
+            yield vessels, self.tracks.track[rows], distances_at(self.truth, self.tracks, step, vessels, rows)
 
 
 def follow_in_world(truth: WorldTruth, tracks: WorldTracks, gate_m: float) -> WorldFollowing:

@@ -15,6 +15,7 @@ from modsim3d.runs.stored_run import StoredRun
 from modsim3d.tracking.detector_seeds import LEVEL
 from modsim3d.tracking.scores.errors import GospaParts, mean_gospa, nees_or_infinity
 from modsim3d.tracking.scores.scored import SetDistance
+from modsim3d.tracking.scores.trajectories import TGospaParts, TrajectorySets, ospa2, t_gospa
 from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.world.encounters import encounter
@@ -225,6 +226,7 @@ def _switches_and_breaks(following: WorldFollowing, vessel: int) -> tuple[int, i
 
 DEFAULT_GATE_M = 50.0  # a track farther from a vessel than that does not follow it
 IN_METRES = SetDistance(cutoff=50.0)  # GOSPA's c and p by default
+OSPA2_WINDOW_S = 30.0  # so long are the windows of OSPA(2)
 _DIMENSIONS = {"nees": 2, "nees_velocity": 2, "nees_state": 4}
 
 
@@ -236,6 +238,8 @@ class WorldScores:
     set_distance: SetDistance  # c in metres and p of GOSPA
     errors: WorldErrors  # of tracks that follow a vessel
     gospa: GospaParts | None  # mean over steps, in metres, its parts in metres to the power p; None without steps
+    t_gospa: TGospaParts | None  # for each step, in the same units; None without steps
+    ospa2: float | None  # mean over windows, in metres; None without steps
     continuity: WorldContinuity
     encounters: tuple[MetVessel, ...]  # the vessels that met own ship, in the order of the vessels
 
@@ -244,6 +248,7 @@ class WorldScores:
         errors, continuity = self.errors, self.continuity
         nees = {"nees": errors.nees, "nees_velocity": errors.nees_velocity, "nees_state": errors.nees_state}
         gospa = ("gospa_m", "gospa_localisation_m", "gospa_missed_m", "gospa_false_m")
+        of_tracks = (*(f"t_{name}" for name in gospa), "t_gospa_switch_m")
         return {
             **_mean_keys("rmse_m", errors.rmse_m),
             **_mean_keys("rmse_m_s", errors.rmse_m_s),
@@ -251,6 +256,8 @@ class WorldScores:
             **{f"a{name}": None if each.mean is None else each.mean / _DIMENSIONS[name] for name, each in nees.items()},
             "pairs": errors.pairs,
             **dict(zip(gospa, self.gospa or (None,) * len(gospa), strict=True)),
+            **dict(zip(of_tracks, self.t_gospa or (None,) * len(of_tracks), strict=True)),
+            "ospa2_m": self.ospa2,
             "vessels": continuity.vessels,
             "established": continuity.established,
             **_mean_keys("followed_share", continuity.followed_share),
@@ -292,7 +299,7 @@ def score_world(
         run: The run, or its rows.
         world_tracks: The tracks.
         gate_m: A track farther from a vessel than that does not follow it.
-        set_distance: c in metres and p of GOSPA.
+        set_distance: c in metres, p and γ of GOSPA, T-GOSPA and OSPA(2).
         encounter_m: A vessel whose closest approach to own ship is farther has not met her.
 
     Raises:
@@ -303,11 +310,16 @@ def score_world(
             raise ModsimError(f"{name} must be above 0 metres (got {value:g})")
     rows = run if isinstance(run, RunRows) else RunRows.of(run)
     following = follow_in_world(WorldTruth.of(rows), world_tracks, gate_m)
+    rule, frames, times_s = set_distance, [*following.scored_frames()], following.truth.times_s
+    sets = TrajectorySets.of(frames, rule.cutoff)
+    window = round(OSPA2_WINDOW_S / float(np.median(np.diff(times_s)))) if len(times_s) > 1 else 1
     return WorldScores(
         gate_m=gate_m,
-        set_distance=set_distance,
+        set_distance=rule,
         errors=world_errors(following),
-        gospa=mean_gospa(following.scored_distances(), set_distance.cutoff, set_distance.power),
+        gospa=mean_gospa((apart for _, _, apart in frames), rule.cutoff, rule.power),
+        t_gospa=t_gospa(sets, rule.power, rule.cutoff if rule.switch is None else rule.switch),
+        ospa2=ospa2(sets, rule.power, max(window, 1)),
         continuity=world_continuity(following),
         encounters=met_vessels(following, encounter_m),
     )
