@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from modsim3d.tracking.track_run import TrackCounts, TrackResult
 
 _EXAMPLE = "lost_s=2.5"
+MAX_TIMEOUT_S = 86_400
 HEADER = ("camera", "frames", "detections", "tracks", "boxes", "median track")
 
 
 def track_command(
-    out: Annotated[Path, option("DIR", "Folder for tracks.parquet and tracks.json.")],
+    out: Annotated[Path, option("DIR", "Folder for the tracks and tracks.json.")],
     run: Annotated[Path | None, argument("[RUN]", "Run directory of a finished run.")] = None,
     truth: detect.TruthOption = None,
     detections: detect.DetectionsOption = None,
@@ -32,13 +33,20 @@ def track_command(
     frame_rate: detect.FrameRateOption = None,
     first_frame: detect.FirstFrameOption = None,
     tracker: Annotated[
-        str,
+        str | None,
         option(
             "NAME",
             "Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, or one of a plug-in.",
             autocompletion=shared.complete_tracker,
+            show_default="reference",
         ),
-    ] = "reference",
+    ] = None,
+    command: Annotated[
+        str | None, option("COMMAND", "Program that is the tracker, with its arguments (docs/tracker_command.md).")
+    ] = None,
+    timeout: Annotated[
+        float | None, option("SECONDS", "Time that the program has for each answer.", show_default="30 s")
+    ] = None,
     settings: Annotated[
         list[str] | None, option("KEY=VALUE", "Set a setting of the tracker, in place of the chosen one.", "--set")
     ] = None,
@@ -47,13 +55,12 @@ def track_command(
     verbose: shared.VerboseOption = False,
     json: shared.JsonOption = False,
 ) -> None:
-    """Run a tracker over a run's detections, each camera by itself, and write its tracks.
+    """Run a tracker over a run's detections, and write its tracks, in the images or in the world.
 
     Example: modsim3d track runs/first --tracker reference --out tracks/reference
     """
     from modsim3d.scene.settings import read_settings
     from modsim3d.tracking.track_run import track_run
-    from modsim3d.tracks.reading import track_paths
 
     given = read_settings(settings or (), _EXAMPLE)
     if truth is not None and detections is None:
@@ -61,14 +68,33 @@ def track_command(
     files = {"image_size": image_size, "frame_rate": frame_rate, "first_frame": first_frame, "labels": labels}
     with detect.opened(run, truth, detections, **files) as stored:
         frames = None if stored.stored is None else stored.settings["counts"]["frames"]
-        with timed("tracks and files"), shared.progress(tracker, frames) as advance:
-            result = track_run(stored, out, tracker=tracker, settings=given, overwrite=overwrite, progress=advance)
+        chosen = _chosen(tracker, command, timeout)
+        with timed("tracks and files"), shared.progress(tracker or command or "reference", frames) as advance:
+            result = track_run(stored, out, settings=given, overwrite=overwrite, progress=advance, **chosen)
     tell("tracker", ", ".join(f"{name} {version}" for name, version in result.origin.versions.items()))
-    written = track_paths(out)
+    written = list(result.written)
     typed = {"truth": truth, "detections": detections, **files}
     options = [f"--{name.replace('_', '-')} {shlex.quote(str(value))}" for name, value in typed.items() if value]
     _print_result(result, shlex.quote(str(run)) if run else " ".join(options), written)
     say_json(track_json(result, stored.scene.name, written))
+
+
+def _chosen(tracker: str | None, command: str | None, timeout: float | None) -> dict[str, Any]:
+    """The arguments of `track_run` for a tracker or a program. Raises ModsimError if both are given, or what is for a
+    program is given without one."""
+    if command is None:
+        if timeout is not None:
+            raise ModsimError("--timeout is for --command: leave it out")
+        return {"tracker": tracker or "reference"}
+    if tracker is not None:
+        raise ModsimError("--tracker and --command each name a tracker: leave one out")
+    if timeout is not None and not 0 < timeout <= MAX_TIMEOUT_S:
+        raise ModsimError(f"--timeout: needs seconds above 0, at most {MAX_TIMEOUT_S:,} (got {timeout:g})")
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise ModsimError(f"--command: is no command of a shell: {error}") from None
+    return {"command": words, **({} if timeout is None else {"timeout_s": timeout})}
 
 
 def track_json(result: TrackResult, scene: str, written: list[Path]) -> dict[str, Any]:
@@ -84,6 +110,7 @@ def track_json(result: TrackResult, scene: str, written: list[Path]) -> dict[str
         "counts": vars(result.counts),
         "camera_counts": counts,
         "seconds": result.seconds,
+        "frame_ms": result.frame_ms,
         "written": written,
     }
 
@@ -91,8 +118,11 @@ def track_json(result: TrackResult, scene: str, written: list[Path]) -> dict[str
 def _print_result(result: TrackResult, run: str, written: list[Path]) -> None:
     console = open_console()
     print_prose(console, f"{result.name}: {result.origin.package}; settings: {result.origin.chosen}")
-    rows = [_cells(name, counts) for name, counts in result.camera_counts.items()]
+    rows = [_cells(name, counts) for name, counts in (result.camera_counts or {"all": result.counts}).items()]
     print_table(console, "tracks", rows, header=HEADER, right=range(1, len(HEADER)))
+    if result.frame_ms:
+        said = ", ".join(f"{name} {value:.3g}" for name, value in result.frame_ms.items())
+        shared.print_line(console, f"ms a frame: {said}", "dim")
     shared.print_written(console, written)
     shared.print_line(console, f"\nnext\n  modsim3d score {run} {shlex.quote(str(result.folder))}")
 

@@ -36,6 +36,7 @@ from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Origin, TrackSet, name_o
 # ---- The folder that `modsim3d track` writes ----
 
 TABLE: Literal["tracks.parquet"] = "tracks.parquet"
+WORLD_TABLE: Literal["world_tracks.csv"] = "world_tracks.csv"  # in its place, of a tracker in the world
 FACTS = "tracks.json"
 TRACK_FILES = (TABLE, FACTS)
 FORMAT = 1
@@ -65,12 +66,12 @@ class TrackFacts(Strict):
     versions: dict[Text, Text]
     run: TrackedRun
     counts: Annotated[dict[Literal["rows", "tracks"], Count], Field(min_length=2)]
-    files: Annotated[dict[Literal["tracks.parquet"], FileEntry], Field(min_length=1)]
+    files: Annotated[dict[Literal["tracks.parquet", "world_tracks.csv"], FileEntry], Field(min_length=1, max_length=1)]
 
 
 def track_paths(folder: Path) -> list[Path]:
-    """The files that `write_tracks` writes into a folder."""
-    return [folder / name for name in TRACK_FILES]
+    """The files that tracks may have in a folder: those in the images, or those in the world."""
+    return [folder / name for name in (TABLE, WORLD_TABLE, FACTS)]
 
 
 def write_tracks(folder: Path, run: StoredRun, track_set: TrackSet, overwrite: bool) -> None:
@@ -89,30 +90,43 @@ def write_claimed_tracks(folder: Path, run: StoredRun, track_set: TrackSet) -> N
     table = track_table(track_set.tracks, run.scene)
     pq.write_table(table, buffer, compression="zstd", row_group_size=ROW_GROUP_ROWS)
     content = buffer.getvalue()
-    facts = {
-        "format": FORMAT,
-        "name": track_set.name,
-        **vars(track_set.origin),
-        "run": _tracked_run(run).model_dump(),
-        "counts": {"rows": len(track_set.tracks), "tracks": int(track_set.tracks.identity.max(initial=-1)) + 1},
-        "files": {TABLE: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}},
+    counts = {"rows": len(track_set.tracks), "tracks": int(track_set.tracks.identity.max(initial=-1)) + 1}
+    facts = facts_text(track_set.name, track_set.origin, run, counts, {TABLE: content})
+    write_files({folder / TABLE: content, folder / FACTS: facts})
+
+
+def facts_text(name: str, origin: Origin, run: StoredRun, counts: dict[str, int], files: dict[str, bytes]) -> bytes:
+    """The content of `tracks.json`: where tracks come from, of which run they are, and the checksum of their file."""
+    listed = {
+        file: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()} for file, content in files.items()
     }
-    write_files({folder / TABLE: content, folder / FACTS: json_text(facts)})
+    run_facts = _tracked_run(run).model_dump()
+    facts = {"format": FORMAT, "name": name, **vars(origin), "run": run_facts, "counts": counts, "files": listed}
+    return json_text(facts)
 
 
-def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
-    """Read the tracks that `write_tracks` has written for a run. Raises InputError if a file is missing or damaged, or
+def stored_facts(folder: Path, run: StoredRun, table: Literal["tracks.parquet", "world_tracks.csv"]) -> TrackFacts:
+    """What `tracks.json` says of the tracks of a run in a table. Raises InputError if a file is missing or damaged, or
     the tracks are of another run."""
     try:
         facts = TrackFacts.model_validate(load_json(folder / FACTS, "tracks"))
     except ValidationError as error:
         raise InputError(source_of(folder / FACTS), describe(error, TrackFacts)) from None
     _check_run(facts.run, _tracked_run(run), source_of(folder), of_files=bool(run.made_of))
+    with open_input(folder / table, "tracks", input_files.MAX_TEXT_BYTES) as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if found != (listed := facts.files[table].sha256 if table in facts.files else "none"):
+        problem = f"was changed or damaged: its checksum is {found}, {FACTS} has {listed}"
+        raise InputError(source_of(folder / table), [problem])
+    return facts
+
+
+def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
+    """Read the tracks that `write_tracks` has written for a run. Raises InputError if a file is missing or damaged, or
+    the tracks are of another run."""
+    facts, source = stored_facts(folder, run, TABLE), source_of(folder / TABLE)
     with open_input(folder / TABLE, "tracks", input_files.MAX_TEXT_BYTES) as file:
         content = file.read()
-    source = source_of(folder / TABLE)
-    if (found := hashlib.sha256(content).hexdigest()) != (listed := facts.files[TABLE].sha256):
-        raise InputError(source, [f"was changed or damaged: its checksum is {found}, {FACTS} has {listed}"])
     with _damage_named(source):
         table = pq.read_table(pa.BufferReader(content)).combine_chunks()
         table.validate()

@@ -2,16 +2,20 @@
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
+from pyarrow.csv import write_csv
 from scipy.spatial.transform import Rotation
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io import input_files
+from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import open_input
 from modsim3d.io.misreadings import no_commas
 from modsim3d.io.ros_bag import DETECTIONS_3D, ODOMETRY, BagMessage, is_bag, read_bag
@@ -19,7 +23,8 @@ from modsim3d.io.text_table import RowProblems, TextTable, named_lines
 from modsim3d.io.validation import nearest, shown
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.ais.messages import local_metres, wrapped_deg
-from modsim3d.tracks.tracks import WorldTracks, name_of, source_of
+from modsim3d.tracks.reading import FACTS, WORLD_TABLE, facts_text, stored_facts
+from modsim3d.tracks.tracks import Origin, WorldTracks, name_of, source_of
 from modsim3d.tracks.world_rows import MAX_DEG, WorldRows, checked
 
 STATE = ("w1", "w2", "v1", "v2")
@@ -290,7 +295,7 @@ def is_world(path: StrPath) -> bool:
     """Whether a file or folder has tracks in the world: a ROS 2 bag, or CSV with places in the world and no boxes."""
     path = as_path(path, "path", "tracks")
     if path.is_dir() or is_bag(path):
-        return is_bag(path)
+        return is_bag(path) or (path / WORLD_TABLE).is_file()
     try:
         columns = ",".join(header(path)).translate(str.maketrans(";\t|", ",,,")).split(",")  # which the reader refuses
     except InputError:  # whoever reads it says so
@@ -302,7 +307,7 @@ def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -
     """Read tracks in the world.
 
     Args:
-        path: A CSV file, or a ROS 2 bag: its folder, or a file of it.
+        path: A folder that `modsim3d track` has written, a CSV file, or a ROS 2 bag: its folder, or a file of it.
         run: The run that the tracker was given.
         topic: The bag's topic; None for the only one that can be.
 
@@ -313,8 +318,35 @@ def read_world_tracks(path: StrPath, run: StoredRun, topic: str | None = None) -
     path = as_path(path, "path", "tracks")
     run.scene.check_world("a score of tracks in the world")
     run.check_has_steps()
+    if (path / WORLD_TABLE).is_file():
+        facts = stored_facts(path, run, WORLD_TABLE)
+        return replace(checked(read_world_csv(path / WORLD_TABLE, run), run), name=facts.name)
     if path.is_dir() or is_bag(path):
         return checked(read_world_bag(path, run, topic), run)
     if topic is not None:
         raise InputError(source_of(path), ["a topic is for a ROS 2 bag"])
     return checked(read_world_csv(path, run), run)
+
+
+def write_claimed_world_tracks(folder: Path, run: StoredRun, tracks: WorldTracks, origin: Origin) -> None:
+    """Write `world_tracks.csv` and `tracks.json`, which the caller has claimed; the same tracks give the same bytes.
+    Raises OutputError if they cannot be written."""
+    order = np.lexsort((tracks.track, tracks.time_s))
+    columns: dict[str, Any] = {
+        "track": np.array(tracks.track_names, dtype=object)[tracks.track],
+        "time_s": tracks.time_s,
+    }
+    columns |= zip(IN_SCENE, tracks.position_m.T, strict=True)
+    columns |= zip(ALONG_AXES, tracks.velocity_m_s.T, strict=True)
+    columns |= {name: tracks.covariance[:, i, j] for (i, j), name in COVARIANCES.items()}
+    unknown = [group for group in GROUPS if group[0] in columns and np.isnan(columns[group[0]]).all()]
+    left_out = {name for group in unknown for name in group}
+    arrays = {
+        name: pa.array(values[order], from_pandas=True) for name, values in columns.items() if name not in left_out
+    }
+    out = pa.BufferOutputStream()
+    write_csv(pa.table(arrays), out)
+    content = out.getvalue().to_pybytes()
+    counts = {"rows": len(tracks), "tracks": len(tracks.track_names)}
+    facts = facts_text(tracks.name, origin, run, counts, {WORLD_TABLE: content})
+    write_files({folder / WORLD_TABLE: content, folder / FACTS: facts})

@@ -90,7 +90,7 @@ def _detections(scene: Scene, sequence: CameraSequence, attitude: Attitude) -> C
         "label": pa.array(labels[found.label], pa.string()),
         "confidence": found.confidence,
         **_boxes(found.boxes_px),
-        **{name: _rounded(values) for name, values in located.items()},
+        **{name: rounded(values) for name, values in located.items()},
     }
 
 
@@ -102,8 +102,8 @@ def _frames(rows: RunRows, index: int, *, measured: bool) -> Columns:
     places, angles = (poses.positions_m, _camera_angles(poses)) if poses else (np.empty((0, 3)), np.empty((0, 3)))
     return {
         **_when(scene, steps),
-        **{f"camera_w{axis + 1}_m": _rounded(places[:, axis]) for axis in range(3)},
-        **{f"camera_{name}_rad": _rounded(angles[:, k]) for k, name in enumerate(("roll", "pitch", "yaw"))},
+        **{f"camera_w{axis + 1}_m": rounded(places[:, axis]) for axis in range(3)},
+        **{f"camera_{name}_rad": rounded(angles[:, k]) for k, name in enumerate(("roll", "pitch", "yaw"))},
     }
 
 
@@ -133,12 +133,12 @@ def _truth(rows: RunRows, index: int) -> Columns:
         **_when(scene, steps),
         **{name: seen[name] for name in ("vessel", "label", "annotated")},
         **_boxes(rows.annotated_boxes_px[mine]),
-        "visible_fraction": _rounded(number_column(seen, "visible_fraction")),
-        "w1_m": _rounded(places[:, 0]),
-        "w2_m": _rounded(places[:, 1]),
-        "heading_rad": _rounded(headings),
-        "bearing_rad": _rounded(np.arctan2(away[:, 1], away[:, 0])),
-        "inverse_range_per_m": _rounded(1 / np.hypot(away[:, 0], away[:, 1])),
+        "visible_fraction": rounded(number_column(seen, "visible_fraction")),
+        "w1_m": rounded(places[:, 0]),
+        "w2_m": rounded(places[:, 1]),
+        "heading_rad": rounded(headings),
+        "bearing_rad": rounded(np.arctan2(away[:, 1], away[:, 0])),
+        "inverse_range_per_m": rounded(1 / np.hypot(away[:, 0], away[:, 1])),
     }
 
 
@@ -150,7 +150,7 @@ def _cameras(scene: Scene, cameras: list[Camera]) -> Columns:
         "camera": [camera.name for camera in cameras],
         "width_px": [lens.image_size_px[0] for lens in lenses],
         "height_px": [lens.image_size_px[1] for lens in lenses],
-        **{f"f{axis + 1}_px": _rounded(np.array([lens.focal_px[axis] for lens in lenses])) for axis in range(2)},
+        **{f"f{axis + 1}_px": rounded(np.array([lens.focal_px[axis] for lens in lenses])) for axis in range(2)},
         "a1_px": [lens.principal_point_px[0] for lens in lenses],
         "a2_px": [lens.principal_point_px[1] for lens in lenses],
         "skew_px": [lens.skew for lens in lenses],
@@ -180,11 +180,11 @@ def _own_ships(scene: Scene, steps: int, *, measured: bool) -> Columns:
     when = _when(scene, np.repeat(np.arange(steps), shape[1]))
     table: dict[str, Any] = {"vessel": pa.array(np.tile(names, shape[0]), pa.string()), **when}
     for three, values in columns.items():
-        table |= zip(three, map(_rounded, values.reshape(-1, 3).T), strict=True)
+        table |= zip(three, map(rounded, values.reshape(-1, 3).T), strict=True)
     return table
 
 
-def _rounded(values: Array) -> Array:
+def rounded(values: Array) -> Array:
     """Numbers with so many significant digits, same shape; NaN stays."""
     size = np.abs(values)
     exponent = np.floor(np.log10(np.where(np.isfinite(size) & (size > 0), size, 1.0)))

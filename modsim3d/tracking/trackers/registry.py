@@ -1,11 +1,14 @@
 """Trackers by their names: built-in ones and plug-ins, with their settings."""
 
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Annotated, Any
 
+import orjson
 from pydantic import Field, ValidationError
 from pydantic_core import PydanticSerializationError
 
@@ -15,9 +18,14 @@ from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Strict, describe
 from modsim3d.scene.settings import plain
+from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S, CommandTracker
 from modsim3d.tracking.trackers.interface import Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN
+from modsim3d.tracking.trackers.world_interface import WorldTracker
 from modsim3d.tracks.tracks import Origin
+
+AnyTracker = Tracker | WorldTracker | CommandTracker
+Model = type[Tracker] | type[WorldTracker]
 
 DEFAULTS = "the tracker's defaults"
 
@@ -31,7 +39,7 @@ class SettingsFile(Strict):
     scenes: dict[str, dict[str, Any]] = Field(default_factory=dict)  # for the scenes of these names, in place of those
 
 
-def chosen_settings(name: str, model: type[Tracker], scene: str) -> tuple[dict[str, Any], str]:
+def chosen_settings(name: str, model: Model, scene: str) -> tuple[dict[str, Any], str]:
     """The settings of a tracker that were chosen for a scene, none where there is no file, and how, in a sentence. Its
     class, `model`, says what is right. Raises InputError if the file cannot be read, or what it sets is wrong."""
     path = data_folder("scenes") / "trackers" / f"{name}.yaml"
@@ -61,7 +69,7 @@ class NamedTracker:
     """A tracker with its settings."""
 
     name: str
-    tracker: Tracker
+    tracker: AnyTracker
     plugin: Plugin | None  # where it comes from; None if it is built in
     chosen: str  # where its settings come from, in a sentence
 
@@ -73,6 +81,9 @@ class NamedTracker:
     def origin(self) -> Origin:
         """Origin of its tracks. Raises ModsimError if a library that it needs is not installed, or its settings cannot
         be written as JSON."""
+        if isinstance(self.tracker, CommandTracker):
+            command = f"command {shlex.join(self.tracker.command)}"
+            return Origin(self.name, self.tracker.settings, self.chosen, command, self.tracker.checksums())
         try:
             settings = self.tracker.model_dump(mode="json")
         except PydanticSerializationError as error:
@@ -107,6 +118,28 @@ def named_tracker(name: str, settings: Mapping[str, object], scene: str | None) 
     return NamedTracker(name, tracker, plugin, _chosen(chosen, given))
 
 
+def command_tracker(
+    command: Sequence[str],
+    settings: Mapping[str, object],
+    *,
+    name: str | None = None,
+    folder: Path | None = None,
+    timeout_s: float = DEFAULT_TIMEOUT_S,
+) -> NamedTracker:
+    """A program as a tracker. `command` has its name and its arguments; it is started in `folder`, the working
+    directory if None. Raises InputError if there is no such program, or the settings cannot be written as JSON."""
+    given = {str(key): plain(value) for key, value in settings.items()}
+    tracker = CommandTracker(
+        command=tuple(command), folder=(folder or Path()).absolute(), timeout_s=timeout_s, settings=given
+    )
+    try:
+        orjson.dumps(given)
+    except TypeError as error:
+        raise InputError("--command", [f"set: its settings cannot be written as JSON: {error}"]) from None
+    called = Path([*tracker.files()][:2][-1]).stem  # of `python3 tracker.py`, the second
+    return NamedTracker(name or called, tracker, None, "those that are given")
+
+
 def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
     if not given:
         return chosen
@@ -115,19 +148,22 @@ def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
     return f"{chosen.rstrip('.')}; but {', '.join(given)} given by the caller"
 
 
-def _model(name: str) -> tuple[type[Tracker], Plugin | None]:
+def _model(name: str) -> tuple[Model, Plugin | None]:
     if name in BUILT_IN:
         found: object = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
         plugin = None
     else:
         found, plugin = load_plugin(TRACKERS, name, "--tracker", BUILT_IN)
-    if isinstance(found, type) and issubclass(found, Tracker) and found.follow is not Tracker.follow:
-        return found, plugin
+    if isinstance(found, type):
+        if issubclass(found, Tracker) and found.follow is not Tracker.follow:
+            return found, plugin
+        if issubclass(found, WorldTracker) and found.follow_world is not WorldTracker.follow_world:
+            return found, plugin
     problem = f"{plugin} must be a class made from modsim3d.Tracker with a method follow, not {found!r}"
     raise InputError(f"--tracker {name}", [problem])
 
 
-def _validated(model: type[Tracker], settings: dict[str, Any], name: str, plugin: Plugin | None) -> Tracker:
+def _validated(model: Model, settings: dict[str, Any], name: str, plugin: Plugin | None) -> AnyTracker:
     source = f"settings of the tracker '{name}'"
     try:
         return model.model_validate(settings)

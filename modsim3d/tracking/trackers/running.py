@@ -1,22 +1,31 @@
-"""Runs a tracker over the frames of cameras, one after the other, as it would run on board."""
+"""Runs a tracker over frames of cameras, or steps in the world, one after the other, as it would run on board."""
 
-from collections.abc import Callable, Iterator, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
+from time import perf_counter
 from typing import Any, Self
 
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
+from modsim3d.io.coprocess import Coprocess
 from modsim3d.io.plugins import failed
-from modsim3d.runs.camera_sequences import CameraSequence
+from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
+from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.scene.scene import Scene
-from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
+from modsim3d.tracking.trackers.command import CommandTracker, Exchange
+from modsim3d.tracking.trackers.interface import CameraFacts, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.registry import NamedTracker
-from modsim3d.tracks.tracks import FAR, Tracks, covariances, far_tracks
+from modsim3d.tracking.trackers.world_input import facts_of, sensed_frames, world_steps
+from modsim3d.tracking.trackers.world_interface import WorldTrackedStep, WorldTracker
+from modsim3d.tracks.tracks import FAR, Tracks, WorldTracks, covariances, far_tracks
 
+Refuse = Callable[[str], ModsimError]  # the error of a problem in one answer
 Named = Callable[[int, str], ModsimError]  # the error of a problem in a frame, by the frame's place in the sequence
 _SYMMETRIC = 1e-6  # largest difference of the two covariances of x and y, as a share of the variances
 
@@ -41,16 +50,13 @@ class Answers:
     def _refuse(self, problem: Named, labels: int, image_px: Array) -> None:
         """Refuse values that cannot be."""
         x_min, y_min, x_max, y_max = self.boxes_px.T
-        order = np.lexsort((self.track, self.frame))
-        twice = np.zeros(len(order), dtype=bool)
-        twice[order[1:]] = (np.diff(self.frame[order]) == 0) & (np.diff(self.track[order]) == 0)
         confidence = self.confidence
         upright = (x_max > x_min) & (y_max > y_min)
         possible = np.isnan(confidence) | ((confidence >= 0) & (confidence <= 1))
         box = "a box is x_min, y_min, x_max, y_max, with a positive width and height, not"
         index = f"a label is an index from 0 to {labels - 1}, or -1 for none, not"
         checks: tuple[tuple[Mask, str, Array | Indices], ...] = (
-            (twice, "two boxes have the track", self.track),
+            (_twice(self.frame, self.track), "two boxes have the track", self.track),
             (~np.isfinite(self.boxes_px).all(axis=1), "a box must be finite, not", self.boxes_px),
             (~upright, box, self.boxes_px),
             ((self.label < -1) | (self.label >= labels), index, self.label),
@@ -58,58 +64,118 @@ class Answers:
             (far_tracks(self.boxes_px, self.track, image_px), f"{FAR}:", self.boxes_px),
             (~_possible(self.covariance_px2), "this is no covariance of x and y:", self.covariance_px2),
         )
-        for wrong, text, column in checks:
-            if wrong.any():
-                row = int(np.argmax(wrong))
-                raise problem(int(self.frame[row]), f"track {self.track[row]}: {text} {_shown(column[row])}")
+        _refuse_first(checks, self.frame, self.track, problem)
 
     def numbered(self) -> Self:
         """Number the tracks 1, 2, … in order of their first box, as nobody else's numbers start where they did."""
-        _, first, inverse = np.unique(self.track, return_index=True, return_inverse=True)
-        rank = np.empty(len(first), dtype=np.int64)
-        rank[np.argsort(first)] = np.arange(1, len(first) + 1)
-        self.track = rank[inverse.reshape(-1)]
+        self.track = _in_order(self.track)
         return self
 
 
-def _columns(answer: TrackedFrame, refuse: Callable[[str], ModsimError]) -> tuple[Any, ...]:
+def _in_order(track: Indices) -> Indices:
+    """Numbers 1, 2, … in order of the first row of each track, shape (k,)."""
+    _, first, inverse = np.unique(track, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(1, len(first) + 1)
+    numbers: Indices = rank[inverse.reshape(-1)]
+    return numbers
+
+
+def world_tracks_of(name: str, answers: Sequence[WorldTrackedStep], times_s: Array, problem: Named) -> WorldTracks:
+    """The answers to steps at these times, shape (S,), as tracks that are numbered 1, 2, … in order of their first
+    estimate. Raises what `problem` makes if one cannot be an answer."""
+    parts = [_world_columns(answer, partial(problem, at)) for at, answer in enumerate(answers)]
+    none = _world_columns(WorldTrackedStep.empty(), partial(problem, 0))
+    step = np.repeat(np.arange(len(parts)), [len(each[0]) for each in parts])
+    track, position, velocity, covariance = (np.concatenate(each) for each in zip(none, *parts, strict=True))
+    checks: tuple[tuple[Mask, str, Array | Indices], ...] = (
+        (_twice(step, track), "two estimates have the track", track),
+        (~np.isfinite(position).all(axis=1), "a position must be finite, not", position),
+        (np.isinf(velocity).any(axis=1), "a velocity must be finite, or NaN where unknown, not", velocity),
+        (~_definite(covariance), "this is no covariance of position and velocity:", covariance),
+    )
+    _refuse_first(checks, step, track, problem)
+    number = _in_order(track)
+    names = tuple(map(str, range(1, int(number.max(initial=0)) + 1)))
+    return WorldTracks.of(name, number - 1, names, times_s[step], position, velocity, covariance)
+
+
+def _world_columns(answer: WorldTrackedStep, refuse: Refuse) -> tuple[Any, ...]:
+    if not isinstance(answer, WorldTrackedStep):
+        raise refuse(f"the answer to a step is a modsim3d.WorldTrackedStep, not {type(answer).__name__}")
+    track = _track_numbers(answer, refuse)
+    count = len(track)
+    whole = np.full((count, 4, 4), np.nan)
+    side = 2 if np.shape(np.array([]) if answer.covariance is None else answer.covariance)[1:] == (2, 2) else 4
+    whole[:, :side, :side] = _floats(answer, "covariance", (count, side, side), refuse)
+    position, velocity = (_floats(answer, name, (count, 2), refuse) for name in ("position_m", "velocity_m_s"))
+    return track.astype(np.int64), position, velocity, whole
+
+
+def _twice(at: Indices, track: Indices) -> Mask:
+    """Whether a track was there before at the same place of the sequence, shape (k,)."""
+    order = np.lexsort((track, at))
+    twice = np.zeros(len(order), dtype=bool)
+    twice[order[1:]] = (np.diff(at[order]) == 0) & (np.diff(track[order]) == 0)
+    return twice
+
+
+def _refuse_first(
+    checks: Sequence[tuple[Mask, str, Array | Indices]], at: Indices, track: Indices, problem: Named
+) -> None:
+    """Raise for the first row that a check is wrong in."""
+    for wrong, text, column in checks:
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise problem(int(at[row]), f"track {track[row]}: {text} {_shown(column[row])}")
+
+
+def _columns(answer: TrackedFrame, refuse: Refuse) -> tuple[Any, ...]:
     """Columns of an answer, of the right types and shapes."""
     if not isinstance(answer, TrackedFrame):
         raise refuse(f"the answer to a frame is a modsim3d.TrackedFrame, not {type(answer).__name__}")
-    track = np.asarray(answer.track)
-    if track.ndim != 1:
-        raise refuse(f"TrackedFrame.track has one number for each track, shape (k,); got the shape {track.shape}")
+    track = _track_numbers(answer, refuse)
     count = len(track)
-    if count and not np.issubdtype(track.dtype, np.integer):
-        raise refuse(f"TrackedFrame.track must be integers, not {track.dtype}")
     label = np.full(count, -1) if answer.label is None else np.asarray(answer.label)
     if count and not np.issubdtype(label.dtype, np.integer):
         raise refuse(f"TrackedFrame.label must be integers, not {label.dtype}")
     return (
         track.astype(np.int64),
-        _floats(answer.boxes_px, "boxes_px", (count, 4), refuse),
-        _shaped(label, "label", (count,), refuse).astype(np.int64),
-        _floats(answer.confidence, "confidence", (count,), refuse),
-        _floats(answer.covariance_px2, "covariance_px2", (count, 2, 2), refuse),
+        _floats(answer, "boxes_px", (count, 4), refuse),
+        _shaped(label, "TrackedFrame.label", (count,), refuse).astype(np.int64),
+        _floats(answer, "confidence", (count,), refuse),
+        _floats(answer, "covariance_px2", (count, 2, 2), refuse),
     )
 
 
-def _floats(value: Any, name: str, shape: tuple[int, ...], refuse: Callable[[str], ModsimError]) -> Array:
-    if value is None and name != "boxes_px":
+def _track_numbers(answer: TrackedFrame | WorldTrackedStep, refuse: Refuse) -> Any:
+    """Numbers of the tracks of an answer, shape (k,)."""
+    track, called = np.asarray(answer.track), f"{type(answer).__name__}.track"
+    if track.ndim != 1:
+        raise refuse(f"{called} has one number for each track, shape (k,); got the shape {track.shape}")
+    if len(track) and not np.issubdtype(track.dtype, np.integer):
+        raise refuse(f"{called} must be integers, not {track.dtype}")
+    return track
+
+
+def _floats(answer: TrackedFrame | WorldTrackedStep, name: str, shape: tuple[int, ...], refuse: Refuse) -> Array:
+    """An array of numbers of an answer; NaN where the answer has none and need not."""
+    value, called = getattr(answer, name), f"{type(answer).__name__}.{name}"
+    if value is None and name not in ("boxes_px", "position_m"):
         return np.full(shape, np.nan)
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise refuse(f"TrackedFrame.{name} must be an array of numbers of the shape {shape}") from None
-    shaped: Array = _shaped(array, name, shape, refuse)
+        raise refuse(f"{called} must be an array of numbers of the shape {shape}") from None
+    shaped: Array = _shaped(array, called, shape, refuse)
     return shaped
 
 
-def _shaped(array: Any, name: str, shape: tuple[int, ...], refuse: Callable[[str], ModsimError]) -> Any:
+def _shaped(array: Any, called: str, shape: tuple[int, ...], refuse: Refuse) -> Any:
     if not array.size and not shape[0]:
         return np.empty(shape, dtype=array.dtype)  # an empty list has no second axis
     if array.shape != shape:
-        raise refuse(f"TrackedFrame.{name} must have the shape {shape} with {shape[0]} tracks; got {array.shape}")
+        raise refuse(f"{called} must have the shape {shape} with {shape[0]} tracks; got {array.shape}")
     return array
 
 
@@ -120,12 +186,92 @@ def _possible(covariance: Array) -> Mask:
     return (alike & covariances(xx, xy, yy)) | np.isnan(covariance).all(axis=(1, 2))
 
 
+def _definite(covariance: Array) -> Mask:
+    """Whether each matrix (k, 4, 4) is the covariance of position and velocity, of the position alone, or NaN
+    throughout, shape (k,)."""
+    at = covariance[:, :2, :2]
+    possible = _possible(at)
+    whole = np.isfinite(covariance).all(axis=(1, 2))
+    symmetric = np.abs(covariance - np.swapaxes(covariance, 1, 2)).max(axis=(1, 2), initial=0) <= _SYMMETRIC * np.trace(
+        covariance, axis1=1, axis2=2
+    )
+    possible[whole] &= symmetric[whole] & (np.linalg.eigvalsh(covariance[whole])[:, 0] > 0)
+    nothing_more = np.isnan(covariance[:, 2:]).all(axis=(1, 2)) & np.isnan(covariance[:, :2, 2:]).all(axis=(1, 2))
+    return possible & (whole | nothing_more)
+
+
 def _shown(value: Any) -> str:
     return ", ".join(f"{number:g}" for number in np.ravel(value).tolist())
 
 
 Progress = Callable[[int], None]
 _TOLD_FRAMES = 50  # frames between two calls of `progress`, since drawing a bar takes longer than a frame
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """Tracks of a tracker in the images or in the world, and what it took."""
+
+    tracks: Tracks | WorldTracks
+    seconds: Array  # working time for each frame, or step, in the order in which they were given: (n,)
+    peak_memory_mb: float | None = None  # of a program
+
+    @property
+    def frame_ms(self) -> dict[str, float]:
+        """Median, 99th percentile and greatest of the working times in ms; empty without frames."""
+        if not len(self.seconds):
+            return {}
+        median, p99, greatest = np.quantile(1000 * self.seconds, (0.5, 0.99, 1), method="inverted_cdf").tolist()
+        return {"median": median, "p99": p99, "max": greatest}
+
+
+def run_tracker(named: NamedTracker, rows: RunRows, progress: Progress = lambda frames: None) -> Tracked:
+    """Run a tracker over all cameras of a run. `progress` is called with the number of frames, or steps, done since its
+    last call. Raises ModsimError if the tracker fails, answers otherwise than it should, or works in the world and the
+    run has no places."""
+    if isinstance(named.tracker, WorldTracker):
+        feed = world_feed(named, rows)
+        tracks = world_tracks_of(named.name, list(feed.answers(progress)), feed.times_s, feed.problem)
+        return Tracked(tracks, np.array(feed.seconds))
+    cameras = tuple(range(len(rows.scene.cameras)))
+    sequences = sequences_of(rows, cameras)
+    if isinstance(named.tracker, CommandTracker):
+        return _by_command(named, named.tracker, rows, sequences, progress)
+    return _in_images(named, sequences, cameras, rows.scene, progress)
+
+
+def _by_command(
+    named: NamedTracker, tracker: CommandTracker, rows: RunRows, sequences: Sequence[CameraSequence], progress: Progress
+) -> Tracked:
+    scene = rows.scene
+    with Coprocess(tracker.program, tracker.command, tracker.folder, tracker.timeout_s) as program:
+        exchange = Exchange(program, rows)
+        try:
+            choice = exchange.begin(tracker.settings)
+            by_frame = choice.answers == "frames"
+            if choice.tracks == "world":
+                steps = exchange.world(by_frame, progress)
+            else:
+                frames = exchange.images(sequences, by_frame, progress)
+            exchange.at = "at its end"
+            program.finish()
+        except ModsimError as error:
+            raise ModsimError(f"{named}: {exchange.at}: {error}") from error
+    seconds = np.array(exchange.seconds)
+    if choice.tracks == "world":
+        times_s = scene.times_s(0, rows.steps)
+        tracks = world_tracks_of(named.name, steps, times_s, partial(_problem, named, times_s, ""))
+        return Tracked(tracks, seconds, program.peak_memory_mb)
+    found = []
+    for each, answers in zip(sequences, frames, strict=True):
+        problem = partial(_problem, named, each.times_s, f"camera '{each.camera.name}' ")
+        found.append(Answers(answers, camera_facts(each, scene), problem).numbered())
+    cameras = range(len(scene.cameras))
+    return Tracked(joined(found, sequences, cameras, len(scene.cameras)), seconds, program.peak_memory_mb)
+
+
+def _problem(named: NamedTracker, times_s: Array, where: str, at: int, text: str) -> ModsimError:
+    return ModsimError(f"{named}: {where}at {times_s[at]:g} s: {text}")
 
 
 def tracked(
@@ -135,21 +281,43 @@ def tracked(
     scene: Scene,
     progress: Progress = lambda frames: None,
 ) -> Tracks:
-    """The tracks of a tracker in some cameras of a run; each camera is tracked by itself. Tracks are numbered 1, 2, …
-    in order of their first box in each camera. `sequences` are the frames of the cameras, and `cameras` the indices of
-    these in the scene; `progress` is called with the number of frames done since its last call. Raises ModsimError if
-    the tracker fails, or answers otherwise than it should."""
-    count, labels = len(scene.cameras), scene.detector.labels
-    found = [Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))]
-    frames = [np.empty(0, dtype=np.int64)]
-    for sequence, camera in zip(sequences, cameras, strict=True):
-        facts = CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, tuple(labels))
-        answers = answered(named, facts, sequence.times_s, sequence.detections, progress)
-        found.append(answers)
-        frames.append(sequence.steps[answers.frame] * count + camera)
+    """The tracks of a tracker of images in some cameras of a run; each camera is tracked by itself. Tracks are numbered
+    1, 2, … in order of their first box in each camera. `sequences` are the frames of the cameras, and `cameras` the
+    indices of these in the scene. Raises as `run_tracker` does."""
+    tracks = _in_images(named, sequences, cameras, scene, progress).tracks
+    assert isinstance(tracks, Tracks)
+    return tracks
+
+
+def _in_images(
+    named: NamedTracker, sequences: Sequence[CameraSequence], cameras: Sequence[int], scene: Scene, progress: Progress
+) -> Tracked:
+    found, seconds = [], list[float]()
+    for sequence in sequences:
+        facts = camera_facts(sequence, scene)
+        feed = camera_feed(named, facts, sequence.times_s, sequence.detections)
+        found.append(Answers(list(feed.answers(progress)), facts, feed.problem).numbered())
+        seconds += feed.seconds
+    return Tracked(joined(found, sequences, cameras, len(scene.cameras)), np.array(seconds))
+
+
+def camera_facts(sequence: CameraSequence, scene: Scene) -> CameraFacts:
+    """What a tracker knows of a camera."""
+    return CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, tuple(scene.detector.labels))
+
+
+def joined(found: Sequence[Answers], sequences: Sequence[CameraSequence], cameras: Sequence[int], count: int) -> Tracks:
+    """The tracks of some cameras, by their indices among the `count` of the scene."""
+    none = Answers([], CameraFacts("", (1, 1), 0.0, ()), lambda at, text: ModsimError(text))
+    frames = [
+        sequence.steps[each.frame] * count + camera
+        for each, sequence, camera in zip(found, sequences, cameras, strict=True)
+    ]
     columns = ("track", "boxes_px", "label", "confidence", "covariance_px2")
     return Tracks.of(
-        count, np.concatenate(frames), *(np.concatenate([getattr(each, name) for each in found]) for name in columns)
+        count,
+        np.concatenate([np.empty(0, dtype=np.int64), *frames]),
+        *(np.concatenate([getattr(each, name) for each in (none, *found)]) for name in columns),
     )
 
 
@@ -162,59 +330,95 @@ def answered(
 ) -> Answers:
     """The answers of a tracker to the frames of one camera, at these times, shape (F,); frames of the detections are
     places among them. Raises as `tracked` does."""
-    feed = _CameraFeed(named, facts, times_s, detections)
+    feed = camera_feed(named, facts, times_s, detections)
     return Answers(list(feed.answers(progress)), facts, feed.problem).numbered()
 
 
-class _CameraFeed:
-    """A tracker and the frames of one camera, which it is given one by one."""
+def camera_feed(named: NamedTracker, facts: CameraFacts, times_s: Array, detections: TrackerDetections) -> Feed:
+    """A tracker of images and the frames of one camera, for arguments see `answered`."""
+    assert isinstance(named.tracker, Tracker)
+    frames, follow = sensed_frames(times_s, detections), named.tracker.follow
+    return Feed(named, f"camera '{facts.name}'", "frame", times_s, frames, lambda given: follow(given, facts))
 
-    def __init__(self, named: NamedTracker, facts: CameraFacts, times_s: Array, detections: TrackerDetections) -> None:
-        self._named, self._facts, self._times_s, self._detections = named, facts, times_s, detections
+
+def world_feed(named: NamedTracker, rows: RunRows) -> Feed:
+    """A tracker in the world and the steps of a run."""
+    assert isinstance(named.tracker, WorldTracker)
+    facts, follow = facts_of(rows.scene), named.tracker.follow_world
+    times_s = rows.scene.times_s(0, rows.steps)
+    return Feed(named, "", "step", times_s, world_steps(rows), lambda given: follow(given, facts))
+
+
+class Feed:
+    """A tracker and what it is given one by one, frames or steps. `seconds` has the time that it took for each so
+    far."""
+
+    def __init__(
+        self,
+        named: NamedTracker,
+        where: str,
+        word: str,
+        times_s: Array,
+        given: Iterable[Any],
+        start: Callable[[Iterator[Any]], Any],
+    ) -> None:
+        """Take what is given, a thing at each of some times; errors call it `word`, and say `where` it is."""
+        self._named, self._where, self._word, self.times_s = named, where, word, times_s
+        self._given, self._start = given, start
         self._read = 0
+        self.seconds: list[float] = []
 
     def problem(self, at: int, text: str) -> ModsimError:
-        """The error of a problem in a frame, by its place in the sequence."""
-        return ModsimError(f"{self._named}: camera '{self._facts.name}'{self._when(at)}: {text}")
+        """The error of a problem in a frame or step, by its place in the sequence."""
+        return ModsimError(": ".join(filter(None, (str(self._named), self._at(at), text))))
 
-    def _when(self, at: int) -> str:
-        return f" at {self._times_s[at]:g} s" if at < len(self._times_s) else ""
+    def _at(self, at: int) -> str:
+        when = f"at {self.times_s[at]:g} s" if at < len(self.times_s) else ""
+        return " ".join(filter(None, (self._where, when)))
 
-    def answers(self, progress: Progress) -> Iterator[TrackedFrame]:
-        """The tracker's answer to each frame. Raises ModsimError if it fails, reads a frame before it has answered the
-        one before, or answers too often or seldom."""
-        frames = len(self._times_s)
+    def answers(self, progress: Progress) -> Iterator[Any]:
+        """The tracker's answer to each frame or step. Raises ModsimError if it fails, reads one before it has answered
+        the one before, or answers too often or seldom."""
+        count, word = len(self.times_s), self._word
         answers = self._started()
-        for at in range(frames):
+        for at in range(count):
+            began = perf_counter()
             try:
                 answer = self._next(answers, at)
             except StopIteration:
-                raise self.problem(at, f"it ended after {at} of {frames} frames: it answers each frame once") from None
+                raise self.problem(at, f"it ended after {at} of {count} {word}s: it answers each {word} once") from None
+            self.seconds.append(perf_counter() - began)
             if self._read > at + 1:
-                problem = "it read the next frame before it answered this one: yield an answer for each frame"
+                problem = f"it read the next {word} before it answered this one: yield an answer for each {word}"
                 raise self.problem(at, problem)
             if self._read < at + 1:
-                raise self.problem(at, "it answered before it read the frame: yield one answer for each frame")
+                raise self.problem(at, f"it answered before it read the {word}: yield one answer for each {word}")
             yield answer
             if (at + 1) % _TOLD_FRAMES == 0:
                 progress(_TOLD_FRAMES)
-        progress(frames % _TOLD_FRAMES)
+        progress(count % _TOLD_FRAMES)
         try:
-            self._next(answers, frames)
+            self._next(answers, count)
         except StopIteration:
             return
-        raise self.problem(frames, f"it gave more answers than the camera has frames ({frames})")
+        raise self.problem(count, f"it gave more answers than {self._whose} has {word}s ({count})")
 
-    def _started(self) -> Iterator[TrackedFrame]:
+    @property
+    def _whose(self) -> str:
+        return "the camera" if self._where else "the run"
+
+    def _started(self) -> Iterator[Any]:
         try:
-            answers = self._named.tracker.follow(self._frames(), self._facts)
+            answers = self._start(self._one_by_one())
         except (Exception, SystemExit) as error:
             raise self._failed(error, 0) from error
         if not hasattr(answers, "__iter__"):
-            raise self.problem(0, f"follow must yield a modsim3d.TrackedFrame for each frame, not return {answers!r}")
+            name, answer = ("follow_world", "WorldTrackedStep") if self._word == "step" else ("follow", "TrackedFrame")
+            wanted = f"{name} must yield a modsim3d.{answer} for each {self._word}"
+            raise self.problem(0, f"{wanted}, not return {answers!r}")
         return iter(answers)
 
-    def _next(self, answers: Iterator[TrackedFrame], at: int) -> TrackedFrame:
+    def _next(self, answers: Iterator[Any], at: int) -> Any:
         try:
             return next(answers)
         except StopIteration:
@@ -226,17 +430,9 @@ class _CameraFeed:
         """The error of a plug-in with the camera and the time; that of a built-in tracker as it is."""
         if self._named.plugin is None:
             return error
-        return ModsimError(f"{failed(self._named.plugin, error)}, camera '{self._facts.name}'{self._when(at)}")
+        return ModsimError(", ".join(filter(None, (str(failed(self._named.plugin, error)), self._at(at)))))
 
-    def _frames(self) -> Iterator[SensedFrame]:
-        """The frames of the camera, with arrays of their own, which a tracker may write to."""
-        sensed, times_s = self._detections, self._times_s
-        edges = np.searchsorted(sensed.frame, np.arange(len(times_s) + 1)).tolist()
-        for at, (start, stop) in enumerate(pairwise(edges)):
+    def _one_by_one(self) -> Iterator[Any]:
+        for each in self._given:
             self._read += 1
-            yield SensedFrame(
-                float(times_s[at]),
-                sensed.boxes_px[start:stop].copy(),
-                sensed.label[start:stop].copy(),
-                sensed.confidence[start:stop].copy(),
-            )
+            yield each

@@ -1,0 +1,143 @@
+"""All that a tracker in the world is given of a run, step by step, as it would arrive on board."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pyais
+
+from modsim3d.core.arrays import Array
+from modsim3d.formats.writing.ais.log import EPOCH_S, NO_COURSE, NO_HEADING, NO_SPEED, NOWHERE, lines, reports
+from modsim3d.formats.writing.ais.sensors import stations
+from modsim3d.geometry.camera_poses import CameraPoses
+from modsim3d.geometry.kinematics import KNOT_M_S
+from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
+from modsim3d.runs.locating import Located, Viewpoints, locate
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.runs.tracker_view import TrackerDetections
+from modsim3d.scene.ais.messages import local_metres, wrapped_deg
+from modsim3d.scene.cameras import OwnShips, own_ships_at
+from modsim3d.scene.scene import Scene
+from modsim3d.tracking.trackers.interface import SensedFrame
+from modsim3d.tracking.trackers.world_interface import AisReport, Navigation, WorldFacts, WorldFrame, WorldStep
+
+
+def sensed_frames(times_s: Array, found: TrackerDetections) -> list[SensedFrame]:
+    """The detections of each of F frames at these times, (F,), in arrays of their own, which a tracker may write to."""
+    edges = np.searchsorted(found.frame, np.arange(len(times_s) + 1)).tolist()
+    return [
+        SensedFrame(time_s, found.boxes_px[a:b].copy(), found.label[a:b].copy(), found.confidence[a:b].copy())
+        for time_s, (a, b) in zip(times_s.tolist(), pairwise(edges), strict=True)
+    ]
+
+
+def facts_of(scene: Scene) -> WorldFacts:
+    """What a tracker knows of a scene before the first step."""
+    own_ships = tuple(scene.vessel_names[index] for index in scene.own_ships)
+    return WorldFacts(scene.cameras, tuple(scene.detector.labels), own_ships, scene.sea, scene.origin)
+
+
+@dataclass(frozen=True, eq=False)
+class _CameraInput:
+    """The frames of one camera, with the detections in the world."""
+
+    sequence: CameraSequence
+    sensed: list[SensedFrame]
+    located: list[Located]
+    poses: CameraPoses
+
+    @classmethod
+    def of(cls, scene: Scene, sequence: CameraSequence) -> _CameraInput:
+        steps, found, camera = sequence.steps, sequence.detections, sequence.camera
+        every = locate(scene, camera.name, steps[found.frame], found.boxes_px)
+        edges = np.searchsorted(found.frame, np.arange(len(steps) + 1)).tolist()
+        names = [each.name for each in fields(Located)]
+        located = [Located(*(getattr(every, name)[a:b] for name in names)) for a, b in pairwise(edges)]
+        poses = CameraPoses(np.empty((0, 3, 3)), np.empty((0, 3)))
+        if len(steps):
+            poses = Viewpoints.of(scene, camera, steps, measured=True).poses()
+        return cls(sequence, sensed_frames(sequence.times_s, found), located, poses)
+
+    def frame(self, row: int) -> WorldFrame:
+        pose = self.poses.positions_m[row], self.poses.camera_R_world[row]
+        return WorldFrame(self.sequence.camera.name, self.sensed[row], self.located[row], *pose)
+
+
+def world_steps(rows: RunRows) -> Iterator[WorldStep]:
+    """All steps of a run, in order. Raises ModsimError where the scene is one of labels, without places."""
+    scene, steps = rows.scene, rows.steps
+    scene.check_world("a tracker in the world")
+    cameras = [_CameraInput.of(scene, each) for each in sequences_of(rows, tuple(range(len(scene.cameras))))]
+    row_of = [{step: row for row, step in enumerate(each.sequence.steps.tolist())} for each in cameras]
+    own = own_ships_at(scene, 0, steps) if scene.own_ships else None
+    received, arrived = ais_reports(scene, steps), 0
+    for step, time_s in enumerate(scene.times_s(0, steps).tolist()):
+        first = arrived
+        while arrived < len(received) and received[arrived].received_s <= time_s:
+            arrived += 1
+        frames = tuple(each.frame(place[step]) for each, place in zip(cameras, row_of, strict=True) if step in place)
+        readings = () if own is None else tuple(_readings(scene, own, step))
+        yield WorldStep(step, time_s, frames, tuple(received[first:arrived]), readings)
+
+
+def _readings(scene: Scene, own: OwnShips, step: int) -> Iterator[Navigation]:
+    columns = own.positions_m, own.measured_attitudes_rad, own.measured_rates_rad_s, own.measured_forces_m_s2
+    for column, vessel in enumerate(own.vessels.tolist()):
+        yield Navigation(scene.vessel_names[vessel], *(each[step, column].copy() for each in columns))
+
+
+# ---- Reports of AIS, as they arrive ----
+
+
+def ais_reports(scene: Scene, steps: int) -> list[AisReport]:
+    """The reports of other vessels' AIS that are received in the first steps of a scene, in order of time: those that
+    `modsim3d export --format ais` writes."""
+    others = tuple(each for each in stations(scene, scene.own_ships) if not each.own)
+    found = sorted(reports(scene, steps, others))
+    texts = [lines(each.message, False, "AB"[each.number % 2], each.number % 10, each.time_s) for each in found]
+    decoded = [pyais.decode(*_sentences(text)) for text in texts]
+    places = iter(_places([each for each in decoded if hasattr(each, "lat")], scene.origin or NOWHERE))
+    return [
+        _with_place(report.time_s, text, said, next(places))
+        if hasattr(said, "lat")
+        else AisReport(report.time_s, report.mmsi, text, sides_m=_sides(said))
+        for report, text, said in zip(found, texts, decoded, strict=True)
+    ]
+
+
+def _sentences(text: str) -> list[bytes]:
+    return [line.rpartition("\\")[2].encode() for line in text.splitlines()]
+
+
+def _sides(said: Any) -> tuple[int, int, int, int] | None:
+    """The sides that a message of names gives; None for part A of message 24, which has none."""
+    sides = [getattr(said, f"to_{side}", None) for side in ("bow", "stern", "port", "starboard")]
+    return None if None in sides else tuple(sides)  # type: ignore[return-value]
+
+
+def _places(said: Sequence[Any], origin: tuple[float, float]) -> Array:
+    """Place, turn of true north and velocity of reports of positions, shape (n, 5)."""
+    latitude, longitude, speed, course = np.array(
+        [(each.lat, each.lon, each.speed, each.course) for each in said], dtype=np.float64
+    ).reshape(-1, 4).T  # fmt: skip
+    metres = local_metres(latitude, longitude, origin) if len(said) else np.empty((0, 2))
+    # True north differs from w2 by the convergence of the meridians, as in the export.
+    north = np.deg2rad(wrapped_deg(longitude - origin[1])) * np.sin(np.deg2rad(latitude))
+    angle, fast = np.deg2rad(course) - north, speed * KNOT_M_S
+    known = (speed < NO_SPEED) & (course < NO_COURSE)
+    velocity = [np.where(known, fast * np.sin(angle), np.nan), np.where(known, fast * np.cos(angle), np.nan)]
+    return np.column_stack([metres, north, *velocity])
+
+
+def _with_place(received_s: float, text: str, said: Any, row: Array) -> AisReport:
+    sent_s, heading = math.floor(received_s), None
+    if said.heading < NO_HEADING:
+        heading = float(wrapped_deg(90 - said.heading + np.rad2deg(row[2]))) * math.pi / 180
+    measured_s = float(sent_s - (EPOCH_S + sent_s - said.second) % 60)
+    velocity = None if np.isnan(row[3]) else row[3:]
+    return AisReport(received_s, int(said.mmsi), text, measured_s, row[:2], velocity, heading)
