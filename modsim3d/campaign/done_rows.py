@@ -14,13 +14,21 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.folder import FORMAT, RESULTS, VERDICTS, CampaignFolder, results_folder
-from modsim3d.campaign.keys import MAX_SEEDS, Requirement, Seeds
+from modsim3d.campaign.folder import (
+    FORMAT,
+    RESULTS,
+    TOOK,
+    TOOK_VERDICTS,
+    VERDICTS,
+    CampaignFolder,
+    results_folder,
+)
+from modsim3d.campaign.keys import MAX_SEEDS, TIMES, Requirement, Seeds
 from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text_of, value_of
 from modsim3d.campaign.verdicts import bounds, wording
 from modsim3d.campaign.verdicts.seed_values import SeedRows
-from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.row import DONE, FACTS, SCORES, limits_of, table_of
+from modsim3d.campaign.verdicts.verdict import Verdict, repeatable
+from modsim3d.campaign.work.row import DONE, FACTS, REPEATS, SCORES, limits_of, table_of
 from modsim3d.campaign.work.task import ROWS_PATTERN, name_of_rows, read_rows
 from modsim3d.core.arrays import Indices
 from modsim3d.core.errors import ModsimError
@@ -152,9 +160,13 @@ def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Ve
     """Write the data set `results/scene=NAME/part-N.parquet` of the rows that count, in the order of the plan. The
     verdicts, which are written afterwards, are in its list of files too, see `results_folder`. Raises OutputError if it
     cannot be written."""
+    took = [name for name in (*TIMES, REPEATS) if name in table.column_names]
+    if took:
+        make_folder(folder.path)
+        write_table(table.select(["run", "tracker", *took]), folder.path / TOOK)
     with results_folder(folder.path, RESULTS, {VERDICTS: _content_of(folder, verdicts)}) as partial:
         for name in dict.fromkeys(table["scene"].to_pylist()):
-            rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene"])
+            rows = table.filter(pc.equal(table["scene"], name)).drop_columns(["scene", *took])
             write_rows(partial / f"scene={name}", rows)
 
 
@@ -162,20 +174,29 @@ def write_rows(folder: Path, rows: pa.Table) -> None:
     """Write rows into files of a folder, which is made if it is not there; OSError if they cannot be written."""
     make_folder(folder)
     for number, first in enumerate(range(0, len(rows), PART_ROWS)):
-        path, part = folder / f"part-{number:05d}.parquet", rows.slice(first, PART_ROWS)
-        pq.write_table(part, path, compression="zstd", row_group_size=PART_ROWS, write_page_checksum=True)
-        sync_file(path)
+        write_table(rows.slice(first, PART_ROWS), folder / f"part-{number:05d}.parquet")
     sync_folder(folder)
 
 
+def write_table(rows: pa.Table, path: Path) -> None:
+    """Write rows into a file; OSError if it cannot be written."""
+    pq.write_table(rows, path, compression="zstd", row_group_size=PART_ROWS, write_page_checksum=True)
+    sync_file(path)
+
+
 def write_verdicts(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> None:
-    """Write `verdicts.json`; OutputError if it cannot be written."""
-    write_files({folder.path / VERDICTS: _content_of(folder, verdicts)})
+    """Write `verdicts.json`, and those that do not repeat into a file of their own; OutputError if they cannot be
+    written."""
+    apart = [asdict(each) for each in verdicts if each not in repeatable(folder.plan, verdicts)]
+    content = json_text({"format": FORMAT, "repeatable": False, "verdicts": apart})
+    files = {folder.path / VERDICTS: _content_of(folder, verdicts)}
+    write_files(files | ({folder.path / TOOK_VERDICTS: content} if apart else {}))
 
 
 def _content_of(folder: CampaignFolder, verdicts: Sequence[Verdict]) -> bytes:
     fixed = [not each["traffic_has_seed"] for each in folder.facts["conditions"]]
-    found = [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in verdicts]
+    kept = repeatable(folder.plan, verdicts)
+    found = [{**asdict(each), "this_traffic_only": fixed[each.condition]} for each in kept]
     return json_text({"format": FORMAT, "sha256": folder.facts["sha256"], "verdicts": found})
 
 
@@ -188,7 +209,11 @@ def results_table(folder: CampaignFolder) -> pa.Table:
         part = pq.read_table(path, partitioning=None)
         scene = pa.array([path.parent.name.partition("=")[2]] * len(part), pa.string())
         parts.append(part.add_column(1, "scene", scene))
-    return pa.concat_tables(parts, promote_options="default").sort_by("run")
+    table = pa.concat_tables(parts, promote_options="default").sort_by("run")
+    if folder.keys.timed and (folder.path / TOOK).is_file():
+        took = pq.read_table(folder.path / TOOK).drop_columns(["tracker"])
+        table = table.join(took, "run", use_threads=False).sort_by("run").combine_chunks()
+    return table
 
 
 # ---- How many traffic seeds each requirement of a plan needs ----
@@ -240,7 +265,7 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFol
     score, or of a difference of it, to what is expected; else the scores of an earlier campaign `like` are expected."""
     rows = None if like is None else SeedRows(like.plan, results_table(like))
     found, verdicts = [], len(wording.cases_of_all(plan))
-    for place in range(len(plan.keys.require)):
+    for place in dict.fromkeys(place for place, _ in wording.cases_of_all(plan)):
         requirement, each = wording.at_step(plan, place, verdicts, 0), []
         for case in cases_of(plan, requirement):
             known = expected.get(requirement.what)

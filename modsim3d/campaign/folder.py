@@ -37,6 +37,8 @@ from modsim3d.runs.files.overwrite import FileList, ListedFile, file_list, liste
 
 FORMAT = 1
 FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
+TOOK, TOOK_VERDICTS = "took.parquet", "took_verdicts.json"
+"""What runs took, and the verdicts on it: they do not repeat, so no checksum and no comparison has them."""
 RESULTS, SEARCH = "results", "search"
 """In the folder of a campaign that has ended: its rows, and the trials of a search."""
 LIST = "_files.json"

@@ -6,13 +6,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, nearest
+from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 
@@ -40,6 +48,9 @@ Share = Annotated[float, Field(strict=True), AfterValidator(_checked_share)]
 Confidence = Annotated[float, Field(strict=True), AfterValidator(_checked_confidence)]
 Text = Annotated[str, Field(min_length=1)]
 Layer = Literal["truth", "detections", "tracks"]
+TIMES = ("frame_ms_median", "frame_ms_p99", "frame_ms_max", "peak_memory_mb")
+"""Scores of what a tracker took in a run: of its working times for a frame, or for a step of all cameras, and of the
+memory of a program."""
 
 
 class Seeds(Strict):
@@ -119,19 +130,35 @@ class Factor(Strict):
 class TrackerKeys(Strict):
     """A tracker of the campaign."""
 
-    tracker: Text  # name of a tracker or a plug-in
-    name: Text | None = None  # in tables; that of the tracker if None
+    tracker: Text | None = None  # name of a tracker or a plug-in
+    command: Annotated[list[Text], Field(min_length=1)] | None = None  # a program and its arguments in its place
+    name: Text | None = None  # in tables; that of the tracker, or of the program, if None
     settings: dict[Text, Any] = Field(default_factory=dict, alias="set")  # in place of those chosen for the scene
+    timeout_s: Annotated[float, Field(strict=True, gt=0, le=86_400)] = DEFAULT_TIMEOUT_S  # of the program's answers
 
     @model_validator(mode="before")
     @classmethod
     def _short(cls, value: Any) -> Any:
         return {"tracker": value} if isinstance(value, str) else value
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.tracker is None) == (self.command is None):
+            raise ValueError("give either tracker, a name, or command, a program and its arguments")
+        if self.command is None and "timeout_s" in self.model_fields_set:
+            raise ValueError("timeout_s is for command")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without the keys of the other kind, so that plans are as they were before there were programs."""
+        left_out = ("command", "timeout_s") if self.command is None else ("tracker",)
+        return {key: value for key, value in handler(self).items() if key not in left_out}
+
     @property
     def label(self) -> str:
         """Name in tables."""
-        return self.name or self.tracker
+        return self.name or self.tracker or Path((self.command or [""])[0]).name
 
 
 class ScoreKeys(Strict):
@@ -182,6 +209,11 @@ class Requirement(Strict):
     def what(self) -> str:
         """The score, or of which trackers the difference of it is."""
         return self.score if self.of is None else f"{self.score} of {self.of} minus {self.minus}"
+
+    @property
+    def of_time(self) -> bool:
+        """Whether it is on what a run took, which is not the same when it is made again."""
+        return self.score in TIMES
 
     @property
     def threshold(self) -> float:
@@ -267,6 +299,12 @@ class CampaignKeys(Strict):
     uncertainty: Literal["learned"] | None = None  # draw detectors from the intervals that `learn` wrote
     search: SearchKeys | None = None  # in place of the plan
     keep: list[Layer] = Field(default_factory=list)  # on the disk
+
+    @property
+    def timed(self) -> bool:
+        """Whether what runs took is noted: where a program runs, or a requirement is on it."""
+        programs = any(each.command is not None for each in self.trackers)
+        return self.search is None and (programs or any(each.of_time for each in self.require))
 
     @model_validator(mode="before")
     @classmethod

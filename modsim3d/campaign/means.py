@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 from modsim3d.campaign.plan import Condition, Plan, groups_of, key_columns, value_cells
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.row import CRASHED
+from modsim3d.campaign.work.row import CRASHED, REPEATS
 from modsim3d.campaign.work.scenes import digest
 from modsim3d.core.document import Table, Where
 from modsim3d.core.errors import ModsimError
@@ -22,6 +22,7 @@ from modsim3d.tracking.score_text import COLUMNS
 
 LEVEL = 0.95
 USUAL = ("hota", "deta", "assa", "idf1", "id_switches")
+USUAL_IN_WORLD = ("rmse_m", "gospa_m", "followed_share", "world_id_switches", "established_m")
 """Scores of a table unless others are asked for."""
 _NAMES = {key: name.partition(",")[0] for name, key, _ in COLUMNS}
 TRACKER, SEED = "tracker", "traffic_seed"
@@ -70,7 +71,9 @@ def usual_keys(plan: Plan) -> tuple[str, ...]:
 def usual_scores(plan: Plan, table: pa.Table) -> tuple[str, ...]:
     """The columns that requirements are about, as far as there are rows with them, and those of some other scores."""
     required = [column for each in plan.keys.require for column in columns_of(plan, each)]
-    return tuple(dict.fromkeys(each for each in (*required, *USUAL) if each in table.column_names))
+    usual = [each for each in (*USUAL, *USUAL_IN_WORLD) if each in table.column_names]
+    some = [each for each in usual if table[each].null_count < len(table)] or USUAL
+    return tuple(dict.fromkeys(each for each in (*required, *some) if each in table.column_names))
 
 
 def mean_rows(table: pa.Table, by: Sequence[str], scores: Sequence[str]) -> list[MeanRow]:
@@ -182,6 +185,15 @@ def _mean_text(mean: Mean, most: int) -> str:
     """A mean with its interval, and its number of seeds if that is not the one of most."""
     few = f" of {counted(mean.seeds, 'seed')}" if mean.value is not None and mean.seeds < most else ""
     return three_digits_with_interval(mean.value, mean.low, mean.high) + few
+
+
+def repeat_sentences(table: pa.Table) -> list[str]:
+    """A sentence for each program: whether its first run gave the same tracks when it was made again at once."""
+    if REPEATS not in table.column_names:
+        return []
+    rows = table.select(["run", TRACKER, REPEATS]).filter(pc.is_valid(table[REPEATS])).to_pylist()
+    said = {True: "the same tracks", False: "OTHER TRACKS, so its rows depend on chance"}
+    return [f"Run {row['run']} made twice: {row[TRACKER]} gave {said[row[REPEATS]]}." for row in rows]
 
 
 # ---- Conditions of a campaign that gave the same detections in all runs ----

@@ -62,7 +62,8 @@ def worst_runs(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdi
 def _rankings(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict]) -> Iterator[list[_Ranking]]:
     """The rankings that take turns: those of requirements that failed, are undecided, are met; or the usual one."""
     if not verdicts:
-        yield [_ranking(table, [USUAL_SCORE], np.ones(len(table), dtype=bool), lowest=True)]
+        every = np.ones(len(table), dtype=bool)
+        yield [_ranking(table, [USUAL_SCORE], every, lowest=True), _ranking(table, ["gospa_m"], every, lowest=False)]
     for outcome in _OUTCOMES:
         by_requirement: dict[int, list[Verdict]] = {}
         for verdict in verdicts:

@@ -17,7 +17,7 @@ from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.search_folder import trial_run
 from modsim3d.campaign.work.layers import Made, RunLayers
 from modsim3d.campaign.work.row import DONE, row_of, rules_of, search_versions
-from modsim3d.campaign.work.scenes import Scenes, versions
+from modsim3d.campaign.work.scenes import Scenes, tracker_of, versions
 from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
 from modsim3d.io.overwrite_guard import check_free
 from modsim3d.runs.run import run_scene, settings_of
@@ -25,9 +25,10 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, open_run
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.track_run import track_run
-from modsim3d.tracking.trackers.registry import named_tracker
-from modsim3d.tracks.reading import read_stored_tracks, track_paths
-from modsim3d.tracks.tracks import Tracks
+from modsim3d.tracking.trackers.registry import NamedTracker
+from modsim3d.tracks.reading import TABLE, WORLD_TABLE, read_stored_tracks, stored_facts, track_paths
+from modsim3d.tracks.tracks import Tracks, WorldTracks
+from modsim3d.tracks.world_reading import read_world_tracks
 
 # ---- Whether a run of a campaign that is to be made again is there already ----
 
@@ -43,14 +44,15 @@ def run_there(folder: Path, scene: Scene) -> StoredRun | None:
     return found if all(found.settings.get(key) == value for key, value in wanted.items()) else None
 
 
-def tracks_there(folder: Path, run: StoredRun, tracker: str, settings: Mapping[str, Any]) -> Tracks | None:
-    """Tracks of a tracker in a run; None if there are none, or those of another tracker, or damaged ones. `settings`
-    are in place of those chosen for the scene."""
+def tracks_there(folder: Path, run: StoredRun, named: NamedTracker) -> Tracks | WorldTracks | None:
+    """Tracks of a tracker in a run; None if there are none, or those of another tracker, or damaged ones."""
+    world = (folder / WORLD_TABLE).is_file()
     try:
-        found = read_stored_tracks(folder, run, RunRows.of(run))
+        if stored_facts(folder, run, WORLD_TABLE if world else TABLE).origin != named.origin:
+            return None
+        return read_world_tracks(folder, run) if world else read_stored_tracks(folder, run, RunRows.of(run)).tracks
     except ModsimError:
         return None
-    return found.tracks if found.origin == named_tracker(tracker, settings, run.scene.name).origin else None
 
 
 # ---- A run of a campaign, made again from the campaign's folder ----
@@ -158,9 +160,9 @@ def _row(
     scene = Scenes(work.keys.steps, Path(work.base), learned=work.keys.uncertainty == "learned").alone(
         run.condition, run.traffic_seed, run.detector_seed
     )
-    tracker, settings = run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}
+    named = tracker_of(run.tracker, run.condition.of_tracker(), scene.name, Path(work.base))
     stored = None if overwrite else run_there(out, scene)
-    found = None if stored is None else tracks_there(tracks, stored, tracker, settings)
+    found = None if stored is None else tracks_there(tracks, stored, named)
     if found is None:
         for path in track_paths(tracks):
             check_free(path, overwrite)
@@ -171,7 +173,7 @@ def _row(
         reused.append(out)
         progress(stored.steps)
     if found is None:
-        found = track_run(stored, tracks, tracker=tracker, settings=settings, overwrite=overwrite).tracks
+        found = track_run(stored, tracks, tracker=named, overwrite=overwrite).tracks
     else:
         reused.append(tracks)
     return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))

@@ -23,7 +23,7 @@ from modsim3d.campaign.folder import (
     remove_done,
 )
 from modsim3d.campaign.plan import Plan, layer_of
-from modsim3d.campaign.verdicts.verdict import Verdict, judged
+from modsim3d.campaign.verdicts.verdict import Verdict, judged, repeatable
 from modsim3d.campaign.work.checking import CheckedCampaign, ConditionFacts
 from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_crashed, stored_report, with_cache
 from modsim3d.campaign.workers import Death, Engine
@@ -321,7 +321,7 @@ class _Campaign:
                 return stop
             rows = self._rows.table()
             self._verdicts = judged(self._plan, rows.filter(pc.less(rows["run"], stop)))
-            if all(verdict.outcome != "undecided" for verdict in self._verdicts):
+            if all(verdict.outcome != "undecided" for verdict in repeatable(self._plan, self._verdicts)):
                 return stop
         return None
 

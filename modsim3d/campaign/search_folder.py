@@ -21,12 +21,11 @@ from modsim3d.campaign.keys import Range, SearchKeys
 from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, text_of, traffic_seed
 from modsim3d.campaign.running import DIED
 from modsim3d.campaign.work.row import CRASHED, DONE, table_of
-from modsim3d.campaign.work.scenes import Scenes, digest
+from modsim3d.campaign.work.scenes import Scenes, digest, tracker_of
 from modsim3d.campaign.work.task import Task, read_rows
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath
 from modsim3d.io.atomic_write import write_files
-from modsim3d.tracking.trackers.registry import named_tracker
 
 if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
@@ -170,7 +169,7 @@ def refusal(run: PlannedRun, scenes: Scenes) -> str | None:
     """Why a run cannot even begin; None if it can."""
     try:
         scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
-        named_tracker(run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}, scene.name)
+        tracker_of(run.tracker, run.condition.of_tracker(), scene.name, scenes.folder)
     except ModsimError as error:
         return str(error)
     except Exception:  # of a plug-in: a crash

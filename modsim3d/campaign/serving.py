@@ -20,6 +20,7 @@ from modsim3d.campaign.workers import READY
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.io.processes import end_with_parent
+from modsim3d.tracking.trackers.command import CHECKSUM
 
 # ---- Whether a worker may work on a campaign ----
 
@@ -58,7 +59,8 @@ def _of_trackers(facts: dict[str, Any]) -> dict[str, str]:
     for condition in facts["conditions"]:
         for tracker in condition["trackers"].values():
             package, _, number = tracker["package"].rpartition(" ")
-            found |= tracker["versions"]
+            # Files of programs are checked by their checksums, as all files are.
+            found |= {name: each for name, each in tracker["versions"].items() if not each.startswith(CHECKSUM)}
             if number[:1].isdigit():  # else a plug-in of no package
                 found[package] = number
     return found

@@ -27,7 +27,7 @@ from modsim3d.runs.selection import StepFrames, select
 from modsim3d.runs.stored_run import open_run
 from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracks.reading import read_tracks
-from modsim3d.tracks.tracks import TrackSet
+from modsim3d.tracks.tracks import Tracks, TrackSet
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -53,6 +53,7 @@ def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | No
     from modsim3d.view.pictures.layers import Layers
 
     rows, rules = made.rows, rules or Rules()
+    assert isinstance(made.tracks, Tracks)  # of tracks in the world no moment is known
     scored = Scored.of(rows, made.tracks, rules)
     mistakes = Mistakes.of(scored)
     number = worst_frame(scored, mistakes, moment_s)

@@ -120,6 +120,8 @@ def requirement_in_words(requirement: Requirement) -> str:
         f"{key} {' or '.join(map(_plain, value)) if isinstance(value, list) else _plain(value)}"
         for key, value in requirement.where.items()
     )
+    if requirement.of_time and requirement.share is None:
+        return f"{requirement_text(requirement)} in every run{f', where {where}' if where else ''} (not repeatable)"
     text = requirement_text(requirement) if requirement.share is not None else f"mean {requirement_text(requirement)}"
     return f"{text}{f', where {where}' if where else ''} ({percent(requirement.confidence)} confidence)"
 

@@ -68,6 +68,11 @@ class TrackFacts(Strict):
     counts: Annotated[dict[Literal["rows", "tracks"], Count], Field(min_length=2)]
     files: Annotated[dict[Literal["tracks.parquet", "world_tracks.csv"], FileEntry], Field(min_length=1, max_length=1)]
 
+    @property
+    def origin(self) -> Origin:
+        """Where the tracks come from."""
+        return Origin(self.tracker, self.settings, self.chosen, self.package, self.versions)
+
 
 def track_paths(folder: Path) -> list[Path]:
     """The files that tracks may have in a folder: those in the images, or those in the world."""
@@ -133,8 +138,7 @@ def read_stored_tracks(folder: Path, run: StoredRun, rows: RunRows) -> TrackSet:
     _check_columns(table, source)
     file_rows = _rows(table, rows, source)
     file_rows.check(rows)
-    origin = Origin(facts.tracker, facts.settings, facts.chosen, facts.package, facts.versions)
-    return TrackSet(facts.name, tracks_of([file_rows], len(rows.scene.cameras)), origin)
+    return TrackSet(facts.name, tracks_of([file_rows], len(rows.scene.cameras)), facts.origin)
 
 
 def _tracked_run(run: StoredRun) -> TrackedRun:

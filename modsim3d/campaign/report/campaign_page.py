@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 
 from modsim3d.campaign import means
 from modsim3d.campaign.folder import CampaignFolder, killed_sentence
+from modsim3d.campaign.keys import TIMES
 from modsim3d.campaign.plan import Plan, cases_of, key_columns, values_text
 from modsim3d.campaign.ranking import WorstRun, worst_runs
 from modsim3d.campaign.report import words
@@ -72,7 +73,8 @@ def paired_sections(plan: Plan, table: pa.Table) -> list[Block]:
     """The differences between trackers over the same seeds, and what the pairing gained."""
     if len(plan.keys.trackers) < 2 or not len(table):
         return []
-    scores = dict.fromkeys(each.key for each in words.required_scores(plan) if each.key in table.column_names)
+    keys_of_scores = (each.key for each in words.required_scores(plan) if each.key not in TIMES)
+    scores = dict.fromkeys(key for key in keys_of_scores if key in table.column_names)
     found = [each for score in scores for each in paired(plan, table, score)]
     if not found:
         return []
@@ -252,6 +254,7 @@ def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
 def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
     """Means, differences between trackers, and the runs that crashed."""
     sections = mean_sections(folder.plan, table, verdicts)
+    sections += [Text(each) for each in means.repeat_sentences(table)]
     return [Heading("Means"), *sections, *paired_sections(folder.plan, table), *crash_sections(folder, table)]
 
 

@@ -14,7 +14,7 @@ from modsim3d.campaign.keys import Requirement
 from modsim3d.campaign.means import score_name
 from modsim3d.campaign.plan import Plan, groups_of, key_columns, text_of, value_cells, value_text
 from modsim3d.campaign.verdicts.seed_values import columns_of
-from modsim3d.campaign.verdicts.verdict import Outcome, Verdict
+from modsim3d.campaign.verdicts.verdict import Outcome, Verdict, repeatable
 from modsim3d.campaign.verdicts.wording import percent, requirement_text
 from modsim3d.campaign.work.row import SHARES, facts_of
 from modsim3d.campaign.work.task import PLAN
@@ -30,6 +30,7 @@ UNITS = {
     "_per_s": "1/s",
     "_per_hour": "1/h",
     "_m": "m",
+    "_m_s": "m/s",
     "_rad": "rad",
     "_deg": "°",
     "_hz": "Hz",
@@ -157,7 +158,20 @@ def verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
     """Summary of the verdicts, in a sentence."""
     if not plan.keys.require:
         return "This campaign has no requirements: it compares, and decides nothing."
-    by_requirement = _by_requirement(plan, verdicts)
+    if own := repeatable(plan, verdicts):
+        return _verdict_sentence(plan, own) + "".join(f" {told}" for told in [_took_sentence(plan, verdicts)] if told)
+    return _took_sentence(plan, verdicts)
+
+
+def _took_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
+    """Summary of the verdicts on what runs took; empty without any."""
+    count = Counter(each.outcome for each in verdicts if plan.keys.require[each.requirement].of_time)
+    said = ", ".join(f"{count[outcome]} {_told(count[outcome], outcome)}" for outcome in ORDER if count[outcome])
+    return said and f"Of {counted(count.total(), 'verdict')} on what runs took, not repeatable, {said}."
+
+
+def _verdict_sentence(plan: Plan, verdicts: Sequence[Verdict]) -> str:
+    by_requirement = [each for each in _by_requirement(plan, verdicts) if each]
     count = Counter(outcome_of(found) for found in by_requirement)
     total = len(by_requirement)
     how = f"at {confidences(plan)} confidence {'each' if plan.keys.level == 'each' else 'together'}"
@@ -184,14 +198,16 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
     said = "Each end of an interval holds by itself, with the confidence of the requirement; dashed is the threshold."
     yield Text(said, "soft", Where.PAGE)
     by_requirement = _by_requirement(plan, verdicts)
-    for place in sorted(range(len(by_requirement)), key=lambda each: ORDER.index(outcome_of(by_requirement[each]))):
+    required = plan.keys.require
+    ordered = sorted(range(len(required)), key=lambda each: ORDER.index(outcome_of(by_requirement[each])))
+    for place in sorted(ordered, key=lambda each: required[each].of_time):  # those on what runs took stand apart
         found = by_requirement[place]
         requirement = plan.keys.require[place]
         given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
         about = [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
         text = ", ".join([requirement_text(requirement), *about])
         count = Counter(each.outcome for each in found)
-        said = SIGNS[outcome_of(found)]
+        said = SIGNS[outcome_of(found)] + " (not repeatable)" * requirement.of_time
         if len(count) > 1:
             said += f" ({', '.join(f'{count[outcome]} {outcome}' for outcome in ORDER if count[outcome])})"
         elif len(found) > 1:
@@ -211,6 +227,7 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
     keys, groups = varying(plan), groups_of(plan, requirement)
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
     interval = f"{'mean' if of_mean else 'share of seeds'} [interval, each end {levels}]"
+    interval = "worst run" if of_mean and requirement.of_time else interval
     side = f"at {'least' if least else 'most'} {three_digits(limit)}"
     axis = f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side}"
     header = ("tracker", *key_columns(keys), *groups, "outcome", interval, axis, *OFTEN_EMPTY, "seeds")

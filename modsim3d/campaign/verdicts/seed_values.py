@@ -113,7 +113,7 @@ class SeedRows:
         if facts.of_faults:
             there &= column("established") == 0
         share = facts.basis.share(column)
-        nothing = np.isnan(values) & there & facts.managed & ~crashed
+        nothing = np.isnan(values) & there & (facts.managed | facts.worst_undefined) & ~crashed
         if resting_on is not None:
             nothing |= share < resting_on
         return Runs(np.where(nothing, np.nan, values), crashed, nothing, share)

@@ -1,7 +1,7 @@
 """Verdicts on requirements."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -83,6 +83,50 @@ def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     that is not whole. A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is
     undecided."""
     rows, cases = SeedRows(plan, table), wording.cases_of_all(plan)
+    apart = [
+        (_of_time if plan.keys.require[place].share is None else _verdict)(
+            plan, place, plan.keys.require[place], case, rows
+        )
+        for place, case in wording.cases_of_all(plan, of_time=True)
+    ]
+    return tuple(sorted([*_judged(plan, rows, cases), *apart], key=lambda each: each.requirement))
+
+
+def repeatable(plan: Plan, verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
+    """The verdicts on scores: those on what runs took are others when a campaign is run again."""
+    return tuple(each for each in verdicts if not plan.keys.require[each.requirement].of_time)
+
+
+def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
+    """A verdict on what every run of a campaign took, without any probability: met if all are right."""
+    keys, runs = plan.keys, rows.runs_of(case, requirement.score)
+    values = runs.values[~np.isnan(runs.values)]
+    worst = None if not len(values) else float(values.min() if requirement.at_least is not None else values.max())
+    done = rows.seeds == keys.seeds.traffic or keys.stop == "sequential"
+    wrong = bool(runs.crashed.any()) or (worst is not None and not requirement.holds(worst))
+    outcome: Outcome = "failed" if wrong else "met" if worst is not None and done else "undecided"
+    why = f"The worst of {counted(len(values), 'run')} has {wording.rounded(worst)}" if worst is not None else "No run"
+    why += " on the machines that made them" if worst is not None else f" has {requirement.score}"
+    why += f"; {counted(int(runs.crashed.sum()), 'run')} crashed" * bool(runs.crashed.any())
+    return Verdict(
+        place,
+        wording.requirement_text(requirement, case.within),
+        _labels(keys, case),
+        case.condition,
+        outcome,
+        f"{why}. Not repeatable: another run takes another time, and no probability goes with it.",
+        requirement.confidence,
+        worst,
+        None,
+        None,
+        rows.seeds,
+        int(runs.crashed.sum()),
+        values=_values(plan, case),
+    )
+
+
+def _judged(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[Verdict, ...]:
+    """The verdicts on scores."""
 
     @cache
     def verdict(index: int, taken: int) -> Verdict:
@@ -139,7 +183,7 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     return Verdict(
         place,
         wording.requirement_text(requirement, case.within),
-        " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None),
+        _labels(keys, case),
         case.condition,
         found.outcome,
         " ".join(why),
@@ -156,6 +200,10 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
         met_without_tracks,
         _values(plan, case),
     )
+
+
+def _labels(keys: CampaignKeys, case: Case) -> str:
+    return " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None)
 
 
 def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Found, list[str]]:

@@ -116,9 +116,9 @@ class Levels:
 
 def levels_of(plan: Plan) -> Levels:
     """The levels of a campaign."""
-    errors = [1 - each.confidence for each in plan.keys.require for _ in cases_of(plan, each)]
+    errors = [1 - plan.keys.require[place].confidence for place, _ in cases_of_all(plan)]
     greatest, sequential = max(errors, default=0.0), plan.keys.stop == "sequential"
-    measured = not sequential and any(each.share is None for each in plan.keys.require)
+    measured = not sequential and any(each.share is None for each in plan.keys.require if not each.of_time)
     family = plan.keys.level == "family"
     total = min(sum(errors), 2 * greatest) if family else sum(errors)
     return Levels(len(errors), greatest, greatest, greatest, min(1.0, total), total, sequential, measured, family)
@@ -193,9 +193,11 @@ def _column(requirement: Requirement, group: str) -> str:
 # ---- Verdicts that together err with no more than the level of one ----
 
 
-def cases_of_all(plan: Plan) -> list[tuple[int, Case]]:
-    """The place of a requirement and a case of it, for each verdict."""
-    return [(place, case) for place, each in enumerate(plan.keys.require) for case in cases_of(plan, each)]
+def cases_of_all(plan: Plan, *, of_time: bool = False) -> list[tuple[int, Case]]:
+    """The place of a requirement and a case of it, for each verdict: those on scores, or those on what runs took, which
+    stand apart."""
+    required = [(place, each) for place, each in enumerate(plan.keys.require) if each.of_time == of_time]
+    return [(place, case) for place, each in required for case in cases_of(plan, each)]
 
 
 def at_step(plan: Plan, place: int, count: int, taken: int) -> Requirement:
@@ -231,6 +233,8 @@ def warnings_of(plan: Plan) -> list[str]:
     family = len(cases) * (plan.keys.level == "family")
     reached = stepped(family, lambda each, taken: not reason_at(cases[each][0], taken, cases[each][1].group))
     for place, requirement in enumerate(plan.keys.require):
+        if requirement.of_time and requirement.share is None:
+            continue
         if reason := reason_at(place, len(reached), next(iter(groups_of(plan, requirement)), "")):
             text = requirement_text(requirement)
             found.append(f"require[{place}] ({text}) can never be met by this plan: {reason}")

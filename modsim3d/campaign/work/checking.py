@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.keys import CampaignFile, CampaignKeys, LabelledVideos, Requirement, TrackerKeys
+from modsim3d.campaign.keys import TIMES, CampaignFile, CampaignKeys, LabelledVideos, Requirement, TrackerKeys
 from modsim3d.campaign.plan import (
     CAMERA,
     SCENE,
@@ -23,8 +23,25 @@ from modsim3d.campaign.plan import (
     value_of,
     wanted_of,
 )
-from modsim3d.campaign.work.row import RECALL, SCORES, SCORES_BY, is_bounded, rules_of, search_problems, search_versions
-from modsim3d.campaign.work.scenes import Scenes, checksums, detector_digest, digest, plan_digest, versions
+from modsim3d.campaign.work.row import (
+    RECALL,
+    SCORES,
+    SCORES_BY,
+    WORLD_SCORES,
+    is_bounded,
+    rules_of,
+    search_problems,
+    search_versions,
+)
+from modsim3d.campaign.work.scenes import (
+    Scenes,
+    checksums,
+    detector_digest,
+    digest,
+    plan_digest,
+    tracker_of,
+    versions,
+)
 from modsim3d.campaign.work.task import condition_problems, key_readings, tracker_problems
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.core.text import counted
@@ -34,7 +51,7 @@ from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.breakdown import BINS
-from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.command import CommandTracker
 
 # ---- What stands against judging a requirement at all ----
 
@@ -88,7 +105,7 @@ def _possible(key: str, plan: Plan) -> list[Any]:
 
 def score_problems(requirement: Requirement, where: str) -> Iterator[str]:
     """A score that is not there."""
-    score, known = requirement.score, (*SCORES, RECALL)
+    score, known = requirement.score, (*SCORES, *WORLD_SCORES, *TIMES, RECALL)
     if score not in known:
         yield f"{where}.score: there is no score '{score}' ({nearest(score, known)})"
 
@@ -99,7 +116,7 @@ def judging_problems(
     """Scores that a part of a run does not have, parts that a run does not have, and means without bounds. The score
     and the keys of `where` are known; the argument `where` is the place of the requirement in the file."""
     score = requirement.score
-    bounded = score not in SCORES or is_bounded(score, plan.keys.score)
+    bounded = score in (RECALL, *TIMES) or is_bounded(score, plan.keys.score)
     if plan.keys.stop == "sequential" and requirement.share is None and not bounded:
         yield (
             f"{where}: with stop: sequential a mean needs a score with a least and a greatest value, and {score} has "
@@ -181,7 +198,7 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     paths, plugins = set[Path](), set[Plugin]()
     wrong_keys = [*_vary_problems(keys)]
     problems = [*_problems(keys), *wrong_keys, *_twice(plan), *_scene_problems(file)]
-    known = None if wrong_keys else _with_known_trackers(plan, problems)
+    known = None if wrong_keys else _with_known_trackers(plan, file.base, problems)
     facts = [*_facts_of_all(known, scenes, paths, plugins, problems)] if known else []
     if len(facts) == len(plan.conditions):
         problems += _requirement_problems(plan, facts)
@@ -300,12 +317,12 @@ def _scene_problems(file: CampaignFile) -> Iterator[str]:
         yield f"scenes: two are called '{twice[0]}', and tables could not tell them apart"
 
 
-def _with_known_trackers(plan: Plan, problems: list[str]) -> Plan:
+def _with_known_trackers(plan: Plan, base: Path, problems: list[str]) -> Plan:
     """The plan with the trackers that are there and take their settings; those of the others go to the problems."""
     known = []
     for place, each in enumerate(plan.keys.trackers):
         try:
-            named_tracker(each.tracker, each.settings, None).origin  # noqa: B018
+            tracker_of(each, {}, None, base).origin  # noqa: B018
             known.append(each)
         except ModsimError as error:
             problems += tracker_problems(place, error)
@@ -361,8 +378,9 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
             "stop: sequential needs draws that do not depend on each other, and those of latin_hypercube do: use "
             "uniform, or stop: once"
         )
-    if keys.stop == "sequential" and not keys.require:
-        yield "stop: sequential ends when the requirements are decided, and there is no require"
+    if keys.stop == "sequential" and all(each.of_time for each in keys.require):
+        other = "those on what runs took do not repeat, and decide nothing" if keys.require else "there is no require"
+        yield f"stop: sequential ends when the requirements are decided, and {other}"
     sure = sorted({each.confidence for each in keys.require})
     if keys.level == "family" and len(sure) > 1:
         said = " and ".join(f"{each:g}" for each in sure)
@@ -412,10 +430,10 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
     _check_labels(scene, run.condition.of_detector(), plan.keys)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
-    named = {
-        each.label: named_tracker(each.tracker, {**each.settings, **settings}, scene.name)
-        for each in plan.keys.trackers
-    }
+    named = {each.label: tracker_of(each, settings, scene.name, scenes.folder) for each in plan.keys.trackers}
+    for each in named.values():
+        if isinstance(each.tracker, CommandTracker):
+            paths |= {path.resolve() for path in each.tracker.files().values()}
     plugins.update(scene.plugins, (each.plugin for each in named.values() if each.plugin))
     return ConditionFacts(
         scene.name,

@@ -7,10 +7,10 @@ import shutil
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,10 +18,9 @@ import pyarrow.parquet as pq
 
 from modsim3d.campaign.keys import CampaignKeys, Layer
 from modsim3d.campaign.plan import PlannedRun
-from modsim3d.campaign.work.scenes import Latest, Scenes, detector_digest, digest, truth_digest
+from modsim3d.campaign.work.scenes import Latest, Scenes, detector_digest, digest, tracker_of, truth_digest
 from modsim3d.core.errors import OutputError
 from modsim3d.detector.records import CameraFrames, Detections, Targets
-from modsim3d.runs.camera_sequences import sequences_of
 from modsim3d.runs.files import tables
 from modsim3d.runs.files.block_files import TABLES
 from modsim3d.runs.files.stored_tables import truth_of
@@ -31,9 +30,10 @@ from modsim3d.runs.pipeline import Simulation, detected_block, open_renderer, sc
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.scene import Scene
-from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
-from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Tracks, track_table
+from modsim3d.tracking.trackers.command import CommandTracker
+from modsim3d.tracking.trackers.registry import NamedTracker
+from modsim3d.tracking.trackers.running import run_tracker
+from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Tracks, WorldTracks, track_table
 from modsim3d.truth.record import Truth
 
 if TYPE_CHECKING:
@@ -214,10 +214,13 @@ class Made:
     """One run in all its layers, with the checksums of all that decides each."""
 
     rows: RunRows
-    tracks: Tracks
+    tracks: Tracks | WorldTracks
     truth_key: str
     detections_key: str
     tracks_key: str
+    took: Mapping[str, Any] = field(default_factory=dict)
+    """What the tracker took, by the name of a column, and whether a program's output `repeats`; empty if it is not
+    noted."""
 
 
 class RunLayers:
@@ -225,6 +228,7 @@ class RunLayers:
 
     def __init__(self, keys: CampaignKeys, folder: Path, cache: Path) -> None:
         """Take the campaign file, the folder that its paths are relative to, and that of layers on the disk."""
+        self._keys = keys
         self._scenes = Scenes(keys.steps, folder, learned=keys.uncertainty == "learned")
         self._stored = StoredLayers(cache, keys.keep)
         self._opened = ExitStack()
@@ -244,10 +248,18 @@ class RunLayers:
         truth_key = truth_digest(scene, renderer.context.description if renderer else "none")
         detections_key = digest(truth_key, detector_digest(scene.detector), scene.detector_seed)
         rows = self._rows.get(detections_key, lambda: self._rows_of(scene, renderer, truth_key, detections_key))
-        named = named_tracker(run.tracker.tracker, {**run.tracker.settings, **run.condition.of_tracker()}, scene.name)
+        named = tracker_of(run.tracker, run.condition.of_tracker(), scene.name, self._scenes.folder)
         plugin = [named.plugin.sha256] if named.plugin else []
         tracks_key = digest(detections_key, vars(named.origin), *plugin)
-        return Made(rows, self._tracks_of(rows, named, tracks_key), truth_key, detections_key, tracks_key)
+        if not self._keys.timed:
+            return Made(rows, self._tracks_of(rows, named, tracks_key), truth_key, detections_key, tracks_key)
+        found = run_tracker(named, rows)
+        self._keep(found.tracks, rows.scene, tracks_key)
+        took: dict[str, Any] = {f"frame_ms_{name}": value for name, value in found.frame_ms.items()}
+        took["peak_memory_mb"] = found.peak_memory_mb
+        if run.number < len(self._keys.trackers) and isinstance(named.tracker, CommandTracker):
+            took["repeats"] = same_tracks(found.tracks, run_tracker(named, rows).tracks)
+        return Made(rows, found.tracks, truth_key, detections_key, tracks_key, took)
 
     def _open(self, scene: Scene) -> IdRenderer | None:
         """The renderer of the process, which is opened once; None if the scene needs none."""
@@ -282,21 +294,33 @@ class RunLayers:
             self._stored.write("truth", key, {"truth": truth.table})
         return truth
 
-    def _tracks_of(self, rows: RunRows, named: NamedTracker, key: str) -> Tracks:
+    def _tracks_of(self, rows: RunRows, named: NamedTracker, key: str) -> Tracks | WorldTracks:
         """The tracks of all cameras, from the disk if they are there."""
         stored = self._stored.read("tracks", key, TRACKS)
         if stored is not None:
             return tracks_of_table(stored["tracks"], rows.scene)
         tracks = tracks_of(rows, named)
-        if self._stored.keeps("tracks"):
-            self._stored.write("tracks", key, {"tracks": track_table(tracks, rows.scene)})
+        self._keep(tracks, rows.scene, key)
         return tracks
 
+    def _keep(self, tracks: Tracks | WorldTracks, scene: Scene, key: str) -> None:
+        """Write tracks in the images on the disk, if they are to be kept."""
+        if self._stored.keeps("tracks") and isinstance(tracks, Tracks):
+            self._stored.write("tracks", key, {"tracks": track_table(tracks, scene)})
 
-def tracks_of(rows: RunRows, named: NamedTracker) -> Tracks:
+
+def tracks_of(rows: RunRows, named: NamedTracker) -> Tracks | WorldTracks:
     """The tracks of all cameras."""
-    cameras = tuple(range(len(rows.scene.cameras)))
-    return tracked(named, sequences_of(rows, cameras), cameras, rows.scene)
+    return run_tracker(named, rows).tracks
+
+
+def same_tracks(one: Tracks | WorldTracks, other: Tracks | WorldTracks) -> bool:
+    """Whether two trackers have said the same, number for number."""
+    return type(one) is type(other) and all(
+        np.array_equal(each, getattr(other, name), equal_nan=each.dtype.kind == "f")
+        for name, each in vars(one).items()
+        if isinstance(each, np.ndarray)
+    )
 
 
 def detected(scene: Scene, truth: TruthLayer) -> dict[str, pa.Table]:

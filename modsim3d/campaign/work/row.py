@@ -9,7 +9,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import pyarrow as pa
 
-from modsim3d.campaign.keys import CampaignKeys, Requirement, ScoreKeys, SearchKeys
+from modsim3d.campaign.keys import TIMES, CampaignKeys, Requirement, ScoreKeys, SearchKeys
 from modsim3d.campaign.plan import CAMERA, GROUPS, STATE, Plan
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
@@ -21,9 +21,12 @@ from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.breakdown import BINS, Group
 from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
-from modsim3d.tracks.tracks import Similarity
+from modsim3d.tracking.world.scoring import score_world
+from modsim3d.tracks.tracks import Similarity, WorldTracks
 
 DONE, CRASHED = "done", "crashed"
+REPEATS = "repeats"
+"""Column that says whether the output of a program was the same again."""
 KEY_LENGTH = 16
 """Hexadecimal digits of a layer's checksum in a table."""
 FACTS: dict[str, pa.DataType] = {
@@ -70,11 +73,29 @@ def rules_of(keys: ScoreKeys) -> Rules:
 
 
 def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
-    """Row of a run, whose tracks are scored by the rules."""
+    """Row of a run. Tracks in the images are scored by the rules, those in the world as `score_world` does by itself,
+    and what the tracker took stands beside the scores."""
+    row = _common(number, made)
+    if isinstance(made.tracks, WorldTracks):
+        found = score_world(made.rows, made.tracks).flat()
+        return row | {world_column(name): found[name] for name in found if world_column(name) in WORLD_SCORES}
     scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules)
     scores = scores_of(scored)
+    row |= {"worst_s": worst_moment_s(scored), **keys_of(scores)}
+    if len(scene.detector.states) > 1:
+        row |= _subset(STATE, scores.by_state)
+    if len(scene.cameras) > 1:
+        row |= _subset(CAMERA, scores.by_camera)
+    for group in scores.breakdown:
+        row |= _bins(group)
+    return row
+
+
+def _common(number: int, made: Made) -> dict[str, Any]:
+    """What does not depend on where the tracks are."""
+    scene = made.rows.scene
     times_s = scene.times_s(0, scene.steps)
-    row = {
+    return {
         "run": number,
         "status": DONE,
         "error": None,
@@ -84,17 +105,9 @@ def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
         "tracks_key": made.tracks_key[:KEY_LENGTH],
         "simulated_s": float(times_s[-1] - times_s[0]),
         "frames": len(made.rows.frames),
-        "worst_s": worst_moment_s(scored),
-        **keys_of(scores),
         **coverage_of(made.rows),
+        **made.took,
     }
-    if len(scene.detector.states) > 1:
-        row |= _subset(STATE, scores.by_state)
-    if len(scene.cameras) > 1:
-        row |= _subset(CAMERA, scores.by_camera)
-    for group in scores.breakdown:
-        row |= _bins(group)
-    return row
 
 
 def crashed_row(number: int, error: str) -> dict[str, Any]:
@@ -122,8 +135,10 @@ def column_type(name: str) -> pa.DataType:
     """The type of a column of a row."""
     if name in FACTS:
         return FACTS[name]
-    if name in SCORES:
-        return SCORES[name]
+    if name in SCORES or name in WORLD_SCORES:
+        return SCORES[name] if name in SCORES else WORLD_SCORES[name]
+    if name == REPEATS:
+        return pa.bool_()
     if name.startswith((MET, COVERED)):
         return coverage_type(name)
     key = name.rpartition(".")[2]
@@ -184,6 +199,7 @@ class ScoreFacts:
     basis: Basis = FOLLOWED  # the share that it rests on
     without_tracks: float | None = 0.0  # value without any track; None if it has none, or if it depends on the truth
     low_is_good: bool = False  # of a share
+    worst_undefined: bool = False  # where it is undefined and there is something in the truth, it is worse than any
 
 
 _SHARE = ScoreFacts(greatest=1.0)
@@ -218,7 +234,35 @@ _FAMILIES = {
     "appearances hidden_vessel_frames occlusions occlusions_to_survive": _OF_TRUTH,
     "mota": ScoreFacts(least=-math.inf, greatest=1.0),
 }
-_KNOWN = {name: facts for names, facts in _FAMILIES.items() for name in names.split()}
+_SEEN = ScoreFacts(expected="vessels")
+_OF_FOLLOWED = replace(_SEEN, managed=True, basis=Basis("the time in view", "followed_share"), without_tracks=None)
+_ESTABLISHED = replace(_SEEN, expected="encounters", worst_undefined=True, without_tracks=None)
+_WORLD_FAMILIES = {
+    "rmse_m rmse_m_s world_nees nees_velocity nees_state world_anees anees_velocity anees_state": _OF_FOLLOWED,
+    "followed_share": replace(_SEEN, greatest=1.0),
+    "gospa_m gospa_missed_m vessels encounters": replace(_SEEN, without_tracks=None),
+    "gospa_localisation_m gospa_false_m world_false_track_s": _SEEN,
+    "established_m established_m_lower established_m_upper": _ESTABLISHED,
+    "time_left_s time_left_s_lower time_left_s_upper": _ESTABLISHED,
+}
+_WORLD_COUNTS = (
+    *("pairs", "vessels", "world_established", "world_id_switches", "world_track_breaks", "world_false_tracks"),
+    *("encounters", "encounters_established"),
+)
+WORLD_SCORES: dict[str, pa.DataType] = {
+    name: pa.int64() if name in _WORLD_COUNTS else pa.float64()
+    for name in dict.fromkeys([*" ".join(_WORLD_FAMILIES).split(), *_WORLD_COUNTS])
+}
+"""The scores of tracks in the world, with their types."""
+
+
+def world_column(name: str) -> str:
+    """The column of a score of tracks in the world: its name, with `world_` before one that the images have too."""
+    return f"world_{name}" if name in SCORES else name
+
+
+_FAMILIES |= _WORLD_FAMILIES | {" ".join(_WORLD_COUNTS): _SEEN} | {" ".join(TIMES): ScoreFacts(without_tracks=None)}
+_KNOWN = {name: facts for names, facts in reversed(_FAMILIES.items()) for name in names.split()}
 SHARES = frozenset(name for name, facts in _KNOWN.items() if (facts.least, facts.greatest) == (0.0, 1.0))
 """Scores from 0 to 1."""
 
@@ -278,9 +322,9 @@ def search_problems(keys: CampaignKeys) -> Iterator[str]:
         return
     search, plan = keys.search, Plan.of(keys)
     score = search.minimise or search.maximise or ""
-    if score not in SCORES:
+    if score not in (known := (*SCORES, *WORLD_SCORES)):
         name = "minimise" if search.minimise is not None else "maximise"
-        yield f"search.{name}: there is no score '{score}' ({nearest(score, SCORES)})"
+        yield f"search.{name}: there is no score '{score}' ({nearest(score, known)})"
     if (count := len(plan.conditions)) > 1:
         yield f"search: needs one scene and one condition, and there are {count}: search each in a campaign of its own"
     if plan.drawn:

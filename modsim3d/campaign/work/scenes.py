@@ -12,6 +12,7 @@ from typing import Any, Generic, TypeVar
 import orjson
 
 from modsim3d.campaign.drawn_detectors import LearnedUncertainty, drawn_detector, read_uncertainty
+from modsim3d.campaign.keys import TrackerKeys
 from modsim3d.campaign.plan import Condition
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.file.reading import content_of, find_detector, shipped_detectors
@@ -24,6 +25,7 @@ from modsim3d.runs.run import VERSIONED
 from modsim3d.scene.reading import find_scene, load_scene, shipped_scenes
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import choose_detector, state_settings
+from modsim3d.tracking.trackers.registry import NamedTracker, command_tracker, named_tracker
 
 # ---- Checksums of all that decides a layer ----
 
@@ -62,6 +64,18 @@ def versions() -> dict[str, str]:
         return {name: version(name) for name in (*VERSIONED, "trackeval")}
     except PackageNotFoundError:
         raise ModsimError('the scores of a campaign need TrackEval: pip install "modsim3d[trackers]"') from None
+
+
+# ---- The trackers of a campaign ----
+
+
+def tracker_of(keys: TrackerKeys, settings: Mapping[str, Any], scene: str | None, folder: Path) -> NamedTracker:
+    """A tracker of the campaign with settings of a condition, for the scene of a name as `named_tracker`; programs are
+    started in the folder of the campaign file. Raises InputError if there is no such tracker, or a setting is wrong."""
+    given = {**keys.settings, **settings}
+    if keys.command is None:
+        return named_tracker(keys.tracker or "", given, scene)
+    return command_tracker(keys.command, given, name=keys.label, folder=folder, timeout_s=keys.timeout_s)
 
 
 # ---- The files that a campaign is made of ----
@@ -161,7 +175,7 @@ class Scenes:
     def __init__(self, steps: int | None, folder: Path, *, learned: bool = False) -> None:
         """Take the number of steps, None for that of each scene, and the folder that paths in conditions are relative
         to. `learned` draws detectors from what `modsim3d learn` says of them, one for each traffic seed."""
-        self._steps, self._folder, self._learned = steps, folder, learned
+        self._steps, self.folder, self._learned = steps, folder, learned
         self._scenes: Latest[tuple[str, Scene]] = Latest(4)
         self._detectors: Latest[DetectorModel] = Latest(64)
         self._known: Latest[tuple[Path, LearnedUncertainty]] = Latest(64)
@@ -180,16 +194,16 @@ class Scenes:
 
     def files(self, condition: Condition, scene: Scene) -> set[Path]:
         """The files that a scene of this condition is made of."""
-        detector = DetectorChoice.of(condition.of_detector(), self._folder).file(scene.path)
+        detector = DetectorChoice.of(condition.of_detector(), self.folder).file(scene.path)
         unsure = [uncertainty_file(detector)] if self._learned else []
         return {path.resolve() for path in (*scene.copy.read, detector, *unsure)}
 
     def _choice(self, condition: Condition, seed: int) -> DetectorChoice:
         """The detector of a traffic seed; a key that the campaign sets is not drawn, nor what is within it."""
-        choice = DetectorChoice.of(condition.of_detector(), self._folder)
+        choice = DetectorChoice.of(condition.of_detector(), self.folder)
         if not self._learned:
             return choice
-        scene = find_scene(located(condition.scene, self._folder, shipped_scenes()))
+        scene = find_scene(located(condition.scene, self.folder, shipped_scenes()))
         named = digest(str(scene), choice.detector, choice.state, choice.state_from)
         file, known = self._known.get(named, lambda: _known(choice.file(scene)))
         try:
@@ -207,7 +221,7 @@ class Scenes:
 
     def _load(self, condition: Condition, seed: int, choice: DetectorChoice, detector_seed: int | None = None) -> Scene:
         return load_scene(
-            located(condition.scene, self._folder, shipped_scenes()),
+            located(condition.scene, self.folder, shipped_scenes()),
             seed=seed,
             detector_seed=detector_seed,
             steps=self._steps,

@@ -33,6 +33,8 @@ from modsim3d.tracking.trackers.world_interface import AisReport, Navigation, Wo
 
 PROTOCOL = 1
 DEFAULT_TIMEOUT_S = 30.0
+CHECKSUM = "sha256 "
+"""Before the checksum of a file, among the versions of what decides tracks."""
 UNITS = {"length": "m", "angle": "rad", "time": "s", "box": "px"}
 
 
@@ -69,7 +71,7 @@ class CommandTracker(Strict):
 
     def checksums(self) -> dict[str, str]:
         """SHA-256 of these files."""
-        return {name: f"sha256 {file_sha256(path)}" for name, path in self.files().items()}
+        return {name: f"{CHECKSUM}{file_sha256(path)}" for name, path in self.files().items()}
 
 
 # ---- What a program answers ----

@@ -96,7 +96,8 @@ def world_tracks_of(name: str, answers: Sequence[WorldTrackedStep], times_s: Arr
     )
     _refuse_first(checks, step, track, problem)
     number = _in_order(track)
-    names = tuple(map(str, range(1, int(number.max(initial=0)) + 1)))
+    count = int(number.max(initial=0))
+    names = tuple(f"{each:0{len(str(count))}}" for each in range(1, count + 1))  # in this order as text too
     return WorldTracks.of(name, number - 1, names, times_s[step], position, velocity, covariance)
 
 
