@@ -163,6 +163,7 @@ def world_data(scores: ScoredTracks) -> list[dict[str, Any]]:
             "gospa_switch_m": each.scores.set_distance.switch or each.scores.set_distance.cutoff,
             **each.scores.flat(),
             "each_encounter": [asdict(met) for met in each.scores.encounters],
+            "predicted_approaches": asdict(each.scores.approaches),
         }
         for each in scores.world
     ]

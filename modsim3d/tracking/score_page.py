@@ -18,6 +18,7 @@ from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, ru
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Scores
+from modsim3d.tracking.world.collision import CpaErrors, PredictedApproaches
 from modsim3d.tracking.world.scoring import MetVessel
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
@@ -334,6 +335,50 @@ def _in_world(scores: score_outcome.ScoredTracks) -> Iterator[Block]:
         yield Text(_encounters_in_words(each))
         missed = {place for place, vessel in enumerate(met) if _is_missed(vessel)}
         yield Table("", ENCOUNTER_HEADER, _encounter_rows(met), bad=missed)
+        yield from _approaches(each.scores.approaches)
+    if found := {each.name: each.scores.approaches for each in scores.world if each.scores.encounters}:
+        said = "Median error of the predicted CPA. Dashed: of a perfect track, which foresees no alteration of course."
+        yield Figure(partial(_approach_chart, found), said)
+
+
+def _approaches(found: PredictedApproaches) -> Iterator[Block]:
+    """Closest approaches as tracks predict them, by the time that is left and by range."""
+    errors = ("cpa_error_m", "tcpa_error_s", "perfect_cpa_error_m")
+    counts = ("in_view", "predicted", "right", "alarms_due", "missed_alarms", "false_alarms")
+    rules = found.rules
+    about = (
+        f"A predicted CPA is right within {rules.right_m:g} m of what happened; an alarm is one below {rules.alarm_m:g}"
+        f" m. {counted(found.ghost_alarms, 'track')} on no vessel had such an alarm within {rules.before_s:g} s."
+    )
+
+    def rows(every: Sequence[CpaErrors], keys: Sequence[str]) -> list[tuple[str, ...]]:
+        cells = [[getattr(each, key) for key in (*keys, *errors)] for each in every]
+        return [
+            (f"{each.place:g}", *(number(value, 0 if isinstance(value, int) else 1) for value in row))
+            for each, row in zip(every, cells, strict=True)
+        ]
+
+    named = ("CPA error, m", "TCPA error, s", "perfect track, m")
+    if found.by_time_left[0].in_view:
+        yield Text(about, "soft")
+        columns = ("s before the CPA", *(name.replace("_", " ") for name in counts), *named)
+        yield Table("", columns, rows(found.by_time_left, counts))
+        header = ("range from, m", "encounters", *named)
+        yield Table("", header, rows(found.by_range, ("predicted",)), where=Where.PAGE)
+
+
+def _approach_chart(found: Mapping[str, PredictedApproaches]) -> str:
+    curves = []
+    for place, each in enumerate(found.values()):
+        for key, dashed in (("cpa_error_m", False), ("perfect_cpa_error_m", True)):
+            known = [(at.place, getattr(at, key)) for at in each.by_time_left if getattr(at, key) is not None]
+            curves.append((np.array(known).reshape(-1, 2).T, charts.colour_of(place), dashed))
+    points = np.concatenate([each for each, _, _ in curves], axis=1)
+    longest_s, top_m = np.max(points, axis=1, initial=1.0).tolist()
+    axes = charts.Axes((0, 1.05 * longest_s), (0, 1.1 * top_m))
+    content = "".join(charts.line(axes, x, y, colour, dashed) for (x, y), colour, dashed in curves)
+    content += charts.key(list(found), axes.height - 38)
+    return axes.drawing(content, "CPA as predicted", "time left, s", "error, m")
 
 
 def _encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:

@@ -270,3 +270,42 @@ def test_a_track_that_takes_over_is_a_switch_of_t_gospa_and_half_a_trajectory_of
     # The run is one window. A half goes to the anchored vessel, which it lacks for the other half, the other to none.
     longer = max(seen[:30, ANCHORED].sum(), seen[30:, ANCHORED].sum()) / seen[:, ANCHORED].sum()
     assert values(found, "ospa2_m") == pytest.approx([(50 * (1 - longer) + 50) / 2])
+
+
+def test_predicted_closest_approaches_are_those_of_straight_lines_worked_out_by_hand(rows: RunRows) -> None:
+    # 10 s before the CPA, the last step is at 10 s: then the crosser is at (70, −20) from own ship and makes (−5, 4).
+    seen = TIMES_S[:36]
+    truth_m, truth_s = 180 / np.sqrt(41), 840 / 41
+    rules = {"right_m": 9, "before_s": 10, "alarm_m": 20}
+    right = score_world(rows, tracks_of([(CROSSER, seen)]), cpa=rules)
+    assert values(right, "cpa_right_share", "cpa_in_view", "cpa_predicted", "cpa_ghost_alarms") == [1, 1, 1, 0]
+    assert values(right, "cpa_error_m", "tcpa_error_s", "cpa_false_alarms") == pytest.approx([0, 0, 0], abs=1e-9)
+    # A track that is slower by 1 m/s crosses nearer and later: an alarm on a vessel that passes at 28 m.
+    slower = tracks_of([(CROSSER, seen), (ANCHORED, TIMES_S[:9])])
+    slower.velocity_m_s[slower.track == 0] -= (0, 1)
+    slower.position_m[slower.track == 1] = PLACES_M[:9, OWN] + (300, 0)  # 100 m from all vessels, and at rest
+    found = score_world(rows, slower, cpa=rules)
+    cpa_m, tcpa_s = (70 * 3 - 20 * 5) / np.sqrt(34), (70 * 5 + 20 * 3) / 34
+    assert values(found, "cpa_error_m", "tcpa_error_s") == pytest.approx([truth_m - cpa_m, 10 + tcpa_s - truth_s])
+    assert values(found, "cpa_right_share", "cpa_alarms_due", "cpa_false_alarms") == [0, 0, 1]
+    assert values(found, "cpa_ghost_alarms") == [0]  # own ship is there in 60 s
+    later = score_world(rows, slower, cpa={"before_s": 70, "alarm_m": 20})
+    assert values(later, "cpa_ghost_alarms", "cpa_in_view", "cpa_right_share") == [1, 0, None]
+    (by_range,) = [each for each in found.approaches.by_range if each.predicted]
+    assert (by_range.place, by_range.perfect_cpa_error_m) == (0, pytest.approx(0, abs=1e-9))
+
+
+def test_an_alarm_is_missed_where_a_track_passes_too_far_or_has_no_velocity_or_there_is_none(rows: RunRows) -> None:
+    faster = tracks_of([(CROSSER, TIMES_S[:36])])
+    faster.velocity_m_s[:] += (0, 2)
+    rules, keys = {"before_s": 10, "alarm_m": 29}, ("cpa_alarms_due", "cpa_missed_alarms", "cpa_predicted")
+    assert values(score_world(rows, faster, cpa=rules), *keys) == [1, 1, 1]
+    still = replace(faster, velocity_m_s=np.full_like(faster.velocity_m_s, np.nan))
+    assert values(score_world(rows, still, cpa=rules), *keys) == [1, 1, 0]
+    assert values(score_world(rows, tracks_of([(CROSSER, TIMES_S[:9])]), cpa=rules), *keys) == [1, 1, 0]
+    for wrong, said in (
+        ({"alarm_m": -1.0}, "cpa: alarm_m must be above 0"),
+        ({"alarm": 1.0}, "unknown key 'alarm' .did you mean 'alarm_m'"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            score_world(rows, faster, cpa=wrong)

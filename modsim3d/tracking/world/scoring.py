@@ -16,6 +16,7 @@ from modsim3d.tracking.detector_seeds import LEVEL
 from modsim3d.tracking.scores.errors import GospaParts, mean_gospa, nees_or_infinity
 from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.scores.trajectories import TGospaParts, TrajectorySets, ospa2, t_gospa
+from modsim3d.tracking.world.collision import CpaRules, PredictedApproaches, predicted_approaches
 from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.world.encounters import encounter
@@ -242,6 +243,7 @@ class WorldScores:
     ospa2: float | None  # mean over windows, in metres; None without steps
     continuity: WorldContinuity
     encounters: tuple[MetVessel, ...]  # the vessels that met own ship, in the order of the vessels
+    approaches: PredictedApproaches  # theirs, as tracks predict them
 
     def flat(self) -> dict[str, float | int | None]:
         """All numbers by their names, flat, as JSON has them. docs/world_tracks.md says what they mean."""
@@ -266,6 +268,7 @@ class WorldScores:
             "false_tracks": continuity.false_tracks,
             "false_track_s": continuity.false_track_s,
             **self._encounter_keys(),
+            **self.approaches.flat(),
         }
 
     def _encounter_keys(self) -> Mapping[str, float | int | None]:
@@ -292,6 +295,7 @@ def score_world(
     gate_m: float = DEFAULT_GATE_M,
     set_distance: SetDistance = IN_METRES,
     encounter_m: float = ENCOUNTER_M,
+    cpa: Mapping[str, float] | None = None,
 ) -> WorldScores:
     """Score tracks in the world against the vessels of a run.
 
@@ -301,6 +305,7 @@ def score_world(
         gate_m: A track farther from a vessel than that does not follow it.
         set_distance: c in metres, p and γ of GOSPA, T-GOSPA and OSPA(2).
         encounter_m: A vessel whose closest approach to own ship is farther has not met her.
+        cpa: Limits for closest approaches as tracks predict them: `right_m`, `before_s`, `alarm_m`, see `CpaRules`.
 
     Raises:
         ModsimError: A distance is out of range.
@@ -312,6 +317,7 @@ def score_world(
     following = follow_in_world(WorldTruth.of(rows), world_tracks, gate_m)
     rule, frames, times_s = set_distance, [*following.scored_frames()], following.truth.times_s
     sets = TrajectorySets.of(frames, rule.cutoff)
+    met = met_vessels(following, encounter_m)
     window = round(OSPA2_WINDOW_S / float(np.median(np.diff(times_s)))) if len(times_s) > 1 else 1
     return WorldScores(
         gate_m=gate_m,
@@ -321,7 +327,8 @@ def score_world(
         t_gospa=t_gospa(sets, rule.power, rule.cutoff if rule.switch is None else rule.switch),
         ospa2=ospa2(sets, rule.power, max(window, 1)),
         continuity=world_continuity(following),
-        encounters=met_vessels(following, encounter_m),
+        encounters=met,
+        approaches=predicted_approaches(following, met, CpaRules.of(cpa or {})),
     )
 
 
