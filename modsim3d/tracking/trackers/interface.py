@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -86,19 +86,27 @@ class Tracker(Strict):
         raise NotImplementedError
 
 
+class _Timed(Protocol):
+    @property
+    def time_s(self) -> float: ...
+
+
+Frame, Answer = TypeVar("Frame", bound=_Timed), TypeVar("Answer")
+
+
 def answers_of(
-    library: str, step: Callable[[SensedFrame], TrackedFrame], frames: Iterable[SensedFrame], camera: CameraFacts
-) -> Iterator[TrackedFrame]:
-    """Answers of a library's tracker to each frame, without its warnings. Raises ModsimError if it failed in a
-    frame."""
+    library: str, step: Callable[[Frame], Answer], frames: Iterable[Frame], camera: CameraFacts | None = None
+) -> Iterator[Answer]:
+    """Answers of a library's tracker to each frame, or each step of all cameras, without its warnings. Raises
+    ModsimError if it failed in one."""
     for frame in frames:
         try:
             with warnings.catch_warnings(), np.errstate(all="ignore"):
                 warnings.simplefilter("ignore")
                 answer = step(frame)
         except Exception as error:
-            where = f"camera '{camera.name}' at {frame.time_s:g} s"
-            raise ModsimError(f"{library} failed in {where}: {type(error).__name__}: {error}") from error
+            where = f"at {frame.time_s:g} s" if camera is None else f"in camera '{camera.name}' at {frame.time_s:g} s"
+            raise ModsimError(f"{library} failed {where}: {type(error).__name__}: {error}") from error
         yield answer
 
 

@@ -1,17 +1,29 @@
-"""Global nearest neighbour and joint probabilistic data association, as Stone Soup has them."""
+"""Global nearest neighbour and joint probabilistic data association, as Stone Soup has them, in image and world."""
 
 import warnings
 from collections.abc import Iterable, Iterator
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.validation import NotNegative, Positive
+from modsim3d.io.validation import NotNegative, Positive, Probability
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker, answers_of
+from modsim3d.tracking.trackers.world_interface import WorldFacts, WorldStep, WorldTrackedStep, WorldTracker
 
 Share = Annotated[float, Field(strict=True, gt=0, lt=1)]
 DetectionCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
+
+
+def _parts(name: str) -> Any:
+    """A module that imports Stone Soup. Raises ModsimError without it."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return import_module(f"modsim3d.tracking.trackers.{name}")
+    except ImportError:
+        raise ModsimError('Stone Soup trackers need stonesoup: pip install "modsim3d[trackers]"') from None
 
 
 class StoneSoup(Tracker):
@@ -35,13 +47,7 @@ class StoneSoup(Tracker):
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         """Track the detections of one camera. Raises ModsimError without Stone Soup, or if it failed in a frame."""
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                from modsim3d.tracking.trackers.stone_soup_parts import ImageTracker
-        except ImportError:
-            raise ModsimError('Stone Soup trackers need stonesoup: pip install "modsim3d[trackers]"') from None
-        tracker = ImageTracker(self, camera, isinstance(self, StoneSoupJpda))
+        tracker = _parts("stone_soup_parts").ImageTracker(self, camera, isinstance(self, StoneSoupJpda))
         yield from answers_of(type(self).__name__, tracker.step, frames, camera)
 
 
@@ -56,3 +62,43 @@ class StoneSoupJpda(StoneSoup):
     # Mean number of false detections in a frame; they are taken to lie anywhere in the image, with widths and heights
     # up to a quarter of the image's.
     false_alarms_per_frame: Positive = 1.0
+
+
+class StoneSoupWorld(WorldTracker):
+    """Base of two trackers: an unscented Kalman filter of position and velocity on the sea, with nearly constant
+    velocity. It measures bearing and inverse range, with the covariances of the detections: that of the detector's box
+    errors and of own ship's attitude. Frames of all cameras and reports of AIS are taken in order of time."""
+
+    acceleration_density_m2_s3: Positive = 0.1  # power spectral density of a vessel's acceleration
+    speed_sigma_m_s: Positive = 5.0  # standard deviation of the speed of a new track, in each axis
+    waterline_m: NotNegative = 4.0  # a vessel's centre lies that far behind its waterline
+    extent_m: NotNegative = (
+        3.0  # standard deviation of what the middle and the foot of a box are off by with a vessel's size
+    )
+    error_scale: Positive = 1.0  # factor of the standard deviations of detections, above 1 where their errors last
+    gate_probability: Share = 0.99  # share of the true detections that lie in the gate
+    detection_probability: Share = 0.9  # probability that a vessel is detected in a frame
+    false_alarms_per_frame: Positive = 1.0  # mean number of false detections in a frame
+    start_confidence: Probability = 0.0  # least confidence of a detection that starts a track
+    start_error: Positive = 0.3  # greatest standard deviation of its inverse range, as a share of that
+    farthest_m: Positive = 3000.0  # distance beyond which no vessel is expected
+    minimum_detections: DetectionCount = 3  # that confirm a track; before, it is not reported
+    tentative_s: NotNegative = 1.0  # a track that is not yet confirmed is dropped after so long without a detection
+    lost_s: NotNegative = 5.0  # a track is dropped after so long without a detection
+    coast_s: NotNegative = 2.0  # a track without a detection is reported for so long, at most until it is dropped
+    greatest_std_m: Positive = 1000.0  # a track is reported while its position is at least as well known
+    ais: bool = False  # whether tracks are corrected by AIS
+    ais_std_m: Positive = 10.0  # standard deviation of a position from AIS, the antenna's place on board included
+
+    def follow_world(self, steps: Iterable[WorldStep], facts: WorldFacts) -> Iterator[WorldTrackedStep]:
+        """Track the vessels around. Raises ModsimError without Stone Soup, or if it failed at a step."""
+        tracker = _parts("stone_soup_world").WorldFilter(self, facts, isinstance(self, WorldJpda))
+        yield from answers_of(type(self).__name__, tracker.step, steps)
+
+
+class WorldGnn(StoneSoupWorld):
+    """Each detection goes to one track, so that all together are most likely."""
+
+
+class WorldJpda(StoneSoupWorld):
+    """Each track is updated with all detections in its gate, weighted by how probably each is its own."""

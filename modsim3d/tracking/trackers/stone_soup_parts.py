@@ -1,4 +1,4 @@
-"""A tracker put together from Stone Soup's components; only this file imports them."""
+"""A tracker in the image put together from Stone Soup's components, and what one in the world shares with it."""
 
 # mypy: disable-error-code="import-untyped"
 
@@ -29,7 +29,7 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.boxes import centre_form, corner_form
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame
 
-_START = datetime(2000, 1, 1)
+START = datetime(2000, 1, 1)
 _STATE = 6  # x, its rate, y, its rate, width, height
 _MEASURED = (0, 2, 4, 5)
 _LARGEST_CLUTTER_SHARE = 0.25  # of the image's width and height: sizes of false detections are taken to go up to it
@@ -64,7 +64,7 @@ class OrderedSet(MutableSet[Any]):
         self._items.pop(value, None)
 
 
-def _row(detection: Any) -> int:
+def row_of(detection: Any) -> int:
     """Row in its frame of a detection, or of the last detection of a track."""
     return int(detection.metadata["row"])
 
@@ -76,7 +76,7 @@ class _Starter(SimpleMeasurementInitiator):  # type: ignore[misc]
         """A track from each detection."""
         return OrderedSet(
             track
-            for detection in sorted(detections, key=_row)
+            for detection in sorted(detections, key=row_of)
             for track in super(_Starter, self).initiate([detection], timestamp)
         )
 
@@ -86,8 +86,39 @@ class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
 
     def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> OrderedSet:
         """The tracks that are confirmed by these detections."""
-        left = OrderedSet(sorted(detections, key=_row))
-        return OrderedSet(sorted(super().initiate(left, timestamp, **kwargs), key=_row))
+        left = OrderedSet(sorted(detections, key=row_of))
+        return OrderedSet(sorted(super().initiate(left, timestamp, **kwargs), key=row_of))
+
+
+class _Lost(UpdateTimeDeleter):  # type: ignore[misc]
+    """Deletes the same tracks, without a look at all their states."""
+
+    def check_for_deletion(self, track: Any, timestamp: datetime | None = None, **_: Any) -> bool:
+        """Whether the last detection of a track is too old."""
+        age: timedelta = (timestamp or track.timestamp) - last_update(track)
+        return age > self.time_since_update  # type: ignore[no-any-return]
+
+
+def assembled(settings: Any, starter: Any, updater: Any, nearest: Any, joint: Any | None) -> Any:
+    """Stone Soup's tracker, with tracks in order. New tracks are confirmed by the hypotheses of `nearest`; confirmed
+    ones are followed by the same, or by the joint associator."""
+    associator = GNNWith2DAssignment(nearest)
+    confirming = _Confirming(
+        prior_state=None,
+        deleter=_Lost(timedelta(seconds=settings.tentative_s)),
+        data_associator=associator,
+        updater=updater,
+        min_points=settings.minimum_detections,
+        initiator=starter,
+    )
+    confirming.holding_tracks = OrderedSet()
+    lost = _Lost(timedelta(seconds=settings.lost_s))
+    if joint is None:
+        tracker = MultiTargetTracker(confirming, lost, None, associator, updater)
+    else:
+        tracker = MultiTargetMixtureTracker(confirming, lost, None, joint, updater)
+    tracker._tracks = OrderedSet()
+    return tracker
 
 
 class ImageTracker:
@@ -103,41 +134,22 @@ class ImageTracker:
         predictor = KalmanPredictor(CombinedLinearGaussianTransitionModel([moves, moves, grows, grows]))
         updater = KalmanUpdater(None)
         gate = sqrt(float(chi2.ppf(settings.gate_probability, len(_MEASURED))))
-        nearest = GNNWith2DAssignment(DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=gate))
-        confirming = self._confirming(nearest, updater)
-        lost = UpdateTimeDeleter(timedelta(seconds=settings.lost_s))
-        self._tracker: Any
-        if joint:
-            joint = _joint(settings, camera, predictor, updater)
-            self._tracker = MultiTargetMixtureTracker(confirming, lost, None, joint, updater)
-        else:
-            self._tracker = MultiTargetTracker(confirming, lost, None, nearest, updater)
-        self._tracker._tracks = OrderedSet()
-
-    def _confirming(self, associator: Any, updater: Any) -> Any:
-        settings, spread = self._settings, np.zeros(_STATE)
+        nearest = DistanceHypothesiser(predictor, updater, Mahalanobis(), missed_distance=gate)
+        spread = np.zeros(_STATE)
         spread[[1, 3]] = settings.speed_sigma_px_s**2
-        prior = GaussianState(np.zeros((_STATE, 1)), np.diag(spread))
-        confirming = _Confirming(
-            prior_state=prior,
-            deleter=UpdateTimeDeleter(timedelta(seconds=settings.tentative_s)),
-            data_associator=associator,
-            updater=updater,
-            min_points=settings.minimum_detections,
-            initiator=_Starter(prior),
-        )
-        confirming.holding_tracks = OrderedSet()
-        return confirming
+        starter = _Starter(GaussianState(np.zeros((_STATE, 1)), np.diag(spread)))
+        jointly = _joint(settings, camera, predictor, updater) if joint else None
+        self._tracker = assembled(settings, starter, updater, nearest, jointly)
 
     def step(self, frame: SensedFrame) -> TrackedFrame:
         """The tracks in one frame, with or without detections."""
-        time = _START + timedelta(seconds=frame.time_s)
+        time = START + timedelta(seconds=frame.time_s)
         _, tracks = self._tracker.update_tracker(time, OrderedSet(self._detections(frame, time)))
         coast = timedelta(seconds=self._settings.coast_s)
         shown = []
         for track in tracks:
             self._numbers.setdefault(track.id, len(self._numbers))
-            if time - _last_update(track) <= coast:
+            if time - last_update(track) <= coast:
                 shown.append(track)
         if not shown:
             return TrackedFrame.empty()
@@ -145,7 +157,7 @@ class ImageTracker:
         covariance = np.array([track.covar for track in shown], dtype=np.float64)
         box = state[:, _MEASURED]
         box[:, 2:] = np.maximum(box[:, 2:], _MIN_SIDE_PX)
-        seen = [_last_update(track) == time for track in shown]
+        seen = [last_update(track) == time for track in shown]
         return TrackedFrame(
             np.array([self._numbers[track.id] for track in shown], dtype=np.int64),
             corner_form(box),
@@ -187,7 +199,7 @@ def _joint(settings: Any, camera: CameraFacts, predictor: Any, updater: Any) -> 
     return JPDAwithLBP(hypotheses)
 
 
-def _last_update(track: Any) -> datetime:
+def last_update(track: Any) -> datetime:
     """Time at which the last detection was associated with a track."""
     updates = (state for state in reversed(track.states) if isinstance(state, Update) and state.hypothesis)
     time: datetime = next(updates).timestamp

@@ -1,0 +1,304 @@
+"""A tracker in the world put together from Stone Soup's components."""
+
+# mypy: disable-error-code="import-untyped"
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import lru_cache
+from math import log, pi, sqrt
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2, norm
+from stonesoup.dataassociator.probability import JPDAwithLBP
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.types.detection import Detection, MissedDetection
+from stonesoup.types.hypothesis import SingleDistanceHypothesis, SingleHypothesis, SingleProbabilityHypothesis
+from stonesoup.types.multihypothesis import MultipleHypothesis
+from stonesoup.types.numeric import Probability
+from stonesoup.types.prediction import GaussianMeasurementPrediction
+from stonesoup.types.track import Track
+from stonesoup.types.update import GaussianStateUpdate
+from stonesoup.updater.kalman import ExtendedKalmanUpdater
+
+from modsim3d.core.arrays import Array, Mask
+from modsim3d.geometry.camera import Camera
+from modsim3d.tracking.trackers.stone_soup_parts import START, OrderedSet, assembled, last_update, row_of
+from modsim3d.tracking.trackers.world_interface import AisReport, WorldFacts, WorldFrame, WorldStep, WorldTrackedStep
+
+_PLACE, _RATE = [0, 2], [1, 3]  # of w1 and w2 in the state
+_ORDER = _PLACE + _RATE
+_MIN_RANGE_M = 1.0
+_QUANTILES = norm.ppf((np.arange(25) + 0.5) / 25)
+_AIS_PER_M2 = 1e-6  # reports of vessels that no track follows
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Measurement of bearing, from a direction on, and of inverse range, as Stone Soup's updaters call it."""
+
+    camera_m: Array  # w1 and w2, (2,)
+    towards_rad: float  # direction that bearings are measured from: none is then near ±π
+    waterline_m: float  # the centre of a vessel lies that far behind its waterline
+
+    def function(self, state: Any, **_: Any) -> Any:
+        """Bearing and inverse range of states (4, n), shape (2, n)."""
+        w1, w2 = np.asarray(state.state_vector, dtype=np.float64)[_PLACE] - self.camera_m[:, None]
+        bearing = (np.arctan2(w2, w1) - self.towards_rad + pi) % (2 * pi) - pi
+        inverse = 1 / np.maximum(np.hypot(w1, w2) - self.waterline_m, _MIN_RANGE_M)
+        return np.stack([bearing, inverse]).view(type(state.state_vector))
+
+    def jacobian(self, state: Any, **_: Any) -> Array:
+        """Derivatives of the same by the state, shape (2, 4)."""
+        w1, w2 = np.asarray(state.state_vector, dtype=np.float64)[_PLACE, 0] - self.camera_m
+        away = max(float(np.hypot(w1, w2)), _MIN_RANGE_M)
+        short = max(away - self.waterline_m, _MIN_RANGE_M) ** 2 * away
+        return np.array([[-w2 / away**2, 0, w1 / away**2, 0], [-w1 / short, 0, -w2 / short, 0]])
+
+
+class _Position:
+    """Measurement of a position, in the same way."""
+
+    def function(self, state: Any, **_: Any) -> Any:
+        """Positions of states (4, n), shape (2, n)."""
+        return state.state_vector[_PLACE]
+
+
+@dataclass(frozen=True, eq=False)
+class _Measurements:
+    """Measurements at one time: m rows of two coordinates, or of the first alone."""
+
+    model: Any
+    value: Array  # (m, 2)
+    noise: Array  # (m, 2, 2)
+    alone: Mask  # whether only the first coordinate is measured, (m,)
+    log_clutter: Array  # logarithm of the density of false ones in the first coordinate alone, and in both
+    starts: Mask  # whether it may start a track, (m,)
+
+    def detections(self, time: datetime) -> Iterator[Any]:
+        """Detections of Stone Soup, each with the number of its row."""
+        for row, (value, alone) in enumerate(zip(self.value, self.alone, strict=True)):
+            yield Detection(value[: 1 if alone else 2, None], timestamp=time, metadata={"row": row})
+
+
+class _Hypotheses:
+    """Hypotheses of a track and the measurements in its gate, with their likelihood over the density of false ones. The
+    measurement that a track expects is worked out once for all of them."""
+
+    measurements: _Measurements  # at this time
+
+    def __init__(self, settings: Any, predictor: Any, updater: Any) -> None:
+        self._predictor, self._updater = predictor, updater
+        self._gates = chi2.ppf(settings.gate_probability, [2, 1])
+        self._log_detected = log(settings.detection_probability)
+        self._log_missed = log(1 - settings.detection_probability * settings.gate_probability)
+
+    def hypothesise(self, track: Any, detections: Iterable[Any], timestamp: datetime, **_: Any) -> Any:
+        """Hypotheses with distances −log weight, of which an assignment makes the most likely one."""
+        return MultipleHypothesis(
+            [
+                SingleDistanceHypothesis(prediction, detection, -weight, measured)
+                for prediction, detection, weight, measured in self.weighted(track, detections, timestamp)
+            ]
+        )
+
+    def weighted(self, track: Any, detections: Iterable[Any], time: datetime) -> Iterator[tuple[Any, Any, float, Any]]:
+        """Prediction, detection, logarithm of the weight and expected measurement of each hypothesis."""
+        prediction = self._predictor.predict(track, timestamp=time)
+        yield prediction, MissedDetection(timestamp=time), self._log_missed, None
+        every = list(detections)
+        if not every:
+            return
+        given, rows = self.measurements, [row_of(detection) for detection in every]
+        expected = self._updater.predict_measurement(prediction, given.model, measurement_noise=False)
+        off = given.value[rows] - np.asarray(expected.state_vector, dtype=np.float64).ravel()
+        spread, alone = np.asarray(expected.covar, dtype=np.float64) + given.noise[rows], given.alone[rows]
+        (aa, ab), (_, bb) = np.moveaxis(spread, 0, -1)
+        determinant = np.where(alone, aa, aa * bb - ab**2)
+        both = (bb * off[:, 0] ** 2 - 2 * ab * off[:, 0] * off[:, 1] + aa * off[:, 1] ** 2) / determinant
+        squared = np.where(alone, off[:, 0] ** 2 / aa, both)
+        size = np.where(alone, 1, 2)
+        weight = self._log_detected - (squared + np.log(determinant) + size * log(2 * pi)) / 2
+        weight -= given.log_clutter[size - 1]
+        for at in np.flatnonzero(squared <= self._gates[alone.astype(np.int64)]).tolist():
+            part = slice(0, int(size[at]))
+            yield (
+                prediction,
+                every[at],
+                float(weight[at]),
+                GaussianMeasurementPrediction(
+                    expected.state_vector[part],
+                    spread[at, part, part],
+                    timestamp=time,
+                    cross_covar=expected.cross_covar[:, part],
+                ),
+            )
+
+
+class _JointHypotheses(_Hypotheses):
+    """Hypotheses with probabilities, for joint association."""
+
+    def hypothesise(self, track: Any, detections: Iterable[Any], timestamp: datetime, **_: Any) -> Any:
+        """Hypotheses whose probabilities add up to one."""
+        hypotheses = [
+            SingleProbabilityHypothesis(prediction, detection, Probability(weight, log_value=True), measured)
+            for prediction, detection, weight, measured in self.weighted(track, detections, timestamp)
+        ]
+        return MultipleHypothesis(hypotheses, normalise=True, total_weight=1)
+
+
+class _Joint(JPDAwithLBP):  # type: ignore[misc]
+    """Loopy belief propagation with probabilities as numbers: mixtures of Stone Soup's own ones take thrice as long."""
+
+    def associate(self, tracks: Any, detections: Any, timestamp: datetime, **_: Any) -> Any:
+        """Hypotheses of each track."""
+        found = super().associate(tracks, detections, timestamp)
+        for hypothesis in (each for hypotheses in found.values() for each in hypotheses):
+            hypothesis.probability = float(hypothesis.probability)
+        return found
+
+
+class _Starter:
+    """Starts tracks in order of the rows, where the ray through the foot meets the sea."""
+
+    measurements: _Measurements
+
+    def __init__(self, settings: Any) -> None:
+        self._settings = settings
+
+    def initiate(self, detections: Iterable[Any], timestamp: datetime, **_: Any) -> OrderedSet:
+        """A track from each detection that may start one."""
+        given, tracks = self.measurements, OrderedSet()
+        for detection in sorted(detections, key=row_of):
+            row = row_of(detection)
+            if given.starts[row]:
+                mean, covariance = self._state(given.model, given.value[row], given.noise[row])
+                start = SingleHypothesis(None, detection)
+                tracks.add(Track([GaussianStateUpdate(mean, covariance, start, timestamp=timestamp)]))
+        return tracks
+
+    def _state(self, view: _View, value: Array, noise: Array) -> tuple[Array, Array]:
+        """Mean (4, 1) and covariance of a vessel at rest as far as is known. The moments of its range are those of
+        1/ρ, with ρ normal and no vessel beyond `farthest_m`."""
+        settings, bearing = self._settings, value[0] + view.towards_rad
+        inverse = np.maximum(value[1] + sqrt(noise[1, 1]) * _QUANTILES, 1 / settings.farthest_m)
+        away, variance = np.mean(1 / inverse) + view.waterline_m, np.var(1 / inverse)
+        along = np.array([np.cos(bearing), np.sin(bearing)])
+        across = np.array([-along[1], along[0]])
+        mean, covariance = np.zeros((4, 1)), np.zeros((4, 4))
+        mean[_PLACE, 0] = view.camera_m + away * along
+        beside = (away**2 + variance) * noise[0, 0]
+        covariance[np.ix_(_PLACE, _PLACE)] = variance * np.outer(along, along) + beside * np.outer(across, across)
+        covariance[_RATE, _RATE] = settings.speed_sigma_m_s**2
+        return mean, covariance
+
+
+def _once_a_time(matrix: Callable[..., Any]) -> Callable[..., Any]:
+    """A matrix of a model of motion, made once for all tracks that are predicted over the same time."""
+    made = lru_cache(lambda time_interval: matrix(time_interval=time_interval))
+    return lambda time_interval, **_: made(time_interval)
+
+
+class WorldFilter:
+    """A tracker of positions and velocities on the sea, from the frames of all cameras and the reports of AIS."""
+
+    def __init__(self, settings: Any, facts: WorldFacts, joint: bool) -> None:
+        """Put the components together, by the settings of `stone_soup.StoneSoupWorld`, which imports this file when it
+        is used. `joint` says whether detections are associated jointly."""
+        self._settings, self._numbers = settings, dict[Any, int]()
+        self._cameras = {camera.name: camera for camera in facts.cameras}
+        moves = ConstantVelocity(settings.acceleration_density_m2_s3)
+        motion = CombinedLinearGaussianTransitionModel([moves, moves])
+        motion.matrix, motion.covar = _once_a_time(motion.matrix), _once_a_time(motion.covar)
+        predictor = KalmanPredictor(motion)
+        updater = ExtendedKalmanUpdater(None)
+        nearest, starter = _Hypotheses(settings, predictor, updater), _Starter(settings)
+        jointly = _JointHypotheses(settings, predictor, updater)
+        self._readers = (nearest, starter, jointly)
+        self._tracker = assembled(settings, starter, updater, nearest, _Joint(jointly) if joint else None)
+
+    def step(self, step: WorldStep) -> WorldTrackedStep:
+        """The tracks after all that arrived at a step."""
+        time = START + timedelta(seconds=step.time_s)
+        placed = [report for report in step.ais if report.position_m is not None and self._settings.ais]
+        if placed or not step.frames:
+            self._update(time, self._reported(placed, step.time_s))
+        for frame in step.frames:
+            self._update(time, self._sighted(frame))
+        return self._tracks(time)
+
+    def _update(self, time: datetime, measurements: _Measurements) -> None:
+        for reader in self._readers:
+            reader.measurements = measurements
+        self._tracker.update_tracker(time, OrderedSet(measurements.detections(time)))
+
+    def _sighted(self, frame: WorldFrame) -> _Measurements:
+        """Detections with a bearing."""
+        settings, found = self._settings, frame.located
+        rows = np.flatnonzero(~np.isnan(found.bearing_rad))
+        bearing, inverse = found.bearing_rad[rows], found.inverse_range_per_m[rows]
+        std, alone = found.inverse_range_std_per_m[rows], np.isnan(inverse)
+        towards = float(np.angle(np.exp(1j * bearing).sum()))
+        noise = np.empty((len(rows), 2, 2))
+        noise[:, 0, 0], noise[:, 1, 1] = found.bearing_std_rad[rows] ** 2, np.where(alone, 1, std**2)
+        noise[:, 0, 1] = noise[:, 1, 0] = np.where(alone, 0, found.covariance_rad_per_m[rows])
+        noise *= settings.error_scale**2
+        nearness = np.clip(np.where(alone, 0, inverse), 1 / settings.farthest_m, 1 / _MIN_RANGE_M)
+        noise[:, 0, 0] += (settings.extent_m * nearness) ** 2
+        noise[:, 1, 1] += (settings.extent_m * nearness**2) ** 2
+        near = std <= settings.start_error * inverse
+        return _Measurements(
+            model=_View(frame.position_m[:2], towards, settings.waterline_m),
+            value=np.stack([(bearing - towards + pi) % (2 * pi) - pi, np.where(alone, 0, inverse)], axis=-1),
+            noise=noise,
+            alone=alone,
+            log_clutter=_log_clutter(self._cameras[frame.camera], frame.position_m[2], settings.false_alarms_per_frame),
+            starts=near & (frame.sensed.confidence[rows] >= settings.start_confidence),
+        )
+
+    def _reported(self, reports: list[AisReport], time_s: float) -> _Measurements:
+        """Positions that were sent, brought to the time by their speed."""
+        settings, count = self._settings, len(reports)
+        age_s = np.array([time_s - (report.measured_s or 0.0) for report in reports])
+        still = np.array([report.velocity_m_s is None for report in reports])
+        speed = np.array(
+            [(0, 0) if report.velocity_m_s is None else report.velocity_m_s for report in reports]
+        ).reshape(-1, 2)
+        variance = settings.ais_std_m**2 + settings.acceleration_density_m2_s3 * age_s**3 / 3
+        variance += still * (settings.speed_sigma_m_s * age_s) ** 2
+        return _Measurements(
+            model=_Position(),
+            value=np.array([report.position_m for report in reports]).reshape(-1, 2) + age_s[:, None] * speed,
+            noise=variance[:, None, None] * np.eye(2),
+            alone=np.zeros(count, dtype=bool),
+            log_clutter=np.log([_AIS_PER_M2, _AIS_PER_M2]),
+            starts=np.zeros(count, dtype=bool),
+        )
+
+    def _tracks(self, time: datetime) -> WorldTrackedStep:
+        settings, shown = self._settings, []
+        for track in self._tracker.tracks:
+            self._numbers.setdefault(track.id, len(self._numbers))
+            seen = time - last_update(track) <= timedelta(seconds=settings.coast_s)
+            if seen and float(np.trace(track.covar[_PLACE][:, _PLACE])) <= settings.greatest_std_m**2:
+                shown.append(track)
+        if not shown:
+            return WorldTrackedStep.empty()
+        state = np.array([track.state_vector for track in shown], dtype=np.float64).reshape(-1, 4)
+        covariance = np.array([track.covar for track in shown], dtype=np.float64)[:, _ORDER][:, :, _ORDER]
+        return WorldTrackedStep(
+            np.array([self._numbers[track.id] for track in shown], dtype=np.int64),
+            state[:, _PLACE],
+            state[:, _RATE],
+            (covariance + covariance.swapaxes(1, 2)) / 2,
+        )
+
+
+def _log_clutter(camera: Camera, height_m: float, false_alarms: float) -> Array:
+    """Logarithm of the density of false detections in bearing, and in bearing and inverse range: they are taken to lie
+    anywhere below the middle of the image."""
+    (width, height), (f1, f2) = camera.intrinsics.image_size_px, camera.intrinsics.focal_px
+    across, down = 2 * np.arctan(width / (2 * f1)), height / (2 * f2) / height_m
+    return np.log([false_alarms / across, false_alarms / (across * down)])
