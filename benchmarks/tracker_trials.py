@@ -12,7 +12,9 @@ import numpy as np
 import yaml
 
 from modsim3d.core.statistics import t_bounds
+from modsim3d.geometry.curved_sea import horizon_inverse_range
 from modsim3d.runs.camera_sequences import sequences_of
+from modsim3d.runs.locating import Viewpoints, locate
 from modsim3d.runs.run import run_scene
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
@@ -25,8 +27,8 @@ from modsim3d.tracking.scores.errors import gospa
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
 from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracking.trackers.registry import named_tracker
-from modsim3d.tracking.trackers.running import tracked
-from modsim3d.tracks.tracks import Similarity, Tracks
+from modsim3d.tracking.trackers.running import run_tracker, tracked
+from modsim3d.tracks.tracks import Similarity, Tracks, WorldTracks
 from modsim3d.tracks.true_tracks import TrueTracks, TruthName
 
 SCENES = ("fairway", "strait", "harbour", "simulation_1", "simulation_2", "simulation_3")
@@ -72,6 +74,34 @@ def tracks_of(rows: RunRows, tracker: str, settings: Mapping[str, object] | None
     cameras = tuple(range(len(rows.scene.cameras)))
     named = named_tracker(tracker, settings or {}, rows.scene.name if settings is None else None)
     return tracked(named, sequences_of(rows, cameras), cameras, rows.scene)
+
+
+def world_tracks_of(rows: RunRows, tracker: str, settings: Mapping[str, object] | None = None) -> WorldTracks:
+    """Tracks in the world. Those of a tracker of images lie where the rays through the feet of their boxes meet the
+    sea, camera by camera; for the arguments see `tracks_of`."""
+    named = named_tracker(tracker, settings or {}, rows.scene.name if settings is None else None)
+    tracks = run_tracker(named, rows).tracks
+    return tracks if isinstance(tracks, WorldTracks) else on_the_sea(rows, tracks)
+
+
+def on_the_sea(rows: RunRows, tracks: Tracks) -> WorldTracks:
+    """Tracks of boxes as positions; a box that has none is left out."""
+    places = np.full((len(tracks), 2), np.nan)
+    for index, camera in enumerate(rows.scene.cameras):
+        own = np.flatnonzero(tracks.camera == index)
+        found = locate(rows.scene, camera.name, tracks.step[own], tracks.boxes_px[own])
+        steps, at = np.unique(tracks.step[own], return_inverse=True)
+        if len(steps):
+            centres_m = Viewpoints.of(rows.scene, camera, steps, measured=True).poses().positions_m[at]
+            horizon = horizon_inverse_range(centres_m[:, 2], curved=rows.scene.sea == "curved")
+            below = found.inverse_range_per_m > horizon
+            away = 1 / np.where(below, found.inverse_range_per_m, np.nan)
+            along = np.stack([np.cos(found.bearing_rad), np.sin(found.bearing_rad)], axis=-1)
+            places[own] = centres_m[:, :2] + away[:, None] * along
+    known = np.isfinite(places).all(axis=1)
+    names = tuple(map(str, range(int(tracks.identity.max(initial=-1)) + 1)))
+    times_s = rows.scene.times_s(0, rows.steps)[tracks.step[known]]
+    return WorldTracks.of("tracks", tracks.identity[known], names, times_s, places[known])
 
 
 def tracks_lost_when_hidden(rows: RunRows) -> Tracks:

@@ -2,13 +2,14 @@
 
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 from stonesoup.dataassociator.probability import JPDA
-from stonesoup.updater.kalman import UnscentedKalmanUpdater
+from stonesoup.updater.kalman import ExtendedKalmanUpdater
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.geometry.camera import Camera, Intrinsics
@@ -25,6 +26,9 @@ CAMERA = Camera("bow", Intrinsics((1000.0, 1000.0), (960.0, 540.0), (1920, 1080)
 FACTS = WorldFacts((CAMERA,), ("boat",), ("own",))
 Places = Callable[[float], Any]
 """Positions of the vessels at a time, shape (n, 2); NaN for one that is not detected."""
+
+EXACT = {"waterline_m": 0.0, "extent_m": 0.001}
+"""Settings for vessels without size."""
 
 both = pytest.mark.parametrize("model", [WorldGnn, WorldJpda])
 
@@ -89,9 +93,9 @@ def with_gap(time_s: float) -> Any:
 
 @both
 def test_crossing_vessels_keep_their_tracks_through_a_gap_of_seconds(model: type[StoneSoupWorld]) -> None:
-    found = answers(model(waterline_m=0.0), steps_of(with_gap, 100))
+    found = answers(model(**EXACT), steps_of(with_gap, 100))
     names = [[nearest(answer, place)[0] for place in crossing_m(k * STEP_S)] for k, answer in enumerate(found)]
-    assert not any(len(answer.track) for answer in found[:2])  # three detections confirm a track
+    assert not any(len(answer.track) for answer in found[:3])  # four detections confirm a track
     assert set(map(tuple, (names[k] for k in (10, 50, 55, 70, 99)))) == {(names[10][0], names[10][1])}
     assert names[10][0] != names[10][1]
     off = [
@@ -106,28 +110,28 @@ def test_crossing_vessels_keep_their_tracks_through_a_gap_of_seconds(model: type
 
 
 def dense_m(time_s: float) -> Any:
-    """Sixteen vessels a few metres apart: all measurements lie in all gates."""
-    return np.stack([300.0 + 6 * (np.arange(16) // 4), -9 + 6.0 * (np.arange(16) % 4) + 2 * time_s], axis=-1)
+    """Twelve vessels a few metres apart: most measurements lie in most gates."""
+    return np.stack([300.0 + 6 * (np.arange(12) // 3), -6 + 6.0 * (np.arange(12) % 3) + 2 * time_s], axis=-1)
 
 
 @both
 def test_a_dense_group_takes_one_expected_measurement_for_each_track_and_frame_and_no_enumeration(
     model: type[StoneSoupWorld], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected, predict = [], UnscentedKalmanUpdater.predict_measurement
+    expected, predict = [], ExtendedKalmanUpdater.predict_measurement
     monkeypatch.setattr(
-        UnscentedKalmanUpdater, "predict_measurement", lambda *a, **k: expected.append(0) or predict(*a, **k)
+        ExtendedKalmanUpdater, "predict_measurement", lambda *a, **k: expected.append(0) or predict(*a, **k)
     )
     monkeypatch.setattr(JPDA, "enumerate_JPDA_hypotheses", None)
-    found = answers(model(waterline_m=0.0), steps_of(dense_m, 12))
-    assert 12 <= len(found[-1].track) <= 20
-    assert len(expected) <= 2 * 12 * 20  # those that are not confirmed are expected twice at most
+    found = answers(model(**EXACT), steps_of(dense_m, 8))
+    assert 9 <= len(found[-1].track) <= 16
+    assert len(expected) <= 2 * 8 * 16  # those that are not confirmed are expected twice at most
 
 
 @both
 def test_same_steps_give_the_same_bytes(model: type[StoneSoupWorld]) -> None:
     tracker = model()
-    one, other = (tracker.follow_world(steps_of(dense_m, 12), FACTS) for _ in range(2))
+    one, other = (tracker.follow_world(steps_of(dense_m, 8), FACTS) for _ in range(2))
     for first, second in zip(one, other, strict=True):  # in turn: sets of one are not where those of the other are
         for name in ("track", "position_m", "velocity_m_s", "covariance"):
             np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
@@ -136,13 +140,16 @@ def test_same_steps_give_the_same_bytes(model: type[StoneSoupWorld]) -> None:
 
 @both
 def test_squared_errors_over_covariances_are_those_of_chi_square(model: type[StoneSoupWorld]) -> None:
-    """24 vessels whose motion, speed and errors are drawn from what the tracker assumes."""
-    density, speed_m_s, count, steps = 0.05, 3.0, 24, 30
+    """20 vessels whose motion, speed and errors are drawn from what the tracker assumes."""
+    density, speed_m_s, count, steps = 0.05, 3.0, 20, 20
     tracker = model(
-        acceleration_density_m2_s3=density, speed_sigma_m_s=speed_m_s, waterline_m=4.0, gate_probability=0.9999
+        acceleration_density_m2_s3=density,
+        speed_sigma_m_s=speed_m_s,
+        **EXACT | {"waterline_m": 4.0},
+        gate_probability=0.9999,
     )
     squares: list[Any] = []
-    for seed in range(3):
+    for seed in range(2):
         generator = np.random.default_rng(100 + seed)
         bearing, away = np.linspace(-0.7, 0.7, count), generator.uniform(150, 350, count)
         place, velocity = (
@@ -161,7 +168,7 @@ def test_squared_errors_over_covariances_are_those_of_chi_square(model: type[Sto
             vessel = np.hypot(*(places[-1] - track_m).T).argmin()
             error = np.concatenate([track_m - places[-1][vessel], last.velocity_m_s[at] - velocities[-1][vessel]])
             squares.append(error @ np.linalg.solve(last.covariance[at], error))
-    assert len(squares) > 0.9 * 3 * count
+    assert len(squares) > 0.9 * 2 * count
     low, high = chi2.ppf([1e-4, 1 - 1e-4], 4 * len(squares)) / (4 * len(squares))
     assert low < np.mean(squares) / 4 < high
 
@@ -181,7 +188,7 @@ def test_two_cameras_are_one_filter_and_the_second_makes_positions_better_known(
         )
         for each in steps
     ]
-    tracker = model(waterline_m=0.0)
+    tracker = model(**EXACT)
     alone, together = (answers(tracker, iter(each))[-1] for each in (steps, more))
     assert len(alone.track) == len(together.track) == 2
     assert np.linalg.det(together.covariance[:, :2, :2]).max() < 0.1 * np.linalg.det(alone.covariance[:, :2, :2]).min()
@@ -198,7 +205,7 @@ def test_bearings_through_half_a_turn_and_bearings_alone_are_followed(model: typ
     steps = list(steps_of(behind_m, 50, own_m_s=0.0))
     for each in steps[20:]:
         each.frames[0].located.inverse_range_per_m[:] = np.nan  # cut by the lower edge of the image
-    found = answers(model(waterline_m=0.0), iter(steps))
+    found = answers(model(**EXACT), iter(steps))
     assert {track for answer in found for track in answer.track.tolist()} == {0} and len(found[-1].track) == 1
     along, across = np.abs(found[-1].position_m[0] - behind_m(49 * STEP_S)[0])
     assert across < 2 and along < 3 * np.sqrt(found[-1].covariance[0, 0, 0])
@@ -217,7 +224,7 @@ def reports_of(time_s: float) -> tuple[AisReport, ...]:
 @both
 def test_late_reports_of_ais_correct_a_track_where_they_are_asked_for(model: type[StoneSoupWorld]) -> None:
     without, with_ais = (
-        answers(model(waterline_m=0.0, ais=ais, ais_std_m=3.0), steps_of(crossing_m, 60, ais=reports_of))
+        answers(model(**EXACT, ais=ais, ais_std_m=2.0), steps_of(crossing_m, 60, ais=reports_of))
         for ais in (False, True)
     )
     spread, off = [], []
@@ -225,15 +232,15 @@ def test_late_reports_of_ais_correct_a_track_where_they_are_asked_for(model: typ
         names = [nearest(answer, crossing_m(k * STEP_S)[0]) for k, answer in enumerate(found)][20:]
         spread.append(np.trace(found[-1].covariance[0, :2, :2]))
         off.append(np.mean([away for _, away in names]))
-    assert spread[1] < 0.6 * spread[0] and off[1] < off[0]
-    plain = answers(model(waterline_m=0.0), steps_of(crossing_m, 60))
+    assert spread[1] < 0.75 * spread[0] and off[1] < off[0]
+    plain = answers(model(**EXACT), steps_of(crossing_m, 60))
     assert plain[-1].position_m.tobytes() == without[-1].position_m.tobytes()
 
 
 def test_a_failure_names_the_time_and_missing_libraries_how_to_install_them(monkeypatch: pytest.MonkeyPatch) -> None:
     broken = list(steps_of(crossing_m, 3))
-    broken[2].frames[0].located.bearing_std_rad[:] = np.nan
-    with pytest.raises(ModsimError, match=r"WorldGnn failed at 1 s: "):
+    broken[2] = replace(broken[2], frames=(replace(broken[2].frames[0], camera="stern"),))
+    with pytest.raises(ModsimError, match=r"WorldGnn failed at 1 s: .*stern"):
         answers(WorldGnn(), iter(broken))
     for name in ("stone_soup_parts", "stone_soup_world"):
         monkeypatch.delitem(sys.modules, f"modsim3d.tracking.trackers.{name}", raising=False)

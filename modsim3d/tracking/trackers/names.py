@@ -21,6 +21,8 @@ BUILT_IN = {
     "ocsort": BuiltIn(f"{_HERE}.interface", "OcSortTracker", ("trackers",)),
     "stonesoup_gnn": BuiltIn(f"{_HERE}.stone_soup", "StoneSoupGnn", ("stonesoup",)),
     "stonesoup_jpda": BuiltIn(f"{_HERE}.stone_soup", "StoneSoupJpda", ("stonesoup",)),
+    "world_gnn": BuiltIn(f"{_HERE}.stone_soup", "WorldGnn", ("stonesoup",)),
+    "world_jpda": BuiltIn(f"{_HERE}.stone_soup", "WorldJpda", ("stonesoup",)),
 }
 
 

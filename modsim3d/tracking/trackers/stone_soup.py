@@ -65,16 +65,14 @@ class StoneSoupJpda(StoneSoup):
 
 
 class StoneSoupWorld(WorldTracker):
-    """Base of two trackers: an unscented Kalman filter of position and velocity on the sea, with nearly constant
+    """Base of two trackers: an extended Kalman filter of position and velocity on the sea, with nearly constant
     velocity. It measures bearing and inverse range, with the covariances of the detections: that of the detector's box
     errors and of own ship's attitude. Frames of all cameras and reports of AIS are taken in order of time."""
 
-    acceleration_density_m2_s3: Positive = 0.1  # power spectral density of a vessel's acceleration
-    speed_sigma_m_s: Positive = 5.0  # standard deviation of the speed of a new track, in each axis
+    acceleration_density_m2_s3: Positive = 0.05  # power spectral density of a vessel's acceleration
+    speed_sigma_m_s: Positive = 4.0  # standard deviation of the speed of a new track, in each axis
     waterline_m: NotNegative = 4.0  # a vessel's centre lies that far behind its waterline
-    extent_m: NotNegative = (
-        3.0  # standard deviation of what the middle and the foot of a box are off by with a vessel's size
-    )
+    extent_m: Positive = 3.0  # standard deviation of what a box's middle and foot are off by, since vessels have sizes
     error_scale: Positive = 1.0  # factor of the standard deviations of detections, above 1 where their errors last
     gate_probability: Share = 0.99  # share of the true detections that lie in the gate
     detection_probability: Share = 0.9  # probability that a vessel is detected in a frame
@@ -82,11 +80,11 @@ class StoneSoupWorld(WorldTracker):
     start_confidence: Probability = 0.0  # least confidence of a detection that starts a track
     start_error: Positive = 0.3  # greatest standard deviation of its inverse range, as a share of that
     farthest_m: Positive = 3000.0  # distance beyond which no vessel is expected
-    minimum_detections: DetectionCount = 3  # that confirm a track; before, it is not reported
+    minimum_detections: DetectionCount = 4  # that confirm a track; before, it is not reported
     tentative_s: NotNegative = 1.0  # a track that is not yet confirmed is dropped after so long without a detection
     lost_s: NotNegative = 5.0  # a track is dropped after so long without a detection
     coast_s: NotNegative = 2.0  # a track without a detection is reported for so long, at most until it is dropped
-    greatest_std_m: Positive = 1000.0  # a track is reported while its position is at least as well known
+    greatest_std_m: Positive = 50.0  # a track whose position is less well known is not reported
     ais: bool = False  # whether tracks are corrected by AIS
     ais_std_m: Positive = 10.0  # standard deviation of a position from AIS, the antenna's place on board included
 

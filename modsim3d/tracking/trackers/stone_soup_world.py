@@ -30,7 +30,7 @@ from modsim3d.tracking.trackers.world_interface import AisReport, WorldFacts, Wo
 
 _PLACE, _RATE = [0, 2], [1, 3]  # of w1 and w2 in the state
 _ORDER = _PLACE + _RATE
-_MIN_RANGE_M = 1.0
+_MIN_RANGE_M, _MIN_HEIGHT_M = 1.0, 0.1
 _QUANTILES = norm.ppf((np.arange(25) + 0.5) / 25)
 _AIS_PER_M2 = 1e-6  # reports of vessels that no track follows
 
@@ -64,6 +64,10 @@ class _Position:
     def function(self, state: Any, **_: Any) -> Any:
         """Positions of states (4, n), shape (2, n)."""
         return state.state_vector[_PLACE]
+
+    def jacobian(self, state: Any, **_: Any) -> Array:
+        """Derivatives of the same by the state, shape (2, 4)."""
+        return np.eye(len(state.state_vector))[_PLACE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,5 +304,5 @@ def _log_clutter(camera: Camera, height_m: float, false_alarms: float) -> Array:
     """Logarithm of the density of false detections in bearing, and in bearing and inverse range: they are taken to lie
     anywhere below the middle of the image."""
     (width, height), (f1, f2) = camera.intrinsics.image_size_px, camera.intrinsics.focal_px
-    across, down = 2 * np.arctan(width / (2 * f1)), height / (2 * f2) / height_m
+    across, down = 2 * np.arctan(width / (2 * f1)), height / (2 * f2) / max(height_m, _MIN_HEIGHT_M)
     return np.log([false_alarms / across, false_alarms / (across * down)])
