@@ -26,7 +26,7 @@ from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.errors import gospa
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
 from modsim3d.tracking.scores.scored import Rules, Scored
-from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.registry import NamedTracker, named_tracker
 from modsim3d.tracking.trackers.running import run_tracker, tracked
 from modsim3d.tracks.tracks import Similarity, Tracks, WorldTracks
 from modsim3d.tracks.true_tracks import TrueTracks, TruthName
@@ -76,10 +76,9 @@ def tracks_of(rows: RunRows, tracker: str, settings: Mapping[str, object] | None
     return tracked(named, sequences_of(rows, cameras), cameras, rows.scene)
 
 
-def world_tracks_of(rows: RunRows, tracker: str, settings: Mapping[str, object] | None = None) -> WorldTracks:
+def world_tracks_of(rows: RunRows, named: NamedTracker) -> WorldTracks:
     """Tracks in the world. Those of a tracker of images lie where the rays through the feet of their boxes meet the
-    sea, camera by camera; for the arguments see `tracks_of`."""
-    named = named_tracker(tracker, settings or {}, rows.scene.name if settings is None else None)
+    sea, camera by camera."""
     tracks = run_tracker(named, rows).tracks
     return tracks if isinstance(tracks, WorldTracks) else on_the_sea(rows, tracks)
 

@@ -3,6 +3,7 @@
 The fairway draws its traffic, so its table is over traffic seeds, with detector seeds nested in them: the mean over the
 detector seeds of each traffic, then the interval over these means. The other scenes replay one traffic, and their
 intervals are over detector seeds: they hold for this traffic only. No seed here is one that settings were chosen on.
+Trackers in the world have scores in metres; beside them stand those in images, with their boxes on the sea.
 """
 
 from __future__ import annotations
@@ -34,8 +35,11 @@ from benchmarks.tracker_trials import (
     scores,
     tracks_lost_when_hidden,
     tracks_of,
+    world_tracks_of,
 )
 from modsim3d.scene.reading import load_scene
+from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.world.scoring import score_world
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 TRACKERS = ("reference", "sort", "bytetrack", "ocsort")
@@ -74,6 +78,27 @@ PERFECT_IN: dict[str, dict[str, float]] = {
 }
 """How fast boxes change their velocity in each scene, and what else is its own; found on that scene."""
 MAIN = ("hota", "hota_centre", "deta", "assa", "idf1", "id_switches", "false_tracks")
+WORLD_TRACKERS = {
+    "world_gnn": ("world_gnn", {}),
+    "world_gnn with AIS": ("world_gnn", {"ais": True}),
+    "world_jpda": ("world_jpda", {}),
+} | {f"{name}, boxes on the sea": (name, {}) for name in TRACKERS}
+"""Name of each line in metres, with its tracker and what is set beside the settings chosen for the scene."""
+WORLD = {
+    "gospa_m": ("GOSPA, m", 0),
+    "gospa_localisation_m": ("of it localisation", 0),
+    "gospa_missed_m": ("missed", 0),
+    "gospa_false_m": ("false", 0),
+    "followed_share": ("Followed", 2),
+    "rmse_m": ("RMSE, m", 1),
+    "rmse_m_s": ("RMSE, m/s", 1),
+    "anees": ("ANEES", 1),
+    "id_switches": ("ID switches", 1),
+    "false_tracks": ("False tracks", 1),
+    "established_m": ("Established at, m", 0),
+}
+"""Scores in metres, with their headings and decimals."""
+PARTS = ("detector", "perfect", "misses", "world")
 CENTRE_DIFFERENCES = "differences_centre"
 ROWS = "tracker_scores.parquet"
 Row = dict[str, Any]
@@ -113,6 +138,18 @@ def miss_trial(job: tuple[str, int, float, int | None]) -> list[Row]:
         | scores(rows, tracks_of(rows, tracker), annotated=True)
         for tracker in TRACKERS
     ]
+
+
+def world_trial(job: tuple[str, int, int, int | None]) -> list[Row]:
+    """All trackers in metres on the looks at one traffic."""
+    name, seed, count, steps = job
+    found = []
+    for look, rows in looks(name, seed, count, steps):
+        for line, (tracker, settings) in WORLD_TRACKERS.items():
+            scored = score_world(rows, world_tracks_of(rows, named_tracker(tracker, settings, name))).flat()
+            seeds = {"scene": name, "traffic_seed": seed, "detector_seed": look, "tracker": line}
+            found.append(seeds | {key: scored[key] for key in WORLD})
+    return found
 
 
 def nested(rows: Iterable[Row], key: str) -> dict[str, Any]:
@@ -200,6 +237,12 @@ def differences(rows: Sequence[Row], key: str = "hota") -> list[dict[str, Any]]:
     ]
 
 
+def world_lines(rows: Sequence[Row], scene: str) -> list[dict[str, Any]]:
+    """The lines of a scene's table in metres."""
+    own = {line: [row for row in rows if (row["scene"], row["tracker"]) == (scene, line)] for line in WORLD_TRACKERS}
+    return [{"tracker": line} | {key: nested(of_line, key) for key in WORLD} for line, of_line in own.items()]
+
+
 def perfect_lines(rows: Sequence[Row], scene: str) -> dict[str, Any]:
     """The scores of each kind of tracks behind a perfect detector."""
     return {
@@ -280,6 +323,15 @@ def scene_table(lines: Sequence[dict[str, Any]]) -> list[str]:
     return text
 
 
+def world_table(lines: Sequence[dict[str, Any]]) -> list[str]:
+    """A scene's table in metres in Markdown."""
+    heads = [head for head, _ in WORLD.values()]
+    text = [f"| Tracker | {' | '.join(heads)} |", "|---|" + "---|" * len(heads)]
+    for line in lines:
+        text.append(f"| {line['tracker']} | {' | '.join(cell(line[key], WORLD[key][1]) for key in WORLD)} |")
+    return text
+
+
 def difference_table(found: Sequence[dict[str, Any]], score: str) -> list[str]:
     """Paired differences of a score, in Markdown."""
     lines = [f"| {each['a']} − {each['b']} | {cell(each, 3)} |" for each in found]
@@ -298,6 +350,13 @@ def readme_table(data: dict[str, Any]) -> list[str]:
     return lines
 
 
+def _world_seeds(world: dict[str, Any], scene: str) -> str:
+    """The seeds of a table in metres."""
+    if scene == DRAWN:
+        return f"{world['seeds']} traffic seeds with {world['looks']} detector seeds each"
+    return f"{world['other_looks']} detector seeds"
+
+
 def _below(data: dict[str, Any]) -> list[str]:
     """The scenes in which `reference` behind a perfect detector has less than is asked for."""
     return [name for name, each in data["perfect"].items() if each["reference"]["hota"]["mean"] < PERFECT_LEAST]
@@ -310,27 +369,28 @@ def _survival(data: dict[str, Any]) -> str:
     return "mean over the seeds of the share (a seed with few counts as much as one with many; N is of all seeds)"
 
 
-def rows_table(rows: Sequence[Row], alone: Sequence[Row], missed: Sequence[Row]) -> pa.Table:
-    """All runs as rows: what was run, its seeds and its scores; states, and occlusions by length, as JSON."""
-    parts = {"detector": rows, "perfect": alone, "misses": missed}
+def rows_table(*parts: Sequence[Row]) -> pa.Table:
+    """All runs as rows, for the parts in `PARTS`: what was run, its seeds and its scores; states, and occlusions by
+    length, as JSON."""
     flat = [
-        {"part": part} | row | {key: json.dumps(row[key]) for key in ("states", "occlusions")}
-        for part, of_part in parts.items()
+        {"part": part} | row | {key: json.dumps(row[key]) for key in ("states", "occlusions") if key in row}
+        for part, of_part in zip(PARTS, parts, strict=True)
         for row in of_part
     ]
     names = dict.fromkeys(key for row in flat for key in row)
-    versions = {name: version(name) for name in ("modsim3d", "trackers", "trackeval")}
+    versions = {name: version(name) for name in ("modsim3d", "trackers", "stonesoup", "trackeval")}
     columns = {name: [row.get(name) for row in flat] for name in names}
     return pa.table(columns).replace_schema_metadata({"versions": json.dumps(versions)})
 
 
-def stored_rows(path: Path) -> tuple[list[Row], list[Row], list[Row]]:
-    """The rows of a table as they were: of the shipped detectors, of perfect ones, and of those that miss."""
-    parts: dict[str, list[Row]] = {"detector": [], "perfect": [], "misses": []}
+def stored_rows(path: Path) -> list[list[Row]]:
+    """The rows of a table as they were: of the shipped detectors, of perfect ones, of those that miss, and in the
+    world."""
+    parts: dict[str, list[Row]] = {part: [] for part in PARTS}
     for row in pq.read_table(path).to_pylist():
-        unpacked = row | {key: json.loads(row[key]) for key in ("states", "occlusions")}
+        unpacked = row | {key: json.loads(row[key]) for key in ("states", "occlusions") if row[key]}
         parts[unpacked.pop("part")].append(unpacked)
-    return parts["detector"], parts["perfect"], parts["misses"]
+    return list(parts.values())
 
 
 def page(data: dict[str, Any]) -> str:
@@ -349,6 +409,11 @@ def page(data: dict[str, Any]) -> str:
         "occlusions of that length (less than half of the vessel visible) after which the same track follows the "
         "vessel, of those that it followed before. The oracle-association references have the same detections; a "
         "tracker that smooths better may exceed them.",
+        "",
+        "Tables *in the world* are in metres ([their scores](../world_tracks.md#the-scores)): GOSPA has c = 50 m, and "
+        "a track follows a vessel within 50 m. `world_gnn` and `world_jpda` have no boxes, so they are in these "
+        "tables alone. *Boxes on the sea* are those of a tracker of images: each lies where the ray through its foot "
+        "meets the sea, without velocity. A vessel that two cameras see then has two tracks, which is one too many.",
     ]
     for scene in data["scenes"]:
         over = (
@@ -357,6 +422,13 @@ def page(data: dict[str, Any]) -> str:
             else f"{data['other_looks']} detector seeds; intervals are over these, and hold for this traffic only."
         )
         lines += ["", f"## {scene}", "", over, "", *scene_table(data["scenes"][scene])]
+        if lines_in_metres := data["world"]["scenes"][scene]:
+            lines += [
+                "",
+                f"In the world, over {_world_seeds(data['world'], scene)}:",
+                "",
+                *world_table(lines_in_metres),
+            ]
     by_both = [("HOTA", data["differences"])]
     by_both += [("HOTA by centre", data[CENTRE_DIFFERENCES])] if CENTRE_DIFFERENCES in data else []
     for score, found in by_both:
@@ -408,6 +480,9 @@ def main() -> int:
     parser.add_argument("--looks", type=int, default=LOOKS, help="detector seeds of each of them")
     parser.add_argument("--other-looks", type=int, default=OTHER_LOOKS, help="detector seeds of the other scenes")
     parser.add_argument("--miss-seeds", type=int, default=MISS_SEEDS, help="traffic seeds of the miss rates")
+    parser.add_argument(
+        "--part", choices=PARTS, nargs="+", default=PARTS, help="run these, keep the rows of the others"
+    )
     parser.add_argument("--steps", type=int, help="steps of each scene, in place of its own: a trial of the campaign")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for tracker_scores.md, .json and .parquet")
@@ -415,7 +490,8 @@ def main() -> int:
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     if not asked.stored:
-        pq.write_table(rows_table(*run(asked)), asked.out / ROWS, compression="zstd")
+        before = stored_rows(asked.out / ROWS) if set(asked.part) < set(PARTS) else [[] for _ in PARTS]
+        pq.write_table(rows_table(*run(asked, before)), asked.out / ROWS, compression="zstd")
     data = figures(*stored_rows(asked.out / ROWS))
     data["versions"] = json.loads(pq.read_schema(asked.out / ROWS).metadata[b"versions"])
     data["rows"] = hashlib.sha256((asked.out / ROWS).read_bytes()).hexdigest()
@@ -426,8 +502,9 @@ def main() -> int:
     return int(bool(problems(data)))
 
 
-def run(asked: argparse.Namespace) -> Iterator[list[Row]]:
-    """The rows of the shipped detectors, of perfect ones, and of those that miss."""
+def run(asked: argparse.Namespace, before: Sequence[list[Row]]) -> Iterator[list[Row]]:
+    """The rows of the shipped detectors, of perfect ones, of those that miss, and in the world; those from before of
+    the parts that are not asked for."""
     drawn = [(DRAWN, seed, asked.looks, asked.steps) for seed in range(1, asked.seeds + 1)]
     others = [(name, 0, asked.other_looks, asked.steps) for name in SCENES if name != DRAWN]
     miss_seeds = range(1, asked.miss_seeds + 1)
@@ -435,21 +512,30 @@ def run(asked: argparse.Namespace) -> Iterator[list[Row]]:
     misses = [(DRAWN, seed, rate, asked.steps or MISS_STEPS) for seed in miss_seeds for rate in MISS_RATES]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.workers, mp_context=context) as pool:
-        for work, jobs in ((trial, drawn + others), (perfect_trial, perfect), (miss_trial, misses)):
-            yield [row for part in pool.map(work, jobs) for row in told(part)]
+        work = ((trial, drawn + others), (perfect_trial, perfect), (miss_trial, misses), (world_trial, drawn + others))
+        for part, (task, jobs), kept in zip(PARTS, work, before, strict=True):
+            yield [row for found in pool.map(task, jobs) for row in told(found)] if part in asked.part else kept
 
 
-def figures(rows: Sequence[Row], alone: Sequence[Row], missed: Sequence[Row]) -> dict[str, Any]:
-    """The figures of the page."""
+def seed_counts(rows: Sequence[Row]) -> dict[str, int]:
+    """Numbers of traffic seeds of the drawn scene, of detector seeds of each, and of detector seeds of the others."""
     seeds = {
         name: {(row["traffic_seed"], row["detector_seed"]) for row in rows if row["scene"] == name} for name in SCENES
     }
     traffics = len({traffic for traffic, _ in seeds[DRAWN]})
+    others = max(len(seeds[name]) for name in SCENES if name != DRAWN)
+    return {"seeds": traffics, "looks": len(seeds[DRAWN]) // max(traffics, 1), "other_looks": others}
+
+
+def figures(
+    rows: Sequence[Row], alone: Sequence[Row], missed: Sequence[Row], in_world: Sequence[Row]
+) -> dict[str, Any]:
+    """The figures of the page."""
+    world = {name: world_lines(in_world, name) if in_world else [] for name in SCENES}
     return {
         "format": 1,
-        "seeds": traffics,
-        "looks": len(seeds[DRAWN]) // traffics,
-        "other_looks": max(len(seeds[name]) for name in SCENES if name != DRAWN),
+        **seed_counts(rows),
+        "world": seed_counts(in_world) | {"scenes": world},
         "miss_seeds": len({row["traffic_seed"] for row in missed}),
         "scenes": {name: table(rows, name) for name in SCENES},
         "differences": differences(rows),

@@ -23,6 +23,7 @@ from benchmarks.tracker_trials import CENTRE, IOU, SCENES, looks, tracks_of, wor
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.scores.association import hota
 from modsim3d.tracking.scores.scored import Scored
+from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.world.scoring import score_world
 
 OUT = Path(__file__).resolve().parents[2] / "scenes" / "trackers"
@@ -111,7 +112,8 @@ def runs_of(scene: str, tracker: str) -> list[RunRows]:
 def quality(runs: Sequence[RunRows], tracker: str, settings: Mapping[str, object]) -> float:
     """The mean of HOTA by IoU and HOTA by centre over runs, or of GOSPA in metres, below 0."""
     if tracker in IN_WORLD:
-        found = [score_world(rows, world_tracks_of(rows, tracker, settings)).flat()["gospa_m"] for rows in runs]
+        named = named_tracker(tracker, settings, None)
+        found = [score_world(rows, world_tracks_of(rows, named)).flat()["gospa_m"] for rows in runs]
         return -float(np.mean([each or 0.0 for each in found]))
     every = [(rows, tracks_of(rows, tracker, settings)) for rows in runs]
     return float(np.mean([hota(Scored.of(*each, rules)).hota or 0.0 for each in every for rules in (IOU, CENTRE)]))

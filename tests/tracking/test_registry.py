@@ -42,7 +42,8 @@ def settings_file(folder: Path, text: str) -> None:
 
 def test_names_are_the_built_in_ones_first_and_an_unknown_one_is_told_with_them() -> None:
     built_in = ("reference", "sort", "bytetrack", "ocsort", "stonesoup_gnn", "stonesoup_jpda")
-    assert tracker_names()[:6] == built_in
+    built_in += ("world_gnn", "world_jpda")
+    assert tracker_names()[:8] == built_in
     with pytest.raises(InputError, match=r"(?s)--tracker.*'refrence'.*modsim3d\.trackers.*did you mean 'reference'"):
         named_tracker("refrence", {}, "strait")
     with pytest.raises(InputError, match=f"known: {', '.join(built_in)}"):

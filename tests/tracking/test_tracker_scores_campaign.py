@@ -48,7 +48,7 @@ def rows_of(scene: str, traffic_seed: int, detector_seed: int, tracker: str, hot
 
 
 @pytest.fixture(scope="module")
-def rows() -> tuple[list[dict], list[dict], list[dict]]:
+def rows() -> tuple[list[dict], ...]:
     """Three traffics of the fairway, and another scene's detector seeds; the first tracker is 0.1 better on each."""
     every = (*tracker_scores.TRACKERS, *tracker_scores.ORACLES)
     drawn, others, misses = [], [], []
@@ -70,7 +70,15 @@ def rows() -> tuple[list[dict], list[dict], list[dict]]:
             for seed in (1, 2):
                 row = rows_of("fairway", seed, seed, tracker, 0.9 - rate * (1 + seed / 100), [[0, 0]] * 4)
                 misses.append(row | {"miss_rate": rate})
-    return drawn + others, alone, misses
+    places = [(name, seed, look) for name in tracker_scores.SCENES for seed in (1, 2) for look in (1, 2)]
+    in_world = [
+        {"scene": name, "traffic_seed": seed, "detector_seed": look, "tracker": line}
+        | dict.fromkeys(keys, 10.0 * seed + k)
+        for name, seed, look in places
+        for k, line in enumerate(tracker_scores.WORLD_TRACKERS)
+        for keys in [tracker_scores.WORLD]
+    ]
+    return drawn + others, alone, misses, in_world
 
 
 def test_rows_are_stored_as_they_were_and_the_page_is_made_of_them_alone(rows: tuple, tmp_path, monkeypatch) -> None:
@@ -82,6 +90,9 @@ def test_rows_are_stored_as_they_were_and_the_page_is_made_of_them_alone(rows: t
     data = json.loads((tmp_path / "tracker_scores.json").read_text())
     text = (tmp_path / "tracker_scores.md").read_text()
     assert (data["seeds"], data["looks"], data["other_looks"], data["miss_seeds"]) == (3, 2, 2, 2)
+    assert (data["world"]["seeds"], data["world"]["looks"], data["world"]["other_looks"]) == (2, 2, 4)
+    gospa = data["world"]["scenes"]["fairway"][1]["gospa_m"]  # 11 and 21, of two traffics
+    assert (gospa["mean"], gospa["n"]) == (16, 2) and text.count("| world_gnn with AIS | 16 ± 64 | ") == 6
     assert f"SHA-256 {data['rows']}" in text and tracker_scores.ROWS in text
     assert "| reference − sort | 0.100 |" in text  # the same difference on all seeds has no interval
     readme = tracker_scores.readme_table(data)

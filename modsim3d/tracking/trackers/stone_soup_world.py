@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import lru_cache
-from math import log, pi, sqrt
+from math import exp, log, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,6 @@ from stonesoup.predictor.kalman import KalmanPredictor
 from stonesoup.types.detection import Detection, MissedDetection
 from stonesoup.types.hypothesis import SingleDistanceHypothesis, SingleHypothesis, SingleProbabilityHypothesis
 from stonesoup.types.multihypothesis import MultipleHypothesis
-from stonesoup.types.numeric import Probability
 from stonesoup.types.prediction import GaussianMeasurementPrediction
 from stonesoup.types.track import Track
 from stonesoup.types.update import GaussianStateUpdate
@@ -142,26 +141,16 @@ class _Hypotheses:
 
 
 class _JointHypotheses(_Hypotheses):
-    """Hypotheses with probabilities, for joint association."""
+    """Hypotheses with weights that take the place of probabilities, for joint association."""
 
     def hypothesise(self, track: Any, detections: Iterable[Any], timestamp: datetime, **_: Any) -> Any:
-        """Hypotheses whose probabilities add up to one."""
-        hypotheses = [
-            SingleProbabilityHypothesis(prediction, detection, Probability(weight, log_value=True), measured)
-            for prediction, detection, weight, measured in self.weighted(track, detections, timestamp)
-        ]
-        return MultipleHypothesis(hypotheses, normalise=True, total_weight=1)
-
-
-class _Joint(JPDAwithLBP):  # type: ignore[misc]
-    """Loopy belief propagation with probabilities as numbers: mixtures of Stone Soup's own ones take thrice as long."""
-
-    def associate(self, tracks: Any, detections: Any, timestamp: datetime, **_: Any) -> Any:
-        """Hypotheses of each track."""
-        found = super().associate(tracks, detections, timestamp)
-        for hypothesis in (each for hypotheses in found.values() for each in hypotheses):
-            hypothesis.probability = float(hypothesis.probability)
-        return found
+        """Hypotheses whose weights are divided by that of no detection later."""
+        return MultipleHypothesis(
+            [
+                SingleProbabilityHypothesis(prediction, detection, exp(weight), measured)
+                for prediction, detection, weight, measured in self.weighted(track, detections, timestamp)
+            ]
+        )
 
 
 class _Starter:
@@ -221,7 +210,7 @@ class WorldFilter:
         nearest, starter = _Hypotheses(settings, predictor, updater), _Starter(settings)
         jointly = _JointHypotheses(settings, predictor, updater)
         self._readers = (nearest, starter, jointly)
-        self._tracker = assembled(settings, starter, updater, nearest, _Joint(jointly) if joint else None)
+        self._tracker = assembled(settings, starter, updater, nearest, JPDAwithLBP(jointly) if joint else None)
 
     def step(self, step: WorldStep) -> WorldTrackedStep:
         """The tracks after all that arrived at a step."""
