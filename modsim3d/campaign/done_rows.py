@@ -291,6 +291,8 @@ def _with_seeds(
     endless = plan.keys.model_copy(update={"seeds": Seeds(traffic=MAX_SEEDS)})
     if reason := wording.never_met(endless, requirement, case.group):
         return replace(empty, why=f"never: {reason}")
+    if requirement.known_at_m is not None:
+        return replace(empty, why="unknown: it rests on approaches, and seeds differ in their number")
     if share is not None and not once:
         return replace(empty, seeds=bounds.clean_seeds_needed_sequential(share, sure), why="if all are right")
     if share is not None:

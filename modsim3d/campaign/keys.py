@@ -173,6 +173,29 @@ class ScoreKeys(Strict):
     gospa_p: Annotated[float, Field(strict=True, ge=1, le=10)] = 1.0
 
 
+KNOWN = "known_m"
+"""Score of an approach: the distance from which on a vessel is known."""
+
+
+class ApproachKind(Strict):
+    """Vessels that a lookout requirement is about; all that own ship's cameras saw if nothing is given."""
+
+    length_m: tuple[Number, Number] | None = None  # from the first on, and below the second
+    label: Text | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.length_m is not None and not 0 <= self.length_m[0] < self.length_m[1]:
+            raise ValueError("length_m needs two lengths, the smaller first, as in [8, 15]")
+        return self
+
+    @property
+    def text(self) -> str:
+        """It in words."""
+        size = "" if self.length_m is None else f" of {self.length_m[0]:g} to {self.length_m[1]:g} m"
+        return f"{self.label or 'vessels'}{size}"
+
+
 class Requirement(Strict):
     """Bound on a score: on its mean over traffic seeds, or with `in` on its value in a share of them. `where` maps keys
     of the campaign, and `tracker`, to the value, or several, of the runs that it is about; a `state`, a `camera` and
@@ -181,7 +204,8 @@ class Requirement(Strict):
     `share` is the least share of traffic seeds all of whose runs must have a right value, and `resting_on` the least
     share of what is to be followed that the score of each run must rest on. `confidence` is the least probability that
     a verdict is right when the truth is at the threshold; of a mean that is looked at once it is measured and not
-    proved."""
+    proved. With `known_at_m` it is on the lookout: `share` is that of the approaches of vessels of a `kind`, in the
+    file `of`, that must be known at that distance, by the same track with `one_track`."""
 
     score: Text
     where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
@@ -192,9 +216,31 @@ class Requirement(Strict):
     share: Share | None = Field(default=None, alias="in")
     resting_on: Annotated[float, Field(strict=True, gt=0, le=1)] | None = None
     confidence: Confidence = 0.95
+    known_at_m: Positive | None = None
+    kind: ApproachKind | None = None
+    one_track: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lookout(cls, value: Any) -> Any:
+        """`{known_at_m: R, of: KIND, share: S}` is on the distances of approaches."""
+        if not isinstance(value, dict) or value.get("known_at_m") is None or "kind" in value:
+            return value
+        kept = {key: each for key, each in value.items() if key not in ("of", "share")}
+        return {"score": KNOWN, **kept, "kind": value.get("of") or {}, "in": value.get("share", value.get("in"))}
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without the keys of a lookout requirement if it is none, so that plans are as before there were any."""
+        left_out = () if self.kind else ("known_at_m", "kind", "one_track")
+        return {key: value for key, value in handler(self).items() if key not in left_out}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.known_at_m is not None:
+            return self._checked_lookout()
+        if self.kind is not None or self.one_track:
+            raise ValueError("kind and one_track need known_at_m")
         if (self.at_least is None) == (self.at_most is None):
             raise ValueError("give either at_least or at_most")
         if (self.of is None) != (self.minus is None):
@@ -203,6 +249,14 @@ class Requirement(Strict):
             raise ValueError(f"of and minus are both '{self.of}': a difference needs two trackers")
         if self.of is not None and "tracker" in self.where:
             raise ValueError("a difference names its trackers with of and minus: leave tracker out of where")
+        return self
+
+    def _checked_lookout(self) -> Self:
+        others = {"score", "at_least", "at_most", "minus", "resting_on"} - ({"score"} if self.score == KNOWN else set())
+        if wrong := [key for key in sorted(others) if getattr(self, key) is not None]:
+            raise ValueError(f"{wrong[0]} does not go with known_at_m")
+        if self.share is None:
+            raise ValueError("known_at_m needs share, that of the approaches that must be known, as in share: 0.95")
         return self
 
     @property
@@ -218,7 +272,7 @@ class Requirement(Strict):
     @property
     def threshold(self) -> float:
         """The value that is just right."""
-        threshold = self.at_least if self.at_least is not None else self.at_most
+        threshold = next((each for each in (self.at_least, self.at_most) if each is not None), self.known_at_m)
         assert threshold is not None
         return threshold
 
@@ -305,6 +359,11 @@ class CampaignKeys(Strict):
         """Whether what runs took is noted: where a program runs, or a requirement is on it."""
         programs = any(each.command is not None for each in self.trackers)
         return self.search is None and (programs or any(each.of_time for each in self.require))
+
+    @property
+    def lookout(self) -> bool:
+        """Whether a requirement is on the distances of approaches."""
+        return any(each.known_at_m is not None for each in self.require)
 
     @model_validator(mode="before")
     @classmethod

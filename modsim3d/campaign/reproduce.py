@@ -176,7 +176,8 @@ def _row(
         found = track_run(stored, tracks, tracker=named, overwrite=overwrite).tracks
     else:
         reused.append(tracks)
-    return row_of(run.number, Made(RunRows.of(stored), found, "", "", ""), rules_of(work.keys.score))
+    made = Made(RunRows.of(stored), found, "", "", "")
+    return row_of(run.number, made, rules_of(work.keys.score), work.keys.lookout)
 
 
 def _differing(before: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> tuple[str, ...]:

@@ -86,6 +86,7 @@ def test_a_shorter_run_shows_the_beginning_of_the_same_traffic(drawn: Drawn) -> 
 
 
 def test_only_scenes_whose_traffic_is_drawn_say_so() -> None:
-    assert {name for name, path in shipped_scenes().items() if draws_traffic(path)} == {"simulation_1", "fairway"}
+    drawn = {name for name, path in shipped_scenes().items() if draws_traffic(path)}
+    assert drawn == {"simulation_1", "fairway", "small_target"}
     assert traffic_in_words(load_scene("fairway", seed=7, steps=2)).startswith("drawn from seed 7;")
     assert traffic_in_words(load_scene("strait")).startswith("this traffic only;")

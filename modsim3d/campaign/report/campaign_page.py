@@ -16,6 +16,7 @@ from modsim3d.campaign.plan import Plan, cases_of, key_columns, values_text
 from modsim3d.campaign.ranking import WorstRun, worst_runs
 from modsim3d.campaign.report import words
 from modsim3d.campaign.report.coverage import coverage_sections, trace_sections
+from modsim3d.campaign.report.lookout import lookout_sections
 from modsim3d.campaign.report.parameter_charts import parameter_sections
 from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.verdicts.seed_values import PairedDifference, paired
@@ -232,6 +233,7 @@ def campaign_page(
         [
             Table("", (), facts(folder, table)),
             *requirement_blocks(plan, verdicts),
+            *(lookout_sections(plan, table) if len(table) and plan.keys.lookout else ()),
             *(compared_blocks(folder, table, verdicts) if len(table) else ()),
             *(parameter_sections(plan, table) if len(table) else ()),
             *worst_sections(folder, table, verdicts, advance),

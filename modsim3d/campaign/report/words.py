@@ -98,7 +98,7 @@ def axis_of(key: str) -> str:
 def required_scores(plan: Plan) -> list[Score]:
     """The scores that requirements are about, in their order; HOTA if there are none."""
     found: dict[str, list[Requirement]] = {}
-    for requirement in plan.keys.require:
+    for requirement in (each for each in plan.keys.require if each.known_at_m is None):
         for column in columns_of(plan, requirement) or [requirement.score]:
             found.setdefault(column, []).extend([requirement] * (requirement.of is None))
     return [Score(column, tuple(each)) for column, each in found.items()] or [Score(USUAL)]
@@ -226,7 +226,8 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
     span = span if of_mean else (max(0.0, span[0]), min(1.0, span[1]))
     keys, groups = varying(plan), groups_of(plan, requirement)
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
-    interval = f"{'mean' if of_mean else 'share of seeds'} [interval, each end {levels}]"
+    share = "share of seeds" if requirement.known_at_m is None else "share of approaches"
+    interval = f"{'mean' if of_mean else share} [interval, each end {levels}]"
     interval = "worst run" if of_mean and requirement.of_time else interval
     side = f"at {'least' if least else 'most'} {three_digits(limit)}"
     axis = f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side}"

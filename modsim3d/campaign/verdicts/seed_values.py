@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
+import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from modsim3d.campaign.keys import Requirement
 from modsim3d.campaign.plan import Case, Plan, cases_of
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds
-from modsim3d.campaign.work.row import CRASHED, Columns, facts_of, is_bounded, score_bounds
+from modsim3d.campaign.work.row import APPROACHES, CRASHED, Columns, facts_of, is_bounded, score_bounds
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.statistics import t_bounds
 
@@ -85,6 +87,8 @@ def column_of(score: str, case: Case) -> str:
 
 def columns_of(plan: Plan, requirement: Requirement) -> list[str]:
     """The columns that a requirement is about: several if it names several parts of the runs."""
+    if requirement.known_at_m is not None:  # it has a share of approaches, and no column
+        return []
     return list(dict.fromkeys(column_of(requirement.score, case) for case in cases_of(plan, requirement)))
 
 
@@ -128,6 +132,14 @@ class SeedRows:
             return np.asarray(self._table[name].to_numpy(), dtype=np.float64).reshape(self._shape)[self._place(case)]
 
         return column
+
+    def approaches(self, case: Case) -> tuple[list[list[dict[str, Any]]], int]:
+        """The approaches of each traffic seed, and the number of runs that crashed, of a case."""
+        if APPROACHES not in self._table.column_names:
+            return [[] for _ in range(self.seeds)], int(self._crashed[self._place(case)].sum())
+        texts = np.array(self._table[APPROACHES].to_pylist(), dtype=object).reshape(self._shape)[self._place(case)]
+        found = [[each for text in seed if text for each in orjson.loads(text)] for seed in texts]
+        return found, int(self._crashed[self._place(case)].sum())
 
     def _place(self, case: Case) -> tuple[slice | int, ...]:
         return (slice(None), case.condition, slice(None), case.tracker)

@@ -13,7 +13,15 @@ import pyarrow as pa
 from modsim3d.campaign.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan import SCENE, Case, Plan, traffic_seed
 from modsim3d.campaign.verdicts import wording
-from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, clean_seeds_needed, mean_bounds, share_bounds
+from modsim3d.campaign.verdicts.bounds import (
+    UNKNOWN,
+    Bounds,
+    clean_seeds_needed,
+    clustered_low,
+    mean_bounds,
+    share_bounds,
+)
+from modsim3d.campaign.verdicts.known_share import ApproachCounts
 from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
 from modsim3d.core.text import counted
@@ -156,6 +164,8 @@ class _Found:
 
 def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
     keys = plan.keys
+    if requirement.known_at_m is not None:
+        return _of_approaches(plan, place, requirement, case, rows)
     runs = rows.runs_of(case, requirement.score, requirement.resting_on)
     group, undefined = case.group, int(runs.undefined.sum())
     of_mean = requirement.share is None
@@ -204,6 +214,31 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
 
 def _labels(keys: CampaignKeys, case: Case) -> str:
     return " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None)
+
+
+def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
+    """A verdict on the share of approaches that are known; each traffic seed is a cluster of them."""
+    assert requirement.share is not None
+    found, crashed = rows.approaches(case)
+    counts = ApproachCounts.of(requirement, found)
+    bounds, alpha = UNKNOWN, 1 - requirement.confidence
+    if done := rows.seeds == plan.keys.seeds.traffic and counts.share is not None:
+        missed = counts.came - counts.known
+        bounds = Bounds(clustered_low(counts.known, counts.came, alpha), 1 - clustered_low(missed, counts.came, alpha))
+    outcome = _outcome(bounds.low >= requirement.share and not crashed, bounds.high < requirement.share)
+    why = f"{counts.text} in {counted(int(np.count_nonzero(counts.came)), 'traffic seed')}"
+    why += f"; {_between(bounds, requirement)}, with seeds as clusters." if done else "."
+    if crashed:
+        why += f" {counted(crashed, 'run')} crashed, whose approaches are not known: it cannot be met."
+    if rows.seeds < plan.keys.seeds.traffic:
+        why += f" It is judged when all {plan.keys.seeds.traffic:,} traffic seeds are done."
+    low, high = (bound if math.isfinite(bound) else None for bound in (bounds.low, bounds.high))
+    text = wording.requirement_text(requirement)
+    return Verdict(
+        *(place, text, _labels(plan.keys, case), case.condition, outcome, why, requirement.confidence),
+        *(counts.share, low, high, rows.seeds, crashed),
+        values=_values(plan, case),
+    )
 
 
 def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Found, list[str]]:

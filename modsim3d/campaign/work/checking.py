@@ -106,7 +106,7 @@ def _possible(key: str, plan: Plan) -> list[Any]:
 def score_problems(requirement: Requirement, where: str) -> Iterator[str]:
     """A score that is not there."""
     score, known = requirement.score, (*SCORES, *WORLD_SCORES, *TIMES, RECALL)
-    if score not in known:
+    if score not in known and requirement.known_at_m is None:
         yield f"{where}.score: there is no score '{score}' ({nearest(score, known)})"
 
 
@@ -141,6 +141,14 @@ def judging_problems(
             yield f"{whose} {condition} has no {part.group} '{part.name}'"
         elif len(every[condition]) == 1:
             yield f"{whose} {condition} has no other {part.group}: leave it out"
+
+
+def _lookout_problems(requirement: Requirement, where: str, plan: Plan) -> Iterator[str]:
+    """Problems of a lookout requirement, whose unit is an approach."""
+    if plan.keys.stop == "sequential":
+        yield f"{where}: known_at_m does not go with stop: sequential, for its bounds hold for one look"
+    for group in groups_of(plan, requirement):
+        yield f"{where}.where.{group}: an approach is no part of its run: give {group} in vary, or leave it out"
 
 
 MAX_CONDITIONS = 10_000
@@ -428,6 +436,7 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
     """Facts about a condition; the files and plug-ins that it is made of are added to those given."""
     scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
     _check_labels(scene, run.condition.of_detector(), plan.keys)
+    _check_lookout(scene, plan.keys)
     paths |= scenes.files(run.condition, scene)
     settings = run.condition.of_tracker()
     named = {each.label: tracker_of(each, settings, scene.name, scenes.folder) for each in plan.keys.trackers}
@@ -445,6 +454,16 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
         tuple(camera.name for camera in scene.cameras),
         {label: vars(each.origin) for label, each in named.items()},
     )
+
+
+def _check_lookout(scene: Scene, keys: CampaignKeys) -> None:
+    """Raise ModsimError where a lookout requirement is about no vessel of a scene."""
+    if keys.lookout and not scene.own_ships:
+        raise ModsimError(f"{scene.title}: no vessel carries a camera, so known_at_m has no own ship: leave it out")
+    for label in (each.kind.label for each in keys.require if each.kind and each.kind.label):
+        if label not in scene.detector.labels:
+            known = nearest(label, scene.detector.labels)
+            raise ModsimError(f"{scene.title}: of.label of known_at_m: there is no label {shown(label)} ({known})")
 
 
 def _check_labels(scene: Scene, of_detector: Mapping[str, Any], keys: CampaignKeys) -> None:
@@ -471,4 +490,7 @@ def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[s
         where = f"require[{place}]"
         yield from score_problems(requirement, where)
         yield from where_problems(requirement, where, plan, parts)
-        yield from judging_problems(requirement, where, plan, facts)
+        if requirement.known_at_m is not None:
+            yield from _lookout_problems(requirement, where, plan)
+        else:
+            yield from judging_problems(requirement, where, plan, facts)

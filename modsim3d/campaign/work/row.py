@@ -7,6 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, get_type_hints
 
 import numpy as np
+import orjson
 import pyarrow as pa
 
 from modsim3d.campaign.keys import TIMES, CampaignKeys, Requirement, ScoreKeys, SearchKeys
@@ -14,16 +15,21 @@ from modsim3d.campaign.plan import CAMERA, GROUPS, STATE, Plan
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
 from modsim3d.campaign.work.worst_moment import worst_moment_s
-from modsim3d.core.arrays import Array
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.validation import nearest
+from modsim3d.runs.run_rows import RunRows
+from modsim3d.tracking.lookout import approaches, tracks_in_images, tracks_in_world
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.breakdown import BINS, Group
 from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
-from modsim3d.tracking.world.scoring import score_world
+from modsim3d.tracking.world.following import WorldTruth, follow_in_world
+from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, score_world
 from modsim3d.tracks.tracks import Similarity, WorldTracks
 
+APPROACHES = "approaches"
+"""Column of the approaches of vessels as JSON, in campaigns that have a lookout requirement."""
 DONE, CRASHED = "done", "crashed"
 REPEATS = "repeats"
 """Column that says whether the output of a program was the same again."""
@@ -72,12 +78,15 @@ def rules_of(keys: ScoreKeys) -> Rules:
     return Rules(keys.truth, keys.gap_s, similarity, set_distance=SetDistance(keys.gospa_c, keys.gospa_p))
 
 
-def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
+def row_of(number: int, made: Made, rules: Rules, lookout: bool = False) -> dict[str, Any]:
     """Row of a run. Tracks in the images are scored by the rules, those in the world as `score_world` does by itself,
-    and what the tracker took stands beside the scores."""
+    and what the tracker took stands beside the scores; `lookout` asks for its approaches too."""
     row = _common(number, made)
     if isinstance(made.tracks, WorldTracks):
         found = score_world(made.rows, made.tracks).flat()
+        if lookout:
+            following = follow_in_world(WorldTruth.of(made.rows), made.tracks, DEFAULT_GATE_M)
+            row[APPROACHES] = _approaches_text(made.rows, tracks_in_world(made.rows, following))
         return row | {world_column(name): found[name] for name in found if world_column(name) in WORLD_SCORES}
     scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules)
     scores = scores_of(scored)
@@ -88,6 +97,8 @@ def row_of(number: int, made: Made, rules: Rules) -> dict[str, Any]:
         row |= _subset(CAMERA, scores.by_camera)
     for group in scores.breakdown:
         row |= _bins(group)
+    if lookout:
+        row[APPROACHES] = _approaches_text(made.rows, tracks_in_images(made.rows, scored.following))
     return row
 
 
@@ -108,6 +119,11 @@ def _common(number: int, made: Made) -> dict[str, Any]:
         **coverage_of(made.rows),
         **made.took,
     }
+
+
+def _approaches_text(rows: RunRows, track: Indices) -> str:
+    """All approaches as JSON; `track` is as in `tracks_in_images`."""
+    return orjson.dumps(list(approaches(rows, track))).decode()
 
 
 def crashed_row(number: int, error: str) -> dict[str, Any]:
@@ -139,6 +155,8 @@ def column_type(name: str) -> pa.DataType:
         return SCORES[name] if name in SCORES else WORLD_SCORES[name]
     if name == REPEATS:
         return pa.bool_()
+    if name == APPROACHES:
+        return pa.string()
     if name.startswith((MET, COVERED)):
         return coverage_type(name)
     key = name.rpartition(".")[2]

@@ -122,7 +122,7 @@ class Worker:
         kept."""
         begin(run.number)
         try:
-            return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score))
+            return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score), work.keys.lookout)
         except OutputError:  # the disk is full: that says nothing about the run
             raise
         except Exception as error:

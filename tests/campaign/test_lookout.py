@@ -1,0 +1,122 @@
+"""Lookout requirements: approaches that are known at a distance, counted and bounded with traffic seeds as clusters."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modsim3d.campaign.keys import CampaignKeys
+from modsim3d.campaign.report.campaign_page import campaign_page
+from modsim3d.campaign.reproduce import make_again
+from modsim3d.campaign.verdicts.bounds import clustered_low
+from modsim3d.campaign.verdicts.verdict import judged
+from modsim3d.core.statistics import exact_bounds
+from tests.campaign.campaigns import problems_of, run_campaign_file
+from tests.campaign.hand_made_tables import plan_of, table_of_runs
+
+KNOWN = {"known_at_m": 900, "share": 0.8, "of": {"length_m": [8, 15], "label": "boat"}}
+
+
+def approach(in_view_m=2000, closest_m=100, known_m=1000, one_track_m=0, length_m=12, label="boat"):
+    return dict(locals())
+
+
+def table(seeds, crashed=()):
+    return table_of_runs([{"approaches": json.dumps(each)} for each in seeds], crashed)
+
+
+def verdict(seeds, crashed=(), planned=None, **keys):
+    (found,) = judged(plan_of(planned or len(seeds), [KNOWN | keys]), table(seeds, crashed))
+    return found
+
+
+def test_only_vessels_of_the_kind_that_were_in_view_beyond_and_came_so_near_count_and_the_others_are_told_apart():
+    counted = [approach(), approach(known_m=899), approach(in_view_m=900, closest_m=900, known_m=900)]
+    apart = [approach(in_view_m=899), approach(in_view_m=400), approach(closest_m=901)]
+    others = [approach(length_m=7.9), approach(length_m=15), approach(label="ship")]
+    found = verdict([counted + apart + others])
+    assert found.text == "boat of 8 to 15 m known at 900 m, in 80 % of approaches" and found.estimate == 2 / 3
+    assert (
+        "2 of 3 approaches are known at 900 m (2 appeared nearer, 1 never came so near) in 1 traffic seed" in found.why
+    )
+    every = verdict([counted + apart + others], of={})
+    assert every.estimate == 5 / 6 and "vessels known at 900 m" in every.text
+    assert verdict([counted], one_track=True).estimate == 0
+    nothing = verdict([[], [approach(in_view_m=20)]])
+    assert (nothing.outcome, nothing.estimate, nothing.low) == ("undecided", None, None)
+
+
+def test_it_is_met_or_failed_by_the_bound_of_the_requirement_when_all_seeds_are_done_and_no_run_crashed():
+    good = [[approach()] * 2] * 60
+    found = verdict(good)
+    assert found.outcome == "met" and found.low == clustered_low(np.full(60, 2.0), np.full(60, 2.0), 1 - 0.95)
+    assert verdict(good, share=0.98).outcome == "undecided"
+    assert verdict([[approach(known_m=0)] * 2] * 60).outcome == "failed"
+    lost = verdict(good, crashed=[3])
+    assert (lost.outcome, lost.crashed) == ("undecided", 1) and "it cannot be met" in lost.why
+    partly = verdict(good, planned=61)
+    assert (partly.outcome, partly.estimate, partly.low) == ("undecided", 1, None) and "when all 61" in partly.why
+
+
+def test_the_bound_of_a_clustered_share_errs_as_seldom_as_it_says_whether_clusters_are_alike_or_not():
+    rng, runs, share = np.random.default_rng(3), 1500, 0.9
+    for alike in (0.02, 0.3):
+        size = (1 - alike) / alike
+        trials = rng.poisson(4, (runs, 30)).astype(float)
+        hits = rng.binomial(trials.astype(int), rng.beta(share * size, (1 - share) * size, trials.shape)).astype(float)
+        low = np.array([clustered_low(*each, 0.05) for each in zip(hits, trials, strict=True)])
+        high = 1 - np.array([clustered_low(t - h, t, 0.05) for h, t in zip(hits, trials, strict=True)])
+        for errs in (low > share, high < share):
+            assert errs.mean() <= 0.05 + 4 * np.sqrt(0.05 * 0.95 / runs)
+        assert np.median(low) > 0.75
+
+
+def test_clusters_of_one_trial_are_nearly_the_binomial_and_few_or_whole_ones_say_less():
+    hits, ones = np.repeat([1.0, 0.0], [180, 20]), np.ones(200)
+    exact = exact_bounds(180, 200, 0.05)[0]
+    assert exact - 0.01 < clustered_low(hits, ones, 0.05) <= exact
+    assert clustered_low(hits, ones, 0.05) > clustered_low(np.array([36.0, 36, 36, 36, 36]), np.full(5, 40.0), 0.05)
+    assert clustered_low(np.array([90.0]), np.array([100.0]), 0.05) == clustered_low(np.zeros(9), np.ones(9), 0.05) == 0
+
+
+@pytest.mark.parametrize(("require", "keys", "said"), [
+    ({"known_at_m": 900}, {}, "require[0]: known_at_m needs share"),
+    ({"known_at_m": -1, "share": 0.9}, {}, "require[0].known_at_m: Input should be greater than 0 (got -1)"),
+    ({"known_at_m": 900, "share": 0.9, "of": {"length_m": [15, 8]}}, {}, "needs two lengths, the smaller first"),
+    ({"known_at_m": 900, "share": 0.9, "of": {"length": 8}}, {}, "require[0].kind.length: unknown key"),
+    ({"known_at_m": 900, "share": 0.9, "at_least": 1}, {}, "require[0]: at_least does not go with known_at_m"),
+    ({"score": "hota", "at_least": 0.4, "one_track": True}, {}, "require[0]: kind and one_track need known_at_m"),
+    ({"known_at_m": 900, "share": 0.9, "where": {"state": "haze"}}, {}, "give state in vary, or leave it out"),
+    ({"known_at_m": 900, "share": 0.9}, {"stop": "sequential"}, "known_at_m does not go with stop: sequential"),
+    ({"known_at_m": 900, "share": 0.9}, {"scene": "simulation_1"}, "no vessel carries a camera"),
+    ({"known_at_m": 900, "share": 0.9, "of": {"label": "bot"}}, {}, "there is no label 'bot' (did you mean 'boat'?)"),
+])  # fmt: skip
+def test_a_wrong_lookout_requirement_is_refused_with_what_is_wrong(tmp_path: Path, require, keys, said) -> None:
+    given = {"scene": "fairway", "steps": 20, "trackers": ["sort"], "require": [require], **keys}
+    assert any(said in problem for problem in problems_of(tmp_path, **given))
+
+
+def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other_plans_are_as_they_were(
+    tmp_path,
+) -> None:
+    keys = {"scene": "small_target", "steps": 24, "trackers": ["reference"]}
+    require = [
+        {"known_at_m": 1250, "share": 0.5, "where": {"state": "haze"}},
+        {"score": "hota", "at_least": 0.1, "in": 0.5},
+    ]
+    done = run_campaign_file(tmp_path, **keys, vary=[{"grid": {"state": ["clear", "haze"]}}], require=require)
+    approaches = [each for text in done.table["approaches"].to_pylist() for each in json.loads(text)]
+    targets = [(each["own_ship"], each["vessel"], each["length_m"]) for each in approaches]
+    assert targets == [("own", f"target_{index}", 1.5) for index in (1, 2, 3)] * 2
+    assert all(1300 < each["in_view_m"] < 1510 and each["closest_m"] < 1350 for each in approaches)
+    assert [each.outcome for each in done.verdicts] == ["undecided"] * 3 and done.verdicts[0].values == {
+        "state": "haze"
+    }
+    page = campaign_page(done.folder, done.table, done.verdicts)
+    assert "From where on vessels are known" in page and "vessels known at 1250 m, in 50 % of approaches" in page
+    assert page.count("<title>Vessels of ") + page.count('aria-label="Vessels of 0 to 8 m"') == 1
+    again = make_again(done.folder, 1, tmp_path / "again")
+    assert again.row is not None and again.same and again.row["approaches"] == done.table["approaches"][1].as_py()
+    plain = CampaignKeys.model_validate(keys | {"require": require[1:]}).model_dump(mode="json", by_alias=True)
+    assert not {"known_at_m", "kind", "one_track"} & plain["require"][0].keys()
