@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -86,16 +86,11 @@ class Tracker(Strict):
         raise NotImplementedError
 
 
-class _Timed(Protocol):
-    @property
-    def time_s(self) -> float: ...
-
-
-Frame, Answer = TypeVar("Frame", bound=_Timed), TypeVar("Answer")
+Answer = TypeVar("Answer")
 
 
 def answers_of(
-    library: str, step: Callable[[Frame], Answer], frames: Iterable[Frame], camera: CameraFacts | None = None
+    library: str, step: Callable[[Any], Answer], frames: Iterable[Any], camera: CameraFacts | None = None
 ) -> Iterator[Answer]:
     """Answers of a library's tracker to each frame, or each step of all cameras, without its warnings. Raises
     ModsimError if it failed in one."""

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import lru_cache
 from math import exp, log, pi, sqrt
+from operator import neg
 from typing import Any
 
 import numpy as np
 from scipy.stats import chi2, norm
 from stonesoup.dataassociator.probability import JPDAwithLBP
+from stonesoup.models.measurement.linear import LinearGaussian
 from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
 from stonesoup.predictor.kalman import KalmanPredictor
 from stonesoup.types.detection import Detection, MissedDetection
@@ -57,18 +59,6 @@ class _View:
         return np.array([[-w2 / away**2, 0, w1 / away**2, 0], [-w1 / short, 0, -w2 / short, 0]])
 
 
-class _Position:
-    """Measurement of a position, in the same way."""
-
-    def function(self, state: Any, **_: Any) -> Any:
-        """Positions of states (4, n), shape (2, n)."""
-        return state.state_vector[_PLACE]
-
-    def jacobian(self, state: Any, **_: Any) -> Array:
-        """Derivatives of the same by the state, shape (2, 4)."""
-        return np.eye(len(state.state_vector))[_PLACE]
-
-
 @dataclass(frozen=True, eq=False)
 class _Measurements:
     """Measurements at one time: m rows of two coordinates, or of the first alone."""
@@ -92,26 +82,25 @@ class _Hypotheses:
 
     measurements: _Measurements  # at this time
 
-    def __init__(self, settings: Any, predictor: Any, updater: Any) -> None:
+    def __init__(self, settings: Any, predictor: Any, updater: Any, joint: bool) -> None:
+        """Weights are distances −log weight, of which an assignment makes the most likely one; or, for joint
+        association, they stand for probabilities, which are divided by that of no detection later."""
         self._predictor, self._updater = predictor, updater
+        self._kind: Any = SingleProbabilityHypothesis if joint else SingleDistanceHypothesis
+        self._score: Callable[[float], float] = exp if joint else neg
         self._gates = chi2.ppf(settings.gate_probability, [2, 1])
         self._log_detected = log(settings.detection_probability)
         self._log_missed = log(1 - settings.detection_probability * settings.gate_probability)
 
     def hypothesise(self, track: Any, detections: Iterable[Any], timestamp: datetime, **_: Any) -> Any:
-        """Hypotheses with distances −log weight, of which an assignment makes the most likely one."""
-        return MultipleHypothesis(
-            [
-                SingleDistanceHypothesis(prediction, detection, -weight, measured)
-                for prediction, detection, weight, measured in self.weighted(track, detections, timestamp)
-            ]
-        )
+        """Hypotheses of no detection, and of each in the gate."""
+        weighted = self._weighted(track, list(detections), timestamp)
+        return MultipleHypothesis([self._kind(a, b, self._score(weight), c) for a, b, weight, c in weighted])
 
-    def weighted(self, track: Any, detections: Iterable[Any], time: datetime) -> Iterator[tuple[Any, Any, float, Any]]:
+    def _weighted(self, track: Any, every: list[Any], time: datetime) -> Iterator[tuple[Any, Any, float, Any]]:
         """Prediction, detection, logarithm of the weight and expected measurement of each hypothesis."""
         prediction = self._predictor.predict(track, timestamp=time)
         yield prediction, MissedDetection(timestamp=time), self._log_missed, None
-        every = list(detections)
         if not every:
             return
         given, rows = self.measurements, [row_of(detection) for detection in every]
@@ -127,30 +116,9 @@ class _Hypotheses:
         weight -= given.log_clutter[size - 1]
         for at in np.flatnonzero(squared <= self._gates[alone.astype(np.int64)]).tolist():
             part = slice(0, int(size[at]))
-            yield (
-                prediction,
-                every[at],
-                float(weight[at]),
-                GaussianMeasurementPrediction(
-                    expected.state_vector[part],
-                    spread[at, part, part],
-                    timestamp=time,
-                    cross_covar=expected.cross_covar[:, part],
-                ),
-            )
-
-
-class _JointHypotheses(_Hypotheses):
-    """Hypotheses with weights that take the place of probabilities, for joint association."""
-
-    def hypothesise(self, track: Any, detections: Iterable[Any], timestamp: datetime, **_: Any) -> Any:
-        """Hypotheses whose weights are divided by that of no detection later."""
-        return MultipleHypothesis(
-            [
-                SingleProbabilityHypothesis(prediction, detection, exp(weight), measured)
-                for prediction, detection, weight, measured in self.weighted(track, detections, timestamp)
-            ]
-        )
+            mean, cross = expected.state_vector[part], expected.cross_covar[:, part]
+            measured = GaussianMeasurementPrediction(mean, spread[at, part, part], timestamp=time, cross_covar=cross)
+            yield prediction, every[at], float(weight[at]), measured
 
 
 class _Starter:
@@ -207,9 +175,9 @@ class WorldFilter:
         motion.matrix, motion.covar = _once_a_time(motion.matrix), _once_a_time(motion.covar)
         predictor = KalmanPredictor(motion)
         updater = ExtendedKalmanUpdater(None)
-        nearest, starter = _Hypotheses(settings, predictor, updater), _Starter(settings)
-        jointly = _JointHypotheses(settings, predictor, updater)
-        self._readers = (nearest, starter, jointly)
+        nearest, jointly = (_Hypotheses(settings, predictor, updater, each) for each in (False, True))
+        starter = _Starter(settings)
+        self._readers = (nearest, jointly, starter)
         self._tracker = assembled(settings, starter, updater, nearest, JPDAwithLBP(jointly) if joint else None)
 
     def step(self, step: WorldStep) -> WorldTrackedStep:
@@ -217,7 +185,7 @@ class WorldFilter:
         time = START + timedelta(seconds=step.time_s)
         placed = [report for report in step.ais if report.position_m is not None and self._settings.ais]
         if placed or not step.frames:
-            self._update(time, self._reported(placed, step.time_s))
+            self._update(time, self._sent(placed, step.time_s))
         for frame in step.frames:
             self._update(time, self._sighted(frame))
         return self._tracks(time)
@@ -251,19 +219,18 @@ class WorldFilter:
             starts=near & (frame.sensed.confidence[rows] >= settings.start_confidence),
         )
 
-    def _reported(self, reports: list[AisReport], time_s: float) -> _Measurements:
+    def _sent(self, reports: list[AisReport], time_s: float) -> _Measurements:
         """Positions that were sent, brought to the time by their speed."""
         settings, count = self._settings, len(reports)
         age_s = np.array([time_s - (report.measured_s or 0.0) for report in reports])
-        still = np.array([report.velocity_m_s is None for report in reports])
-        speed = np.array(
-            [(0, 0) if report.velocity_m_s is None else report.velocity_m_s for report in reports]
-        ).reshape(-1, 2)
+        places, speeds = np.full((2, count, 2), np.nan)
+        for row, report in enumerate(reports):
+            places[row], speeds[row] = report.position_m, np.nan if report.velocity_m_s is None else report.velocity_m_s
         variance = settings.ais_std_m**2 + settings.acceleration_density_m2_s3 * age_s**3 / 3
-        variance += still * (settings.speed_sigma_m_s * age_s) ** 2
+        variance += np.isnan(speeds[:, 0]) * (settings.speed_sigma_m_s * age_s) ** 2
         return _Measurements(
-            model=_Position(),
-            value=np.array([report.position_m for report in reports]).reshape(-1, 2) + age_s[:, None] * speed,
+            model=LinearGaussian(4, _PLACE, np.eye(2)),
+            value=places + age_s[:, None] * np.nan_to_num(speeds),
             noise=variance[:, None, None] * np.eye(2),
             alone=np.zeros(count, dtype=bool),
             log_clutter=np.log([_AIS_PER_M2, _AIS_PER_M2]),
