@@ -98,6 +98,8 @@ WORLD = {
     "established_m": ("Established at, m", 0),
 }
 """Scores in metres, with their headings and decimals."""
+WORLD_STEPS = 600
+"""The most steps of a scene in metres: trackers in the world take some 10 ms a frame."""
 PARTS = ("detector", "perfect", "misses", "world")
 CENTRE_DIFFERENCES = "differences_centre"
 ROWS = "tracker_scores.parquet"
@@ -410,10 +412,11 @@ def page(data: dict[str, Any]) -> str:
         "vessel, of those that it followed before. The oracle-association references have the same detections; a "
         "tracker that smooths better may exceed them.",
         "",
-        "Tables *in the world* are in metres ([their scores](../world_tracks.md#the-scores)): GOSPA has c = 50 m, and "
-        "a track follows a vessel within 50 m. `world_gnn` and `world_jpda` have no boxes, so they are in these "
-        "tables alone. *Boxes on the sea* are those of a tracker of images: each lies where the ray through its foot "
-        "meets the sea, without velocity. A vessel that two cameras see then has two tracks, which is one too many.",
+        f"Tables *in the world* are in metres ([their scores](../world_tracks.md#the-scores)), over at most the first "
+        f"{WORLD_STEPS} steps of a scene: GOSPA has c = 50 m, and a track follows a vessel within 50 m. `world_gnn` and "
+        "`world_jpda` have no boxes, so they are in these tables alone. *Boxes on the sea* are those of a tracker of "
+        "images: each lies where the ray through its foot meets the sea, without velocity. A vessel that two cameras "
+        "see then has two tracks, which is one too many.",
     ]
     for scene in data["scenes"]:
         over = (
@@ -512,7 +515,11 @@ def run(asked: argparse.Namespace, before: Sequence[list[Row]]) -> Iterator[list
     misses = [(DRAWN, seed, rate, asked.steps or MISS_STEPS) for seed in miss_seeds for rate in MISS_RATES]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.workers, mp_context=context) as pool:
-        work = ((trial, drawn + others), (perfect_trial, perfect), (miss_trial, misses), (world_trial, drawn + others))
+        in_world = [
+            (name, seed, looks, min(load_scene(name).steps, steps or WORLD_STEPS))
+            for name, seed, looks, steps in drawn + others
+        ]
+        work = ((trial, drawn + others), (perfect_trial, perfect), (miss_trial, misses), (world_trial, in_world))
         for part, (task, jobs), kept in zip(PARTS, work, before, strict=True):
             yield [row for found in pool.map(task, jobs) for row in told(found)] if part in asked.part else kept
 

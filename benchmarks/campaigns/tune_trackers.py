@@ -83,8 +83,9 @@ SPACES["world_gnn"] = {
     "coast_s": (0.2, 4.0),
     "greatest_std_m": (15.0, 80.0),
 }
-SPACES["world_jpda"] = SPACES["world_gnn"]
-IN_WORLD = ("world_gnn", "world_jpda")
+IN_WORLD = ("world_gnn",)
+SAME = {"world_jpda": "world_gnn"}
+"""Trackers that take the settings of another, which has the same filter and is several times faster."""
 
 
 def drawn(space: Mapping[str, Range], random: np.random.Generator) -> dict[str, Any]:
@@ -137,16 +138,18 @@ def chosen(job: tuple[str, str, int]) -> tuple[str, str, dict[str, Any]]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="script/campaign tune_trackers", description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--tracker", choices=SPACES, nargs="+", default=[*SPACES], help="only these trackers")
+    parser.add_argument(
+        "--tracker", choices=[*SPACES, *SAME], nargs="+", default=[*SPACES, *SAME], help="only these trackers"
+    )
     parser.add_argument("--draws", type=int, default=DRAWS, help="settings that are tried for each tracker and scene")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=OUT, help="folder for NAME.yaml of each tracker")
     asked = parser.parse_args()
-    jobs = [(scene, tracker, asked.draws) for scene in SCENES for tracker in asked.tracker]
+    jobs = [(scene, tracker, asked.draws) for scene in SCENES for tracker in asked.tracker if tracker in SPACES]
     with ProcessPoolExecutor(asked.workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         found = list(pool.map(chosen, jobs))
     asked.out.mkdir(parents=True, exist_ok=True)
-    for tracker in asked.tracker:
+    for tracker in filter(SPACES.__contains__, asked.tracker):
         own = {scene: settings for scene, name, settings in found if name == tracker}
         seeds = ", ".join(str(seed) for seed in SEEDS["fairway"])
         best = "mean of HOTA by IoU and by centre (150 px)"
@@ -158,6 +161,10 @@ def main() -> int:
         text = yaml.safe_dump({"chosen": how, "scenes": own}, sort_keys=False, width=120)
         head = "# Written by script/campaign tune_trackers; do not edit.\n"
         (asked.out / f"{tracker}.yaml").write_text(head + text, encoding="utf-8")
+    for tracker in filter(SAME.__contains__, asked.tracker):
+        other = (asked.out / f"{SAME[tracker]}.yaml").read_text(encoding="utf-8")
+        said = f"chosen: those of {SAME[tracker]}, "
+        (asked.out / f"{tracker}.yaml").write_text(other.replace("chosen: ", said, 1), encoding="utf-8")
     return 0
 
 
