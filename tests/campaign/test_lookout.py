@@ -120,3 +120,32 @@ def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other
     assert again.row is not None and again.same and again.row["approaches"] == done.table["approaches"][1].as_py()
     plain = CampaignKeys.model_validate(keys | {"require": require[1:]}).model_dump(mode="json", by_alias=True)
     assert not {"known_at_m", "kind", "one_track"} & plain["require"][0].keys()
+
+
+def test_scores_of_closest_approaches_and_trajectories_in_the_world_can_be_required() -> None:
+    seen = {
+        "vessels": 9,
+        "cpa_in_view": 4,
+        "cpa_predicted": 3,
+        "cpa_right_share": 0.75,
+        "cpa_error_m": 30.0,
+        "ospa2_m": 9.0,
+    }
+    blind = {**seen, "cpa_predicted": 0, "cpa_right_share": 0.0, "cpa_error_m": None, "ospa2_m": 50.0}
+    empty = {
+        "vessels": 9,
+        "cpa_in_view": 0,
+        "cpa_predicted": 0,
+        "cpa_right_share": None,
+        "cpa_error_m": None,
+        "ospa2_m": 9.0,
+    }
+    require = [
+        {"score": "cpa_right_share", "at_least": 0.7, "in": 0.5},
+        {"score": "cpa_error_m", "at_most": 50, "in": 0.5, "resting_on": 0.5},
+        {"score": "ospa2_m", "at_most": 10, "in": 0.5},
+    ]
+    found = judged(plan_of(20, require), table_of_runs([seen] * 15 + [blind, empty, empty, empty, empty]))
+    assert [each.outcome for each in found] == ["met"] * 3
+    assert [each.undefined for each in found] == [4, 4, 0]  # no encounter was in view: nobody's fault
+    assert [each.estimate for each in found] == [15 / 16, 15 / 16, 19 / 20] and found[1].nothing == 1

@@ -1,6 +1,6 @@
 """Share of approaches that are known, against the distance, by size of vessel, condition and tracker."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import pairwise, product
 
@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from modsim3d.campaign.plan import Case, Plan, key_columns
 from modsim3d.campaign.report.words import condition_cells, varying
-from modsim3d.campaign.verdicts.known_share import ApproachCounts
+from modsim3d.campaign.verdicts.known_share import ApproachCounts, counted_approaches
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.core.document import Beside, Block, Figure, Heading, Row, Table, Text
 from modsim3d.view.pages import charts
@@ -32,11 +32,11 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
         for condition, tracker in cases:
             found, _ = rows.approaches(Case(tracker, condition))
             sized = [[each for each in seed if low <= each["length_m"] < high] for seed in found]
-            counts = [ApproachCounts.at(distance, sized) for distance in distances]
+            counts = [counted_approaches(sized, distance) for distance in distances]
             label, values = plan.keys.trackers[tracker].label, condition_cells(plan, condition, keys)
             if any(each.came.sum() for each in counts):
                 cells.append((size, label, *values, *(f"{c.known.sum():.0f} of {c.came.sum():.0f}" for c in counts)))
-                curves[", ".join([label, *values])] = counts
+                curves[", ".join([label, *values])] = dict(zip(distances, counts, strict=True))
         drawn += [Figure(partial(_chart, size, curves), "")] if curves else []
     yield Heading("From where on vessels are known")
     yield Text(
@@ -49,10 +49,10 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
     yield Beside(drawn)
 
 
-def _chart(size: str, curves: Mapping[str, Sequence[ApproachCounts]]) -> str:
+def _chart(size: str, curves: Mapping[str, Mapping[float, ApproachCounts]]) -> str:
     axes, content = charts.Axes((0, 1.05 * DISTANCES_M[-1]), (0, 1.14)), ""
     for place, counts in enumerate(list(curves.values())[:MAX_CURVES]):
-        shown = [(c.distance_m, c.share) for c in counts if c.came.sum() >= MIN_APPROACHES]
+        shown = [(at_m, each.share) for at_m, each in counts.items() if each.came.sum() >= MIN_APPROACHES]
         x, y = np.array(shown, dtype=np.float64).reshape(-1, 2).T
         content += charts.line(axes, x, y, charts.colour_of(place))
     content += charts.key(list(curves)[:MAX_CURVES], axes.height - 38)

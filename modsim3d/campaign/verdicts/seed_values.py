@@ -135,10 +135,10 @@ class SeedRows:
 
     def approaches(self, case: Case) -> tuple[list[list[dict[str, Any]]], int]:
         """The approaches of each traffic seed, and the number of runs that crashed, of a case."""
-        if APPROACHES not in self._table.column_names:
-            return [[] for _ in range(self.seeds)], int(self._crashed[self._place(case)].sum())
-        texts = np.array(self._table[APPROACHES].to_pylist(), dtype=object).reshape(self._shape)[self._place(case)]
-        found = [[each for text in seed if text for each in orjson.loads(text)] for seed in texts]
+        there = APPROACHES in self._table.column_names
+        texts = self._table[APPROACHES].to_pylist() if there else [None] * len(self._table)
+        of_case = np.array(texts, dtype=object).reshape(self._shape)[self._place(case)]
+        found = [[each for text in seed if text for each in orjson.loads(text)] for seed in of_case]
         return found, int(self._crashed[self._place(case)].sum())
 
     def _place(self, case: Case) -> tuple[slice | int, ...]:

@@ -21,7 +21,7 @@ from modsim3d.campaign.verdicts.bounds import (
     mean_bounds,
     share_bounds,
 )
-from modsim3d.campaign.verdicts.known_share import ApproachCounts
+from modsim3d.campaign.verdicts.known_share import required_approaches
 from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
 from modsim3d.core.text import counted
@@ -220,13 +220,15 @@ def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case,
     """A verdict on the share of approaches that are known; each traffic seed is a cluster of them."""
     assert requirement.share is not None
     found, crashed = rows.approaches(case)
-    counts = ApproachCounts.of(requirement, found)
+    counts = required_approaches(requirement, found)
     bounds, alpha = UNKNOWN, 1 - requirement.confidence
     if done := rows.seeds == plan.keys.seeds.traffic and counts.share is not None:
         missed = counts.came - counts.known
         bounds = Bounds(clustered_low(counts.known, counts.came, alpha), 1 - clustered_low(missed, counts.came, alpha))
     outcome = _outcome(bounds.low >= requirement.share and not crashed, bounds.high < requirement.share)
-    why = f"{counts.text} in {counted(int(np.count_nonzero(counts.came)), 'traffic seed')}"
+    why = f"{counts.known.sum():,.0f} of {counts.came.sum():,.0f} approaches are known at {requirement.known_at_m:g} m"
+    why += f" ({counts.appeared_nearer:,} appeared nearer, {counts.never_so_near:,} never came so near)"
+    why += f" in {counted(int(np.count_nonzero(counts.came)), 'traffic seed')}"
     why += f"; {_between(bounds, requirement)}, with seeds as clusters." if done else "."
     if crashed:
         why += f" {counted(crashed, 'run')} crashed, whose approaches are not known: it cannot be met."

@@ -25,7 +25,7 @@ from modsim3d.tracking.scores.breakdown import BINS, Group
 from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
-from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, score_world
+from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, score_world
 from modsim3d.tracks.tracks import Similarity, WorldTracks
 
 APPROACHES = "approaches"
@@ -255,17 +255,25 @@ _FAMILIES = {
 _SEEN = ScoreFacts(expected="vessels")
 _OF_FOLLOWED = replace(_SEEN, managed=True, basis=Basis("the time in view", "followed_share"), without_tracks=None)
 _ESTABLISHED = replace(_SEEN, expected="encounters", worst_undefined=True, without_tracks=None)
+_IN_VIEW = replace(_SEEN, expected="cpa_in_view")
+_PREDICTED = Basis("encounters in view", "cpa_predicted", ("cpa_in_view",))
 _WORLD_FAMILIES = {
     "rmse_m rmse_m_s world_nees nees_velocity nees_state world_anees anees_velocity anees_state": _OF_FOLLOWED,
     "followed_share": replace(_SEEN, greatest=1.0),
-    "gospa_m gospa_missed_m vessels encounters": replace(_SEEN, without_tracks=None),
+    "gospa_m gospa_missed_m t_gospa_m t_gospa_missed_m vessels encounters": replace(_SEEN, without_tracks=None),
+    "ospa2_m": replace(_SEEN, greatest=IN_METRES.cutoff, without_tracks=None),
     "gospa_localisation_m gospa_false_m world_false_track_s": _SEEN,
+    "t_gospa_localisation_m t_gospa_false_m t_gospa_switch_m": _SEEN,
+    "cpa_right_share": replace(_IN_VIEW, greatest=1.0),
+    "cpa_error_m tcpa_error_s": replace(_IN_VIEW, managed=True, basis=_PREDICTED, without_tracks=None),
+    "cpa_in_view cpa_alarms_due cpa_missed_alarms": replace(_SEEN, without_tracks=None),
     "established_m established_m_lower established_m_upper": _ESTABLISHED,
     "time_left_s time_left_s_lower time_left_s_upper": _ESTABLISHED,
 }
 _WORLD_COUNTS = (
     *("pairs", "vessels", "world_established", "world_id_switches", "world_track_breaks", "world_false_tracks"),
-    *("encounters", "encounters_established"),
+    *("encounters", "encounters_established", "cpa_in_view", "cpa_predicted", "cpa_alarms_due"),
+    *("cpa_missed_alarms", "cpa_false_alarms", "cpa_ghost_alarms"),
 )
 WORLD_SCORES: dict[str, pa.DataType] = {
     name: pa.int64() if name in _WORLD_COUNTS else pa.float64()

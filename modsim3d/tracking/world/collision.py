@@ -162,14 +162,8 @@ def _true(following: WorldFollowing, times_s: Array, vessel: int) -> tuple[Array
 def _at_time(
     following: WorldFollowing, met: Sequence[MetVessel], found: _Predictions, left_s: float, rules: CpaRules
 ) -> CpaAtTime:
-    closest_m, seen_s, wanted_s = (
-        np.array(values, dtype=np.float64)
-        for values in (
-            [each.closest_m for each in met],
-            [each.seen_s for each in met],
-            [each.closest_s - left_s for each in met],
-        )
-    )
+    numbers = np.array([(each.closest_m, each.seen_s, each.closest_s - left_s) for each in met], dtype=np.float64)
+    closest_m, seen_s, wanted_s = numbers.reshape(-1, 3).T
     in_view = seen_s <= wanted_s
     step = np.searchsorted(following.truth.times_s, wanted_s, side="right") - 1
     here = in_view[found.encounter] & (found.step == step[found.encounter])
