@@ -32,7 +32,8 @@ MENU = {
     "Look at it": ["docs/pictures", "docs/report"],
     "The detector": ["docs/detector", "docs/learn", "docs/voyage", "docs/learned_models", "docs/conditions"],
     "Test a tracker": [
-        *("docs/track", "docs/trackers", "docs/track_files", "docs/score", "docs/scores", "docs/world_tracks"),
+        *("docs/track", "docs/trackers", "docs/tracker_command", "docs/track_files", "docs/score", "docs/scores"),
+        *("docs/world_tracks", "docs/closed_loop"),
         *("docs/export", "docs/stream", "docs/positions", "docs/ros", "docs/ais_out", "docs/labelled_video"),
     ],
     "Campaigns": [

@@ -59,11 +59,12 @@ TRACKER_INPUT = "tracker_input"
 def tracker_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
     """The detections of a camera, one line for each of its frames."""
     times_s = scene.times_s(block.first, block.stop)[part.steps - block.first]
-    return detection_lines(TrackerDetections.of(part.detections), scene.detector.labels, part.steps, times_s)
+    return detection_lines(part.detections, scene.detector.labels, part.steps, times_s)
 
 
-def detection_lines(found: TrackerDetections, labels: Sequence[str], steps: Indices, times_s: Array) -> bytes:
-    """Detections that a tracker may read, one line for each frame; steps and times have shape (S,)."""
+def detection_lines(detections: Detections, labels: Sequence[str], steps: Indices, times_s: Array) -> bytes:
+    """Detections as a tracker may read them, one line for each frame; steps and times have shape (S,)."""
+    found = TrackerDetections.of(detections)
     names = [b'],"label":' + orjson.dumps(label) + b',"confidence":' for label in labels]
     heads = [
         b'{"time_s":' + time_s + b',"step":' + step + b',"detections":['

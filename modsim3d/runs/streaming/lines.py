@@ -73,7 +73,7 @@ def step_lines(scene: Scene, *, one_by_one: bool) -> Iterator[StepLines]:
 
 
 def _lines_of(block: Block, scene: Scene, streams: Streams) -> Iterator[StepLines]:
-    attitudes = attitudes_of(scene, streams, block.first, block.stop)
+    attitudes = _attitudes(block, scene, streams)
     cameras = [
         (
             orjson.dumps(scene.cameras[part.camera].name),
@@ -90,25 +90,24 @@ def _lines_of(block: Block, scene: Scene, streams: Streams) -> Iterator[StepLine
             if step in lines
         ]
         if taken:
-            lines = tuple(with_camera(line, name, len(taken), known) for name, known, line in taken)
+            lines = tuple(_with_camera(line, name, len(taken), known) for name, known, line in taken)
         else:
             lines = (orjson.dumps({"frames_in_step": 0, "time_s": time_s, "step": step}) + b"\n",)
         yield StepLines(step, time_s, lines)
 
 
-def attitudes_of(scene: Scene, streams: Streams, first: int, stop: int) -> dict[str | None, list[bytes]]:
-    """Measured roll, pitch and heading at steps first to stop − 1, as JSON, of each vessel that carries a camera, by
-    its name."""
+def _attitudes(block: Block, scene: Scene, streams: Streams) -> dict[str | None, list[bytes]]:
+    """Measured roll, pitch and heading at each step, as JSON, of each vessel that carries a camera, by its name."""
     if not scene.own_ships:
         return {}
-    measured = measured_attitudes_at(scene, streams, first, stop)
+    measured = measured_attitudes_at(scene, streams, block.first, block.stop)
     return {
         scene.vessel_names[vessel]: [orjson.dumps(each) for each in measured[:, column].tolist()]
         for column, vessel in enumerate(scene.own_ships)
     }
 
 
-def with_camera(line: bytes, name: bytes, frames: int, attitude: bytes | None) -> bytes:
+def _with_camera(line: bytes, name: bytes, frames: int, attitude: bytes | None) -> bytes:
     """A line of `tracker_input_<camera>.jsonl` with what is known of the camera and the step before its keys."""
     on_board = b"" if attitude is None else b'"attitude_rad":%b,' % attitude
     return b'{"camera":%b,"frames_in_step":%d,%b' % (name, frames, on_board) + line[1:]

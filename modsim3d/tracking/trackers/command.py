@@ -4,11 +4,10 @@ them, and tracker_command.schema.json beside this file."""
 from __future__ import annotations
 
 import shutil
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import orjson
@@ -16,16 +15,12 @@ from pydantic import Field, ValidationError
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
-from modsim3d.core.random_streams import Streams
 from modsim3d.formats.writing.csv import rounded
 from modsim3d.io.coprocess import Coprocess, shown_line
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.validation import Number, Probability, Strict, describe
-from modsim3d.runs.camera_sequences import CameraSequence
-from modsim3d.runs.locating import Located
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.streaming.lines import attitudes_of, header_of, with_camera
-from modsim3d.runs.tracker_view import detection_lines
+from modsim3d.runs.streaming.lines import header_of
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.trackers.interface import TrackedFrame
 from modsim3d.tracking.trackers.world_input import facts_of, world_steps
@@ -112,16 +107,14 @@ class ImageAnswer(Strict):
     """The answer to a line, with tracks in images."""
 
     step: int
-    camera: str | None = None
+    camera: str | None = None  # that of a frame
     tracks: tuple[ImageTrack, ...]
 
 
-class WorldAnswer(Strict):
-    """The answer to a line, with tracks in the world."""
+class WorldAnswer(ImageAnswer):
+    """The same with tracks in the world."""
 
-    step: int
-    camera: str | None = None
-    tracks: tuple[WorldTrack, ...]
+    tracks: tuple[WorldTrack, ...]  # type: ignore[assignment]
 
 
 def parsed(model: type[Any], line: bytes) -> Any:
@@ -133,11 +126,20 @@ def parsed(model: type[Any], line: bytes) -> Any:
         raise ModsimError(f"it answered {shown_line(line)}: {'; '.join(problems[:3])}") from None
 
 
-def image_frame(tracks: Sequence[ImageTrack], labels: Sequence[str]) -> TrackedFrame:
-    """The tracks in one image. Raises ModsimError for a label that there is not."""
-    for each in tracks:
+def image_frames(answer: ImageAnswer, cameras: Sequence[str], labels: Sequence[str]) -> dict[str, TrackedFrame]:
+    """The tracks in the image of each camera of a line. Raises ModsimError for a label or a camera that there is
+    not."""
+    parts: dict[str, list[ImageTrack]] = {name: [] for name in cameras}
+    for each in answer.tracks:
         if each.label is not None and each.label not in labels:
             raise ModsimError(f"track {each.track}: there is no label '{each.label}'")
+        if (name := each.camera or answer.camera) not in parts:
+            raise ModsimError(f"track {each.track}: its camera must be {' or '.join(cameras)}, not {name}")
+        parts[name].append(each)
+    return {name: _image_frame(tracks, labels) for name, tracks in parts.items()}
+
+
+def _image_frame(tracks: Sequence[ImageTrack], labels: Sequence[str]) -> TrackedFrame:
     unknown = ((np.nan, np.nan), (np.nan, np.nan))
     return TrackedFrame(
         np.array([each.track for each in tracks], dtype=np.int64),
@@ -174,62 +176,29 @@ def header(scene: Scene, settings: Mapping[str, Any]) -> bytes:
     return _line({"protocol": PROTOCOL, **header_of(scene), **more})
 
 
-def frame_lines(scene: Scene, steps: int, sequences: Sequence[CameraSequence]) -> list[dict[int, bytes]]:
-    """The lines of the frames of each sequence by their steps: those of a stream."""
-    attitudes, taken = attitudes_of(scene, Streams(scene.seed), 0, steps), Counter[int]()
-    for each in sequences:
-        taken.update(each.steps.tolist())
-    found = []
-    for each in sequences:
-        name, known = orjson.dumps(each.camera.name), attitudes.get(each.camera.mount.vessel)
-        lines = detection_lines(each.detections, scene.detector.labels, each.steps, each.times_s).splitlines(True)
-        found.append(
-            {
-                step: with_camera(line, name, taken[step], None if known is None else known[step])
-                for step, line in zip(each.steps.tolist(), lines, strict=True)
-            }
-        )
-    return found
-
-
-_OF_FRAME = ("camera", "attitude_rad", "detections")
-"""Keys of a frame in the line of a step."""
-
-
-def image_step_line(step: int, time_s: float, lines: Sequence[bytes]) -> bytes:
-    """The line of a step from those of its frames."""
-    frames = [{key: value for key, value in orjson.loads(line).items() if key in _OF_FRAME} for line in lines]
-    return _line({"time_s": time_s, "step": step, "frames": frames})
-
-
-def world_lines(
-    each: WorldStep, scene: Scene, ais: list[AisReport], by_frame: bool
-) -> Iterator[tuple[str | None, bytes]]:
-    """The line of a step; or by frame the camera and the line of each frame. The reports that have arrived are in the
-    first line, and are taken off."""
+def lines_of(each: WorldStep, scene: Scene, choice: Choice, ais: list[AisReport]) -> Iterator[tuple[str | None, bytes]]:
+    """The line of a step, with None; or the line of each frame, that of a stream, with its camera. In the world they
+    have places, own ships and AIS too: reports that have arrived go into the first line, and are taken off `ais`."""
+    world, when = choice.tracks == "world", {"time_s": each.time_s, "step": each.step}
     carriers = {camera.name: camera.mount.vessel for camera in scene.cameras}
-    attitudes = {reading.vessel: reading.attitude_rad for reading in each.navigation}
-    frames = [_world_frame(frame, scene, attitudes.get(carriers[frame.camera] or "")) for frame in each.frames]
-    own = {reading.vessel: _rounded(reading, "vessel") for reading in each.navigation}
-    when = {"time_s": each.time_s, "step": each.step}
-    lines = [(None, {**when, "frames": frames})]
-    if by_frame:
-        lines = [(frame["camera"], {"frames_in_step": len(frames), **when, **frame}) for frame in frames]
+    attitudes = {reading.vessel: {"attitude_rad": reading.attitude_rad} for reading in each.navigation}
+    lines = list[tuple[str | None, dict[str, Any]]]()
+    frames = []
+    for frame in each.frames:
+        known = attitudes.get(carriers[frame.camera] or "", {})
+        place = {"position_m": rounded(frame.position_m)} if world else {}
+        detections = {"detections": _detections(frame, scene.detector.labels, world)}
+        first = {"camera": frame.camera, "frames_in_step": len(each.frames)}
+        lines.append((frame.camera, {**first, **known, **when, **place, **detections}))
+        frames.append({"camera": frame.camera, **known, **place, **detections})
+    if choice.answers == "steps":
+        lines = [(None, {**when, "frames": frames})] if frames or world else []
     for camera, content in lines:
-        yield camera, _line({**content, "ais": [_rounded(report) for report in ais], "own_ships": own})
-        ais.clear()
-
-
-def _world_frame(frame: WorldFrame, scene: Scene, attitude_rad: Array | None) -> dict[str, Any]:
-    sensed, labels = frame.sensed, scene.detector.labels
-    located = [_known(rounded(value)) for value in vars(frame.located).values()]
-    columns = sensed.boxes_px.tolist(), sensed.label.tolist(), sensed.confidence.tolist(), *located
-    detections = [
-        {"box_px": box, "label": labels[label], "confidence": confidence, **dict(zip(_LOCATED, values, strict=True))}
-        for box, label, confidence, *values in zip(*columns, strict=True)
-    ]
-    attitude = {} if attitude_rad is None else {"attitude_rad": attitude_rad}
-    return {"camera": frame.camera, **attitude, "position_m": rounded(frame.position_m), "detections": detections}
+        if world:
+            own = {reading.vessel: _fields(reading, "vessel") for reading in each.navigation}
+            content |= {"ais": [_fields(report) for report in ais], "own_ships": own}
+            ais.clear()
+        yield camera, _line(content)
 
 
 _LOCATED = (
@@ -237,7 +206,14 @@ _LOCATED = (
     *("position_m", "position_covariance_m2"),
 )
 """Keys of the fields of `Located`, in their order."""
-assert len(_LOCATED) == len(Located.__dataclass_fields__)
+
+
+def _detections(frame: WorldFrame, labels: Sequence[str], world: bool) -> list[dict[str, Any]]:
+    sensed, keys = frame.sensed, ("box_px", "label", "confidence", *(_LOCATED if world else ()))
+    located = [_known(rounded(value)) for value in vars(frame.located).values()] if world else []
+    named = [labels[label] for label in sensed.label.tolist()]
+    rows = zip(sensed.boxes_px.tolist(), named, sensed.confidence.tolist(), *located, strict=True)
+    return [dict(zip(keys, row, strict=True)) for row in rows]
 
 
 def _known(values: Array) -> list[Any]:
@@ -245,7 +221,7 @@ def _known(values: Array) -> list[Any]:
     return [each if np.isfinite(each).all() else None for each in values.tolist()]
 
 
-def _rounded(values: AisReport | Navigation, but: str = "") -> dict[str, Any]:
+def _fields(values: AisReport | Navigation, but: str = "") -> dict[str, Any]:
     """The fields that are not None."""
     said = {key: value for key, value in vars(values).items() if value is not None and key != but}
     return {key: rounded(value) if isinstance(value, np.ndarray) else value for key, value in said.items()}
@@ -269,64 +245,43 @@ class Exchange:
     def __init__(self, program: Coprocess, rows: RunRows) -> None:
         """Say nothing yet."""
         self._program, self._rows = program, rows
-        self._times_s = rows.scene.times_s(0, rows.steps).tolist()
         self.seconds: list[float] = []
         self.at = "at its start"
 
-    def begin(self, settings: Mapping[str, Any]) -> Choice:
-        """Tell it the first line. Raises ModsimError if it fails, or chooses what it is not given."""
-        choice: Choice = self._ask(Choice, header(self._rows.scene, settings))
+    def tracks(
+        self, settings: Mapping[str, Any], progress: Callable[[int], None]
+    ) -> list[WorldTrackedStep] | dict[str, list[TrackedFrame]]:
+        """Its tracks at each step, the last answer of several frames; or in the images of each camera, by its name.
+        Raises ModsimError if it fails, or answers what is wrong."""
+        scene, ais = self._rows.scene, list[AisReport]()
+        choice: Choice = self._ask(Choice, header(scene, settings))
         self.seconds.clear()
-        if choice.tracks == "world":
-            self._rows.scene.check_world("a tracker in the world")
-        return choice
-
-    def images(
-        self, sequences: Sequence[CameraSequence], by_frame: bool, progress: Callable[[int], None]
-    ) -> list[list[TrackedFrame]]:
-        """Its tracks in each frame of each sequence. Raises ModsimError if it fails, or answers what is wrong."""
-        rows, found = self._rows, [list[TrackedFrame]() for _ in sequences]
-        labels = rows.scene.detector.labels
-        lines = frame_lines(rows.scene, rows.steps, sequences)
-        for step in sorted({step for each in lines for step in each}):
-            taken = {sequences[place].camera.name: place for place, each in enumerate(lines) if step in each}
-            told = {name: lines[place][step] for name, place in taken.items()}
-            if by_frame:
-                tracks = {name: self._answer(ImageAnswer, line, step, name) for name, line in told.items()}
-            else:
-                line = image_step_line(step, self._times_s[step], list(told.values()))
-                every = self._answer(ImageAnswer, line, step, None)
-                if wrong := [each for each in every if each.camera not in taken]:
-                    self._refuse(f"track {wrong[0].track} has the camera '{wrong[0].camera}', not one of this step")
-                tracks = {name: [each for each in every if each.camera == name] for name in taken}
-            for name, place in taken.items():
-                found[place].append(self._made(partial(image_frame, tracks[name], labels)))
-            progress(len(taken))
-        return found
-
-    def world(self, by_frame: bool, progress: Callable[[int], None]) -> list[WorldTrackedStep]:
-        """Its tracks at each step; of several frames of a step the last answer. Raises as `images` does."""
-        found, ais = list[WorldTrackedStep](), list[AisReport]()
-        for each in world_steps(self._rows):
+        world, labels = choice.tracks == "world", scene.detector.labels
+        steps, images = list[WorldTrackedStep](), {camera.name: list[TrackedFrame]() for camera in scene.cameras}
+        for each in world_steps(self._rows, bare=not world):
             ais += each.ais
-            answer = WorldTrackedStep.empty()
-            for camera, line in world_lines(each, self._rows.scene, ais, by_frame):
-                answer = world_step_of(self._answer(WorldAnswer, line, each.step, camera))
-            found.append(answer)
+            step = WorldTrackedStep.empty()
+            for camera, line in lines_of(each, scene, choice, ais):
+                self.at = ("" if camera is None else f"camera '{camera}' ") + f"at {each.time_s:g} s"
+                answer = self._answer(WorldAnswer if world else ImageAnswer, line, each.step, camera)
+                if world:
+                    step = world_step_of(answer.tracks)
+                    continue
+                names = [frame.camera for frame in each.frames] if camera is None else [camera]
+                for name, frame in self._made(partial(image_frames, answer, names, labels)).items():
+                    images[name].append(frame)
+            steps.append(step)
             progress(len(each.frames))
-        return found
+        self.at = "at its end"
+        self._program.finish()
+        return steps if world else images
 
     def _answer(self, model: type[Any], line: bytes, step: int, camera: str | None) -> Any:
-        where = "" if camera is None else f"camera '{camera}' "
-        self.at = f"{where}at {self._times_s[step]:g} s"
         answer = self._ask(model, line)
         if (answer.step, answer.camera) != (step, camera):
-            asked, said = (
-                f"step {a}" + ("" if b is None else f" of camera '{b}'")
-                for a, b in ((step, camera), (answer.step, answer.camera))
-            )
-            self._refuse(f"it answered {said}, and was given {asked}")
-        return answer.tracks
+            said, given = (_name(*each) for each in ((answer.step, answer.camera), (step, camera)))
+            raise self._program.error(f"it answered {said}, and was given {given}")
+        return answer
 
     def _ask(self, model: type[Any], line: bytes) -> Any:
         answer = self._program.ask(line)
@@ -339,5 +294,6 @@ class Exchange:
         except ModsimError as error:
             raise self._program.error(str(error)) from None
 
-    def _refuse(self, problem: str) -> NoReturn:
-        raise self._program.error(problem)
+
+def _name(step: int, camera: str | None) -> str:
+    return f"step {step}" + ("" if camera is None else f" of camera '{camera}'")

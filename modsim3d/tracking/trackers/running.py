@@ -234,45 +234,29 @@ def run_tracker(named: NamedTracker, rows: RunRows, progress: Progress = lambda 
         feed = world_feed(named, rows)
         tracks = world_tracks_of(named.name, list(feed.answers(progress)), feed.times_s, feed.problem)
         return Tracked(tracks, np.array(feed.seconds))
-    cameras = tuple(range(len(rows.scene.cameras)))
-    sequences = sequences_of(rows, cameras)
     if isinstance(named.tracker, CommandTracker):
-        return _by_command(named, named.tracker, rows, sequences, progress)
-    return _in_images(named, sequences, cameras, rows.scene, progress)
+        return _by_command(named, named.tracker, rows, progress)
+    cameras = tuple(range(len(rows.scene.cameras)))
+    return _in_images(named, sequences_of(rows, cameras), cameras, rows.scene, progress)
 
 
-def _by_command(
-    named: NamedTracker, tracker: CommandTracker, rows: RunRows, sequences: Sequence[CameraSequence], progress: Progress
-) -> Tracked:
-    scene = rows.scene
+def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, progress: Progress) -> Tracked:
+    scene, cameras = rows.scene, tuple(range(len(rows.scene.cameras)))
     with Coprocess(tracker.program, tracker.command, tracker.folder, tracker.timeout_s) as program:
         exchange = Exchange(program, rows)
         try:
-            choice = exchange.begin(tracker.settings)
-            by_frame = choice.answers == "frames"
-            if choice.tracks == "world":
-                steps = exchange.world(by_frame, progress)
-            else:
-                frames = exchange.images(sequences, by_frame, progress)
-            exchange.at = "at its end"
-            program.finish()
+            found = exchange.tracks(tracker.settings, progress)
         except ModsimError as error:
             raise ModsimError(f"{named}: {exchange.at}: {error}") from error
-    seconds = np.array(exchange.seconds)
-    if choice.tracks == "world":
+    took = np.array(exchange.seconds), program.peak_memory_mb
+    if isinstance(found, list):
         times_s = scene.times_s(0, rows.steps)
-        tracks = world_tracks_of(named.name, steps, times_s, partial(_problem, named, times_s, ""))
-        return Tracked(tracks, seconds, program.peak_memory_mb)
-    found = []
-    for each, answers in zip(sequences, frames, strict=True):
-        problem = partial(_problem, named, each.times_s, f"camera '{each.camera.name}' ")
-        found.append(Answers(answers, camera_facts(each, scene), problem).numbered())
-    cameras = range(len(scene.cameras))
-    return Tracked(joined(found, sequences, cameras, len(scene.cameras)), seconds, program.peak_memory_mb)
-
-
-def _problem(named: NamedTracker, times_s: Array, where: str, at: int, text: str) -> ModsimError:
-    return ModsimError(f"{named}: {where}at {times_s[at]:g} s: {text}")
+        return Tracked(world_tracks_of(named.name, found, times_s, Feed(named, "", "step", times_s).problem), *took)
+    sequences, answers = sequences_of(rows, cameras), []
+    for each in sequences:
+        feed = Feed(named, f"camera '{each.camera.name}'", "frame", each.times_s)
+        answers.append(Answers(found[each.camera.name], camera_facts(each, scene), feed.problem).numbered())
+    return Tracked(joined(answers, sequences, cameras, len(cameras)), *took)
 
 
 def tracked(
@@ -360,8 +344,8 @@ class Feed:
         where: str,
         word: str,
         times_s: Array,
-        given: Iterable[Any],
-        start: Callable[[Iterator[Any]], Any],
+        given: Iterable[Any] = (),
+        start: Callable[[Iterator[Any]], Any] = iter,
     ) -> None:
         """Take what is given, a thing at each of some times; errors call it `word`, and say `where` it is."""
         self._named, self._where, self._word, self.times_s = named, where, word, times_s

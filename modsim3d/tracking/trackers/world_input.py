@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +14,6 @@ import pyais
 from modsim3d.core.arrays import Array
 from modsim3d.formats.writing.ais.log import EPOCH_S, NO_COURSE, NO_HEADING, NO_SPEED, NOWHERE, lines, reports
 from modsim3d.formats.writing.ais.sensors import stations
-from modsim3d.geometry.camera_poses import CameraPoses
 from modsim3d.geometry.kinematics import KNOT_M_S
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
 from modsim3d.runs.locating import Located, Viewpoints, locate
@@ -42,47 +41,43 @@ def facts_of(scene: Scene) -> WorldFacts:
     return WorldFacts(scene.cameras, tuple(scene.detector.labels), own_ships, scene.sea, scene.origin)
 
 
-@dataclass(frozen=True, eq=False)
-class _CameraInput:
-    """The frames of one camera, with the detections in the world."""
-
-    sequence: CameraSequence
-    sensed: list[SensedFrame]
-    located: list[Located]
-    poses: CameraPoses
-
-    @classmethod
-    def of(cls, scene: Scene, sequence: CameraSequence) -> _CameraInput:
-        steps, found, camera = sequence.steps, sequence.detections, sequence.camera
-        every = locate(scene, camera.name, steps[found.frame], found.boxes_px)
-        edges = np.searchsorted(found.frame, np.arange(len(steps) + 1)).tolist()
-        names = [each.name for each in fields(Located)]
-        located = [Located(*(getattr(every, name)[a:b] for name in names)) for a, b in pairwise(edges)]
-        poses = CameraPoses(np.empty((0, 3, 3)), np.empty((0, 3)))
-        if len(steps):
-            poses = Viewpoints.of(scene, camera, steps, measured=True).poses()
-        return cls(sequence, sensed_frames(sequence.times_s, found), located, poses)
-
-    def frame(self, row: int) -> WorldFrame:
-        pose = self.poses.positions_m[row], self.poses.camera_R_world[row]
-        return WorldFrame(self.sequence.camera.name, self.sensed[row], self.located[row], *pose)
-
-
-def world_steps(rows: RunRows) -> Iterator[WorldStep]:
-    """All steps of a run, in order. Raises ModsimError where the scene is one of labels, without places."""
+def world_steps(rows: RunRows, *, bare: bool = False) -> Iterator[WorldStep]:
+    """All steps of a run, in order; `bare` leaves out what a tracker of images is not given: places and AIS. Raises
+    ModsimError where the scene is one of labels, without places, and this is not bare."""
     scene, steps = rows.scene, rows.steps
-    scene.check_world("a tracker in the world")
-    cameras = [_CameraInput.of(scene, each) for each in sequences_of(rows, tuple(range(len(scene.cameras))))]
-    row_of = [{step: row for row, step in enumerate(each.sequence.steps.tolist())} for each in cameras]
+    if not bare:
+        scene.check_world("a tracker in the world")
+    cameras = sequences_of(rows, tuple(range(len(scene.cameras))))
+    frames: dict[int, list[WorldFrame]] = {}
+    for sequence in cameras:
+        for step, frame in zip(sequence.steps.tolist(), _frames(scene, sequence, bare), strict=True):
+            frames.setdefault(step, []).append(frame)
     own = own_ships_at(scene, 0, steps) if scene.own_ships else None
-    received, arrived = ais_reports(scene, steps), 0
+    received = deque([] if bare else ais_reports(scene, steps))
     for step, time_s in enumerate(scene.times_s(0, steps).tolist()):
-        first = arrived
-        while arrived < len(received) and received[arrived].received_s <= time_s:
-            arrived += 1
-        frames = tuple(each.frame(place[step]) for each, place in zip(cameras, row_of, strict=True) if step in place)
+        arrived = []
+        while received and received[0].received_s <= time_s:
+            arrived.append(received.popleft())
         readings = () if own is None else tuple(_readings(scene, own, step))
-        yield WorldStep(step, time_s, frames, tuple(received[first:arrived]), readings)
+        yield WorldStep(step, time_s, tuple(frames.get(step, ())), tuple(arrived), readings)
+
+
+def _frames(scene: Scene, sequence: CameraSequence, bare: bool) -> Iterator[WorldFrame]:
+    """The frames of one camera, with the detections in the world."""
+    steps, found, camera = sequence.steps, sequence.detections, sequence.camera
+    sensed = sensed_frames(sequence.times_s, found)
+    if bare or not len(steps):
+        yield from (WorldFrame(camera.name, each, _NOWHERE, np.empty(3), np.empty((3, 3))) for each in sensed)
+        return
+    every = vars(locate(scene, camera.name, steps[found.frame], found.boxes_px)).values()
+    poses = Viewpoints.of(scene, camera, steps, measured=True).poses()
+    edges = np.searchsorted(found.frame, np.arange(len(steps) + 1)).tolist()
+    for row, (each, (a, b)) in enumerate(zip(sensed, pairwise(edges), strict=True)):
+        located = Located(*(values[a:b] for values in every))
+        yield WorldFrame(camera.name, each, located, poses.positions_m[row], poses.camera_R_world[row])
+
+
+_NOWHERE = Located(*(np.empty(shape) for shape in (*[(0,)] * 5, (0, 2), (0, 2, 2))))
 
 
 def _readings(scene: Scene, own: OwnShips, step: int) -> Iterator[Navigation]:
