@@ -98,7 +98,7 @@ WORLD = {
     "established_m": ("Established at, m", 0),
 }
 """Scores in metres, with their headings and decimals."""
-WORLD_STEPS = 600
+WORLD_STEPS = 300
 """The most steps of a scene in metres: trackers in the world take some 10 ms a frame."""
 PARTS = ("detector", "perfect", "misses", "world")
 CENTRE_DIFFERENCES = "differences_centre"
@@ -355,7 +355,7 @@ def readme_table(data: dict[str, Any]) -> list[str]:
 def _world_seeds(world: dict[str, Any], scene: str) -> str:
     """The seeds of a table in metres."""
     if scene == DRAWN:
-        return f"{world['seeds']} traffic seeds with {world['looks']} detector seeds each"
+        return f"{world['seeds']} traffic seeds, detector seeds for each: {world['looks']}"
     return f"{world['other_looks']} detector seeds"
 
 
@@ -413,10 +413,10 @@ def page(data: dict[str, Any]) -> str:
         "tracker that smooths better may exceed them.",
         "",
         f"Tables *in the world* are in metres ([their scores](../world_tracks.md#the-scores)), over at most the first "
-        f"{WORLD_STEPS} steps of a scene: GOSPA has c = 50 m, and a track follows a vessel within 50 m. `world_gnn` and "
-        "`world_jpda` have no boxes, so they are in these tables alone. *Boxes on the sea* are those of a tracker of "
-        "images: each lies where the ray through its foot meets the sea, without velocity. A vessel that two cameras "
-        "see then has two tracks, which is one too many.",
+        f"{WORLD_STEPS} steps of a scene: GOSPA has c = 50 m, and a track follows a vessel within 50 m. `world_gnn` "
+        "and `world_jpda` have no boxes, so they are in these tables alone. *Boxes on the sea* are those of a tracker "
+        "of images: each lies where the ray through its foot meets the sea, without velocity. A vessel that two "
+        "cameras see then has two tracks, which is one too many.",
     ]
     for scene in data["scenes"]:
         over = (
