@@ -54,10 +54,11 @@ class Strict(BaseModel):
     """A section of an input file: unknown keys are errors, values cannot be changed.
 
     Attributes:
-        alternatives: Groups of keys of which only one may be there. Setting a key removes those of the other groups.
+        alternatives: Choices, each of groups of keys of which only one may be there. Setting a key that is in one
+            group only removes the keys of the other groups.
     """
 
-    alternatives: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    alternatives: ClassVar[tuple[tuple[tuple[str, ...], ...], ...]] = ()
 
     # Most models are never used in a process: each is built when it is, which takes as long as importing NumPy in all.
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)

@@ -26,6 +26,7 @@ from modsim3d.world.floating_vessels import GRAVITY_M_S2, STEEPEST
 from modsim3d.world.vessels import MeshName
 
 MAX_PX = 1e9  # far beyond any scene; squares and products do not overflow
+MIN_FOCAL_PX = 1e-3
 MAX_STEPS = 10_000_000
 MAX_SEED = 2**63 - 1
 
@@ -36,6 +37,7 @@ Interval = Annotated[float, Limits(allow_inf_nan=False, ge=1e-9, le=1e9)]
 Steps = Annotated[int, Limits(gt=0, le=MAX_STEPS)]
 Seed = Annotated[int, Limits(ge=0, le=MAX_SEED)]
 Vector = tuple[Metres, Metres, Metres]
+MatrixRows = tuple[tuple[Pixels, Pixels, Pixels], tuple[Pixels, Pixels, Pixels], tuple[Pixels, Pixels, Pixels]]
 Size = Annotated[float, Limits(allow_inf_nan=False, gt=0, le=MAX_COORDINATE_M)]
 TURN_RAD, RIGHT_ANGLE_RAD = 6.3, 1.58
 """A whole turn and a right angle, as people round them."""
@@ -63,20 +65,49 @@ def _roll(angle: float) -> float:
     return angle if abs(abs(angle) - math.pi) < 1e-3 else _tilt(angle)
 
 
+def _roll_deg(angle: float) -> float:
+    """Refuse what `_roll` refuses, in degrees."""
+    if abs(angle) > 90 and abs(abs(angle) - 180) > 0.05:
+        raise ValueError(f"{angle:g}° is more than a right angle, and not upside down (180)")
+    return angle
+
+
+def upper_triangular(matrix: MatrixRows) -> MatrixRows:
+    """Refuse what is no camera matrix."""
+    (fx, _, _), (low, fy, _), last = matrix
+    rows = "the rows are [fx, s, cx], [0, fy, cy] and [0, 0, 1]"
+    if min(fx, fy) < MIN_FOCAL_PX:
+        raise ValueError(f"has the focal lengths {fx:g} and {fy:g} px, which must be above 0: {rows}")
+    if low or last != (0, 0, 1):
+        turned = ", and this one is transposed" if not (matrix[0][1] or matrix[0][2] or matrix[1][2]) else ""
+        got = shown([list(row) for row in matrix])
+        raise ValueError(f"is not upper triangular with the last row 0 0 1: {rows}{turned} (got {got})")
+    return matrix
+
+
 Angle = Annotated[float, Limits(_radians, allow_inf_nan=False, ge=-MOST, le=MOST)]
 Tilt = Annotated[Number, AfterValidator(_tilt)]
 AngleSpread = Annotated[NotNegative, AfterValidator(_tilt)]
 MAX_IMAGE_SIDE_PX = 12_000
 ImageSide = Annotated[int, Limits(gt=0, le=MAX_IMAGE_SIDE_PX)]
+FocalPixels = Annotated[float, Limits(allow_inf_nan=False, ge=MIN_FOCAL_PX, le=MAX_PX)]
+FieldOfView = Annotated[float, Limits(allow_inf_nan=False, ge=0.01, le=179)]
+Matrix = Annotated[MatrixRows, AfterValidator(upper_triangular)]
+ANGLES = ("roll", "pitch", "yaw")
 
 
 class PoseKeys(Strict):
-    """A camera ashore: position in WCF, angles against the base pose."""
+    """A camera ashore: position in WCF, angles against the base pose, each in radians or in degrees."""
+
+    alternatives: ClassVar = tuple(((f"{angle}_rad",), (f"{angle}_deg",)) for angle in ANGLES)
 
     position_m: Vector
     roll_rad: Annotated[Number, AfterValidator(_roll)] = 0.0
     pitch_rad: Tilt = 0.0
     yaw_rad: Angle = 0.0
+    roll_deg: Annotated[Number, AfterValidator(_roll_deg)] | None = None
+    pitch_deg: Annotated[float, Limits(allow_inf_nan=False, ge=-90, le=90)] | None = None
+    yaw_deg: Annotated[float, Limits(allow_inf_nan=False, ge=-360, le=360)] | None = None
 
 
 class MountKeys(PoseKeys):
@@ -95,15 +126,32 @@ class DistortionKeys(Strict):
     k3: Number = 0.0
 
 
+_BESIDE = ("principal_point_px", "skew", "distortion")
+LENSES = (
+    ("focal_length_m", "pixel_size_m", *_BESIDE),
+    ("focal_px", *_BESIDE),
+    ("hfov_deg", *_BESIDE),
+    ("vfov_deg", *_BESIDE),
+    ("K", "distortion"),
+    ("calibration",),
+)
+"""The forms of a lens: the key that each is named by, and the keys that may stand beside it."""
+
+
 class CameraKeys(Strict):
-    """A camera: lens, sensor, and either `pose` or `mount`."""
+    """A camera: its lens in one of the forms, its image, and either `pose` or `mount`."""
 
-    alternatives: ClassVar = (("pose",), ("mount",))
+    alternatives: ClassVar = (LENSES, (("pose",), ("mount",)))
 
-    focal_length_m: Lens
-    pixel_size_m: tuple[Lens, Lens]
-    principal_point_px: tuple[Pixels, Pixels]
-    image_size_px: tuple[ImageSide, ImageSide]
+    focal_length_m: Lens | None = None
+    pixel_size_m: tuple[Lens, Lens] | None = None
+    focal_px: tuple[FocalPixels, FocalPixels] | None = None
+    hfov_deg: FieldOfView | None = None
+    vfov_deg: FieldOfView | None = None
+    K: Matrix | None = None
+    calibration: str | None = None
+    principal_point_px: tuple[Pixels, Pixels] | None = None
+    image_size_px: tuple[ImageSide, ImageSide] | None = None
     skew: Pixels = 0.0
     near_clip_m: NearClip = 0.1
     distortion: DistortionKeys | None = None
@@ -148,9 +196,11 @@ class WavesKeys(Strict):
     """Waves: a named level, the coefficients of each axis, or a spectrum."""
 
     alternatives: ClassVar = (
-        ("level",),
-        ("roll", "pitch", "yaw"),
-        ("spectrum", "significant_height_m", "peak_period_s", "direction_rad", "peakedness"),
+        (
+            ("level",),
+            ANGLES,
+            ("spectrum", "significant_height_m", "peak_period_s", "direction_rad", "peakedness"),
+        ),
     )
 
     level: str | None = None

@@ -19,6 +19,7 @@ from modsim3d.detector.model import DetectorModel
 from modsim3d.io.plugins import Plugin
 from modsim3d.io.validation import MOST_PROBLEMS, describe, join_path, nearest
 from modsim3d.scene.keys import OF_LABELS, LabelledSceneKeys, ObstacleKeys, SceneKeys
+from modsim3d.scene.lens import form_problems, resolved
 from modsim3d.scene.settings import Setting, Settings
 from modsim3d.world.bodies import Obstacle, extruded, placed
 from modsim3d.world.mesh_reading import load_mesh, shipped_meshes
@@ -205,6 +206,7 @@ class SceneParts:
         self.folder = path.resolve().parent
         self.problems: list[str] = []  # every problem, one line each
         self.meshes = SceneMeshes()
+        self.calibrations: list[Path] = []  # files that cameras name
         self.keys = self._keys()
         self.vessels_at = self._vessels_at()
         self.vessel_entries = self._vessel_entries()  # as in their file
@@ -238,7 +240,8 @@ class SceneParts:
     def read(self) -> tuple[Path, ...]:
         """The scene file, and the files of vessels and poses that it names."""
         entry, files = self.data.get("vessels"), self.source.keys.files if self.source else ()
-        return (self.path, *(self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files]))
+        named = (self.folder / file for file in ([entry] if isinstance(entry, str) else []) + [*files])
+        return (self.path, *named, *self.calibrations)
 
     @property
     def labelled(self) -> bool:
@@ -281,11 +284,30 @@ class SceneParts:
                 for name in cameras
                 if not CAMERA_NAME.fullmatch(str(name))
             ]
+            for name, camera in cameras.items():
+                if isinstance(camera, dict):
+                    self.problems += [f"cameras.{name}{problem}" for problem in form_problems(camera)]
+        keys = self._validated(model)
+        return keys if self.problems or keys is None else self._with_lenses(keys)
+
+    def _validated(self, model: type[SceneKeys]) -> SceneKeys | None:
         try:
             return model.model_validate(self.data)
         except ValidationError as error:
             self.problems += [problem.removeprefix(": ") for problem in describe(error, model)]
             return None
+
+    def _with_lenses(self, keys: SceneKeys) -> SceneKeys | None:
+        """The keys, with cameras in the one form that a copy of the scene has, which the data get too."""
+        given, cameras = self.data["cameras"], {}
+        for name, camera in keys.cameras.items():
+            if camera.calibration is not None:
+                self.calibrations.append(self.folder / camera.calibration)
+            cameras[name] = self._collect(partial(resolved, name, given[name], camera, self.folder))
+        if self.problems or cameras == given:
+            return None if self.problems else keys
+        self.data = {**self.data, "cameras": cameras}
+        return self._validated(type(keys))
 
     def _vessels_at(self) -> _Location:
         entry = self.data.get("vessels")

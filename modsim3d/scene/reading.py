@@ -19,7 +19,7 @@ from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_json, load_yaml
 from modsim3d.io.validation import kind_of, nearest, shown
 from modsim3d.scene.copy import copy_scene
-from modsim3d.scene.keys import MAX_STEPS, Ais, CameraKeys, WavesKeys
+from modsim3d.scene.keys import ANGLES, MAX_STEPS, Ais, CameraKeys, WavesKeys
 from modsim3d.scene.parts import SCENE_FILE, SceneParts, title_of
 from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import replacing, settings_of, state_settings
@@ -289,17 +289,15 @@ def assembled(parts: SceneParts) -> Scene:
 
 def _camera(name: str, keys: CameraKeys) -> Camera:
     coefficients = keys.distortion.model_dump() if keys.distortion else {}
-    intrinsics = Intrinsics.from_lens(
-        keys.focal_length_m,
-        keys.pixel_size_m,
-        keys.principal_point_px,
-        keys.image_size_px,
-        keys.skew,
-        keys.near_clip_m,
-        Distortion(**coefficients) if any(coefficients.values()) else None,  # a pinhole's are all zero
-    )
+    distortion = Distortion(**coefficients) if any(coefficients.values()) else None  # a pinhole's are all zero
+    point, size = keys.principal_point_px or (0.0, 0.0), keys.image_size_px or (0, 0)  # which `resolved` has given
+    rest = point, size, keys.skew, keys.near_clip_m, distortion
+    if keys.focal_px is not None:
+        intrinsics = Intrinsics(keys.focal_px, *rest)
+    else:
+        intrinsics = Intrinsics.from_lens(keys.focal_length_m or 0.0, keys.pixel_size_m or (0.0, 0.0), *rest)
     place = keys.mount or keys.pose
-    values: Mapping[str, Any] = place.model_dump() if place is not None else {}
+    values: Mapping[str, Any] = {} if place is None else place.model_dump(exclude={f"{each}_deg" for each in ANGLES})
     return Camera(name, intrinsics, Mount(**values), keys.frame_rate_hz, keys.start_offset_s)
 
 

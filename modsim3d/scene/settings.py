@@ -219,9 +219,13 @@ def _check_new(
 
 def _others(model: type[BaseModel] | None, key: str) -> set[str]:
     """The keys that a key replaces."""
-    groups: tuple[tuple[str, ...], ...] = getattr(model, "alternatives", ())
-    own = {name for group in groups if key in group for name in group}
-    return {name for group in groups for name in group} - own if own else set()
+    choices: tuple[tuple[tuple[str, ...], ...], ...] = getattr(model, "alternatives", ())
+    replaced: set[str] = set()
+    for groups in choices:
+        own = [group for group in groups if key in group]
+        if len(own) == 1:
+            replaced |= {name for group in groups for name in group}.difference(own[0])
+    return replaced
 
 
 # ---- A detector by its file or condition, with settings ----

@@ -258,7 +258,7 @@ def _quantiles(value: list[float]) -> list[float]:
 class ScoreSection(Strict):
     """A distribution of confidence: normal, or by its quantiles."""
 
-    alternatives: ClassVar = (("mean", "std"), ("quantiles",))
+    alternatives: ClassVar = ((("mean", "std"), ("quantiles",)),)
 
     mean: Number | None = None
     std: NotNegative | None = None
@@ -302,7 +302,7 @@ Curve = Annotated[
 class ConfidenceKeys(Strict):
     """Confidence: one normal distribution, two of any kind, or a precision-recall curve."""
 
-    alternatives: ClassVar = (("mean", "std"), ("true", "false"), ("precision_recall",))
+    alternatives: ClassVar = ((("mean", "std"), ("true", "false"), ("precision_recall",)),)
 
     # Beyond 1 where nearly all are clipped; far beyond, they are in per cent.
     mean: Annotated[float, Field(ge=-10, le=10)] | None = None

@@ -336,7 +336,14 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
     posed["position_m"] = [along, port, up + values["height_m"]]
     for name in ("roll", "pitch", "yaw"):
         posed[f"{name}_rad"] = posed.get(f"{name}_rad", 0.0) + float(np.radians(values[f"{name}_deg"]))
-    changed = {**keys, place: posed, "focal_length_m": keys["focal_length_m"] * (1 + values["focal_share"])}
+    share = 1 + values["focal_share"]
+    in_px = "focal_px" in keys
+    focal = (
+        {"focal_px": [share * f for f in keys["focal_px"]]}
+        if in_px
+        else {"focal_length_m": keys["focal_length_m"] * share}
+    )
+    changed = {**keys, place: posed, **focal}
     if values["k1"]:
         bent = dict(keys.get("distortion") or {})
         changed["distortion"] = bent | {"k1": bent.get("k1", 0.0) + values["k1"]}
