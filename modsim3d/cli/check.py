@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,6 +16,7 @@ from modsim3d.cli.shared import option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_document, print_table
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.text import listed
 
 if TYPE_CHECKING:
     from modsim3d.detector.model import DetectorModel
@@ -29,37 +31,66 @@ def check_scene_command(
     settings: shared.SetOption = None,
     state: shared.StateOption = None,
     state_from: shared.FromOption = None,
+    out: Annotated[
+        Path | None,
+        option("FILE", "File to draw a map of the scene in.", "--out", "--map", show_default="nothing drawn"),
+    ] = None,
+    overwrite: shared.OverwriteOption = False,
     quiet: shared.QuietOption = False,
     verbose: shared.VerboseOption = False,
     json: shared.JsonOption = False,
 ) -> None:
-    """Read a scene, a campaign or a detector with every file that it names, and list everything that is wrong.
+    """Read a scene, a campaign or a detector with every file that it names; list what is wrong, and what it means.
 
-    Warns of cameras that see no vessel in their first frames, nor in some others over the whole scene, and of
-    vessels for which drawn traffic has no room, of meshes that do not fit their vessels, and of keys of the detector
-    file that nothing reads.
+    Shows each camera at the first step, each kind of vessel, and the detector's states. Warns of what is probably not
+    meant: cameras that see no vessel, paths through obstacles, vessels in one place, sizes and speeds that no vessel
+    has, meshes that do not fit, keys that nothing reads.
 
-    Example: modsim3d check scene strait
+    Example: modsim3d check scene strait --map strait.png
     """
     from modsim3d.runs.camera_sequences import blind_at_first
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
+    from modsim3d.scene.summary import camera_facts, doubts, sampled_tracks, vessel_types
 
     if (kind := _kind_of_file(scene)) != "scene":
-        if settings or state or state_from is not None:
-            raise ModsimError(f"--set, --state and --from are for scenes, and {scene} is a {kind}")
+        if settings or state or state_from is not None or out is not None:
+            raise ModsimError(f"--set, --state, --from and --map are for scenes, and {scene} is a {kind}")
         (_check_campaign if kind == "campaign" else _check_detector)(Path(scene))
         return
     with timed("reading the scene"):
         loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
     tell_files(loaded.copy.read)
-    console = open_console()
-    warnings = [*scene_warnings(loaded), *blind_at_first(loaded)]
-    shared.print_line(console, f"{loaded.path}: {_found(warnings)}")
-    print_table(console, "", _rows(loaded))
+    with timed("looking at it"):
+        tracks = sampled_tracks(loaded)
+        warnings = [*scene_warnings(loaded), *blind_at_first(loaded), *doubts(loaded, tracks)]
+    drawn = None if out is None else _draw_map(loaded, out, overwrite)
+    cameras, types = camera_facts(loaded), vessel_types(loaded, tracks)
+    shared.print_line(open_console(), f"{loaded.path}: {_found(warnings)}")
+    print_table(open_console(), "", _rows(loaded, [*map(str, cameras)], [*map(str, types)]))
     for warning in warnings:
         warn(warning)
-    say_json(_check_json(loaded, warnings))
+    if drawn is not None:
+        shared.print_path(open_console(), "map", drawn)
+    facts = {"camera_facts": [asdict(each) for each in cameras], "vessel_types": [asdict(each) for each in types]}
+    say_json({**_check_json(loaded, warnings), **facts, "states": _state_facts(loaded.detector), "map": drawn})
+
+
+def _draw_map(scene: Scene, out: Path, overwrite: bool) -> Path:
+    """Draw the scene from above at its first step, and return the file."""
+    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.view.films.plan import WIDTH_PX
+    from modsim3d.view.map_marks import BirdsEye
+    from modsim3d.view.map_picture import check_map, save_map
+
+    if scene.live:
+        raise ModsimError(
+            "--map: poses come in live, so it is not known yet where vessels are: draw a run with view map"
+        )
+    path = shared.out_file(out, Path(f"{scene.name}.png"))
+    check_map(path)
+    with claimed([path], overwrite=overwrite, inputs=scene.copy.read), timed("map"):
+        return save_map(BirdsEye(scene, scene.steps, tuple(range(len(scene.cameras)))), 0, path, WIDTH_PX)
 
 
 def _kind_of_file(name: str) -> str:
@@ -77,10 +108,14 @@ def _kind_of_file(name: str) -> str:
 
 def _check_campaign(path: Path) -> None:
     from modsim3d.cli.campaign_run import introduced, read
+    from modsim3d.cli.campaign_text import requirement_in_words
 
     found = read(str(path))
-    warnings = introduced(found)
-    say_json({"format": 1, "command": "check scene", "path": path, "runs": len(found.plan), "warnings": warnings})
+    warnings, keys = introduced(found), found.file.keys
+    said = {"trackers": [each.label for each in keys.trackers], "required": [*map(requirement_in_words, keys.require)]}
+    say_json(
+        {"format": 1, "command": "check scene", "path": path, "runs": len(found.plan), **said, "warnings": warnings}
+    )
 
 
 def _check_detector(path: Path) -> None:
@@ -93,18 +128,23 @@ def _check_detector(path: Path) -> None:
     print_table(open_console(), "", _state_rows(detector))
     for warning in warnings:
         warn(warning)
-    say_json({"format": 1, "command": "check scene", "path": path, "labels": detector.labels, "warnings": warnings})
+    said = {"format": 1, "command": "check scene", "path": path, "labels": detector.labels}
+    say_json({**said, "states": _state_facts(detector), "warnings": warnings})
 
 
 def _found(warnings: list[str]) -> str:
     return f"no errors, {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else "no problems found"
 
 
-def _rows(scene: Scene) -> list[tuple[str, str]]:
+def _rows(scene: Scene, cameras: list[str], types: list[str]) -> list[tuple[str, str]]:
     drawn = f", {scene.drawn_vessels} of them drawn" if scene.drawn_vessels else ""
+    obstacles = [("obstacles", f"{len(scene.obstacles)}: {listed([each.name for each in scene.obstacles])}")]
     return [
         ("vessels", f"{len(scene.vessels)}{drawn}"),
-        ("cameras", f"{len(scene.cameras)}: {', '.join(camera.name for camera in scene.cameras)}"),
+        *(("", each) for each in types),
+        ("cameras", f"{len(scene.cameras)}{', at the first step:' if cameras else ''}"),
+        *(("", each) for each in cameras),
+        *(obstacles if scene.obstacles else ()),
         ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
         ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
@@ -112,13 +152,30 @@ def _rows(scene: Scene) -> list[tuple[str, str]]:
     ]
 
 
+def _state_facts(detector: DetectorModel) -> list[dict[str, Any]]:
+    """Mean miss rate of the labels and false alarms of each state: in an image, or, where they follow the vessels, for
+    each vessel detected in one."""
+    shares, facts = detector.stationary_shares, []
+    for state in detector.states:
+        rate = state.false_discovery_rate
+        alarms = state.false_positives_per_image if math.isnan(rate) else rate / (1 - rate)
+        miss = float(state.confusion[-1].mean())
+        facts.append({"name": state.name, "share": shares.get(state.name), "miss_rate": miss, "false_alarms": alarms})
+    return facts
+
+
 def _state_rows(detector: DetectorModel) -> list[tuple[str, str]]:
-    shares = detector.stationary_shares
-    if len(shares) < 2:
-        return []
-    unforced = ", while no schedule forces one" if detector.performance.schedule else ""
-    named = ", ".join(f"{state} {share:.1%}" for state, share in shares.items())
-    return [("states", f"in the long run {named}{unforced}")]
+    shares, facts, rows, mean = detector.stationary_shares, _state_facts(detector), [], ""
+    if len(shares) > 1:
+        unforced = ", while no schedule forces one" if detector.performance.schedule else ""
+        named = ", ".join(f"{state} {share:.1%}" for state, share in shares.items())
+        rows.append(("states", f"in the long run {named}{unforced}"))
+        mean = f", {sum(each['share'] * each['miss_rate'] for each in facts):.1%} in the long run"
+    missed = ", ".join(f"{each['name']} {each['miss_rate']:.1%}" for each in facts)
+    alarms = ", ".join(f"{each['name']} {each['false_alarms']:.2g}" for each in facts)
+    empty = detector.false_positives.numbers.empty_frames
+    per = "an image" if empty else "for each vessel detected in an image"
+    return [*rows, ("missed", f"{missed}{mean}"), ("false alarms", f"{alarms} {per}")]
 
 
 def _check_json(scene: Scene, warnings: list[str]) -> dict[str, Any]:

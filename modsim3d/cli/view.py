@@ -235,15 +235,13 @@ def view_map_command(
     from modsim3d.runs.selection import find_step, select_cameras, times_of
     from modsim3d.view.films.plan import WIDTH_PX
     from modsim3d.view.map_marks import BirdsEye
-    from modsim3d.view.map_picture import FORMATS, check_matplotlib, save_map
+    from modsim3d.view.map_picture import check_map, save_map
 
     opened = _opened(run, None)
     cameras = select_cameras(opened, camera or [])
     shown = len(times_of(opened)) - 1 if step is None else find_step(opened, step)
     path = shared.out_file(out, opened.folder / f"map_{shown:06d}.png")
-    if path.suffix.lower() not in FORMATS:
-        raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
-    check_matplotlib()
+    check_map(path)
     with _claimed_file(path, opened, overwrite), timed("map"):
         _say_what_there_is(opened)
         say(f"map  {save_map(BirdsEye(opened.scene, opened.steps, cameras), shown, path, width or WIDTH_PX)}")

@@ -11,9 +11,8 @@ from modsim3d.scene.keys import ANGLES, LENSES, CameraKeys, MatrixRows
 
 HALF_PX = 0.5
 """OpenCV's K counts from the centre of the first pixel, where the image here begins at that pixel's edge."""
-OFF_CENTRE, CENTRAL = 0.25, 0.1
-"""Distances of a principal point from the middle, as shares of the sides: more than the first is strange, and less than
-the second is usual."""
+OFF_CENTRE = 0.12
+"""A principal point that is farther from the middle, as a share of a side, is strange; of 5 : 4 swapped it is 0.125."""
 _FORMS = tuple(form for form, *_ in LENSES)
 
 
@@ -47,7 +46,7 @@ def point_problem(point_px: tuple[float, float], image_size_px: tuple[int, int])
     off = max(abs(at / side - 0.5) for at, side in zip(point_px, image_size_px, strict=True))
     turned = max(abs(at / side - 0.5) for at, side in zip(point_px, (height, width), strict=True))
     said = f"the principal point ({point_px[0]:g}, {point_px[1]:g}) is "
-    if off > OFF_CENTRE and turned < CENTRAL:
+    if off > OFF_CENTRE and turned < off / 3:
         return f"{said}in the middle of {height} × {width}, not of {width} × {height}: swap width and height"
     return f"{said}outside the image of {width} × {height}: give both for the same image" if off >= 0.5 else ""
 

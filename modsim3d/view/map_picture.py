@@ -32,6 +32,15 @@ def check_matplotlib() -> None:
         raise ModsimError("maps need matplotlib: pip install 'modsim3d[view]'") from None
 
 
+def check_map(path: Path) -> None:
+    """Raise a ModsimError if no map can be written to a path: for its ending, its folder, or want of matplotlib."""
+    if path.suffix.lower() not in FORMATS:
+        raise ModsimError(f"{path}: the name of a map must end in {', '.join(FORMATS)}")
+    if not path.parent.is_dir():
+        raise ModsimError(f"{path.parent} does not exist")
+    check_matplotlib()
+
+
 class Map:
     """A map whose vessels and cameras can be moved to any step of a run; `sheet` holds the axes of its `figure`."""
 
