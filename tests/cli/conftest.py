@@ -51,7 +51,7 @@ def run(tmp_path_factory: pytest.TempPathFactory, scene: Path) -> Path:
     return folder
 
 
-WITHOUT_OVERWRITE = ("check scene", "scenes", "check repeat")
+WITHOUT_OVERWRITE = ("scenes", "check repeat")
 
 
 @pytest.fixture

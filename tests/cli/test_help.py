@@ -107,7 +107,7 @@ def test_out_has_one_meaning_options_say_their_name_and_learn_names_what_can_be_
     metavars = {name: p.metavar for name, p in OPTIONS if p.name == "out"}
     folders = ("run", "detect", "ais", "check truth", "check run", "export", "track", "score", "campaign run")
     files = ("learn", "learn-voyage", "report", "view film", "view frame", "view map", "campaign table")
-    files += ("campaign report",)
+    files += ("campaign report", "check scene")
     assert metavars == {**dict.fromkeys(folders, "DIR"), **dict.fromkeys(files, "FILE"), "campaign reproduce": "RUN"}
     # Typer 0.27 takes the metavar for the name of an option without one: `--SOURCE` for `--source`.
     unnamed = []

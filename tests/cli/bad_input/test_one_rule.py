@@ -259,7 +259,7 @@ def test_commands_that_write_nothing_write_nothing(run: Path, call: Call, tmp_pa
     monkeypatch.chdir(tmp_path)
     small_campaign(tmp_path)
     before = content(tmp_path)
-    lines = {"check scene": ("scene.yaml",), "scenes": (), "check repeat": ("run",)}
+    lines = {"scenes": (), "check repeat": ("run",)}
     lines |= {"stream": ("scene.yaml", "--steps", 3), "campaign status": ("campaign",), "campaign plan": ("example",)}
     assert call(*name.split(), *lines[name])[0] == 0
     assert content(tmp_path) == before

@@ -37,6 +37,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     "report": ("page.html", lambda run, out: ("report", run, "--out", out)),
     "export: rerun": ("run.rrd", lambda run, out: ("export", run, "--format", "rerun", "--out", out.parent)),
     "check run": ("verify.json", lambda run, out: ("check", "run", run, "--out", out.parent)),
+    "check scene": ("map.png", lambda run, out: ("check", "scene", scene_file(run), "--map", out)),
     "check truth": ("compare.html", lambda run, out: ("check", "truth", scene_file(run), "--out", out.parent)),
     "export": ("dt.json", lambda run, out: ("export", run, "--format", "coco", "--out", out.parent)),
     "export: ais": ("ais.nmea", lambda run, out: ("export", run, "--format", "ais", "--out", out.parent)),
@@ -62,6 +63,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
 TRACKS = "step,track,x_min_px,y_min_px,x_max_px,y_max_px\n5,1,100,100,120,110\n"
 """Tracks of somebody's own, which `score` reads from `tracks.csv` beside the run."""
 INPUTS: dict[str, Callable[[Path], Path]] = {
+    "check scene": scene_file,
     "check truth": scene_file,
     "learn: guess": lambda run: run / "scene" / "detector.yaml",
     "campaign table": lambda run: small_campaign(run.parent) / "plan.json",
@@ -70,12 +72,12 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
 """A file in the run that a command reads which does not read the run itself."""
 FOLDER_WRITERS = ("run", "detect", "ais", "campaign reproduce")
 """Those that write a folder of their own, which they alone recognise."""
-NO_DEFAULT = ("check truth", "score", "campaign table", "campaign report")
+NO_DEFAULT = ("check scene", "check truth", "score", "campaign table", "campaign report")
 CONTINUING = ("campaign run",)
 """Those that go on with a folder of their own and never replace one, so that they have no `--overwrite`."""
 INTO_RUNS = ("view sheet",)
 """Those that write into the run that they are given, and nowhere else."""
-NO_WRITERS = ("check scene", "scenes", "check repeat", "stream", "campaign status", "campaign plan")
+NO_WRITERS = ("scenes", "check repeat", "stream", "campaign status", "campaign plan")
 DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]] = {
     "report": (("report.html",), lambda run: ("report", run)),
     "check run": (("verify.json", "verify.html"), lambda run: ("check", "run", run)),

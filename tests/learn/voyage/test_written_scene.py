@@ -97,6 +97,24 @@ def test_the_folder_is_a_scene_with_all_that_ais_knows(log: Path, written: Path)
     }
 
 
+LENSES = {
+    "view": {"hfov_deg": 50},
+    "matrix": {"K": [[1400, 0, 960], [0, 1400, 540], [0, 0, 1]]},
+    "pixels": {"focal_px": [1400, 1300]},
+}
+
+
+@pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
+def test_the_focal_length_of_each_form_of_a_lens_is_registered(
+    log: Path, first: Registered, tmp_path: Path, lens
+) -> None:
+    was = load_scene(log.parent / "ais", settings={f"cameras.shore.{key}": value for key, value in lens.items()})
+    write_files(scene_files(was, [first], tmp_path))
+    before, after = (scene.cameras[0].intrinsics.focal_px for scene in (was, load_scene(tmp_path)))
+    share = 1 + first.registration.values["focal_share"]
+    assert share != 1 and after == pytest.approx((share * before[0], share * before[1]))
+
+
 def test_the_clock_is_added_to_a_file_beside_a_run_and_not_to_the_run_unless_its_note_is_wrong(log, written, tmp_path):
     """Whose times are the scene's own."""
     scene, run = load_scene(written), written.parent / "run"
