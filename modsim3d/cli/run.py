@@ -77,6 +77,7 @@ def run_json(command: str, scene: Scene, result: RunResult, sheet: bool) -> dict
         "traffic_seed": scene.traffic_seed,
         "counts": asdict(result.counts),
         **asdict(result),
+        "iou": result.iou._asdict(),
         "contact_sheet": result.folder / "contact_sheet.png" if sheet else None,
         "warnings": run_summary.run_warnings(scene, result),
     }

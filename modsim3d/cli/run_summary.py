@@ -76,6 +76,9 @@ def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     counts, cameras = result.counts, len(scene.cameras)
     many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
     rows = [("frames", str(counts.frames), many), *vessel_rows(counts), *detection_rows(counts)]
+    if counts.true_detections:
+        iou = result.iou
+        rows.append(("mean IoU", f"{iou.mean:.3f}", f"of true detections with their vessels; median {iou.median:.3f}"))
     rows += _bias_rows(result) + gate_rows(counts)
     return rows + _check_rows(scene, result.checked) + _time_rows(result)
 

@@ -1,5 +1,7 @@
 """Boxes as x_min, y_min, x_max, y_max in pixels, along the last axis. No function writes to its arguments."""
 
+from typing import NamedTuple, Self
+
 import numpy as np
 
 from modsim3d.core.arrays import Array, Mask
@@ -82,6 +84,25 @@ def iou(a_px: Array, b_px: Array) -> Array:
     common = intersections(a_px, b_px)
     together = areas(a_px) + areas(b_px) - common
     return common / np.where(together > 0, together, 1.0)
+
+
+class Overlaps(NamedTuple):
+    """How well detected boxes lie on those of their vessels, in IoU; NaN of none."""
+
+    mean: float
+    median: float
+    below_half: float  # share with less than 0.5, which an evaluation by IoU counts as missed, and as false
+
+    @classmethod
+    def of(cls, overlap: Array) -> Self:
+        """Of some IoU, shape (n,)."""
+        if not len(overlap):
+            return cls(*[np.nan] * 3)
+        return cls(float(overlap.mean()), float(np.median(overlap)), float((overlap < 0.5).mean()))
+
+    def __str__(self) -> str:
+        """The numbers in words."""
+        return f"mean {self.mean:.3f}, median {self.median:.3f}, {100 * self.below_half:.1f} % below 0.5"
 
 
 def unions(a_px: Array, b_px: Array) -> Array:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from modsim3d.core.boxes import Overlaps, iou
 from modsim3d.core.text import counted, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
@@ -107,6 +108,13 @@ def lead(report: LearnReport) -> str:
         f"matched by {report.matched_by}, {counted}; "
         f"{report.level:.0%} intervals by bootstrap over {learned.units[None]} {drawn}."
     )
+
+
+def overlaps(report: LearnReport) -> Overlaps:
+    """IoU of the matches."""
+    found, annotation = report.learned.observed.matched.pairs
+    labelled = report.labelled
+    return Overlaps.of(iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]))
 
 
 # ---- What was learned, from what and how well, in a few sentences and numbers ----

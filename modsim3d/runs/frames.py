@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
-from modsim3d.core.boxes import centre_form
+from modsim3d.core.boxes import centre_form, iou
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import column_table, counted, listed
 from modsim3d.detector.records import FALSE_KINDS, KINDS
@@ -328,9 +328,11 @@ def _truth_columns(frame: Frame) -> Columns:
 
 
 def _detection_columns(frame: Frame) -> Columns:
+    from modsim3d.runs.counts import detected_rows
     from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 
-    found = frame.detections
+    found, rows = frame.detections, detected_rows(frame)
+    annotated_px = [[np.nan] * 4 if row is None else frame.truth.boxes_px[row] for row in rows]
     return {
         "detection": np.arange(len(found)),
         "label": found.labels,
@@ -340,4 +342,5 @@ def _detection_columns(frame: Frame) -> Columns:
         "kind": found.kinds,
         "vessel": found.vessels,
         **dict(zip(ERRORS, found.errors_px.T, strict=True)),
+        "iou": iou(found.boxes_px, np.reshape(annotated_px, (-1, 4))),
     }

@@ -11,6 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
+
+from modsim3d.core.boxes import Overlaps
 from modsim3d.core.errors import InputError, ModsimError, RunDirectoryError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import key_table
@@ -18,6 +21,7 @@ from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.io.processes import WorkerCount, worker_count
 from modsim3d.runs.counts import Counts
 from modsim3d.runs.files.run_directory import RunDirectory, locked_run
+from modsim3d.runs.files.stored_tables import damage_named
 from modsim3d.runs.pipeline import BLOCK_VESSELS, Range, check_scene, step_ranges
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.runs.workers import BlockMaker, BlockTally, BlockWorkers, backend_of, open_block_workers
@@ -58,6 +62,13 @@ class RunResult:
     intersecting: tuple[tuple[str, str], ...]
     truncation: dict[str, dict[str, Any]]
     checked: Checked | None = None
+
+    @property
+    def iou(self) -> Overlaps:
+        """IoU of the true detections with the annotated boxes of their vessels, from `detections.parquet`."""
+        with damage_named(path := self.folder / "detections.parquet"):
+            column = pq.read_table(path, columns=["iou"])["iou"]
+        return Overlaps.of(column.drop_null().to_numpy())
 
     def __repr__(self) -> str:
         """Where it is, and its counts, in a line."""

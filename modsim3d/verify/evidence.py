@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices, row_before
-from modsim3d.core.boxes import at_least_a_pixel
+from modsim3d.core.boxes import Overlaps, at_least_a_pixel, iou
 from modsim3d.detector.chain import Detector, target_statistics
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Detections, Targets
@@ -114,6 +114,12 @@ class Evidence:
             TrueDetections(**_joined(true, instance=first_row)),
             FalseDetections(**_joined(false, frame_row=first_frame, instance=first_row)),
         )
+
+    @property
+    def iou(self) -> Overlaps:
+        """IoU of the true detections with the boxes of their vessels."""
+        boxes_px = self.instances.boxes_px[self.true_detections.instance]
+        return Overlaps.of(iou(self.true_detections.boxes_px, boxes_px))
 
     def images_of(self, instances: Indices) -> Indices:
         """Row of `FrameTable` of instances, shapes (k,)."""

@@ -188,6 +188,7 @@ def document(verified: VerifiedRun) -> Document:
         [Text(conclusion(verification), "lead" if verification.obeys else "bad", Where.EVERYWHERE)],
         [
             Text(about, "soft", Where.PAGE),
+            Text(f"IoU of the true detections with their vessels: {evidence.iou}."),
             Tiles(_results(verification)),
             Heading("What fails"),
             _table(verification.failed, Where.PAGE),

@@ -64,16 +64,38 @@ def rewritten(run: StoredRun, folder: Path, table: pa.Table, **changes: object) 
     return folder
 
 
-def test_detections_of_the_format_before_are_read(strait_run: StoredRun, tmp_path: Path) -> None:
+def test_iou_is_that_of_each_true_detection_with_its_vessels_annotated_box(strait_run: StoredRun) -> None:
+    truth, found = (pq.read_table(strait_run.folder / f"{name}.parquet") for name in ("truth", "detections"))
+    place = ("camera", "step", "vessel")
+    boxes = {tuple(row[key] for key in place): row for row in truth.to_pylist()}
+    for row in found.to_pylist():
+        if row["kind"] != "true":
+            assert row["iou"] is None
+            continue
+        box = [row[side] for side in BOX_SIDES]
+        own = [boxes[tuple(row[key] for key in place)][f"visible_{side}"] for side in BOX_SIDES]
+        sides = [min(box[i + 2], own[i + 2]) - max(box[i], own[i]) for i in (0, 1)]
+        common = max(sides[0], 0) * max(sides[1], 0)
+        both = sum((each[2] - each[0]) * (each[3] - each[1]) for each in (box, own)) - common
+        assert abs(row["iou"] - common / both) < 1e-9
+    values = [value for value in found["iou"].to_pylist() if value is not None]
+    assert len(values) > 100 and np.mean(values) == pytest.approx(0.87, abs=0.03)
+
+
+@pytest.mark.parametrize("form", [1, 2])
+def test_detections_of_the_formats_before_are_read(strait_run: StoredRun, tmp_path: Path, form: int) -> None:
     now = pq.read_table(strait_run.folder / "detections.parquet")
-    former = {"centre_x_px": "x_px", "centre_y_px": "y_px"}
-    kept = [name for name in now.column_names if name not in BOX_SIDES]
+    former = {"centre_x_px": "x_px", "centre_y_px": "y_px"} if form == 1 else {}
+    kept = [name for name in now.column_names if name != "iou" and not (name in BOX_SIDES and form == 1)]
     old = now.select(kept).rename_columns([former.get(name, name) for name in kept])
-    folder = rewritten(strait_run, tmp_path / "old", old, format=1, camera_counts=None)
+    counts = {"camera_counts": None} if form == 1 else {}
+    folder = rewritten(strait_run, tmp_path / "old", old, format=form, **counts)
     again = open_run(folder).tables()["detections"]
     assert again.schema.equals(schema_of("detections"), check_metadata=True)
     for name in now.column_names:
-        if name in BOX_SIDES:
+        if name == "iou":
+            assert again[name].null_count == len(again)
+        elif name in BOX_SIDES:
             np.testing.assert_allclose(again[name], now[name], atol=1e-9)
         else:
             assert again[name].equals(now[name]), name

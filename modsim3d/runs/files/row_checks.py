@@ -215,6 +215,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
     for i, name in enumerate(ERRORS):
         one_missing = np.isnan(errors[:, i]) != np.isnan(errors[:, 0])
         rows.refuse(name, one_missing, "a number like the other errors of the box, or null like them")
+    rows.numbers("iou", 0.0, 1.0, slack=ROUNDING, nullable=True)
 
 
 def check_together(frames: TableRows, truth: TableRows, detections: TableRows, scene: Scene) -> None:

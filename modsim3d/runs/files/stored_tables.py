@@ -102,24 +102,26 @@ def _known_indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     return found
 
 
-# ---- The table of detections of format 1 ----
+# ---- Former tables of detections ----
 
 _CENTRE_FORM = dict(zip(table_columns.CENTRE_FORM, ("x_px", "y_px", "width_px", "height_px"), strict=True))
+BEFORE_IOU = pa.schema([field for field in tables.DETECTIONS if field.name != "iou"])
 FORMAT_1_DETECTIONS = pa.schema(
     [
         field.with_name(_CENTRE_FORM.get(field.name, field.name)).remove_metadata()
-        for field in tables.DETECTIONS
+        for field in BEFORE_IOU
         if field.name not in table_columns.BOX_SIDES
     ]
 )
 
 
-def from_format_1(table: pa.Table) -> pa.Table:
-    """Rows of format 1 as rows of today's table; the corners are rounded as the centres were."""
-    boxes_px = corner_form(np.column_stack([tables.number_column(table, name) for name in _CENTRE_FORM.values()]))
-    columns = dict(zip(table.column_names, table.columns, strict=True))
-    columns |= {name: columns[former] for name, former in _CENTRE_FORM.items()}
-    columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(table_columns.BOX_SIDES)}
+def from_former(table: pa.Table) -> pa.Table:
+    """Rows of a former table as rows of today's, without IoU; corners of format 1 are rounded as the centres were."""
+    columns = dict(zip(table.column_names, table.columns, strict=True)) | {"iou": pa.nulls(len(table), pa.float64())}
+    if table.column_names == FORMAT_1_DETECTIONS.names:
+        boxes_px = corner_form(np.column_stack([tables.number_column(table, name) for name in _CENTRE_FORM.values()]))
+        columns |= {name: columns[former] for name, former in _CENTRE_FORM.items()}
+        columns |= {side: pa.array(boxes_px[:, i], from_pandas=True) for i, side in enumerate(table_columns.BOX_SIDES)}
     return pa.table([columns[name] for name in tables.DETECTIONS.names], schema=tables.DETECTIONS)
 
 
@@ -142,8 +144,9 @@ class StoredTable:
         with damage_named(self.path):
             self._metadata = pq.read_metadata(self.path)
             found, wanted = self._metadata.schema.to_arrow_schema(), schemas_of(scene)[name]
-            self._of_format_1 = name == "detections" and found.names == FORMAT_1_DETECTIONS.names
-            _check_schema(self.path, found, FORMAT_1_DETECTIONS if self._of_format_1 else wanted)
+            former = [FORMAT_1_DETECTIONS, BEFORE_IOU] if name == "detections" else []
+            self._former = next((schema for schema in former if schema.names == found.names), None)
+            _check_schema(self.path, found, wanted if self._former is None else self._former)
             self._steps = self._steps_of_groups()
         rows = [self._metadata.row_group(i).num_rows for i in range(self._metadata.num_row_groups)]
         self._first_row = np.concatenate([[0], np.cumsum(rows, dtype=np.int64)])
@@ -187,8 +190,8 @@ class StoredTable:
             with pq.ParquetFile(self.path, metadata=self._metadata) as file:
                 table = file.read_row_groups(range(begin, end), use_threads=False).combine_chunks()
             table.validate()
-        if self._of_format_1:
-            table = from_format_1(table)
+        if self._former is not None:
+            table = from_former(table)
         self._kept = ((begin, end), table) if end == begin + 1 else None
         return table
 

@@ -111,6 +111,7 @@ DETECTIONS = (
     _number("e_y_px", "px", f"truth, not for a tracker: error of centre_y_px before the box was cut; {_NO_ERROR}"),
     _number("e_w_px", "px", f"truth, not for a tracker: error of width_px before the box was cut; {_NO_ERROR}"),
     _number("e_h_px", "px", f"truth, not for a tracker: error of height_px before the box was cut; {_NO_ERROR}"),
+    _number("iou", "", "truth, not for a tracker: IoU with the annotated box of its vessel; null for a false alarm"),
 )
 OWN_SHIP = (
     _text("vessel", "ID of the vessel that carries a camera"),

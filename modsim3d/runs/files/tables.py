@@ -15,12 +15,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
-from modsim3d.core.boxes import centre_form
+from modsim3d.core.boxes import centre_form, iou
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import KINDS, Detections
 from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS, TRUTH_NUMBERS, schema_of
 from modsim3d.scene.scene import Scene
+from modsim3d.truth.record import annotation_boxes
 
 ROW_GROUP_ROWS = 65_536
 MAX_WAITING = 64
@@ -75,12 +76,16 @@ def detection_table(block: Block, scene: Scene) -> pa.Table:
     tables = []
     for part in block.cameras:
         detections, rows = part.detections, part.truth_row
+        true, overlap = ~detections.false(), np.full(len(rows), np.nan)
+        annotated_px = annotation_boxes(part.truth, scene.annotation.mode)[rows[true]]
+        overlap[true] = iou(detections.boxes_px[true], annotated_px)
         vessels = np.where(rows >= 0, part.truth.vessel[rows] if len(part.truth) else -1, -1)
         tables.append(
             {
                 **_keys(block, part, scene, part.steps[detections.frame]),
                 **detection_columns(detections, scene.detector),
                 "vessel": named(scene.vessel_names, vessels),
+                "iou": numbers(overlap),
             }
         )
     return _in_order(DETECTIONS, tables)
