@@ -30,7 +30,10 @@ MENU = {
         "docs/ais",
     ],
     "Look at it": ["docs/pictures", "docs/report"],
-    "The detector": ["docs/detector", "docs/learn", "docs/voyage", "docs/learned_models", "docs/conditions"],
+    "The detector": [
+        *("docs/detector", "docs/knobs", "docs/from_figures", "docs/learn", "docs/voyage", "docs/learned_models"),
+        "docs/conditions",
+    ],
     "Test a tracker": [
         *("docs/track", "docs/trackers", "docs/tracker_command", "docs/track_files", "docs/score", "docs/scores"),
         *("docs/world_tracks", "docs/closed_loop"),

@@ -33,6 +33,8 @@ if TYPE_CHECKING:  # what a type checker takes; it finds a misspelt name
     from modsim3d.geometry.kinematics import closest_approach as closest_approach
     from modsim3d.learn.learning import LearnResult as LearnResult
     from modsim3d.learn.learning import learn_detector as learn_detector
+    from modsim3d.learn.reported_figures import ReportedDetector as ReportedDetector
+    from modsim3d.learn.reported_figures import learn_from_figures as learn_from_figures
     from modsim3d.learn.voyage.learn_voyage import VoyageResult as VoyageResult
     from modsim3d.learn.voyage.learn_voyage import learn_voyage as learn_voyage
     from modsim3d.learn.voyage.logs.log import LogOptions as LogOptions
@@ -97,6 +99,7 @@ _NAMES = LazyNames(
         "modsim3d.formats.detect_truth": "TruthResult detect_truth labelled_video",
         "modsim3d.geometry.kinematics": "closest_approach",
         "modsim3d.learn.learning": "LearnResult learn_detector",
+        "modsim3d.learn.reported_figures": "ReportedDetector learn_from_figures",
         "modsim3d.learn.voyage.learn_voyage": "VoyageResult learn_voyage",
         "modsim3d.learn.voyage.logs.log": "LogOptions",
         "modsim3d.runs.frames": "Frame FrameDetections FrameTruth",

@@ -95,6 +95,9 @@ def learn_command(
         list[Path] | None,
         option("FILE", "Detections of each --truth, in the same form; repeatable."),
     ] = None,
+    from_figures: Annotated[
+        Path | None, option("FILE", "Figures of a test report, as YAML, in place of --truth and --detections.")
+    ] = None,
     condition: Annotated[
         list[str] | None, option("NAME", "Condition that a pair of --truth and --detections shows; repeatable.")
     ] = None,
@@ -134,11 +137,18 @@ def learn_command(
 ) -> None:
     """Learn a detector from its results on a labelled set, with intervals that say how well it is known.
 
+    With --from-figures, make one of the figures of its test report, such as precision, recall and a confusion matrix.
+
     With --from-condition, guess how a detector performs in another condition: it changes as much as another detector
     did between the two. A condition is a detector file with one state and one label, or one that modsim3d scenes lists.
 
     Example: modsim3d learn --truth gt.json --detections dt.json --out detector.yaml
     """
+    if from_figures:
+        if runs or truth or detections or detector or from_condition or to_condition:
+            raise ModsimError("--from-figures is in place of runs, files and --from-condition: give one of them")
+        detector_from_figures(from_figures, shared.out_file(out, Path("detector.yaml")), overwrite)
+        return
     if detector or from_condition or to_condition:
         if runs or truth or detections or not (detector and from_condition and to_condition):
             needed = "--detector, --from-condition and --to-condition"
@@ -207,6 +217,26 @@ def show_result(result: LearnResult, name: str, written: Sequence[Path]) -> None
     shared.print_written(console, written)
     if result.report.warning:
         warn(result.report.warning)
+
+
+def detector_from_figures(report: Path, out: Path, overwrite: bool) -> None:
+    """Write the detector of a test report, and print the figures that it gives back and what was assumed."""
+    from modsim3d.io.overwrite_guard import check_free
+    from modsim3d.learn.reported_figures import learn_from_figures
+
+    check_free(out, overwrite, [report])
+    with timed("learning"):
+        made = learn_from_figures(report)
+    made.write(out, overwrite=overwrite)
+    tell_files([report])
+    console = open_console()
+    print_document(console, made.document(out.name))
+    shared.print_written(console, [out])
+    for contradiction in made.contradictions:
+        warn(contradiction)
+    figures = {name: {"report": asked, "simulated": simulated} for name, (asked, simulated) in made.figures.items()}
+    said = {"figures": figures, "assumed": made.assumed, "contradictions": made.contradictions}
+    say_json({"format": 1, "command": "learn", **said, "written": [out]})
 
 
 # ---- What `modsim3d learn --json` says of what was learned ----
@@ -323,6 +353,8 @@ def _comments(detector: Path, measured_in: str, wanted_in: str, change: Conditio
 
 def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, ...]]:
     """Numbers of each state before and after the change."""
+    from modsim3d.detector.file.schema import with_covariance
+
     for name, was in before["states"].items():
         now, unit = after["states"][name], was["box_error"]["unit"]
         for label, old, new in zip(before["labels"], was["confusion"][-1], now["confusion"][-1], strict=True):
@@ -333,5 +365,5 @@ def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, 
             key, rates = "false_positives_per_image", [each["false_positives"].get("rate") for each in (before, after)]
             old, new = (state.get(key, rate) for state, rate in zip((was, now), rates, strict=True))
             yield name, "false detections in an image", f"{old:.3g} → {new:.3g}"
-        old, new = (state["box_error"]["covariance"][2][2] ** 0.5 for state in (was, now))
+        old, new = (with_covariance(state["box_error"])["covariance"][2][2] ** 0.5 for state in (was, now))
         yield name, "width error, standard deviation", f"{old:.3g} → {new:.3g} {'' if unit == 'relative' else 'px'}"

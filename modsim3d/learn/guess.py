@@ -12,6 +12,7 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
 from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.file.schema import with_covariance
 from modsim3d.detector.model import DetectorModel
 from modsim3d.learn.bootstrap import columns_of_one, digits, nested
 
@@ -109,6 +110,7 @@ def _state(state: Mapping[str, Any], change: ConditionChange, where: str) -> dic
 
 def _box_error(section: Mapping[str, Any], spread: Array) -> dict[str, Any]:
     """A section of box errors with other standard deviations, and with its mean and correlations."""
+    section = with_covariance(section)
     covariance = np.array(section["covariance"], dtype=np.float64) * np.outer(spread, spread)
     result = {**section, "covariance": [[float(f"{value:.10g}") for value in row] for row in covariance]}
     if section.get("growth") is not None:

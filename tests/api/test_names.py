@@ -19,6 +19,7 @@ from modsim3d import plugins
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NAMES = {
     *("ModsimError", "Scene", "camera_placement", "detect_run", "detect_truth", "learn_detector", "learn_voyage"),
+    "learn_from_figures",
     *("load_detector", "load_scene", "locate", "open_campaign", "open_run", "run_campaign", "run_scene", "score_run"),
     *("simulate_frames", "track_run", "verify_run", "labelled_video"),
 }

@@ -84,6 +84,20 @@ BAD = [
     ("transition_matrix", [[1.0]], "transition_matrix: is 1 × 1, must be 2 × 2: one row and one column"),
     ("transition_matrix", [[1.0, 0.0], [1.0]], "transition_matrix: its rows have different lengths: 2, 1"),
     ("transition_matrix", [], "transition_matrix: is 0 × 0, must be 2 × 2"),
+    (
+        CONFUSION,
+        [[0.5, 0.2], [0.1, 0.4], [0.44, 0.4]],
+        "sums to 1.04, must sum to 1; to change misses alone, set miss_rate",
+    ),
+    (CONFUSION, [[50, 20], [10, 40], [40, 40]], "states.fog.confusion: has counts (50), must have shares of each true"),
+    (CONFUSION, [[50, 20], [10, 40], [40, 40]], "; modsim3d learn --from-figures makes a detector file of a confusion"),
+    (CONFUSION, [[0.5, 0.2], [0.5, 0.8]], "is 2 × 2, must be 3 × 2: rows"),
+    (
+        f"{ERROR}.std",
+        [0.1, 0.1],
+        "states.fog.box_error: std: a number from 0 is needed, or a list of one for each of e_x",
+    ),
+    (f"{ERROR}.std", -0.1, "for each of e_x, e_y, e_w, e_h (got -0.1)"),
     (CONFUSION, [[0.5, 0.2], [0.1, 0.4], [0.4, 0.401]], "states.fog.confusion: column 'motor' sums to 1.001"),
     (CONFUSION, [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]], "states.fog.confusion: is 2 × 3, must be 3 × 2"),
     (CONFUSION, [[0.5, 0.1, 0.4], [0.2, 0.4, 0.4]], "looks row-stochastic and must be transposed"),
@@ -196,6 +210,17 @@ def test_every_problem_and_every_contradiction_between_sections_is_told_at_once(
     ]
 
 
+@pytest.mark.parametrize("std", [0.05, 2, [0.05, 0.04, 0.1, 0.2]])
+def test_a_standard_deviation_is_short_for_a_covariance_in_whose_place_it_is(std: Any) -> None:
+    numbers = std if isinstance(std, list) else [std] * 4
+    short = parse_detector(changed(ERROR, {"unit": "relative", "std": std})).states[1].box_error
+    np.testing.assert_array_equal(short.covariance, np.diag([number**2 for number in numbers]))
+    assert short.mean.tolist() == [0] * 4
+    both = parse_detector(changed(f"{ERROR}.std", std)).states[1].box_error
+    np.testing.assert_array_equal(both.covariance, short.covariance)
+    assert both.mean.tolist() == list(build.MEAN_PX)
+
+
 def test_something_that_is_no_mapping_or_no_file_is_refused(tmp_path: Path) -> None:
     for data in (None, [], "thesis", 3):
         assert "must be a mapping with the keys labels" in problems(data)[0]
@@ -254,7 +279,7 @@ def load(name: str) -> DetectorModel:
 def test_the_script_writes_every_detector_file_byte_for_byte(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, ROOT / "script" / "make_detectors", tmp_path], check=True, env=environment)
-    by_hand = {"coastal", "rich"}
+    by_hand = {"coastal", "rich", "vessel"}
     shipped = {path.name: path.read_bytes() for path in DETECTORS.glob("*.yaml") if path.stem not in by_hand}
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == shipped
     assert len(shipped) == 4

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
 from modsim3d.core.arrays import Array
 from modsim3d.detector.draws import ERROR_DISTRIBUTIONS
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS
 from modsim3d.detector.file import schema_models
 from modsim3d.detector.model import ERROR_COMPONENTS
-from modsim3d.io.validation import NotNegative, Number, Positive, Probability, Strict, nearest
+from modsim3d.io.validation import NotNegative, Number, Positive, Probability, Strict, nearest, shown
 
 # ---- Checks of the vectors and matrices of a detector file ----
 
@@ -76,7 +76,23 @@ def confusion_problems(rows: Rows, labels: Sequence[str]) -> list[str]:
     transposed = not matrix_problems(rows, (size, size + 1), meaning)
     if transposed and _sums_to_one(np.array(rows, dtype=np.float64).sum(axis=1)):
         return [f"{wrong_shape[0]}; it looks row-stochastic and must be transposed"]
-    return wrong_shape or column_problems(rows, labels)
+    if wrong_shape:
+        return [f"{wrong_shape[0]}; {_FROM_FIGURES}"] if rows and len(rows) == len(rows[0]) else wrong_shape
+    problems = column_problems(rows, labels)
+    return [f"{each}; {_MISS_RATE}" for each in problems[:1]] + problems[1:]
+
+
+_FROM_FIGURES = "modsim3d learn --from-figures makes a detector file of a confusion matrix as programs print it"
+_MISS_RATE = "to change misses alone, set miss_rate, which keeps the sum (docs/knobs.md)"
+
+
+def _refuse_counts(value: Any) -> Any:
+    """The rows of a confusion matrix, unless they hold counts. Raises ValueError."""
+    rows = [row for row in value if isinstance(row, list)] if isinstance(value, list) else []
+    counts = [cell for row in rows for cell in row if isinstance(cell, int | float) and cell > 1]
+    if counts:
+        raise ValueError(f"has counts ({shown(counts[0])}), must have shares of each true label; {_FROM_FIGURES}")
+    return value
 
 
 def distribution_problems(values: Sequence[float], labels: Sequence[str]) -> list[str]:
@@ -200,7 +216,7 @@ Labels = Annotated[list[Name], _checked_by(_label_problems)]
 Mean = Annotated[list[Number], _checked_by(_length_problems)]
 Covariance = Annotated[list[list[Number]], _checked_by(covariance_problems)]
 Transition = Annotated[list[list[Probability]], _against("states", transition_problems)]
-Confusion = Annotated[list[list[Probability]], _against("labels", confusion_problems)]
+Confusion = Annotated[list[list[Probability]], BeforeValidator(_refuse_counts), _against("labels", confusion_problems)]
 LabelDistribution = Annotated[list[Probability], _against("labels", distribution_problems)]
 StateName = Annotated[Name, _against("states", _unknown_state)]
 FalsePositiveModelName = Annotated[Name, _one_of(FALSE_POSITIVE_MODELS, "model")]
@@ -209,15 +225,36 @@ DegreesOfFreedom = Annotated[Number, _checked_by(_freedom_problems)]
 FalseDiscoveryRate = Annotated[Number, _checked_by(_discovery_problems)]
 
 
+def with_covariance(section: Any) -> Any:
+    """A section of box errors with `std`, a number or one for each component, written out as a covariance, which it
+    takes the place of; without a mean there is none. Raises ValueError if it is no such number."""
+    if not isinstance(section, Mapping) or "std" not in section:
+        return section
+    std = section["std"]
+    numbers = std if isinstance(std, list) else [std] * len(ERROR_COMPONENTS)
+    plain = [each for each in numbers if isinstance(each, int | float) and not isinstance(each, bool)]
+    if len(plain) != len(numbers) or len(numbers) != len(ERROR_COMPONENTS) or not all(0 <= x < 1e9 for x in plain):
+        wanted = f"a number from 0 is needed, or a list of one for each of {', '.join(ERROR_COMPONENTS)}"
+        raise ValueError(f"std: {wanted} (got {shown(std)})")
+    rest = {key: value for key, value in section.items() if key != "std"}
+    return {"mean": [0.0] * len(numbers), **rest, "covariance": np.diag(np.square(plain, dtype=np.float64)).tolist()}
+
+
 class BoxErrorSection(Strict):
     """Box error: mean and covariance of (e_x, e_y, e_w, e_h), their distribution, and how the spread grows."""
 
+    std: Any = None  # short for a covariance, see `with_covariance`
     law: ErrorLawName = "normal"
     degrees_of_freedom: DegreesOfFreedom | None = None
     unit: Literal["px", "relative", "mixed"]
     mean: Mean
     covariance: Covariance
     growth: Annotated[list[NotNegative], _checked_by(_length_problems)] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _written_out(cls, section: Any) -> Any:
+        return with_covariance(section)
 
     @model_validator(mode="after")
     def _growth_fits(self) -> BoxErrorSection:

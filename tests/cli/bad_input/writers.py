@@ -31,6 +31,12 @@ def guess(run: Path) -> tuple[object, ...]:
     return ("learn", "--detector", run / "scene" / "detector.yaml", *conditions)
 
 
+def reported(run: Path) -> tuple[object, ...]:
+    report = run.parent / "report.yaml"
+    report.write_text("labels: [boat]\nprecision: 0.9\nrecall: 0.8\n", encoding="utf-8")
+    return ("learn", "--from-figures", report)
+
+
 Line = Callable[[Path, Path], tuple[object, ...]]
 """A command line, given a run directory and the file to write."""
 WRITERS: dict[str, tuple[str, Line]] = {
@@ -55,6 +61,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
     "learn: page": ("d.html", lambda run, out: ("learn", run, *QUICK, "--out", out.with_name("d.yaml"))),
     "learn: guess": ("guess.yaml", lambda run, out: (*guess(run), "--out", out)),
+    "learn: figures": ("reported.yaml", lambda run, out: (*reported(run), "--out", out)),
     "view frame": ("picture.png", lambda run, out: ("view", "frame", run, 3, "--width", 160, "--out", out)),
     "view map": ("map.png", lambda run, out: ("view", "map", run, "--width", 160, "--out", out)),
     "view film": ("film.gif", lambda run, out: ("view", "film", run, *SHORT, "--width", 160, "--out", out)),
