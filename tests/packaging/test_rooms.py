@@ -42,19 +42,14 @@ import sys
 from pathlib import Path
 import modsim3d
 from modsim3d.cli.main import main
-root, rooms = Path(modsim3d.__file__).parent, set()
-
-def enter(frame, event, value):
-    path = Path(frame.f_code.co_filename)
-    if event == "call" and frame.f_code.co_name != "<module>" and path.is_relative_to(root):
-        rooms.add(path.relative_to(root).parts[0])
-
-sys.setprofile(enter)
+root, codes = Path(modsim3d.__file__).parent, set()
+sys.setprofile(lambda frame, event, value: codes.add(frame.f_code))
 try:
     main()
 except SystemExit as ended:
     sys.setprofile(None)
-    print(ended.code or 0, *sorted(rooms))
+    paths = {Path(code.co_filename) for code in codes if code.co_name != "<module>"}
+    print(ended.code or 0, *sorted({path.relative_to(root).parts[0] for path in paths if path.is_relative_to(root)}))
 """
 
 
