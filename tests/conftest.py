@@ -16,6 +16,7 @@ from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
 from modsim3d.cli.main import COLLECT_AFTER
+from modsim3d.learn import self_check
 from modsim3d.render.context import open_context
 from modsim3d.render.id_pass import IdRenderer
 from tests import command_line
@@ -31,6 +32,8 @@ threadpool_limits(1, user_api="blas")
 
 # Typer prepares all commands anew for each call of its CliRunner, for a tenth of a second; they do not change.
 typer.testing._get_command = functools.cache(typer.main.get_command)
+
+self_check.SEEDS = 2  # what is learned is compared with real results over fewer seeds than a user's
 
 ROOT = Path(__file__).resolve().parents[1]
 TERMINAL = (

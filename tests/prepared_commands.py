@@ -53,6 +53,7 @@ def serve(folder: Path) -> None:
     prepare_environment(backend)
     for name in (*LIBRARIES, "OpenGL.EGL" if backend == "egl" else "OpenGL.osmesa", *modules()):
         __import__(name)
+    sys.modules["modsim3d.learn.self_check"].SEEDS = 2  # as in the process of the tests
     prepare()  # once more, because it makes sure that no library has started a thread
     gc.freeze()  # what is imported stays, and no command looks through it
     with socket.socket(socket.AF_UNIX) as listening:

@@ -150,7 +150,7 @@ def test_a_learned_detector_is_that_of_its_file_and_of_the_command(learned, fold
 def test_learning_from_a_run_goes_by_provenance_and_from_its_files_by_iou(folder, learned, tmp_path):
     assert "matched by provenance" in repr(learned)
     truth, detections = write_coco(labelled_run(folder)[0], tmp_path)
-    by_iou = modsim3d.learn_detector(truth=truth, detections=[str(detections)], replicates=20)
+    by_iou = modsim3d.learn_detector(truth=truth, detections=[str(detections)], replicates=20, check=False)
     assert "matched by IoU at least 0.5" in repr(by_iou)
     with pytest.raises(OutputError, match="is read by this command"):
         by_iou.write(truth, overwrite=True)
@@ -158,13 +158,14 @@ def test_learning_from_a_run_goes_by_provenance_and_from_its_files_by_iou(folder
 
 
 def test_states_are_made_of_conditions_and_lost_matches_are_warned_of(thesis_folder):
-    learned = modsim3d.learn_detector(run=thesis_folder, match="confidence", replicates=20)
+    learned = modsim3d.learn_detector(run=thesis_folder, match="confidence", replicates=20, check=False)
     assert "WARNING: " in repr(learned) and "<b>Warning: " in learned._repr_html_()
     seen = set(modsim3d.open_run(thesis_folder).table("frames")["state"].to_pylist())
     assert seen < {"excellent", "good", "bad"}
     given = {"fair": ["excellent", "good", "bad"], "foul": "terrible"}
     for states, names in ((given, ["fair"]), (1, ["usual"])):  # no frame of the run is in the other
-        learned = modsim3d.learn_detector(run=thesis_folder, states=states, replicates=20, without=RICHER)
+        options = {"replicates": 20, "without": RICHER, "check": False}
+        learned = modsim3d.learn_detector(run=thesis_folder, states=states, **options)
         assert [state.name for state in learned.detector.states] == names
 
 

@@ -45,7 +45,7 @@ def learned(folder: Path) -> Learned:
     found = {}
     for name, steps in (("many", MANY), ("few", FEW)):
         run_scene(load_scene(folder / "boxes.yaml", steps=steps, **DETECTOR), folder / f"run_{name}")
-        found[name] = learn_detector(run=folder / f"run_{name}")
+        found[name] = learn_detector(run=folder / f"run_{name}", check=False)
         found[name].write(folder / f"{name}.yaml")
     return found
 
@@ -179,12 +179,12 @@ def campaign(folder: Path, detector: str, **keys: Any) -> CampaignResult:
 
 def test_a_small_labelled_set_spreads_the_score_over_traffic_seeds(folder: Path, learned: Learned) -> None:
     def spread(detector: str, **keys: str) -> float:
-        result = campaign(folder, detector, steps=200, **keys)  # long enough for little chance within a run
+        result = campaign(folder, detector, steps=100, **keys)  # long enough for little chance within a run
         assert set(result.table["status"].to_pylist()) == {"done"}
         return float(np.std(result.table["hota"].to_numpy(), ddof=1))
 
     few, many = (spread(detector, uncertainty="learned") for detector in ("few.yaml", "many.yaml"))
-    assert few > 2 * many and few > 2 * spread("few.yaml") > many
+    assert few > 2 * many and few > 2 * spread("few.yaml") > many  # 0.032, 0.012 and 0.010
 
 
 def test_a_detector_is_drawn_for_a_traffic_seed_and_all_trackers_and_again(folder: Path, learned: Learned) -> None:

@@ -86,7 +86,7 @@ def test_a_file_is_put_into_a_folder_under_its_usual_name(modsim3d, run, tmp_pat
 
 def test_a_learned_detector_and_an_export_are_put_into_a_folder(modsim3d: Modsim3d, run: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
-    assert modsim3d("learn", run, "--replicates", 20, "--out", tmp_path).status == 0
+    assert modsim3d("learn", run, "--replicates", 20, "--no-check", "--out", tmp_path).status == 0
     assert {path.name for path in tmp_path.iterdir()} == {"detector.yaml", "detector.html", "detector.uncertainty.json"}
     assert modsim3d("export", run, "--format", "coco", "--out", folder).status == 0
     assert {path.name for path in folder.iterdir()} == {"gt.json", "dt.json"}

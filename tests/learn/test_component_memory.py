@@ -8,6 +8,7 @@ import pytest
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import BoxMemory
+from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.learned import Learned
 from tests.learn.one_state import IOU, detected, detector, drawn_models, learned_from, moored
 
@@ -21,11 +22,11 @@ MEMORY = {
 APART_S = np.array([0.5, 1, 2, 4, 8, 16])
 
 
-def learned_again(persistence: dict[str, Any], seed: int) -> Learned:
+def learned_again(persistence: dict[str, Any], seed: int, boats: int = 60) -> Learned:
     data = detector({"mean": 0.6, "std": 0.15}, persistence=persistence)
     data["states"]["usual"] |= {"false_discovery_rate": 0.02, "box_error": ERRORS}
-    labelled = moored(400, 60, columns=10, size_px=(2700.0, 1800.0), side_px=80.0)
-    return learned_from(detected(labelled, data, seed), IOU, replicates=40)
+    labelled = moored(400, boats, columns=10, size_px=(2700.0, 1800.0), side_px=80.0)
+    return learned_from(detected(labelled, data, seed), IOU, ("relative", "mixed", *NAMES), replicates=40)
 
 
 def test_the_memory_of_each_component_is_learned_again_and_one_time_of_those_that_last_alike(tmp_path: Path) -> None:
@@ -40,5 +41,5 @@ def test_the_memory_of_each_component_is_learned_again_and_one_time_of_those_tha
     assert np.all(kept.low <= asked.vessel_share) and np.all(asked.vessel_share <= kept.high)
     drawn = [model.persistence.box.vessel_share[1] for model in drawn_models(learned, tmp_path, 40)]
     assert 0.02 < np.std(drawn) < 0.2  # by a campaign
-    alike = parse_detector(learned_again({"box_s": 2.0}, 2).detector()).persistence
+    alike = parse_detector(learned_again({"box_s": 2.0}, 2, boats=20).detector()).persistence
     assert alike.box is None and alike.box_s == pytest.approx(2.0, rel=0.25)

@@ -7,6 +7,7 @@ import pytest
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.learn.bootstrap import entries_of, resample
+from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.matches import FalseSightings
 from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
 from tests.formats.labelled_sets import found, images, truth
@@ -127,7 +128,7 @@ def learned_to_stay(rate: float, seed: int, stays: int = 0) -> bool:
     side = rng.uniform(15, 30, (len(image), 1))
     detections = found(image, 0 * image, np.hstack([centre - side, centre + side]), np.full(len(image), 0.5))
     frames = images(FEW_FRAMES, time_s=np.arange(FEW_FRAMES) * 0.25)
-    observed = observed_in(of_boats(frames, truth([], [], []), detections))
+    observed = observed_in(of_boats(frames, truth([], [], []), detections), without=NAMES)  # which belong to vessels
     sightings = FalseSightings.of(observed)
     return isinstance(find_lasting(observed, sightings, np.full(FEW_FRAMES, len(image) / FEW_FRAMES)), Lasting)
 

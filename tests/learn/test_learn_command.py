@@ -45,7 +45,7 @@ def short(tmp_path_factory):
 
 
 def command(*parts):
-    return round_trip.command("learn", *parts)
+    return round_trip.command("learn", *parts, "--no-check")
 
 
 def test_exported_coco_is_the_run(run, exported):
@@ -269,7 +269,7 @@ def test_hardly_any_data_give_a_file_that_can_be_read_and_says_so(tmp_path):
 def test_tables_fit_the_terminal_and_lose_nothing(width, tmp_path):
     arguments = pairs_of_conditions(tmp_path, 2)
     arguments[3].write_text(arguments[3].read_text().replace('"c0"', '"c [red]0"'))
-    files = [*arguments, "--states", 1, "--out", tmp_path / "d.yaml", "--replicates", 20]
+    files = [*arguments, "--states", 1, "--out", tmp_path / "d.yaml", "--replicates", 20, "--no-check"]
     output = CliRunner().invoke(app, ["learn", *map(str, files)], env={"COLUMNS": str(width)}).output
     assert max(len(line) for line in output.splitlines() if not line.strip().startswith("/")) <= width
     for column in ("precision", "recall", "F-2", "FDR", "height"):
@@ -339,11 +339,11 @@ def test_a_rare_state_whose_errors_are_cut_off_is_named_though_few_matches_in_al
 
 def test_a_run_s_operating_threshold_is_the_least_that_its_detector_claims(tmp_path):
     settings, without = {"detector.operating_threshold": 0.5}, ",".join(RICHER)
-    modsim3d.run_scene(modsim3d.load_scene("strait", steps=40, source="analytic", settings=settings), tmp_path / "run")
+    modsim3d.run_scene(modsim3d.load_scene("strait", steps=40, settings=settings), tmp_path / "run")
     for asked, least in ((None, 0.5), (0.3, 0.5), (0.6, 0.6)):
         out, options = tmp_path / f"{asked}.yaml", ("--confidence", asked) if asked else ()
         result = command(tmp_path / "run", "--replicates", 20, "--without", without, *options, "--out", out)
         assert yaml.safe_load(out.read_text())["confidence_threshold"] == least
         assert ("operating_threshold dropped detections below 0.5" in result.output) == (least == 0.5)
-    learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20, without=RICHER)
+    learned = modsim3d.learn_detector(run=tmp_path / "run", replicates=20, without=RICHER, check=False)
     assert learned.detector.confidence_threshold == 0.5

@@ -20,6 +20,8 @@ from tests.formats.labelled_sets import found, images, truth
 from tests.learn.one_state import of_boats
 from tests.learn.round_trip import command, simulate
 
+QUICK = {"replicates": 20, "check": False}
+
 
 def estimates() -> dict[tuple[str, str], str]:
     image = np.arange(30)
@@ -65,8 +67,8 @@ def test_each_model_is_left_out_by_its_name_and_without_all_it_is_the_thesis_s(r
     every = {"effects", "persistence", "sizes", "places", "confidence"}
     # No two names are left out in the same of the cases, so each is known by where it is missing.
     for without in ((), ("effects", "places"), ("persistence", "places", "confidence"), ("sizes", "confidence")):
-        assert kept(modsim3d.learn_detector(run=run, without=without, replicates=20).content) == every - set(without)
-    content = modsim3d.learn_detector(run=run, without=RICHER, replicates=20).content
+        assert kept(modsim3d.learn_detector(run=run, without=without, **QUICK).content) == every - set(without)
+    content = modsim3d.learn_detector(run=run, without=RICHER, **QUICK).content
     assert kept(content) == set() and set(content["false_positives"]) == {"model"}
     for state in content["states"].values():
         assert state["box_error"].keys() == {"unit", "mean", "covariance"} and state["box_error"]["unit"] == "px"

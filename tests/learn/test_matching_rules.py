@@ -34,7 +34,7 @@ def far_off(tmp_path_factory):
 
 
 def learn(tmp_path, *parts):
-    options = ("--overwrite", "--replicates", 20, "--without", ",".join(sorted(WITHOUT)))
+    options = ("--overwrite", "--replicates", 20, "--no-check", "--without", ",".join(sorted(WITHOUT)))
     result = command("learn", *parts, "--out", tmp_path / "d.yaml", *options)
     assert result.exit_code == 0, result.output
     return result.output

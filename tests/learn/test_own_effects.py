@@ -11,6 +11,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import LatentScore
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.bootstrap import resample
+from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matches import Observed
@@ -104,6 +105,8 @@ def test_misses_that_persist_count_for_fewer() -> None:
 
 MISS_RATE = 0.3
 ASKED = {"vessel_share": 0.3, "shares": [0.2, 0.4], "times_s": [1.0, 6.0]}
+PLAIN = frozenset({"relative", "mixed", "student_t", *NAMES})
+"""Of boxes alone: misses and confidences are learned without them."""
 
 
 def scored_again(persistence: dict[str, Any], seed: int, without: frozenset[str] = frozenset(),
@@ -115,7 +118,7 @@ def scored_again(persistence: dict[str, Any], seed: int, without: frozenset[str]
     data = detector({"mean": 0.6, "std": 0.15}) | {"persistence": persistence, "labels": list(names)}
     usual = {"confusion": [list(row) for row in confusion], "false_discovery_rate": 0.05}
     data["states"]["usual"] |= usual | {"false_positive_labels": [1 / len(names)] * len(names)}
-    return learned_from(detected(labelled, data, seed), IOU, without, replicates=40)
+    return learned_from(detected(labelled, data, seed), IOU, without | PLAIN, replicates=40)
 
 
 def test_the_memory_of_a_score_is_learned_again_and_drawn_by_a_campaign(tmp_path) -> None:

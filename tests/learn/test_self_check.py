@@ -15,6 +15,7 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
+from modsim3d.learn import self_check as learning_check
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.self_check import RealityComparison, hota_counts, self_check
 from modsim3d.learn.simulated_results import simulated
@@ -48,7 +49,8 @@ def checked(labelled: LabelledSet, without: frozenset[str] = frozenset()) -> tup
     return self_check(learned_in(observed_in(labelled, without=without)), settings, SEEDS)
 
 
-def test_a_detector_of_the_models_that_are_learned_is_found_again() -> None:
+def test_a_detector_of_the_models_that_are_learned_is_found_again(monkeypatch) -> None:
+    monkeypatch.setattr(learning_check, "TRACKED_SEEDS", 3)
     rows = compared()
     assert not [row for row in rows.values() if row.differs]
     names = ("share found", "frames of a gap", "confidence before a miss", "false detections an image")
@@ -57,7 +59,8 @@ def test_a_detector_of_the_models_that_are_learned_is_found_again() -> None:
         assert 0 < rows[name].spread < rows[name].real
 
 
-def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps() -> None:
+def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps(monkeypatch) -> None:
+    monkeypatch.setattr(learning_check, "TRACKERS", ())  # which are not asked here
     rows = compared(frozenset({"persistence", "score", "vessels"}))
     for name in ("frames of a gap", "frames of a run of sightings", "confidence before a miss"):
         assert rows[name].differs
@@ -66,11 +69,11 @@ def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps() -> None:
 
 
 def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_path) -> None:
-    short_run = run_scene(load_scene("simulation_1", steps=150), tmp_path / "run").folder
+    short_run = run_scene(load_scene("simulation_1", steps=80), tmp_path / "run").folder
     result = learn_detector(run=short_run, replicates=20)
     check = result.report.check
     assert check is not None and len(check.comparisons) > 10 and result.report.remarks[0] == check.sentence
-    assert check.sentence.startswith("Learned from one half of the data and simulated 3 times over the other")
+    assert check.sentence.startswith("Learned from one half of the data and simulated 2 times over the other")
     content = learn_json(result.report, [])["self_check"]
     assert [each["name"] for each in content] == [each.name for each in check.comparisons]
     without = learn_detector(run=short_run, replicates=20, check=False)
@@ -103,8 +106,9 @@ def test_hota_in_the_check_is_that_of_the_tracker_over_the_same_files(tmp_path) 
     assert first["HOTA of sort"][1] == 150  # three vessels in 50 images
 
 
-def test_halves_that_differ_in_opposite_ways_are_told_and_one_without_matches_is_refused() -> None:
+def test_halves_that_differ_in_opposite_ways_are_told_and_one_without_matches_is_refused(monkeypatch) -> None:
     """Summed over both halves, what is learned from each would make up for the other."""
+    monkeypatch.setattr(learning_check, "TRACKERS", ())
     shown = two_films(FRAMES, 60.0)
     data = detector({"mean": 0.6, "std": 0.15}, initial_state="easy", transition_matrix=[[1, 0], [0, 1]])
     usual, misses = data["states"]["usual"], {"easy": 0.1, "hard": 0.6}

@@ -73,7 +73,7 @@ def commands(run: Path, out: Path) -> dict[str, tuple[object, ...]]:
         "sheet": ("view", "sheet", run, "--overwrite"),
         "report": ("report", run, "--out", out / "report.html"),
         "verify": ("check", "run", run, "--out", out / "verified"),
-        "learn": ("learn", run, "--out", out / "detector.yaml", "--replicates", 20),
+        "learn": ("learn", run, "--out", out / "detector.yaml", "--replicates", 20, "--no-check"),
         "export": ("export", run, "--format", "coco", "--out", out / "coco"),
         "detect": ("detect", run, "--out", out / "run"),
         "rerun": ("export", run, "--format", "rerun", "--out", out),

@@ -128,7 +128,7 @@ def yolo(folder: Path) -> tuple[object, ...]:
         (folder / kind).mkdir(parents=True)
         (folder / kind / "a.txt").write_text(line)
     (folder / "data.yaml").write_text("names: [boat]\n")
-    options = ("--image-size", "640,480", "--replicates", 20)
+    options = ("--image-size", "640,480", "--replicates", 20, "--no-check")
     return ("learn", "--truth", folder / "labels", "--detections", folder / "found", *options)
 
 
@@ -139,7 +139,16 @@ def mot(folder: Path) -> tuple[object, ...]:
     (folder / "det.txt").write_text("1,-1,12,20,30,40,0.9\n")
     text = "[Sequence]\nimWidth=640\nimHeight=480\nseqLength=1\nframeRate=10\n"
     (folder / "seqinfo.ini").write_text(text)
-    return ("learn", "--truth", folder / "gt" / "gt.txt", "--detections", folder / "det.txt", "--replicates", 20)
+    return (
+        "learn",
+        "--truth",
+        folder / "gt" / "gt.txt",
+        "--detections",
+        folder / "det.txt",
+        "--replicates",
+        20,
+        "--no-check",
+    )
 
 
 @pytest.mark.parametrize(("make", "name"), [(yolo, "data.yaml"), (mot, "seqinfo.ini")])
@@ -153,7 +162,7 @@ def test_neither_do_results_in_python_replace_what_they_are_made_of_or_what_is_t
     yolo(tmp_path / "set")
     paths = {"truth": tmp_path / "set" / "labels", "detections": tmp_path / "set" / "found"}
     result, verified = (
-        modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20),
+        modsim3d.learn_detector(**paths, image_size_px=(640, 480), replicates=20, check=False),
         modsim3d.verify_run(run),
     )
     result.write(tmp_path / "learned.yaml")
