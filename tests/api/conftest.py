@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 
 import modsim3d
+from benchmarks.voyages.cases import SHOEBOXES
 
 
 @pytest.fixture(scope="session")
 def scene() -> modsim3d.Scene:
-    return modsim3d.load_scene("strait", steps=30, source="analytic", seed=3)
+    return modsim3d.load_scene("strait", steps=30, source="analytic", seed=3, settings=SHOEBOXES)
 
 
 @pytest.fixture(scope="session")

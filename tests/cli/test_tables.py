@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.voyages.cases import SHOEBOXES
 from modsim3d.cli.run_summary import camera_rows, print_summary, run_warnings, summary_rows
 from modsim3d.cli.shared import print_path
 from modsim3d.cli.terminal import open_console
@@ -130,7 +131,7 @@ COUNTS = Counts(
 
 @pytest.fixture(scope="module")
 def strait() -> Scene:
-    return load_scene("strait", steps=40, source="analytic")
+    return load_scene("strait", steps=40, source="analytic", settings=SHOEBOXES)
 
 
 @pytest.fixture(scope="module")

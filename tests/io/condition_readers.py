@@ -4,6 +4,7 @@ import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -80,6 +81,7 @@ def video_rows(boxes: np.ndarray[Any, Any], first_px: float = 0, **more: Callabl
 
 def labelled(which: int, files: Callable[[Path], Any], alone: bool = False) -> Callable[[Path], Reading]:
     """Reads a pair of files of which one is given, or that of the truth alone."""
+    files = cache(files)
 
     def read(path: Path) -> Reading:
         content = path.read_bytes()
@@ -154,10 +156,11 @@ def all_readers(folder: Path) -> dict[str, Reader]:
     for form, files in (("MOT", mot_files), ("COCO", coco_files)):
         found[f"{form} truth alone"] = replace(found[f"{form} truth"], read=labelled(0, files, alone=True))
     still = Video(*(np.repeat(boxes[:1], 12, axis=0) for boxes in (VIDEO.true, VIDEO.found)))
+    still_files = cache(lambda folder: yolo(folder, still))
 
     def yolo_read(which: int) -> Callable[[Path], Reading]:
         def read(path: Path) -> Reading:
-            pair = yolo(path.parent, still)
+            pair = still_files(path.parent)
             for k in range(len(still.true)):  # the same in all images, so that what is odd is odd everywhere
                 (pair[which] / ("", "labels")[which == 0] / f"{k:03}.txt").write_bytes(path.read_bytes())
             found = read_pair("day", *pair, ReadOptions(image_size_px=(WIDTH, HEIGHT)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from modsim3d import track_run
+from modsim3d import load_scene, track_run
 from modsim3d.core.boxes import centre_form as centred
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.export_formats import ExportRequest
@@ -18,6 +18,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Tracks, camera_sequence_names
 from modsim3d.tracks.true_tracks import TrueTracks
+from tests.run_folders import finished
 from tests.tracks.track_files import IMAGE_PX, csv_text, detected_tracks, mot_texts, scene_run, top_left, write_mot
 
 CENTRES = "centre_x_px,centre_y_px,width_px,height_px"
@@ -369,7 +370,7 @@ def long_run(tmp_path_factory):
 
     @functools.cache
     def made(scene):
-        run = scene_run(folder / scene, scene, steps=60, seed=3)
+        run = finished(load_scene(scene, steps=60, seed=3), folder / scene)
         return run, RunRows.of(run), track_run(run, folder / f"{scene} tracks").tracks
 
     return made

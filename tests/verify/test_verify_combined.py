@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modsim3d import DetectorModel, MomentTable, load_scene
+from modsim3d import DetectorModel, MomentTable
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.verify.box_error_checks import MIN_DETECTIONS, box_error_checks, with_known_errors
@@ -19,6 +19,7 @@ from modsim3d.verify.parameters import Parameter, judge
 from modsim3d.verify.state_checks import state_checks
 from modsim3d.verify.verify_run import conclusion, row_of
 from tests.detector_variants import Data, thesis_data, variant
+from tests.scenes import harbour_of_shoeboxes
 
 
 def changed(**sections: Any) -> DetectorModel:
@@ -156,7 +157,7 @@ def test_what_truncation_leaves_of_a_correlation_is_told_from_all_of_it(many, ta
 
 
 def test_a_vessel_in_anothers_box_is_not_a_miss() -> None:
-    crowded = ManyDetections.of_scene(load_scene("harbour", mode=2, steps=40, source="analytic"))
+    crowded = ManyDetections.of_scene(harbour_of_shoeboxes(mode=2, steps=40, source="analytic"))
     evidence = crowded.detect(parse_detector(variant("doubled, split and merged boxes")), 0)
     assert (evidence.instances.outcome == -2).any()
     counts = run_lengths(evidence)
