@@ -20,7 +20,7 @@ from tests.run_folders import run_files
 
 MORTAL = ("exit", "nothing", "segfault", "kill", "term", "interrupt")  # ends of the process of the tracker `mortal`
 _DEATHS = ", ".join(f"{{tracker: mortal, name: {how}, set: {{how: {how}}}}}" for how in MORTAL)
-_SHORT = "scene: harbour\nsteps: 3\n"
+_SHORT = "scene: simulation_1\nsteps: 3\nset: {annotation.source: analytic}\n"  # quick, without OpenGL
 _VARIED = _SHORT + "vary: [{grid: {waves.level: [small]}}]\n"
 _PLAIN = _VARIED + "seeds: {traffic: 4}\ntrackers: [fragile, reference]\n"
 FILES = {

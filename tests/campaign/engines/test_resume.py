@@ -54,7 +54,7 @@ def test_a_damaged_file_is_made_again_and_what_is_half_written_or_of_another_pla
         damaged.write_bytes(each)
         assert task.stored_report(damaged) is None
     (half / "done" / ".000000008_0.rows.0").write_bytes(b"PAR1")
-    (half / ".results.0" / "scene=harbour").mkdir(parents=True)
+    (half / ".results.0" / "scene=simulation_1").mkdir(parents=True)
     rows = task.table_of([crashed_row(number, "of another plan") for number in (4, 1_000)])
     task.store(half / "done" / "000000004_0123456789abcdef.rows", rows, TaskReport(2, 2, 1.0, 1.0, "", 0))
 
