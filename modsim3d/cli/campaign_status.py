@@ -105,7 +105,7 @@ def campaign_table_command(
         list[str] | None,
         option(
             "KEY",
-            "Varied key to tell apart; may be repeated. run: all columns of each run, in place of means.",
+            "Key that varies, to tell apart; may be repeated. run: all columns of each run, in place of means.",
             show_default="all but those drawn",
         ),
     ] = None,

@@ -58,6 +58,8 @@ OLD_NAMES = {
     "learn --iou": "learn --match confidence:IOU",
     "learn --page": "learn --out FILE, and the page is beside it as .html",
     "learn --run": "learn RUN...",
+    "score --by-class": "score --by class",
+    "stream --wait": "stream --timeout SECONDS",
     "learn --scene": "learn-voyage SCENE",
     "learn --start": "learn-voyage SCENE --log-start TIME",
     "learn --state": "learn --states NAME=COND,...",

@@ -25,8 +25,8 @@ def stream_command(
     realtime: Annotated[
         bool, flag("--realtime", "Let each line leave at its time, not as soon as it is ready.")
     ] = False,
-    wait: Annotated[
-        float | None, option("S", "Seconds to wait while no reader is connected over TCP.", show_default="60")
+    timeout: Annotated[
+        float | None, option("SECONDS", "Time to wait while no reader is connected over TCP.", show_default="60")
     ] = None,
     seed: shared.SeedOption = None,
     detector: shared.DetectorOption = None,
@@ -46,7 +46,7 @@ def stream_command(
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
 
-    address = _address(to, wait)
+    address = _address(to, timeout)
     with timed("reading the scene"):
         loaded = load_scene(
             scene,
@@ -61,21 +61,21 @@ def stream_command(
     tell_files(loaded.copy.read)
     with shared.interruptible(), shared.stoppable(), timed("stream"):
         if address is not None:
-            _to_readers(loaded, realtime, address, WAIT_S if wait is None else wait)
+            _to_readers(loaded, realtime, address, WAIT_S if timeout is None else timeout)
         elif write_at_once(header_line(loaded)):
             _send_steps(loaded, realtime, write_at_once)
 
 
-def _address(to: str, wait: float | None) -> Address | None:
+def _address(to: str, timeout: float | None) -> Address | None:
     """Where readers connect; None for standard output."""
     from modsim3d.runs.streaming.lines import STANDARD_OUTPUT, Address
 
-    if wait is not None and not 0 < wait <= LONGEST_WAIT_S:
-        raise ModsimError(f"--wait {wait:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S}")
+    if timeout is not None and not 0 < timeout <= LONGEST_WAIT_S:
+        raise ModsimError(f"--timeout {timeout:g}: give a number of seconds above 0, at most {LONGEST_WAIT_S}")
     if to != STANDARD_OUTPUT:
         return Address.parse(to)
-    if wait is not None:
-        raise ModsimError("--wait is for readers that connect to --to tcp://ADDRESS:PORT: leave it out")
+    if timeout is not None:
+        raise ModsimError("--timeout is for readers that connect to --to tcp://ADDRESS:PORT: leave it out")
     return None
 
 

@@ -36,7 +36,8 @@ def track_command(
         str | None,
         option(
             "NAME",
-            "Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, world_gnn, world_jpda, or a plug-in.",
+            "Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, world_gnn, world_jpda, or that "
+            "of a plug-in.",
             autocompletion=shared.complete_tracker,
             show_default="reference",
         ),
@@ -157,7 +158,7 @@ def score_command(
     similarity: shared.SimilarityOption = None,
     threshold: Annotated[float, option("S", "Least similarity at which a track follows a vessel.")] = 0.5,
     gap: Annotated[float, option("SECONDS", "After so long outside the image a vessel is a new one.")] = 2.0,
-    by_class: Annotated[bool, flag("--by-class", "Score each class by itself too.")] = False,
+    by: Annotated[Literal["class"] | None, option("KEY", "Key to tell apart too: class.")] = None,
     gospa: Annotated[
         str | None,
         option(
@@ -212,7 +213,7 @@ def score_command(
                 scale_px=scale_px,
                 threshold=threshold,
                 gap_s=gap,
-                by_class=by_class,
+                by_class=by is not None,
                 gospa_c=cutoff,
                 gospa_p=power,
                 gospa_switch=switch,

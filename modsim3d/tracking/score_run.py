@@ -159,7 +159,7 @@ def score_run(
 
 def _refuse_image_rules(rules: Rules) -> None:
     """Refuse rules that only tracks in the images have, where there are none and a rule is not as by default."""
-    options = "--vessels", "--gap", "--by-class", "--similarity", "--threshold"
+    options = "--vessels", "--gap", "--by class", "--similarity", "--threshold"
     values, usual = (
         (r.truth, r.gap_s, r.by_class, (r.similarity.name, r.similarity.scale_px), r.similarity.least)
         for r in (rules, Rules())

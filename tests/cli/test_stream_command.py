@@ -111,7 +111,7 @@ def test_one_step_in_one_step_out_and_a_garbled_line_ends_it_after_the_lines_bef
 
 
 def test_a_stream_ends_with_a_word_when_its_readers_are_gone(stored: Path, start: Start) -> None:
-    process = start(stored, "--to", "tcp://127.0.0.1:0", "--wait", "3")
+    process = start(stored, "--to", "tcp://127.0.0.1:0", "--timeout", "3")
     with closing(connected(listening(process))) as crashing:
         assert crashing.recv(1)
     status, _, said = end_of(process)
@@ -186,10 +186,10 @@ WRONG = (
     ("--to lines.jsonl", "--to 'lines.jsonl': is neither - (standard output) nor tcp://ADDRESS:PORT"),
     ("--to tcp://127.0.0.1:70000", "a port is a number from 0 to 65535 (got 70000)"),
     ("--to tcp://192.0.2.1:5000", "--to tcp://192.0.2.1:5000: cannot listen there"),
-    ("--to tcp://127.0.0.1:0 --wait 0", "--wait 0: give a number of seconds above 0"),
-    ("--to tcp://127.0.0.1:0 --wait nan", "--wait nan: give a number of seconds above 0"),
-    ("--wait 5", "--wait is for readers that connect"),
-    ("--to tcp://127.0.0.1:0 --wait 0.01", "nobody has connected for 0.01 s"),
+    ("--to tcp://127.0.0.1:0 --timeout 0", "--timeout 0: give a number of seconds above 0"),
+    ("--to tcp://127.0.0.1:0 --timeout nan", "--timeout nan: give a number of seconds above 0"),
+    ("--timeout 5", "--timeout is for readers that connect"),
+    ("--to tcp://127.0.0.1:0 --timeout 0.01", "nobody has connected for 0.01 s"),
     ("--state nowhere", "nowhere"),
 )
 
@@ -206,7 +206,7 @@ def test_a_port_that_is_taken_and_one_that_other_computers_reach_are_told(modsim
         said = modsim3d("stream", stored, "--to", f"tcp://127.0.0.1:{taken.getsockname()[1]}")
     assert (said.status, said.out) == (2, "")
     assert "cannot listen there: Address already in use; port 0 takes any free port" in said.err
-    said = modsim3d("stream", stored, "--to", "tcp://0.0.0.0:0", "--wait", "0.01")
+    said = modsim3d("stream", stored, "--to", "tcp://0.0.0.0:0", "--timeout", "0.01")
     assert said.err.startswith("warning: whoever reaches this computer at tcp://0.0.0.0:")
 
 

@@ -37,7 +37,7 @@ def test_a_score_prints_trackers_beside_references_and_rules_and_its_help_tracks
 
 
 def test_a_score_is_written_where_it_is_told_and_is_that_of_standard_output(modsim3d, run, tracks, tmp_path):
-    said = modsim3d("score", run, tracks, "--by-class", "--out", tmp_path / "out", "--json")
+    said = modsim3d("score", run, tracks, "--by", "class", "--out", tmp_path / "out", "--json")
     found = json.loads(said.out)
     assert found.pop("written") == [str(tmp_path / "out" / name) for name in ("score.json", "score.html")]
     assert found.pop("command") == "score"

@@ -75,7 +75,7 @@ def test_by_class_each_label_has_its_own_matching_and_the_others_stay_of_all_cla
 
 def test_a_track_without_a_label_is_refused_by_class() -> None:
     tracks = [(0, 1, A, 0), (0, 2, B), (1, 1, A, 0)]
-    said = r"^--by-class needs a label .* 1 of 3 rows have none: score without --by-class$"
+    said = r"^--by class needs a label .* 1 of 3 rows have none: score without it$"
     with pytest.raises(ModsimError, match=said):
         scores_of([(0, 0, A)], tracks, 2, BY_CLASS)
     assert scores_of([(0, 0, A)], tracks, 2).by_class == {}

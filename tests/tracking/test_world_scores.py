@@ -243,7 +243,7 @@ def test_distances_must_be_above_zero_and_image_rules_are_refused_in_the_world(r
         ({"threshold": 0.7}, "--threshold: for tracks in the images, and none are given: leave out; .* --gate"),
         ({"similarity": "centre", "scale_px": 9.0}, "--similarity: for tracks in the images"),
         ({"truth": "full"}, "--vessels: for tracks in the images"),
-        ({"by_class": True}, "--by-class: for"),
+        ({"by_class": True}, "--by class: for"),
         ({"gap_s": 5.0}, "--gap: for"),
     ):
         with pytest.raises(ModsimError, match=said):

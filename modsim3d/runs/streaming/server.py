@@ -222,7 +222,7 @@ class LineServer:
         with self._changed:
             if not self._wait_until(lambda: self._came > 0):
                 raise ModsimError(
-                    f"{self.address}: nobody has connected for {self.wait_s:g} s: start the reader, or give --wait"
+                    f"{self.address}: nobody has connected for {self.wait_s:g} s: start the reader, or give --timeout"
                 )
 
     def send(self, lines: bytes) -> None:

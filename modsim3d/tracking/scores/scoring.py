@@ -77,8 +77,8 @@ def score_tracks(rows: RunRows, tracks: Tracks, rules: Rules) -> Scores:
     unknown = int(np.count_nonzero(tracks.label == NOBODY))
     if rules.by_class and unknown:
         raise ModsimError(
-            f"--by-class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
-            "score without --by-class"
+            f"--by class needs a label in every row of the tracks, and {unknown} of {len(tracks)} rows have none: "
+            "score without it"
         )
     return scores_of(Scored.of(rows, tracks, rules))
 
