@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from modsim3d.cli import detect, shared
-from modsim3d.cli.shared import argument, flag, option
+from modsim3d.cli.shared import argument, option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed
 from modsim3d.cli.terminal_tables import print_document, print_prose, print_table
 from modsim3d.core.errors import ModsimError
