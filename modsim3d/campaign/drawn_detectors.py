@@ -105,7 +105,7 @@ NOT_NEGATIVE = ("visibility_slope", "size_slope")
 _DIGITS = 1e-5
 """What the digits of the settings may change in proportion."""
 _MAX_FACTOR = 10.0
-"""A positive number is drawn within this factor of its estimate; of a few things `learn` knows no bound at all."""
+"""Numbers and rates are drawn within this factor of their estimates; of a few things `learn` knows no bound at all."""
 
 
 def drawn_detector(known: LearnedUncertainty, seed: int) -> dict[str, Any]:
@@ -174,7 +174,8 @@ def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generat
         return np.clip(drawn, estimate / _MAX_FACTOR, estimate * _MAX_FACTOR) if number.kind == "positive" else drawn
     trials = np.array(number.observations, dtype=np.float64) / widen
     if number.kind == "rate":
-        return jeffreys_rate(estimate, trials, special.ndtr(z))
+        drawn = jeffreys_rate(estimate, trials, special.ndtr(z))
+        return np.where(estimate > 0, np.minimum(drawn, estimate * _MAX_FACTOR), drawn)
     if number.name == "confusion":
         missed = jeffreys_share(estimate[-1], trials[-1], special.ndtr(z[-1]))
         columns = zip(estimate[:-1].T, trials[-1] * (1 - estimate[-1]), strict=True)
