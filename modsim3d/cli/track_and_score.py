@@ -36,8 +36,8 @@ def track_command(
         str | None,
         option(
             "NAME",
-            "Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, world_gnn, world_jpda, or that "
-            "of a plug-in.",
+            "Tracker: reference, sort, bytetrack, ocsort, stonesoup_gnn, stonesoup_jpda, world_gnn, world_jpda, or "
+            "one of a plug-in.",
             autocompletion=shared.complete_tracker,
             show_default="reference",
         ),
