@@ -98,7 +98,7 @@ WORLD = {
     "established_m": ("Established at, m", 0),
 }
 """Scores in metres, with their headings and decimals."""
-WORLD_STEPS = 300
+WORLD_STEPS = 200
 """The most steps of a scene in metres: trackers in the world take some 10 ms a frame."""
 PARTS = ("detector", "perfect", "misses", "world")
 CENTRE_DIFFERENCES = "differences_centre"
