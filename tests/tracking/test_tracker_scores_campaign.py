@@ -10,7 +10,8 @@ import pytest
 from scipy.special import stdtrit
 
 from benchmarks.campaigns import tracker_scores
-from benchmarks.tracker_trials import mean_and_interval
+from benchmarks.tracker_trials import looks, mean_and_interval, on_the_sea, perfect_detector, tracks_lost_when_hidden
+from modsim3d import load_scene, score_world
 from modsim3d.tracking.score_outcome import ONE_RUN
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -116,6 +117,16 @@ def test_scores_fall_with_the_miss_rate_and_a_perfect_detector_lets_the_referenc
         assert sound["hota"] > missing["hota"]
     reference, lost_when_hidden = tracker_scores.perfect_trial(("simulation_2", 0, 150))
     assert reference["hota"] > tracker_scores.PERFECT_LEAST and lost_when_hidden["deta"] == 1
+
+
+def test_true_boxes_on_the_sea_lie_within_a_length_of_their_vessels_and_each_line_has_its_scores_in_metres() -> None:
+    detector = perfect_detector(load_scene("simulation_1").detector.labels)
+    ((_, rows),) = looks("simulation_1", 5, 1, 15, detector)
+    scored = score_world(rows, on_the_sea(rows, tracks_lost_when_hidden(rows))).flat()
+    assert scored["rmse_m"] < 8 and scored["followed_share"] > 0.95
+    found = tracker_scores.world_trial(("simulation_1", 5, 1, 15))
+    assert [row["tracker"] for row in found] == list(tracker_scores.WORLD_TRACKERS)
+    assert all(row["gospa_m"] >= 0 and set(tracker_scores.WORLD) < set(row) for row in found)
 
 
 def test_an_interval_is_student_s_and_detector_seeds_of_one_traffic_count_as_one_but_of_the_only_one() -> None:
