@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import modsim3d
-from modsim3d import ModsimError, learn_detector, load_scene, run_scene
+from modsim3d import ModsimError, learn_detector
 from modsim3d.cli.learn import learn_json
 from modsim3d.cli.main import app
 from modsim3d.detector.file.reading import parse_detector
@@ -16,11 +16,13 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn import self_check as learning_check
+from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.self_check import RealityComparison, hota_counts, self_check
 from modsim3d.learn.simulated_results import simulated
 from tests.formats.labelled_video.videos import coco, write
 from tests.learn.one_state import detected, detector, learned_in, moored, observed_as, observed_in
+from tests.learn.round_trip import simulate
 
 FRAMES, BOATS, SEEDS = 400, 20, 12
 SCORE = {"score": {"vessel_share": 0.2, "shares": [0.3, 0.4], "times_s": [1.0, 4.0]}}
@@ -69,18 +71,20 @@ def test_a_model_that_lacks_the_memory_is_told_by_runs_and_gaps(monkeypatch) -> 
 
 
 def test_the_command_says_what_differs_first_and_can_leave_the_check_out(tmp_path) -> None:
-    short_run = run_scene(load_scene("simulation_1", steps=80), tmp_path / "run").folder
-    result = learn_detector(run=short_run, replicates=20)
+    short_run = simulate("simulation_1", tmp_path, mode=0, steps=150)
+    quick = {"replicates": 20, "without": ("relative", "mixed", "student_t", *NAMES)}
+    result = learn_detector(run=short_run, **quick)
     check = result.report.check
     assert check is not None and len(check.comparisons) > 10 and result.report.remarks[0] == check.sentence
     assert check.sentence.startswith("Learned from one half of the data and simulated 2 times over the other")
     content = learn_json(result.report, [])["self_check"]
     assert [each["name"] for each in content] == [each.name for each in check.comparisons]
-    without = learn_detector(run=short_run, replicates=20, check=False)
+    without = learn_detector(run=short_run, **quick, check=False)
     assert without.report.check is None and learn_json(without.report, [])["self_check"] is None
     assert without.content == result.content
     out = tmp_path / "detector.yaml"
-    said = CliRunner().invoke(app, ["learn", str(short_run), "--out", str(out), "--replicates", "20", "--no-check"])
+    options = ("--replicates", "20", "--without", ",".join(quick["without"]), "--no-check")
+    said = CliRunner().invoke(app, ["learn", str(short_run), "--out", str(out), *options])
     assert said.exit_code == 0 and "Where it was not learned" not in said.output + out.with_suffix(".html").read_text()
 
 
