@@ -16,7 +16,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import open_run
 from modsim3d.tracks.true_tracks import TrueTracks
 
-FRAMES, CARS, FILMS = 60, 4, (0, 1, 2, 3)
+FRAMES, CARS, FILMS = 30, 4, (0, 1, 2, 3)
 
 
 @pytest.fixture(scope="module")
