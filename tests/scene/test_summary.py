@@ -9,6 +9,7 @@ import pytest
 from modsim3d import load_scene
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.scene.summary import camera_facts, doubts, sampled_tracks, vessel_types
+from tests.packaging.test_documents import ROOT, blocks
 from tests.scenes import camera_keys, write_scene
 
 BOAT = [10, 4, 3]
@@ -43,6 +44,20 @@ def test_a_line_on_each_camera_is_what_a_drawing_has(tmp_path: Path) -> None:
         f"pier: {size}, 8 m up, looks towards heading 60° and 30° down, horizon above the image",
     ]
     assert types == ["Vessel: 2, 10 to 80 × 4 to 14 × 3 to 20 m, 0.5 to 2 m/s"] and doubtful == []
+
+
+@pytest.mark.parametrize("page", ["cameras", "scene"])
+def test_a_page_shows_the_lines_that_its_scenes_have(tmp_path: Path, page: str) -> None:
+    found, shown = set(), set()
+    for language, text, file in blocks(ROOT / "docs" / f"{page}.md"):
+        if file is not None:
+            (tmp_path / file).parent.mkdir(exist_ok=True)
+            (tmp_path / file).write_text(text)
+            if "detector:" in text:
+                found |= set(map(str, camera_facts(load_scene(tmp_path / file))))
+        elif language == "text":
+            shown |= {line.strip() for line in text.splitlines() if "horizon at row" in line}
+    assert shown and shown <= found
 
 
 MEETING = {"a": (BOAT, [[0, 0, 0], [10, 50, 0]]), "b": (BOAT, [[0, 50, 1], [10, 0, 1]])}
