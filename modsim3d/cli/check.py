@@ -84,9 +84,7 @@ def _draw_map(scene: Scene, out: Path, overwrite: bool) -> Path:
     from modsim3d.view.map_picture import check_map, save_map
 
     if scene.live:
-        raise ModsimError(
-            "--map: poses come in live, so it is not known yet where vessels are: draw a run with view map"
-        )
+        raise ModsimError("--map: poses come in live, so nobody knows yet where vessels are: draw a run with view map")
     path = shared.out_file(out, Path(f"{scene.name}.png"))
     check_map(path)
     with claimed([path], overwrite=overwrite, inputs=scene.copy.read), timed("map"):
@@ -112,10 +110,9 @@ def _check_campaign(path: Path) -> None:
 
     found = read(str(path))
     warnings, keys = introduced(found), found.file.keys
-    said = {"trackers": [each.label for each in keys.trackers], "required": [*map(requirement_in_words, keys.require)]}
-    say_json(
-        {"format": 1, "command": "check scene", "path": path, "runs": len(found.plan), **said, "warnings": warnings}
-    )
+    said = {"format": 1, "command": "check scene", "path": path, "runs": len(found.plan), "warnings": warnings}
+    required = [*map(requirement_in_words, keys.require)]
+    say_json({**said, "trackers": [each.label for each in keys.trackers], "required": required})
 
 
 def _check_detector(path: Path) -> None:

@@ -129,9 +129,7 @@ class DistortionKeys(Strict):
 _BESIDE = ("principal_point_px", "skew", "distortion")
 LENSES = (
     ("focal_length_m", "pixel_size_m", *_BESIDE),
-    ("focal_px", *_BESIDE),
-    ("hfov_deg", *_BESIDE),
-    ("vfov_deg", *_BESIDE),
+    *((form, *_BESIDE) for form in ("focal_px", "hfov_deg", "vfov_deg")),
     ("K", "distortion"),
     ("calibration",),
 )
@@ -196,11 +194,7 @@ class WavesKeys(Strict):
     """Waves: a named level, the coefficients of each axis, or a spectrum."""
 
     alternatives: ClassVar = (
-        (
-            ("level",),
-            ANGLES,
-            ("spectrum", "significant_height_m", "peak_period_s", "direction_rad", "peakedness"),
-        ),
+        (("level",), ANGLES, ("spectrum", "significant_height_m", "peak_period_s", "direction_rad", "peakedness")),
     )
 
     level: str | None = None

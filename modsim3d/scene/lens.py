@@ -33,10 +33,10 @@ def form_problems(camera: Mapping[str, Any]) -> Iterator[str]:
     if "image_size_px" not in given and "calibration" not in given:
         yield ".image_size_px: missing"
     for place in ("pose", "mount"):
-        turned = camera.get(place)
-        turned = turned if isinstance(turned, dict) else {}
+        keys = camera.get(place)
+        angles = {key for key in keys if keys[key] is not None} if isinstance(keys, dict) else set()
         for angle in ANGLES:
-            if turned.get(f"{angle}_rad") is not None and turned.get(f"{angle}_deg") is not None:
+            if {f"{angle}_rad", f"{angle}_deg"} <= angles:
                 yield f".{place}.{angle}_deg: beside {angle}_rad: leave one of them out"
 
 
@@ -74,7 +74,7 @@ def resolved(name: str, camera: Mapping[str, Any], keys: CameraKeys, folder: Pat
             lens["focal_px"] = [_focal_px(math.radians(angle_deg), at, side)] * 2
     place = next(key for key in ("pose", "mount") if camera.get(key) is not None)
     turned = _in_radians(camera[place])
-    if {*lens} <= {*camera} and turned == camera[place]:
+    if turned == camera[place] and all(camera.get(key) is not None for key in lens):
         return {**camera}  # in this form already
     lens["image_size_px"] = list(size)
     others = {key: value for key, value in camera.items() if key not in (*_FORMS[2:], *lens, place)}

@@ -153,18 +153,15 @@ MAX_COMPARED = 20_000_000
 def doubts(scene: Scene, tracks: HullTracks | None) -> list[str]:
     """Sentences on cameras, sizes, speeds, paths through obstacles, and vessels in one place, the first of each kind.
     The tracks are those of the scene."""
-    kinds: list[Iterable[str]] = [[each] for each in _off_centre(scene)] + [_sizes(scene, key) for key in USUAL_M]
+    lenses = ((f"cameras.{camera.name}: ", camera.intrinsics) for camera in scene.cameras)
+    points = ((name, point_problem(lens.principal_point_px, lens.image_size_px)) for name, lens in lenses)
+    kinds: list[Iterable[str]] = [[name + problem] for name, problem in points if problem]
+    kinds += [_sizes(scene, key) for key in USUAL_M]
     if tracks is not None:
         through = (_through(scene, tracks, obstacle) for obstacle in scene.obstacles)
         kinds += [_fast(scene, tracks), *through, _in_one_place(scene, tracks)]
     found = [(first, len(more)) for first, *more in filter(None, map(list, kinds))]
     return [first + (f" (and {more} more like it)" if more else "") for first, more in found]
-
-
-def _off_centre(scene: Scene) -> Iterator[str]:
-    for camera in scene.cameras:
-        if problem := point_problem(camera.intrinsics.principal_point_px, camera.intrinsics.image_size_px):
-            yield f"cameras.{camera.name}: {problem}"
 
 
 def _sizes(scene: Scene, key: str) -> Iterator[str]:

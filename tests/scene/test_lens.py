@@ -77,7 +77,7 @@ def test_a_box_is_where_a_hand_calculation_has_it_by_each_form(tmp_path: Path) -
     tall = {"vfov_deg": 2 * math.degrees(math.atan(0.3))}  # 240 / 800
     for lens, (fx, fy), (x, y) in (
         ({"K": K}, (800, 790), (310.5, 230.5)),
-        ({"focal_px": [800, 790]}, (800, 790), (320, 240)),
+        ({"focal_px": [800, 790], "principal_point_px": None}, (800, 790), (320, 240)),
         ({"focal_px": [800, 790], "principal_point_px": [310, 230]}, (800, 790), (310, 230)),
         ({"focal_length_m": 0.008, "pixel_size_m": [1e-5, 1e-5]}, (800, 800), (320, 240)),
         (view, (800, 800), (320, 240)),

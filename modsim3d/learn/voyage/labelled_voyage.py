@@ -336,14 +336,11 @@ def _camera_keys(keys: Mapping[str, Any], registration: Registration) -> dict[st
     posed["position_m"] = [along, port, up + values["height_m"]]
     for name in ("roll", "pitch", "yaw"):
         posed[f"{name}_rad"] = posed.get(f"{name}_rad", 0.0) + float(np.radians(values[f"{name}_deg"]))
-    share = 1 + values["focal_share"]
-    in_px = "focal_px" in keys
-    focal = (
-        {"focal_px": [share * f for f in keys["focal_px"]]}
-        if in_px
-        else {"focal_length_m": keys["focal_length_m"] * share}
-    )
-    changed = {**keys, place: posed, **focal}
+    share, changed = 1 + values["focal_share"], {**keys, place: posed}
+    if keys.get("focal_px") is None:
+        changed["focal_length_m"] = keys["focal_length_m"] * share
+    else:
+        changed["focal_px"] = [share * focal for focal in keys["focal_px"]]
     if values["k1"]:
         bent = dict(keys.get("distortion") or {})
         changed["distortion"] = bent | {"k1": bent.get("k1", 0.0) + values["k1"]}
