@@ -52,6 +52,9 @@ def ais_command(
             show_default="Vessel for all",
         ),
     ] = None,
+    detector: Annotated[
+        Path | None, option("FILE", "Detector file or shipped name of the scene.", show_default="vessel")
+    ] = None,
     overwrite: shared.OverwriteOption = False,
     quiet: shared.QuietOption = False,
     verbose: shared.VerboseOption = False,
@@ -60,15 +63,15 @@ def ais_command(
 
     Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --end +600 --out scenes/sound
     """
+    from modsim3d.detector.file.reading import find_detector, load_detector
     from modsim3d.io import overwrite_guard
-    from modsim3d.io.input_files import data_folder
     from modsim3d.io.overwrite_guard import locked_folder
     from modsim3d.scene.ais import options as given
     from modsim3d.scene.ais.scene_folder import FILES, check_free, write_scene
     from modsim3d.scene.ais.traffic import read_traffic
     from modsim3d.view.pages.ais_page import ais_page
 
-    labels = label or []
+    labels, found = label or [], find_detector(detector or "vessel")
     options = given.Options(
         origin=given.parse_origin(origin) if origin else None,
         region=given.parse_region(region) if region else None,
@@ -80,18 +83,18 @@ def ais_command(
         swap_coordinates=swap_coordinates,
         labels_by_type=BY_TYPE in labels,
         labels=given.parse_labels(text for text in labels if text != BY_TYPE),
+        detector_labels=load_detector(found).labels,
     )
     check_free(out, overwrite)
     with locked_folder(out):
         read = [file for file in files if not file.is_dir()]  # folders are refused when they are read
         for name in FILES:
-            overwrite_guard.check_free(out / name, overwrite, read)
+            overwrite_guard.check_free(out / name, overwrite, [*read, found])
         with timed("reading"):
             traffic = read_traffic(files, options)
-        tell_files(read)
-        detector = data_folder("scenes") / "detectors" / "thesis.yaml"
+        tell_files([*read, found])
         with timed("writing"):
-            write_scene(traffic, out, detector, overwrite, ais_page(traffic, shared.typed_command(context)))
+            write_scene(traffic, out, found, overwrite, ais_page(traffic, shared.typed_command(context)))
     _print_summary(traffic, out)
 
 

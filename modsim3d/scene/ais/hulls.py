@@ -22,6 +22,7 @@ class ShipType:
     """A group of ship types: its label for a detector, its typical dimensions, and the codes and words that mean it."""
 
     label: str
+    names: tuple[str, ...]  # labels that detectors may have for it, the most exact first
     length_m: float
     beam_m: float
     air_draft_m: float
@@ -35,7 +36,9 @@ def ship_types() -> Mapping[str, ShipType]:
     for group, entry in load_yaml(TABLE, "table of ship types").items():
         length_m, beam_m, air_draft_m = (float(entry[key]) for key in ("length_m", "beam_m", "air_draft_m"))
         codes = [str(code) for first, last in entry["codes"] for code in range(first, last + 1)]
-        types[group] = ShipType(entry["label"], length_m, beam_m, air_draft_m, frozenset(codes + entry["words"]))
+        types[group] = ShipType(
+            entry["label"], tuple(entry["names"]), length_m, beam_m, air_draft_m, frozenset(codes + entry["words"])
+        )
     return types
 
 

@@ -31,10 +31,24 @@ class Options:
     swap_coordinates: bool = False
     labels_by_type: bool = False  # label vessels by group of ship type, not all of them `Vessel`
     labels: Mapping[str, str] = field(default_factory=dict)  # by group, for some or all groups
+    detector_labels: tuple[str, ...] = ("Vessel",)
 
     def label(self, group: str) -> str:
-        """The label of a vessel of a group."""
-        return self.labels.get(group, ship_types()[group].label if self.labels_by_type else "Vessel")
+        """The label of a vessel of a group: as asked for, the only one of the detector, or the first of the group's
+        names that is one; empty if none is, or the detector lacks what is asked for."""
+        known = {_plain(label): label for label in self.detector_labels}
+        only = self.detector_labels[0] if len(known) == 1 else None
+        asked = self.labels.get(group, ship_types()[group].label if self.labels_by_type else only)
+        names = ship_types()[group].names if asked is None else [asked]
+        usual = asked if only and asked else ""
+        return next((known[_plain(name)] for name in names if _plain(name) in known), usual)
+
+    def check_labels(self, groups: Iterable[str]) -> None:
+        """Raise InputError with every group, of those that are there, that has no label of the detector."""
+        lacking = [group for group in sorted(set(groups)) if not self.label(group)]
+        if lacking:
+            problem = f"the detector has no label for {', '.join(lacking)}: give --label GROUP=LABEL for each"
+            raise InputError(COMMAND_LINE, [f"--detector: {problem}, with {' or '.join(self.detector_labels)}"])
 
     @property
     def window_s(self) -> tuple[float, float]:
@@ -61,6 +75,11 @@ class Options:
             problems.append(f"--end: {time_text(self.end_s)} is before --start, {time_text(self.start_s)}")
         if problems:
             raise InputError(COMMAND_LINE, problems)
+
+
+def _plain(label: str) -> str:
+    """A label without case, spaces and signs."""
+    return "".join(filter(str.isalnum, label.lower()))
 
 
 FIRST_TEXT_S, LAST_TEXT_S = (datetime(year, 1, 2, tzinfo=UTC).timestamp() for year in (1, 9999))

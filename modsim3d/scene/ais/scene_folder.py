@@ -163,6 +163,7 @@ def summary_rows(traffic: AisTraffic) -> list[tuple[str, list[tuple[str, str, st
     """Tables for the terminal: title, and rows of name, number and meaning."""
     options = traffic.options
     times = f"{time_text(traffic.grid.start_s)} to {time_text(traffic.grid.end_s)}"
+    groups = Counter(vessel.hull.group for vessel in traffic.vessels)
     present = sum(len(vessel.steps) for vessel in traffic.vessels)
     away = f"{len(traffic.elsewhere)} more are there at no step" if traffic.elsewhere else ""
     read = [(tally.path.name, str(tally.messages), f"messages, {tally.format}") for tally in traffic.files]
@@ -185,6 +186,7 @@ def summary_rows(traffic: AisTraffic) -> list[tuple[str, list[tuple[str, str, st
     return [
         ("read", read),
         ("result", made),
+        ("vessels by ship type", [(g, str(n), f"label {options.label(g)}") for g, n in sorted(groups.items())]),
         ("messages dropped", explained(_dropped(traffic), REASONS)),
         ("values replaced, in messages", explained(_replaced(traffic), REPLACED)),
         ("defaults, in vessels", explained(_defaults(traffic), DEFAULTS)),
@@ -244,7 +246,7 @@ cameras:
     # Looks from {camera.distance_m:.0f} m across the square kilometre that most vessels visit, at {target}.
     # It is clear of all hulls, but AIS does not say where land is: move it to where a camera could stand.
     pose: {{position_m: [{position}], yaw_rad: {camera.yaw_rad:g}, pitch_rad: {camera.pitch_rad:g}}}
-annotation: {{mode: 0, source: rendered}} # the mode in which this detector was measured; 2 annotates what is seen
+annotation: {{mode: 0, source: rendered}} # whole vessels, hidden parts too; 2 annotates what is seen
 detector: detector.yaml
 """
 DETECTOR_NOTE = """\
@@ -271,9 +273,9 @@ def check_free(folder: Path, overwrite: bool) -> None:
 def write_scene(
     traffic: AisTraffic, folder: Path, detector: Path, overwrite: bool = False, page: str | None = None
 ) -> None:
-    """Write everything that the scene needs, and the report. `detector` is a detector file with one label, to be copied
-    or spread over the scene's labels; `page` is the HTML page that shows what became of the reports. Raises ModsimError
-    if the folder is not free."""
+    """Write everything that the scene needs, and the report. `detector` is a detector file with the scene's labels, or
+    with one label, to be spread over them; `page` is the HTML page that shows what became of the reports. Raises
+    ModsimError if the folder is not free."""
     check_free(folder, overwrite)
     labels = sorted({traffic.options.label(vessel.hull.group) for vessel in traffic.vessels})
     files = {
@@ -333,13 +335,15 @@ def _poses_text(traffic: AisTraffic) -> str:
 
 
 def detector_text(single: Path, labels: Sequence[str]) -> str:
-    """The text of a detector file for some labels, made from a file with a single label. If that label is the only one,
-    the file is copied as it is. Otherwise it gets a confusion matrix for all of them."""
+    """The text of a detector file for some labels. One that has them is copied as it is. One with a single other label
+    gets a confusion matrix for all of them."""
     text = read_text(single, "detector file")
     data: dict[str, Any] = load_yaml(single, "detector file")
-    if list(labels) == data["labels"]:
+    if set(labels) <= set(data["labels"]):
         return text
     data["labels"] = list(labels)
+    for section in [data.get("dropout", {}), *(state.get("dropout", {}) for state in data["states"].values())]:
+        section |= {key: section[key] * len(labels) for key in ("intercept", "learned_log_odds") if key in section}
     for state in data["states"].values():
         (found,), (missed,) = state["confusion"]
         own = [[found if row == column else 0.0 for column in range(len(labels))] for row in range(len(labels))]

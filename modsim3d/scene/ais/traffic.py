@@ -157,6 +157,7 @@ def read_traffic(paths: Sequence[Path], options: Options) -> AisTraffic:
     if not vessels:
         raise _nothing_left(gathered, options)
     elsewhere, camera = [track.mmsi for track in tracks if not len(track.steps)], _camera(vessels)
+    options.check_labels(track.hull.group for track in vessels)
     left_out = _left_out(senders, {track.mmsi for track in tracks})
     odd = next((tally.odd for tally in gathered.files if tally.odd), "") or _odd(positions, origin)
     found = dropped, origin, grid, vessels, elsewhere, left_out, camera, repeated, odd

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+import modsim3d
+from modsim3d.io.input_files import data_folder
 from tests.run_folders import run_files
 from tests.scene.ais.ais_builders import SAMPLE_NAMES, SAMPLES, TABLES, old_file, read_json, row
 
@@ -28,6 +30,32 @@ def test_scene_folder_is_made_and_said_and_runs_as_typed(call, tmp_path):
     assert call("run", moved, "--steps", 3, "--no-sheet", "--out", tmp_path / "run")[0] == 0
     counts = read_json(tmp_path / "run" / "run.json")["counts"]
     assert counts["frames"] == 3 and counts["seen"] > 3
+
+
+def test_the_usual_detector_fits_vessels_far_away_which_that_of_the_thesis_does_not(call, tmp_path):
+    below = {}
+    for name in ("vessel", "thesis"):
+        chosen = ("--detector", name) if name == "thesis" else ()
+        assert call("ais", DANISH, "--out", tmp_path / name, "--end", "+20", *chosen)[0] == 0
+        scene = modsim3d.load_scene(tmp_path / name, source="analytic")
+        below[name] = modsim3d.run_scene(scene, tmp_path / f"run_{name}", thesis_json=False).iou.below_half
+    assert below["vessel"] < 0.02 and below["thesis"] > 0.9
+
+
+def test_groups_have_labels_of_the_detector_which_are_printed_and_asked_for_where_none_fits(call, tmp_path):
+    status, said = call("ais", DANISH, "--out", tmp_path / "coastal", "--end", "+5", "--detector", "coastal")
+    printed = {" ".join(line.split()) for line in said.splitlines()}
+    assert status == 0 and {"cargo 1 label ship", "sailing 1 label sailboat", "pilot 1 label boat"} <= printed
+    vessels = read_json(tmp_path / "coastal" / "vessels.json").values()
+    assert {vessel["label"] for vessel in vessels} == {"boat", "sailboat", "ship"}
+    shipped = data_folder("scenes") / "detectors" / "coastal.yaml"
+    assert (tmp_path / "coastal" / "detector.yaml").read_bytes() == shipped.read_bytes()
+    asked = ("ais", DANISH, "--out", tmp_path / "three", "--end", "+5", "--detector", "three_labels")
+    status, said = call(*asked, "--label", "cargo=lighthouse")
+    assert status == 2 and "the detector has no label for cargo, tug: give --label GROUP=LABEL for each" in said
+    assert "with sailboat or motorboat or ferry" in said and not (tmp_path / "three").exists()
+    assert call(*asked, *(word for group in ("cargo", "tug") for word in ("--label", f"{group}=Ferry")))[0] == 0
+    assert call("run", tmp_path / "three", "--no-sheet", "--out", tmp_path / "run")[0] == 0
 
 
 def test_folder_with_something_in_it_is_left_alone(call, tmp_path):

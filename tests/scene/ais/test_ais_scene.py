@@ -223,6 +223,10 @@ def test_detector_for_several_labels_misses_as_often_as_the_one_for_one(tmp_path
     text = scene_folder.detector_text(THESIS, labels)
     (tmp_path / "detector.yaml").write_text(text, encoding="utf-8")
     assert list(load_detector(tmp_path / "detector.yaml").labels) == labels
+    effect = "dropout: {model: logistic, size_px: {per_unit: -0.01, reference: 0}, intercept: [0.5]}\n"
+    (tmp_path / "learned.yaml").write_text(THESIS.read_text() + effect, encoding="utf-8")
+    (tmp_path / "spread.yaml").write_text(scene_folder.detector_text(tmp_path / "learned.yaml", labels))
+    assert load_detector(tmp_path / "spread.yaml").dropout.intercepts[0] == (0.5,) * len(labels)
     single, spread = yaml.safe_load(THESIS.read_text()), yaml.safe_load(text)
     for name, state in spread["states"].items():
         matrix = np.array(state["confusion"])
