@@ -37,7 +37,7 @@ def ais_command(
         option("TIME", "Time of the last step, in UTC, or +SECONDS from the first.", show_default="last report"),
     ] = None,
     time_step: Annotated[float, option("SECONDS", "Time between steps.")] = 1.0,
-    max_gap: Annotated[float, option("SECONDS", "A vessel is absent between reports that are further apart.")] = 400.0,
+    gap: Annotated[float, option("SECONDS", "Time between reports beyond which a vessel is absent.")] = 400.0,
     max_speed: Annotated[
         float, option("KNOTS", "Drop a position that a vessel can reach only at a higher speed.")
     ] = 60.0,
@@ -78,7 +78,7 @@ def ais_command(
         start_s=given.parse_time(start, "--start") if start else None,
         **given.parse_end(end),
         time_step_s=time_step,
-        max_gap_s=max_gap,
+        max_gap_s=gap,
         max_speed_kn=max_speed,
         swap_coordinates=swap_coordinates,
         labels_by_type=BY_TYPE in labels,

@@ -35,6 +35,7 @@ from modsim3d.core.errors import ModsimError
 OLD_NAMES = {
     "ais --duration": "ais --end +SECONDS",
     "ais --labels": "ais --label type",
+    "ais --max-gap": "ais --gap SECONDS",
     "campaign": "campaign run CAMPAIGN",
     "campaign --like": "campaign plan CAMPAIGN --like DIR",
     "campaign --expect": "campaign plan CAMPAIGN --expect SCORE=MEAN:SPREAD",

@@ -157,7 +157,7 @@ def score_command(
     ] = "annotated",
     similarity: shared.SimilarityOption = None,
     threshold: Annotated[float, option("S", "Least similarity at which a track follows a vessel.")] = 0.5,
-    gap: Annotated[float, option("SECONDS", "After so long outside the image a vessel is a new one.")] = 2.0,
+    gap: Annotated[float, option("SECONDS", "Time outside the image after which a vessel is a new one.")] = 2.0,
     by: Annotated[Literal["class"] | None, option("KEY", "Key to tell apart too: class.")] = None,
     gospa: Annotated[
         str | None,

@@ -195,7 +195,7 @@ def test_commands_options_values_and_scenes_are_completed_and_files_left_to_the_
     paths = [("run", "sc"), ("run", "scenes/"), ("check", "run", ""), ("run", "x", "--out", "")]
     shells = [(shell, *each) for shell in ("bash", "zsh", "fish") for each in paths]
     scenes, commands, options, values, zsh, fish, trackers, *files = completions(folder, *asked, *shells)
-    shipped = ["simulation_1", "simulation_2", "simulation_3", "strait"]
+    shipped = ["simulation_1", "simulation_2", "simulation_3", "small_target", "strait"]
     assert [word for word in scenes if word] == [*shipped, "simple.json", "strange.yaml"]
     assert {"run", "learn", "scenes"} <= set(commands)
     assert "--detector-seed" in options and "rectangles" in values

@@ -17,7 +17,7 @@ HEAD = DANISH.read_bytes().partition(b"\n")[0]
 
 def test_scene_folder_is_made_and_said_and_runs_as_typed(call, tmp_path):
     out = tmp_path / "scene"
-    status, said = call("ais", DANISH, "--out", out, "--max-gap", 120, "--time-step", 2)
+    status, said = call("ais", DANISH, "--out", out, "--gap", 120, "--time-step", 2)
     words = ("254", "messages used", "249", "no_position", "jump", "heading_from_course", "air_draft", "10:00:00Z")
     assert status == 0 and [word for word in (*words, f"modsim3d run {out}") if word not in said] == []
     assert {path.name for path in out.iterdir()} == {
@@ -199,7 +199,7 @@ def test_every_file_of_no_use_is_named_at_once(problem, tmp_path):
         (("--origin", "112,56"), "latitude 112 is beyond ±90: latitude comes first"),
         (("--region", "1,2,3"), "--region: LAT1,LON1,LAT2,LON2 in degrees"),
         (("--time-step", 0), "--time-step: must be above 0"),
-        (("--max-gap", -1), "--max-gap: must be above 0"),
+        (("--gap", -1), "--gap: must be above 0"),
         (("--time-step", 1e-5), "more than 1,000,000"),
         (("--end", "+soon"), "--end: needs seconds after the first step, as in +600"),
         (("--label", "ferry=Ferry"), "no group 'ferry'"),

@@ -63,7 +63,7 @@ def test_the_page_says_what_became_of_vessels_and_reports_which_options_were_giv
         "row 83: LAT is not a number (got 'x56')",
         "219000002|X|16|20|20|1|300|282|48.5 %|",
         "Length missing: typical of the ship type|1|",
-        *("--max-gap 120|given|", "--region 55.9,11.9,56.2,12.3|given|", "--label type|given|"),
+        *("--gap 120|given|", "--region 55.9,11.9,56.2,12.3|given|", "--label type|given|"),
         "--time-step 1|by default|",
     }
     assert lines - set(said.splitlines()) == set()
