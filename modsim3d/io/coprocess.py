@@ -192,7 +192,7 @@ class Coprocess:
 
     def _end(self) -> str:
         """How the program ended, in words; it is waited for, for a while."""
-        self._life.settimeout(_END_S)
+        self._life.settimeout(min(_END_S, self._timeout_s))
         try:
             status, used = map(int, self._life.recv(64).split())
         except (OSError, ValueError):

@@ -1,9 +1,11 @@
 """`modsim3d track`, `score` and `detect --truth`: what they print, write and refuse."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import modsim3d as package
@@ -14,6 +16,16 @@ from tests.cli.bad_input.builders import content
 from tests.cli.conftest import Modsim3d
 from tests.cli.test_json import documented, parsed
 from tests.formats.labelled_video.videos import coco, mot, write
+
+EVERY_BOX = """\
+import json, sys
+sys.stdin.readline()
+print(json.dumps({"answers": "frames", "tracks": sys.argv[1] if sys.argv[1:] else "image"}), flush=True)
+for line in sys.stdin:
+    frame = json.loads(line)
+    told = [{"track": k, "box_px": found["box_px"]} for k, found in enumerate(frame["detections"])]
+    print(json.dumps({"camera": frame["camera"], "step": frame["step"], "tracks": told}), flush=True)
+"""
 
 
 @pytest.fixture
@@ -148,7 +160,8 @@ def test_the_keys_of_its_object_are_those_of_the_page(tmp_path: Path, modsim3d: 
 
 
 def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Path, modsim3d: Modsim3d) -> None:
-    truth, folder = mot(tmp_path / "bay"), tmp_path / "sim"
+    truth, folder, program = mot(tmp_path / "bay"), tmp_path / "sim", tmp_path / "every.py"
+    program.write_text(EVERY_BOX, encoding="utf-8")
     run = ("detect", "--truth", truth, "--detector", "coastal", "--labels", "boat", "--horizon", 150, "--out", folder)
     assert modsim3d(*run).status == 0
     files = ("--truth", truth, "--detections", folder / "det" / "det.txt")
@@ -156,8 +169,12 @@ def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Pa
         ("detect", *files, "--out", tmp_path / "real"),
         ("track", tmp_path / "real", "--tracker", "sort", "--out", tmp_path / "of_run"),
         ("track", *files, "--tracker", "sort", "--out", tmp_path / "of_files"),
+        ("track", *files, "--command", f"{sys.executable} {program}", "--out", tmp_path / "of_program"),
     ):
         assert modsim3d(*line).status == 0
+    in_world = modsim3d("track", *files, "--command", f"{sys.executable} {program} world", "--out", tmp_path / "w")
+    assert in_world.status == 2 and "needs places in the world, and labels of videos have none" in in_world.err
+    assert len(pq.read_table(tmp_path / "of_program" / "tracks.parquet")) > 0
     tracks = [(tmp_path / name / "tracks.parquet").read_bytes() for name in ("of_run", "of_files")]
     assert tracks[0] == tracks[1]
     scores = [

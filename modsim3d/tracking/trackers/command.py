@@ -1,5 +1,5 @@
 """A program as a tracker: lines of JSON to its standard input, one line back for each. docs/tracker_command.md has
-them, and tracker_command.schema.json beside this file."""
+them, and tracker_command.json beside this file."""
 
 from __future__ import annotations
 

@@ -136,6 +136,7 @@ def command_tracker(
         orjson.dumps(given)
     except TypeError as error:
         raise InputError("--command", [f"set: its settings cannot be written as JSON: {error}"]) from None
+    _ = tracker.program
     called = Path([*tracker.files()][:2][-1]).stem  # of `python3 tracker.py`, the second
     return NamedTracker(name or called, tracker, None, "those that are given")
 

@@ -1,0 +1,251 @@
+"""Programs as trackers of a campaign: the C++ example and versions of it that leak, die and stall; and in the world."""
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from scipy.optimize import linear_sum_assignment
+
+import modsim3d
+from modsim3d import ModsimError
+from modsim3d.campaign.campaign import present_state
+from modsim3d.campaign.folder import opened_campaign
+from modsim3d.campaign.keys import read_campaign
+from modsim3d.campaign.report.campaign_page import campaign_page
+from modsim3d.campaign.reproduce import make_again
+from modsim3d.campaign.running import run_plan
+from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.row import WORLD_SCORES, world_column
+from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, problems_of, run_campaign_file
+from tests.campaign.engines.campaigns import waited_for
+from tests.scenes import crossing
+
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
+CPP, PYTHON, _ = (text for _, text in re.findall(r"```(cpp|python|shell)\n(.*?)```", PAGE, flags=re.DOTALL))
+LOOP = "while (std::getline(std::cin, line)) {"
+VERSIONS = {
+    "good": "",
+    "leaks": "std::string* kept = new std::string(4 << 20, 'x'); if (kept->back() == 'y') return 1;",
+    "dies": 'static int frame = 0; if (++frame == 37) { std::cerr << "frame 37" << std::endl; std::abort(); }',
+    "stalls": "static int frame = 0; if (++frame == 5) std::getline(std::cin, line);",
+}
+REQUIRED = [
+    {"score": "frame_ms_p99", "at_most": 1000, "where": {"tracker": "good"}},
+    {"score": "peak_memory_mb", "at_most": 60, "where": {"tracker": ["good", "leaks"]}},
+    {"score": "hota", "at_least": 0.05, "in": 0.5, "where": {"tracker": ["good", "dies"]}},
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the programs and a campaign of 24 runs of them."""
+    if shutil.which("g++") is None:
+        pytest.skip("there is no compiler of C++")
+    made = tmp_path_factory.mktemp("programs")
+    for name, more in VERSIONS.items():
+        (made / f"{name}.cpp").write_text(CPP.replace(LOOP, f"{LOOP}\n{more}"), encoding="utf-8")
+        subprocess.run(
+            ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"{name}.cpp", "-o", name], cwd=made, check=True
+        )
+    trackers = [
+        {"name": name, "command": [f"./{name}"], "timeout_s": 1.5 if name == "stalls" else 60.0} for name in VERSIONS
+    ]
+    scene = crossing(made, 40).name
+    keys = {"scene": scene, "set": {"annotation.source": "analytic"}, "seeds": {"traffic": 6}}
+    campaign_file(made, **keys, trackers=trackers, require=REQUIRED)
+    return made
+
+
+def run_here(folder: Path, out: str, progress: Any = lambda progress: None) -> modsim3d.Campaign:
+    """The campaign, run or gone on with in this process."""
+    run_plan(checked(read_campaign(folder / "campaign.yaml")), folder / out, ThisProcess, progress=progress)
+    return modsim3d.open_campaign(folder / out)
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    """What is compared byte for byte: everything but what runs took, the log and locks."""
+    files = [
+        path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(("took", "campaign.log"))
+    ]
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def test_24_runs_killed_interrupted_and_gone_on_with_end_as_if_nothing_had_been(folder: Path) -> None:
+    line = "campaign run campaign.yaml --out stopped --workers 1 -q"
+    with subprocess.Popen([sys.executable, "-m", "modsim3d", *line.split()], cwd=folder) as process:
+        waited_for(lambda: [*folder.glob("stopped/done/*.rows")])
+        process.send_signal(signal.SIGKILL)
+    waited_for(lambda: not [each for each in Path("/proc").glob("[0-9]*/exe") if folder in each.resolve().parents])
+    with pytest.raises(KeyboardInterrupt):
+        run_here(folder, "stopped", interrupt)
+    gone_on, whole = run_here(folder, "stopped"), run_here(folder, "whole")
+    assert bytes_of(folder / "stopped") == bytes_of(folder / "whole")
+    rows = gone_on.table.to_pylist()
+    assert len(rows) == 24 and gone_on.table.drop_columns(TOOK).equals(whole.table.drop_columns(TOOK))
+    errors = {row["tracker"]: row["error"] for row in rows}
+    assert errors["good"] is errors["leaks"] is None
+    assert re.fullmatch(
+        r"ModsimError: the tracker 'dies': camera 'C0' at 36 s: SIGABRT ended it; standard error: frame 37",
+        errors["dies"],
+    )
+    assert errors["stalls"].endswith("camera 'C0' at 4 s: no answer within 1.5 s")
+    memory = {name: max(row["peak_memory_mb"] or 0 for row in rows if row["tracker"] == name) for name in VERSIONS}
+    assert memory["leaks"] > 100 > 60 > memory["good"] > 0
+
+
+TOOK = ["frame_ms_median", "frame_ms_p99", "frame_ms_max", "peak_memory_mb", "repeats"]
+
+
+def test_verdicts_on_what_runs_took_stand_apart_and_everything_says_what_went_wrong(folder: Path) -> None:
+    campaign = run_here(folder, "whole")
+    outcomes = {(each.requirement, each.tracker): each.outcome for each in campaign.verdicts}
+    assert outcomes == {
+        **{(0, "good"): "met", (1, "good"): "met", (1, "leaks"): "failed"},
+        **{(2, "good"): "met", (2, "dies"): "failed"},
+    }
+    apart = json.loads((folder / "whole" / "took_verdicts.json").read_text())
+    assert {each["requirement"] for each in apart["verdicts"]} == {0, 1} and apart["repeatable"] is False
+    stored = json.loads((folder / "whole" / "verdicts.json").read_text())
+    assert {each["requirement"] for each in stored["verdicts"]} == {2}
+    parts = [pq.read_schema(path).names for path in (folder / "whole" / "results").rglob("*.parquet")]
+    assert parts and not any(set(TOOK) & set(names) for names in parts)
+    took = pq.read_table(folder / "whole" / "took.parquet").to_pylist()
+    assert [row["repeats"] for row in took] == [True, True, None, None, *[None] * 20]
+    opened = opened_campaign(folder / "whole")
+    page = campaign_page(opened, campaign.table, campaign.verdicts)
+    for said in (
+        "not repeatable",
+        "frame 37",
+        "Run 0 made twice: good gave the same tracks.",
+        "no answer within 1.5 s",
+    ):
+        assert said in page
+    listed = json.loads((folder / "whole" / "results" / "_files.json").read_text())["files"]
+    assert not [name for name in listed if "took" in name]
+    (folder / "whole" / "took.parquet").unlink()
+    left = {(each.requirement, each.tracker): each.outcome for each in present_state(opened).verdicts}
+    assert left[2, "good"] == "met" and left[0, "good"] == "undecided"
+
+
+def test_a_program_that_was_changed_is_refused_by_its_name_and_its_tracks_are_of_no_use(folder: Path, tmp_path) -> None:
+    shutil.copytree(folder, tmp_path / "copy", ignore=shutil.ignore_patterns("stopped", "whole"))
+    copy = tmp_path / "copy"
+    keys = yaml.safe_load((copy / "campaign.yaml").read_text()) | {"require": [], "seeds": {"traffic": 1}}
+    keys["trackers"] = keys["trackers"][:1]
+    campaign_file(copy, **keys)
+    before = run_here(copy, "out").table
+    with (copy / "good").open("ab") as file:
+        file.write(b"\0")
+    with pytest.raises(ModsimError, match=r"\./good|good changed"):
+        run_here(copy, "out")
+    after = run_here(copy, "other").table
+    assert before["tracks_key"] != after["tracks_key"] and before["detections_key"] == after["detections_key"]
+
+
+@pytest.mark.parametrize(
+    ("trackers", "more", "said"),
+    [
+        ([{"tracker": "sort", "command": ["./x"]}], {}, "trackers[0]: give either tracker, a name, or command"),
+        ([{"name": "x"}], {}, "trackers[0]: give either tracker, a name, or command"),
+        ([{"command": []}], {}, "trackers[0].command: "),
+        ([{"command": ["./nobody"]}], {}, "trackers[0]: command: './nobody': there is no such program"),
+        ([{"tracker": "sort", "timeout_s": 3}], {}, "trackers[0]: timeout_s is for command"),
+        ([{"command": ["true"], "timeout_s": 0}], {}, "trackers[0].timeout_s: "),
+        (["reference"], {"require": [{"score": "established", "at_most": 1}], "x": 1}, "x: unknown key"),
+        (["reference"], {"require": [{"score": "established_mm", "at_most": 1}]}, "did you mean 'established_m'"),
+        (
+            ["reference"],
+            {"require": [{"score": "frame_ms_p99", "at_most": 1}], "stop": "sequential"},
+            "stop: sequential ends when the requirements are decided, and those on what runs took do not repeat",
+        ),
+    ],
+)
+def test_wrong_keys_are_named(tmp_path: Path, trackers: list[Any], more: dict[str, Any], said: str) -> None:
+    problems = problems_of(tmp_path, scene="strait", steps=2, trackers=trackers, **more)
+    assert any(said in problem for problem in problems), problems
+
+
+def test_a_plan_without_programs_is_as_it_was(tmp_path: Path) -> None:
+    given = checked_campaign(tmp_path, scene="strait", steps=2, trackers=["reference"]).content["campaign"]["trackers"]
+    assert given == [{"tracker": "reference", "name": None, "set": {}}]
+
+
+# ---- Trackers in the world ----
+
+
+@pytest.fixture(scope="module")
+def in_world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign of the Python example and one that has random numbers; its folder."""
+    made = tmp_path_factory.mktemp("world")
+    (made / "mine.py").write_text(PYTHON, encoding="utf-8")
+    loose = PYTHON.replace('"position_m": [x, y]', '"position_m": [x + random.random(), y]')
+    (made / "loose.py").write_text(loose.replace("import json\n", "import json\nimport random\n"), encoding="utf-8")
+    trackers = [
+        {"name": name, "command": [sys.executable, f"{name}.py"], "set": {"lost_s": 3}} for name in ("mine", "loose")
+    ]
+    near = [
+        {"score": "rmse_m", "at_most": 50, "in": 0.1, "resting_on": 0.01},
+        {"score": "established_m", "at_least": 5, "in": 0.1},
+    ]
+    keys = {"scene": "strait", "steps": 60, "set": {"annotation.source": "rectangles"}, "keep": ["tracks"]}
+    run_campaign_file(made, **keys, trackers=trackers, require=near)
+    return made / "campaign"
+
+
+def test_a_row_has_all_world_scores_and_they_are_those_of_short_code_over_the_files(in_world: Path, tmp_path) -> None:
+    opened = opened_campaign(in_world)
+    row = modsim3d.open_campaign(in_world).table.to_pylist()[0]
+    again = make_again(opened, 0, tmp_path / "run")
+    assert again.same and again.error is None and make_again(opened, 0, tmp_path / "run").reused
+    run = modsim3d.open_run(tmp_path / "run")
+    flat = modsim3d.score_world(run, modsim3d.read_world_tracks(again.tracks, run)).flat()
+    kept = {world_column(name) for name in flat if not name.endswith(("_low", "_high"))}
+    assert kept == set(WORLD_SCORES) and kept <= set(row)
+    assert {name: row[world_column(name)] for name in flat if world_column(name) in kept} == {
+        name: flat[name] for name in flat if world_column(name) in kept
+    }
+    squares, gospa, seen, found = {}, [], {}, {}
+    tracks = np.genfromtxt(again.tracks / "world_tracks.csv", delimiter=",", names=True, deletechars='"')
+    truth = pq.read_table(tmp_path / "run" / "truth.parquet").to_pylist()
+    places = run.scene.poses.poses(0, 60).positions_m[..., :2]
+    taken = {camera.name: run.scene.frame_steps(camera, 0, 60) for camera in run.scene.cameras}
+    own = [run.scene.vessel_names[index] for index in run.scene.own_ships]
+    for step, time_s in enumerate(run.scene.times_s(0, 60)):
+        last = {name: steps[steps <= step].max(initial=-1) for name, steps in taken.items()}
+        here = {each["vessel"] for each in truth if last[each["camera"]] == each["step"] and each["visible_px"] != 0}
+        vessels = [run.scene.vessel_names.index(name) for name in sorted(here) if name not in own]
+        told = tracks[np.isclose(tracks["time_s"], time_s)]
+        away = np.hypot(*(places[step, vessels][:, None] - np.column_stack([told["w1_m"], told["w2_m"]])).T).T
+        i, j = linear_sum_assignment(np.minimum(away, 50))
+        gospa.append(np.minimum(away, 50)[i, j].sum() + 25 * abs(away.shape[0] - away.shape[1]))
+        for vessel in vessels:
+            seen[vessel] = seen.get(vessel, 0) + 1
+        for a, b in zip(i, j, strict=True):
+            if away[a, b] <= 50:
+                found[vessels[a]] = found.get(vessels[a], 0) + 1
+                squares.setdefault(vessels[a], []).append(away[a, b] ** 2)
+    assert row["gospa_m"] == pytest.approx(np.mean(gospa))
+    assert row["rmse_m"] == pytest.approx(np.mean([np.sqrt(np.mean(each)) for each in squares.values()])) and squares
+    assert row["followed_share"] == pytest.approx(np.mean([found.get(each, 0) / count for each, count in seen.items()]))
+    assert (row["vessels"], row["world_established"]) == (len(seen), len(found))
+
+
+def test_what_does_not_repeat_is_said_and_world_scores_have_verdicts(in_world: Path) -> None:
+    campaign = modsim3d.open_campaign(in_world)
+    page = campaign_page(opened_campaign(in_world), campaign.table, campaign.verdicts)
+    assert "Run 0 made twice: mine gave the same tracks." in page
+    assert "Run 1 made twice: loose gave OTHER TRACKS" in page
+    assert [each.estimate for each in campaign.verdicts[:2]] == [1.0, 1.0], "rmse_m is right in the only seed"
+    assert {row["worst_s"] for row in campaign.table.to_pylist()} == {None}
+    shown = campaign.means()[0].means
+    assert shown["rmse_m"].value is not None and "hota" not in shown

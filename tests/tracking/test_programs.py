@@ -1,0 +1,238 @@
+"""Programs as trackers: the lines of an exchange, and what becomes of programs that fail or are left alone."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pyarrow.csv
+import pytest
+
+import modsim3d
+from modsim3d import ModsimError, StoredRun, load_scene
+from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
+from tests.run_folders import finished
+
+SCHEMA = json.loads((files("modsim3d.tracking.trackers") / "tracker_command.json").read_text(encoding="utf-8"))
+RECORDER = """\
+import json, sys
+answers, tracks, log = sys.argv[1:]
+with open(log, "w") as out:
+    def say(content):
+        line = json.dumps(content)
+        out.write("< " + line + "\\n")
+        print(line, flush=True)
+    for number, line in enumerate(sys.stdin):
+        out.write("> " + line)
+        given = json.loads(line)
+        if number == 0:
+            say({"answers": answers, "tracks": tracks})
+            continue
+        told = []
+        for frame in given.get("frames", [given]):
+            for place, found in enumerate(frame["detections"]):
+                camera = {"camera": frame["camera"]} if "frames" in given else {}
+                if tracks == "image":
+                    told.append({"track": place, "box_px": found["box_px"], "label": found["label"], **camera})
+                elif found["position_m"]:
+                    cov = found["position_covariance_m2"]
+                    told.append({"track": len(told), "position_m": found["position_m"], "covariance": cov})
+        say({"step": given["step"], **({} if "frames" in given else {"camera": given["camera"]}), "tracks": told})
+"""
+
+
+@pytest.fixture(scope="module")
+def two_cameras(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    """A run of a camera on board and one ashore, whose frames are half as many."""
+    noise = {"imu": {"attitude_noise_rad": 0.002, "heading_noise_rad": 0.005}}
+    scene = load_scene("strait", steps=60, source="rectangles", settings=noise)
+    return finished(scene, tmp_path_factory.mktemp("strait") / "run")
+
+
+def exchange(run: StoredRun, folder: Path, answers: str, tracks: str) -> tuple[list[Any], list[Any], Any]:
+    """What a recorder was told, what it answered, and the result."""
+    (folder / "recorder.py").write_text(RECORDER, encoding="utf-8")
+    command = [sys.executable, "recorder.py", answers, tracks, "log.txt"]
+    given = {"command": command, "settings": {"gate": 3.5}, "overwrite": True}
+    result = modsim3d.track_run(run, folder / "tracks", **given)
+    lines = (folder / "log.txt").read_text(encoding="utf-8").splitlines()
+    told, said = ([line[2:] for line in lines if line.startswith(mark)] for mark in "><")
+    return told, [json.loads(line) for line in said], result
+
+
+@pytest.mark.parametrize("tracks", ["image", "world"])
+@pytest.mark.parametrize("answers", ["frames", "steps"])
+def test_every_line_is_of_the_schema_and_all_is_told_once_in_order(two_cameras, tmp_path, monkeypatch, answers, tracks):
+    monkeypatch.chdir(tmp_path)
+    lines, said, result = exchange(two_cameras, tmp_path, answers, tracks)
+    told = [json.loads(line) for line in lines]
+    kinds = ["header", *[answers[:-1]] * (len(told) - 1)], ["choice", *["answer"] * (len(said) - 1)]
+    for each, kind in zip((*told, *said), (*kinds[0], *kinds[1]), strict=True):
+        jsonschema.Draft202012Validator({**SCHEMA, "oneOf": [{"$ref": f"#/$defs/{kind}"}]}).validate(each)
+    assert told[0]["settings"] == {"gate": 3.5} and list(told[0]["cameras"]) == ["bow", "quay"]
+    frames = [(each["step"], frame["camera"]) for each in told[1:] for frame in each.get("frames", [each])]
+    inputs = {
+        (json.loads(line)["step"], name): line
+        for name in ("bow", "quay")
+        for line in (two_cameras.folder / f"tracker_input_{name}.jsonl").read_text().splitlines()
+    }
+    assert frames == sorted(inputs) and len(frames) > 60
+    if (answers, tracks) == ("frames", "image"):  # the rest of a line is the line of the file, byte for byte
+        assert [line[line.index('"time_s"') :] for line in lines[1:]] == [inputs[each][1:] for each in frames]
+        assert [list(each)[:3] for each in told[1:3]] == [
+            ["camera", "frames_in_step", at] for at in ("attitude_rad",) * 2
+        ]
+    detections = sum(len(frame["detections"]) for each in told[1:] for frame in each.get("frames", [each]))
+    assert result.counts.detections == detections > 100
+    if tracks == "image":
+        assert result.counts.boxes == detections and (tmp_path / "tracks" / "tracks.parquet").is_file()
+    else:
+        assert 20 < result.counts.boxes < detections
+        assert len(told) - 1 == (60 if answers == "steps" else len(frames))
+        assert len(modsim3d.read_world_tracks(tmp_path / "tracks", two_cameras)) == result.counts.boxes
+    assert result.counts.frames == len(frames) and result.frame_ms["max"] >= result.frame_ms["median"] > 0
+
+
+def test_places_own_ship_and_ais_are_those_of_the_exports_and_nothing_comes_early(two_cameras, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines, _, _ = exchange(two_cameras, tmp_path, "steps", "world")
+    steps = [json.loads(line) for line in lines[1:]]
+    for name in ("csv", "ais"):
+        FORMATS[name].write(ExportRequest(two_cameras, (0, 1)), tmp_path / name)
+    for camera in ("bow", "quay"):
+        table = pyarrow.csv.read_csv(tmp_path / "csv" / f"detections_{camera}.csv").to_pylist()
+        found = [
+            (each["step"], one["bearing_rad"], one["inverse_range_std_per_m"], (one["position_m"] or [None])[0])
+            for each in steps
+            for frame in each["frames"]
+            if frame["camera"] == camera
+            for one in frame["detections"]
+        ]
+        columns = ("step", "bearing_rad", "inverse_range_std_per_m", "w1_m")
+        assert found == [tuple(row[name] for name in columns) for row in table]
+    own = pyarrow.csv.read_csv(tmp_path / "csv" / "ownship.csv").to_pylist()
+    assert [next(iter(each["own_ships"].values()))["attitude_rad"] for each in steps] == [
+        [row["roll_rad"], row["pitch_rad"], row["heading_rad"]] for row in own
+    ]
+    log = (tmp_path / "ais" / "ais.nmea").read_text(encoding="utf-8").splitlines()
+    others = [line for line in log if "!AIVDM" in line]
+    reports = [(each["time_s"], report) for each in steps for report in each["ais"]]
+    parts = [part.split(",") for _, report in reports for part in report["nmea"].splitlines()]
+    assert sorted(part[5] for part in parts) == sorted(line.split(",")[5] for line in others) and len(others) > 2
+    before = -1.0
+    for now_s, report in reports:
+        assert now_s - 0.5 < report["received_s"] <= now_s and before <= report["received_s"]
+        before = report["received_s"]
+        if "position_m" in report:
+            assert 0.2 <= report["received_s"] - report["measured_s"] <= 1.2 + 1e-9
+            step = round(report["measured_s"] / steps[1]["time_s"])
+            centres = two_cameras.scene.at(step).vessel_poses.poses.positions_m[0, :, :2]
+            away = np.hypot(*(centres - report["position_m"]).T).min()
+            assert away < 60, "within the length of a vessel of a centre"
+
+
+HEAD = 'read header\nprintf \'{"answers":"frames","tracks":"image"}\\n\'\n'
+ANSWER = 'printf \'{"camera":"C0","step":%d,"tracks":[]}\\n\' $n'
+LOOP = HEAD + "n=0\nwhile read line; do\n  [ $n = 3 ] && { FAULT; }\n  " + ANSWER + "\n  n=$((n+1))\ndone\n"
+FAULTS = {
+    "dies": ("echo about to die >&2; kill -SEGV $$", "camera 'C0' at 3 s: SIGSEGV ended it; .* error: about to die"),
+    "ends": ("exit 0", "camera 'C0' at 3 s: it ended with status 0"),
+    "stalls": ("sleep 99", "camera 'C0' at 3 s: no answer within 0.5 s"),
+    "closes its output": ("exec 1>&-; sleep 99", "camera 'C0' at 3 s: it closed its output"),
+    "writes rubbish": ("echo hello", "at 3 s: it answered 'hello': a line of JSON is needed"),
+    "has other keys": ('echo "{\\"step\\":3,\\"track\\":[]}"', "track: unknown key .did you mean 'tracks'"),
+    "writes without end": ("tr -d x </dev/zero", "at 3 s: a line of more than 0 MB"),
+    "answers another frame": ("n=9", "it answered step 9 of camera 'C0', and was given step 3 of camera 'C0'"),
+    "answers twice": (ANSWER, r"(wrote before it was asked|was given step 4|wrote more than)"),
+    "has a box that is none": (
+        'printf \'{"camera":"C0","step":3,"tracks":[{"track":1,"box_px":[5,5,2,9]}]}\\n\'; n=4; continue',
+        "at 3 s: track 1: a box is x_min, y_min, x_max, y_max, with a positive width",
+    ),
+    "has a label that is none": (
+        'printf \'{"camera":"C0","step":3,"tracks":[{"track":1,"box_px":[5,5,9,9],"label":"x"}]}\\n\'; n=4; continue',
+        "track 1: there is no label 'x'",
+    ),
+}
+
+
+@pytest.mark.parametrize(("fault", "said"), FAULTS.values(), ids=FAULTS)
+def test_a_program_that_fails_is_one_error(run, tmp_path, monkeypatch, fault, said):
+    monkeypatch.setattr("modsim3d.io.coprocess.MAX_LINE_BYTES", 1 << 16)
+    (tmp_path / "bad.sh").write_text(LOOP.replace("FAULT", fault), encoding="utf-8")
+    began = time.monotonic()
+    with pytest.raises(ModsimError, match=said) as raised:
+        modsim3d.track_run(run, tmp_path / "t", command=["sh", str(tmp_path / "bad.sh")], timeout_s=0.5)
+    assert str(raised.value).startswith("the tracker 'bad': ") and time.monotonic() - began < 20
+    assert not (tmp_path / "t").exists()
+
+
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [
+        ("sleep 99", "did not end within 0.5 s after the end of its input"),
+        ("echo more", "it wrote more than was asked: 'more'"),
+        ("exit 3", "it ended with status 3 after the end of its input"),
+    ],
+)
+def test_a_program_ends_with_its_input_and_without_a_word(run, tmp_path, after, said):
+    (tmp_path / "late.sh").write_text(LOOP.replace("FAULT", "true") + after, encoding="utf-8")
+    with pytest.raises(ModsimError, match=f"at its end: {said}"):
+        modsim3d.track_run(run, tmp_path / "t", command=["sh", str(tmp_path / "late.sh")], timeout_s=0.5)
+
+
+def test_a_program_that_is_none_is_named(run, tmp_path) -> None:
+    for command, said in (
+        (["./nobody"], "'./nobody': there is no such program"),
+        ([str(tmp_path)], "there is no such program|may be run"),
+        ([], "there is no such program"),
+    ):
+        with pytest.raises(ModsimError, match=said):
+            modsim3d.track_run(run, tmp_path / "t", command=command)
+
+
+@pytest.fixture
+def family(tmp_path: Path) -> Iterator[Path]:
+    """A program that stalls at its first frame, with a child, and writes the numbers of both."""
+    script = HEAD + "read line\nsleep 999 & echo $$ $! > family.new; mv family.new family\nwait\n"
+    (tmp_path / "stall.sh").write_text(script, encoding="utf-8")
+    yield tmp_path
+    if (tmp_path / "family").exists():
+        assert not [each for each in (tmp_path / "family").read_text().split() if Path("/proc", each).exists()]
+
+
+def waited_for(what: Any) -> None:
+    until = time.monotonic() + 30
+    while not what():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are looked up in /proc")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_nothing_is_left_after_an_interrupt_or_a_kill(run: StoredRun, family: Path, number: signal.Signals) -> None:
+    modsim3d_there = [sys.executable, "-m", "modsim3d", "track", str(run.folder), "--out", "t"]
+    with subprocess.Popen([*modsim3d_there, "--command", "sh stall.sh", "-q"], cwd=family, env=os.environ) as process:
+        waited_for((family / "family").exists)
+        process.send_signal(number)
+        assert process.wait(20) != 0
+    numbers = (family / "family").read_text().split()
+    waited_for(lambda: not any(Path("/proc", each).exists() for each in numbers))
+    assert not (family / "t").exists() or number == signal.SIGKILL
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler of C++")
+def test_the_programs_of_the_page_have_some_sixty_lines() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
+    programs = re.findall(r"```(cpp|python|shell)\n(.*?)```", page, flags=re.DOTALL)
+    assert [name for name, _ in programs] == ["cpp", "python", "shell"]
+    assert all(len(text.splitlines()) <= 70 for _, text in programs)
