@@ -146,7 +146,7 @@ MAX_FROUDE, MAX_SPEED_M_S, LARGE_M15_S = 6.0, 36.0, 350.0
 large ones: the ferry Francisco did 29.8 m/s with 99 m in 2013, the liner United States 19.7 m/s with 302 m in 1952."""
 ASHORE_M = 0.5
 """A path that reaches so far into an obstacle leads through it; at a quay it may touch."""
-MAX_COMPARED = 20_000_000
+MAX_COMPARED = 10_000_000
 """Pairs of vessels at a step that are compared; where there are more, fewer steps are looked at."""
 
 
@@ -187,12 +187,14 @@ def _fast(scene: Scene, tracks: HullTracks) -> Iterator[str]:
 
 def _through(scene: Scene, tracks: HullTracks, obstacle: Obstacle) -> Iterator[str]:
     inner = [(base, shapely.buffer(area, -ASHORE_M)) for base, area in Land.of([obstacle]).levels]
+    low, high = np.fmin.reduce(tracks.centres_m) - 1, np.fmax.reduce(tracks.centres_m) + 1
+    around = shapely.box(*low.T, *high.T)
     for index, vessel in enumerate(scene.vessels):
         area = next((area for base, area in reversed(inner) if base < vessel.air_draft_m), shapely.Polygon())
+        if not shapely.intersects(area, around[index]):  # false for one that is never there
+            continue
         path = tracks.centres_m[:, index]
         there = np.flatnonzero(np.isfinite(path[:, 0]))
-        if not shapely.intersects(area, shapely.multipoints(path[there]).envelope):
-            continue
         legs = there[:-1][np.diff(there) == 1]
         crossed = shapely.intersects(area, shapely.linestrings(np.stack([path[legs], path[legs + 1]], axis=1)))
         rows = np.concatenate([there[shapely.contains_xy(area, *path[there].T)], legs[crossed]])
