@@ -87,7 +87,7 @@ def iou(a_px: Array, b_px: Array) -> Array:
 
 
 class Overlaps(NamedTuple):
-    """How well detected boxes lie on those of their vessels, in IoU; NaN of none."""
+    """Summary of how well detected boxes lie on those of their vessels, in IoU; NaN of none."""
 
     mean: float
     median: float
@@ -95,7 +95,7 @@ class Overlaps(NamedTuple):
 
     @classmethod
     def of(cls, overlap: Array) -> Self:
-        """Of some IoU, shape (n,)."""
+        """The summary of some IoU, shape (n,)."""
         if not len(overlap):
             return cls(*[np.nan] * 3)
         return cls(float(overlap.mean()), float(np.median(overlap)), float((overlap < 0.5).mean()))

@@ -305,7 +305,7 @@ def _dropout(report: Report, found: float) -> dict[str, Any]:
 
 
 def _solved(figure: Callable[[float], float], wanted: float, low: float, high: float) -> float:
-    """Where a figure that falls from `low` to `high` has a value, or the nearest end."""
+    """The place where a figure that falls from `low` to `high` has a value, or the nearest end."""
     for _ in range(12):
         middle = (low + high) / 2
         low, high = (middle, high) if figure(middle) > wanted else (low, middle)

@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import iou, sizes
-from modsim3d.detector.records import FALSE_KINDS, KINDS, Detections
+from modsim3d.detector.records import Detections
 from modsim3d.geometry.curved_sea import shift_px
 from modsim3d.runs.blocks import Block, CameraBlock
-from modsim3d.runs.frames import Frame
+from modsim3d.runs.frames import Frame, detected_rows
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import annotation_boxes
 
 # ---- How each detection turned out ----
 
-FALSE_NAMES = frozenset(KINDS[kind] for kind in FALSE_KINDS)
 GOOD_IOU = 0.5
 """A box with a smaller IoU with its vessel's annotated box is a bad one."""
 
@@ -75,14 +74,6 @@ def frame_outcomes(frame: Frame) -> list[Outcome]:
 def faults_of(frames: Iterable[Frame]) -> Outcome:
     """Faults of any detection in some frames."""
     return reduce(or_, (outcome for frame in frames for outcome in frame_outcomes(frame)), NOTHING_WRONG)
-
-
-def detected_rows(frame: Frame) -> list[int | None]:
-    """Row of a frame's truth that each of its detections detects, None for a false positive. A duplicate and the
-    smaller part of a split box are false positives, though they come from a vessel."""
-    row_of: dict[str | None, int] = {vessel: row for row, vessel in enumerate(frame.truth.vessels)}
-    found = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
-    return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]
 
 
 WORTH_A_WARNING_PX = 1.0

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PICTURE_DPI = 100
+FALSE_NAMES = frozenset(KINDS[kind] for kind in FALSE_KINDS)
 Columns = Mapping[str, Any]
 
 
@@ -303,7 +304,7 @@ def _supervision() -> Any:
 
 
 def _frame_columns(frame: Frame) -> Columns:
-    false = sum(kind in {KINDS[kind] for kind in FALSE_KINDS} for kind in frame.detections.kinds)
+    false = sum(kind in FALSE_NAMES for kind in frame.detections.kinds)
     return {
         "n_annotated": [np.count_nonzero(frame.truth.annotated)],
         "n_detected": [len(frame.detections) - false],
@@ -327,8 +328,15 @@ def _truth_columns(frame: Frame) -> Columns:
     }
 
 
+def detected_rows(frame: Frame) -> list[int | None]:
+    """Row of a frame's truth that each of its detections detects, None for a false positive. A duplicate and the
+    smaller part of a split box are false positives, though they come from a vessel."""
+    row_of: dict[str | None, int] = {vessel: row for row, vessel in enumerate(frame.truth.vessels)}
+    found = zip(frame.detections.kinds, frame.detections.vessels, strict=True)
+    return [None if kind in FALSE_NAMES or vessel is None else row_of[vessel] for kind, vessel in found]
+
+
 def _detection_columns(frame: Frame) -> Columns:
-    from modsim3d.runs.counts import detected_rows
     from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 
     found, rows = frame.detections, detected_rows(frame)

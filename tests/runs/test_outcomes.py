@@ -9,7 +9,8 @@ import pytest
 
 from modsim3d import RunDirectoryError, RunRows, load_scene, open_run, run_scene, simulate_frames
 from modsim3d.core.boxes import iou
-from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes, having, outcomes
+from modsim3d.runs.counts import Outcome, frame_outcomes, having, outcomes
+from modsim3d.runs.frames import detected_rows
 from tests.run_folders import edited_run
 from tests.scenes import mistaken_strait
 

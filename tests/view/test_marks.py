@@ -9,7 +9,8 @@ import pytest
 
 from modsim3d import CameraView, StoredRun, load_scene, open_run, simulate_frames
 from modsim3d.render.id_pass import PlainIds
-from modsim3d.runs.counts import NOTHING_WRONG, Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.counts import NOTHING_WRONG, Outcome, frame_outcomes
+from modsim3d.runs.frames import detected_rows
 from modsim3d.runs.selection import select
 from modsim3d.view import palette
 from modsim3d.view.films.plan import FilmPlan, mistakes_in, vessels_in

@@ -11,7 +11,8 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from modsim3d import load_scene, open_run, run_scene
-from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.counts import Outcome, frame_outcomes
+from modsim3d.runs.frames import detected_rows
 from modsim3d.view import palette
 from modsim3d.view.rerun_boxes import TEXT
 from modsim3d.view.rerun_recording import fill, write_recording

@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.render.id_pass import AnyIdRenderer, Ids, Region
-from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
-from modsim3d.runs.frames import Frame
+from modsim3d.runs.counts import Outcome, frame_outcomes
+from modsim3d.runs.frames import Frame, detected_rows
 from modsim3d.scene.scene import Scene
 from modsim3d.view import palette
 from modsim3d.view.followed_tracks import FollowedTracks

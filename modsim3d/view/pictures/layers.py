@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Self
 
 from modsim3d.core.errors import ModsimError
-from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
-from modsim3d.runs.frames import Frame
+from modsim3d.runs.counts import Outcome, frame_outcomes
+from modsim3d.runs.frames import Frame, detected_rows
 
 
 @dataclass(frozen=True)

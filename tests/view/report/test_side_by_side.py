@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from modsim3d import Frame, RunDirectoryError, RunRows, load_scene, open_run, run_scene
-from modsim3d.runs.counts import Outcome, detected_rows, frame_outcomes
+from modsim3d.runs.counts import Outcome, frame_outcomes
+from modsim3d.runs.frames import detected_rows
 from modsim3d.view.report import side_by_side
 from modsim3d.view.report.overview import VesselOutcome
 from modsim3d.view.report.recorder import recording
