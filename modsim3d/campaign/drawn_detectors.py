@@ -158,8 +158,7 @@ def _correlated_normal(group: LearnedGroup, rng: np.random.Generator) -> Array:
         root = np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
         raise ModsimError("the correlations in the file of the detector's uncertainty are none") from None
-    normal: Array = root @ rng.standard_normal(size)
-    return normal
+    return root @ rng.standard_normal(size)
 
 
 def _drawn(number: LearnedNumber, z: Array, widen: float, rng: np.random.Generator) -> Array:

@@ -75,8 +75,7 @@ class PrecisionRecall:
     def false_per_target(self, recall: Array) -> Array:
         """False detections per target among the most confident that reach a recall: r·(1 − p)/p, same shape."""
         precision = self.at(recall)
-        found: Array = recall * (1 - precision) / precision
-        return found
+        return recall * (1 - precision) / precision
 
     def falls(self) -> tuple[float, float] | None:
         """Two recalls between which false detections would have to vanish; None if scores can make this curve."""
@@ -250,8 +249,7 @@ def _level(quantiles: Array, values: Array, side: Literal["left", "right"]) -> A
     step = np.diff(quantiles)[above - 1]
     part = (values - quantiles[above - 1]) / np.where(step > 0, step, 1)
     between = (above - 1 + part) / (len(quantiles) - 1)
-    level: Array = np.where(count == 0, 0.0, np.where(count == len(quantiles), 1.0, between))
-    return level
+    return np.where(count == 0, 0.0, np.where(count == len(quantiles), 1.0, between))
 
 
 LEVELS: Mapping[str, Callable[..., Levels | None]] = {"normal": _normal, "quantiles": _quantiles}
@@ -279,8 +277,7 @@ def pair_likelihood(before: Array, low: Array, high: Array, correlation: Array, 
     known = low == high
     density = -(np.where(known, below, 0.0) ** 2) / 2 - np.log(spread * factor)
     chance = np.log(np.maximum(special.ndtr(above) - special.ndtr(below), _MIN_CHANCE))
-    result: Array = np.where(known, density, chance)
-    return result
+    return np.where(known, density, chance)
 
 
 def pair_score(before: Array, low: Array, high: Array, correlation: Array) -> Array:

@@ -105,8 +105,7 @@ class BoxErrorLaw:
     @property
     def std(self) -> Array:
         """Standard deviations in the mean's unit, shape (4,)."""
-        std: Array = np.sqrt(np.diag(self.covariance))
-        return std
+        return np.sqrt(np.diag(self.covariance))
 
 
 _LN_2 = math.log(2)

@@ -126,8 +126,7 @@ class Placement:
         width = np.maximum(high - low, 1e-9)
         place = low + _reflected(uniforms[:, 1] * width + (0 if drift_px is None else drift_px), width)
         points = (level - offset)[:, None] * down + place[:, None] * along
-        inside: Array = np.clip(points, 0, image_size_px)
-        return inside
+        return np.clip(points, 0, image_size_px)
 
     def _level_weights(self, depth: Array, across: Array) -> Array:
         """Weight of levels evenly spaced over each polygon's depths, shape (m, nodes)."""

@@ -86,8 +86,7 @@ class BoxMemory:
     def correlation(self, apart_s: Array) -> Array:
         """Correlation of a vessel's numbers at times above 0 apart, shape (..., 5)."""
         decays = np.exp(-np.asarray(apart_s)[..., None] / self.times_s)
-        correlation: Array = self.vessel_share + decays @ self.shares
-        return correlation
+        return self.vessel_share + decays @ self.shares
 
 
 @dataclass(frozen=True)
@@ -127,8 +126,7 @@ class Persistence:
 
 def with_share(share: float, kept: Array, varying: Array) -> Array:
     """Standard normal numbers of which a share of the variance is kept, from such numbers of one shape."""
-    result: Array = math.sqrt(share) * kept + math.sqrt(1 - share) * varying
-    return result
+    return math.sqrt(share) * kept + math.sqrt(1 - share) * varying
 
 
 class Process(Protocol):

@@ -22,8 +22,7 @@ _IS_FALSE = np.isin(np.arange(len(KINDS)), FALSE_KINDS)
 
 def are_false(kind: Indices) -> Mask:
     """Mask of the kinds that count as false, same shape."""
-    false: Mask = _IS_FALSE[kind]
-    return false
+    return _IS_FALSE[kind]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +106,7 @@ class Gates:
         intervals = np.floor(np.concatenate([[previous_s], frames.times_s]) / self.update_interval_s + _EARLY)
         if math.isinf(frames.previous_s):
             intervals[0] = -1  # a camera's first frame is always due
-        due: Mask = np.diff(intervals) > 0
-        return due
+        return np.diff(intervals) > 0
 
     def passed(self, frames: CameraFrames, targets: Targets) -> Mask:
         """Mask of the targets that can be detected at all, shape (n,)."""

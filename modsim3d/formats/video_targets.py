@@ -35,8 +35,7 @@ def visible_fractions(image: Indices, boxes_px: Array, feet_px: Array) -> Array:
         hidden_px[row] = shapely.area(shapely.union_all(shapely.box(*low.T, *high.T)))
     whole_px = np.maximum(areas(boxes_px), 0)
     left_px = np.where(whole_px - hidden_px > NOTHING_PX2, whole_px - hidden_px, 0.0)
-    fractions: Array = np.where(hidden_px > 0, left_px / np.where(whole_px > 0, whole_px, 1.0), 1.0)
-    return fractions
+    return np.where(hidden_px > 0, left_px / np.where(whole_px > 0, whole_px, 1.0), 1.0)
 
 
 MAX_BOXES = 2000  # of an image: pairs of them are compared

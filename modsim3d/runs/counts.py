@@ -55,8 +55,7 @@ def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Arra
 
 def having(found: Outcomes, flag: Outcome) -> Mask:
     """Mask of the outcomes that have a flag, shape (m,)."""
-    mask: Mask = (found & flag) > 0
-    return mask
+    return (found & flag) > 0
 
 
 def frame_outcomes(frame: Frame) -> list[Outcome]:

@@ -263,8 +263,7 @@ def _cut(boxes_px: Array, errors: FootErrors, image_size_px: tuple[int, int]) ->
     width, height = image_size_px
     inside = np.stack([boxes_px[:, 0], width - boxes_px[:, 2], height - boxes_px[:, 3]], axis=-1)
     expected = errors.edge_means * [1, -1, -1]
-    cut: Mask = (inside <= _EDGE_PX) | (inside - expected <= _CUT_STDS * errors.edge_stds + _EDGE_PX)
-    return cut
+    return (inside <= _EDGE_PX) | (inside - expected <= _CUT_STDS * errors.edge_stds + _EDGE_PX)
 
 
 def _rows(poses: CameraPoses, frame: Indices) -> CameraPoses:

@@ -109,8 +109,7 @@ def boundary_pixels(regions: Polygons, supersample: int) -> Array:
     points, ring = shapely.get_coordinates(rings, return_index=True)
     steps = np.abs(np.diff(points, axis=0)).sum(axis=1) * supersample + 2
     steps[ring[1:] != ring[:-1]] = 0.0
-    crossed: Array = np.bincount(row[ring[1:]], steps, minlength=len(regions)).astype(np.float64)
-    return crossed
+    return np.bincount(row[ring[1:]], steps, minlength=len(regions)).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)

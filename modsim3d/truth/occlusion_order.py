@@ -101,8 +101,7 @@ def hull_vertices(solid: Solid) -> Indices:
     from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s
 
     try:
-        chosen: Indices = np.sort(ConvexHull(solid.vertices).vertices).astype(np.int64)
-        return chosen
+        return np.sort(ConvexHull(solid.vertices).vertices).astype(np.int64)
     except QhullError:
         return np.arange(len(solid.vertices))
 

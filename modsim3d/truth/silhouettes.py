@@ -240,8 +240,7 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
     row = spans.row[first] if several else spans.row
 
     def of_rows(reduce: np.ufunc, values: Indices) -> Indices:  # one value for each of `row`
-        reduced: Indices = reduce.reduceat(values, first) if several else values
-        return reduced
+        return reduce.reduceat(values, first) if several else values
 
     pixels: Array = np.bincount(row, of_rows(np.add, spans.stop - spans.start), minlength=count).astype(np.float64)
     low, high = np.full((2, count), _FAR), np.full((2, count), -1)
@@ -304,8 +303,7 @@ def edges_of(solid: Solid) -> Indices:
 def faces_towards(vertices_px: Array, solid: Solid) -> Mask:
     """Mask of the faces of n solids with rounded corners that are turned to the camera, shape (n, F). The vertices are
     in buffer pixels, shape (n, K, 2)."""
-    towards: Mask = doubled_face_areas(np.rint(vertices_px * SUBPIXELS), solid.faces) > 0
-    return towards
+    return doubled_face_areas(np.rint(vertices_px * SUBPIXELS), solid.faces) > 0
 
 
 @dataclass(frozen=True, eq=False)

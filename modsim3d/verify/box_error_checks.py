@@ -225,8 +225,7 @@ def latent_paths(
 
 def _kept(apart_s: Array, correlation_s: float) -> Array:
     """Correlation that is left after some time, shape of the times; 0 where noise does not persist."""
-    kept: Array = np.exp(-apart_s / correlation_s) if correlation_s > 0 else np.zeros(np.shape(apart_s))
-    return kept
+    return np.exp(-apart_s / correlation_s) if correlation_s > 0 else np.zeros(np.shape(apart_s))
 
 
 def replayed_errors(law: ErrorParameters, sample: StateErrors, latent: Array, rng: np.random.Generator) -> Array:

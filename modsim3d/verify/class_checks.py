@@ -140,8 +140,7 @@ class ExpectedOutcomes:
     @property
     def missed(self) -> Array:
         """Probability of a miss, shape (n,)."""
-        probability: Array = 1 - self.edges[:, -2]
-        return probability
+        return 1 - self.edges[:, -2]
 
 
 def expected_outcomes(model: DetectorModel, evidence: Evidence) -> ExpectedOutcomes:

@@ -50,8 +50,7 @@ class KeptScores:
             def value(later: Indices, earlier: Indices, apart_s: Array) -> Array:
                 kept = of_score(apart_s)[:, None]
                 squares = kept**2 * of_square[later] * of_square[earlier]
-                pairs: Array = kept * of_mean[later] * of_mean[earlier] + squares
-                return pairs
+                return kept * of_mean[later] * of_mean[earlier] + squares
 
             total = total + 2 * sum_over_pairs(self.tracks, self.times_s, value)
         elif self.score is None:

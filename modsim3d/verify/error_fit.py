@@ -85,8 +85,7 @@ class StateErrors:
     def standardised(self, law: ErrorParameters) -> Array:
         """The errors less the means of a law, in its standard deviations, shape (n, 4)."""
         means, stds = law.at(self.boxes_px[self.rows])
-        result: Array = (self.errors_px - means) / stds
-        return result
+        return (self.errors_px - means) / stds
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +145,7 @@ def _inverse_roots(covariances: Array) -> Array:
     """Lower triangular matrices that make errors of such covariances independent, shape (n, 4, 4)."""
     scale = np.einsum("nii->n", covariances)[:, None, None] / 4
     safe = covariances + 1e-9 * np.maximum(scale, 1e-12) * np.eye(4)
-    inverse: Array = np.linalg.inv(np.linalg.cholesky(safe))
-    return inverse
+    return np.linalg.inv(np.linalg.cholesky(safe))
 
 
 def _third_cumulants(law: ErrorParameters, sample: StateErrors, weights: Array, covariance: Array) -> Array:
@@ -352,5 +350,4 @@ def _centred(values: Array, variance: Array, state: Indices) -> Array:
     """Values less what a wrong rate of their state explains, shapes (n,)."""
     weight = np.bincount(state, variance)
     slope = np.bincount(state, values) / np.where(weight > 0, weight, 1)
-    centred: Array = values - slope[state] * variance
-    return centred
+    return values - slope[state] * variance

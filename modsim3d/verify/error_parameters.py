@@ -94,8 +94,7 @@ LIKELIHOODS: Mapping[str, ErrorLikelihood] = {"normal": ErrorLikelihood(), "stud
 
 def products_of(values: Array) -> Array:
     """The ten products of values of shape (..., 4), shape (..., 10)."""
-    result: Array = values[..., FIRST] * values[..., SECOND]
-    return result
+    return values[..., FIRST] * values[..., SECOND]
 
 
 def directions(correlation: Array) -> Array:

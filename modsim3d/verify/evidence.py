@@ -124,8 +124,7 @@ class Evidence:
     def images_of(self, instances: Indices) -> Indices:
         """Row of `FrameTable` of instances, shapes (k,)."""
         first = np.cumsum([0, *(len(seen.frames) for seen in self.cameras)])
-        rows: Indices = first[self.instances.camera[instances]] + self.instances.frame[instances]
-        return rows
+        return first[self.instances.camera[instances]] + self.instances.frame[instances]
 
     def target_statistics(self, model: DetectorModel) -> TargetStatistics:
         """Statistics that the detector knew of the scene's targets."""

@@ -34,8 +34,7 @@ class PairSums:
     @property
     def pairs(self) -> Array:
         """Pairs of rows of one variance that are worth as much, shape (L,)."""
-        worth: Array = self.spread**2 / np.where(self.variance > 0, self.variance, np.inf)
-        return worth
+        return self.spread**2 / np.where(self.variance > 0, self.variance, np.inf)
 
 
 def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> PairSums:
@@ -45,8 +44,7 @@ def group_sums(values: Array, variance: Array, third: Array, group: Indices) -> 
     components = values.shape[1]
 
     def of_groups(column: Array) -> Array:
-        totals: Array = np.bincount(group, column).astype(np.float64)
-        return totals
+        return np.bincount(group, column).astype(np.float64)
 
     def over_pairs(columns: Array) -> float:
         return sum(float((of_groups(column) ** 2 - of_groups(column**2)).sum()) / 2 for column in columns.T)

@@ -28,8 +28,7 @@ def miss_covariance(first: Array, second: Array, correlation: Array) -> Array:
     for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
         angle = reach * (1 + node)
         total += weight * np.exp(-(a**2 + b**2 - 2 * a * b * np.sin(angle)) / (2 * np.cos(angle) ** 2))
-    covariance: Array = reach * total / (2 * np.pi)
-    return covariance
+    return reach * total / (2 * np.pi)
 
 
 def sum_over_pairs(tracks: Indices, times_s: Array, value: Callable[[Indices, Indices, Array], Array]) -> Array:

@@ -100,8 +100,7 @@ def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> 
 
 def _vessels(following: Following) -> Indices:
     """Index of the vessel that each row of the tracks follows, `NOBODY` for none."""
-    vessels: Indices = np.append(following.truth.vessel, NOBODY)[following.truth_row]
-    return vessels
+    return np.append(following.truth.vessel, NOBODY)[following.truth_row]
 
 
 def _changed(owner: Indices, partner: Indices, counted: Mask) -> Mask:

@@ -56,15 +56,13 @@ class BirdsEye:
     @cached_property
     def track_times_s(self) -> Array:
         """The times of `track_steps`, shape (n,)."""
-        times: Array = self.scene.times_s(0, self.steps)[self.track_steps]
-        return times
+        return self.scene.times_s(0, self.steps)[self.track_steps]
 
     @cached_property
     def tracks_m(self) -> Array:
         """w1 and w2 of each vessel at `track_steps`, NaN where it is absent, shape (n, V, 2)."""
         poses = self.scene.poses.poses(0, self.steps)
-        tracks: Array = np.where(poses.present[..., None], poses.positions_m[..., :2], np.nan)[self.track_steps]
-        return tracks
+        return np.where(poses.present[..., None], poses.positions_m[..., :2], np.nan)[self.track_steps]
 
     @cached_property
     def circles_m(self) -> tuple[Array, ...]:

@@ -208,8 +208,7 @@ def _middles(thing_px: Array, name_px: Array, half_px: Array, gap_px: float) -> 
     middle and half the size of what it names, shape (2,), `name_px` is the box of the name about its middle, (4,)."""
     text = (name_px[2:] - name_px[:2]) / 2
     within = not half_px.any() or bool((half_px > text + gap_px).all())
-    middles: Array = np.rint(thing_px + (PLACES if within else PLACES[1:]) * (text + half_px + gap_px))
-    return middles
+    return np.rint(thing_px + (PLACES if within else PLACES[1:]) * (text + half_px + gap_px))
 
 
 def _inside(places: Array, frame: Array) -> Mask:

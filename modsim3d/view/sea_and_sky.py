@@ -155,8 +155,7 @@ def backdrop(rays: Rays, camera_R_world: Array, position_m: Array, focal_px: flo
 
 def _place(sine: Floats) -> NDArray[np.int32]:
     """Indices into the tables of the sines of angles, from 0 to 1."""
-    place: NDArray[np.int32] = np.clip(sine * (TABLE - 1), 0, TABLE - 1).astype(np.int32)
-    return place
+    return np.clip(sine * (TABLE - 1), 0, TABLE - 1).astype(np.int32)
 
 
 @cache
@@ -200,8 +199,7 @@ def _ripple(world: Floats, distance: NDArray[np.floating], position_m: Array, fo
 def _tile_at(x: Floats, y: Floats) -> Floats:
     """The tile, which repeats, at columns and rows of any size."""
     i, j = (np.floor(axis).astype(np.int32) & (TILE - 1) for axis in (x, y))
-    values: Floats = _tile().take(i * TILE + j)
-    return values
+    return _tile().take(i * TILE + j)
 
 
 @cache

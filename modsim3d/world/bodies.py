@@ -52,8 +52,7 @@ class Bodies:
 
     def centres_world(self) -> Array:
         """Centres of the bounding boxes in WCF in metres, shape (S, B, 3)."""
-        centres: Array = (self.world_R_body @ self.centres_m[:, :, None])[..., 0] + self.positions_m
-        return centres
+        return (self.world_R_body @ self.centres_m[:, :, None])[..., 0] + self.positions_m
 
 
 def vessel_bodies(

@@ -70,8 +70,7 @@ def hull_tracks(vessels: Sequence[Vessel], poses: PoseSource, steps: int) -> Hul
 def speeds_m_s(tracks: HullTracks) -> Array:
     """Speeds of n vessels between S times, shape (S − 1, n); NaN where a vessel is absent at either."""
     moved = np.diff(tracks.centres_m, axis=0)
-    speeds: Array = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(tracks.times_s)[:, None]
-    return speeds
+    return np.hypot(moved[..., 0], moved[..., 1]) / np.diff(tracks.times_s)[:, None]
 
 
 def inside(polygon_m: Array, places_m: Array) -> Mask:

@@ -94,8 +94,7 @@ class SecondOrderWaves:
         before = np.floor(position).astype(np.int64)
         track = self._until(vessel, int(before.max(initial=0)) + 1)
         share = (position - before)[:, None]
-        between: Array = (1 - share) * track[before] + share * track[before + 1]
-        return between
+        return (1 - share) * track[before] + share * track[before + 1]
 
     def _until(self, vessel: str, last: int) -> Array:
         """Angles of a vessel at process steps 0 to at least `last`, shape (≥ last + 1, 3)."""

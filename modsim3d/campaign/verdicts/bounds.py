@@ -53,8 +53,7 @@ def corrected_bounds(
         error = half / deviation
         cubic = deviation * 3 / skewness * (1 - np.cbrt(1 - skewness * (error + skewness / (6 * count))))
         related = half * (1 + np.minimum(variation * half / lacks, 1))
-    bounds: Array = np.where(np.isnan(half), -math.inf, mean - np.maximum(cubic, related))
-    return bounds
+    return np.where(np.isnan(half), -math.inf, mean - np.maximum(cubic, related))
 
 
 # ---- Where a statement changes from true to false ----
@@ -264,8 +263,7 @@ def _low(values: Array, alpha: float, limits: tuple[float, float]) -> float:
 
 def _scaled(values: Array, limits: tuple[float, float]) -> Array:
     least, greatest = limits
-    scaled: Array = np.clip((values - least) / (greatest - least), 0, 1)
-    return scaled
+    return np.clip((values - least) / (greatest - least), 0, 1)
 
 
 def _consistent(after: Callable[[int], Bounds], count: int) -> Bounds:

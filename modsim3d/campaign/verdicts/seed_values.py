@@ -34,8 +34,7 @@ class Runs:
     @property
     def lost(self) -> Mask:
         """Runs that crashed, or whose tracker gave nothing to score, shape (s, d)."""
-        lost: Mask = self.crashed | self.nothing
-        return lost
+        return self.crashed | self.nothing
 
     @property
     def undefined(self) -> Mask:
@@ -46,8 +45,7 @@ class Runs:
     @property
     def left_out(self) -> Mask:
         """Runs without a value that are not lost, in seeds that have others, shape (s, d)."""
-        alone: Mask = np.isnan(self.values) & ~self.lost & ~self.undefined[:, None]
-        return alone
+        return np.isnan(self.values) & ~self.lost & ~self.undefined[:, None]
 
     def minus(self, other: Runs) -> Runs:
         """The difference to another tracker in each run: lost where one of both is, or infinite."""

@@ -189,5 +189,4 @@ def rounded(values: Array) -> Array:
     size = np.abs(values)
     exponent = np.floor(np.log10(np.where(np.isfinite(size) & (size > 0), size, 1.0)))
     scale = 10.0 ** (_DIGITS - 1 - exponent)
-    rounded: Array = np.round(values * scale) / scale + 0.0  # no negative zero
-    return rounded
+    return np.round(values * scale) / scale + 0.0  # no negative zero

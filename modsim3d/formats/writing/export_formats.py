@@ -57,14 +57,12 @@ class Format:
     def notes(self, request: ExportRequest) -> tuple[str, ...]:
         """Remarks on the files for the user."""
         module = self._imported()
-        told: tuple[str, ...] = module.notes(request) if hasattr(module, "notes") else ()
-        return told
+        return module.notes(request) if hasattr(module, "notes") else ()
 
     def folders(self) -> Mapping[str, str]:
         """The pattern of the names in each folder of which `write` makes everything; relative to the folder. A format
         with a file for each frame has them as `FOLDERS`."""
-        folders: Mapping[str, str] = getattr(self._imported(), "FOLDERS", {})
-        return folders
+        return getattr(self._imported(), "FOLDERS", {})
 
     def write(self, request: ExportRequest, folder: Path) -> None:
         """Write the files into a folder, which is made where it is not there."""

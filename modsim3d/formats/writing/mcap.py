@@ -206,8 +206,7 @@ def _world_R_vessel(attitudes_rad: Array) -> Array:
     """Rotations to the world from roll, pitch and heading, shape (..., 3) to (..., 3, 3). The yaw in waves is about the
     world's axis, so it is part of the heading."""
     tilts = attitudes_rad * np.array([1.0, 1.0, 0.0])
-    turns: Array = world_R_vehicle(attitudes_rad[..., 2]) @ np.swapaxes(vehicle_R_nominal(tilts), -1, -2)
-    return turns
+    return world_R_vehicle(attitudes_rad[..., 2]) @ np.swapaxes(vehicle_R_nominal(tilts), -1, -2)
 
 
 def vessels_in_map(scene: Scene, first: int, stop: int) -> list[tuple[FramePlace, Mask]]:

@@ -156,8 +156,7 @@ class Completed:
 def standard_errors(model: ErrorModel, sides_px: Array, outward_px: Array) -> Array:
     """Standardised errors from edges (m, p, 4) of boxes of width, height, width, height (m, 4)."""
     mean, std = model.at(sides_px)
-    result: Array = (outward_px @ ERRORS.T - mean[:, None]) / std[:, None]
-    return result
+    return (outward_px @ ERRORS.T - mean[:, None]) / std[:, None]
 
 
 def completed(model: ErrorModel, edges: MatchedEdges) -> Iterator[Completed]:
@@ -400,8 +399,7 @@ def _fit(start: ErrorModel, edges: MatchedEdges, gate: Gate | None, least: float
 def _step(inverse: Array, score: Array, held: Mask) -> Array:
     """Newton's step of the numbers that are not held, shape (p,), given the inverse of the derivatives (p, p)."""
     if not held.any():
-        step: Array = inverse @ score
-        return step
+        return inverse @ score
     step, free = np.zeros(len(score)), np.flatnonzero(~held)
     step[free] = np.linalg.solve(np.linalg.inv(inverse)[np.ix_(free, free)], score[free])
     return step
@@ -422,8 +420,7 @@ def _broyden(inverse: Array, moved: Array, change: Array) -> Array:
     whole = float(moved @ predicted)
     if abs(whole) < 1e-3 * float(moved @ moved):
         return inverse
-    result: Array = inverse + np.outer(moved - predicted, moved @ inverse) / whole
-    return result
+    return inverse + np.outer(moved - predicted, moved @ inverse) / whole
 
 
 def _expected_information(model: ErrorModel, edges: MatchedEdges) -> Array:
@@ -433,5 +430,4 @@ def _expected_information(model: ErrorModel, edges: MatchedEdges) -> Array:
     gains, places = model.gains(edges.sides_px), model.places
     information = covariance[np.ix_(places, places)] * (gains.T @ gains)
     scale = np.sqrt(np.diag(information))
-    result: Array = information + 1e-6 * np.diag(scale**2)
-    return result
+    return information + 1e-6 * np.diag(scale**2)

@@ -210,8 +210,7 @@ def covariance(std: Array, correlation: Array) -> Array:
     matrix = np.eye(4)
     for (i, j), value in zip(ERROR_PAIRS, correlation, strict=True):
         matrix[i, j] = matrix[j, i] = value
-    result: Array = np.outer(std, std) * matrix
-    return result
+    return np.outer(std, std) * matrix
 
 
 def moments(resampling: bootstrap.Resampling, image: Indices, values: Array) -> tuple[Array, Array, Array]:

@@ -122,8 +122,7 @@ class MatchedEdges:
     @cached_property
     def whole(self) -> Mask:
         """Mask of the boxes with no edge left out, shape (n,)."""
-        result: Mask = self.usable & self.counted.all(axis=1)
-        return result
+        return self.usable & self.counted.all(axis=1)
 
     @cached_property
     def alike(self) -> tuple[tuple[Indices, MatchedEdges], ...]:
@@ -143,8 +142,7 @@ class MatchedEdges:
     @cached_property
     def errors_px(self) -> Array:
         """e_x, e_y, e_w, e_h as measured, shape (n, 4)."""
-        errors: Array = self.outward_px @ ERRORS.T
-        return errors
+        return self.outward_px @ ERRORS.T
 
     @cached_property
     def inward_px(self) -> Array:

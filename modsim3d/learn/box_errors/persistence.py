@@ -148,8 +148,7 @@ def _shapes_of_changes(
 def _standard(pairs: Pairs, model: ErrorModel, rows: Indices) -> Array:
     """Errors of some boxes with mean zero and variance one, shape (m, 4)."""
     mean, std = model.at(pairs.edges.sides_px[rows])
-    standard: Array = (pairs.edges.errors_px[rows] - mean) / std
-    return standard
+    return (pairs.edges.errors_px[rows] - mean) / std
 
 
 def correlation_left(correlation: Array, numbers: Indices) -> Array:

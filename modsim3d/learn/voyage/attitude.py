@@ -42,8 +42,7 @@ class Attitude:
         last, first = self.time_s[after - 1], self.time_s[after]
         inside = (times_s >= last) & (times_s <= first) & (first - last <= MAX_APART_S)
         at_a_row = np.minimum(np.abs(times_s - last), np.abs(times_s - first)) <= _NEAR_S
-        known: Mask = inside | at_a_row
-        return known
+        return inside | at_a_row
 
     def at(self, times_s: Array, headings_rad: Array) -> Array:
         """Roll, pitch, and what the heading differs from that of the scene, at some times, shapes (k,), (k, 3)."""
@@ -188,5 +187,4 @@ class Sampler:
 
 
 def _between(first: Array, second: Array, share: Array) -> Array:
-    between: Array = first + share * (second - first)
-    return between
+    return first + share * (second - first)

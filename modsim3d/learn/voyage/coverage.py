@@ -41,8 +41,7 @@ class Coverage:
         """Edges of cells of bearing, at round numbers, ascending."""
         low, high = self.bearing_deg.min(), self.bearing_deg.max()
         step = next((each for each in _STEPS_DEG if (high - low) / each <= _MAX_BINS - 1), _STEPS_DEG[-1])
-        edges: Array = np.arange(np.floor(low / step), np.floor(high / step) + 2) * step
-        return edges
+        return np.arange(np.floor(low / step), np.floor(high / step) + 2) * step
 
     @property
     def ranges_m(self) -> Array:

@@ -276,8 +276,7 @@ def _carrier_there(scene: Scene, vessel: str | None, times_s: Array) -> Mask:
     every_s = scene.times_s(0, scene.steps)
     before = np.clip(np.searchsorted(every_s, times_s + NEAR_S, side="right") - 1, 0, len(every_s) - 1)
     after = np.where(times_s - every_s[before] > NEAR_S, np.minimum(before + 1, len(every_s) - 1), before)
-    found: Mask = there[before] & there[after]
-    return found
+    return there[before] & there[after]
 
 
 def _said_of_frames(camera: str, inside: Mask, carried: Mask, vessel: str | None) -> Iterator[str]:

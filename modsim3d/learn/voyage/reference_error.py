@@ -170,8 +170,7 @@ class _Placed:
         world = hulls @ np.swapaxes(rotations, -1, -2) + positions[:, None, :]
         pixels = self.camera.intrinsics.project(self.camera_poses.to_camera(world))
         low, high = pixels.min(axis=1), pixels.max(axis=1)
-        boxes: Array = np.concatenate([(low + high) / 2, high - low], axis=1)
-        return boxes
+        return np.concatenate([(low + high) / 2, high - low], axis=1)
 
 
 # ---- Covariances that errors of truth give to errors of boxes ----

@@ -55,8 +55,7 @@ def _straight(drawing: Drawing, x: Indices, y: Indices) -> Array:
         return centres
     ray = drawing.intrinsics.unproject(centres / drawing.supersample, np.full(len(centres), 1.0))
     pinhole = drawing.intrinsics.pinhole
-    straight: Array = (ray @ pinhole.matrix.T)[..., :2] * drawing.supersample
-    return straight
+    return (ray @ pinhole.matrix.T)[..., :2] * drawing.supersample
 
 
 def _possible(drawing: Drawing, solid: Indices, count: int, points: Array) -> Mask:
@@ -340,8 +339,7 @@ def mask_of(spans: Spans, region: Region) -> Mask:
     for ends, step in ((spans.start, 1), (spans.stop, -1)):
         place = spans.y[inside] - region.y, np.clip(ends[inside] - region.x, 0, region.width)
         np.add.at(edges, place, step)
-    mask: Mask = edges.cumsum(axis=1, dtype=np.int8)[:, :-1] > 0
-    return mask
+    return edges.cumsum(axis=1, dtype=np.int8)[:, :-1] > 0
 
 
 def _in_words(box: Array) -> str:

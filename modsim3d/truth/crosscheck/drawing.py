@@ -120,8 +120,7 @@ def _cut(triangles: Array, height: Array) -> tuple[Array, Indices]:
 
 def _crossing(inner: Array, at_inner: Array, outer: Array, at_outer: Array) -> Array:
     """Points at which edges leave the half-space, from the inner corner on: the same for both triangles at an edge."""
-    point: Array = inner + (outer - inner) * (at_inner / (at_inner - at_outer))
-    return point
+    return inner + (outer - inner) * (at_inner / (at_inner - at_outer))
 
 
 GUARD_PX, LENS_GUARD_PX = 2048.0, 1.0
@@ -271,8 +270,7 @@ def _lattice(count: int) -> Array:
     upside_down = np.stack([[k, m], [k + 1, m + 1], [k, m + 1]]).transpose(2, 0, 1)
     places = np.concatenate([upright, upside_down])
     i, j = places[..., 0], places[..., 1]
-    weights: Array = np.stack([count - i, i - j, j], axis=-1) / count
-    return weights
+    return np.stack([count - i, i - j, j], axis=-1) / count
 
 
 def tiles_of(region: Region) -> Iterator[Region]:

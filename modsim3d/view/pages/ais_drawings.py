@@ -71,8 +71,7 @@ class _MapArea:
     def holds(self, places_m: Array) -> Mask:
         """Mask of the places on the map, shape (n,)."""
         x, y = places_m[:, 0], places_m[:, 1]
-        on_map: Mask = (x >= self.west_m) & (x <= self.east_m) & (y >= self.south_m) & (y <= self.north_m)
-        return on_map
+        return (x >= self.west_m) & (x <= self.east_m) & (y >= self.south_m) & (y <= self.north_m)
 
 
 def traffic_map(traffic: AisTraffic) -> Figure:

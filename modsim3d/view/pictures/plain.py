@@ -89,8 +89,7 @@ class Solids:
         away = np.einsum("ij,ij->i", normals, corners[:, 0]) > 0
         normals[away] *= -1
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        unit: Array = normals / np.where(length > 0, length, 1.0)
-        return unit
+        return normals / np.where(length > 0, length, 1.0)
 
     def light(self) -> Array:
         """Brightness of each triangle by its angle to the sun, from `DIMMEST` to 1, shape (T,)."""

@@ -53,8 +53,7 @@ def in_front(outlines: Outlines, occluder_count: int, hides: Indices) -> tuple[I
 
 
 def _keys(frame: Indices, hidden: Indices, hider: Indices, occluder_count: int) -> Indices:
-    keys: Indices = (frame * occluder_count + hidden) * occluder_count + hider
-    return keys
+    return (frame * occluder_count + hidden) * occluder_count + hider
 
 
 def painting_order(frame: Indices, depth_m: Array, occluder: Indices, hidden: Indices, hider: Indices) -> Indices:
@@ -157,8 +156,7 @@ class Shapes:
     @cached_property
     def first_corner(self) -> Indices:
         """The first corner of each shape, and the number of corners, shape (s + 1,)."""
-        corners: Indices = np.concatenate([[0], np.cumsum(self.count)])[self.first_line]
-        return corners
+        return np.concatenate([[0], np.cumsum(self.count)])[self.first_line]
 
     def take(self, chosen: Mask) -> Shapes:
         """The shapes that are chosen by a mask, shape (s,)."""

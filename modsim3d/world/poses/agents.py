@@ -174,8 +174,7 @@ def _clearance(fleet: _Fleet, i: int, basin: AgentsKeys, place: Array, heading: 
     theirs = np.stack([np.cos(fleet.heading[others]), np.sin(fleet.heading[others])], axis=1)
     centres = fleet.place[others] + theirs * (fleet.speed[others] * time_s)[..., None]
     apart: Array = _gaps(place, axes, fleet.half_m[i], centres, theirs, fleet.half_m[others]).min(axis=-1)
-    least: Array = np.minimum(wall, apart)
-    return least
+    return np.minimum(wall, apart)
 
 
 def _gaps(place: Array, axis: Array, half: Array, others: Array, other_axis: Array, other_half: Array) -> Array:

@@ -247,8 +247,7 @@ class Waters:
             + SWING * time_s * float(sweep.speeds_m_s[0] + other.speeds_m_s[0])
             for other in self.fleet
         ]
-        near: list[int] = np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2).tolist()
-        return near
+        return np.flatnonzero(offset[:, 0] ** 2 + offset[:, 1] ** 2 < np.array(reach) ** 2).tolist()
 
     def best(self, first: Track, changes: Callable[[float | None], Iterable[Sequence[Track]]]) -> Track | None:
         """The first track, as drawn, if it keeps well clear, else the best of it and of the changed ones; None if none
@@ -270,5 +269,4 @@ class Waters:
 def _crowding(gaps: Array, least_m: float, comfort_m: float) -> Array:
     """Cost of each of n least gaps; infinite below the least that is allowed."""
     near = np.clip((comfort_m - gaps) / max(comfort_m - least_m, 1e-9), 0.0, 1.0)
-    cost: Array = np.where(gaps < least_m, np.inf, CROWDING * near**2)
-    return cost
+    return np.where(gaps < least_m, np.inf, CROWDING * near**2)

@@ -153,8 +153,7 @@ class Track:
 
     def present(self, times_s: Array, margin_s: float = 0.0) -> Mask:
         """Whether she is there at each of n times."""
-        there: Mask = (times_s >= self.start_s - margin_s) & (times_s <= self.end_s + margin_s)
-        return there
+        return (times_s >= self.start_s - margin_s) & (times_s <= self.end_s + margin_s)
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,8 +81,7 @@ def static_fields(station: Station, part: int) -> Fields:
 
 def payload(fields: Fields) -> tuple[str, int]:
     """The encoded message, and how many bits fill up its last character."""
-    encoded: tuple[str, int] = data_to_payload(fields["msg_type"], fields).encode()
-    return encoded
+    return data_to_payload(fields["msg_type"], fields).encode()
 
 
 def lines(message: tuple[str, int], own: bool, channel: str, sequence: int, time_s: float) -> str:

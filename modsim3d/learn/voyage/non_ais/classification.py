@@ -144,16 +144,14 @@ def _below_horizon(labelled: LabelledSet, image: Indices, boxes_px: Array) -> Ar
     a, b, c = labelled.images.half_planes[image].T
     with np.errstate(divide="ignore", invalid="ignore"):
         horizon = -(a * (boxes_px[:, 0] + boxes_px[:, 2]) / 2 + c) / b
-    below: Array = boxes_px[:, [1, 3]] - np.where(np.isfinite(horizon), horizon, 0.0)[:, None]
-    return below
+    return boxes_px[:, [1, 3]] - np.where(np.isfinite(horizon), horizon, 0.0)[:, None]
 
 
 def _border(boxes_px: Array, sizes_px: Array) -> Mask:
     """Whether boxes (n, 4) in images of a size (n, 2) lie at the left and at the right border, shape (n, 2)."""
     with np.errstate(invalid="ignore"):
         far = boxes_px[:, 2] >= sizes_px[:, 0] - AT_BORDER_PX
-    at: Mask = np.column_stack([boxes_px[:, 0] <= AT_BORDER_PX, far])
-    return at
+    return np.column_stack([boxes_px[:, 0] <= AT_BORDER_PX, far])
 
 
 def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matched, threshold: float) -> Indices:
@@ -196,8 +194,7 @@ class ClassifiedDetections:
     @cached_property
     def likely(self) -> Mask:
         """Mask of the linked detections that are taken for a vessel's, shape (n,)."""
-        likely: Mask = (self.lasting >= _LIKELY)[self.links.link] & ~self.empty[self.links.image]
-        return likely
+        return (self.lasting >= _LIKELY)[self.links.link] & ~self.empty[self.links.image]
 
     @cached_property
     def tracks(self) -> CrossingTracks:
@@ -219,14 +216,12 @@ class ClassifiedDetections:
     @cached_property
     def passing(self) -> Mask:
         """Mask of the detections without information: vessels pass each other there or come into view, shape (D,)."""
-        passing: Mask = self.crossings.results & ~self.empty[self.observed.labelled.results.image]
-        return passing
+        return self.crossings.results & ~self.empty[self.observed.labelled.results.image]
 
     @cached_property
     def tells(self) -> Mask:
         """Mask of the linked detections with information: they are taken for a vessel's, or nothing passes, (n,)."""
-        tells: Mask = self.likely | ~self.passing[self.links.rows]
-        return tells
+        return self.likely | ~self.passing[self.links.rows]
 
     @cached_property
     def left_out(self) -> Mask:

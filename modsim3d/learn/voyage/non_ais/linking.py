@@ -184,8 +184,7 @@ def _beside_others(sides: Array) -> Mask:
     low, high = sides[:, :2] - _BESIDE_PX, sides[:, 2:] + _BESIDE_PX
     meets = ((sides[:, None, :2] <= high) & (sides[:, None, 2:] >= low)).all(axis=-1) & ~np.eye(len(sides), dtype=bool)
     inside = (sides[:, None] >= np.tile(low, 2)) & (sides[:, None] <= np.tile(high, 2))
-    beside: Mask = np.asarray((inside & meets[..., None]).any(axis=1))
-    return beside
+    return np.asarray((inside & meets[..., None]).any(axis=1))
 
 
 def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array:
@@ -197,8 +196,7 @@ def _offsets(measured: Array, sure: Mask, expected: Array, known: Mask) -> Array
     mean = np.where(usable, off, 0.0).sum(axis=2) / np.maximum(number, 1)
     before = np.maximum(expected[None, :, :2] - measured[:, None, 2:], 0)
     after = np.maximum(measured[:, None, :2] - expected[None, :, 2:], 0)
-    offsets: Array = np.where(number > 0, mean, after - before)
-    return offsets
+    return np.where(number > 0, mean, after - before)
 
 
 def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Jitter) -> Mask:

@@ -61,8 +61,7 @@ class Things:
     @property
     def unsteady(self) -> Mask:
         """Whether places or sizes jump, as those of a small vessel with large box errors do too, shape (N,)."""
-        unsteady: Mask = np.isin(self.behaviour, (Behaviour.JUMPS, Behaviour.CHANGES_SIZE))
-        return unsteady
+        return np.isin(self.behaviour, (Behaviour.JUMPS, Behaviour.CHANGES_SIZE))
 
 
 def things_of(links: Links, images: Images) -> Things:
@@ -232,8 +231,7 @@ class _Durations:
         """Log-probability of each duration with a mean number of frames (rows,), shape (rows, D)."""
         end = 1 / np.maximum(mean, 1.0)[:, None]
         stay = np.log(np.maximum(1 - end, 1e-12))
-        density: Array = np.multiply(self.frames - 1, stay) + (1 - self.cut) * np.log(end)
-        return density
+        return np.multiply(self.frames - 1, stay) + (1 - self.cut) * np.log(end)
 
     def _mean(self, weights: Array) -> Array:
         """Mean number of frames: all frames after which each could have ended over all ends, (rows,)."""

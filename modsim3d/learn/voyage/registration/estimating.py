@@ -143,8 +143,7 @@ def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
 
 def columns(linear: Linear, names: Sequence[str]) -> Array:
     """The slopes of named parameters, shape (m, len(names))."""
-    found: Array = linear.slopes[:, [PROBED.index(name) for name in names]]
-    return found
+    return linear.slopes[:, [PROBED.index(name) for name in names]]
 
 
 def blocks_of(residuals: SightingResiduals) -> Indices:

@@ -286,5 +286,4 @@ class Aligner:
 
 def usual_px(size_px: Array) -> Array:
     """The usual size of box errors, in pixels, of boxes of a width or height."""
-    usual: Array = 1 + 0.05 * size_px
-    return usual
+    return 1 + 0.05 * size_px

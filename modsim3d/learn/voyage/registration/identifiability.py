@@ -62,8 +62,7 @@ class Linear:
     @property
     def information(self) -> Array:
         """Shape (p, p)."""
-        product: Array = self.slopes.T @ self.slopes
-        return product
+        return self.slopes.T @ self.slopes
 
     def known_by(self, cluster: Indices, degrees: float | None = None) -> Knowledge:
         """Covariance and intervals with clusters of rows, shape (m,), and degrees of freedom if they are known."""

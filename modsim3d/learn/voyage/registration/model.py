@@ -67,8 +67,7 @@ class KnownTraffic:
         """Whether vessels are there at times: at the steps before and after, shape (n,)."""
         before, share = self._between(times_s)
         after = np.where(share > 0, before + 1, before)
-        found: Mask = self.present[before, vessel] & self.present[after, vessel]
-        return found
+        return self.present[before, vessel] & self.present[after, vessel]
 
     def at(self, times_s: Array, vessel: Indices) -> tuple[Array, Array]:
         """Positions in WCF, shape (n, 3), and rotations VCF to WCF, (n, 3, 3), of vessels at times, both (n,)."""
@@ -86,8 +85,7 @@ class KnownTraffic:
         ends_s = first[vessel], np.maximum(last[vessel], first[vessel] + 1e-3)
         start, stop = (np.clip(times_s + side, *ends_s) for side in (-MEAN_S, MEAN_S))
         before, after = (self._interpolated(self._travelled_m, at_s, vessel) for at_s in (start, stop))
-        found: Array = (after - before) / np.maximum(stop - start, 1e-3)[:, None]
-        return found
+        return (after - before) / np.maximum(stop - start, 1e-3)[:, None]
 
     def camera_at(self, times_s: Array, turn_rad: Array, raised_m: float) -> CameraPoses:
         """Poses of the camera at n times, with roll, pitch and yaw (3,) added to its mount's, and so much higher."""
@@ -119,8 +117,7 @@ class KnownTraffic:
         """Values of vessels at the steps, shape (S, V, k), at times (n,), shape (n, k)."""
         before, share = self._between(times_s)
         start, end = of_steps[before, vessel], of_steps[before + 1, vessel]
-        found: Array = start + share[:, None] * (end - start)
-        return found
+        return start + share[:, None] * (end - start)
 
 
 def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
@@ -214,8 +211,7 @@ class BoxModel:
     def edges(self, values: Values, times_s: Array, vessel: Indices, corners_m: Array) -> Array:
         """Left, top, right and bottom edge from the vertices that make them, shape (n, 4, 3) to (n, 4)."""
         pixels = self.pixels(values, times_s, vessel, corners_m)
-        edges: Array = np.take_along_axis(pixels, AXIS[None, :, None], axis=2)[..., 0]
-        return edges
+        return np.take_along_axis(pixels, AXIS[None, :, None], axis=2)[..., 0]
 
 
 # ---- Which edges of a vessel's box something else hides ----

@@ -68,8 +68,7 @@ class Values:
 
     def scaled(self, names: Sequence[str]) -> Array:
         """Named shared values in plausible distances, shape (n,)."""
-        found: Array = self.shared[[PLACE[name] for name in names]] / plausible(names)
-        return found
+        return self.shared[[PLACE[name] for name in names]] / plausible(names)
 
     def changed(self, **by: float) -> Values:
         """Values with other shared ones."""
