@@ -219,8 +219,7 @@ def open_campaign(folder: StrPath) -> Campaign:
 
 def engine_of(workers: WorkerCount, scheduler: str | None = None, slurm: int | None = None) -> Callable[[], Engine]:
     """Function that opens the engine asked for: processes on this machine, a Dask scheduler at an address, or Slurm
-    jobs. Raises ModsimError if this is no number of workers, both others are given, or a library that they need is
-    missing."""
+    jobs. Raises ModsimError if this is no number of workers, both others are given, or their library is missing."""
     worker_count(workers)
     if scheduler is not None and slurm is not None:
         raise ModsimError("scheduler and slurm contradict each other: leave one out")

@@ -101,10 +101,8 @@ def _hands() -> _Hands:
         return _only_hands()
 
 
-CONNECT_S = 30.0
-"""How long a scheduler is waited for, at the start and when the connection to it is lost."""
-LOOK_S = 2.0
-"""Time between two looks at which workers there are."""
+CONNECT_S = 30.0  # how long a scheduler is waited for, at the start and when the connection to it is lost
+LOOK_S = 2.0  # time between two looks at which workers there are
 _MISSING = 'campaigns on a cluster need {}: pip install "modsim3d[cluster]"'
 
 

@@ -37,8 +37,7 @@ from modsim3d.io.atomic_write import json_text, make_folder, sync_file, sync_fol
 from modsim3d.io.validation import nearest
 
 _OF_ALL_PLANS = ("scene", "condition", "traffic_seed", "detector_seed", "tracker")
-_TOGETHER = 200
-"""Small tables that are kept before they become one; each costs some 50 kB beside its rows."""
+_TOGETHER = 200  # small tables that are kept before they become one; each costs some 50 kB beside its rows
 
 
 class DoneRows:
@@ -147,8 +146,7 @@ def _possible(plan: Plan, name: str) -> Iterator[Any]:
 
 # ---- The rows that are done, and the data set that is made of them at the end ----
 
-PART_ROWS = 50_000
-"""Rows of a file of the data set: they follow the plan, whoever made them."""
+PART_ROWS = 50_000  # rows of a file of the data set: they follow the plan, whoever made them
 
 
 def done_rows(folder: CampaignFolder) -> pa.Table:
@@ -218,8 +216,7 @@ def results_table(folder: CampaignFolder) -> pa.Table:
 
 # ---- How many traffic seeds each requirement of a plan needs ----
 
-POWER = 0.8
-"""How often a mean as expected is to be met."""
+POWER = 0.8  # how often a mean as expected is to be met
 _DRAWN, _DRAWN_SEQUENTIAL, _LONGEST = 20_000, 100, 5_000
 _NUMBER = r"([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
 

@@ -95,15 +95,11 @@ def read_uncertainty(detector: Path) -> LearnedUncertainty:
     return found
 
 
-_STREAM = 3
-"""Keeps these random numbers apart from those of the drawn keys, see `plan.drawn`."""
-_INDEPENDENT = 0.01
-"""Share of the identity in the matrix of correlations, whose entries are rounded."""
-_ROUNDING = 1e-5
-"""Least eigenvalue of a covariance over its greatest."""
+_STREAM = 3  # keeps these random numbers apart from those of the drawn keys, see `plan.drawn`
+_INDEPENDENT = 0.01  # share of the identity in the matrix of correlations, whose entries are rounded
+_ROUNDING = 1e-5  # least eigenvalue of a covariance over its greatest
 NOT_NEGATIVE = ("visibility_slope", "size_slope")
-_DIGITS = 1e-5
-"""What the digits of the settings may change in proportion."""
+_DIGITS = 1e-5  # what the digits of the settings may change in proportion
 _MAX_FACTOR = 10.0
 """Numbers and rates are drawn within this factor of their estimates; of a few things `learn` knows no bound at all."""
 

@@ -41,8 +41,7 @@ TOOK, TOOK_VERDICTS = "took.parquet", "took_verdicts.json"
 """What runs took, and the verdicts on it: they do not repeat, so no checksum and no comparison has them."""
 RESULTS, SEARCH = "results", "search"
 """In the folder of a campaign that has ended: its rows, and the trials of a search."""
-LIST = "_files.json"
-"""In one of these; readers of data sets pass over names that begin so."""
+LIST = "_files.json"  # in one of these; readers of data sets pass over names that begin so
 _ROWS = "**/*.parquet"
 
 
@@ -290,8 +289,7 @@ def _check_same(plan: Path, facts: dict[str, Any]) -> None:
 # ---- Workers that were killed from outside ----
 
 _LINE = re.compile(r"killed \S+ how=(.*) host=.* runs=([0-9,]+)")
-_MOST = 8
-"""Numbers of runs in a sentence."""
+_MOST = 8  # numbers of runs in a sentence
 
 
 def note_kill(folder: CampaignFolder, death: Death, runs: Sequence[int]) -> None:

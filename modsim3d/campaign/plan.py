@@ -239,8 +239,7 @@ class Plan:
 # ---- What a requirement is about ----
 
 STATE, CAMERA, SCENE = "state", "camera", "scene"
-GROUPS = (STATE, CAMERA, *BINS)
-"""What divides each run into parts that have scores of their own."""
+GROUPS = (STATE, CAMERA, *BINS)  # what divides each run into parts that have scores of their own
 
 
 @dataclass(frozen=True)
@@ -336,8 +335,7 @@ def values_text(values: Mapping[str, Any], keys: Iterable[str] | None = None) ->
     return ", ".join(said) or UNKNOWN
 
 
-MAX_KEYS = 4
-"""Keys that have columns of their own in a table."""
+MAX_KEYS = 4  # keys that have columns of their own in a table
 
 
 def key_columns(keys: Sequence[str]) -> list[str]:

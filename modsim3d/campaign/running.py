@@ -31,12 +31,9 @@ from modsim3d.core.errors import ModsimError, OutputError
 
 # ---- Cuts runs into tasks of about equal time ----
 
-TASK_S = 30.0
-"""Long against what a scheduler spends on a task, short against what a lost worker costs."""
-FIRST_RUNS = 8
-"""Most runs of a task while nothing is known of their time."""
-WEIGHT = 0.3
-"""Of the latest task in the mean time of a run."""
+TASK_S = 30.0  # long against what a scheduler spends on a task, short against what a lost worker costs
+FIRST_RUNS = 8  # most runs of a task while nothing is known of their time
+WEIGHT = 0.3  # of the latest task in the mean time of a run
 
 
 def same_truth(plan: Plan, facts: Sequence[ConditionFacts], numbers: Iterable[int]) -> list[list[int]]:
@@ -95,10 +92,8 @@ class Cutter:
 
 T = TypeVar("T")
 
-DEATHS = 2
-"""A run whose worker is killed so often while it does nothing else is given up."""
-AHEAD = 2
-"""Tasks that are handed in for each worker, so that none waits."""
+DEATHS = 2  # a run whose worker is killed so often while it does nothing else is given up
+AHEAD = 2  # tasks that are handed in for each worker, so that none waits
 READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
 """Waits for a file that another machine has written; a network file system shows it after up to a minute."""
 DIED = "its worker process was killed, or ran out of memory"
@@ -245,8 +240,7 @@ def _check_cache(cache: Path | None, folder: Path) -> None:
 
 
 def _check_shard(campaign: CheckedCampaign, part: int, parts: int) -> None:
-    """Check that there is such a part, and that what is run does not depend on what was run before; ModsimError if
-    not."""
+    """Refuse, with ModsimError, a part that is not there, or whose runs depend on what was run before."""
     keys = campaign.file.keys
     if not 1 <= part <= parts:
         raise ModsimError(f"--shard {part}/{parts}: there are the parts 1/{parts} to {parts}/{parts}")

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
 
 # ---- The space that is searched ----
 
-SEED = "traffic seed"
-"""Name of the dimension of the traffic seed; no key of a scene has a space in it."""
+SEED = "traffic seed"  # name of the dimension of the traffic seed; no key of a scene has a space in it
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,7 @@ class Point:
 
 
 def distributions(search: SearchKeys) -> dict[str, BaseDistribution]:
-    """Dimensions as Optuna knows them. Traffic seeds are categories: two seeds with neighbouring numbers have no more
-    in common than any others."""
+    """Dimensions as Optuna knows them. Traffic seeds are categories: neighbouring numbers have nothing in common."""
     from optuna.distributions import CategoricalDistribution
 
     found = {key: _distribution(each) for key, each in search.over.items()}
@@ -192,8 +190,7 @@ def tried(point: Point, row: Mapping[str, Any], search: SearchKeys) -> Tried:
     return Tried(point, value if known else None, row["status"] == CRASHED)
 
 
-VALUES = "values"
-"""Column with the values of the keys that were searched, as JSON."""
+VALUES = "values"  # column with the values of the keys that were searched, as JSON
 
 
 def stored_batch(folder: CampaignFolder, batch: int) -> list[Point] | None:
@@ -238,8 +235,7 @@ def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
 
 
 def search_table(folder: CampaignFolder) -> pa.Table:
-    """Trials of a search in their order: all, or those that are done so far. Raises ModsimError if it is no search, or
-    they are damaged."""
+    """Trials of a search that are done, in order. Raises ModsimError if it is no search, or they are damaged."""
     search = searched(folder)
     if folder.finished:
         return pq.read_table(folder.path / SEARCH, partitioning=None)

@@ -47,16 +47,12 @@ class Death:
         return None if self.outside or self.run is None else f"the run ended its worker process ({self.how})"
 
 
-LOST = Death(None, "its Dask worker was lost", True)
-"""A worker that was lost with all that is known of it."""
+LOST = Death(None, "its Dask worker was lost", True)  # a worker that was lost with all that is known of it
 
 
-READY = "ready"
-"""What a process says when it can take tasks."""
-_END_S = 10.0
-"""How long an idle process may take to close its OpenGL context."""
-_STOP_S = 2.0
-"""A signal that goes to all processes reaches the main one, or the Dask worker, within this time."""
+READY = "ready"  # what a process says when it can take tasks
+_END_S = 10.0  # how long an idle process may take to close its OpenGL context
+_STOP_S = 2.0  # a signal that goes to all processes reaches the main one, or the Dask worker, within this time
 
 
 class ProcessDiedError(Exception):

@@ -40,8 +40,7 @@ MARGIN, LEAST = 0.5, 0.2
 """What is shown beside the mistakes, as a share of what they fill, and at least, as a share of the image."""
 LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")
 """What is true and what the tracker says; the detections would hide both."""
-MAX_SWITCHES = 2
-"""So many identity switches are told in full."""
+MAX_SWITCHES = 2  # so many identity switches are told in full
 
 
 def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None, name: str = "") -> Image:
@@ -139,8 +138,7 @@ def frame_of(rows: RunRows, number: int) -> Frame:
     return next(frame for frame in frames_of(block, scene, range(step, step + 1)) if frame.camera == cameras[camera])
 
 
-AROUND_S = 5.0
-"""What is shown before and after the moment."""
+AROUND_S = 5.0  # what is shown before and after the moment
 WIDTH_PX = 1280
 
 

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from modsim3d.scene.ais.traffic import AisTraffic
 
 
-BY_TYPE = "type"
-"""What `--label` takes in place of the label of a group."""
+BY_TYPE = "type"  # what `--label` takes in place of the label of a group
 
 
 # More than fifty lines, because each option stands in the signature, where the command line finds it.

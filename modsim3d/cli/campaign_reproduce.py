@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from modsim3d.campaign.reproduce import RunAgain
     from modsim3d.campaign.worst_film import MomentFilm
 
-NOT_THE_SAME = 1
-"""Exit status if the run does not come out as in the campaign."""
+NOT_THE_SAME = 1  # exit status if the run does not come out as in the campaign
 HEADER = ("", "in the campaign", "again")
 
 

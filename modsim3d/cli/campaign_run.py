@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from modsim3d.campaign.work.checking import CheckedCampaign
 
 FORMAT = 1
-FAILED, UNDECIDED = 1, 3
-"""Exit status if a requirement failed, and if none failed but one is undecided."""
+FAILED, UNDECIDED = 1, 3  # exit status if a requirement failed, and if none failed but one is undecided
 MAX_SHARDS = 100_000
 
 

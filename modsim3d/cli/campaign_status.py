@@ -95,8 +95,7 @@ def _how(found: Present) -> list[str]:
 # ---- The command `modsim3d campaign table` ----
 
 ENDINGS = (".csv", ".parquet")
-RUN = "run"
-"""What `--by` takes in place of a key for the rows of all runs."""
+RUN = "run"  # what `--by` takes in place of a key for the rows of all runs
 
 
 def campaign_table_command(

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
     from modsim3d.campaign.verdicts.verdict import Verdict
     from modsim3d.campaign.work.checking import CheckedCampaign
 
-MAX_ROWS = 40
-"""Rows of a table that the end of a campaign shows."""
+MAX_ROWS = 40  # rows of a table that the end of a campaign shows
 STYLES = {"met": "green", "failed": "bold red", "undecided": "yellow"}
-FIRST = ("failed", "undecided", "met")
-"""The order in which verdicts are looked at."""
+FIRST = ("failed", "undecided", "met")  # the order in which verdicts are looked at
 
 
 def plan_rows(campaign: CheckedCampaign) -> list[tuple[str, str]]:
@@ -146,11 +144,9 @@ def time_left_text(seconds: float | None) -> str:
 
 # ---- The live display of a campaign: how far it is, and the present state of its requirements ----
 
-LINE_EVERY_S = 60.0
-"""Between two lines where standard error is no terminal."""
+LINE_EVERY_S = 60.0  # between two lines where standard error is no terminal
 MIN_LOOK_S = 5.0
-LOOK_COST = 0.05
-"""Most of the time that goes into looking at the requirements."""
+LOOK_COST = 0.05  # most of the time that goes into looking at the requirements
 MAX_VERDICTS = 8
 WIDTH = 30
 

@@ -150,12 +150,9 @@ class CommandGroup(_Plain, TyperGroup):
         return sorted(super().list_commands(ctx), key=order.index)
 
 
-BAD_INPUT = 2
-"""Exit status of a user error."""
-COMPLETE_VARIABLE = "_MODSIM3D_COMPLETE"
-"""What the scripts of shells set, however the command line is started."""
-MIN_ADDRESS_SPACE = 1 << 30
-"""Libraries take half of it, and what a small run draws with most of the rest."""
+BAD_INPUT = 2  # exit status of a user error
+COMPLETE_VARIABLE = "_MODSIM3D_COMPLETE"  # what the scripts of shells set, however the command line is started
+MIN_ADDRESS_SPACE = 1 << 30  # libraries take half of it, and what a small run draws with most of the rest
 COLLECT_AFTER = 300_000
 """New objects after which Python looks for garbage in cycles. The libraries of a run make 180,000, which stay: with
 Python's own 700, a short run spends a tenth of its time looking through them."""

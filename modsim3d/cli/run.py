@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 # ---- What `modsim3d detect --truth` prints ----
 
-MAX_SEQUENCES = 50
-"""More are in `detect.json` alone."""
+MAX_SEQUENCES = 50  # more are in `detect.json` alone
 
 
 def print_truth_summary(result: TruthResult) -> None:

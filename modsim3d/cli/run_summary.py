@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from modsim3d.scene.scene import Scene
     from modsim3d.truth.crosscheck.comparison import Checked
 
-Row = tuple[str, str, str]
-"""Name, value and meaning."""
+Row = tuple[str, str, str]  # name, value and meaning
 CAMERA_HEADER = (
     "camera",
     "frames",
@@ -28,8 +27,7 @@ CAMERA_HEADER = (
 )
 NOTICEABLE_SHARE = 0.005
 """The bias from resampled box errors is shown if at least this share of the detections was resampled."""
-WARNING_SHARE = 0.1
-"""A share of boxes with IoU below 0.5 that changes what an evaluation by IoU says."""
+WARNING_SHARE = 0.1  # a share of boxes with IoU below 0.5 that changes what an evaluation by IoU says
 
 
 def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:

@@ -81,8 +81,7 @@ def complete_tracker(incomplete: str) -> list[str]:
 
 # ---- Arguments and options that several commands share ----
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C."""
+INTERRUPTED = 130  # exit status after Ctrl-C
 
 
 def _workers(given: str | int) -> WorkerCount:
@@ -234,8 +233,7 @@ def progress(description: str, total: int | None) -> Iterator[Callable[[int], No
 
 # ---- Commands that clean up when the system tells them to stop ----
 
-SIGNALED = 128
-"""The exit status of a process that a signal has ended is this and the signal's number."""
+SIGNALED = 128  # the exit status of a process that a signal has ended is this and the signal's number
 
 
 class Stopped(KeyboardInterrupt):

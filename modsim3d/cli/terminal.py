@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 # ---- Output to the terminal ----
 
-UNBROKEN = 100_000
-"""Columns of a console that breaks no line."""
+UNBROKEN = 100_000  # columns of a console that breaks no line
 _CONTROL = r"\x00-\x1f\x7f-\x9f"
 _BREAKS = re.compile(f"[{_CONTROL}]")
 # Also marks that turn or hide text: of direction, of width zero, line separators, halves of characters, and tags.
@@ -275,8 +274,7 @@ def lost_output() -> OSError | None:
 
 def write_at_once(data: bytes) -> bool:
     """Write bytes to standard output past its buffer; False if nobody reads it any more, or it cannot be written to.
-    Nothing is left for later, so a command whose reader has stopped reading can be interrupted. Raises ModsimError if
-    there is no standard output."""
+    Nothing is left for later, so that it can be interrupted. Raises ModsimError if there is no standard output."""
     if sys.stdout is None:
         raise ModsimError("there is no standard output to write to")
     sys.stdout.flush()

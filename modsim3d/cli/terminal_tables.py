@@ -14,17 +14,13 @@ if TYPE_CHECKING:
 
 # ---- Tables and prose for the terminal ----
 
-GAP = 2
-"""Spaces between columns."""
-INDENT = 4
-"""Spaces before what stands below a row's first cell."""
-MIN_PROSE = 24
-"""Columns that a text needs to be read beside the others."""
+GAP = 2  # spaces between columns
+INDENT = 4  # spaces before what stands below a row's first cell
+MIN_PROSE = 24  # columns that a text needs to be read beside the others
 EMPTY = ("", "–")
 
 Cells = Sequence[str]
-Line = list[tuple[str, str]]
-"""Pieces of text, each with its style."""
+Line = list[tuple[str, str]]  # pieces of text, each with its style
 
 
 def print_table(
@@ -178,8 +174,7 @@ CELL_BREAKS: tuple[Callable[[str], str], ...] = (
     lambda cell: "\n".join(cell.split()) if " to " not in cell else cell,
 )
 """Where cells are broken that are too wide: first before intervals, then between all words."""
-OUTCOMES = ("verdict", "outcome")
-"""Columns that stand at the right edge where each row has lines of its own."""
+OUTCOMES = ("verdict", "outcome")  # columns that stand at the right edge where each row has lines of its own
 
 
 def print_document(console: Console, document: Document) -> None:

@@ -11,8 +11,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-NOBODY = -1
-"""The index of a name that is not given, or not among the names."""
+NOBODY = -1  # the index of a name that is not given, or not among the names
 
 
 @dataclass(frozen=True, eq=False)

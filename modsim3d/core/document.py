@@ -1,6 +1,5 @@
 """Results as documents: each result fills one, and the terminal, pages and notebooks show it.
-What is empty is shown nowhere, and neither is a heading with nothing below it; so a result fills in all that it may
-have."""
+What is empty is not shown, nor is a heading with nothing below it: a result fills in all that it may have."""
 
 from __future__ import annotations
 

@@ -6,8 +6,7 @@ from typing import TypeAlias
 
 from modsim3d.core.errors import ModsimError
 
-StrPath: TypeAlias = str | os.PathLike[str]
-"""What a function takes for a path."""
+StrPath: TypeAlias = str | os.PathLike[str]  # what a function takes for a path
 
 
 def as_path(value: object, name: str, needed: str = "a path") -> Path:

@@ -18,8 +18,7 @@ from modsim3d.core.arrays import Array, Indices, occurring
 
 Words = NDArray[np.uint64]
 HalfWords = NDArray[np.uint32]
-NUMBERS_PER_BLOCK = 4
-"""One value of the counter gives four 64-bit numbers."""
+NUMBERS_PER_BLOCK = 4  # one value of the counter gives four 64-bit numbers
 _ROUNDS = 10
 _FACTORS = np.array([[0xD2E7470EE14C6C93], [0xCA5A826395121157]], dtype=np.uint64)
 _KEY_STEPS = np.array([[0x9E3779B97F4A7C15], [0xBB67AE8584CAA73B]], dtype=np.uint64)

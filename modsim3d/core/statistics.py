@@ -6,8 +6,7 @@ from scipy import special
 
 from modsim3d.core.arrays import Array
 
-MAD_TO_STD = 1.4826
-"""Median absolute deviation to standard deviation, of normal numbers."""
+MAD_TO_STD = 1.4826  # median absolute deviation to standard deviation, of normal numbers
 _SAME = 1e-12
 """Values that differ by less than this share of their size are the same: the mean of equal numbers may be off by so
 much."""
@@ -35,9 +34,8 @@ def t_bounds(values: Array, alpha: float) -> tuple[float, float] | None:
 
 
 def exact_bounds(count: float, trials: float, alpha: float) -> tuple[float, float]:
-    """Bounds of a share for a number of trials that was fixed beforehand, by Clopper & Pearson (1934). The number of
-    successes need not be whole, as effective counts are not. `alpha` is the greatest probability of error of each
-    bound."""
+    """Bounds of a share for a number of trials that was fixed beforehand, by Clopper & Pearson (1934). Effective counts
+    of successes need not be whole. `alpha` is the greatest probability of error of each bound."""
     failures = trials - count
     low = float(special.betaincinv(count, failures + 1, alpha)) if count > 0 else 0.0
     high = float(special.betainccinv(count + 1, failures, alpha)) if failures > 0 else 1.0

@@ -7,8 +7,7 @@ from html import escape
 from math import isfinite
 
 MAX_NAMES = 6
-UNKNOWN = "–"
-"""What stands for a number that is not known."""
+UNKNOWN = "–"  # what stands for a number that is not known
 _START = re.compile(r"[±+−-]? ?(?!\d+\.\d+\.\d|\d+\. )(\d|∞)")
 """How a number begins; a version with two points is none, and neither is an ordinal."""
 _CHECKSUM = re.compile(r"[0-9a-f]{32,}")

@@ -23,8 +23,7 @@ from modsim3d.detector.draws import (
 from modsim3d.detector.model import DetectorModel
 from modsim3d.detector.records import CameraFrames, Targets
 
-MAX_DRAWS = 10_000
-"""Draws of the error of one box before its state counts as impossible for it."""
+MAX_DRAWS = 10_000  # draws of the error of one box before its state counts as impossible for it
 _FIRST_DRAWS, _MIN_DRAWS, _DRAWS_AT_ONCE = 4, 2, 2048  # of a box, of a box, of all boxes: they fit a cache
 _SWEEPS = 10  # twice what four rows need
 

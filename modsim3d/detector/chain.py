@@ -269,8 +269,7 @@ class Detector:
 
 
 def false_positive_source(model: DetectorModel, statistics: TargetStatistics) -> false_positives.FalsePositiveSource:
-    """The false positives of a detector. Raises ModsimError if their sizes come from the scene's targets, and there are
-    none."""
+    """The false positives of a detector. Raises ModsimError if their sizes come from targets, and there are none."""
     return false_positives.FalsePositiveSource.of(
         model.false_positives, false_positive_rates(model), model.column("false_positive_labels"), statistics
     )

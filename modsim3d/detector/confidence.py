@@ -221,11 +221,9 @@ def _tail(edge: Array, side: int) -> tuple[Array, Array]:
 
 # ---- Between which probabilities of its law each confidence lies ----
 
-Levels = tuple[Array, Array]
-"""Probability of a smaller confidence, and of one that is not larger, shapes (n,)."""
+Levels = tuple[Array, Array]  # probability of a smaller confidence, and of one that is not larger, shapes (n,)
 
-_ROUNDING = 1e-9
-"""A value less its shift may miss a step of its law by rounding."""
+_ROUNDING = 1e-9  # a value less its shift may miss a step of its law by rounding
 
 
 def _normal(law: NormalScores, values: Array, shift: Array) -> Levels | None:

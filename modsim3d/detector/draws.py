@@ -17,8 +17,7 @@ from modsim3d.detector.records import CameraFrames, Targets
 
 # ---- The distribution of box errors in a performance state ----
 
-ERROR_NORMALS = 4
-"""Standard normal numbers that every box error is made from: one for each component."""
+ERROR_NORMALS = 4  # standard normal numbers that every box error is made from: one for each component
 ErrorUnit = Literal["px", "relative", "mixed"]
 
 

@@ -12,8 +12,7 @@ from modsim3d.core.boxes import sizes
 from modsim3d.detector.draws import log2
 from modsim3d.detector.records import Targets
 
-MAX_LOG_ODDS = 30.0
-"""Beyond this a rate differs from 0 or 1 by less than 1e-13."""
+MAX_LOG_ODDS = 30.0  # beyond this a rate differs from 0 or 1 by less than 1e-13
 _MIN_DISTANCE_M = 1.0
 
 
@@ -34,8 +33,7 @@ def distance_m(targets: Targets) -> Array:
     return np.maximum(targets.depth_m, _MIN_DISTANCE_M)
 
 
-WHOLLY_VISIBLE = 0.999
-"""Seen share from which a vessel counts as wholly visible: the rest may be rounding."""
+WHOLLY_VISIBLE = 0.999  # seen share from which a vessel counts as wholly visible: the rest may be rounding
 
 
 def partly_hidden(targets: Targets) -> Array:

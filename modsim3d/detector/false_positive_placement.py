@@ -9,8 +9,7 @@ from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.random_streams import on_grid
 from modsim3d.detector.draws import choose, cumulative
 
-_NEXT = np.array([1, 2, 3, 0])
-"""The corner after each of four: `np.roll` takes ten times as long for one image."""
+_NEXT = np.array([1, 2, 3, 0])  # the corner after each of four: `np.roll` takes ten times as long for one image
 
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:
@@ -62,10 +61,8 @@ def uniform_places(half_planes: Array, image_size_px: tuple[int, int], uniforms:
 
 
 _NODES = 129
-DRAWS = 3
-"""Uniform numbers a place."""
-PLACE_STEP_PX = 2.0**-10
-"""Places are rounded to it: the horizon brings in all the rounding of a camera's angles."""
+DRAWS = 3  # uniform numbers a place
+PLACE_STEP_PX = 2.0**-10  # places are rounded to it: the horizon brings in all the rounding of a camera's angles
 
 
 @dataclass(frozen=True, eq=False)

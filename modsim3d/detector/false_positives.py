@@ -158,8 +158,7 @@ def ordinal_uniforms(
 
 # ---- False positives that stay for a while ----
 
-_LOOK_BACK = 38
-"""Lifetimes that the oldest can have lived: −ln of the least positive uniform number, 2⁻⁵³, is below 37."""
+_LOOK_BACK = 38  # lifetimes that the oldest can have lived: −ln of the least positive uniform number, 2⁻⁵³, is below 37
 _WIDTH = 8  # birth, lifetime, height, place (3), size, label
 
 

@@ -66,8 +66,7 @@ class PairNoise:
 
 
 _MIN_CUT, _MAX_CUT = 0.3, 0.7
-MIN_SPLIT_PX = 4.0
-"""Narrower boxes are not split: each part is at least a pixel wide."""
+MIN_SPLIT_PX = 4.0  # narrower boxes are not split: each part is at least a pixel wide
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """Noise that stays with a vessel for a while. Each kind runs over all steps of the scene from its first, whatever a
-camera saw: a vessel that was hidden comes back with the noise that it would have had. Fresh numbers are those that a
-detector without persistence would use, so with a vanishing correlation time the output is the same (confidence to its
-rounding)."""
+camera saw: a vessel that was hidden comes back with the noise that it would have had. Fresh numbers are those of a
+detector without persistence, so a vanishing correlation time gives its output (confidence to its rounding)."""
 
 import functools
 import itertools
@@ -21,8 +20,7 @@ from modsim3d.detector.records import CameraFrames, Targets
 Clock = Callable[[int, int], Array]
 """Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
 _UNIFORM_STEP = 2.0**-40
-NEVER_CHANGES_S = 1e9
-"""A correlation time that no run is long enough to tell from an endless one."""
+NEVER_CHANGES_S = 1e9  # a correlation time that no run is long enough to tell from an endless one
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is
 _DECAYS_KEPT = 4096  # steps take few different times
 _MAX_STEPS, _VESSEL_STEPS = 512, 100_000  # worked out at a time: it bounds the memory

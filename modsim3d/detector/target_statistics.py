@@ -47,8 +47,7 @@ def _nothing(width: int) -> Tally:
     return Tally(np.empty((0, width), dtype=np.int64), np.empty(0, dtype=np.int64))
 
 
-SHARED = -1
-"""Stands for all states without effects of their own, which have the same log-odds."""
+SHARED = -1  # stands for all states without effects of their own, which have the same log-odds
 
 
 def tallied(dropout: Dropout, state: int) -> int:
@@ -59,8 +58,7 @@ def tallied(dropout: Dropout, state: int) -> int:
 @dataclass(frozen=True, eq=False)
 class TargetStatistics:
     """Counts of the targets of a scene that pass the detector's gates, by `tallied` state, label and range of the
-    log-odds that a target's look adds to a miss there, and by ranges of width and height; `target_statistics` makes
-    it."""
+    log-odds that a target's look adds to a miss there, and by ranges of width and height."""
 
     log_odds: Tally = field(default_factory=lambda: _nothing(3))
     sides: Tally = field(default_factory=lambda: _nothing(2))

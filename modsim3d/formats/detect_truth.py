@@ -80,8 +80,7 @@ def mot_files(truth: bytes, video: Video, found: TrackerDetections, numbers: Seq
 def coco_results(
     found: Sequence[tuple[Video, TrackerDetections]], images: Sequence[int | str], numbers: Sequence[int]
 ) -> bytes:
-    """COCO results, with the image IDs of the truth's file and the category of each label. Detections have the place of
-    their image as the frame."""
+    """COCO results, with image IDs of the truth's file and the category of each label; frames are places of images."""
     entries: list[dict[str, Any]] = []
     for video, each in found:
         shapes = np.round(np.concatenate([each.boxes_px[:, :2], sizes(each.boxes_px)], axis=1), BOX_DECIMALS)

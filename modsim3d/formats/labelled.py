@@ -214,8 +214,7 @@ def parse_horizon(text: str) -> tuple[float, ...]:
 
 def half_plane(horizon: float | Sequence[float], sizes_px: Iterable[tuple[int, int]]) -> Array:
     """The half-plane (a, b, c) of the sea below a horizon, a·x + b·y + c >= 0: (3,). `horizon` is a row, or x and y of
-    one point and of another. Raises InputError if it is no such line, or lies below an image of the given sizes (width,
-    height)."""
+    one point and of another. Raises InputError if it is no such line, or lies below an image of these sizes."""
     numbers = np.atleast_1d(np.asarray(horizon, dtype=np.float64))
     if numbers.shape not in ((1,), (4,)) or not (np.abs(numbers) <= MAX_PX).all():
         text = ", ".join(f"{number:g}" for number in numbers.ravel().tolist())

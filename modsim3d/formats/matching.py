@@ -132,9 +132,8 @@ def image_pairs(first: Indices, second: Indices, images: int) -> Iterator[tuple[
 
 
 def match(labelled: LabelledSet, rule: Rule, least_confidence: float = 0.0) -> Matched:
-    """Match the detections that are confident enough, or whose confidence is not given. Raises ModsimError for the rule
-    `provenance` if the set does not say where detections come from, and for `confidence` if no confidences are
-    given."""
+    """Match the detections that are confident enough, or whose confidence is not given. Raises ModsimError if the set
+    does not say where detections come from for the rule `provenance`, or has no confidences for `confidence`."""
     takes_part = ~(labelled.results.confidence < least_confidence)
     if rule.method == "confidence" and not labelled.scored:
         raise ModsimError(f"matching in order of confidence needs confidences, and {NOT_SCORED}: give --match optimal")

@@ -74,12 +74,10 @@ class Distortion:
 
 
 DEFAULT_NEAR_CLIP_M = 0.1
-BORDER_POINTS = 64
-"""Points on each side of the image at which a lens's field of view is measured."""
+BORDER_POINTS = 64  # points on each side of the image at which a lens's field of view is measured
 BEND_PX = 1 / 256
 """Greatest distance between a curve that a lens makes of a straight edge and the chords that are drawn for it."""
-MAX_WINDOW = 10
-"""Greatest size of the pinhole image of a distorted one, in sizes of the latter."""
+MAX_WINDOW = 10  # greatest size of the pinhole image of a distorted one, in sizes of the latter
 
 
 @dataclass(frozen=True)
@@ -163,8 +161,7 @@ class Intrinsics:
     @cached_property
     def chord_px(self) -> float:
         """The longest straight piece of the pinhole's image that the lens bends by no more than `BEND_PX`. A chord of
-        length s is at most κ s² / 8 from a curve of curvature κ. κ is measured at the edge of the image, where the lens
-        bends most."""
+        length s is at most κ s² / 8 from a curve of curvature κ, which is greatest at the edge of the image."""
         if self.distortion is None:
             return math.inf
         border = self.pinhole.image_border()
@@ -239,8 +236,7 @@ def near_plane(intrinsics: Intrinsics) -> Array:
 @lru_cache(maxsize=64)
 def guard_planes(intrinsics: Intrinsics, guard_px: float) -> Array:
     """The half-spaces that project to the image and a band of `guard_px` around it, shape (4, 4). Each row is (n, d)
-    with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera coordinates; the
-    others follow alike."""
+    with n · p >= d, read-only. The left one, x >= −guard, is (f1, s, a1 + guard) · p >= 0 in camera coordinates."""
     matrix, (width, height) = intrinsics.matrix, intrinsics.image_size_px
     left, top = matrix[0] + guard_px * matrix[2], matrix[1] + guard_px * matrix[2]
     right, bottom = (width + guard_px) * matrix[2] - matrix[0], (height + guard_px) * matrix[2] - matrix[1]

@@ -42,8 +42,7 @@ def camera_R_parent(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLik
 
 
 def world_R_vehicle(heading_rad: ArrayLike) -> Array:
-    """Rotation from the nominal vehicle frame to the world, shape (...) to (..., 3, 3) (eq. 7.2). `heading_rad` is
-    counter-clockwise from w1."""
+    """Rotation from the nominal vehicle frame to the world, shape (...) to (..., 3, 3) (eq. 7.2)."""
     return rotation(2, heading_rad)
 
 
@@ -56,8 +55,7 @@ def vehicle_R_nominal(angles_rad: ArrayLike) -> Array:
 
 
 def rotation_vector(matrix: ArrayLike) -> Array:
-    """Axis times angle, in [0, π], of right-handed active rotations, shape (..., 3, 3) to (..., 3). It is the inverse
-    of the exponential map."""
+    """Axis times angle, in [0, π], of rotations (..., 3, 3), shape (..., 3): the inverse of the exponential map."""
     turn = np.asarray(matrix, dtype=np.float64)
     odd = turn - np.swapaxes(turn, -1, -2)
     sine_axis = np.stack([odd[..., 2, 1], odd[..., 0, 2], odd[..., 1, 0]], axis=-1) / 2

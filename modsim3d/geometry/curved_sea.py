@@ -9,8 +9,7 @@ from modsim3d.core.arrays import Array
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.camera_poses import CameraPoses, heading_of
 
-RADIUS_M = 6_371_000.0
-"""Mean radius of the Earth (Moritz, 2000, "Geodetic Reference System 1980": R1 = 6 371 008.77 m)."""
+RADIUS_M = 6_371_000.0  # mean radius of the Earth (Moritz, 2000, "Geodetic Reference System 1980": R1 = 6 371 008.77 m)
 
 
 def drop_m(places_m: Array, camera_m: Array) -> Array:

@@ -1,3 +1,1 @@
-"""Files and processes: strict YAML and JSON within budgets, files put in place whole, one writer at a time, worker
-processes, plug-ins, what ships with the package.
-"""
+"""Files within budgets, put in place whole by one writer at a time; worker processes, plug-ins, shipped files."""

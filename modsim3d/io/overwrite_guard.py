@@ -22,8 +22,7 @@ HOLDER_BYTES = 500
 @contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder that is written to; one that is made for it and stays empty is removed again. Raises
-    OutputError if another process, which the message names, writes to the folder, and OSError if the folder or the lock
-    in it cannot be made."""
+    OutputError if another process writes to the folder, and OSError if the folder or the lock in it cannot be made."""
     with _made_for_it(folder), _locked(folder / LOCK_FILE, folder):
         yield
 
@@ -241,8 +240,7 @@ def _check_folder(path: Path) -> None:
 
 
 def check_not_read(path: Path, inputs: Iterable[Path]) -> None:
-    """Check that a file or folder that is written is not what is read, by whatever name. Raises OutputError if it
-    is."""
+    """Refuse, with OutputError, to write a file or folder that is read, by whatever name."""
     written = {identity(place): place for place in (path, partial_of(path), lock_of(path))}
     for read in inputs:
         if (found := identity(read)) is not None and found in written:

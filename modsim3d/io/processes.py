@@ -41,8 +41,7 @@ class DiedError(Exception):
 
 class WorkerProcess:
     """A worker in a process of its own. Nobody else holds the other end of its pipe, which therefore ends when the
-    process dies, whatever it was doing; in a queue of several processes, half a result would be waited for without
-    end."""
+    process dies; in a queue of several processes, half a result would be waited for without end."""
 
     def __init__(self, fork: bool, set_up: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
         """Start the process, a fork of this one or a new interpreter; `set_up` of `arguments` opens its worker."""

@@ -64,9 +64,8 @@ class TextTable:
 
     @classmethod
     def of(cls, text: str, names: Sequence[str], source: str, first_line: int = 1) -> TextTable:
-        """The rows of a text, of which each line holds the cells `names`; empty lines are passed over. `first_line` is
-        the number of the text's first line in the file `source`. Raises InputError for a line with another number of
-        cells."""
+        """The rows of a text, of which each line holds the cells `names`; empty lines are passed over. The text begins
+        at `first_line` of the file `source`. Raises InputError for a line with another number of cells."""
         rows, other = _cells(text, names, source)
         kept = np.any([_mask(pc.greater(pc.binary_length(column), 0)) for column in rows], axis=0)
         count = len(kept) + len(other)
@@ -161,8 +160,7 @@ class TextTable:
 
 
 def named_lines(path: Path, what: str) -> tuple[list[str], str]:
-    """The names in the first line of a text with commas, and the lines after it. Raises InputError if it cannot be
-    read."""
+    """The names in the first line of a text with commas, and the lines after it. Raises InputError if unreadable."""
     head, _, body = read_text(path, what).partition("\n")
     return [name.strip().strip('"') for name in head.split(",")], body
 

@@ -14,8 +14,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.formats.labelled import Images
 
-SIGNIFICANT = 3.3
-"""Standard errors from zero that an effect needs: one in a thousand reaches them by chance."""
+SIGNIFICANT = 3.3  # standard errors from zero that an effect needs: one in a thousand reaches them by chance
 _MIN_SPREAD = 1e-12
 
 Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two", "capped"]

@@ -21,8 +21,7 @@ from modsim3d.learn.persistence import inflation, steps_between
 
 SCORES_NEEDED = 20
 """Detections that a distribution of a state's own needs, and so many partly hidden ones a slope on visibility."""
-SLOPE_NEEDS = 50
-"""Detections that a slope needs."""
+SLOPE_NEEDS = 50  # detections that a slope needs
 _TRIALS = 200
 _HIDDEN = 0.05
 _EQUAL = 1e-3
@@ -98,10 +97,8 @@ def _significant(
     return form
 
 
-QUANTILES_NEEDED = 200
-"""Detections that quantiles need."""
-_NORMAL_ENOUGH = 0.06
-"""Largest difference of distribution functions at which confidence still counts as clipped normal."""
+QUANTILES_NEEDED = 200  # detections that quantiles need
+_NORMAL_ENOUGH = 0.06  # largest difference of distribution functions at which confidence still counts as clipped normal
 _LEVELS = 500
 
 ScoreForm = Literal["normal", "quantiles", "shared"]

@@ -73,8 +73,7 @@ class ObservedConfidences:
 
 
 _ROUNDS = 40
-_SETTLED = 1e-6
-"""Gain in log-likelihood that is not worth a step."""
+_SETTLED = 1e-6  # gain in log-likelihood that is not worth a step
 _OCTAVE, _GOLDEN, _REFERENCE_SETTLED = 1.0, (np.sqrt(5) - 1) / 2, 0.01
 _MIN_STD = 1e-4
 _MAX_CONDITION, _HALVINGS = 1e12, 12
@@ -368,8 +367,7 @@ def likeliest_reference(
     samples: Sequence[ObservedConfidences], form: SlopeForm, threshold: float, needed: int
 ) -> SlopeForm:
     """The form with the reference size beyond which confidence does not rise any more. It is fitted if so many
-    detections are larger and as many smaller, else it is the largest size, rounded up: the confidence then rises over
-    all sizes."""
+    detections are larger and as many smaller; else it is the largest size, rounded up."""
     sizes = np.sort(np.concatenate([scores.log_size for scores in samples]))
     largest = np.log2(float(f"{2 ** (sizes[-1] + 0.02):.2g}"))
     every = max(1, len(sizes) // _SCAN_ROWS)

@@ -24,8 +24,7 @@ _LIKELY = 0.975
 _QUANTILE_REPLICATES = 200
 _PERCENT = tuple(f"{k / (QUANTILES - 1):.0%}" for k in range(QUANTILES))
 
-Sloped = tuple[SlopeFit, int] | None
-"""A fit with slopes and which of its kinds it is; None without slopes."""
+Sloped = tuple[SlopeFit, int] | None  # a fit with slopes and which of its kinds it is; None without slopes
 
 
 @dataclass(frozen=True)
@@ -231,8 +230,7 @@ def quantile_scores(
 
 # ---- How long the confidence of a vessel's detections persists ----
 
-_STEP = 1e-4
-"""Levels that a single confidence may have, above which its number counts as open between them."""
+_STEP = 1e-4  # levels that a single confidence may have, above which its number counts as open between them
 _GRID, _ROUNDS, _NEAR = 40, 30, 1e-3
 _MAX_STEP, _SETTLED = 0.3, 1e-5
 _SHORTEST, _LONGEST = 0.05, 1000.0

@@ -26,8 +26,7 @@ THRESHOLDS = {
     "splits": ("split_aspect", MergesAndSplits.split_aspect, np.arange(6, 33) * 0.25),
 }
 """Key of the threshold, its default and the other values that are tried."""
-_STRAY = 0.002
-"""Share of hits below a threshold that are a mistake of the rules."""
+_STRAY = 0.002  # share of hits below a threshold that are a mistake of the rules
 _TRIALS, _RUNS = 200, 24
 
 

@@ -14,10 +14,8 @@ from modsim3d.learn.matches import FalseSightings, Observed
 from modsim3d.learn.persistent_false_positives import Lasting, NotLasting, find_lasting
 from modsim3d.learn.persistent_pairs import FALSE_FOR_EACH_CELL, GRID, PlaceFit, Placing, cells_of
 
-FALSE_NEEDED = 30
-"""False detections that a distribution of sizes needs."""
-NOT_WRITTEN = "not written"
-"""Remark on a number that is reported and does not stand in the detector file."""
+FALSE_NEEDED = 30  # false detections that a distribution of sizes needs
+NOT_WRITTEN = "not written"  # remark on a number that is reported and does not stand in the detector file
 _ASTRAY = 0.02
 _ALMOST_ANY = 0.99
 

@@ -94,8 +94,7 @@ def average_precisions(ranking: Ranking, weights: Array) -> Array:
     return result
 
 
-CURVE_REPLICATES = 200
-"""Average precision is computed again for each of at most so many replicates."""
+CURVE_REPLICATES = 200  # average precision is computed again for each of at most so many replicates
 _MIN_PROBABILITY = 1e-12
 
 

@@ -16,12 +16,10 @@ from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Kind, Resampling, from
 
 # ---- Noise of which each thing keeps a share for as long as it is seen ----
 
-THINGS_NEEDED = 20
-"""Things that a share which each of them keeps is learned from."""
+THINGS_NEEDED = 20  # things that a share which each of them keeps is learned from
 _GRID, _BINS = 64, 256
 _LARGEST = 0.99
-_LONG = 3.0
-"""Correlation times that the longest times between last, so that a share is told from a long memory."""
+_LONG = 3.0  # correlation times that the longest times between last, so that a share is told from a long memory
 
 Compare = Callable[[Indices, Indices], tuple[Array, Array]]
 """Products of the residuals of pairs of rows, and what they would be if the noise were the same; shapes (m,)."""
@@ -209,10 +207,8 @@ def _lags(longest: int) -> list[int]:
 LATENT_SHARES = np.linspace(0, 0.99, 100)
 _CHANCES = 50
 _TIMES_APART = 4.0
-_LONGEST = 3.0
-"""Correlation times that the longest times between must last."""
-_EXACT = 1e3
-"""Weight of the sum of all shares, which is one, against that of the lags."""
+_LONGEST = 3.0  # correlation times that the longest times between must last
+_EXACT = 1e3  # weight of the sum of all shares, which is one, against that of the lags
 GREATEST_SHARE = 0.95
 
 

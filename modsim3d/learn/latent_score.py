@@ -103,8 +103,7 @@ class LearnedScore:
 def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Resampling) -> LearnedScore:
     """Shares of the score with replicates, from the tetrachoric correlation of misses at each lag. Times of the
     autoregressive parts are fixed, each four times the one before: a sum of them comes near any memory that only fades,
-    and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test of
-    whether they are there."""
+    and shares that are not negative (Lawson and Hanson (1974), "Solving least squares problems") need no test."""
     table = miss_lags(observed, chance, slopes)
     times_s, found = lags.memory_shares(table, lags.latent_share(chance), resampling)
     path = ("persistence", "score")
@@ -126,8 +125,7 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
 
 def label_memory_s(observed: Observed) -> float:
     """Correlation time of the labels of detections; 0 if those of consecutive ones agree no more than by chance. A
-    label is kept with probability κ = e^(−Δt/τ) and else drawn anew, so that a share κ + (1 − κ)·Σ p² of consecutive
-    ones agrees."""
+    label is kept with probability κ = e^(−Δt/τ), else drawn anew, so a share κ + (1 − κ)·Σ p² of them agrees."""
     earlier, later, apart_s = observed.steps.earlier, observed.steps.later, observed.steps.apart_s
     seen_as, labels = observed.seen_as, len(observed.labelled.labels)
     both = (seen_as[earlier] < labels) & (seen_as[later] < labels)

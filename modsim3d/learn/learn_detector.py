@@ -67,8 +67,7 @@ def _overlapped(labelled: LabelledSet, annotations: Indices, detections: Indices
     return np.unique(np.concatenate(found))
 
 
-MIN_CONFIDENCE = 0.2
-"""Least confidence of a detection that counts, unless another is asked for."""
+MIN_CONFIDENCE = 0.2  # least confidence of a detection that counts, unless another is asked for
 
 
 @dataclass(frozen=True)

@@ -183,8 +183,7 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
     return Learned(observed, form, numbers, transitions, resampling, run_s, units)
 
 
-_MAX_LOST = 0.03
-"""Share of false detections that may be boxes of vessels that failed the matching."""
+_MAX_LOST = 0.03  # share of false detections that may be boxes of vessels that failed the matching
 
 
 def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
@@ -282,8 +281,7 @@ def models_and_learners() -> Iterator[tuple[DetectorPart, str, Learner | None]]:
 # ---- How well the numbers of a learned detector are known together, as a file beside the detector file ----
 
 FORMAT = 1
-COUNTED = ("share", "rate")
-"""Kinds of numbers whose uncertainty is that of a count."""
+COUNTED = ("share", "rate")  # kinds of numbers whose uncertainty is that of a count
 _DECIMALS = 3
 _MAX_SPREADS = 4.0
 

@@ -22,10 +22,8 @@ from modsim3d.formats.matching import Rule, image_pairs
 
 MIN_FIT = 0.5
 """Least IoU of two parts together with the vessel, and of a box around two vessels with the one around their truth."""
-MIN_ASPECT = 1.5
-"""Least width over height of a vessel that may come out in two parts."""
-MIN_WIDTH_PX = 4.0
-"""Narrower ones never do: each part is at least a pixel wide."""
+MIN_ASPECT = 1.5  # least width over height of a vessel that may come out in two parts
+MIN_WIDTH_PX = 4.0  # narrower ones never do: each part is at least a pixel wide
 _MIN_INSIDE = 0.5
 _SAME_HEIGHT = 0.6
 _MAX_COMMON = 0.25

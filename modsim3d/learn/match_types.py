@@ -76,8 +76,7 @@ class Recognition:
 
 # ---- False detections put into other frames ----
 
-SHUFFLES = 8
-"""How often they are put elsewhere."""
+SHUFFLES = 8  # how often they are put elsewhere
 
 
 def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
@@ -108,8 +107,7 @@ def shuffled(loose: Loose, images: Images) -> Iterator[Loose]:
         yield Loose(loose.row[kept], there[kept], boxes[kept])
 
 
-MIN_OVERLAP = 0.05
-"""Least share of the smaller of two vessels inside the larger for which they may come out as one box."""
+MIN_OVERLAP = 0.05  # least share of the smaller of two vessels inside the larger for which they may come out as one box
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,8 +261,7 @@ def _as_boxes_look(images: Images, sought: SoughtBoxes, rows: Indices, loose: Lo
     )
 
 
-_COPIES = 0.25
-"""Quantile of the IoU of matches that second boxes have at least in the median if they are copies."""
+_COPIES = 0.25  # quantile of the IoU of matches that second boxes have at least in the median if they are copies
 
 
 def _copies(sought: SoughtBoxes, loose: Loose, place: Indices, doubled: Indices) -> bool:

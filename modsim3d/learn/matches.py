@@ -44,8 +44,7 @@ class ErrorFits:
 
     def likeliest_normal(self, unit: Unit) -> ErrorFit | None:
         """Normal errors of the largest log-likelihood that was found, which need not be the maximum if they are not
-        settled. Where Student's t law was fitted, they are begun from it once more, and count as the fit if they
-        settle."""
+        settled. Where Student's t law was fitted, they are begun from it once more, and count if they settle."""
         fit, heavy = self.fit(unit), self._found.get((unit, True))
         if fit is None or fit.settled:
             return fit
@@ -202,8 +201,7 @@ class Pairs:
 @dataclass(frozen=True, eq=False)
 class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence. Each image has the index of a
-    state, −1 where it takes no part, shape (I,). `without` are the models of `model_selection.RICHER` that are left out
-    whatever the data carry."""
+    state, −1 where it takes no part, shape (I,). `without` are the models of `model_selection.RICHER` left out."""
 
     labelled: LabelledSet
     matched: Matched

@@ -70,8 +70,7 @@ NO_ROOM = (
     "at least what these would make if every vessel were long"
 )
 _EXTRA = ("duplicates", "splits")
-_MARGIN = 1e-4
-"""More than what the digits in the file can change."""
+_MARGIN = 1e-4  # more than what the digits in the file can change
 
 
 @dataclass(frozen=True)

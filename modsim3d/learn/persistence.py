@@ -68,11 +68,9 @@ def stretches_of_things(images: Images, image: Indices, identity: Indices, state
     return SightingStretches(count, (high - low) / np.maximum(count - 1, 1), state[known][first])
 
 
-LEVEL = 0.999
-"""Level of the interval of a correlation that decides whether noise persists."""
+LEVEL = 0.999  # level of the interval of a correlation that decides whether noise persists
 _TIME_GRID = 96
-_UNKNOWN = 50.0
-"""Relative error of a correlation time that the frames do not bound from above."""
+_UNKNOWN = 50.0  # relative error of a correlation time that the frames do not bound from above
 _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 
@@ -128,8 +126,7 @@ class Consecutive:
         """The correlation with its interval. Products of noise that does not persist are independent with mean 0, and
         their squares say how far the correlation strays from 0. A correlation ρ above 0 strays further: its variance is
         larger by that of a share ρ of so many trials as the expected products are worth, of rare misses as many as
-        there are. Without it, two misses among a thousand finds, which are hardly ever neighbours, would seem to show
-        that misses do not persist."""
+        there are. Without it, two misses among a thousand finds would seem to show that misses do not persist."""
         whole, pairs = float(self.expected.sum()), len(self)
         if whole <= 0:
             return Correlation(-1.0, 1.0, pairs)

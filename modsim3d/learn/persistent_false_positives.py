@@ -20,13 +20,11 @@ from modsim3d.learn.persistent_pairs import Displacements, Lag, OrderedFrames, f
 
 # ---- How fast false positives that stay drift along the horizon ----
 
-MIN_TRACKS = 5
-"""False positives seen in frames on end that a speed needs."""
+MIN_TRACKS = 5  # false positives seen in frames on end that a speed needs
 _MIN_SEEN = 4
 _MIN_ERROR = 0.005
 _MAX_TIMES = 9.0
-_ROBUST = float(np.pi / 2)
-"""Variance of a median of normal numbers over that of their mean."""
+_ROBUST = float(np.pi / 2)  # variance of a median of normal numbers over that of their mean
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,8 +145,7 @@ def _row_pairs(image: Indices, first: Indices, second: Indices) -> Indices:
 
 # ---- Where false positives lie ----
 
-GRID = (3, 4)
-"""Rows and columns of the map of where false detections are."""
+GRID = (3, 4)  # rows and columns of the map of where false detections are
 FALSE_FOR_EACH_CELL = 10
 Placing = Literal["uniform", "horizon_band", "far_half_px", "density"]
 """Placements, and `far_half_px` for a uniform one that thins out below the horizon."""

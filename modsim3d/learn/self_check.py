@@ -32,20 +32,15 @@ from modsim3d.tracking.trackers.running import answered
 from modsim3d.tracks.tracks import Similarity, Tracks
 from modsim3d.tracks.true_tracks import TrueTracks, follow
 
-SEEDS = 20
-"""Simulated runs that each half is compared with."""
-LEVEL = 0.05
-"""Probability that any of the numbers is said to differ by chance."""
-MIN_COUNT = 20
-"""What a number must be counted from, in the real results."""
+SEEDS = 20  # simulated runs that each half is compared with
+LEVEL = 0.05  # probability that any of the numbers is said to differ by chance
+MIN_COUNT = 20  # what a number must be counted from, in the real results
 TRACKERS = ("reference", "sort")
-TRACKED_SEEDS = 5
-"""Simulated runs of each half that trackers work on, which takes longer than to count."""
+TRACKED_SEEDS = 5  # simulated runs of each half that trackers work on, which takes longer than to count
 _BLOCKS = 4
 _ON_A_VESSEL = 0.1
 
-Counts = dict[str, tuple[float, float]]
-"""Sum and number of what is averaged, by name."""
+Counts = dict[str, tuple[float, float]]  # sum and number of what is averaged, by name
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,7 @@ class SequencePart:
 
 
 def parts_of(labelled: LabelledSet, image_state: Indices) -> Iterator[SequencePart]:
-    """Split all images that have a state, shape (I,), by sequence and size. Raises ModsimError if the size of an image
-    is not known."""
+    """Split all images that have a state, shape (I,), by sequence and size. Raises ModsimError if a size is unknown."""
     images, annotations = labelled.images, labelled.annotations
     used = np.flatnonzero(image_state >= 0)
     if not np.isfinite(images.sizes_px[used]).all():

@@ -15,8 +15,7 @@ from modsim3d.core.errors import RendererError
 
 # ---- An OpenGL context by EGL, without a surface ----
 
-GetAddress = Any
-"""A ctypes function that gives the address of an OpenGL function."""
+GetAddress = Any  # a ctypes function that gives the address of an OpenGL function
 
 _PLATFORM_SURFACELESS_MESA, _PLATFORM_DEVICE = 0x31DD, 0x313F
 _MAX_DEVICES = 64

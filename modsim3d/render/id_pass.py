@@ -32,10 +32,8 @@ corners of what is drawn: OpenGL then cuts no edges, which would move corners. I
 most 2048 px outside fit; in a wider supersampled image, edges far outside a tile may be cut."""
 MAX_REGION_PX = 12_288
 SMALLEST_BUFFER_PX = 64
-NO_AREA_PX = 1e-9
-"""Triangles of less than half of this area in square pixels have no gradient of depth."""
-KEPT_BUFFERS_PX = 12_000_000
-"""Buffers are kept and used again until together they have more pixels than this."""
+NO_AREA_PX = 1e-9  # triangles of less than half of this area in square pixels have no gradient of depth
+KEPT_BUFFERS_PX = 12_000_000  # buffers are kept and used again until together they have more pixels than this
 
 _VERTEX = np.dtype([("position", np.float32, 2), ("plane", np.float32, 3), ("range", np.float32, 2), ("id", np.uint32)])
 

@@ -19,8 +19,7 @@ from modsim3d.core.errors import RendererError
 from modsim3d.render.context import GLContext, choose_backend, prepare_environment
 from modsim3d.render.id_pass import MAX_REGION_PX
 
-GAMMA = 2.2
-"""Exponent from screen values to light, close enough to the curve of sRGB."""
+GAMMA = 2.2  # exponent from screen values to light, close enough to the curve of sRGB
 
 
 def import_pyrender() -> Any:

@@ -44,8 +44,7 @@ class CameraBlock:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Truth and detections of steps first to stop − 1 of a scene: a part for each camera, in the order of the scene's
-    cameras."""
+    """Truth and detections of steps first to stop − 1 of a scene: a part for each camera, in the scene's order."""
 
     first: int
     timestamps: tuple[str, ...]  # the text of each step's time

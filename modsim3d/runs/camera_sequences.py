@@ -102,11 +102,9 @@ def _detections(rows: RunRows, frames: Indices) -> TrackerDetections:
 
 # ---- Cameras that see no vessel, and why ----
 
-FIRST_STEPS, SPREAD_STEPS = 10, 20
-"""Steps that are looked at: so many at the beginning, and so many over the whole run."""
+FIRST_STEPS, SPREAD_STEPS = 10, 20  # steps that are looked at: so many at the beginning, and so many over the whole run
 MIN_AREA_PX = 1.0
-LEVEL_DEG = 0.05
-"""A camera that looks no farther from the horizontal is said to look along it."""
+LEVEL_DEG = 0.05  # a camera that looks no farther from the horizontal is said to look along it
 HIDDEN, SMALL, BELOW, ABOVE, LEFT, RIGHT, BEHIND, ABSENT = range(8)
 """Where a vessel is that a camera does not see; the first are the closest to being seen."""
 PLACES = (

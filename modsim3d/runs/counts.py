@@ -36,8 +36,7 @@ class Outcome(IntFlag):
 
 
 NOTHING_WRONG = Outcome(0)
-Outcomes = NDArray[np.uint8]
-"""Flags of `Outcome`, shape (m,)."""
+Outcomes = NDArray[np.uint8]  # flags of `Outcome`, shape (m,)
 
 
 def outcomes(false: Mask, mislabelled: Mask, boxes_px: Array, annotated_px: Array) -> Outcomes:

@@ -312,8 +312,7 @@ def _on_the_sea(flat_per_m: Array, horizon_per_m: Array, covariance: Array) -> A
 
 def first_order(bearing_rad: Array, inverse_per_m: Array, covariance: Array, cameras_m: Array) -> tuple[Array, Array]:
     """Positions (n, 2) from bearings (n,) and inverse ranges (n,), NaN for NaN, and their covariances to first order
-    (n, 2, 2). `covariance` is that of bearing and inverse range, (n, 2, 2); `cameras_m` are w1 and w2 of the camera,
-    (n, 2)."""
+    (n, 2, 2). `covariance` is that of both, (n, 2, 2); `cameras_m` are w1 and w2 of the camera, (n, 2)."""
     range_m = (1 / inverse_per_m)[:, None]
     along = np.stack([np.cos(bearing_rad), np.sin(bearing_rad)], axis=-1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=-1)

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 BLOCK_VESSELS, MAX_BLOCK_STEPS = 8_000, 1_000
 """Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
 
-Range = tuple[int, int]
-"""The first step of a block, and the step after its last."""
+Range = tuple[int, int]  # the first step of a block, and the step after its last
 
 
 @contextmanager

@@ -23,8 +23,7 @@ from modsim3d.runs.stored_run import FinishedRun
 # ---- How two files of the same name differ, in words ----
 
 _MAX_COLUMNS = 6
-SAME_ROWS = "the same rows, stored in other bytes"
-"""What `difference` says of tables of another writer."""
+SAME_ROWS = "the same rows, stored in other bytes"  # what `difference` says of tables of another writer
 
 
 def difference(one: Path, other: Path) -> str:

@@ -30,8 +30,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.crosscheck.comparison import Checked
 from modsim3d.world.poses.labelled import LABELS
 
-FORMAT = 2
-"""Format 1 had no counts for each camera, and only the centre form of the detections' boxes."""
+FORMAT = 2  # format 1 had no counts for each camera, and only the centre form of the detections' boxes
 VERSIONED = ("modsim3d", "numpy", "scipy", "shapely", "pyarrow", "orjson")
 Progress = Callable[[int], None]
 
@@ -333,8 +332,7 @@ def detect_run(
 
 def _with_detector(run: StoredRun, seed: int | None, *, settings: Mapping[str, object], **detector: Any) -> Scene:
     """A run's scene with another detector or another seed of it; the seed of the scene changes too, unless the truth
-    depends on it. Raises InputError if the detector is wrong or does not know the label of a vessel, or a setting is
-    not one of the detector."""
+    depends on it. Raises InputError if the detector is wrong or does not know a vessel's label, or a setting."""
     for key in settings:
         if key.partition(".")[0] not in ("detector", "detector_seed"):
             raise InputError(f"--set {key}", ["a finished run keeps its truth: set keys of the detector only"])

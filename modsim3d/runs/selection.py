@@ -12,8 +12,7 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.runs.frames import Frame
 from modsim3d.runs.stored_run import StoredRun
 
-NEAR_S = 1e-6
-"""Times nearer than this are the same."""
+NEAR_S = 1e-6  # times nearer than this are the same
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,8 @@ from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files.run_file import frame_lines, number_texts
 from modsim3d.scene.scene import Scene
 
-BOX_DECIMALS = 3
-"""Of a box's edges in pixels: the last bits of exact edges tell true detections from false ones."""
-_CONFIDENCE_DECIMALS = 6
-"""The last bits of exact ones tell some false detections from true ones, which more goes into."""
+BOX_DECIMALS = 3  # of a box's edges in pixels: the last bits of exact edges tell true detections from false ones
+_CONFIDENCE_DECIMALS = 6  # the last bits of exact ones tell some false detections from true ones, which more goes into
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +35,7 @@ class TrackerDetections(Columns):
 
 def anonymised(frame: Indices, label: Indices, boxes_px: Array, confidence: Array) -> TrackerDetections:
     """Round detections, and bring them into an order that tells nothing either. Equally confident detections of a frame
-    follow each other by their boxes. For the arguments see `TrackerDetections`; they are in any order, and not
-    rounded."""
+    follow each other by their boxes. For the arguments, in any order, see `TrackerDetections`."""
     boxes_px, confidence = boxes_px.round(BOX_DECIMALS), confidence.round(_CONFIDENCE_DECIMALS)
     order = np.lexsort((-confidence, frame))
     # Few detections are equally confident: only those are put in order of their boxes.

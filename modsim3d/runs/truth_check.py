@@ -23,17 +23,13 @@ if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
 MIN_FRAMES = 3
-STREAM_STEPS = 1000
-"""A stream's first frames are checked, and then one in so many steps."""
+STREAM_STEPS = 1000  # a stream's first frames are checked, and then one in so many steps
 PIXELS_A_UNIT, VESSELS_A_UNIT = 8_000_000, 10
 """An image with so many pixels, and a scene with so many vessels, double the effort of a frame that is checked."""
-MAX_DRAWS = 3
-"""How often a frame is drawn, until one has a vessel."""
-BATCH_FRAMES = 16
-"""Frames that are checked together; it bounds the memory where all are."""
+MAX_DRAWS = 3  # how often a frame is drawn, until one has a vessel
+BATCH_FRAMES = 16  # frames that are checked together; it bounds the memory where all are
 
-FrameKey = tuple[int, int]
-"""A step, and the index of a camera that takes a frame then."""
+FrameKey = tuple[int, int]  # a step, and the index of a camera that takes a frame then
 
 
 class TruthCheckError(ModsimError):

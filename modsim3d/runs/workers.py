@@ -168,8 +168,7 @@ class BlockMaker:
         self, steps: Range, folder: Path, statistics: TargetStatistics, kinds: Sequence[str]
     ) -> tuple[BlockTally, BlockFiles]:
         """Make a block of `steps`, the first and the one after the last: its counts, and what it adds to the files.
-        Truth is kept in `folder`; `statistics` are those of the whole scene's targets, the same for all blocks; for
-        `kinds` see `line_kinds`."""
+        Truth is kept in `folder`; `statistics` are of the whole scene's targets; for `kinds` see `line_kinds`."""
         first, stop = steps
         with self._truth(folder, first, stop) as (truth, resumed_steps, damaged_blocks):
             checked = Checked() if self._scene.detector.needs_target_statistics else self._check(truth, first, stop)
@@ -230,8 +229,7 @@ def open_block_workers(
 
 
 def backend_of(workers: BlockWorkers) -> str:
-    """A description of the OpenGL context that draws the ID images; `none` if nothing is rendered. Raises RendererError
-    if there is no OpenGL library."""
+    """A description of the OpenGL context that draws the ID images, or `none`. Raises RendererError without OpenGL."""
     (backend,) = workers.map(_backend, [None])
     return backend
 

@@ -45,8 +45,7 @@ class Hiding:
 
 def subtract(polygons: Polygons, rows: Indices, covers: Polygons) -> Polygons:
     """Polygons, shape (n,), minus all that covers them, shape (n,). Cover k of the m `covers` is subtracted from
-    polygon rows[k]; `rows`, shape (m,), do not decrease. Each round subtracts one cover from every polygon that still
-    has one."""
+    polygon rows[k]; `rows`, shape (m,), do not decrease. Each round subtracts one cover from every polygon."""
     left = polygons.copy()
     turn = np.arange(len(rows)) - np.searchsorted(rows, rows)
     for k in range(int(turn.max(initial=-1)) + 1):

@@ -2,8 +2,7 @@
 plane has one solid on the camera's side and the other solid beyond. A ray from the camera that has passed through the
 plane never comes back, so it can only meet the near solid before the far one. The far solid then hides nothing of the
 near one. If the camera itself may be counted to either side of the plane, neither hides the other. The distance of the
-centres cannot decide this: the centre of a long ship may be nearer than that of a boat which lies in front of its
-stern."""
+centres cannot decide this: that of a long ship may be nearer than that of a boat before its stern."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

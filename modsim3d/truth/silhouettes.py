@@ -259,8 +259,7 @@ def joined_spans(parts: Sequence[Spans]) -> Spans:
 
 
 def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
-    """First place of each run of equal IDs in an ID image (h, w) read row by row, and its ID; both of shape (k,). Each
-    pixel row begins a new run."""
+    """First place and ID of each run of equal IDs in the rows of an ID image (h, w), both of shape (k,)."""
     flat = ids.reshape(-1)
     begins = np.empty(flat.shape, dtype=bool)
     np.not_equal(flat[1:], flat[:-1], out=begins[1:])

@@ -193,8 +193,7 @@ def latent_paths(
     tracks: Indices, times_s: Array, persistence: Persistence, rng: np.random.Generator, count: int, width: int
 ) -> Array:
     """Standard normal numbers that persist along tracks, for `count` replays of n rows, shape (count, n, width). Rows
-    (n, k) of `tracks` are equal in one track; times have shape (n,). Each track keeps its share of what is behind
-    errors."""
+    (n, k) of `tracks` are equal in one track, which keeps its share; times have shape (n,)."""
     order = np.lexsort((times_s, *tracks.T[::-1]))
     starts = np.append(True, (tracks[order][1:] != tracks[order][:-1]).any(axis=1))
     apart = np.diff(times_s[order], prepend=0.0)

@@ -90,8 +90,7 @@ _NODES = 32
 
 
 def at_each(share: float, *bounds: Array) -> Iterator[tuple[float, tuple[Array, ...]]]:
-    """Weights of values of what a vessel keeps, and bounds of uniform numbers at it, shapes (n,): Gauss-Hermite
-    quadrature."""
+    """Weights of values that a vessel keeps, and bounds of uniform numbers there, (n,): Gauss-Hermite quadrature."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
     latent = [special.ndtri(np.clip(bound, 0, 1)) for bound in bounds]
     for node, weight in zip(nodes.tolist(), (weights / weights.sum()).tolist(), strict=True):
@@ -206,8 +205,7 @@ def _entry(
 def _share(
     model: DetectorModel, evidence: Evidence, rows: Indices, happened: Mask, bounds: tuple[Array, Array], missed: Array
 ) -> Measure | None:
-    """Share of rows whose uniform number was between the bounds (low, high), given their chances of a miss, shapes
-    (n,)."""
+    """Share of rows whose uniform number was between bounds (low, high), given their chances of a miss, all (n,)."""
     low, high = bounds
     if len(rows) < MIN_CHANCES:
         return None

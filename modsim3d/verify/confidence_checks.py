@@ -101,8 +101,7 @@ def latent_bounds(model: DetectorModel, evidence: Evidence) -> tuple[Array, Arra
 
 def score_persistence(model: DetectorModel, evidence: Evidence) -> Estimate | None:
     """Correlation of the normal numbers behind a vessel's confidence with those one frame before. Given a known number,
-    the next has its own distribution whatever came before: derivatives of its likelihood are independent of each
-    other."""
+    the next has its own distribution whatever came before: derivatives of likelihoods are independent."""
     low, high = latent_bounds(model, evidence)
     now, before = turn_pairs(model, evidence, evidence.true_detections.instance)
     usable = ~np.isnan(low[now]) & (low[before] == high[before])

@@ -20,8 +20,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth, concatenate
 
 Columns = dict[str, NDArray[Any]]
-MERGED = -2
-"""Outcome of a vessel in another's box."""
+MERGED = -2  # outcome of a vessel in another's box
 
 
 @dataclass(frozen=True, eq=False)

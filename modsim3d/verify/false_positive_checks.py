@@ -355,8 +355,7 @@ def _second_box_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
     return parameters
 
 
-_SAMPLED = 20_000
-"""Vessels of which it is drawn how often a false detection on one lies in the image."""
+_SAMPLED = 20_000  # vessels of which it is drawn how often a false detection on one lies in the image
 
 
 def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
@@ -403,8 +402,7 @@ def _on_vessel_checks(seen: FalsePositiveEvidence) -> list[Parameter]:
 
 
 _ON_VESSEL_NOTES = {"lifetime_s": "as the chance that one is there in the next frame again"}
-_PLACE_DIGITS = 4
-"""Decimals of a place on a vessel: boxes that were read back from a table are rounded."""
+_PLACE_DIGITS = 4  # decimals of a place on a vessel: boxes that were read back from a table are rounded
 
 
 def _place_on(vessels_px: Array, boxes_px: Array) -> Array:

@@ -66,8 +66,7 @@ def missed_again(model: DetectorModel, evidence: Evidence, miss_probability: Arr
 
 def expected_run_lengths(miss_probability: Array, again: Array, before: Indices, most: int) -> Array:
     """Expected number of runs of 1, 2, ... `most` misses, shape (most,). Instances (n,) have a probability of a miss,
-    one given that the frame before was a miss, and the row of the same vessel in the frame before, −1 if there is
-    none."""
+    one given that the frame before was a miss, and the row of that frame, or −1."""
     after = np.full(len(before), -1)
     follows = np.flatnonzero(before >= 0)
     after[before[follows]] = follows

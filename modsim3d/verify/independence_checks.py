@@ -339,8 +339,7 @@ def _worth(residuals: Residuals, memory: Memory, power: int) -> float:
 
 
 def _order_in_time(residuals: Residuals, evidence: Evidence, memory: Memory) -> Found:
-    """Farthest that the sum of the residuals so far strays from zero; also that of their squares where these say
-    more."""
+    """Farthest that the sum of residuals, or of their squares where these say more, strays from zero."""
     worth = _worth(residuals, memory, 1)
     if not worth:
         return None, ""

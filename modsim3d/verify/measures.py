@@ -193,8 +193,7 @@ def _deviance(observed: float, expected: float) -> float:
 
 @dataclass(frozen=True)
 class Rate:
-    """A share of trials; correlated trials count for fewer. `inflation` is the variance of the number of successes over
-    that of independent trials."""
+    """A share of trials; `inflation` is the variance of the number of successes over that of independent trials."""
 
     successes: float
     trials: float

@@ -34,8 +34,7 @@ def miss_covariance(first: Array, second: Array, correlation: Array) -> Array:
 def sum_over_pairs(tracks: Indices, times_s: Array, value: Callable[[Indices, Indices, Array], Array]) -> Array:
     """Sums of values of all pairs of rows of one track, a vessel in a camera, shape (k,). Rows (n, c) of `tracks` are
     equal in one track; times have shape (n,). `value` takes later and earlier rows and the seconds between, shapes
-    (m,), to values (m, k). Their mean is taken at some lags and changes little between them, since memory that only
-    fades is smooth."""
+    (m,), to values (m, k). Their mean is taken at some lags: it changes little between them, as memory only fades."""
     order = np.lexsort((times_s, *tracks.T[::-1]))
     _, series = np.unique(tracks[order], axis=0, return_inverse=True)
     series, count = series.ravel(), np.bincount(series.ravel())

@@ -171,8 +171,7 @@ def obstacle_bodies(
     obstacles: Sequence[Obstacle], first_occluder: int, steps: int, cameras_m: Array | None = None
 ) -> list[Bodies]:
     """The obstacles at S steps, grouped by their faces; `first_occluder` is the first one's occluder index. On a curved
-    sea `cameras_m` are the camera centres in WCF: (S, 3), and each obstacle is lowered by the drop at its centre; None
-    on a flat sea."""
+    sea `cameras_m` are the camera centres in WCF: (S, 3), and obstacles are lowered by the drop; None on a flat sea."""
     bodies = []
     for solid, index, vertices in _grouped(tuple(obstacles)):
         count = len(index)

@@ -29,8 +29,7 @@ T = TypeVar("T")
 @dataclass(frozen=True, eq=False)
 class Solid:
     """The shape of something, without place or size: a triangle mesh. A vessel's solid fills the unit box of VCF, in
-    units of its length, beam and air draft, so that vessels of all sizes share one. `Bodies` give solids their size and
-    place in the world."""
+    units of its length, beam and air draft, so that vessels of all sizes share one; `Bodies` place it."""
 
     vertices: Array  # v1, v2 in [−1/2, 1/2] and v3 in [0, 1]: (K, 3)
     faces: Indices  # vertex indices, counter-clockwise seen from outside: (F, 3)
@@ -186,8 +185,7 @@ def parse_vessels(data: object, source: str, *prefix: object) -> tuple[Vessel, .
 
 
 def load_mapping(path: Path) -> dict[str, Any]:
-    """The mapping in a vessels file; its vessels are not checked. Raises InputError if it cannot be read or holds
-    none."""
+    """The mapping in a vessels file, its vessels unchecked. Raises InputError if it cannot be read or holds none."""
     data = load_json(path, "vessels file")
     if not isinstance(data, dict):
         raise InputError(f"vessels file {path}", [f"top level: {MAPPING_NEEDED} (got {kind_of(data)})"])

@@ -32,8 +32,7 @@ from modsim3d.view.pages.page import document_page, image
 
 # ---- What is compared ----
 
-MAX_ROWS = 200
-"""Of a table."""
+MAX_ROWS = 200  # of a table
 
 
 def mean_sections(plan: Plan, table: pa.Table, verdicts: Sequence[Verdict] = ()) -> list[Block]:
@@ -131,10 +130,8 @@ def _or_nan(value: float | None) -> float:
 
 # ---- Single runs on the page ----
 
-WORST = 5
-"""Runs that are shown with a picture."""
-WIDTH_PX, QUALITY = 960, 82
-"""Of a picture: pixels, and of JPEG."""
+WORST = 5  # runs that are shown with a picture
+WIDTH_PX, QUALITY = 960, 82  # of a picture: pixels, and of JPEG
 MAX_ERRORS, MAX_NUMBERS = 20, 8
 
 

@@ -26,10 +26,8 @@ from modsim3d.view.pages.provenance import shown_path
 # ---- The sections of a page that trace each requirement to its runs ----
 
 _MAX_RANGES = 6
-_MAX_ROWS = 200
-"""Of a table; the files of the campaign have all."""
-_DIGITS = 16
-"""Hexadecimal digits of a checksum on the page; `plan.json` has all."""
+_MAX_ROWS = 200  # of a table; the files of the campaign have all
+_DIGITS = 16  # hexadecimal digits of a checksum on the page; `plan.json` has all
 
 
 def trace_sections(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
@@ -125,8 +123,7 @@ def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[Block]:
 
 # ---- Parts of the ranges of a campaign file that no draw came near ----
 
-TENTHS, QUARTERS = 10, 4
-"""A range is looked at in tenths, and each pair of ranges in squares of quarters."""
+TENTHS, QUARTERS = 10, 4  # a range is looked at in tenths, and each pair of ranges in squares of quarters
 
 
 def empty_draws(keys: CampaignKeys, table: pa.Table) -> list[str]:

@@ -88,12 +88,9 @@ def by_level(cells: Array, index: Indices, levels: int) -> MeanGrid:
 
 # ---- The parameters that a campaign varies ----
 
-MAX_LEVELS = 12
-"""Numbers of a grid that are shown one by one."""
-BINS = 6
-"""Stretches into which drawn numbers are put."""
-DECADES = 1.5
-"""From so many between the least and the greatest number on, an axis is logarithmic."""
+MAX_LEVELS = 12  # numbers of a grid that are shown one by one
+BINS = 6  # stretches into which drawn numbers are put
+DECADES = 1.5  # from so many between the least and the greatest number on, an axis is logarithmic
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +163,8 @@ def _binned(numbers: Array, known: Array, log: bool) -> tuple[Indices, list[str]
 
 
 MAX_SCORES, MAX_PARAMETERS, MAX_PAIRS, MAX_SHOWN_TRACKERS = 3, 8, 10, 6
-MAX_DOTS = 400
-"""Of a tracker in a chart."""
-MIN_SEEDS = 3
-"""A mean of drawn numbers rests on at least so many seeds."""
+MAX_DOTS = 400  # of a tracker in a chart
+MIN_SEEDS = 3  # a mean of drawn numbers rests on at least so many seeds
 
 
 def parameter_sections(plan: Plan, table: pa.Table) -> list[Block]:

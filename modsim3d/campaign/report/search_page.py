@@ -25,8 +25,7 @@ from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import marks, span_of
 from modsim3d.view.pages.page import document_page
 
-SHOWN = 20
-"""Trials in the table."""
+SHOWN = 20  # trials in the table
 REFUSED = "refused"
 NO_RATE = (
     "These trials were chosen to be bad. Each is evidence of a failure that can happen; together they say nothing "

@@ -144,8 +144,7 @@ SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecide
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
 OFTEN_EMPTY = ("crashed runs", "runs with nothing to score", "seeds without a value")
 """Columns that are left out where they say nothing."""
-MAX_OPEN, MAX_ROWS = 12, 200
-"""Verdicts on a requirement that are shown at once, and at all."""
+MAX_OPEN, MAX_ROWS = 12, 200  # verdicts on a requirement that are shown at once, and at all
 
 
 def outcome_of(verdicts: Sequence[Verdict]) -> Outcome:

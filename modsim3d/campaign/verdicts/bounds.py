@@ -13,8 +13,7 @@ from modsim3d.core.statistics import exact_bounds, half_widths
 
 SKEWNESS = 1.0
 """The least skewness that values are taken to have: a few of them seldom show the tail that they come from."""
-VARIATION = 1.5
-"""How much of h/d a half-width h gains of itself, if the values lack d to the best one."""
+VARIATION = 1.5  # how much of h/d a half-width h gains of itself, if the values lack d to the best one
 VARIATION_FROM_ZERO = 1.1
 """The same of scores that are 0 at best, as numbers, times and errors are; all three by `script/campaign sequences`."""
 
@@ -86,10 +85,8 @@ def least_whole(holds: Callable[[int], bool], first: int) -> int:
 
 # ---- Bounds of a proportion ----
 
-HALF = 0.5
-"""Both parameters of the beta distribution that the sequence mixes over (Jeffreys' prior)."""
-_HALVINGS = 52
-"""As close to 1 as numbers are."""
+HALF = 0.5  # both parameters of the beta distribution that the sequence mixes over (Jeffreys' prior)
+_HALVINGS = 52  # as close to 1 as numbers are
 
 
 def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
@@ -114,8 +111,7 @@ def mixture_log_capital(right: Mask, share: float) -> Array:
 
 def mixture_bounds(right: Mask, alpha: float) -> tuple[float, float]:
     """The greatest lower bound and the least upper bound after any number of the seeds; `right` says which are right,
-    (n,) in the order of the plan. `alpha` is the greatest probability that an upper or a lower bound is ever wrong, of
-    both together."""
+    (n,) in the order of the plan. `alpha` is the greatest probability that either is ever wrong."""
     return _lower(right, alpha), 1 - _lower(~right, alpha)
 
 
@@ -169,8 +165,7 @@ def clustered_low(hits: Array, trials: Array, alpha: float) -> float:
 
 STAKES: Array = np.exp2(-0.5 * np.arange(21))
 """Shares of the capital that are lost if a value is 0, from all of it to a thousandth."""
-_BETTING_HALVINGS = 30
-"""To a billionth."""
+_BETTING_HALVINGS = 30  # to a billionth
 _WEIGHTS: Array = 1.0 / np.arange(1, len(STAKES) + 1)
 _LOG_WEIGHTS: Array = np.log(_WEIGHTS / _WEIGHTS.sum())
 """How much of the capital is bet so at the start: most on high stakes, which win early if they win."""
@@ -188,8 +183,7 @@ def log_capital(values: Array, mean: float) -> Array:
 
 def betting_bounds(values: Array, alpha: float) -> tuple[float, float]:
     """The greatest lower bound and the least upper bound of the mean after any number of the values, (n,) in [0, 1] in
-    the order of the plan. `alpha` is the greatest probability that a lower bound is ever wrong; the same for an upper
-    one."""
+    the order of the plan. `alpha` is the greatest probability that one of them is ever wrong."""
     return _lower_by_betting(values, alpha), 1 - _lower_by_betting(1 - values, alpha)
 
 
@@ -267,9 +261,8 @@ def _scaled(values: Array, limits: tuple[float, float]) -> Array:
 
 
 def _consistent(after: Callable[[int], Bounds], count: int) -> Bounds:
-    """Bounds after all seeds, or after the most first ones whose bounds do not contradict each other. Bounds only move
-    towards each other. If they ever cross, which has the probability of an error, nothing that comes later moves
-    them."""
+    """Bounds after all seeds, or after the most first ones whose bounds do not contradict each other. If they ever
+    cross, which has the probability of an error, nothing that comes later moves them."""
     found = after(count)
     if found.low <= found.high:
         return found

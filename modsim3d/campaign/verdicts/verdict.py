@@ -82,14 +82,12 @@ class Verdict:
 # ---- Judges the requirements of a campaign on its rows ----
 
 NO_TRACKS = "No tracks at all would meet it too: `resting_on` asks for a share of vessel-frames to be followed."
-_NAMED = 5
-"""Most seeds without a value that are named."""
+_NAMED = 5  # most seeds without a value that are named
 
 
 def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     """A verdict for each requirement, tracker and condition that it is about, on the rows before the first traffic seed
-    that is not whole. A campaign with `stop: once` is looked at once: until all its runs are there, every verdict is
-    undecided."""
+    that is not whole. With `stop: once`, every verdict is undecided until all runs are there."""
     rows, cases = SeedRows(plan, table), wording.cases_of_all(plan)
     apart = [
         (_of_time if plan.keys.require[place].share is None else _verdict)(

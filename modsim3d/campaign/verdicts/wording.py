@@ -135,10 +135,8 @@ def _percent(probability: float) -> str:
 # ---- From how many traffic seeds on a mean is judged ----
 
 LOW, HIGH = "low", "high"
-DIFFERENCE = "difference"
-"""Before the key of a score, with a point: of differences between two trackers."""
-OFFERS = "mean_offers.json"
-"""Beside this file; written by `script/campaign sequences`."""
+DIFFERENCE = "difference"  # before the key of a score, with a point: of differences between two trackers
+OFFERS = "mean_offers.json"  # beside this file; written by `script/campaign sequences`
 
 
 @cache

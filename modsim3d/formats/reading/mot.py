@@ -242,8 +242,7 @@ _VISDRONE_CLASSES = range(12)  # 0 is a region to be ignored, 11 is `others`
 
 
 def _is_visdrone(lines: Lines) -> bool:
-    """Whether lines of ten numbers end with one of VisDrone's classes, a truncation and an occlusion, which is not the
-    same everywhere."""
+    """Whether lines of ten numbers end with a class, a truncation and an occlusion of VisDrone, not all the same."""
     ends = {tuple(numbers[7:10]) for _, numbers in lines if len(numbers) > 7}
     forms = all(
         len(end) == 3 and end[0] in _VISDRONE_CLASSES and end[1] in (0, 1) and end[2] in (0, 1, 2) for end in ends

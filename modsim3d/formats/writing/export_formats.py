@@ -1,5 +1,4 @@
-"""Exports: the request of one, and the formats by the name that `modsim3d export --format` takes. To add one, write a
-module and enter it here."""
+"""Requests of exports, and the formats by the name that `modsim3d export --format` takes; a new one is entered here."""
 
 from __future__ import annotations
 

@@ -75,8 +75,7 @@ _UNIT, _EXACT = Decimal("1e-9"), Context(prec=40)
 
 def stamps_ns(timestamps: Sequence[str], source: str) -> Indices:
     """Nanoseconds of steps with ascending times in seconds, (n,); digits beyond the ninth decimal are rounded. Raises
-    InputError, in which `source` names the scene, if a time is before 0 or too late for ROS, or two differ by less than
-    ROS can tell."""
+    InputError of `source` if a time is before 0 or too late for ROS, or two differ too little for it."""
     stamps = [_nanoseconds(text) for text in timestamps]
     for text, stamp in zip(timestamps, stamps, strict=True):
         if stamp is None:

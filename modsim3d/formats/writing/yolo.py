@@ -1,7 +1,6 @@
 """YOLO text folders: a file of labels and one of predictions for each frame, and `data.yaml` with the classes.
-A line is class, x, y, width, height, in shares of the image, and for a prediction the confidence. The programs that
-read such folders take the list of images and their sizes from the pictures, and a run has none; so each frame has an
-empty picture of its size."""
+A line is class, x, y, width, height, in shares of the image, and for a prediction the confidence. Programs take the
+list of images and their sizes from pictures, and a run has none: each frame has an empty one."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack

@@ -143,8 +143,7 @@ def with_things(
     return bootstrap.with_entries(learned, change)
 
 
-ERRORS_NEEDED = 20
-"""Pairs with all sides in the image that the box error of a state needs."""
+ERRORS_NEEDED = 20  # pairs with all sides in the image that the box error of a state needs
 
 
 @dataclass(frozen=True)

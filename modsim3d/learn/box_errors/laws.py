@@ -17,8 +17,7 @@ from modsim3d.learn.matches import ErrorFits
 
 # ---- Which kind of distribution the box errors of a state speak for ----
 
-T_NEEDED = MIXED_NEEDED = 100
-"""Errors of a state that a choice between distributions needs."""
+T_NEEDED = MIXED_NEEDED = 100  # errors of a state that a choice between distributions needs
 _GROWTHS, _GROWTHS_SIGNIFICANT = 4, 18.5
 """Numbers that mixed errors have more, and what chi-square of so many exceeds once in a thousand times."""
 _MAX_ALIKE, _ALIKE = 1.1, 0.1
@@ -79,8 +78,7 @@ def _other(unit: matched_edges.Unit) -> matched_edges.Unit:
 
 
 def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, plain: matched_edges.Unit | None = None) -> str:
-    """Why Student's t law describes errors in a unit better than normal ones in the plain one, by default the same;
-    empty if it does not."""
+    """Why Student's t law describes errors in a unit better than normal ones in the plain one; empty if it does not."""
     if not _heavy_possible(fits, unit == "relative"):
         return ""
     plain = plain or unit
@@ -174,8 +172,7 @@ def _rough_value(fits: ErrorFits, relative: bool) -> float:
 
 # ---- Mean, standard deviation and correlation of box errors ----
 
-CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))
-"""Cells of the upper triangle of a covariance."""
+CELLS = tuple((i, j) for i in range(4) for j in range(i, 4))  # cells of the upper triangle of a covariance
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,14 +19,12 @@ from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.matching import Rule
 
-CUT_PX = 2.0
-"""A true edge so close to the border counts as cut by it."""
+CUT_PX = 2.0  # a true edge so close to the border counts as cut by it
 _ON_BORDER_PX = 0.5
 _WHOLE_NEEDED = 10
 OUTWARD = np.array([[-1, 0, 0.5, 0], [0, -1, 0, 0.5], [1, 0, 0.5, 0], [0, 1, 0, 0.5]])
 """How far each edge lies outside the true one, from e_x, e_y, e_w, e_h."""
-ERRORS = np.linalg.inv(OUTWARD)
-"""e_x, e_y, e_w, e_h from how far each edge lies outside the true one."""
+ERRORS = np.linalg.inv(OUTWARD)  # e_x, e_y, e_w, e_h from how far each edge lies outside the true one
 
 
 @dataclass(frozen=True, eq=False)

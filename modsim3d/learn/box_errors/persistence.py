@@ -19,13 +19,10 @@ from modsim3d.learn.bootstrap import Entry, Key, Resampling, digits, nested
 from modsim3d.learn.box_errors.matched_edges import OUTWARD, ErrorModel
 from modsim3d.learn.matches import Observed, Pairs
 
-_ROUNDS = 4
-"""Rounds in which a correlation time and what follows from it settle."""
-_STEPS_NEEDED = 20
-"""Steps within a state that its errors are whitened from, instead of from the distribution."""
+_ROUNDS = 4  # rounds in which a correlation time and what follows from it settle
+_STEPS_NEEDED = 20  # steps within a state that its errors are whitened from, instead of from the distribution
 _MIN_CHANGE = 1e-6
-_REACH = 3.0
-"""An edge counts if it is so many standard deviations inside the border; sides shrink by fewer to a pixel."""
+_REACH = 3.0  # an edge counts if it is so many standard deviations inside the border; sides shrink by fewer to a pixel
 _EDGES = 2 ** np.arange(4)
 
 
@@ -209,8 +206,7 @@ def _whitened(
 # ---- The memory of each component of a box error ----
 
 MEMORY_COMPONENTS = (*ERROR_COMPONENTS, "size of errors")
-_ALIKE_P = 1e-3
-"""Chance below which components that all last alike would differ so much."""
+_ALIKE_P = 1e-3  # chance below which components that all last alike would differ so much
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,3 +1,1 @@
-"""Learning from a voyage without labels: AIS and the scene are the truth, against which cameras and clocks are
-registered.
-"""
+"""Learning from a voyage without labels: AIS and the scene are the truth to register cameras and clocks against."""

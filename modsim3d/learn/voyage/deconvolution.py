@@ -120,8 +120,7 @@ def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tu
 def _as_measured(law: Array, measured: Array) -> Array:
     """Covariances of the law (rows, 4, 4) with standard deviations as measured, where both are nearly the same. A
     vessel that is not where it is thought to be makes errors of one component that are far from the law. The tails of
-    the law, which all components share, then are too wide for the others. Where all are alike, correlations are those
-    measured, too."""
+    the law, which all components share, are then too wide for the others. Where all are alike, so are correlations."""
     ratio = np.sqrt(np.einsum("bii->bi", measured) / np.maximum(np.einsum("bii->bi", law), 1e-300))
     alike = np.abs(ratio[0] - 1) <= _ALIKE
     if alike.all():

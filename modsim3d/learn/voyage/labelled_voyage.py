@@ -130,9 +130,8 @@ def joined_voyages(parts: Sequence[LabelledVoyage]) -> LabelledVoyage:
 
 def labelled_voyage(log: SceneLog, options: VoyageOptions = NO_OPTIONS) -> LabelledVoyage:
     """The frames of a log with the truth of its scene, which is rendered as that of a run is. Vessels whose AIS is
-    stale, jumps or is off are ignored: detecting them counts neither for nor against a detector. Raises InputError if
-    no frame is within the scene, or boxes fit its vessels in another reading, and ModsimError if the truth cannot be
-    made."""
+    stale, jumps or is off are ignored: detecting them counts neither for nor against a detector. Raises ModsimError if
+    no frame is within the scene, boxes fit its vessels in another reading, or the truth cannot be made."""
     known = _known(options)
     log = replace(log, scene=known.scene_of(log.scene))
     reports = read_reports(log.scene.path)
@@ -299,8 +298,7 @@ _HEAD = (
 def scene_files(scene: Scene, registered: Sequence[Registered], folder: Path) -> dict[Path, bytes | str]:
     """The files of a copy of a scene, to be in a folder, whose cameras have the registered values. The scene is
     `scene.yaml`, so that the folder stands for it. What `modsim3d ais` wrote beside the scene is copied too, so that
-    the copy knows as much of its vessels. Raises ModsimError if a camera was registered in several logs, so that it has
-    several values."""
+    the copy knows as much of its vessels. Raises ModsimError if a camera was registered in several logs."""
     names = [each.registration.camera for each in registered]
     if twice := [name for name in names if names.count(name) > 1]:
         raise ModsimError(f"--write-scene: camera '{twice[0]}' was registered in several logs: join them, or give one")

@@ -71,9 +71,8 @@ def learn_from(
     stretches: tuple[TimeSpan, ...] = (),
     position_m: float = 0.0,
 ) -> tuple[LearnReport, VoyageReport]:
-    """Learn from a labelled voyage with `stretches` in which nothing floats but the vessels of the scene, and the
-    standard deviation of each coordinate of positions. Raises ModsimError if nothing can be learned, or no frame is in
-    a stretch."""
+    """Learn from a labelled voyage with `stretches` in which nothing floats but the scene's vessels, and `position_m`,
+    see `TruthNoise`. Raises ModsimError if nothing can be learned, or no frame is in a stretch."""
     noise = TruthNoise.of(voyage.scene, position_m)
     labelled = voyage.labelled if noise.std.any() else with_sure_boxes(voyage.labelled)
     report, judged = learn_beside_unseen(labelled, settings, options, stretches)
@@ -105,8 +104,7 @@ class VoyageRequest:
     log_options: LogOptions = NO_OPTIONS
 
     def __post_init__(self) -> None:
-        """Check what can be checked before a log is read. Raises ModsimError if there is no log, not a name or a camera
-        for each, or a value is wrong."""
+        """Raise ModsimError if there is no log, not a name or a camera for each, or a value is wrong."""
         if self.registration is not None and (self.fixed or self.known):
             caller = self.request.caller
             raise ModsimError(f"{caller}: fixed and known are for a registration that is estimated, and one is given")

@@ -32,8 +32,7 @@ from modsim3d.truth.record import COLUMNS, Truth, annotation_boxes, no_truth
 
 # ---- The thesis's JSON ----
 
-JOINED_BYTES = 1 << 17
-"""Bytes of lines that are joined at a time."""
+JOINED_BYTES = 1 << 17  # bytes of lines that are joined at a time
 
 
 def annotation_lines(block: Block, part: CameraBlock, scene: Scene) -> bytes:
@@ -216,8 +215,7 @@ TABLES = {
 }
 DIGEST_BYTES = hashlib.sha256().digest_size
 OWN_SHIP = "ownship"
-SETTINGS_FILE = "settings.json"
-"""The settings of a run, beside its kept blocks."""
+SETTINGS_FILE = "settings.json"  # the settings of a run, beside its kept blocks
 THESIS_LINES = {"annotations": annotation_lines, "detections": detection_lines}
 """Kinds of JSON lines that become one JSON object at the end of a run."""
 JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}
@@ -252,8 +250,7 @@ class BlockFiles:
         return cls(rows, lines)
 
 
-KEPT_TRUTH = "truth_*.npz"
-"""The files with the truth of blocks."""
+KEPT_TRUTH = "truth_*.npz"  # the files with the truth of blocks
 
 
 def kept_truth_path(folder: Path, first: int, stop: int) -> Path:

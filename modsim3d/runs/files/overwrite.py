@@ -13,14 +13,10 @@ import orjson
 from modsim3d.io.overwrite_guard import LOCK_FILE
 
 RUN_FILE, LOG_FILE = "run.json", "run.log"
-DETECT_FILE = "detect.json"
-"""What is said of a labelled video beside its run, with the files that were written besides."""
-UNFINISHED = "unfinished"
-"""The folder inside a run directory with the files of a run that goes on."""
-SCENE_FOLDER = "scene"
-"""The folder with a copy of the scene and of every file that it names."""
-POSES_FILE = "poses.jsonl"
-"""The poses that a live scene received, as a pose file for another run."""
+DETECT_FILE = "detect.json"  # what is said of a labelled video beside its run, with the files that were written besides
+UNFINISHED = "unfinished"  # the folder inside a run directory with the files of a run that goes on
+SCENE_FOLDER = "scene"  # the folder with a copy of the scene and of every file that it names
+POSES_FILE = "poses.jsonl"  # the poses that a live scene received, as a pose file for another run
 MADE_OF_A_RUN = frozenset(
     {
         *("contact_sheet.png", "report.html", "side_by_side.html", "run.rrd", "verify.html", "verify.json"),
@@ -39,8 +35,7 @@ _FOLDERS = {
     "report_images": re.compile(r"\d{6}\.jpg"),
 }
 """Folders that other commands make in a run directory, and the names of the files in them."""
-LONGEST_NAME = 255
-"""Bytes that a file system allows."""
+LONGEST_NAME = 255  # bytes that a file system allows
 _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parquet", POSES_FILE)
 
 
@@ -144,8 +139,7 @@ class ListedFile(TypedDict):
     sha256: str
 
 
-FileList = dict[str, ListedFile]
-"""By path inside the run directory, with `/` between folders, in alphabetical order."""
+FileList = dict[str, ListedFile]  # by path inside the run directory, with `/` between folders, in alphabetical order
 
 
 def file_list(folder: Path, names: Iterable[str]) -> FileList:

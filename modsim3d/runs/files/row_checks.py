@@ -17,12 +17,10 @@ from modsim3d.runs.files import tables
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM, ERRORS
 from modsim3d.scene.scene import Scene
 
-ROUNDING = 1e-6
-"""Relative error that sums of areas and boxes in another form may have."""
+ROUNDING = 1e-6  # relative error that sums of areas and boxes in another form may have
 MAX_DEPTH_M = 4 * MAX_COORDINATE_M
 MAX_ERROR_PX = 1e12
-OF_NO_VESSEL = (FALSE_POSITIVE, PERSISTENT)
-"""Kinds of detections that belong to no vessel."""
+OF_NO_VESSEL = (FALSE_POSITIVE, PERSISTENT)  # kinds of detections that belong to no vessel
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +34,7 @@ class TableRows:
     stop: int
 
     def refuse(self, column: str, wrong: Mask, right: str) -> None:
-        """Raise RunDirectoryError for the first row that is wrong, if there is one; `right` says what the value must
-        be."""
+        """Raise RunDirectoryError for the first row that is wrong; `right` says what the value must be."""
         if wrong.any():
             row = int(np.argmax(wrong))
             raise RunDirectoryError(
@@ -219,8 +216,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
 
 
 def check_together(frames: TableRows, truth: TableRows, detections: TableRows, scene: Scene) -> None:
-    """Raise RunDirectoryError unless the rows of the same steps in the three tables, each checked before, are of one
-    run."""
+    """Raise RunDirectoryError unless the rows of the same steps in the three tables, checked before, are of one run."""
     frame, of_truth, drawn = (_numbers_of(rows.table, scene) for rows in (frames, truth, detections))
     state = tables.indices(frames.table, "state", [state.name for state in scene.detector.states])
     written = tables.indices(detections.table, "state", [state.name for state in scene.detector.states])

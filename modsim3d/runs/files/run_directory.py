@@ -41,8 +41,7 @@ from modsim3d.runs.files.table_columns import own_ship_table
 from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.arrays import pose_texts
 
-FILES_AT_ONCE = 8
-"""Most files that are put on the disk together: the disk takes hardly longer for several than for one."""
+FILES_AT_ONCE = 8  # most files that are put on the disk together: the disk takes hardly longer for several than for one
 REPLACES_FILE = "replaces.json"
 """In the folder of a run that goes on: the paths of the files of earlier runs that it replaces."""
 
@@ -246,8 +245,7 @@ class RunDirectory:
 
     def finish(self, run: dict[str, Any], log: str) -> None:
         """Put every file in its place, after `completing`. `run.json` goes first and comes last, so that where it is
-        all else is complete. `run` is its content, to which the list of the files is added; `log` is the content of
-        `run.log`."""
+        all else is complete. `run` is its content, but for the list of the files; `log` is that of `run.log`."""
         names, content = self._file_names(), {**run, "files": self._files}
         (self.work / LOG_FILE).write_text(log)
         (self.work / RUN_FILE).write_bytes(json_text(content))

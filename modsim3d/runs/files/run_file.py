@@ -24,8 +24,7 @@ from modsim3d.truth.crosscheck.comparison import Checked
 Sha256 = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
 Text = Annotated[str, Field(strict=True)]
 FileName = Annotated[str, Field(strict=True, pattern=r"^[^/\x00]+$", max_length=LONGEST_NAME)]
-Estimate = Number | None
-"""A number, null where too few boxes tell it."""
+Estimate = Number | None  # a number, null where too few boxes tell it
 Four = Annotated[list[Estimate], Field(min_length=4, max_length=4)]
 MOST_PROBLEMS = 5
 
@@ -259,8 +258,7 @@ def list_texts(numbers: Array) -> list[bytes]:
 
 def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: Column) -> bytes:
     """A line for each of F frames: its head, the texts of its rows with commas between them, and the tail that all
-    have. `frame` is the frame of each of n rows, from 0, ascending, shape (n,); `columns` stand side by side in each
-    row."""
+    have. `frame` is that of each of n rows, ascending, (n,); `columns` stand side by side in each row."""
     bounds = np.searchsorted(frame, np.arange(len(heads) + 1)).tolist()
     before, between = [b","] * len(frame), b""
     for head, start, stop in zip(heads, bounds[:-1], bounds[1:], strict=True):

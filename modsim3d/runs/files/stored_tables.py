@@ -52,8 +52,7 @@ def detections_of(
     of the camera at some steps; `rows` are those of `frames`, `truth` and `detections` of the same steps. The detector
     need not be the run's. The tables do not say which box errors were resampled, so `redrawn` is false. They do not say
     which vessels the limit on the number of detections or the operating threshold removed either, so `gated` knows only
-    the other gates. Raises RunDirectoryError if the model does not know a performance state or a label in the
-    tables."""
+    the other gates. Raises RunDirectoryError if the model does not know a state or a label in the tables."""
     chosen = {name: table.filter(pc.equal(table["camera"], frames.camera)) for name, table in rows.items()}
     table = chosen["detections"]
     frame = np.searchsorted(frames.steps, tables.integer_column(table, "step"))
@@ -276,8 +275,7 @@ class StoredTables:
         return self.by_name[name].rows(0, self._scene.steps).table
 
     def own_ship(self) -> pa.Table:
-        """All rows of the table of the vessels that carry a camera. Raises RunDirectoryError if the run has listed
-        another."""
+        """All rows of the table of vessels with cameras. Raises RunDirectoryError if the run has listed another."""
         self._check_checksum(self._own_ship)
         with damage_named(self._own_ship):
             table = pq.read_table(self._own_ship)
@@ -286,8 +284,7 @@ class StoredTables:
 
     def rows(self, first: int, stop: int) -> dict[str, pa.Table]:
         """The rows of steps first to stop − 1 by the table's name. Raises RunDirectoryError if a row is not what a run
-        has written, two tables contradict each other, or all rows are read and a table is not the one that the run has
-        listed."""
+        has written, two tables contradict each other, or, once all rows are read, the run has listed another."""
         rows = {name: table.rows(first, stop) for name, table in self.by_name.items()}
         check_together(rows["frames"], rows["truth"], rows["detections"], self._scene)
         if stop - first == self._scene.steps:

@@ -142,8 +142,7 @@ class Pace:
 
 # ---- Python's search for garbage in cycles ----
 
-_COLLECT_AFTER = 700
-"""New objects: looking through so few takes a tenth of a millisecond."""
+_COLLECT_AFTER = 700  # new objects: looking through so few takes a tenth of a millisecond
 
 
 @contextmanager

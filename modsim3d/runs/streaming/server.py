@@ -149,8 +149,7 @@ MAX_READERS = 32
 PATIENCE = 10
 """Times `wait_s` that a reader may take nothing: systems hand lines over in lumps of 100 kB, so a tracker that needs
 half a second for each seems to take nothing for more than a minute."""
-RECEIVE_BYTES = 4096
-"""What the system takes in of what a reader sends: then the reader waits."""
+RECEIVE_BYTES = 4096  # what the system takes in of what a reader sends: then the reader waits
 Tell = Callable[[str], None]
 
 

@@ -216,8 +216,7 @@ class _VesselPixels:
         return seen[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
 
     def compare(self, renderer: IdRenderer, seen: Ids, tile: Region) -> None:
-        """Compare its pixels in a tile that shows the IDs `seen`. Raises Difference if they differ by more than
-        ties."""
+        """Compare its pixels in a tile that shows the IDs `seen`. Raises Difference if more than ties differ."""
         region = self.region.common(tile)
         if not region.width or not region.height:
             return

@@ -58,8 +58,7 @@ def vessel_triangles(
 
 def obstacle_triangles(obstacles: tuple[Obstacle, ...], first_occluder: int, camera_m: Array | None) -> WorldTriangles:
     """The solids of obstacles; `first_occluder` is the occluder index of the first one. On a curved sea `camera_m` is
-    the camera's centre in WCF, shape (3,), and each obstacle is lowered by the drop at its centre. On a flat sea it is
-    None."""
+    the camera's centre in WCF, (3,), and each obstacle is lowered by the drop there; else None."""
     triangles = _standing(obstacles, first_occluder)
     if camera_m is None or not obstacles:
         return triangles

@@ -97,8 +97,7 @@ def compare_sources(
     scene: Scene, renderer: IdRenderer, *, every: int = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> SourceComparison:
     """Compare rendered, drawn, analytic and rectangle truth on every K-th frame of each camera of a scene, K being
-    `every`. `progress` is called with the number of steps done since the last call. Raises ModsimError for a live
-    scene."""
+    `every`. `progress` is called with the number of steps since its last call. Raises ModsimError for a live scene."""
     if scene.live:
         raise ModsimError(
             f"{scene.title}: check truth needs a scene whose steps are known, and this one is live: run it, and "

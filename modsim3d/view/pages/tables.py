@@ -103,8 +103,7 @@ def scrolling(content: str) -> str:
 
 def aligned(column: Sequence[str]) -> list[str]:
     """The cells of a column with spaces of the width of digits, so that right-aligned points are below each other.
-    Cells are aligned with those that have the same words between their numbers. A minus sign takes the place of the
-    hyphen before a number."""
+    Cells are aligned with those that have the same words between their numbers. A minus sign replaces the hyphen."""
     cells = [
         _NUMBER.sub(lambda found: found[0].replace("-", "−"), cell) if is_number(cell) else cell for cell in column
     ]

@@ -71,8 +71,7 @@ def poses_of_arrays(section: Mapping[str, Any], vessels: Sequence[str] | None, s
 
 
 def pose_file(poses: RecordedPoses, names: Sequence[str], source: str) -> bytes:
-    """The pose file with the same poses, to the last bit. Raises InputError if it would be too large to be read
-    again."""
+    """The pose file with the same poses, to the last bit. Raises InputError if it is too large to be read again."""
     text = b"{" + b",\n".join(line[1:-1] for line in pose_texts(poses.recorded, poses.timestamps, names)) + b"}\n"
     if len(text) > input_files.MAX_TEXT_BYTES:
         most = f"at most {input_files.MAX_TEXT_BYTES:,} can be read again: use fewer steps or vessels"

@@ -128,8 +128,7 @@ def times_s(timestamps: Sequence[str], first: int, stop: int) -> Array:
 
 
 def generated_timestamps(steps: int, time_step_s: float, first: int = 0) -> tuple[str, ...]:
-    """Exact decimals of step × interval in its shortest form, with at least one decimal: 0.0, 0.2, 0.4, 0.6; of steps
-    `first` to steps − 1."""
+    """Exact decimals of step × interval, at least one, from step `first` to steps − 1: 0.0, 0.2, 0.4, 0.6."""
     interval = Decimal(repr(float(time_step_s)))
     parts = (f"{interval * step:f}".partition(".") for step in range(first, steps))
     return tuple(f"{whole}.{decimals.rstrip('0') or '0'}" for whole, _, decimals in parts)

@@ -21,13 +21,10 @@ from modsim3d.world.poses.base import PoseRequest, Poses, SourceKeys
 from modsim3d.world.poses.replay import time_problems
 from modsim3d.world.vessels import Vessel, name_problem
 
-LABELS = "labels"
-"""The name of this source in a scene file."""
-REAL = "real"
-"""The one performance state of a detector whose detections are given, and which is never asked."""
+LABELS = "labels"  # the name of this source in a scene file
+REAL = "real"  # the one performance state of a detector whose detections are given, and which is never asked
 FORMAT = 1
-EVERYWHERE = (0.0, 0.0, 1.0)
-"""The half-plane of a sea that fills the image."""
+EVERYWHERE = (0.0, 0.0, 1.0)  # the half-plane of a sea that fills the image
 _UNKNOWN = float("nan")
 
 
@@ -117,8 +114,7 @@ class LabelledPoses:
     regions: IgnoredRegions
     detections: GivenDetections | None = None
     notes: tuple[str, ...] = ()
-    videos: int = 1
-    """Number of videos of which this is one, where the seed chooses."""
+    videos: int = 1  # number of videos of which this is one, where the seed chooses
 
     def poses(self, first: int, stop: int) -> Poses:
         """Nobody, at steps first to stop − 1."""

@@ -25,8 +25,7 @@ class CheckedPoses:
     """The poses of a plug-in; errors name the plug-in."""
 
     def __init__(self, source: PoseSource, plugin: Plugin, vessels: int) -> None:
-        """Check the times; poses are checked when they are used. Raises ModsimError if the times are not texts of
-        increasing numbers."""
+        """Raise ModsimError if times are not texts of increasing numbers; poses are checked when they are used."""
         self._source, self._plugin, self._vessels = source, plugin, vessels
         times = list(source.timestamps)
         if not times or not all(isinstance(text, str) for text in times):

@@ -41,8 +41,7 @@ class Craft:
 @dataclass(eq=False)
 class Chart:
     """Surroundings that vessels are drawn in: the keys, the seed's streams, and the waters with those there already.
-    `own` has the tracks of the vessels of the scene file; `left_out` counts vessels by section for which there was no
-    room."""
+    `own` has the tracks of the vessels of the scene file; `left_out` counts those without room by section."""
 
     keys: TrafficSections
     streams: Streams

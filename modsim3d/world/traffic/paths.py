@@ -68,8 +68,7 @@ class VesselPath:
 
 def rounded(waypoints_m: Array, radius_m: float) -> VesselPath:
     """The path through at least two waypoints that differ (k, 2), whose corners are circles of a radius, or of what
-    their legs leave room for. The circle begins and ends gradually: its curvature rises over half a radius, as a ship's
-    rate of turn does."""
+    their legs leave room for. Curvature rises and falls over half a radius, as a ship's rate of turn does."""
     legs = np.diff(waypoints_m, axis=0)
     length = np.hypot(legs[:, 0], legs[:, 1])
     along = legs / length[:, None]

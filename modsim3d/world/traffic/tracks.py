@@ -23,8 +23,7 @@ from modsim3d.world.vessels import Extent, MeshName
 
 TABLE = Path(__file__).with_name("kinds.yaml")
 SPREAD = 0.08  # beam and air draft vary by this share about what the length says
-LATERAL_M_S2 = 1.0
-"""Greatest acceleration across the course: nobody turns a fast boat as tightly as her rudder would."""
+LATERAL_M_S2 = 1.0  # greatest acceleration across the course: nobody turns a fast boat as tightly as her rudder would
 
 Speed = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.1, le=40)]
 

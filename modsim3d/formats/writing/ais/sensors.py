@@ -115,9 +115,8 @@ def mmsi_of(names: list[str]) -> list[int]:
 
 
 def antenna_sides(vessel: Vessel, ais_class: str) -> tuple[int, int, int, int]:
-    """Metres from the antenna to bow, stern, port and starboard. The antenna is on the centre line: a quarter of the
-    length from the stern on class A ships, whose bridge is mostly aft, else amidships. Length and beam are rounded to
-    whole metres."""
+    """Whole metres from the antenna to bow, stern, port and starboard. The antenna is on the centre line: a quarter of
+    the length from the stern on class A ships, whose bridge is mostly aft, else amidships."""
     length, beam = max(round(vessel.length_m), 1), max(round(vessel.beam_m), 1)
     stern = round(length / 4) if ais_class == "A" else length // 2
     ends = min(length - stern, MAX_ENDS_M), min(stern, MAX_ENDS_M)

@@ -97,8 +97,7 @@ class DetectionLog:
         return time_text(time_s) if self.clock is Clock.UTC else f"{time_s:.12g} s"
 
     def shifted(self, start: Start | None) -> DetectionLog:
-        """The log with the time of its zero. Raises InputError if one is given, and the log has times that need
-        none."""
+        """The log with the time of its zero. Raises InputError if one is given, and the log needs none."""
         if start is None:
             return self
         if self.clock is Clock.UTC:
@@ -157,8 +156,7 @@ class LogRows:
 
     def add(self, frame: int, where: str, box: Sequence[float], label: str | None, confidence: object = None) -> None:
         """Append a detection with its left, top, width and height in pixels; a problem if it is wrong. `frame` is the
-        number of its frame, `where` its place in the file, and the confidence as in the file; the label is None if the
-        log names none."""
+        number of its frame, `where` its place in the file; the label is None if the log names none."""
         score: float | None = np.nan
         if self.confidences is not None:
             score = self.confidences.read(NOT_GIVEN if confidence is None else confidence, where, self.problems)

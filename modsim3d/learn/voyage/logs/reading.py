@@ -84,8 +84,7 @@ def read_run_log(folder: Path) -> DetectionLog:
 
 def read_bag_log(path: Path, options: LogOptions) -> DetectionLog:
     """The log of a bag: its folder, or a file of it. A camera is the first part of its topic's name: `/bow/detections`
-    is that of `bow`. Raises InputError if it cannot be read, or has no such topic, and ModsimError if rosbags is not
-    installed."""
+    is that of `bow`. Raises ModsimError if it cannot be read, has no such topic, or rosbags is missing."""
     source = f"detections {path}"
     messages = list(read_bag(path, "detections", partial(_chosen, source), _message))
     problems = Problems(source, options.skip_bad)

@@ -35,8 +35,7 @@ class Filled:
 
 def filled(time_s: Array, rate_hz: float | None, source: str) -> Filled:
     """The frames without detections between those with, whose times (n,) ascend; the frame rate is that of the usual
-    gap between two frames if None. Raises InputError if the times do not fit a frame rate, or there would be too many
-    frames."""
+    gap between two frames if None. Raises InputError if the times fit no frame rate, or give too many frames."""
     gaps = np.diff(time_s)
     if not len(gaps):
         return Filled(np.empty(0), rate_hz or 1.0, 0.0)
@@ -76,8 +75,7 @@ _NEEDED = "time_s or utc; left, top, right, bottom or left, top, width, height; 
 def read_table_log(path: Path, options: log.LogOptions) -> log.DetectionLog:
     """The log of a table with a line of names. The frames are those of a file beside it, `frames…` beside
     `detections…`, as runs and exports have; or those of its rows, where some have empty boxes; or those that the frame
-    rate adds between the rows' times. Raises InputError if the file cannot be read, or is wrong; each problem names its
-    line."""
+    rate adds between the rows' times. Raises InputError if the file is wrong; each problem names its line."""
     source = f"detections {path}"
     table = TextTable.read(path, "detections")
     time_s, clock = times_of(table, source)
@@ -124,8 +122,7 @@ def _texts(table: TextTable, name: str) -> list[str | None]:
 
 
 def times_of(table: TextTable, source: str) -> tuple[Array, log.Clock]:
-    """The time of each row, (k,), and what it counts from. Raises InputError if there is no column of times, or a time
-    is wrong."""
+    """The time of each row, (k,), and what it counts from. Raises InputError if there are none, or one is wrong."""
     name = _first(table, _TIMES)
     if not name:
         problem = f"line 1: a column with the time is missing (got {_got(table)}); needed are {_NEEDED}"

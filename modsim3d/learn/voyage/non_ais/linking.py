@@ -1,6 +1,5 @@
 """False detections linked over time: which of them are the same thing, seen again.
-Things move at a constant velocity, along and below the horizon, so that a camera that rolls and pitches does not break
-the links."""
+Things move at a constant velocity, along and below the horizon, so that roll and pitch do not break the links."""
 
 from __future__ import annotations
 

@@ -142,9 +142,8 @@ class DurationTypes:
     inflation: float  # factor by which flicker that stays raises the variance of the number of its detections
 
     def at_least(self, probability: float) -> Mask:
-        """Mask of the durations that may be of vessels with such a probability, (durations,). Those of things that were
-        seen for long, where the data do not show whether there is a longer kind; and always those of things that last
-        and jump."""
+        """Mask of the durations that may be of vessels with such a probability, (durations,): those of things seen for
+        long, where the data show no longer kind, and always those of things that last and jump."""
         likely: Mask = self.lasting[0] >= probability
         return (likely if self.found else self.longer) | self.unsteady
 

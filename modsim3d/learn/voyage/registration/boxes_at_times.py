@@ -23,8 +23,7 @@ class BoxesAtTimes:
     boxes_px: Array  # left, top, right and bottom edge, (n, 4)
 
     def __post_init__(self) -> None:
-        """Raise ModsimError if shapes do not fit, times do not ascend, a box has no frame, or a number is not
-        finite."""
+        """Raise ModsimError if shapes do not fit, times do not ascend, a box has no frame, or a number is infinite."""
         count = len(self.frame)
         if self.times_s.ndim != 1 or self.boxes_px.shape != (count, 4):
             found = f"times {self.times_s.shape}, frames {self.frame.shape}, boxes {self.boxes_px.shape}"

@@ -180,8 +180,7 @@ def check_times(model: BoxModel, found: BoxesAtTimes, searched_s: float) -> None
 
 
 def check_search(voted: Search, model: BoxModel, found: BoxesAtTimes, clocks_s: Array, scene: Scene) -> None:
-    """Check that the best guess explains more detections than chance; raises ModsimError if not, with what else would
-    explain them."""
+    """Raise ModsimError, with what else would explain detections, if the best guess explains no more than chance."""
     _check_bearings(model, found.boxes_px, "detections")
     best = voted.guesses[0].votes if voted.guesses else 0
     if best > OVER_CHANCE * voted.chance and best >= MIN_SHARE * voted.searched:
@@ -239,8 +238,7 @@ STRETCHES = 12
 def starts(aligner: Aligner, searched_s: float, spread_m: float, scene: Scene) -> tuple[Values, list[Values]]:
     """The best start, and others whose clocks explain the detections nearly as well. The aligner is of some of the
     frames, `searched_s` the greatest offset of the clock that is looked for, and `spread_m` how far vessels are
-    expected to be from where the scene has them. Raises ModsimError if no guess explains more detections than
-    chance."""
+    expected to be from where the scene has them. Raises ModsimError if none explains more than chance."""
     model, found, free = aligner.model, aligner.found, aligner.free
     clocks = np.arange(-searched_s, searched_s + CLOCK_STEP_S / 2, CLOCK_STEP_S) if "clock_s" in free else np.zeros(1)
     voted = search(model, found, clocks, np.radians(MAX_TURN_DEG if "yaw_deg" in free else 2.0))

@@ -122,8 +122,7 @@ class KnownTraffic:
 
 def _continued(times_s: Array, present: Mask, places_m: Array) -> Array:
     """Places with those of absent vessels filled in and headings that go on beyond a full turn, (S, V, 7). Between two
-    stretches they are linear. Before the first one and after the last one the position goes on at its speed, and the
-    angles stay."""
+    stretches they are linear. Before the first and after the last, positions go on at their speed, and angles stay."""
     filled = places_m.copy()
     for vessel in np.flatnonzero(present.any(axis=0)).tolist():
         steps = np.flatnonzero(present[:, vessel])
