@@ -27,8 +27,7 @@ from modsim3d.learn.learned import correlated, uncertainty_file
 
 # ---- Reads what `modsim3d learn` wrote beside a detector file ----
 
-MIN_UNITS = 5
-"""Images or runs of frames of a state, below which their spread says too little of how well its numbers are known."""
+MIN_UNITS = 5  # images or runs of frames of a state, below which their spread does not tell how well numbers are known
 
 
 class LearnedNumber(Strict):

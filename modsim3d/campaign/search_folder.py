@@ -145,8 +145,7 @@ def _quiet() -> Iterator[None]:
 
 # ---- A trial of a search as a planned run, and what its row says ----
 
-REFUSED = "refused"
-"""Status of a trial whose values the scene, the detector or the tracker does not take: no failure of the tracker."""
+REFUSED = "refused"  # status of a trial whose values scene, detector or tracker do not take: no failure of the tracker
 
 
 def score_of(search: SearchKeys) -> str:

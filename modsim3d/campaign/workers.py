@@ -22,8 +22,7 @@ from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
 
 # ---- How the process of a worker ended in the middle of a task ----
 
-STOPPING = (SIGTERM, SIGINT, SIGHUP)
-"""Signals that a batch system or a user sends to all processes of a campaign, to stop it."""
+STOPPING = (SIGTERM, SIGINT, SIGHUP)  # signals that a batch system or a user sends to all processes, to stop a campaign
 
 
 @dataclass(frozen=True)

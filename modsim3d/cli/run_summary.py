@@ -25,8 +25,7 @@ CAMERA_HEADER = (
     "IoU\n< 0.5",
     "off\nvessel",
 )
-NOTICEABLE_SHARE = 0.005
-"""The bias from resampled box errors is shown if at least this share of the detections was resampled."""
+NOTICEABLE_SHARE = 0.005  # the bias from resampled box errors is shown from this share of the detections on
 WARNING_SHARE = 0.1  # a share of boxes with IoU below 0.5 that changes what an evaluation by IoU says
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 
-MAX_LINES, LONGEST_LINE = 500, 2000
-"""A name in an input may be a megabyte long, and each of a million entries may be wrong."""
+MAX_LINES, LONGEST_LINE = 500, 2000  # names in an input may be a megabyte long, and each of a million entries wrong
 
 
 class ModsimError(Exception):

@@ -106,8 +106,7 @@ _STREAMS_IN_TURN, _ROWS_AS_A_STREAM = 20, 25
 _ROWS_DRAWN, _ROWS_DRAWN_FOR_ONE = 5_000, 8
 _WORDS_KEPT = 65_536
 _MIN_UNIFORM = 2.0**-54  # half the least positive uniform: replaces the 0 whose normal would be −∞
-GRID = 2.0**-20
-"""Step of the numbers that the detector draws: coarse against the rounding of a function, fine against any noise."""
+GRID = 2.0**-20  # step of the detector's numbers: coarse against the rounding of a function, fine against any noise
 
 
 @unique

@@ -17,8 +17,7 @@ from modsim3d.core.random_streams import GRID, Purpose, Streams, grid_normals, o
 from modsim3d.detector.draws import BOX_ERROR_STREAMS, ERROR_NORMALS, latent_normals, target_uniforms
 from modsim3d.detector.records import CameraFrames, Targets
 
-Clock = Callable[[int, int], Array]
-"""Times of steps first to stop − 1 in seconds since the scene's first, shape (stop − first,)."""
+Clock = Callable[[int, int], Array]  # times of steps first to stop − 1 since the scene's first, in s, (stop − first,)
 _UNIFORM_STEP = 2.0**-40
 NEVER_CHANGES_S = 1e9  # a correlation time that no run is long enough to tell from an endless one
 _DECAY_STEP = 2.0**-40  # finer than the grid of drawn numbers: a decay close to one must stay what it is

@@ -17,10 +17,8 @@ from modsim3d.detector.draws import cumulative, log2, low_uniforms
 from modsim3d.detector.dropout import Dropout
 from modsim3d.detector.records import Targets
 
-LOG_ODDS_STEP = 1 / 4096
-"""Width of a range of log-odds: an anchored rate is off by at most half of it times p·(1 − p), so 3e-5."""
-SIZE_STEPS = 16
-"""Ranges of a side for each doubling, each ± 2.2 %: sides drawn from them are within 4.4 % of those counted."""
+LOG_ODDS_STEP = 1 / 4096  # width of a range of log-odds: an anchored rate is off by at most half of it times p·(1 − p)
+SIZE_STEPS = 16  # ranges of a side for each doubling, ± 2.2 % each: drawn sides are within 4.4 % of those counted
 
 
 @dataclass(frozen=True, eq=False)

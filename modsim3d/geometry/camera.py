@@ -75,8 +75,7 @@ class Distortion:
 
 DEFAULT_NEAR_CLIP_M = 0.1
 BORDER_POINTS = 64  # points on each side of the image at which a lens's field of view is measured
-BEND_PX = 1 / 256
-"""Greatest distance between a curve that a lens makes of a straight edge and the chords that are drawn for it."""
+BEND_PX = 1 / 256  # greatest distance between the curve of a straight edge through a lens and the chords drawn for it
 MAX_WINDOW = 10  # greatest size of the pinhole image of a distorted one, in sizes of the latter
 
 

@@ -126,8 +126,7 @@ def closest_approach(times_s: Array, one_m: Array, other_m: Array) -> tuple[floa
 
 # ---- Unions of polygons ----
 
-SNAPPED = 1e-9
-"""Grid to which corners move where the exact way fails: pixels or metres, far below what any result shows."""
+SNAPPED = 1e-9  # grid to which corners move where the exact way fails: pixels or metres, below what any result shows
 
 
 def union_of(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:

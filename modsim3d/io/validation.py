@@ -13,8 +13,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath
 from modsim3d.io.input_files import data_folder
 
-LEAST, MOST = 1e-9, 1e9
-"""Of the size of a number that is no place and no time; with them, products and quotients do not overflow."""
+LEAST, MOST = 1e-9, 1e9  # of the size of a number that is no place and no time, so that products do not overflow
 
 
 class Limits:

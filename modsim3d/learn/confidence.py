@@ -19,8 +19,7 @@ from modsim3d.learn.persistence import inflation, steps_between
 
 # ---- Whether confidence falls ----
 
-SCORES_NEEDED = 20
-"""Detections that a distribution of a state's own needs, and so many partly hidden ones a slope on visibility."""
+SCORES_NEEDED = 20  # detections that a state's own distribution needs, and partly hidden ones a slope on visibility
 SLOPE_NEEDS = 50  # detections that a slope needs
 _TRIALS = 200
 _HIDDEN = 0.05

@@ -233,8 +233,7 @@ def quantile_scores(
 _STEP = 1e-4  # levels that a single confidence may have, above which its number counts as open between them
 _GRID, _ROUNDS, _NEAR = 40, 30, 1e-3
 _MAX_STEP, _SETTLED = 0.3, 1e-5
-_SHORTEST, _LONGEST = 0.05, 1000.0
-"""Correlation times are sought between these multiples of the usual time between sightings."""
+_SHORTEST, _LONGEST = 0.05, 1000.0  # bounds of correlation times, in multiples of the usual time between sightings
 
 
 @dataclass(frozen=True, eq=False)

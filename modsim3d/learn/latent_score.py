@@ -32,8 +32,7 @@ def miss_lags(observed: Observed, chance: Array, slopes: int) -> lags.LagTable:
 
 # ---- Whether confidence falls before a miss ----
 
-_LOST_NEEDED = 20
-"""Detections that are followed by a miss, from which a score is told from two numbers that are drawn apart."""
+_LOST_NEEDED = 20  # detections followed by a miss, from which a score is told from two numbers that are drawn apart
 _NODES = (np.arange(400) + 0.5) / 400
 
 

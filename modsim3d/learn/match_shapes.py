@@ -20,8 +20,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, unions
 from modsim3d.formats.matching import Rule, image_pairs
 
-MIN_FIT = 0.5
-"""Least IoU of two parts together with the vessel, and of a box around two vessels with the one around their truth."""
+MIN_FIT = 0.5  # least IoU of two parts together with the vessel, and of a box around two vessels with their common one
 MIN_ASPECT = 1.5  # least width over height of a vessel that may come out in two parts
 MIN_WIDTH_PX = 4.0  # narrower ones never do: each part is at least a pixel wide
 _MIN_INSIDE = 0.5

@@ -25,8 +25,7 @@ from modsim3d.learn.match_shapes import CommonBoxes, Loose, Overlapping, SoughtB
 
 _NEIGHBOURS = 60
 _LONELY_NEEDED = 20
-MAX_MISTAKEN = 0.04
-"""Share of the boxes of one vessel alone that may look like one around both before they tell nothing."""
+MAX_MISTAKEN = 0.04  # share of the boxes of one vessel alone that may look like one around both until they tell nothing
 _MIN_RECOGNIZED = 0.9
 
 

@@ -216,8 +216,7 @@ NEVER_LEARNED = (
 
 # ---- What a detector was learned from, for the page of what was learned ----
 
-_IMAGES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})
-"""Of an image nothing but its size is read."""
+_IMAGES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"})  # of an image only its size is read
 
 
 @dataclass(frozen=True, eq=False)

@@ -191,8 +191,7 @@ def rectangle_occlusion(outlines: Outlines) -> Occlusion:
     )
 
 
-ROUNDING_PX = 1 / 128
-"""Corners are rounded to 1/256 of a buffer pixel on each axis; half of that, along both, moves an edge by less."""
+ROUNDING_PX = 1 / 128  # corners are rounded to 1/256 of a buffer pixel on each axis; half of that moves an edge by less
 
 
 @dataclass(frozen=True, eq=False)

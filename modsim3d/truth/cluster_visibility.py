@@ -13,8 +13,7 @@ from modsim3d.truth.occlusion_order import overlapping_pairs
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.silhouettes import Spans, joined_spans, runs_of_ids
 
-SHEET_PX = 1024, 1024
-"""Clusters are drawn together in buffers of this size: a buffer costs as much as ten thousand pixels."""
+SHEET_PX = 1024, 1024  # clusters are drawn together in buffers of this size: each costs as much as ten thousand pixels
 
 
 @dataclass(frozen=True, eq=False)

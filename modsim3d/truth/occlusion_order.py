@@ -153,8 +153,7 @@ def _begins_within(place: Indices, side: Indices, rows: Indices, others: Indices
     return np.repeat(rows, count), others[ranges(first, count)]
 
 
-TOUCHING_M = 1e-7
-"""Solids that overlap by less are taken to touch: rounding must not turn neighbours at a quay into a collision."""
+TOUCHING_M = 1e-7  # solids that overlap by less touch: rounding must not turn neighbours at a quay into a collision
 MAX_COORDINATES = 4_000_000  # most coordinates of vertices along axes that are computed at once; it bounds the memory
 
 

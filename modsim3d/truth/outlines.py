@@ -19,8 +19,7 @@ from modsim3d.truth.silhouettes import cut_faces, doubled_face_areas, in_image, 
 from modsim3d.world.bodies import Bodies
 from modsim3d.world.vessels import Solid
 
-BESIDE = 1e-6
-"""Metres times pixels by which a solid must be outside the image, so that rounding errors bring no corner into it."""
+BESIDE = 1e-6  # metres times pixels by which a solid must be outside the image, beyond the reach of rounding errors
 MAX_VERTICES = 12_000  # most vertices of bodies that are projected together: few calls, but arrays that fit a cache
 
 

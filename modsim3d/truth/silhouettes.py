@@ -116,8 +116,7 @@ def _sections(clipped: Array, member: Indices, near: float) -> tuple[Array, Indi
     return np.concatenate([corners, np.full((len(corners), 3, 1), near)], axis=-1), members[solid]
 
 
-NO_AREA_PX2 = 1e-9
-"""A face with a smaller area is seen edge-on. It adds nothing to a silhouette, and its polygon would be invalid."""
+NO_AREA_PX2 = 1e-9  # a smaller face is seen edge-on: it adds nothing to a silhouette, and its polygon would be invalid
 Number = TypeVar("Number", np.float64, np.int64)
 
 

@@ -291,8 +291,7 @@ def levels_of(law: StateConfidence, scores: ConfidenceLaw, found: ScoredDetectio
     return None if check is None else check(scores, found.scores, shift)
 
 
-Slope = tuple[str, float, Array]
-"""Name of a slope, its value, and by how much it raises the mean of each detection for each unit."""
+Slope = tuple[str, float, Array]  # name of a slope, its value, and what it adds to the mean of each detection per unit
 Number = tuple[str, float, Measure | None]  # name, asked value and measure of one of a law's numbers
 
 

@@ -22,8 +22,7 @@ from modsim3d.verify.measures import CORRELATION, DiscoveryRate, Estimate, Exact
 from modsim3d.verify.parameters import Law, Parameter
 
 MIN_FALSE = 50
-MIN_LIFETIMES = 20
-"""Least length of a run in lifetimes, times the mean number at a time, for which lifetimes are tested."""
+MIN_LIFETIMES = 20  # least length of a run in lifetimes, times the mean number, for which lifetimes are tested
 _DRAWS_EACH = 40
 _REPLAYS = 150
 _DIGITS = 6  # decimals of a pixel: equal sides that were read back from centre and size stay equal

@@ -273,8 +273,7 @@ def _without_farthest_part(solid: Solid, extents: Array) -> tuple[int, Array]:
 
 # ---- From triangles in a file's own axes and units to a solid in units of length ----
 
-SAME_VERTEX = 1e-7
-"""Vertices that are closer than this, in units of the box, are merged: STL repeats each, in single precision."""
+SAME_VERTEX = 1e-7  # closer vertices, in units of the box, are merged: STL repeats each, in single precision
 MAX_FACES_OF_CONVEX = 64
 """A convex mesh with more faces is treated as not convex, because sorting by its planes would take too long."""
 EXTENTS = ("length", "beam", "height")

@@ -11,8 +11,7 @@ from scipy import special
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.statistics import exact_bounds, half_widths
 
-SKEWNESS = 1.0
-"""The least skewness that values are taken to have: a few of them seldom show the tail that they come from."""
+SKEWNESS = 1.0  # the least skewness that values are taken to have: a few of them seldom show their tail
 VARIATION = 1.5  # how much of h/d a half-width h gains of itself, if the values lack d to the best one
 VARIATION_FROM_ZERO = 1.1
 """The same of scores that are 0 at best, as numbers, times and errors are; all three by `script/campaign sequences`."""
@@ -163,8 +162,7 @@ def clustered_low(hits: Array, trials: Array, alpha: float) -> float:
 
 # ---- A sequence of bounds of the mean of values between 0 and 1 ----
 
-STAKES: Array = np.exp2(-0.5 * np.arange(21))
-"""Shares of the capital that are lost if a value is 0, from all of it to a thousandth."""
+STAKES: Array = np.exp2(-0.5 * np.arange(21))  # shares of the capital lost if a value is 0, from all to a thousandth
 _BETTING_HALVINGS = 30  # to a billionth
 _WEIGHTS: Array = 1.0 / np.arange(1, len(STAKES) + 1)
 _LOG_WEIGHTS: Array = np.log(_WEIGHTS / _WEIGHTS.sum())

@@ -21,8 +21,7 @@ from modsim3d.world.vessel_motion import PosesInWaves
 COLUMNS = ("roll_rad", "pitch_rad", "heading_rad")
 MAX_APART_S = 2.0  # angles are linear between rows that are no further apart; in a longer gap they are not known
 _NEAR_S = 1e-6
-_UNDER_WAY, _MAX_OFF = 1.0, np.pi / 4
-"""Metres a second above which the scene knows a heading, and how far headings may be off it."""
+_UNDER_WAY, _MAX_OFF = 1.0, np.pi / 4  # m/s above which the scene knows a heading, and how far headings may be off it
 _FOUR_TURNS = 8 * np.pi  # headings may go on counting where a vessel turns round. Larger ones do so, or are degrees
 _MAX_TURN = 1.0  # a larger heading that changes by more radians between two rows, and in a second, is in degrees
 

@@ -123,8 +123,7 @@ ALL = "all"  # the name in `fixed` that stands for all parameters: then nothing 
 SHORT_OF = {full: short for short, full in SHORT.items()}
 FIXED_NAMES = tuple(SHORT_OF.get(name, name) for name in SHARED_NAMES if name not in BY_RULE)
 """What `fixed` takes: the parameters that are registered, by their names without units."""
-OFFSETS_M = 5.0
-"""How far positions of AIS are expected to be off for as long as a vessel is seen: antennas, late reports."""
+OFFSETS_M = 5.0  # how far positions of AIS are expected to be off while a vessel is seen: antennas, late reports
 MAX_NOISE_M = 100.0  # positions that are worse do not tell which vessel a camera sees
 _SIZES = frozenset({"length", "beam", "air draft"})
 

@@ -24,8 +24,7 @@ from modsim3d.scene.scene import Scene
 
 # ---- The clocks that a registration has found ----
 
-REGISTRATION = "registration.json"
-"""What was registered, the clock of each camera's log included, which is no value of a scene."""
+REGISTRATION = "registration.json"  # what was registered, clocks of logs included, which no scene has
 
 
 def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:

@@ -21,10 +21,8 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.vessel_motion import PosesInWaves
 from modsim3d.world.vessels import Vessel
 
-POSITION_M = 10.0
-"""Standard deviation of each coordinate of a position: receivers without correction say that they are good to 10 m."""
-POSITION_S = 300.0
-"""How long its error lasts: that of a GNSS receiver changes over minutes, with satellites and ionosphere."""
+POSITION_M = 10.0  # standard deviation of each coordinate of a position, by what receivers without correction say
+POSITION_S = 300.0  # how long its error lasts: that of a receiver changes over minutes, with satellites and ionosphere
 PARAMETERS = ("east", "north", "heading", "length", "beam", "air draft", "antenna along", "antenna across")
 """What the truth of a box depends on, in metres and radians."""
 SLOW, CONSTANT = slice(0, 3), slice(3, 8)  # those whose errors change over minutes, and those that a vessel keeps

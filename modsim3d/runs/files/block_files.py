@@ -218,8 +218,7 @@ OWN_SHIP = "ownship"
 SETTINGS_FILE = "settings.json"  # the settings of a run, beside its kept blocks
 THESIS_LINES = {"annotations": annotation_lines, "detections": detection_lines}
 """Kinds of JSON lines that become one JSON object at the end of a run."""
-JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}
-"""All kinds of JSON lines; there is a file of each for each camera."""
+JSON_LINES = {**THESIS_LINES, TRACKER_INPUT: tracker_lines}  # all kinds of JSON lines, each in a file for each camera
 
 
 def line_kinds(thesis_json: bool) -> tuple[str, ...]:

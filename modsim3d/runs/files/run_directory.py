@@ -42,8 +42,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.arrays import pose_texts
 
 FILES_AT_ONCE = 8  # most files that are put on the disk together: the disk takes hardly longer for several than for one
-REPLACES_FILE = "replaces.json"
-"""In the folder of a run that goes on: the paths of the files of earlier runs that it replaces."""
+REPLACES_FILE = "replaces.json"  # in the folder of a run that goes on: the files of earlier runs that it replaces
 
 
 @contextmanager

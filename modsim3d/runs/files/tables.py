@@ -24,8 +24,7 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import annotation_boxes
 
 ROW_GROUP_ROWS = 65_536
-MAX_WAITING = 64
-"""So many small tables wait to be written before they are joined: a table of one row takes thousands of bytes."""
+MAX_WAITING = 64  # small tables that wait to be written before they are joined: one of a row takes thousands of bytes
 
 FRAMES, TRUTH, DETECTIONS = (schema_of(name) for name in ("frames", "truth", "detections"))
 

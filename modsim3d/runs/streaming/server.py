@@ -61,8 +61,7 @@ class Backlog:
 
 # ---- One reader of a stream over TCP ----
 
-SEND_BYTES = 1 << 16
-"""What is handed to the system at once, and about what the system keeps of it: the rest waits in the backlog."""
+SEND_BYTES = 1 << 16  # handed to the system at once, and about what it keeps: the rest waits in the backlog
 
 DROP_BYTES, DROP_S = 1 << 16, 0.05
 """How much of what a reader has sent is dropped at once, and how often, so that no sender takes up the processor."""

@@ -136,8 +136,7 @@ def corners(places: Array, axes: Array, half: tuple[float, float]) -> Array:
 
 COMFORT, LAND_COMFORT = 0.4, 0.5
 """Shares of their lengths, taken together, that vessels want of water between them; and of a length to land."""
-CROWDING = 3.0
-"""Cost of touching, beside the costs of the changes that avoid it; it falls to nothing at a comfortable distance."""
+CROWDING = 3.0  # cost of touching, beside those of changes that avoid it; nothing at a comfortable distance
 SMALL_CHANGE = 1.5  # cost up to which a changed track is taken without a look at larger changes
 LONGEST_INTERVAL_S = 1.0
 LAND_WORK, PAIR_WORK, MAX_WORK = 20, 2_000, 3_000_000_000

@@ -19,8 +19,7 @@ from modsim3d.tracks.diagnosis import CENTRE, CORNERS, TOP_LEFT, BoxForm
 
 # ---- Frames without detections, of logs that only say what was detected ----
 
-_OFF = 0.25
-"""A gap may be so much of an interval away from a whole number of them: times are often those of the file's writing."""
+_OFF = 0.25  # how far a gap may be from a whole number of intervals: times are often those of the file's writing
 _MAX_OFF = 0.05  # share of the gaps that may be further off where the interval is taken from the times themselves
 
 

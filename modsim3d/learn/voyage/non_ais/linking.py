@@ -20,8 +20,7 @@ from modsim3d.learn.persistence import frame_interval_s
 
 _SMALLEST = 0.25  # share of the matched boxes that are called small; errors of larger ones are often larger in pixels
 _MIN_CHANGES = 20
-_MUCH_SMALLER = 1 / 3
-"""Boxes of a smaller share of their side err by less in proportion: nothing shows that errors stay as large."""
+_MUCH_SMALLER = 1 / 3  # smaller boxes, in shares of their side, err by less: nothing shows that errors stay as large
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +76,7 @@ _NEAR, _MIN_NEAR_PX = 0.6, 5.0  # how far off a box may lie, in sides of it, and
 _SPEED_SIDES_S = 1.0  # how fast a thing may be, in lengths a second: a boat of 10 m at 20 knots makes one
 _MAX_WAY_SIDES = 2.0
 _MAX_LOG_RATIO = np.log(2.0)
-_GATE_STDS = 3.0
-"""A box may also be as far off, and as much larger or smaller, as so many standard deviations of the jitter."""
+_GATE_STDS = 3.0  # a box may be off, and larger or smaller, by so many standard deviations of the jitter, too
 _ASPECT = 3.0  # width over height of a thing whose width was never seen
 _VAGUE = 0.5  # how far off a thing counts to be along an axis where no side tells, in reaches
 _NOTHING = 1.001

@@ -14,10 +14,8 @@ _MIN_SEEN = 5  # detections that are needed to see how a thing moves; with fewer
 _MAX_OFF, _MAX_OFF_PX, _MAX_RESIZED = 0.35, 5.0, 0.4
 """Median distance from the middle of the detections before and after, in sides and in pixels; spread of log sides."""
 _MIN_SHARE = 0.25  # share of the frames of its life in which a vessel is detected at least
-_ABOVE, _MIN_ABOVE_PX = 0.25, 3.0
-"""How far above the horizon a vessel's lower edge may seem to be, in heights and in pixels."""
-_UNSTEADY_STDS = 1.5
-"""What does not exceed so many standard deviations of the jitter of known boxes is steady in any case."""
+_ABOVE, _MIN_ABOVE_PX = 0.25, 3.0  # how far above the horizon a vessel's lower edge may be, in heights and in pixels
+_UNSTEADY_STDS = 1.5  # so many standard deviations of the jitter of known boxes are steady in any case
 
 
 class Behaviour(IntEnum):
@@ -118,8 +116,7 @@ def _ends_s(images: Images) -> Array:
 # ---- Two kinds of durations ----
 
 MIN_S = 30.0  # what lasts as vessels do lasts so long on average at least
-MIN_RATIO = 3.0
-"""And so many times as long as flicker that stays: that lasts no longer on average than the least over this."""
+MIN_RATIO = 3.0  # and so many times as long as flicker that stays, whose mean is at most the least over this
 _STEPS = 60
 _SURE = 6.0  # gain of log-likelihood by which the longer kind is there: by chance it is as large in one of 400 sets
 _MIN_WEIGHT = 0.05  # in a replicate without any of the few things that last, they are still known to be there

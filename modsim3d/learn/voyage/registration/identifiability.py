@@ -132,8 +132,7 @@ def clusters(cluster: Indices) -> Iterator[Indices]:
 
 COMMON_DELAY = "common_delay_s"
 KNOWN = 0.5  # a value is determined if its standard error is below this share of its plausible distance
-IN_GROUP = 0.2
-"""Components of a singular vector, or exchanges in plausible distances, below this are left out of a group."""
+IN_GROUP = 0.2  # components of a singular vector, or exchanges in plausible distances, below this are left out
 GIVEN_UP_FIRST = (
     *("k1", "mean_width_share", "mean_height_share", "mean_x_px", "mean_y_px"),
     *("roll_deg", "focal_share", "height_m", "pitch_deg", "yaw_deg", "clock_s"),

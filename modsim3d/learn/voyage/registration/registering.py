@@ -108,10 +108,8 @@ class Registration:
 
 SEARCHED_S = 60.0
 FIRST_FRAMES = 150
-MAX_BOXES = 2500
-"""Of more detections a fit takes frames that are evenly spread: those beside each other have nearly the same errors."""
-BY_RULE = ("mean_x_px", "mean_y_px")
-"""Mean errors are zero, or given: in the images nothing else looks like yaw and pitch."""
+MAX_BOXES = 2500  # of more detections a fit takes frames spread evenly: neighbours have nearly the same errors
+BY_RULE = ("mean_x_px", "mean_y_px")  # mean errors are zero, or given: in images nothing else looks like yaw and pitch
 NORMAL = 1.96
 
 
