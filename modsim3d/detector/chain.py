@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import at_least_a_pixel, sizes, unions
 from modsim3d.core.random_streams import Purpose, Streams
 from modsim3d.detector import draws, false_positives, records
@@ -26,7 +26,7 @@ from modsim3d.detector.target_statistics import TargetStatistics
 
 
 @dataclass(frozen=True, eq=False)
-class _Unscored:
+class _Unscored(Columns):
     """Detections before they have a confidence: columns of `Detections`, and what confidence needs."""
 
     frame: Indices
@@ -40,14 +40,8 @@ class _Unscored:
     visible_fraction: Array  # of the vessel, NaN where there is none, shape (m,)
     uniforms: Array  # for confidence and order, shape (m, 2)
 
-    @classmethod
-    def joined(cls, parts: Sequence[_Unscored]) -> _Unscored:
-        """Several sets of them, one set after another."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS))
 
-
-_COLUMNS = tuple(field.name for field in fields(_Unscored))
-_KEPT_COLUMNS = tuple(name for name in _COLUMNS if name in Detections.__dataclass_fields__)
+_KEPT_COLUMNS = tuple(each.name for each in fields(_Unscored) if each.name in Detections.__dataclass_fields__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +244,7 @@ class Detector:
     def _scored(self, states: Indices, parts: Sequence[_Unscored], passed: Mask) -> Detections:
         """All detections with their confidence; their order within a frame is random."""
         parts = [part for part in parts if len(part.frame)] or parts[:1]  # in a live step, most are empty
-        every = parts[0] if len(parts) == 1 else _Unscored.joined(parts)
+        every = parts[0] if len(parts) == 1 else _Unscored.join(parts)
         width, height = sizes(every.boxes_px).T
         false, (uniforms, ties) = records.are_false(every.kind), every.uniforms.T
         confidence = self._confidence.score(

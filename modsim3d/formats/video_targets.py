@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import areas, clip, intersections, sizes
 from modsim3d.core.errors import InputError
 from modsim3d.core.text import counted
@@ -43,7 +43,7 @@ _HALF = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class TargetBoxes:
+class TargetBoxes(Columns):
     """The boxes that are to be found, n rows in order of image and track."""
 
     image: Indices  # row of the images, non-decreasing: (n,)
@@ -56,10 +56,6 @@ class TargetBoxes:
     rows: Indices  # of each among the annotations: (n,)
     from_overlap: int  # visible fractions that come from the overlap of boxes, not from the file
     notes: tuple[str, ...]  # what was left out, and where visible fractions come from
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.image)
 
 
 def sought_in(labelled: LabelledSet, to_label: Indices, tracks: tuple[int | str, ...], source: str) -> TargetBoxes:

@@ -172,7 +172,7 @@ class OneConfidenceForm:
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """The distribution of each state; that of all states where one has too few detections."""
-        every = ObservedConfidences.of(observed, "true") + ObservedConfidences.of(observed, "false")
+        every = ObservedConfidences.join([ObservedConfidences.of(observed, kind) for kind in KINDS])
         learned = []
         for index, state in enumerate(observed.states):
             ours = every.of_state(index)
@@ -239,7 +239,7 @@ def consecutive_scores(observed: Observed, learned: LearnedConfidence) -> Consec
     low, high = np.full(len(scores), np.nan), np.full(len(scores), np.nan)
     for index, (law, slopes) in enumerate(zip(learned.true, learned.slopes, strict=True)):
         rows = np.flatnonzero(scores.state == index)
-        ours = scores.chosen(rows)
+        ours = scores.take(rows)
         if with_enough({"true": ours}):
             shift = np.zeros(len(rows)) if slopes is None else -slopes.shift(ours)
             latent = LatentScores.of(ours, law.law, shift, observed.threshold)

@@ -8,13 +8,13 @@ James (1979), "Linear regression with censored data")."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.detector.confidence import clipped_score, clipped_sums, fit_clipped
 from modsim3d.learn.bootstrap import Resampling
@@ -27,7 +27,7 @@ KINDS: tuple[Kind, Kind] = ("true", "false")
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedConfidences:
+class ObservedConfidences(Columns):
     """Confidences of some detections: values, images and states, shapes (n,)."""
 
     values: Array
@@ -50,14 +50,6 @@ class ObservedConfidences:
         area = np.prod(np.maximum(sizes(results.boxes_px[rows]), 1e-6), axis=1)
         return cls(results.confidence[rows], image, observed.image_state[image], visible, np.log2(area) / 2, thing)
 
-    def __len__(self) -> int:
-        """Number of detections."""
-        return len(self.values)
-
-    def __add__(self, other: ObservedConfidences) -> ObservedConfidences:
-        """The detections of both."""
-        return ObservedConfidences(*(np.concatenate(pair) for pair in zip(astuple(self), astuple(other), strict=True)))
-
     @property
     def hidden(self) -> Array:
         """Hidden share of the vessel, 0 where unknown, shape (n,)."""
@@ -65,11 +57,7 @@ class ObservedConfidences:
 
     def of_state(self, state: int) -> ObservedConfidences:
         """Confidences of one state."""
-        return self.chosen(self.state == state)
-
-    def chosen(self, rows: Mask | Indices) -> ObservedConfidences:
-        """Some of them."""
-        return ObservedConfidences(*(column[rows] for column in astuple(self)))
+        return self.take(self.state == state)
 
 
 _ROUNDS = 40
@@ -371,7 +359,7 @@ def likeliest_reference(
     sizes = np.sort(np.concatenate([scores.log_size for scores in samples]))
     largest = np.log2(float(f"{2 ** (sizes[-1] + 0.02):.2g}"))
     every = max(1, len(sizes) // _SCAN_ROWS)
-    few = [scores.chosen(np.arange(len(scores)) % every == 0) for scores in samples]
+    few = [scores.take(np.arange(len(scores)) % every == 0) for scores in samples]
     candidates = (
         [*np.linspace(sizes[needed], sizes[-needed - 1], _SCANNED), largest] if len(sizes) > 2 * needed else [largest]
     )

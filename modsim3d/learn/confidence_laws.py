@@ -213,7 +213,7 @@ def quantile_scores(
 ) -> LearnedQuantiles:
     """Quantiles of confidences under each row of weights; with slopes, of what they are without them."""
     rows = resampling.weights[: 1 + _QUANTILE_REPLICATES]
-    scores = scores.chosen(np.argsort(scores.values, kind="stable"))
+    scores = scores.take(np.argsort(scores.values, kind="stable"))
     values, levels = np.full((len(rows), QUANTILES), np.nan), np.linspace(0, 1, QUANTILES)
     clipped = np.zeros(len(scores), dtype=bool) if sloped is None else scores.values <= keys.threshold
     for row, of_images in enumerate(rows):

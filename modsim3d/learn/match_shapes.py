@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
+from modsim3d.core.arrays import NOBODY, Array, Columns, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou, sizes, unions
 from modsim3d.formats.matching import Rule, image_pairs
 
@@ -30,17 +30,13 @@ _MAX_OF_WIDTH = 0.9
 
 
 @dataclass(frozen=True, eq=False)
-class SoughtBoxes:
+class SoughtBoxes(Columns):
     """Annotations that are to be detected, ordered by image."""
 
     image: Indices  # shape (n,)
     boxes_px: Array  # shape (n, 4)
     row: Indices  # of the match in the results, −1 without one, shape (n,)
     match_px: Array  # its box, NaN without one, shape (n, 4)
-
-    def __len__(self) -> int:
-        """Number of annotations."""
-        return len(self.image)
 
     @property
     def found(self) -> Mask:
@@ -182,17 +178,13 @@ def best_of(quality: Array, *taken: Indices) -> Indices:
 
 
 @dataclass(frozen=True, eq=False)
-class Overlapping:
+class Overlapping(Columns):
     """Pairs of annotations that overlap, shapes (p,)."""
 
     larger: Indices  # place of the larger one
     smaller: Indices
     share: Array  # of the smaller that lies in the larger
     union_px: Array  # the box around both, shape (p, 4)
-
-    def __len__(self) -> int:
-        """Number of pairs."""
-        return len(self.larger)
 
     @classmethod
     def of(cls, sought: SoughtBoxes, least_share: float) -> Overlapping:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import optimize
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import centres, errors_between, move, sizes
 from modsim3d.detector.false_positive_placement import depths_px, sea_levels
 from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
@@ -191,9 +191,9 @@ class Pairs:
         if key not in self._fits:
             usable = self.edges.usable
             if source is ErrorSource.ALL_PAIRS:
-                edges = self.edges[self.sure].as_measured()
+                edges = self.edges.take(self.sure).as_measured()
             else:
-                edges = self.edges[usable & (self.state == state) if source is ErrorSource.OWN_STATE else usable]
+                edges = self.edges.take(usable & (self.state == state) if source is ErrorSource.OWN_STATE else usable)
             self._fits[key] = ErrorFits(edges)
         return self._fits[key]
 
@@ -347,7 +347,7 @@ _EDGE_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class FalseSightings:
+class FalseSightings(Columns):
     """The n false positives of a labelled set, ordered by image."""
 
     image: Indices  # shape (n,)
@@ -366,10 +366,6 @@ class FalseSightings:
         known: Mask = np.asarray(np.isfinite(given).all(axis=1) & given[:, :2].any(axis=1))  # see `EVERYWHERE`
         sea = np.where(known[:, None], given, EVERYWHERE)
         return cls(image, results.boxes_px[rows], images.sizes_px[image], sea, known)
-
-    def __len__(self) -> int:
-        """Number of rows."""
-        return len(self.image)
 
     @cached_property
     def centres_px(self) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Indices
+from modsim3d.core.arrays import Array, Columns, Indices
 from modsim3d.formats.labelled import Images, LabelledSet
 from modsim3d.learn.bootstrap import Column, Resampling, widened
 
@@ -75,16 +75,12 @@ _ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class Steps(Columns):
     """Consecutive sightings of the same thing: their places among the rows given and the time between, shapes (m,)."""
 
     earlier: Indices
     later: Indices
     apart_s: Array
-
-    def __len__(self) -> int:
-        """Number of pairs."""
-        return len(self.earlier)
 
 
 @dataclass(frozen=True)

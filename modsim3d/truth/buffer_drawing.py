@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges
+from modsim3d.core.arrays import Array, Columns, Indices, Mask, extents, ranges
 from modsim3d.geometry.camera import Intrinsics, clip_triangles, guard_planes
 from modsim3d.render.id_pass import IdRenderer, Ids, Region, Sheet
 from modsim3d.truth.outlines import OutlinePart, Outlines
@@ -22,7 +22,7 @@ them back into the image."""
 
 
 @dataclass(frozen=True, eq=False)
-class Triangles:
+class Triangles(Columns):
     """Drawn triangles of the rows of `Outlines`: T triangles, ordered by row."""
 
     row: Indices  # of the outlines, shape (T,)
@@ -35,10 +35,6 @@ class Triangles:
         """No triangles."""
         nothing = np.empty(0, dtype=np.int64)
         return cls(nothing, np.empty((0, 3, 2)), np.empty((0, 3)), nothing.astype(bool))
-
-    def take(self, chosen: Mask | Indices) -> Triangles:
-        """The chosen triangles, given by a mask, shape (T,), or by indices, shape (k,)."""
-        return Triangles(self.row[chosen], self.corners_px[chosen], self.inverse_depth[chosen], self.of_whole[chosen])
 
 
 def within_guard(outlines: Outlines, intrinsics: Intrinsics, supersample: int = 1, guard_px: float = GUARD_PX) -> Mask:
@@ -75,9 +71,7 @@ def triangles_of(
         if not uncut.all():
             rest = part.take(~uncut)
             found += _clipped(rest, outlines.crosses_near[rest.rows], intrinsics, supersample, guard_px)
-    names = ("row", "corners_px", "inverse_depth", "of_whole")
-    columns = (np.concatenate([getattr(some, name) for some in found]) for name in names)
-    triangles = Triangles(*columns)
+    triangles = Triangles.join(found)
     return triangles.take(np.argsort(triangles.row, kind="stable"))
 
 

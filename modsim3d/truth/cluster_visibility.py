@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask, distinct, extents, ranges, run_starts
+from modsim3d.core.arrays import Array, Columns, Indices, Mask, distinct, extents, ranges, run_starts
 from modsim3d.render.id_pass import Ids, Region, Sheet
 from modsim3d.truth.buffer_drawing import BufferDrawing
 from modsim3d.truth.occlusion_order import overlapping_pairs
 from modsim3d.truth.outlines import Outlines
-from modsim3d.truth.silhouettes import Spans, joined_spans, runs_of_ids
+from modsim3d.truth.silhouettes import Spans, runs_of_ids
 
 SHEET_PX = 1024, 1024  # clusters are drawn together in buffers of this size: each costs as much as ten thousand pixels
 
@@ -43,7 +43,7 @@ class Batch:
 
 
 @dataclass(frozen=True, eq=False)
-class ClusteredPairs:
+class ClusteredPairs(Columns):
     """Pairs of rows whose pixel boxes overlap, of which one at least is a vessel; shapes (P,)."""
 
     first: Indices  # row of the outlines
@@ -60,10 +60,6 @@ class ClusteredPairs:
         label = _components(first[both], second[both], len(boxed))
         # A pair with one vessel belongs to the cluster of that vessel: a quay must not join all that lies along it.
         return cls(first, second, label[np.where(boxed[first], first, second)])
-
-    def take(self, chosen: Mask) -> ClusteredPairs:
-        """The pairs that are chosen by a mask, shape (P,)."""
-        return ClusteredPairs(self.first[chosen], self.second[chosen], self.cluster[chosen])
 
     def members(self) -> tuple[Indices, Indices]:
         """The rows of all clusters in order of cluster and row, and the cluster of each, both of shape (k,)."""
@@ -146,7 +142,7 @@ class Visibility:
         """Several buffers, one at least, as one."""
         names = ("rows", "hidden_row", "hider", "px")
         rows, *hidden = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return cls(rows, joined_spans([part.visible for part in parts]), *hidden)
+        return cls(rows, Spans.join([part.visible for part in parts]), *hidden)
 
 
 def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> Visibility:
@@ -166,7 +162,7 @@ def visibility_in(drawing: BufferDrawing, silhouettes: Spans, batch: Batch) -> V
     visible = (seen_row == inside.row[span]) | (seen_row < 0)
     pieces = Spans(inside.row[span], inside.y[span], begin - base[span], end - base[span])
     hidden = pieces.take(~visible)
-    spans = joined_spans([*outside, pieces.take(visible)])
+    spans = Spans.join([*outside, pieces.take(visible)])
     return Visibility(rows, spans, hidden.row, seen_row[~visible], hidden.stop - hidden.start)
 
 

@@ -31,7 +31,7 @@ from modsim3d.truth.occlusion import HiddenPixels, Occlusion
 from modsim3d.truth.occlusion_order import in_boxes, order_of_pairs, overlapping_pairs, pairs_by_parts
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.scan_conversion import scan_convert
-from modsim3d.truth.silhouettes import Spans, counts_and_boxes, joined_spans, spans_of_ids, winding_spans
+from modsim3d.truth.silhouettes import Spans, counts_and_boxes, spans_of_ids, winding_spans
 
 DEPTH_ERROR = 1e-4
 """Solids that are apart by less than this share of their distance are left to the depth buffer. Its 24 bits hold depths
@@ -144,12 +144,12 @@ def rendered_spans(
             cut = np.zeros(len(outlines), dtype=bool)
             cut[seen.rows] = True
             uncut, parts = silhouettes.take(~cut[silhouettes.row]), seen.visible
-            return silhouettes, joined_spans([uncut, parts.take(cut[parts.row])])
+            return silhouettes, Spans.join([uncut, parts.take(cut[parts.row])])
     whole, shown = [Spans.none()], [Spans.none()]
     for row, masks in vessel_masks(outlines, intrinsics, renderer, supersample):
         for found, mask in ((whole, masks.silhouette), (shown, masks.visible)):
             found.append(spans_of_ids(mask * np.uint32(row + 1)).moved(masks.region.x, masks.region.y))
-    return joined_spans(whole), joined_spans(shown)
+    return Spans.join(whole), Spans.join(shown)
 
 
 def _occlusion(
@@ -211,7 +211,7 @@ def _silhouettes(drawing: BufferDrawing, whole: Mask) -> tuple[Spans, Mask]:
     to_draw = boxed & ~whole
     to_draw[refused] = True
     alone = _drawn_alone(drawing, np.flatnonzero(to_draw))
-    return (joined_spans([found, *alone]).ordered() if alone else found), to_draw
+    return (Spans.join([found, *alone]).ordered() if alone else found), to_draw
 
 
 def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]:
@@ -230,7 +230,7 @@ def _scan_converted(drawing: BufferDrawing, rows: Mask) -> tuple[Spans, Indices]
             spans, odd = Spans.none(), np.arange(len(of_part))
         found.append(Spans(of_part[spans.row], spans.y, spans.start, spans.stop))
         refused.append(of_part[odd])
-    spans = found[-1] if len(found) <= 2 else joined_spans(found).ordered()
+    spans = found[-1] if len(found) <= 2 else Spans.join(found).ordered()
     return spans, np.concatenate(refused)
 
 
@@ -259,7 +259,7 @@ def _in_order(
     if unknown.any():
         doubtful |= _behind_both(pairs, ranks, boxes, one[unknown], other[unknown])
     in_order = pairs.take(~np.isin(pairs.cluster, pairs.cluster[doubtful])) if doubtful.any() else pairs
-    every = joined_spans([silhouettes, spans]).ordered() if len(spans.row) else silhouettes
+    every = Spans.join([silhouettes, spans]).ordered() if len(spans.row) else silhouettes
     return OrderedClusters(in_order, ranks, every)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import TypeVar
@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from modsim3d.core.arrays import Array, Indices, Mask, ranges, run_starts
+from modsim3d.core.arrays import Array, Columns, Indices, Mask, ranges, run_starts
 from modsim3d.geometry.camera import Intrinsics, clip_triangles, near_plane
 from modsim3d.geometry.kinematics import union_of
 from modsim3d.render.id_pass import SUBPIXELS
@@ -199,7 +199,7 @@ def faces_union(triangles_px: Array, *, both_sides: bool = True) -> shapely.Geom
 
 
 @dataclass(frozen=True, eq=False)
-class Spans:
+class Spans(Columns):
     """Runs of pixels of n silhouettes; shapes (m,)."""
 
     row: Indices  # index of the silhouette
@@ -212,10 +212,6 @@ class Spans:
         """No spans."""
         empty = np.empty(0, dtype=np.int64)
         return cls(empty, empty, empty, empty)
-
-    def take(self, chosen: Mask | Indices) -> Spans:
-        """The chosen spans, given by a mask, shape (m,), or by indices, shape (k,)."""
-        return Spans(self.row[chosen], self.y[chosen], self.start[chosen], self.stop[chosen])
 
     def ordered(self) -> Spans:
         """The spans in order of silhouette."""
@@ -248,13 +244,6 @@ def counts_and_boxes(spans: Spans, count: int) -> tuple[Array, Array]:
         np.maximum.at(high[axis], row, of_rows(np.maximum, stops))
     boxes: Array = np.where(pixels > 0, np.concatenate([low, high]), _NO_BOX[:, None]).T.copy()
     return pixels, boxes
-
-
-def joined_spans(parts: Sequence[Spans]) -> Spans:
-    """Spans of several sets, one at least, one set after another."""
-    if len(parts) == 1:
-        return parts[0]
-    return Spans(*(np.concatenate([getattr(part, name) for part in parts]) for name in ("row", "y", "start", "stop")))
 
 
 def runs_of_ids(ids: NDArray[np.uint32]) -> tuple[Indices, Indices]:
@@ -364,4 +353,4 @@ def winding_spans(vertices_px: Array, solid: Solid, image_size_px: tuple[int, in
     """The spans of n closed solids inside an image. Projected vertices are all in front of the near plane, in buffer
     pixels like the width and height of the buffer, shape (n, K, 2)."""
     width, height = image_size_px
-    return joined_spans([some.spans(width, height) for some in _Edges.of(vertices_px, solid, height).portions()])
+    return Spans.join([some.spans(width, height) for some in _Edges.of(vertices_px, solid, height).portions()])

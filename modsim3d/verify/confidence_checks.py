@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import special
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.core.boxes import sizes
 from modsim3d.detector import confidence
 from modsim3d.detector.chain import DetectorPart, model_name
@@ -218,7 +218,7 @@ class Clipped:
 
 
 @dataclass(frozen=True, eq=False)
-class ScoredDetections:
+class ScoredDetections(Columns):
     """Detections of a state with their confidence and what it may depend on; shapes (n,). `hidden` is the share of the
     vessel that is hidden, 0 where there is none; `halvings` says how often the reference size must be halved to give
     that of the box. Confidence persists among equal rows of `tracks`, shape (n, 2), which are those of a vessel in a
@@ -229,11 +229,6 @@ class ScoredDetections:
     halvings: Array
     tracks: Indices
     times_s: Array
-
-    def __add__(self, other: ScoredDetections) -> ScoredDetections:
-        """The detections of both."""
-        columns = zip(astuple(self), astuple(other), strict=True)
-        return ScoredDetections(*(np.concatenate(pair) for pair in columns))
 
 
 def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Parameter]:
@@ -246,7 +241,7 @@ def confidence_checks(model: DetectorModel, evidence: Evidence) -> list[Paramete
         true, false = scored(evidence, s, law)
         groups = [(".true", law.true, true), (".false", law.false, false)]
         if law.true is law.false:
-            groups = [("", law.true, true + false)]
+            groups = [("", law.true, ScoredDetections.join([true, false]))]
         for name, scores, found in groups:
             path = f"states.{state.name}.confidence{name}"
             parameters += [

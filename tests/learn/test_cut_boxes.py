@@ -101,7 +101,7 @@ def test_errors_come_back_from_boats_that_the_edge_and_the_matching_cut(law, met
 
 def test_models_that_are_left_out_are_not_learned() -> None:
     edges = learned_from(detected(MIXED, 300, 1), replicates=0).observed.pairs.edges
-    fits = ErrorFits(edges[edges.usable])
+    fits = ErrorFits(edges.take(edges.usable))
     assert choose_law(fits, 0.0, frozenset()).unit == "mixed"
     assert choose_law(fits, 0.0, frozenset({"mixed"})).unit in ("px", "relative")
     assert choose_law(fits, 0.0, frozenset({"mixed", "relative", "student_t"})) == choose_law(

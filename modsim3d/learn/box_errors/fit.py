@@ -46,11 +46,11 @@ class Gate:
         risky = np.zeros(len(edges), dtype=bool)
         for first in range(0, len(edges), _SCREENED_AT_ONCE):
             screened = np.arange(first, min(first + _SCREENED_AT_ONCE, len(edges)))
-            risky[screened] = _may_fail(stretched, edges[screened])
+            risky[screened] = _may_fail(stretched, edges.take(screened))
         rows = np.flatnonzero(risky)
         if not len(rows):
             return None
-        ours = edges[rows]
+        ours = edges.take(rows)
         near = (ours.inward_px < _NEAR_SHARE * ours.sides_px) @ 2 ** np.arange(4)
         width, height = ours.sides_px[:, 0], ours.sides_px[:, 1]
         order = rows[np.lexsort((width / height, np.round(2 * np.log2(width * height)), near))]
@@ -60,7 +60,7 @@ class Gate:
         stands[order] = np.arange(len(order)) * number // len(order)
         wanted = max(_BOXES * _POINTS, _POINTS_FOR_EACH * len(order)) / number
         return cls(
-            edges[chosen], normal_points(number, 1 << int(np.log2(np.clip(wanted, _POINTS, 16 * _POINTS)))), stands
+            edges.take(chosen), normal_points(number, 1 << int(np.log2(np.clip(wanted, _POINTS, 16 * _POINTS)))), stands
         )
 
     @property
@@ -120,7 +120,7 @@ def _may_fail(model: ErrorModel, edges: MatchedEdges) -> Mask:
     largest = np.abs(mean) + std * np.maximum(standard.max(axis=1), -standard.min(axis=1))
     rows = np.flatnonzero(~edges.surely_passes(largest @ np.abs(OUTWARD).T))
     risky = np.zeros(len(edges), dtype=bool)
-    risky[rows] = _fails(model, edges[rows], standard[rows]).any(axis=1)
+    risky[rows] = _fails(model, edges.take(rows), standard[rows]).any(axis=1)
     return risky
 
 
@@ -338,7 +338,7 @@ def gain_beside_strays(fit: ErrorFit, plain: ErrorFit) -> float:
         strays = likeliest[own[likeliest] < stray[likeliest]]
         if not len(strays):
             break
-        model = fit_errors(model, edges[np.setdiff1d(np.arange(len(edges)), strays)]).model
+        model = fit_errors(model, edges.take(np.setdiff1d(np.arange(len(edges)), strays))).model
         own = log_likelihoods(model, edges, plain.gate)
         best = max(best, value(own))
     return value(log_likelihoods(fit.model, edges, fit.gate)) - best

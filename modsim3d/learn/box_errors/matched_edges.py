@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy import optimize, special
 
-from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.arrays import Array, Columns, Indices, Mask
 from modsim3d.detector.box_error import symmetric_root
 from modsim3d.detector.model import ERROR_PAIRS
 from modsim3d.formats.matching import Rule
@@ -28,7 +28,7 @@ ERRORS = np.linalg.inv(OUTWARD)  # e_x, e_y, e_w, e_h from how far each edge lie
 
 
 @dataclass(frozen=True, eq=False)
-class MatchedEdges:
+class MatchedEdges(Columns):
     """Edges of n matched boxes in the order x_min, y_min, x_max, y_max.
 
     Attributes:
@@ -73,23 +73,6 @@ class MatchedEdges:
             image,
         )
 
-    def __len__(self) -> int:
-        """Number of boxes."""
-        return len(self.truth_px)
-
-    def __getitem__(self, rows: Indices | Mask) -> MatchedEdges:
-        """Some of the boxes."""
-        return MatchedEdges(
-            self.truth_px[rows],
-            self.outward_px[rows],
-            self.known[rows],
-            self.censored[rows],
-            self.least_px[rows],
-            self.most_px[rows],
-            self.rule,
-            self.image[rows],
-        )
-
     def without(self, boxes: Mask) -> MatchedEdges:
         """Edges without those of some boxes (n,)."""
         kept = ~boxes[:, None]
@@ -127,7 +110,7 @@ class MatchedEdges:
         """Boxes with the same edges known and censored together, with their rows."""
         pattern = (self.known + 2 * self.censored) @ 3 ** np.arange(4)
         groups = [np.flatnonzero(pattern == each) for each in np.unique(pattern)]
-        return tuple((rows, self[rows]) for rows in groups)
+        return tuple((rows, self.take(rows)) for rows in groups)
 
     @cached_property
     def unclipped(self) -> Mask:

@@ -7,13 +7,13 @@ camera are drawn as well: the depth test hides them."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 import shapely
 
-from modsim3d.core.arrays import Array, Indices, Mask, distinct, occurring
+from modsim3d.core.arrays import Array, Columns, Indices, Mask, distinct, occurring
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.geometry.curved_sea import drop_m
 from modsim3d.render.id_pass import IdRenderer, Ids, Region
@@ -22,7 +22,7 @@ from modsim3d.world.vessels import Solid, Vessel
 
 
 @dataclass(frozen=True, eq=False)
-class WorldTriangles:
+class WorldTriangles(Columns):
     """T triangles, those of a solid together, in order of occluder."""
 
     corners_m: Array  # in WCF, shape (T, 3, 3)
@@ -33,8 +33,7 @@ class WorldTriangles:
     def joined(cls, parts: Sequence[WorldTriangles]) -> WorldTriangles:
         """The triangles of several lists."""
         none = np.empty(0, dtype=np.int64)
-        parts = [cls(np.empty((0, 3, 3)), none, none), *parts]
-        return cls(*(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)))
+        return cls.join([cls(np.empty((0, 3, 3)), none, none), *parts])
 
     @classmethod
     def of_solid(cls, corners_m: Array, solid: Solid, occluder: int, number: int) -> WorldTriangles:

@@ -15,6 +15,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from modsim3d.core import arrays
 from modsim3d.core.arrays import Array, Indices, row_before
 
 NONE = 0xFFFF  # a box side, a vessel or an occluder that is not there; every place in an image is below it
@@ -142,26 +143,20 @@ def starts(frame: Indices, frames: int) -> NDArray[np.uint32]:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretches:
+class Stretches(arrays.Columns):
     """Stretches of shown steps, in order of key and time."""
 
     key: Indices  # what is so, of whom: any whole number, shape (n,)
     first: Indices  # index of the first step, shape (n,)
     until: Indices  # index of the last step, shape (n,)
 
-    def __len__(self) -> int:
-        """Number of stretches."""
-        return len(self.key)
-
     def of(self, first_key: int, stop_key: int) -> Stretches:
         """Stretches with keys first_key to stop_key − 1."""
-        here = slice(*np.searchsorted(self.key, (first_key, stop_key)).tolist())
-        return Stretches(self.key[here], self.first[here], self.until[here])
+        return self.take(slice(*np.searchsorted(self.key, (first_key, stop_key)).tolist()))
 
     def by_time(self) -> Stretches:
         """Stretches in order of their first steps and then of their keys."""
-        order = np.lexsort((self.key, self.first))
-        return Stretches(self.key[order], self.first[order], self.until[order])
+        return self.take(np.lexsort((self.key, self.first)))
 
 
 def onsets(begins: Stretches, holds: Stretches) -> Stretches:

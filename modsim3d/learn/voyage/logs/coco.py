@@ -176,7 +176,7 @@ def read_lines_log(path: Path, options: LogOptions) -> DetectionLog:
 
 
 def read_thesis_log(path: Path, content: Mapping[str, Any], options: LogOptions) -> DetectionLog:
-    """The log of a mapping from times to detections by name (Jessen & Mohr (2023), Figure 7.17); InputError if wrong."""
+    """The log of a mapping from times to detections by name (Jessen & Mohr (2023), Figure 7.17), or InputError."""
     source = f"detections {path}"
     problems = Problems(source, options.skip_bad)
     frames: list[_Frame] = []
