@@ -191,8 +191,7 @@ class Dispatch:
             yield task, report
 
     def _error(self, task: Task, death: Death) -> str | None:
-        """Error of the run whose worker died in a task; None if it is to be tried again. The log notes a worker that
-        was killed."""
+        """Error of the run whose worker died, None if it is to be tried again; a killed worker is logged."""
         if death.error is not None:
             return death.error
         note_kill(self._folder, death, [run.number for run in task.runs])

@@ -82,8 +82,7 @@ def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | No
 
 
 def in_words(mistakes: Mistakes, names: Sequence[str]) -> str:
-    """Mistakes in a frame in words, with the names of the scene's vessels; a switch is said in full, since a picture
-    does not show it."""
+    """Mistakes in a frame in words, with names of vessels; a switch, which no picture shows, is said in full."""
     lost, false = (int(np.count_nonzero(mistakes.kind == kind)) for kind in (LOST, FALSE))
     switches = np.flatnonzero(mistakes.kind == SWITCHED)
     found = (

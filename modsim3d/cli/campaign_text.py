@@ -223,8 +223,7 @@ def _display(progress: Progress, verdicts: Sequence[Verdict], once: bool) -> Gro
 
 
 def present_text(verdict: Verdict, once: bool) -> str:
-    """State of a requirement in words, by the verdict on what is done; with `once`, it is judged at the end only and
-    has no verdict yet."""
+    """State of a requirement in words, by the verdict on what is done; with `once`, there is none before the end."""
     known = "nothing yet"
     if verdict.estimate is not None:
         known = three_digits(verdict.estimate)

@@ -74,8 +74,7 @@ class _DetectedVessels:
 
 class Detector:
     """A simulated detector (Jessen & Mohr (2023), section 7.6): state, dropout and class, box error, false positives,
-    confidence, in this order. The same frames give the same detections, whatever was detected before and however a run
-    is split into chunks."""
+    confidence, in this order. The same frames give the same detections, however a run is split into chunks."""
 
     def __init__(self, model: DetectorModel, seed: int, statistics: TargetStatistics, clock: Clock) -> None:
         """Build the parts that the model asks for; the seed is the key of all its random numbers. `statistics` of the
@@ -277,8 +276,7 @@ def false_positive_rates(model: DetectorModel) -> false_positives.FalsePositiveR
 
 def target_statistics(model: DetectorModel, parts: Iterable[tuple[CameraFrames, Targets]]) -> TargetStatistics:
     """Statistics that a detector needs of a scene's targets that pass its gates: give the result to `Detector`,
-    whatever the model. `parts` together are the whole scene; they are not read if the model needs none, and the result
-    is then empty."""
+    whatever the model. `parts` are the whole scene; a model that needs none gets an empty result."""
     if not model.needs_target_statistics:
         return TargetStatistics()
     return TargetStatistics.total(

@@ -79,8 +79,7 @@ class Slope:
 
 @dataclass(frozen=True)
 class FactorTable:
-    """Factors on the odds of a miss by ranges of an attribute, one factor more than edges. Edges ascend; a value at an
-    edge is in the range above it."""
+    """Factors on the odds of a miss by ranges of an attribute between ascending edges, which are in the range above."""
 
     attribute: str
     edges: tuple[float, ...]

@@ -410,8 +410,7 @@ class FalsePositiveSource:
         self, frames: CameraFrames, detected: Targets, frame: Indices, uniforms: Array, drift_px: Array | None = None
     ) -> Array:
         """Boxes of false positives, shape (m, 4), at a frame each, (m,), from uniform numbers for place (3) and size,
-        (m, 4). Detected vessels are ordered by frame. `drift_px` is how far each has moved along the horizon, (m,);
-        None for transient ones."""
+        (m, 4). Detected vessels are ordered by frame. `drift_px` is how far persistent ones have moved, (m,)."""
         half_planes, image = frames.sea_half_planes[frame], frames.image_size_px
         centres = self.options.placement.places(half_planes, image, uniforms[:, :DRAWS], drift_px)
         halves = np.maximum(self._sizes_px(detected, len(frames), frame, uniforms[:, DRAWS]), _MIN_SIDE_PX) / 2

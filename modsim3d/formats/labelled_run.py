@@ -90,8 +90,7 @@ def _results(rows: RunRows, frames: Indices, truth: Annotations) -> Results:
 
 def _partners(results: Results, truth: Annotations, detected: Mask) -> Indices:
     """Row of the smaller vessel of each merged box, else −1: (D,). Smaller ones are `detected` (T,) and have no box of
-    their own. The tables do not say whose box each is in, so of those in the image the pair whose common box fits best
-    comes first."""
+    their own. Tables do not say whose box each is in: the pair in the image whose common box fits best comes first."""
     partner, origin = np.full(len(results), NOBODY), results.origin
     merged = np.flatnonzero(results.kind == MERGED)
     if origin is None or not len(merged):

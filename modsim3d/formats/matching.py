@@ -58,8 +58,7 @@ class Rule:
 
 def usual_method(labelled: LabelledSet, position_m: float = 0.0) -> str:
     """Provenance where the set says what each detection is of, as runs do; else in order of confidence, by IoU. Without
-    confidences, the optimal assignment; where true positions are off by some metres, boxes may hardly overlap, so it is
-    centres."""
+    confidences, the optimal assignment; centres where true positions are off, as boxes may hardly overlap."""
     if labelled.results.origin is not None:
         return "provenance"
     if position_m:
@@ -163,8 +162,7 @@ def _origins(labelled: LabelledSet) -> Indices:
 
 
 def _candidates(labelled: LabelledSet, takes_part: Mask, rule: Rule) -> Candidates:
-    """Pairs of detections that take part and annotations that the rule lets match. Raises ModsimError if there are too
-    many for the memory."""
+    """Pairs of detections that take part and annotations that may match by the rule. Raises ModsimError if too many."""
     rows, images = np.flatnonzero(takes_part), len(labelled.images)
     kept, count = [(rows[:0], rows[:0], np.empty(0))], 0
     for first, second in image_pairs(labelled.results.image[rows], labelled.annotations.image, images):

@@ -1,5 +1,4 @@
-"""Labels of a video as the truth of a scene, with what a real detector found if that is given, and what a simulated one
-needs to know of them."""
+"""Labels of a video as the truth of a scene, with a real detector's results or what a simulated one needs."""
 
 from __future__ import annotations
 

@@ -47,8 +47,7 @@ def second_derivative(times_s: Array, between: Array) -> Array:
 
 def velocities(times_s: Array, positions_m: Array, present: Mask) -> Array:
     """Velocities of V vessels that come and go, in metres per second, from positions; both of shape (n, V, 3). A vessel
-    that appears or leaves is at an end of its sequence. Zero where a vessel is not `present` (n, V), or present at one
-    time only. Times (n,) ascend."""
+    that appears or leaves is at an end of its sequence. Zero where a vessel is not `present` (n, V), or once only."""
     between = slopes(times_s, positions_m)
     known = present[:-1] & present[1:]
     central = first_derivative(times_s, between)

@@ -233,8 +233,7 @@ WorkerCount = int | Literal["auto"]  # number of worker processes; `auto`: one f
 
 
 def worker_count(workers: WorkerCount, name: str = "workers") -> int:
-    """The number of workers that is asked for; `name` is what an error calls it. Raises ModsimError if it is neither
-    such a number nor `auto`."""
+    """The number of workers that is asked for. Raises ModsimError, which calls it `name`, if there is no such one."""
     if isinstance(workers, str) and workers == "auto":
         return min(_usable_cpus(), MAX_WORKERS)
     if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MAX_WORKERS:

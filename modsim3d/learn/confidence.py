@@ -276,8 +276,7 @@ def _normal_fit(
 
 def _sloped_distance(scores: ObservedConfidences, fit: SlopeFit, kind: int, threshold: float) -> float:
     """Largest difference between the distribution function of the levels of confidences (n,) and that of uniform ones.
-    A level is the probability of a smaller confidence in the fit. That of a clipped one is anywhere below or above that
-    of its bound."""
+    A level is the probability of a smaller confidence in the fit; that of a clipped one lies beyond its bound's."""
     means, std = fit.means[0, kind] - fit.shift(scores), fit.stds[0, kind]
     level = special.ndtr((scores.values - means) / std)
     low = np.where(scores.values <= threshold, 0.0, level)

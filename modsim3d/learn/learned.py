@@ -187,8 +187,7 @@ _MAX_LOST = 0.03  # share of false detections that may be boxes of vessels that 
 
 
 def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
-    """Numbers whose intervals would not hold the truth as often as they say, by state and the beginning of their keys,
-    with the reason."""
+    """Numbers whose intervals would hold the truth too rarely, by state and beginning of their keys, with why."""
     unknown: dict[tuple[str | None, str], str] = {}
     of_state = observed.image_state[observed.labelled.results.image[observed.false]]
     matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false detections

@@ -102,8 +102,7 @@ def learned_files(result: LearnResult, out: Path) -> dict[Path, bytes | str]:
 
 
 def detector_files(out: Path) -> list[Path]:
-    """The detector file, its page, and what says how well its numbers are known. Raises InputError if the page would be
-    the detector file itself."""
+    """The detector file, its page, and how well numbers are known. Raises InputError if the page would be the file."""
     page = out.parent / f"{out.stem}.html"
     if os.path.realpath(page) == os.path.realpath(out):
         raise InputError("--out", [f"the page would be written over the detector file: name it .yaml (got {out})"])
@@ -169,8 +168,7 @@ class LearnInputs:
         return (*self.read, *(path for run in self.runs for path in read_of_run(run.folder)))
 
     def learn(self, request: LearnRequest, call: str) -> LearnResult:
-        """Learn a detector. `call` is the command, or the call from Python, for the page. Raises ModsimError if nothing
-        can be learned from this."""
+        """Learn a detector; the page shows `call`. Raises ModsimError if nothing can be learned from this."""
         interval_s = self.runs[-1].scene.detector.transition_interval_s if self.runs else None
         settings = request.settings(self.labelled)
         options = replace(request.options(interval_s), check=request.check)

@@ -114,8 +114,7 @@ _TRIALS = 200
 @dataclass(frozen=True)
 class ClassForm:
     """Effects on the odds of a miss, and the rough correlation time of misses, 0 if they do not persist. `things_keep`
-    says whether each thing keeps a share of the noise for as long as it is seen, `scored` whether one score stands
-    behind misses and confidence."""
+    says whether things keep a share of the noise, `scored` whether one score stands behind misses and confidence."""
 
     effects: tuple[EffectTerm, ...]
     class_s: float

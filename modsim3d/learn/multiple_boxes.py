@@ -21,8 +21,7 @@ from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, in
 
 @dataclass(frozen=True, eq=False)
 class ConsecutiveTrials:
-    """Pairs that could have been merged, or vessels that could have a false detection on them, and which of them follow
-    each other."""
+    """Pairs that could have been merged, or vessels with a possible false detection, and which follow each other."""
 
     trials: Trials
     steps: Steps

@@ -121,8 +121,7 @@ def overlaps(report: LearnReport) -> Overlaps:
 
 
 def learned_from(report: LearnReport, name: str, sources: Sequence[str]) -> str:
-    """Sentence with the count of learned numbers and their data. `name` is that of the detector file, `sources` are the
-    labelled sets as given."""
+    """Sentence with the count of numbers in the detector file `name`, and their data, the labelled sets `sources`."""
     labelled, learned = report.labelled, report.learned
     numbers = sum(np.size(each.estimate) for each in learned.intervals(report.level) if each.key.remark != NOT_WRITTEN)
     matches = len(learned.observed.matched.pairs[0])

@@ -111,8 +111,7 @@ def parse_match(text: str | None) -> dict[str, Any]:
 
 
 def parse_states(given: int | Mapping[str, Sequence[str]] | Sequence[str] | None, caller: str) -> dict[str, Any]:
-    """States as `LearnRequest` has them: from a mapping, from texts such as `good=day,cloudy`, or their number. Raises
-    InputError for anything else."""
+    """States of a `LearnRequest` from a mapping, texts such as `good=day,cloudy`, or their number; else InputError."""
     if given is None:
         return {}
     if isinstance(given, list) and len(given) == 1 and given[0].isdecimal() and int(given[0]):

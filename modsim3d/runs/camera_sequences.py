@@ -22,8 +22,7 @@ from modsim3d.truth.outlines import Outlines
 
 @dataclass(frozen=True, eq=False)
 class SequenceTruth(Columns):
-    """The vessels in a camera's images: n rows in order of frame and vessel, each column of shape (n,) but for the
-    boxes."""
+    """The vessels in a camera's images: n rows in order of frame and vessel, (n,) but for the boxes."""
 
     frame: Indices  # row of the camera's frames
     vessel: Indices  # index of the vessel

@@ -32,8 +32,7 @@ _DOUBLINGS = 60
 
 @dataclass(frozen=True, eq=False)
 class FootErrors(Columns):
-    """Errors of n boxes in pixels: of the centre's column and row and of the foot's row; and of the left, right and
-    lower edge."""
+    """Errors of n boxes in pixels: of the centre's column and row, the foot's row, and left, right and lower edge."""
 
     means: Array  # (n, 3)
     covariances: Array  # (n, 3, 3)
@@ -300,8 +299,7 @@ def _turn_least(changes: Array) -> Array:
 
 def _on_the_sea(flat_per_m: Array, horizon_per_m: Array, covariance: Array) -> Array:
     """Covariances of bearing and inverse range from those of bearing and flat inverse range, shape (n, 2, 2). The slope
-    is that between one standard deviation less and one more: at the horizon of a curved sea that of the curve itself is
-    infinite."""
+    is between one standard deviation less and one more: at the horizon of a curved sea the curve's is infinite."""
     std = np.sqrt(covariance[:, 1, 1])
     more, less = (inverse_range(flat_per_m + side * std, horizon_per_m) for side in (1, -1))
     slope = np.where(std > 0, (more - less) / np.where(std > 0, 2 * std, 1.0), 1.0)

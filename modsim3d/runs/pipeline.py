@@ -41,8 +41,7 @@ Range = tuple[int, int]  # the first step of a block, and the step after its las
 
 @contextmanager
 def open_renderer(scene: Scene) -> Iterator[IdRenderer | None]:
-    """The ID renderer that a scene's truth needs; None if its source needs none. Raises RendererError if there is no
-    OpenGL library."""
+    """The ID renderer that a scene's truth needs, or None. Raises RendererError if there is no OpenGL library."""
     if scene.annotation.source != "rendered":
         yield None
         return

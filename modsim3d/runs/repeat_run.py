@@ -148,8 +148,7 @@ class Repetition:
 def repeat_run(
     run: FinishedRun, again: Path, *, workers: WorkerCount = 1, progress: Callable[[int], None] = lambda steps: None
 ) -> Repetition:
-    """Run the scene of a finished run, from `read_finished`, into a new folder, and compare. Raises ModsimError if the
-    scene cannot be run here."""
+    """Run the scene of a run from `read_finished` into a new folder, and compare. Raises ModsimError if it cannot."""
     folder, content, _, scene = run
     listed: FileList = content.get("files") or {}
     thesis = [name for name in listed if name.startswith(tuple(THESIS_LINES)) and name.endswith(".json")]

@@ -61,8 +61,7 @@ class Selection:
 
 
 def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
-    """Indices of the cameras with these names; of all cameras if no name is given. Raises ModsimError for a name that
-    no camera of the run has."""
+    """Indices of the cameras with these names, of all if there is none. Raises ModsimError for an unknown name."""
     known = [camera.name for camera in run.scene.cameras]
     unknown = [name for name in names if name not in known]
     if unknown:

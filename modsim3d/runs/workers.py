@@ -223,8 +223,7 @@ BlockWorkers = Workers[BlockMaker]
 def open_block_workers(
     scene: Scene, workers: WorkerCount, truth_run: Path | None = None
 ) -> AbstractContextManager[BlockWorkers]:
-    """One worker in this process, and perhaps more in processes of their own; see `BlockMaker`. Raises RendererError if
-    there is no OpenGL library."""
+    """One worker in this process, and more in others, see `BlockMaker`. Raises RendererError without OpenGL."""
     return open_workers(workers, IF_KILLED, _open_block_maker, scene, truth_run, here_too=True)
 
 

@@ -246,8 +246,7 @@ def _share(
 
 
 def miss_probabilities(model: DetectorModel, evidence: Evidence) -> Array:
-    """Expected probability that each instance is missed, shape (n,): 1 where a gate keeps it from being seen, 0 of one
-    that is in another's box."""
+    """Expected probability that each instance is missed, (n,): 1 if a gate hides it, 0 if it is in another's box."""
     expected = expected_outcomes(model, evidence)
     return np.where(expected.tested, expected.missed, np.where(expected.passed, 0.0, 1.0))
 

@@ -111,8 +111,7 @@ class FitStep:
 
 
 def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> FitStep | None:
-    """One step of the fit from a law to a sample of the table's truth; None where errors say nothing about some
-    parameter."""
+    """One step of the fit from a law to a sample of the table's truth; None where errors miss a parameter."""
     boxes = sample.boxes_px[sample.rows]
     weights, gains = law.score_weights(boxes)
     expected, products, acceptance = table.of(law, sample.boxes_px, sample.images_px, sample.rows)

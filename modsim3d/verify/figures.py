@@ -19,8 +19,7 @@ from modsim3d.view.pages import charts
 
 
 def run_lengths(evidence: Evidence) -> Indices:
-    """Number of runs of misses by length from 0 on, shape (most + 1,); one ends where the vessel is found or not
-    annotated."""
+    """Number of runs of misses by length from 0 on, (most + 1,); one ends where the vessel is found or ignored."""
     instances = evidence.instances
     missed = instances.outcome == -1
     length = missed.astype(np.int64)

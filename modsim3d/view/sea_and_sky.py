@@ -160,8 +160,7 @@ def _place(sine: Floats) -> NDArray[np.int32]:
 
 @cache
 def _tables(night: bool) -> tuple[Floats, Floats]:
-    """Colours of the sea and then of the sky, shape (2 TABLE, 3), and the share that the sea mirrors, shape (TABLE,),
-    by the sine of the angle."""
+    """Colours of sea and sky, (2 TABLE, 3), and the share that the sea mirrors, (TABLE,), by the sine of the angle."""
     colours = NIGHT if night else DAY
     sine = np.linspace(0, 1, TABLE, dtype=np.float32)
     low, high = np.array(colours.horizon, np.float32), np.array(colours.zenith, np.float32)

@@ -1,6 +1,5 @@
 """A scene in light and shade: sea, sky, sun, vessels in their colours, obstacles, and own ship's bow if it has a mesh.
-Which pixel shows which vessel is as in the ID buffer of the same size. Light, fog and night are illustration: the
-simulation does not use them."""
+Pixels show vessels as the ID buffer of the same size does. Light, fog and night are no part of the simulation."""
 
 from __future__ import annotations
 

@@ -81,8 +81,7 @@ class Sea:
         return self.frequencies_rad_s**2 / GRAVITY_M_S2
 
     def phases_at(self, times_s: Array, positions_m: Array) -> Array:
-        """Phase of each wave, k · x − ω t + ε, in radians: (n, N), at times since the scene's first step (n,) and
-        places in WCF (n, 2 or 3)."""
+        """Phase of each wave, k · x − ω t + ε, in radians: (n, N), at times (n,) and places in WCF (n, 2 or 3)."""
         way = positions_m[:, 0] * math.cos(self.direction_rad) + positions_m[:, 1] * math.sin(self.direction_rad)
         return self.wave_numbers_rad_m * way[:, None] - self.frequencies_rad_s * times_s[:, None] + self.phases_rad
 

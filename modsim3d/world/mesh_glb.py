@@ -121,8 +121,7 @@ class Glb:
 
 
 def read_glb(file: BinaryIO, size: int) -> Glb:
-    """The content of a GLB file. Raises `Refused` if it is not GLB, contradicts itself, is too large, or refers to
-    other files."""
+    """The content of a GLB file. Raises `Refused` if it is wrong, too large, or refers to other files."""
     header = file.read(20)
     if len(header) < 20 or header[:4] != b"glTF" or header[16:20] != b"JSON":
         raise Refused("is not a GLB file: it does not begin as binary glTF does")

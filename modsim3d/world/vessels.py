@@ -393,8 +393,7 @@ def find_shape(name: str, path: str, built_in: tuple[str, ...] = ()) -> tuple[So
 
 
 def shape_problem(vertices: Array, faces: np.ndarray) -> str | None:
-    """Reason why vertices (K, 3) in units of length, beam and air draft and faces (F, 3) cannot be a vessel's shape;
-    None if they can."""
+    """Reason why vertices (K, 3), in units of the extents, and faces (F, 3) are no vessel's shape, or None."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or not len(vertices) or not np.isfinite(vertices).all():
         return f"vertices must be finite, of shape (K, 3) (got {vertices.shape})"
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu":

@@ -138,8 +138,7 @@ MAX_ERRORS, MAX_NUMBERS = 20, 8
 def worst_sections(
     folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], advance: Callable[[int], None]
 ) -> list[Block]:
-    """The worst runs, each with the moment at which it went wrong and the commands that show more; `advance` is called
-    with 1 after each run."""
+    """The worst runs, the moment at which each went wrong, and commands that show more; `advance(1)` follows each."""
     found = worst_runs(folder, table, verdicts, WORST) if len(table) else []
     about = (
         "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "

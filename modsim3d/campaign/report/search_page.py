@@ -34,8 +34,7 @@ NO_RATE = (
 
 
 def write_search_page(folder: CampaignFolder, path: Path, command: str | None = None) -> str:
-    """Write the page of a search, and return its first sentence. Raises ModsimError if the trials are damaged, or the
-    page cannot be written."""
+    """Write the page of a search, and return its first sentence. Raises ModsimError as `write_page`."""
     search, table = folder.keys.search, search_table(folder)
     assert search is not None
     write_files({path: search_page(folder, search, table, command)})

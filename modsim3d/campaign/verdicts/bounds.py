@@ -18,8 +18,7 @@ VARIATION_FROM_ZERO = 1.1
 
 
 def skewed_bounds(values: Array, alpha: float, greatest: float = math.inf) -> Array:
-    """Lower bounds of the means of the rows of `values`, (…, n), which may be skewed towards low ones, see
-    `corrected_bounds`."""
+    """Lower bounds of the means of rows of `values`, (…, n), see `corrected_bounds`."""
     count, mean = values.shape[-1], values.mean(axis=-1)
     falls = mean[..., None] - values
     variance, cubed = (falls**2).mean(axis=-1), (falls**3).mean(axis=-1)

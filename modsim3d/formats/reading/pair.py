@@ -118,8 +118,7 @@ def _left_out(labelled: LabelledSet, condition: str, kind: str) -> Iterator[str]
 
 def compared(labelled: LabelledSet, form: BoxForm) -> Iterator[tuple[BoxRows, KnownBoxes]]:
     """The most confident detections, as many as there are annotations, in the form of their file, with annotations;
-    then the annotations that are nearest to these, with them. The size of images that do not say it is taken to be as
-    far as annotations reach."""
+    then the annotations that are nearest to these, with them. Images of unknown size reach as far as annotations."""
     images, results = labelled.images, labelled.results
     solid = ~labelled.annotations.crowd  # what is ignored is found, too
     image, annotated_px = labelled.annotations.image[solid], labelled.annotations.boxes_px[solid]
@@ -142,8 +141,7 @@ def _box_rows(images: Images, image: Indices, boxes_px: Array, form: BoxForm) ->
 
 
 def read_truth(truth: StrPath, options: ReadOptions = NO_OPTIONS) -> tuple[LabelledSet, str]:
-    """Read the truth of labelled videos without any detections, and say of which kind it is, see `file_kind`. Raises
-    InputError if it is wrong."""
+    """The truth of labelled videos without detections, and its kind, see `file_kind`; InputError if it is wrong."""
     path = as_path(truth, "truth")
     if not path.exists():
         raise InputError(f"truth {path}", ["no such file or folder"])

@@ -48,8 +48,7 @@ def noted_cameras(scene: Path) -> Mapping[str, Mapping[str, Any]]:
 
 
 def noted_clock_s(scene: Path, camera: str) -> float:
-    """Seconds to add to the times of a camera's logs, as noted beside a scene file; 0 if nothing is. Raises InputError
-    if the file is wrong."""
+    """Seconds to add to the times of a camera's logs, as noted beside a scene file, see `noted_cameras`, or 0."""
     return float(noted_cameras(scene).get(camera, {"clock_s": 0.0})["clock_s"])
 
 
@@ -69,8 +68,7 @@ class Reports:
 
 
 def read_reports(scene: Path) -> Reports | None:
-    """The reports beside a scene file; None if the scene was not made from AIS. Raises InputError if a file beside it
-    is wrong."""
+    """The reports beside a scene file; None if it was not made from AIS. Raises InputError if they are wrong."""
     times, report = scene.parent / REPORT_TIMES, scene.parent / REPORT
     if times.is_file():
         source = f"report times {times}"

@@ -103,8 +103,7 @@ def less_noise(
 
 def _shrunk(products: Array, rest: Array, correlation: Array, taken: Mask) -> tuple[Array, Array]:
     """Factors of the standard deviations of a law, (rows, 4), and its correlations (rows, 6), after a part is taken off
-    the components `taken` (4,). `products` are means over boxes of σ_j σ_k of the law, and `rest` the covariances that
-    are left, (rows, 4, 4) each."""
+    the components `taken` (4,). `products` are means of σ_j σ_k of the law, `rest` what is left, (rows, 4, 4) each."""
     variance = np.einsum("bii->bi", products)
     least = np.maximum(np.einsum("bii->bi", rest), _MIN_PART * variance)
     factors = np.sqrt(least / np.where(variance > 0, variance, 1.0))
@@ -329,8 +328,7 @@ def report_less_truth_noise(
 
 @dataclass(frozen=True, eq=False)
 class _Jacobians:
-    """Derivatives of true boxes (n, 4, 8), with times, vessels and fits (n,), for pairs at `place` (n,). See
-    `TruthErrors` for `moved`."""
+    """Derivatives of true boxes (n, 4, 8), times, vessels and fits (n,) of pairs at `place` (n,), see `TruthErrors`."""
 
     place: Indices
     jacobians: Array

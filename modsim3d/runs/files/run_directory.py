@@ -61,8 +61,7 @@ def locked_run(folder: Path) -> Iterator[None]:
 
 class RunDirectory:
     """The folder of one run, while it is written; `locked_run` holds its lock. The truth of finished blocks is kept, so
-    that an interrupted run can be resumed. A resumed run writes the files of the detector from the start, because the
-    detector is cheap."""
+    that an interrupted run can be resumed. A resumed run writes those of the cheap detector from the start."""
 
     def __init__(
         self,
@@ -111,8 +110,7 @@ class RunDirectory:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close all files; what was written stays. Raises RunDirectoryError if the disk is full, or the files cannot be
-        written for another reason."""
+        """Close all files; what was written stays. Raises RunDirectoryError if the files cannot be written."""
         try:
             with ExitStack() as closing:  # where one cannot be closed, the others are closed all the same
                 closing.callback(self._close_lines)

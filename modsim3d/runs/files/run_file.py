@@ -123,8 +123,7 @@ Model = TypeVar("Model", bound=RunSettings)
 
 
 def read_settings(path: Path, model: type[Model]) -> tuple[dict[str, Any], Model]:
-    """The content of `run.json` or `settings.json`, as it is and validated. Raises RunDirectoryError if it is not what
-    a run has written."""
+    """The content of `run.json` or `settings.json`, as it is and validated, or RunDirectoryError."""
     try:
         content = load_json(path, "run")
         return content, model.model_validate(content)

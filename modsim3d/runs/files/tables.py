@@ -169,8 +169,7 @@ class TableWriter:
             self._write_group(ROW_GROUP_ROWS)
 
     def close(self) -> None:
-        """Write the remaining rows and the footer, unless rows before them could not be written. Raises OSError as
-        `write` does."""
+        """Write the remaining rows and the footer, unless rows before could not be written; OSError as in `write`."""
         if self._failed:
             return
         if self._waiting:

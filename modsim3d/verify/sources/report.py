@@ -136,8 +136,7 @@ def write_report(
     given: str | None = None,
 ) -> None:
     """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder.
-    The page says that the command made it, or this function if it is None; `given` is the scene as the user named it,
-    its file if None."""
+    The page says that the command or this function made it; `given` is the scene as named, else its file."""
     made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
     rests_on = _provenance(comparison, scene, renderer, made_by, given)
     contents: list[bytes | str] = [

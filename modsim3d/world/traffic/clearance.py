@@ -45,8 +45,7 @@ def rectangle_gaps(
 
 def least_gaps(sweep: Sweep, other: Sweep, interval_s: float, within_m: float) -> tuple[Array, Indices]:
     """Least gap between each of C tracks and one other over all times, and the step of it, both (C,). A gap is a lower
-    bound of the distance of the hulls at any time, between the steps too. Gaps of more than `within_m` are infinite,
-    with step 0."""
+    bound of the hulls' distance, between steps too. Those above `within_m` are infinite, with step 0."""
     speed = (sweep.speeds_m_s + other.speeds_m_s[0]) * SWING * interval_s
     reach = sweep.hull.reach_m + other.hull.reach_m + within_m
     least, step = np.full(len(sweep.tracks), np.inf), np.zeros(len(sweep.tracks), dtype=np.int64)

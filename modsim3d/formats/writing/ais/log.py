@@ -138,8 +138,7 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def own_ship(request: ExportRequest) -> tuple[int, ...]:
-    """The index of the vessel that carries the chosen cameras; empty if all are ashore. Raises ModsimError if several
-    vessels carry them."""
+    """The index of the vessel that carries the cameras; empty if all are ashore. Raises ModsimError for several."""
     request.run.scene.check_world("a log of AIS")
     names = request.run.scene.vessel_names
     carriers = {request.run.scene.cameras[index].mount.vessel for index in request.cameras} - {None}

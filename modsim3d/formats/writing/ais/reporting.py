@@ -126,8 +126,7 @@ def own_static_schedule(times_s: Indices, end_s: float) -> Schedule:
 
 def heard(schedule: Schedule, times_s: Indices, end_s: float, lost: float, draws: Array) -> Heard:
     """The reports that are sent while the vessel is there, and received. There is a fix at each of `times_s` (n,); the
-    vessel leaves at `end_s`; `lost` is the share of the reports that are lost, `draws` are uniform numbers for time and
-    loss: (m, 2)."""
+    vessel leaves at `end_s`; `lost` is the share that is lost, `draws` are uniform numbers: (m, 2)."""
     sent = np.floor((schedule.due_s + (2 * draws[:, 0] - 1) * schedule.spread_s) / SLOT_S) * SLOT_S
     fix = np.floor(sent - AGE_S).astype(np.int64) - int(times_s[0])
     there = (fix >= 0) & (fix < len(times_s)) & (sent <= end_s) & (draws[:, 1] >= lost)

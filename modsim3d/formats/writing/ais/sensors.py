@@ -147,8 +147,7 @@ class Stay:
 
 
 def stays(scene: Scene, steps: int, carried: Sequence[Station]) -> list[list[Stay]]:
-    """The stays of each station's vessel in the first steps of a scene, in order of time, without those that hold no
-    whole second."""
+    """The stays of each station's vessel in the first steps, in order of time, of a whole second at least."""
     times_s = scene.times_s(0, steps)
     return [_stays_of(times_s, *rows) for rows in _antennas(scene, steps, carried)]
 

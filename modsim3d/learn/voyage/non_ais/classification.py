@@ -70,8 +70,7 @@ class Crossings:
 
 
 def crossings(tracks: CrossingTracks, links: Links, labelled: LabelledSet, matched: Matched) -> Crossings:
-    """Known vessels whose box a track of a vessel without a transponder comes close to, and the detections about them;
-    also those at borders."""
+    """Known vessels to whose box a vessel without a transponder comes close; detections about them and at borders."""
     known, results, number = labelled.annotations, labelled.results, len(labelled.images)
     rows, places = _meetings(tracks, labelled, matched.rule)
     met, beside = np.zeros(len(known), dtype=bool), np.zeros(len(tracks.image), dtype=bool)

@@ -81,8 +81,7 @@ def rates_of(
     inflation: float,
 ) -> tuple[StateRates, ...]:
     """The rates in each state; the state of each image is −1 for none, (I,). `found` says that the data show things
-    that last as vessels do, and `inflation` is the factor by which flicker that stays raises the variance of the number
-    of its detections."""
+    that last as vessels do, and `inflation` is by what flicker that stays raises the variance of that number."""
     weights = resampling.weights
     rates = []
     for index, name in enumerate(states):

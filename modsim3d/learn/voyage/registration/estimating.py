@@ -132,8 +132,7 @@ def estimate(
 
 
 def linearized(aligner: Aligner, aligned: Alignment) -> Linear:
-    """The fit as a regression in plausible distances, with a column for each of `PROBED`. Raises ModsimError if there
-    is nothing to fit."""
+    """The fit as a regression in plausible distances, with a column for each of `PROBED`; ModsimError without any."""
     if not len(aligned.residuals.row):
         raise ModsimError("registration: no match is left")
     px, slopes = _px_and_slopes(aligner, aligned)

@@ -94,8 +94,7 @@ def plausible(names: Iterable[str]) -> Array:
 
 
 def held(names: Iterable[str]) -> Mask:
-    """Mask of the shared parameters that are named, by their names with or without unit, (11,). Raises ModsimError if
-    there is no such parameter."""
+    """Mask of shared parameters by their names with or without unit, (11,). Raises ModsimError if there is no such."""
     mask = np.zeros(len(SHARED), dtype=bool)
     for name in names:
         full = SHORT.get(name, name)
