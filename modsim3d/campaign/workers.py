@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection, wait
 from signal import SIGHUP, SIGINT, SIGKILL, SIGTERM, Signals
 from typing import Protocol
 
-from modsim3d.campaign.work.task import Task, TaskReport, Worker
+from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
 
@@ -223,26 +223,3 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """End the workers."""
-
-
-class ThisProcess:
-    """Does tasks one after the other, in this process."""
-
-    width = 1
-
-    def __init__(self) -> None:
-        """Start with nothing to do."""
-        self._worker, self._waiting = Worker(), list[Task]()
-
-    def submit(self, task: Task) -> None:
-        """Put a task at the end of the queue."""
-        self._waiting.append(task)
-
-    def next(self) -> tuple[Task, TaskReport | Death]:
-        """Do the first task of the queue."""
-        task = self._waiting.pop(0)
-        return task, self._worker.do(task)
-
-    def close(self) -> None:
-        """Close the OpenGL context."""
-        self._worker.close()

@@ -15,10 +15,11 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.task import Task, TaskReport
-from modsim3d.campaign.workers import LOST, Death, Engine, ThisProcess
+from modsim3d.campaign.workers import LOST, Death, Engine
 from modsim3d.core.document import Block, Where, shown
 from modsim3d.core.errors import InputError
 from modsim3d.view.pages.page import html_of
+from tests.campaign.one_process import ThisProcess
 
 
 def campaign_file(folder: Path, name: str = "campaign.yaml", **keys: Any) -> Path:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from modsim3d.campaign.workers import ThisProcess
+from tests.campaign.one_process import ThisProcess
 from tests.cli.conftest import modsim3d
 
 __all__ = ["modsim3d"]

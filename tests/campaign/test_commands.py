@@ -23,11 +23,11 @@ from modsim3d.campaign.means import same_detections
 from modsim3d.campaign.report.campaign_page import crash_sections
 from modsim3d.campaign.report.search_page import write_page
 from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.cli.campaign_run import exit_status
 from modsim3d.cli.terminal_tables import print_blocks
 from modsim3d.io.overwrite_guard import locked_folder
 from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, no_engine, run_campaign_file
+from tests.campaign.one_process import ThisProcess
 from tests.cli.conftest import Modsim3d
 from tests.cli.test_json import documented
 

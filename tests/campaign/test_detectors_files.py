@@ -10,10 +10,10 @@ import yaml
 from modsim3d.campaign.campaign import check_files
 from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.io.input_files import data_folder
 from tests.campaign.campaigns import checked_campaign, problems_of, run_campaign_file
+from tests.campaign.one_process import ThisProcess
 
 KEYS: dict[str, Any] = {
     "scene": "scenes/quay.yaml", "steps": 3, "seeds": {"traffic": 2}, "trackers": ["reference"],

@@ -12,8 +12,8 @@ import pytest
 from modsim3d import ModsimError, open_campaign
 from modsim3d.campaign.folder import LIST, planned
 from modsim3d.campaign.running import run_plan
-from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.campaigns import checked_campaign, run_campaign_file
+from tests.campaign.one_process import ThisProcess
 from tests.campaign.small_campaign import small_campaign
 from tests.cli.conftest import Modsim3d
 

@@ -16,10 +16,10 @@ from modsim3d.campaign.campaign import check_files
 from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.serving import check_worker
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.io.plugins import TRACKERS, changed_plugins, load_plugin, own_files
 from tests.campaign.campaigns import campaign_file, checked_campaign
+from tests.campaign.one_process import ThisProcess
 
 ROOT = Path(__file__).resolve().parents[2]
 TRACKER = """

@@ -14,9 +14,9 @@ from modsim3d.campaign.search_folder import search_table, trial_run
 from modsim3d.campaign.work import task as tasks
 from modsim3d.campaign.work.checking import CheckedCampaign
 from modsim3d.campaign.work.row import row_of, rules_of
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import InputError, ModsimError
 from tests.campaign.campaigns import Losing, Shuffled, checked_campaign, interrupt, no_engine
+from tests.campaign.one_process import ThisProcess
 
 pytest.importorskip("optuna")
 RATE = "detector.states.good.false_discovery_rate"

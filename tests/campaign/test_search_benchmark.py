@@ -9,8 +9,8 @@ import pytest
 from benchmarks.campaigns import search as benchmark
 from modsim3d.campaign.search import run_search
 from modsim3d.campaign.work.layers import RunLayers
-from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.campaigns import checked_campaign
+from tests.campaign.one_process import ThisProcess
 
 pytest.importorskip("optuna")
 CAMPAIGNS = Path(__file__).resolve().parents[2] / "docs" / "campaigns"

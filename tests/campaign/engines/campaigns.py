@@ -15,7 +15,8 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.running import CampaignResult, run_plan
 from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.task import Task
-from modsim3d.campaign.workers import Engine, ThisProcess
+from modsim3d.campaign.workers import Engine
+from tests.campaign.one_process import ThisProcess
 from tests.run_folders import run_files
 
 MORTAL = ("exit", "nothing", "segfault", "kill", "term", "interrupt")  # ends of the process of the tracker `mortal`

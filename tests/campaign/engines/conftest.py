@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.engines.campaigns import Campaigns
+from tests.campaign.one_process import ThisProcess
 from tests.plugin_site import Site
 
 TRACKER = """

@@ -6,10 +6,11 @@ import pytest
 
 from modsim3d.campaign.folder import killed_sentence, opened_campaign
 from modsim3d.campaign.report.campaign_page import cautions
-from modsim3d.campaign.workers import ProcessPool, ThisProcess
+from modsim3d.campaign.workers import ProcessPool
 from modsim3d.core.document import Text
 from tests.campaign.campaigns import Losing
 from tests.campaign.engines.campaigns import MORTAL, Campaigns, content
+from tests.campaign.one_process import ThisProcess
 
 CRASHES = {
     "exit": "the run ended its worker process (exit status 3)",

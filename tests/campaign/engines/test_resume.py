@@ -15,10 +15,10 @@ from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.work import task
 from modsim3d.campaign.work.row import crashed_row
 from modsim3d.campaign.work.task import TaskReport, Worker
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import OutputError
 from tests.campaign.campaigns import interrupt
 from tests.campaign.engines.campaigns import Campaigns, content
+from tests.campaign.one_process import ThisProcess
 
 STEPS = [(module, name) for module in (done_rows, folder) for name in ("make_folder", "sync_file", "sync_folder")]
 STEPS += [(folder.shutil, "rmtree"), (done_rows, "write_files"), (running, "remove_done"), (running, "write_verdicts")]

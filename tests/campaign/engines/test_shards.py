@@ -7,10 +7,10 @@ import pytest
 
 from modsim3d.campaign.done_rows import DoneRows
 from modsim3d.campaign.folder import planned
-from modsim3d.campaign.workers import ThisProcess
 from modsim3d.core.errors import ModsimError, OutputError
 from tests.campaign.campaigns import no_engine
 from tests.campaign.engines.campaigns import Campaigns, content
+from tests.campaign.one_process import ThisProcess
 
 
 def test_shards_make_each_run_once_and_the_command_without_them_gathers(campaigns: Campaigns, out: Path) -> None:

@@ -9,9 +9,9 @@ import pytest
 from modsim3d.campaign import running
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.campaigns import Losing, Shuffled
 from tests.campaign.engines.campaigns import Campaigns, Content, content
+from tests.campaign.one_process import ThisProcess
 
 
 def decided_by_the_second_seed(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
