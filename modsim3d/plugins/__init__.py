@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from modsim3d.tracking.trackers.interface import SensedFrame as SensedFrame
     from modsim3d.tracking.trackers.interface import TrackedFrame as TrackedFrame
     from modsim3d.tracking.trackers.interface import Tracker as Tracker
+    from modsim3d.tracking.trackers.world_interface import AisReport as AisReport
+    from modsim3d.tracking.trackers.world_interface import Navigation as Navigation
+    from modsim3d.tracking.trackers.world_interface import WorldFacts as WorldFacts
+    from modsim3d.tracking.trackers.world_interface import WorldFrame as WorldFrame
+    from modsim3d.tracking.trackers.world_interface import WorldStep as WorldStep
+    from modsim3d.tracking.trackers.world_interface import WorldTrackedStep as WorldTrackedStep
+    from modsim3d.tracking.trackers.world_interface import WorldTracker as WorldTracker
     from modsim3d.world.poses.base import PoseRequest as PoseRequest
     from modsim3d.world.poses.base import Poses as Poses
     from modsim3d.world.poses.base import PosesByTime as PosesByTime
@@ -29,6 +36,7 @@ _NAMES = LazyNames(
         "modsim3d.core.random_streams": "Purpose Streams",
         "modsim3d.io.validation": "Strict",
         "modsim3d.tracking.trackers.interface": "CameraFacts SensedFrame TrackedFrame Tracker",
+        "modsim3d.tracking.trackers.world_interface": "AisReport Navigation WorldFacts WorldFrame WorldStep WorldTrackedStep WorldTracker",
         "modsim3d.world.poses.base": "PoseRequest PoseSource Poses PosesByTime SourceKeys",
         "modsim3d.world.poses.replay": "LivePoses load_poses",
         "modsim3d.world.second_order_waves": "Axis",

@@ -1,6 +1,7 @@
 """Every score with trackers that give nothing, little or everything: whose fault it is that one is undefined."""
 
 import math
+import re
 from functools import cache
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from modsim3d.campaign.keys import ScoreKeys
 from modsim3d.campaign.plan import Case
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.work.row import SCORES, SHARES, facts_of, score_bounds, without_tracks
+from modsim3d.campaign.work.row import SCORES, SHARES, WORLD_SCORES, facts_of, score_bounds, without_tracks
 from modsim3d.tracking.score_text import keys_of
 from modsim3d.tracking.scores.scoring import scores_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
@@ -186,3 +187,19 @@ def test_the_page_has_what_trackers_without_tracks_do_to_each_score():
     lines = PAGE.read_text(encoding="utf-8").splitlines()
     told = [line for line in lines if line.startswith("| `") and line.split("`")[1] in SCORES]
     assert told == list(rows_of_the_page())
+
+
+def test_the_page_has_every_score_in_the_world_by_what_trackers_without_tracks_do_to_it():
+    section = PAGE.read_text(encoding="utf-8").split("## Scores in the world")[1]
+    told = {}
+    for line in (line for line in section.splitlines() if line.startswith("| `")):
+        names, empty, _, rests, _ = (cell.strip() for cell in line.strip("|").split("|") + [""])
+        names = re.findall("`(.*?)`", names)
+        more = [f"{name}_{end}" for name in names[:2] for end in ("lower", "upper")] if "_lower" in names else []
+        told |= dict.fromkeys([name for name in names if not name.startswith("_")] + more, (empty, bool(rests)))
+    assert set(told) == set(WORLD_SCORES)
+    for name, (empty, rests) in told.items():
+        facts = facts_of(name)
+        assert facts.managed == rests == (empty == "**nothing to score**"), name
+        assert facts.worst_undefined == empty.startswith("**never"), name
+        assert (facts.without_tracks == 0) == (empty == "0"), name

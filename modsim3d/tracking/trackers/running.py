@@ -103,7 +103,7 @@ def world_tracks_of(name: str, answers: Sequence[WorldTrackedStep], times_s: Arr
 
 def _world_columns(answer: WorldTrackedStep, refuse: Refuse) -> tuple[Any, ...]:
     if not isinstance(answer, WorldTrackedStep):
-        raise refuse(f"the answer to a step is a modsim3d.WorldTrackedStep, not {type(answer).__name__}")
+        raise refuse(f"the answer to a step is a modsim3d.plugins.WorldTrackedStep, not {type(answer).__name__}")
     track = _track_numbers(answer, refuse)
     count = len(track)
     whole = np.full((count, 4, 4), np.nan)
@@ -398,7 +398,9 @@ class Feed:
         except (Exception, SystemExit) as error:
             raise self._failed(error, 0) from error
         if not hasattr(answers, "__iter__"):
-            name, answer = ("follow_world", "WorldTrackedStep") if self._word == "step" else ("follow", "TrackedFrame")
+            name, answer = (
+                ("follow_world", "plugins.WorldTrackedStep") if self._word == "step" else ("follow", "TrackedFrame")
+            )
             wanted = f"{name} must yield a modsim3d.{answer} for each {self._word}"
             raise self.problem(0, f"{wanted}, not return {answers!r}")
         return iter(answers)
