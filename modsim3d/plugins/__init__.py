@@ -36,7 +36,9 @@ _NAMES = LazyNames(
         "modsim3d.core.random_streams": "Purpose Streams",
         "modsim3d.io.validation": "Strict",
         "modsim3d.tracking.trackers.interface": "CameraFacts SensedFrame TrackedFrame Tracker",
-        "modsim3d.tracking.trackers.world_interface": "AisReport Navigation WorldFacts WorldFrame WorldStep WorldTrackedStep WorldTracker",
+        "modsim3d.tracking.trackers.world_interface": (
+            "AisReport Navigation WorldFacts WorldFrame WorldStep WorldTrackedStep WorldTracker"
+        ),
         "modsim3d.world.poses.base": "PoseRequest PoseSource Poses PosesByTime SourceKeys",
         "modsim3d.world.poses.replay": "LivePoses load_poses",
         "modsim3d.world.second_order_waves": "Axis",

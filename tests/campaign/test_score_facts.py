@@ -193,7 +193,7 @@ def test_the_page_has_every_score_in_the_world_by_what_trackers_without_tracks_d
     section = PAGE.read_text(encoding="utf-8").split("## Scores in the world")[1]
     told = {}
     for line in (line for line in section.splitlines() if line.startswith("| `")):
-        names, empty, _, rests, _ = (cell.strip() for cell in line.strip("|").split("|") + [""])
+        names, empty, _, rests, _ = (cell.strip() for cell in [*line.strip("|").split("|"), ""])
         names = re.findall("`(.*?)`", names)
         more = [f"{name}_{end}" for name in names[:2] for end in ("lower", "upper")] if "_lower" in names else []
         told |= dict.fromkeys([name for name in names if not name.startswith("_")] + more, (empty, bool(rests)))
