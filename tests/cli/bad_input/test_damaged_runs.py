@@ -180,7 +180,8 @@ def test_a_damaged_table_is_one_error(call, run, tmp_path, name):
     backwards = table.take(pa.array(range(len(table))[::-1]))
     damages = {"backwards": backwards, "twice": pa.concat_tables([table, table]), "without a row": table.slice(1)}
     for place, column in enumerate(table.column_names):
-        damages[f"without {column}"] = table.remove_column(place)
+        if column != "iou":  # which runs before it lack
+            damages[f"without {column}"] = table.remove_column(place)
         for kind in {pa.int32(), pa.string(), pa.null()} - {table[column].type}:
             damages[f"{column} as {kind}"] = table.set_column(place, column, pa.nulls(len(table), kind))
     for what, damaged in damages.items():
