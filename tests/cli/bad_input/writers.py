@@ -31,10 +31,10 @@ def guess(run: Path) -> tuple[object, ...]:
     return ("learn", "--detector", run / "scene" / "detector.yaml", *conditions)
 
 
-def reported(run: Path) -> tuple[object, ...]:
+def report_file(run: Path) -> Path:
     report = run.parent / "report.yaml"
     report.write_text("labels: [boat]\nprecision: 0.9\nrecall: 0.8\n", encoding="utf-8")
-    return ("learn", "--from-figures", report)
+    return report
 
 
 Line = Callable[[Path, Path], tuple[object, ...]]
@@ -61,7 +61,7 @@ WRITERS: dict[str, tuple[str, Line]] = {
     ),
     "learn: page": ("d.html", lambda run, out: ("learn", run, *QUICK, "--no-check", "--out", out.with_name("d.yaml"))),
     "learn: guess": ("guess.yaml", lambda run, out: (*guess(run), "--out", out)),
-    "learn: figures": ("reported.yaml", lambda run, out: (*reported(run), "--out", out)),
+    "learn: figures": ("reported.yaml", lambda run, out: ("learn", "--from-figures", report_file(run), "--out", out)),
     "view frame": ("picture.png", lambda run, out: ("view", "frame", run, 3, "--width", 160, "--out", out)),
     "view map": ("map.png", lambda run, out: ("view", "map", run, "--width", 160, "--out", out)),
     "view film": ("film.gif", lambda run, out: ("view", "film", run, *SHORT, "--width", 160, "--out", out)),
@@ -73,6 +73,7 @@ INPUTS: dict[str, Callable[[Path], Path]] = {
     "check scene": scene_file,
     "check truth": scene_file,
     "learn: guess": lambda run: run / "scene" / "detector.yaml",
+    "learn: figures": report_file,
     "campaign table": lambda run: small_campaign(run.parent) / "plan.json",
     "campaign report": lambda run: small_campaign(run.parent) / "plan.json",
 }
