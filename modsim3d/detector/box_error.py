@@ -45,10 +45,8 @@ class MisplacedBoxes:
 
 @dataclass(frozen=True, eq=False)
 class TrueBoxes:
-    """The boxes (n, 4) of n detected vessels before errors are added, at least a pixel wide and high.
-
-    `state` is the performance state of each vessel, shape (n,).
-    """
+    """The boxes (n, 4) of n detected vessels before errors are added, at least a pixel wide and high. `state` is the
+    performance state of each vessel, shape (n,)."""
 
     frames: CameraFrames
     targets: Targets
@@ -62,11 +60,9 @@ class TrueBoxes:
 
 
 def symmetric_root(covariance: Array) -> Array:
-    """The symmetric S with S · S = covariance, shapes (4, 4); unlike a Cholesky factor it allows singular ones.
-
-    By Jacobi's rotations (Golub & Van Loan (2013), "Matrix Computations", section 8.5): they need no more than sums,
-    products, quotients and square roots, so the root has the same bits everywhere, which a library's has not.
-    """
+    """The symmetric S with S · S = covariance, shapes (4, 4); unlike a Cholesky factor it allows singular ones. By
+    Jacobi's rotations (Golub & Van Loan (2013), "Matrix Computations", section 8.5): they need no more than sums,
+    products, quotients and square roots, so the root has the same bits everywhere, which a library's has not."""
     return _symmetric_root(tuple(map(tuple, covariance.tolist())))
 
 
@@ -195,19 +191,15 @@ class BoxErrorSource:
         return standard
 
     def moments_px(self, state: Indices, sizes_px: Array) -> tuple[Array, Array]:
-        """Means (n, 4) and covariances (n, 4, 4) in pixels of errors before truncation.
-
-        States have shape (n,), widths and heights of the true boxes (n, 2).
-        """
+        """Means (n, 4) and covariances (n, 4, 4) in pixels of errors before truncation. States have shape (n,), widths
+        and heights of the true boxes (n, 2)."""
         factor, spread = self._size_factors(state, sizes_px)
         roots = (factor * spread)[:, :, None] * self.roots[state]
         return factor * self.means[state], roots @ np.swapaxes(roots, 1, 2)
 
     def in_file_units(self, state: Indices, sizes_px: Array, errors_px: Array) -> Array:
-        """Undo what the size of a box does to its errors, so that they have the mean and covariance of the file.
-
-        States have shape (n,), sizes (n, 2), errors and the result (n, ..., 4).
-        """
+        """Undo what the size of a box does to its errors, so that they have the mean and covariance of the file. States
+        have shape (n,), sizes (n, 2), errors and the result (n, ..., 4)."""
         if not (self.relative.any() or self.growths.any()):
             return errors_px
         shape = (len(state), *([1] * (errors_px.ndim - 2)), 4)
@@ -216,10 +208,8 @@ class BoxErrorSource:
         return np.where(spread > 1, means + (scaled - means) / spread, scaled) if self.growths.any() else scaled
 
     def _redraw(self, streams: Streams, purposes: LatentPurposes, true: TrueBoxes, rows: Indices) -> Array:
-        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators.
-
-        Each row has streams of its own, so resampling one leaves the first draws of other steps as they were.
-        """
+        """Errors of some rows, shape (r, 4): the first acceptable draw of each row's own generators. Each row has
+        streams of its own, so resampling one leaves the first draws of other steps as they were."""
         errors = np.empty((len(rows), 4))
         pending, drawn, draws = np.arange(len(rows)), 0, _FIRST_DRAWS
         while len(pending):

@@ -13,11 +13,9 @@ _NEXT = np.array([1, 2, 3, 0])  # the corner after each of four: `np.roll` takes
 
 
 def sea_polygons(half_planes: Array, image_size_px: tuple[int, int]) -> Array:
-    """The sea in each image: the image cut by half-planes a·x + b·y + c >= 0 (Sutherland & Hodgman (1974)).
-
-    Half-planes (a, b, c) have shape (m, 3). The convex polygons have eight corners in order, shape (m, 8, 2); one that
-    has fewer repeats some. Where no sea is in the image, the polygon is the whole image.
-    """
+    """The sea in each image: the image cut by half-planes a·x + b·y + c >= 0 (Sutherland & Hodgman (1974)). Half-planes
+    (a, b, c) have shape (m, 3). The convex polygons have eight corners in order, shape (m, 8, 2); one that has fewer
+    repeats some. Where no sea is in the image, the polygon is the whole image."""
     width, height = image_size_px
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
     a, b, c = half_planes[:, :1], half_planes[:, 1:2], half_planes[:, 2:]
@@ -43,12 +41,9 @@ def _repeat_missing(polygons: Array, present: Mask) -> Array:
 
 
 def uniform_places(half_planes: Array, image_size_px: tuple[int, int], uniforms: Array) -> Array:
-    """Points spread evenly over the sea in the image, or over the image where it shows none.
-
-    A triangle of the fan from the first corner is chosen by its area, then a point in it.
-
-    Half-planes and uniform numbers have shape (m, 3); the points, x and y in pixels, have shape (m, 2).
-    """
+    """Points spread evenly over the sea in the image, or over the image where it shows none. A triangle of the fan from
+    the first corner is chosen by its area, then a point in it. Half-planes and uniform numbers have shape (m, 3); the
+    points, x and y in pixels, have shape (m, 2)."""
     polygons = sea_polygons(half_planes, image_size_px)
     spokes = polygons[:, 1:] - polygons[:, :1]
     first, second = spokes[:, :-1], spokes[:, 1:]
@@ -111,10 +106,8 @@ class Placement:
     def _below_the_horizon(
         self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None
     ) -> Array:
-        """A depth below the horizon by its share of the weight, then a place along that level.
-
-        A place follows the horizon smoothly as it moves, which one chosen by area does not.
-        """
+        """A depth below the horizon by its share of the weight, then a place along that level. A place follows the
+        horizon smoothly as it moves, which one chosen by area does not."""
         down, along = _axes(half_planes)
         offset = half_planes[:, 2] / _length(half_planes)
         depth, across = _corners(half_planes, image_size_px)
@@ -134,10 +127,8 @@ class Placement:
         return weights
 
     def _levels(self, depth: Array) -> Array:
-        """Depths below the horizon that share out the sea in the band, closer together near the horizon.
-
-        Where the band is not in the image, they share out all the sea in it. Shape (m, nodes).
-        """
+        """Depths below the horizon that share out the sea in the band, closer together near the horizon. Where the band
+        is not in the image, they share out all the sea in it. Shape (m, nodes)."""
         least, most = depth.min(axis=1), depth.max(axis=1)
         if self.band_px is not None:
             most = np.where(least < self.band_px, np.minimum(most, self.band_px), most)
@@ -148,9 +139,7 @@ class Placement:
 
 def sea_levels(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array, Array]:
     """Depths below the horizon that share out the sea in each image, and the sea's width at each, in pixels.
-
-    Half-planes have shape (m, 3), both results (m, nodes).
-    """
+    Half-planes have shape (m, 3), both results (m, nodes)."""
     depth, across = _corners(half_planes, image_size_px)
     everywhere = Placement()
     return everywhere._levels(depth), everywhere._level_weights(depth, across)

@@ -88,10 +88,8 @@ class MergesAndSplits:
     split_aspect: float = 4.0
 
     def merged_pairs(self, noise: PairNoise, frames: CameraFrames, kept: Targets) -> Indices:
-        """Rows of the vessels that are merged if the larger is detected, the larger first, shape (k, 2).
-
-        Each row is there once at most: where pairs share a vessel, the pair that overlaps most is merged.
-        """
+        """Rows of the vessels that are merged if the larger is detected, the larger first, shape (k, 2). Each row is
+        there once at most: where pairs share a vessel, the pair that overlaps most is merged."""
         if not self.merges:
             return np.empty((0, 2), dtype=np.int64)
         pairs, overlap = _overlapping(kept, self.merge_overlap)
@@ -113,10 +111,8 @@ class MergesAndSplits:
         return long
 
     def events(self, streams: Streams, frames: CameraFrames, vessels: Targets, boxes_px: Array, single: Mask) -> Events:
-        """Duplicated and split vessels among n detected ones, and the expected numbers of both.
-
-        Boxes have their errors, shape (n, 4). `single` says which are one vessel, not two merged, shape (n,).
-        """
+        """Duplicated and split vessels among n detected ones, and the expected numbers of both. Boxes have their
+        errors, shape (n, 4). `single` says which are one vessel, not two merged, shape (n,)."""
         if not self.duplicates and not self.splits:
             nothing = np.empty(0, dtype=np.int64)
             return Events(nothing, nothing, np.empty(0), np.zeros(len(frames)))

@@ -235,11 +235,9 @@ def both_missed(p: Array) -> Array:
 
 
 def memory_shares(table: LagTable, latent: Callable[[Array], Array], resampling: Resampling) -> tuple[Array, Column]:
-    """Times of the autoregressive parts (parts,), and the share that things keep, then those of the parts.
-
-    `latent` turns the correlation of residuals into that of the numbers behind them. Replicates spread at least as when
-    single things are left out.
-    """
+    """Times of the autoregressive parts (parts,), and the share that things keep, then those of the parts. `latent`
+    turns the correlation of residuals into that of the numbers behind them. Replicates spread at least as when single
+    things are left out."""
     first = float(table.lag_s[0])
     parts = 1 + int(np.log(max(table.lag_s[-1] / _LONGEST / first, 1.0)) / np.log(_TIMES_APART))
     times_s = first * np.array([_TIMES_APART**part for part in range(parts)])
@@ -263,9 +261,7 @@ def in_seconds(times_s: Array) -> tuple[str, ...]:
 
 def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
     """Shares that are kept, then those of each time, from correlations of scores (rows, b), shape (rows, 1 + parts).
-
-    The rest of the variance is white noise, so all shares sum to one.
-    """
+    The rest of the variance is white noise, so all shares sum to one."""
     decays = np.exp(-table.lag_s[:, None] / times_s)
     design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
     weight = np.sqrt(table.weight / table.weight.max())[:, None]

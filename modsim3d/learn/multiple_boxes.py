@@ -38,11 +38,8 @@ class ConsecutiveTrials:
         )
 
     def products(self) -> Consecutive:
-        """Products of the deviations from the mean share.
-
-        A case of which it is not sure whether the pair was tried counts by its weight. It has only hits, so the
-        squares of deviations are those of as many hits and misses.
-        """
+        """Products of the deviations from the mean share. A case of which it is not sure whether the pair was tried
+        counts by its weight. It has only hits, so the squares of deviations are those of as many hits and misses."""
         hits, weight = self.trials.hits, self.trials.weight
         share = float(np.clip(hits.sum() / max(weight.sum(), 1e-12), 0, 1))
         residual = hits - share * weight
@@ -75,10 +72,8 @@ _MARGIN = 1e-4  # more than what the digits in the file can change
 @dataclass(frozen=True)
 class MultipleBoxForm:
     """Types among `counted_types.NAMES` that the data show, with their thresholds, None for one that has none.
-
     `merge_s` is the rough correlation time of merges, `on_vessel_s` of false detections on vessels, 0 if they do not
-    persist, and None if none lie on vessels.
-    """
+    persist, and None if none lie on vessels."""
 
     shown: tuple[tuple[str, float | None], ...]
     notes: tuple[str, ...]
@@ -212,10 +207,8 @@ def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> flo
 
 
 def leaves_room(observed: Observed) -> bool:
-    """Whether each state has as many false detections as second boxes and parts alone may make.
-
-    A model whose false discovery rate counts them needs that, with every vessel long, see `detector.file.agreement`.
-    """
+    """Whether each state has as many false detections as second boxes and parts alone may make. A model whose false
+    discovery rate counts them needs that, with every vessel long, see `detector.file.agreement`."""
     trials = observed.kinds.trials
     extra = sum(_share(trials[name].hits.sum(), trials[name].weight.sum()) for name in _EXTRA if name in trials)
     results = observed.labelled.results

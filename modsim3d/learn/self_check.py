@@ -1,9 +1,7 @@
-"""Whether a learned detector behaves as the real one where it was not learned.
-
-The data are split in two. Each half is simulated by what was learned from the other, over its own annotations, and what
-matters to a tracker is counted in the real results and in the simulated ones, and trackers are run over both. The
-detector that is written is learned from all data.
-"""
+"""Whether a learned detector behaves as the real one where it was not learned. The data are split in two. Each half is
+simulated by what was learned from the other, over its own annotations, and what matters to a tracker is counted in the
+real results and in the simulated ones, and trackers are run over both. The detector that is written is learned from all
+data."""
 
 from __future__ import annotations
 
@@ -144,10 +142,8 @@ def _replicate(entry: Entry, row: int) -> Entry:
 
 
 def _first_half(observed: Observed) -> Mask:
-    """Images of one half of each state: whole films, or every other quarter of a single one.
-
-    The cameras of a run see the same vessels, and are one film.
-    """
+    """Images of one half of each state: whole films, or every other quarter of a single one. The cameras of a run see
+    the same vessels, and are one film."""
     images, half = observed.labelled.images, np.zeros(len(observed.image_state), dtype=bool)
     sequence = images.sequence if observed.labelled.results.origin is None else np.zeros_like(images.sequence)
     _, film = np.unique(np.column_stack([images.source, sequence]), axis=0, return_inverse=True)

@@ -1,7 +1,6 @@
-"""Binary glTF 2.0: its description, checked against itself and its data.
-
-Section numbers are those of the glTF 2.0 specification (The Khronos Group, 2021). Materials, textures, cameras, skins
-and animations are not in the description that is read here, so that nothing can be read through them."""
+"""Binary glTF 2.0: its description, checked against itself and its data. Section numbers are those of the glTF 2.0
+specification (The Khronos Group, 2021). Materials, textures, cameras, skins and animations are not in the description
+that is read here, so that nothing can be read through them."""
 
 import base64
 import json

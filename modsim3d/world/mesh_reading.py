@@ -1,7 +1,6 @@
-"""Solids from mesh files.
-
-A mesh file may come from anywhere, so it is not trusted: its size is checked from its header before it is parsed, it is
-parsed from memory without access to folders or the network, and the result is checked again."""
+"""Solids from mesh files. A mesh file may come from anywhere, so it is not trusted: its size is checked from its header
+before it is parsed, it is parsed from memory without access to folders or the network, and the result is checked
+again."""
 
 import io
 import logging

@@ -1,13 +1,9 @@
-"""COCO ground truth and COCO results, as most detection libraries write them.
-
-Beyond COCO's own keys these are read where they are given: of an image `condition`, `sequence` (or `video_id`),
-`time_s` or `frame_id` (or `frame_index`), and `horizon`; of an annotation `ignore`, `track_id` (or `instance_id`),
-`visible_fraction` and `distance_m`; of a result `probabilities`, one for each category in their order. Boxes come from
-`bbox`; masks are ignored.
-
-`image_id` names the image of a result, or a `file_name` beside it does. Programs that know no IDs, such as
-ultralytics, write the name of the image's file without its ending as `image_id`, as a number if it is one.
-"""
+"""COCO ground truth and COCO results, as most detection libraries write them. Beyond COCO's own keys these are read
+where they are given: of an image `condition`, `sequence` (or `video_id`), `time_s` or `frame_id` (or `frame_index`),
+and `horizon`; of an annotation `ignore`, `track_id` (or `instance_id`), `visible_fraction` and `distance_m`; of a
+result `probabilities`, one for each category in their order. Boxes come from `bbox`; masks are ignored. `image_id`
+names the image of a result, or a `file_name` beside it does. Programs that know no IDs, such as ultralytics, write the
+name of the image's file without its ending as `image_id`, as a number if it is one."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
-"""KITTI's tracking labels: a line for each object, whose third word is its type.
-
-A line is frame, track, type, truncation, occlusion, angle; left, top, right and bottom of the box; height, width and
-length of the object, its x, y and z before the camera in metres, its rotation; and in results a score. Frames and
-pixels count from 0 (readme of the tracking benchmark's development kit). Occlusion is a class, and becomes the visible
-fraction. Truncation becomes the share inside the image: it is the share outside in a file where one is no whole number,
-else a class too. `DontCare` is a region to be ignored."""
+"""KITTI's tracking labels: a line for each object, whose third word is its type. A line is frame, track, type,
+truncation, occlusion, angle; left, top, right and bottom of the box; height, width and length of the object, its x, y
+and z before the camera in metres, its rotation; and in results a score. Frames and pixels count from 0 (readme of the
+tracking benchmark's development kit). Occlusion is a class, and becomes the visible fraction. Truncation becomes the
+share inside the image: it is the share outside in a file where one is no whole number, else a class too. `DontCare` is
+a region to be ignored."""
 
 import math
 from collections.abc import Iterator, Sequence

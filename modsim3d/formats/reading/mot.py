@@ -1,13 +1,12 @@
-"""MOT challenge text: `gt.txt` and `det.txt`.
-
-A line of truth is frame, identity, x, y, width, height, flag (0 is ignored), class, visibility. A line of detections is
-frame, −1, x, y, width, height, confidence, and a class if the eighth number is 1 or more; if no line has a class, there
-is only one label. A confidence of −1 in every line means that none is given. Frames and pixels count from 1: a box that
-begins at the left edge of the image has x = 1 (Milan et al. (2016), "MOT16", data format). Both count from 0 in both
-files where one of them has a frame 0, as in FVessel's: boxes that its image of 2560 columns cuts begin at 0 and end at
-2559. A `seqinfo.ini` beside or above the truth gives the size of the images, their number and the frame rate.
-Lines of ten numbers may have others in the last three: places in the world (MOT15), or class, truncation and occlusion
-(VisDrone, whose class 0 is a region to be ignored). These are recognised, and not read as class or visibility."""
+"""MOT challenge text: `gt.txt` and `det.txt`. A line of truth is frame, identity, x, y, width, height, flag (0 is
+ignored), class, visibility. A line of detections is frame, −1, x, y, width, height, confidence, and a class if the
+eighth number is 1 or more; if no line has a class, there is only one label. A confidence of −1 in every line means that
+none is given. Frames and pixels count from 1: a box that begins at the left edge of the image has x = 1 (Milan et al.
+(2016), "MOT16", data format). Both count from 0 in both files where one of them has a frame 0, as in FVessel's: boxes
+that its image of 2560 columns cuts begin at 0 and end at 2559. A `seqinfo.ini` beside or above the truth gives the size
+of the images, their number and the frame rate. Lines of ten numbers may have others in the last three: places in the
+world (MOT15), or class, truncation and occlusion (VisDrone, whose class 0 is a region to be ignored). These are
+recognised, and not read as class or visibility."""
 
 import configparser
 import math

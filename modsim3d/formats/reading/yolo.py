@@ -1,5 +1,4 @@
 """YOLO text folders: a file for each image, a line for each box: class, x, y, width, height in shares of the image.
-
 Lines of detections end with the confidence, and perhaps the number of a track. Lines of truth may end with the number
 of a track, before which a confidence may stand, as ultralytics' trackers write both. The images lie in the folder
 `images` beside `labels`, as in `set/images/val` and `set/labels/val`, or beside their labels; their files give their

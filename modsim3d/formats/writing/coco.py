@@ -1,8 +1,6 @@
-"""COCO ground truth and results out of a labelled set.
-
-Beside COCO's own keys an image has `condition`, `sequence`, `time_s` and `horizon`, its rows at the left and the right
-edge, and an annotation `track_id`, `visible_fraction` and `distance_m`, where they are known. Results name nobody.
-"""
+"""COCO ground truth and results out of a labelled set. Beside COCO's own keys an image has `condition`, `sequence`,
+`time_s` and `horizon`, its rows at the left and the right edge, and an annotation `track_id`, `visible_fraction` and
+`distance_m`, where they are known. Results name nobody."""
 
 from __future__ import annotations
 

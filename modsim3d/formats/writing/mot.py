@@ -1,13 +1,9 @@
-"""MOTChallenge: ground truth, detections and sequence files, for trackers and for the programs that score them.
-
-There are two sets. `modsim3d-all` has a sequence for each camera, of all classes as one. `modsim3d-class` has one for
-each camera and class that is in its truth or among its detections. What is scored is class 1 in both, since evaluators
-score no other class.
-
-The corner of a box is x_min + 1, y_min + 1, as the format counts pixels from 1; width and height are those of the box.
-A vessel that is in the image and not annotated (hidden, or left out by a filter) has flag 0, which means that it is
-not scored. Its class is 8, a distractor: a track that is kept on it costs nothing.
-"""
+"""MOTChallenge: ground truth, detections and sequence files, for trackers and for the programs that score them. There
+are two sets. `modsim3d-all` has a sequence for each camera, of all classes as one. `modsim3d-class` has one for each
+camera and class that is in its truth or among its detections. What is scored is class 1 in both, since evaluators score
+no other class. The corner of a box is x_min + 1, y_min + 1, as the format counts pixels from 1; width and height are
+those of the box. A vessel that is in the image and not annotated (hidden, or left out by a filter) has flag 0, which
+means that it is not scored. Its class is 8, a distractor: a track that is kept on it costs nothing."""
 
 from __future__ import annotations
 

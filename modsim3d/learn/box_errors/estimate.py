@@ -113,11 +113,9 @@ def latent_share(errors: persistence.WhiteErrors) -> Callable[[Array], Array]:
 def with_things(
     learned: T, labelled: LabelledSet, errors: persistence.WhiteErrors, states: tuple[str, ...], share: float
 ) -> T:
-    """Learned errors whose replicates spread as far as things that keep a share make the numbers stray.
-
-    Means stray by the share of a variance, and spreads and correlations, which are made of squares, by its square, each
-    over as many things as there are in the state. Runs of frames that are resampled have the same things.
-    """
+    """Learned errors whose replicates spread as far as things that keep a share make the numbers stray. Means stray by
+    the share of a variance, and spreads and correlations, which are made of squares, by its square, each over as many
+    things as there are in the state. Runs of frames that are resampled have the same things."""
     annotations, images = labelled.annotations, labelled.images
     thing = np.column_stack(
         [errors.state, images.sequence[annotations.image[errors.rows]], annotations.identity[errors.rows]]
@@ -158,10 +156,8 @@ class StateErrorForm:
 @dataclass(frozen=True)
 class BoxErrorForm:
     """The model of the box error in each state, and the rough correlation time of errors, 0 if they do not persist.
-
     `things_keep` says whether each thing keeps a share of the errors for as long as it is seen, and `components`
-    whether each component has a memory of its own.
-    """
+    whether each component has a memory of its own."""
 
     states: tuple[StateErrorForm, ...]
     box_s: float
@@ -224,10 +220,8 @@ class ErrorPersistence:
 def _consecutive(
     observed: Observed, fits: Sequence[ErrorFits], forms: Sequence[StateErrorForm]
 ) -> tuple[Consecutive, list[ErrorModel | None]]:
-    """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use.
-
-    And those laws.
-    """
+    """Errors in consecutive frames by the law of each state, by the plain one if its tails leave nothing to use. And
+    those laws."""
     models: list[ErrorModel | None] = []
     for laws in ([form.law for form in forms], ["normal"] * len(forms)):
         models = [

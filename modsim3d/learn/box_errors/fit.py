@@ -319,11 +319,9 @@ _REFITS = 2
 
 
 def gain_beside_strays(fit: ErrorFit, plain: ErrorFit) -> float:
-    """Log-likelihood of a fit less that of a plainer one, if a hundredth of the boxes may be strays.
-
-    A false positive that lies on a missed vessel matches it, and one such box in thousands looks like heavy tails.
-    Strays are spread five times as far as the plainer errors, which are fitted without them.
-    """
+    """Log-likelihood of a fit less that of a plainer one, if a hundredth of the boxes may be strays. A false positive
+    that lies on a missed vessel matches it, and one such box in thousands looks like heavy tails. Strays are spread
+    five times as far as the plainer errors, which are fitted without them."""
     edges, model = plain.edges, plain.model
     wide = replace(model, std=_WIDE * model.std, growth=_WIDE * model.growth)
     stray = log_likelihoods(wide, edges, None) + np.log(_STRAYS)
@@ -345,10 +343,8 @@ def gain_beside_strays(fit: ErrorFit, plain: ErrorFit) -> float:
 
 
 def fit_errors(start: ErrorModel, edges: MatchedEdges, least: float = -np.inf) -> ErrorFit:
-    """Newton's steps from a distribution to the likeliest of its kind (Broyden's method for the derivatives).
-
-    A fit that will surely not reach the least log-likelihood that is asked of it is given up; it is not settled.
-    """
+    """Newton's steps from a distribution to the likeliest of its kind (Broyden's method for the derivatives). A fit
+    that will surely not reach the least log-likelihood that is asked of it is given up; it is not settled."""
     gate = Gate.of(edges, start)
     fit = _fit(start, edges, gate, least)
     if not fit.settled and fit.value < least:

@@ -55,11 +55,9 @@ def plain_unit(fits: ErrorFits, without: frozenset[str]) -> matched_edges.Unit:
 
 
 def choose_law(fits: ErrorFits, kept: float, without: frozenset[str]) -> ChosenLaw:
-    """The kind of distribution that the errors clearly speak for, given their correlation from frame to frame.
-
-    Twice the gain in log-likelihood, over the number of errors that count as one because they persist, must pass the
-    Bayesian information criterion and `SIGNIFICANT`. Heavy tails follow fourth powers of the errors, growth squares.
-    """
+    """The kind of distribution that the errors clearly speak for, given their correlation from frame to frame. Twice
+    the gain in log-likelihood, over the number of errors that count as one because they persist, must pass the Bayesian
+    information criterion and `SIGNIFICANT`. Heavy tails follow fourth powers of the errors, growth squares."""
     unit = plain_unit(fits, without)
     chosen = ChosenLaw(unit)
     if "student_t" not in without:

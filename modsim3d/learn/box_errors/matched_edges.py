@@ -1,9 +1,7 @@
-"""The edges of matched boxes, and what each says about the error of the box.
-
-An edge that the detector put on the image's border, where the true edge lies inside the image, is censored: without the
-border it would lie at the border or beyond it. An edge of which the truth is cut by the border is left out, because
-many detectors put such an edge exactly on the border. All other edges are known.
-"""
+"""The edges of matched boxes, and what each says about the error of the box. An edge that the detector put on the
+image's border, where the true edge lies inside the image, is censored: without the border it would lie at the border or
+beyond it. An edge of which the truth is cut by the border is left out, because many detectors put such an edge exactly
+on the border. All other edges are known."""
 
 from __future__ import annotations
 
@@ -131,10 +129,8 @@ class MatchedEdges(Columns):
         return np.concatenate([self.truth_px[:, :2] - self.least_px, self.most_px - self.truth_px[:, 2:]], axis=1)
 
     def passes(self, outward_px: Array) -> Mask:
-        """Whether boxes with edges so far outside the true ones, shape (n, p, 4), would match, shape (n, p).
-
-        Boxes are clipped to the image. Those that keep less than a pixel of width or height do not count.
-        """
+        """Whether boxes with edges so far outside the true ones, shape (n, p, 4), would match, shape (n, p). Boxes are
+        clipped to the image. Those that keep less than a pixel of width or height do not count."""
         # Seen from the true box's corner, so that numbers stay small: 0 to side is the true box.
         inward, sides = self.inward_px[..., None], self.sides_px[..., None]
         shifts: list[Array] = []
@@ -163,9 +159,7 @@ class MatchedEdges(Columns):
 
     def surely_passes(self, most_px: Array) -> Mask:
         """Whether boxes match however their edges lie, if each is at most so far off, (n, 4), either way; shape (n,).
-
-        Clipping to the image only brings edges nearer to the true ones.
-        """
+        Clipping to the image only brings edges nearer to the true ones."""
         inside = (self.inward_px >= 0).all(axis=1)
         side, off = self.sides_px[:, :2], most_px[:, :2] + most_px[:, 2:]
         sure: Mask = inside & np.all(side - off >= 1, axis=1)
@@ -246,10 +240,8 @@ class ErrorModel:
         return np.broadcast_to(self.mean, sides_px.shape), self.std + self.growth * sides_px
 
     def statistics(self, standard: Array) -> Array:
-        """Terms of the slopes, given standardised errors (..., 4), shape (..., 14 or 15), with mean zero.
-
-        Values and products, with the weights of the distribution, and the slope by ln(ν − 2).
-        """
+        """Terms of the slopes, given standardised errors (..., 4), shape (..., 14 or 15), with mean zero. Values and
+        products, with the weights of the distribution, and the slope by ln(ν − 2)."""
         solved = standard @ np.linalg.inv(self.correlation)
         q = (solved * standard).sum(axis=-1)
         weight = np.ones_like(q)
@@ -368,10 +360,8 @@ class StudentTFit(NamedTuple):
 
 def fit_student_t(errors: Array) -> StudentTFit | None:
     """The likeliest t distribution of errors, shape (n, 4), with ν between the bounds; None where they determine none.
-
-    Each step weighs errors by (ν + 4) / (ν + q), with q by the scatter matrix, for mean and scatter, and then
-    maximises the likelihood over ν.
-    """
+    Each step weighs errors by (ν + 4) / (ν + q), with q by the scatter matrix, for mean and scatter, and then maximises
+    the likelihood over ν."""
     mean, scatter, nu, last = errors.mean(axis=0), np.cov(errors.T, bias=True), 10.0, -np.inf
     least = _MIN_SHARE * np.linalg.eigvalsh(scatter)
     for _ in range(_STEPS):

@@ -1,8 +1,6 @@
-"""Persistence of box errors: errors of the same thing in consecutive frames, over edges that nothing has cut.
-
-Which edges count is decided by the true box alone, since leaving errors out by their size would itself cut them: an
-edge counts if it lies so far inside the image that hardly any error reaches the border.
-"""
+"""Persistence of box errors: errors of the same thing in consecutive frames, over edges that nothing has cut. Which
+edges count is decided by the true box alone, since leaving errors out by their size would itself cut them: an edge
+counts if it lies so far inside the image that hardly any error reaches the border."""
 
 import functools
 from collections.abc import Sequence
@@ -28,10 +26,8 @@ _EDGES = 2 ** np.arange(4)
 
 @dataclass(frozen=True, eq=False)
 class _Steps:
-    """Rows of the same thing in consecutive frames, which edges count in both, time between, shapes (m,).
-
-    `edges` is the sum of powers of two of the edges.
-    """
+    """Rows of the same thing in consecutive frames, which edges count in both, time between, shapes (m,). `edges` is
+    the sum of powers of two of the edges."""
 
     earlier: Indices
     later: Indices
@@ -58,9 +54,7 @@ class WhiteErrors:
 
 def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> persistence.Consecutive:
     """Whitened box errors in consecutive frames, given the distribution in each state, None where there is none.
-
-    Products are means over as many components as edges count in both frames.
-    """
+    Products are means over as many components as edges count in both frames."""
     return _settled(observed, tuple(models))[0]
 
 
@@ -81,13 +75,10 @@ def _settled(
     observed: Observed, models: tuple[ErrorModel | None, ...]
 ) -> tuple[persistence.Consecutive, Sequence[Array | None]]:
     """Errors in consecutive frames, and the correlation of each state's standardised errors by which they are whitened.
-
-    The last are kept: what is learned of one set asks for the same several times over.
-
-    Few errors that persist do not tell their correlation well, and whitened by it they look less alike from frame to
-    frame than they are. Changes from frame to frame are independent of each other. So errors are whitened by the
-    correlation of changes, which depends on the correlation time: both are found in a few rounds.
-    """
+    The last are kept: what is learned of one set asks for the same several times over. Few errors that persist do not
+    tell their correlation well, and whitened by it they look less alike from frame to frame than they are. Changes from
+    frame to frame are independent of each other. So errors are whitened by the correlation of changes, which depends on
+    the correlation time: both are found in a few rounds."""
     pairs = observed.pairs
     patterns = _clear_edges(pairs, models) @ _EDGES
     kept = np.flatnonzero(patterns)
@@ -181,11 +172,9 @@ def _whitened(
     rows: Indices,
     chosen: Indices,
 ) -> Array:
-    """Some edges of some boxes as uncorrelated numbers of variance one, shape (m, k).
-
-    `shapes` are the correlations of each state's errors. Of heavy tails only the direction: lengths would hide how the
-    normal numbers behind them persist.
-    """
+    """Some edges of some boxes as uncorrelated numbers of variance one, shape (m, k). `shapes` are the correlations of
+    each state's errors. Of heavy tails only the direction: lengths would hide how the normal numbers behind them
+    persist."""
     edges, white = pairs.edges, np.zeros((len(rows), len(chosen)))
     for state, (model, shape) in enumerate(zip(models, shapes, strict=True)):
         ours = np.flatnonzero(pairs.state[rows] == state)
@@ -212,9 +201,7 @@ _ALIKE_P = 1e-3  # chance below which components that all last alike would diffe
 @dataclass(frozen=True, eq=False)
 class ComponentMemory:
     """Shares of the numbers behind e_x, e_y, e_w, e_h, and behind the size of errors with heavy tails, in c columns.
-
-    `vessel_share` has shape (c,), `shares` (parts, c).
-    """
+    `vessel_share` has shape (c,), `shares` (parts, c)."""
 
     vessel_share: Entry
     shares: Entry
@@ -230,10 +217,8 @@ class ComponentMemory:
 
 
 def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> tuple[list[lags.LagTable], float]:
-    """Products at all times between of each component, and of the size of errors where tails are heavy.
-
-    Also the share of large errors, 0 without heavy tails.
-    """
+    """Products at all times between of each component, and of the size of errors where tails are heavy. Also the share
+    of large errors, 0 without heavy tails."""
     pairs = observed.pairs
     rows = np.flatnonzero(_clear_edges(pairs, models).all(axis=1))
     latent, large = np.zeros((len(rows), 4)), np.zeros(len(rows), dtype=bool)
@@ -260,9 +245,7 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
 
 def components_differ(tables: Sequence[lags.LagTable]) -> bool:
     """Whether the four components clearly last differently long: mean correlations over all lags, less their mean.
-
-    Their covariance is that of leaving single things out.
-    """
+    Their covariance is that of leaving single things out."""
     first = tables[0]
     if first.things < lags.THINGS_NEEDED or len(first.lag_s) < 3 or not np.any(first.same > 0):
         return False

@@ -1,9 +1,7 @@
-"""The edges of meshes at which front faces meet back faces, in pixels, cut at the near plane and at the image's edge.
-
-A ray from the camera leaves a closed solid through a back face as often as it passes through the solid. The border of
-all back faces beyond the near plane therefore winds around each pixel as often as the solid covers it. Edges between
-two back faces or two front faces are not needed, nor is a section that closes the solid at the near plane.
-"""
+"""The edges of meshes at which front faces meet back faces, in pixels, cut at the near plane and at the image's edge. A
+ray from the camera leaves a closed solid through a back face as often as it passes through the solid. The border of all
+back faces beyond the near plane therefore winds around each pixel as often as the solid covers it. Edges between two
+back faces or two front faces are not needed, nor is a section that closes the solid at the near plane."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

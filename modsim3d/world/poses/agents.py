@@ -1,8 +1,7 @@
-"""Reactive agents: vessels that drive about in a basin, keep their speed and keep clear of walls and each other.
-
-The method is the dynamic window approach (Fox, Burgard & Thrun (1997), "The dynamic window approach to collision
-avoidance"). Each vessel compares arcs that it could drive in the next seconds, within the speeds and turn rates that
-it can reach. An arc is admissible if it hits nothing, and is scored by progress towards a goal, clearance and speed.
+"""Reactive agents: vessels that drive about in a basin, keep their speed and keep clear of walls and each other. The
+method is the dynamic window approach (Fox, Burgard & Thrun (1997), "The dynamic window approach to collision
+avoidance"). Each vessel compares arcs that it could drive in the next seconds, within the speeds and turn rates that it
+can reach. An arc is admissible if it hits nothing, and is scored by progress towards a goal, clearance and speed.
 Vessels move one after another and only to free places; a vessel that finds none stays. No two ever overlap."""
 
 import math

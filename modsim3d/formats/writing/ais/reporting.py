@@ -1,16 +1,11 @@
-"""Times at which an AIS station sends its reports, and the reports that are lost.
-
-Intervals are those of ITU-R M.1371-5, annex 1, tables 1 and 2. Class A sends every 10 s below 14 knots, every 6 s up to
-23 knots, and every 2 s above; while it changes course every 3⅓ s below 14 knots and every 2 s above; at anchor below 3
-knots every 3 min. Class B "CS" sends every 30 s above 2 knots, and every 3 min below. Static data follow every 6 min.
-
-The tables leave open when a ship changes course, and when it has slowed down. Here it changes course while its heading
-differs by more than 5° from the mean of the last 30 s, and for 20 s after; a longer interval for a lower speed begins
-after 3 min.
-
-The time of a report lies within a selection interval around its nominal time, in one of the 2250 slots of a minute
-(annex 2, § 3.3.4.4; annex 7, § 4.3 of class B "CS").
-"""
+"""Times at which an AIS station sends its reports, and the reports that are lost. Intervals are those of ITU-R
+M.1371-5, annex 1, tables 1 and 2. Class A sends every 10 s below 14 knots, every 6 s up to 23 knots, and every 2 s
+above; while it changes course every 3⅓ s below 14 knots and every 2 s above; at anchor below 3 knots every 3 min. Class
+B "CS" sends every 30 s above 2 knots, and every 3 min below. Static data follow every 6 min. The tables leave open when
+a ship changes course, and when it has slowed down. Here it changes course while its heading differs by more than 5°
+from the mean of the last 30 s, and for 20 s after; a longer interval for a lower speed begins after 3 min. The time of
+a report lies within a selection interval around its nominal time, in one of the 2250 slots of a minute (annex 2, §
+3.3.4.4; annex 7, § 4.3 of class B "CS")."""
 
 from dataclasses import dataclass
 
