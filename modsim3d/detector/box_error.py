@@ -30,17 +30,11 @@ _SWEEPS = 10  # twice what four rows need
 
 @dataclass(frozen=True, eq=False)
 class MisplacedBoxes:
-    """Boxes with their errors.
+    """Boxes with their errors."""
 
-    Attributes:
-        boxes_px: Inside the image, at least one pixel wide and high, shape (n, 4).
-        errors_px: What was added to centre, width and height before clipping, shape (n, 4).
-        redrawn: Whether the first draw was degenerate and was resampled, shape (n,).
-    """
-
-    boxes_px: Array
-    errors_px: Array
-    redrawn: Mask
+    boxes_px: Array  # inside the image, at least one pixel wide and high, shape (n, 4)
+    errors_px: Array  # what was added to centre, width and height before clipping, shape (n, 4)
+    redrawn: Mask  # whether the first draw was degenerate and was resampled, shape (n,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,31 +88,19 @@ def _rotation(first: float, second: float, between: float) -> tuple[float, float
 
 @dataclass(frozen=True, eq=False)
 class BoxErrorSource:
-    """Draws the box errors of a detector.
-
-    An error is the mean plus the root of the covariance times a standardised error. `relative` errors are multiplied
-    by the side of the box along their axis; `mixed` ones have a standard deviation σ₀ + k·side.
-
-    A draw counts only if the box, clipped to the image, is at least one pixel wide and high. This rules out inverted
-    boxes and boxes outside the image. Other draws are resampled, so the errors of small boxes and of boxes at the edge
-    do not have exactly the distribution in the file. Two boundary cases:
-
-    - A true side below one pixel is replaced by the whole pixel that contains its middle. Otherwise a detector without
-      errors could never see a vessel half a pixel high.
-    - A box at the edge is judged after clipping: a sliver thinner than a pixel is resampled as well.
-
-    Attributes:
-        means: In pixels, or in sides where relative, shape (states, 4).
-        roots: Symmetric roots of the covariances, shape (states, 4, 4).
-        relative: Whether each state's errors are in sides of the box, shape (states,).
-        growths: k over σ₀, in 1/px, for mixed states and else 0, shape (states, 4).
-    """
+    """Draws the box errors of a detector. An error is the mean plus the root of the covariance times a standardised
+    error. `relative` errors are multiplied by the side of the box along their axis; `mixed` ones have a standard
+    deviation σ₀ + k·side. A draw counts only if the box, clipped to the image, is at least one pixel wide and high: no
+    box is inverted, outside the image, or a sliver at its edge. Other draws are resampled, so the errors of small boxes
+    and of boxes at the edge do not have exactly the distribution in the file. A true side below one pixel is replaced by
+    the whole pixel that contains its middle: otherwise a detector without errors could never see a vessel half a pixel
+    high."""
 
     state_names: tuple[str, ...]
-    means: Array
-    roots: Array
-    relative: Mask
-    growths: Array
+    means: Array  # in pixels, or in sides where relative, shape (states, 4)
+    roots: Array  # symmetric roots of the covariances, shape (states, 4, 4)
+    relative: Mask  # whether each state's errors are in sides of the box, shape (states,)
+    growths: Array  # k over σ₀, in 1/px, for mixed states and else 0, shape (states, 4)
     distributions: tuple[ErrorDistribution, ...]
 
     @classmethod

@@ -62,17 +62,11 @@ PLACE_STEP_PX = 2.0**-10  # places are rounded to it: the horizon brings in all 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """How densely false positives lie in the image.
+    """How densely false positives lie in the image."""
 
-    Attributes:
-        band_px: Greatest distance below the horizon; no limit if None.
-        far_half_px: Distance below the horizon over which the density halves; it is uniform if None.
-        density: Weights of the cells of a grid over the whole image, shape (rows, columns), wherever the horizon is.
-    """
-
-    band_px: float | None = None
-    far_half_px: float | None = None
-    density: Array | None = None
+    band_px: float | None = None  # greatest distance below the horizon; no limit if None
+    far_half_px: float | None = None  # distance below the horizon over which the density halves; it is uniform if None
+    density: Array | None = None  # weights of the cells of a grid over the whole image, shape (rows, columns)
 
     def places(
         self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None = None

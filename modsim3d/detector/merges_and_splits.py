@@ -71,21 +71,13 @@ MIN_SPLIT_PX = 4.0  # narrower boxes are not split: each part is at least a pixe
 
 @dataclass(frozen=True)
 class MergesAndSplits:
-    """How often boxes and vessels do not match one to one.
+    """How often boxes and vessels do not match one to one."""
 
-    Attributes:
-        duplicates: Probability that a detected vessel gets a second box.
-        merges: Probability that two vessels that overlap come out as one box where the larger is detected.
-        merge_overlap: Least share of the smaller box inside the larger one for which they overlap.
-        splits: Probability that a long vessel is split into two boxes.
-        split_aspect: Least width over height of a long vessel's box.
-    """
-
-    duplicates: float = 0.0
-    merges: float = 0.0
-    merge_overlap: float = 0.3
-    splits: float = 0.0
-    split_aspect: float = 4.0
+    duplicates: float = 0.0  # probability that a detected vessel gets a second box
+    merges: float = 0.0  # probability that two vessels that overlap come out as one box where the larger is detected
+    merge_overlap: float = 0.3  # least share of the smaller box inside the larger one for which they overlap
+    splits: float = 0.0  # probability that a long vessel is split into two boxes
+    split_aspect: float = 4.0  # least width over height of a long vessel's box
 
     def merged_pairs(self, noise: PairNoise, frames: CameraFrames, kept: Targets) -> Indices:
         """Rows of the vessels that are merged if the larger is detected, the larger first, shape (k, 2). Each row is
@@ -131,19 +123,12 @@ class MergesAndSplits:
 
 @dataclass(frozen=True, eq=False)
 class Events:
-    """Duplicates and splits.
+    """Duplicates and splits."""
 
-    Attributes:
-        doubled: Rows that get a second box, shape (d,).
-        split: Rows that are split, shape (k,).
-        cut: Share of their width at which they are cut, shape (k,).
-        expected: Expected number of extra boxes in each frame, given the detected vessels, shape (S,).
-    """
-
-    doubled: Indices
-    split: Indices
-    cut: Array
-    expected: Array
+    doubled: Indices  # rows that get a second box, shape (d,)
+    split: Indices  # rows that are split, shape (k,)
+    cut: Array  # share of their width at which they are cut, shape (k,)
+    expected: Array  # expected number of extra boxes in each frame, given the detected vessels, shape (S,)
 
 
 def halves(boxes_px: Array, cut: Array) -> tuple[Array, Array]:

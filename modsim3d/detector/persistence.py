@@ -55,19 +55,12 @@ class LatentScore:
 
 @dataclass(frozen=True, eq=False)
 class BoxMemory:
-    """Memory of the numbers behind box errors: of e_x, e_y, e_w, e_h, and of the scale of heavy tails.
+    """Memory of the numbers behind box errors: of e_x, e_y, e_w, e_h, and of the scale of heavy tails. Each is a sum as
+    of `LatentScore`; parts of the same time run side by side."""
 
-    Each is a sum as of `LatentScore`; parts of the same time run side by side.
-
-    Attributes:
-        vessel_share: Share of the variance that a vessel keeps, shape (5,).
-        shares: Share of the variance of each autoregressive part, shape (parts, 5).
-        times_s: Its correlation time, shape (parts,).
-    """
-
-    vessel_share: Array
-    shares: Array
-    times_s: Array
+    vessel_share: Array  # share of the variance that a vessel keeps, shape (5,)
+    shares: Array  # share of the variance of each autoregressive part, shape (parts, 5)
+    times_s: Array  # its correlation time, shape (parts,)
 
     @property
     def white_share(self) -> Array:

@@ -81,19 +81,12 @@ def _along(values: Array, dimensions: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class HullTracks:
-    """Rectangles under way: n vessels at the same S times, straight and evenly turning between them.
+    """Rectangles under way: n vessels at the same S times, straight and evenly turning between them."""
 
-    Attributes:
-        times_s: Ascending, shape (S,).
-        centres_m: In WCF, w1 and w2, shape (S, n, 2); NaN where a vessel is absent.
-        headings_rad: Counter-clockwise from w1, shape (S, n); NaN where a vessel is absent.
-        half_sizes_m: Half lengths and half beams, shape (n, 2).
-    """
-
-    times_s: Array
-    centres_m: Array
-    headings_rad: Array
-    half_sizes_m: Array
+    times_s: Array  # ascending, shape (S,)
+    centres_m: Array  # in WCF, w1 and w2, shape (S, n, 2); NaN where a vessel is absent
+    headings_rad: Array  # counter-clockwise from w1, shape (S, n); NaN where a vessel is absent
+    half_sizes_m: Array  # half lengths and half beams, shape (n, 2)
 
 
 def closest_approach(times_s: Array, one_m: Array, other_m: Array) -> tuple[float, float]:

@@ -24,25 +24,15 @@ from modsim3d.learn.persistence import Consecutive
 
 @dataclass(frozen=True)
 class UsedMatches:
-    """Numbers of matches of a state.
+    """Numbers of matches of a state."""
 
-    Attributes:
-        state: Name of the state.
-        matches: All matches of the state.
-        used: Matches that count, of other states too where the state has too few.
-        cut: Of these, those with a true side that the image's edge cuts.
-        censored: Of these, those with a detected side on the image's edge and the true one inside.
-        lost: Boxes that the distribution says failed the matching, for each that matches.
-        settled: Whether so few failed, or were drawn anew, that the distribution tells how far errors spread.
-    """
-
-    state: str
-    matches: int
-    used: int
-    cut: int
-    censored: int
-    lost: float
-    settled: bool = True
+    state: str  # name of the state
+    matches: int  # all matches of the state
+    used: int  # matches that count, of other states too where the state has too few
+    cut: int  # of these, those with a true side that the image's edge cuts
+    censored: int  # of these, those with a detected side on the image's edge and the true one inside
+    lost: float  # boxes that the distribution says failed the matching, for each that matches
+    settled: bool = True  # whether so few failed, or were drawn anew, that the distribution tells how far errors spread
 
     @classmethod
     def of(cls, state: str, pairs: Pairs, index: int, edges: MatchedEdges, fit: ErrorFit | None) -> UsedMatches:
@@ -241,19 +231,12 @@ def _own_model(fits: ErrorFits, source: ErrorSource, unit: Unit, law: str = "nor
 
 @dataclass(frozen=True, eq=False)
 class LearnedBoxErrors:
-    """The law of the box error in each state, and how errors persist.
+    """The law of the box error in each state, and how errors persist."""
 
-    Attributes:
-        states: The law in each state.
-        box_s: The correlation time of errors, None if they do not persist.
-        box_vessel_share: The share that each thing keeps, None if there is none.
-        used: Which matches count.
-    """
-
-    states: tuple[LearnedErrors, ...]
-    box_s: bootstrap.Entry | None
-    box_vessel_share: bootstrap.Entry | None
-    used: tuple[UsedMatches, ...]
+    states: tuple[LearnedErrors, ...]  # the law in each state
+    box_s: bootstrap.Entry | None  # the correlation time of errors, None if they do not persist
+    box_vessel_share: bootstrap.Entry | None  # the share that each thing keeps, None if there is none
+    used: tuple[UsedMatches, ...]  # which matches count
     memory: persistence.ComponentMemory | None = None
 
     def sections(self) -> dict[str, dict[str, Any]]:

@@ -24,17 +24,11 @@ _LEVELS = np.linspace(-7, 7, 1025)
 
 @dataclass(frozen=True, eq=False)
 class Gate:
-    """The matching rule over those of n boxes that may fail it.
+    """The matching rule over those of n boxes that may fail it."""
 
-    Attributes:
-        sample: The boxes over which is integrated.
-        normal: Standard normal numbers of their points, shape (b, p, 5).
-        stands: Which of the sample stands for each of n boxes, −1 for those that hardly ever fail, shape (n,).
-    """
-
-    sample: MatchedEdges
-    normal: Array
-    stands: Indices
+    sample: MatchedEdges  # the boxes over which is integrated
+    normal: Array  # standard normal numbers of their points, shape (b, p, 5)
+    stands: Indices  # which of the sample stands for each of n boxes, −1 for those that hardly ever fail, shape (n,)
 
     @classmethod
     def of(cls, edges: MatchedEdges, model: ErrorModel) -> Gate | None:
@@ -138,19 +132,12 @@ _POINTS_IN_ALL = 1 << 18
 
 @dataclass(frozen=True, eq=False)
 class Completed:
-    """Edges of some boxes, with points in place of what is open.
+    """Edges of some boxes, with points in place of what is open."""
 
-    Attributes:
-        rows: The boxes, shape (m,).
-        outward_px: How far each edge lies outside the true one, shape (m, p, 4).
-        weights: Of each point, sum to one, shape (m, p).
-        log_likelihood: Of the known and censored edges, shape (m,).
-    """
-
-    rows: Indices
-    outward_px: Array
-    weights: Array
-    log_likelihood: Array
+    rows: Indices  # the boxes, shape (m,)
+    outward_px: Array  # how far each edge lies outside the true one, shape (m, p, 4)
+    weights: Array  # of each point, sum to one, shape (m, p)
+    log_likelihood: Array  # of the known and censored edges, shape (m,)
 
 
 def standard_errors(model: ErrorModel, sides_px: Array, outward_px: Array) -> Array:
@@ -237,32 +224,21 @@ _MANY_MORE = 1.2
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Log-likelihood of a distribution with its slopes, box by box.
+    """Log-likelihood of a distribution with its slopes, box by box."""
 
-    Attributes:
-        value: Log-likelihood of all boxes.
-        scores: Slopes by the numbers of the distribution, shape (n, p).
-    """
-
-    value: float
-    scores: Array
+    value: float  # log-likelihood of all boxes
+    scores: Array  # slopes by the numbers of the distribution, shape (n, p)
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorFit:
-    """A distribution that was fitted.
-
-    Attributes:
-        gate: What matching cuts off; None where it cuts off nothing.
-        value: Its log-likelihood.
-        settled: Whether the likelihood has a maximum that was found.
-    """
+    """A distribution that was fitted."""
 
     model: ErrorModel
     edges: MatchedEdges
-    gate: Gate | None
-    value: float
-    settled: bool
+    gate: Gate | None  # what matching cuts off; None where it cuts off nothing
+    value: float  # its log-likelihood
+    settled: bool  # whether the likelihood has a maximum that was found
 
     @property
     def plain(self) -> bool:

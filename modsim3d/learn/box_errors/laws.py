@@ -236,23 +236,14 @@ _SHRUNK = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class ErrorSample:
-    """Sample from which the distribution of one state is learned.
+    """Sample from which the distribution of one state is learned."""
 
-    Attributes:
-        errors: e_x, e_y, e_w, e_h in the unit as measured, shape (n, 4).
-        image: Image of each, shape (n,).
-        kept: Correlation of an error with that of the same vessel one frame before.
-        state: Name of the state.
-        unit: What standard deviations follow.
-        fit: The likeliest distribution; None where the errors determine none.
-    """
-
-    errors: Array
-    image: Indices
-    kept: float
-    state: str
-    unit: matched_edges.Unit
-    fit: ErrorFit | None
+    errors: Array  # e_x, e_y, e_w, e_h in the unit as measured, shape (n, 4)
+    image: Indices  # image of each, shape (n,)
+    kept: float  # correlation of an error with that of the same vessel one frame before
+    state: str  # name of the state
+    unit: matched_edges.Unit  # what standard deviations follow
+    fit: ErrorFit | None  # the likeliest distribution; None where the errors determine none
 
     def entry(self, name: str, column: bootstrap.Column, *axes: tuple[str, ...]) -> bootstrap.Entry:
         """A number of the distribution."""
@@ -271,23 +262,14 @@ class ErrorSample:
 
 @dataclass(frozen=True, eq=False)
 class LearnedErrors:
-    """The distribution of the box errors of a state.
+    """The distribution of the box errors of a state."""
 
-    Attributes:
-        unit: What standard deviations follow.
-        mean: Shape (4,).
-        std: Standard deviation; of mixed errors its fixed part, shape (4,).
-        correlation: Of the `ERROR_PAIRS`, shape (6,).
-        growth: By how much standard deviations grow with the side, shape (4,); None unless mixed.
-        degrees_of_freedom: Of Student's t law; None of others.
-    """
-
-    unit: matched_edges.Unit
-    mean: bootstrap.Entry
-    std: bootstrap.Entry
-    correlation: bootstrap.Entry
-    growth: bootstrap.Entry | None = None
-    degrees_of_freedom: bootstrap.Entry | None = None
+    unit: matched_edges.Unit  # what standard deviations follow
+    mean: bootstrap.Entry  # shape (4,)
+    std: bootstrap.Entry  # standard deviation; of mixed errors its fixed part, shape (4,)
+    correlation: bootstrap.Entry  # of the `ERROR_PAIRS`, shape (6,)
+    growth: bootstrap.Entry | None = None  # growth of standard deviations with the side, shape (4,); None unless mixed
+    degrees_of_freedom: bootstrap.Entry | None = None  # of Student's t law; None of others
 
     def section(self) -> dict[str, Any]:
         """The section `box_error` of a detector file."""

@@ -27,27 +27,16 @@ ERRORS = np.linalg.inv(OUTWARD)  # e_x, e_y, e_w, e_h from how far each edge lie
 
 @dataclass(frozen=True, eq=False)
 class MatchedEdges(Columns):
-    """Edges of n matched boxes in the order x_min, y_min, x_max, y_max.
+    """Edges of n matched boxes in the order x_min, y_min, x_max, y_max."""
 
-    Attributes:
-        truth_px: The true box, shape (n, 4).
-        outward_px: How far each detected edge lies outside the true one, of a censored edge at least, shape (n, 4).
-        known: Which edges are known, shape (n, 4).
-        censored: Which edges are censored; those that are neither are left out, shape (n, 4).
-        least_px: Least x and y of each image, −∞ where boxes are not clipped, shape (n, 2).
-        most_px: Greatest x and y, shape (n, 2).
-        rule: The rule by which the boxes match.
-        image: Image of each, shape (n,).
-    """
-
-    truth_px: Array
-    outward_px: Array
-    known: Mask
-    censored: Mask
-    least_px: Array
-    most_px: Array
-    rule: Rule
-    image: Indices
+    truth_px: Array  # the true box, shape (n, 4)
+    outward_px: Array  # how far each detected edge lies outside the true one, of a censored edge at least, shape (n, 4)
+    known: Mask  # which edges are known, shape (n, 4)
+    censored: Mask  # which edges are censored; those that are neither are left out, shape (n, 4)
+    least_px: Array  # least x and y of each image, −∞ where boxes are not clipped, shape (n, 2)
+    most_px: Array  # greatest x and y, shape (n, 2)
+    rule: Rule  # the rule by which the boxes match
+    image: Indices  # image of each, shape (n,)
 
     @classmethod
     def of(cls, truth_px: Array, found_px: Array, image_px: Array, image: Indices, rule: Rule) -> MatchedEdges:
@@ -183,25 +172,15 @@ _MEANS, _STDS, _PAIRS, _FREEDOM = slice(0, 4), slice(4, 8), slice(8, 14), 14
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
-    """Normal errors, or Student's t ones where ν is finite; see `BoxErrorLaw`.
+    """Normal errors, or Student's t ones where ν is finite; see `BoxErrorLaw`."""
 
-    Attributes:
-        mean: In pixels, or in sides of the box if relative, shape (4,).
-        std: In the same unit, shape (4,).
-        correlation: Shape (4, 4).
-        unit: What standard deviations follow.
-        growth: By how much mixed standard deviations grow with the side, shape (4,).
-        freedom: Degrees of freedom ν; infinite for normal errors.
-        floor: Least standard deviation that a fit goes to, shape (4,).
-    """
-
-    mean: Array
-    std: Array
-    correlation: Array
-    unit: Unit = "px"
-    growth: Array = field(default_factory=lambda: np.zeros(4))
-    freedom: float = np.inf
-    floor: Array = field(default_factory=lambda: np.zeros(4))
+    mean: Array  # in pixels, or in sides of the box if relative, shape (4,)
+    std: Array  # in the same unit, shape (4,)
+    correlation: Array  # shape (4, 4)
+    unit: Unit = "px"  # what standard deviations follow
+    growth: Array = field(default_factory=lambda: np.zeros(4))  # growth of standard deviations with the side, (4,)
+    freedom: float = np.inf  # degrees of freedom ν; infinite for normal errors
+    floor: Array = field(default_factory=lambda: np.zeros(4))  # least standard deviation that a fit goes to, shape (4,)
 
     @classmethod
     def of_moments(cls, mean: Array, covariance: Array, unit: Unit, freedom: float = np.inf) -> ErrorModel:

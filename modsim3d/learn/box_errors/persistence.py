@@ -37,19 +37,12 @@ class _Steps:
 
 @dataclass(frozen=True, eq=False)
 class WhiteErrors:
-    """Errors of boxes of which every edge counts, as uncorrelated numbers of variance one.
+    """Errors of boxes of which every edge counts, as uncorrelated numbers of variance one."""
 
-    Attributes:
-        rows: Their annotations, shape (n,).
-        white: The errors, shape (n, 4).
-        state: State of each, shape (n,).
-        heavy: Whether a state's errors have heavy tails, so that `white` has directions alone, shape (states,).
-    """
-
-    rows: Indices
-    white: Array
-    state: Indices
-    heavy: Mask
+    rows: Indices  # their annotations, shape (n,)
+    white: Array  # the errors, shape (n, 4)
+    state: Indices  # state of each, shape (n,)
+    heavy: Mask  # whether a state's errors have heavy tails, so that `white` has directions alone, shape (states,)
 
 
 def consecutive_errors(observed: Observed, models: Sequence[ErrorModel | None]) -> persistence.Consecutive:

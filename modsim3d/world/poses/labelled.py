@@ -30,23 +30,14 @@ _UNKNOWN = float("nan")
 
 @dataclass(frozen=True, eq=False)
 class ImageSequence:
-    """Images of one camera, one after another.
+    """Images of one camera, one after another."""
 
-    Attributes:
-        name: Of the camera.
-        image_size_px: Width and height.
-        steps: Step of each image, ascending, shape (S,).
-        images: File of each where the labels name it, else what they call it.
-        sea: (a, b, c): a·x + b·y + c >= 0 on the sea's side of the horizon, in pixels; None if it is not known.
-        first_frame: Number of the first frame, and of the first pixel, in files of its tracks.
-    """
-
-    name: str
-    image_size_px: tuple[int, int]
-    steps: Indices
-    images: tuple[str, ...]
-    sea: tuple[float, float, float] | None = None
-    first_frame: int = 1
+    name: str  # of the camera
+    image_size_px: tuple[int, int]  # width and height
+    steps: Indices  # step of each image, ascending, shape (S,)
+    images: tuple[str, ...]  # file of each where the labels name it, else what they call it
+    sea: tuple[float, float, float] | None = None  # A·x + b·y + c >= 0 on it, in pixels; None if unknown
+    first_frame: int = 1  # number of the first frame, and of the first pixel, in files of its tracks
 
     @property
     def camera(self) -> Camera:
@@ -95,25 +86,15 @@ _PARTS = {"boxes": LabelledBoxes, "regions": IgnoredRegions, "detections": Given
 
 @dataclass(frozen=True, eq=False)
 class LabelledPoses:
-    """Labels of one or several videos, as a source of poses that knows no place of anybody.
+    """Labels of one or several videos, as a source of poses that knows no place of anybody."""
 
-    Attributes:
-        timestamps: Texts of the times of all images, in order; each is a step.
-        sequences: One for each camera.
-        vessels: ID → label of each vessel, in the order of `LabelledBoxes.vessel`.
-        boxes: What is to be detected.
-        regions: What is to be ignored.
-        detections: What a real detector found; None if a simulated one is to work on the labels.
-        notes: What was left out and what was taken for what, each a sentence.
-    """
-
-    timestamps: tuple[str, ...]
-    sequences: tuple[ImageSequence, ...]
-    vessels: Mapping[str, str]
-    boxes: LabelledBoxes
-    regions: IgnoredRegions
-    detections: GivenDetections | None = None
-    notes: tuple[str, ...] = ()
+    timestamps: tuple[str, ...]  # texts of the times of all images, in order; each is a step
+    sequences: tuple[ImageSequence, ...]  # one for each camera
+    vessels: Mapping[str, str]  # ID → label of each vessel, in the order of `LabelledBoxes.vessel`
+    boxes: LabelledBoxes  # what is to be detected
+    regions: IgnoredRegions  # what is to be ignored
+    detections: GivenDetections | None = None  # those of a real detector; None for a simulated one on the labels
+    notes: tuple[str, ...] = ()  # what was left out and what was taken for what, each a sentence
     videos: int = 1  # number of videos of which this is one, where the seed chooses
 
     def poses(self, first: int, stop: int) -> Poses:
