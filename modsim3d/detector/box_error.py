@@ -92,9 +92,9 @@ class BoxErrorSource:
     error. `relative` errors are multiplied by the side of the box along their axis; `mixed` ones have a standard
     deviation σ₀ + k·side. A draw counts only if the box, clipped to the image, is at least one pixel wide and high: no
     box is inverted, outside the image, or a sliver at its edge. Other draws are resampled, so the errors of small boxes
-    and of boxes at the edge do not have exactly the distribution in the file. A true side below one pixel is replaced by
-    the whole pixel that contains its middle: otherwise a detector without errors could never see a vessel half a pixel
-    high."""
+    and of boxes at the edge do not have exactly the distribution in the file. A true side below one pixel is replaced
+    by the whole pixel that contains its middle: otherwise a detector without errors could never see a vessel half a
+    pixel high."""
 
     state_names: tuple[str, ...]
     means: Array  # in pixels, or in sides where relative, shape (states, 4)

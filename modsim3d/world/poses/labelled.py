@@ -36,7 +36,7 @@ class ImageSequence:
     image_size_px: tuple[int, int]  # width and height
     steps: Indices  # step of each image, ascending, shape (S,)
     images: tuple[str, ...]  # file of each where the labels name it, else what they call it
-    sea: tuple[float, float, float] | None = None  # A·x + b·y + c >= 0 on it, in pixels; None if unknown
+    sea: tuple[float, float, float] | None = None  # a·x + b·y + c >= 0 on it, in pixels; None if unknown
     first_frame: int = 1  # number of the first frame, and of the first pixel, in files of its tracks
 
     @property
