@@ -130,11 +130,8 @@ class BoxErrorSource:
     def misplace(
         self, streams: Streams, true: TrueBoxes, latent: Array, purposes: LatentPurposes = BOX_ERROR_REDRAW_STREAMS
     ) -> MisplacedBoxes:
-        """Add to each of n boxes an error made from standard normal numbers of shape (n, 4 + `extra_normals`).
-
-        Raises:
-            ModsimError: A box stays degenerate in `MAX_DRAWS` draws.
-        """
+        """Add to each of n boxes an error made from standard normal numbers of shape (n, 4 + `extra_normals`). Raises
+        ModsimError if a box stays degenerate in `MAX_DRAWS` draws."""
         image, truth = true.frames.image_size_px, true.boxes_px
         if not len(truth):
             return MisplacedBoxes(truth, truth, np.empty(0, dtype=bool))
