@@ -89,8 +89,8 @@ class SelfCheck:
 def self_check(learned: Learned, settings: LearnSettings, seeds: int) -> tuple[RealityComparison, ...]:
     """Comparisons where the detector was not learned, those that differ most first. Each half stands for itself:
     summed, what one half has too much the other would have too little. A seed has a replicate of the learned numbers,
-    so that the spread over seeds has what learning from a half leaves open. Raises ModsimError if there is too little to
-    split, or the sizes of images are not known."""
+    so that the spread over seeds has what learning from a half leaves open. Raises ModsimError if there is too little
+    to split, or the sizes of images are not known."""
     observed = learned.observed
     half = _first_half(observed)
     compared: list[dict[str, RealityComparison]] = []
