@@ -166,7 +166,7 @@ modsim3d run -h                              all options of a command
 """
 RUN, LOOK, TEST, CAMPAIGNS, CHECK, MAKE = "Run", "Look", "Test a tracker", "Campaigns", "Check", "Make"
 Entry = tuple[str, str, Callable[..., None], str]
-COMMANDS: tuple[Entry, ...] = (
+COMMANDS: tuple[Entry, ...] = (  # panel of the help, name, function and short help of each command
     (RUN, "run", run_command, "Simulate a scene: truth, detections and a contact sheet."),
     (RUN, "detect", detect_command, "Run another detector or seed over the truth of a run."),
     (RUN, "stream", stream_command, "Detections line by line, while a scene is simulated."),
@@ -193,13 +193,11 @@ COMMANDS: tuple[Entry, ...] = (
     (MAKE, "learn-voyage", learn_voyage_command, "A detector file from a voyage with AIS."),
     (MAKE, "export", export_command, "A run in another program's format."),
 )
-"""Panel of the help, name, function and short help of each command."""
-GROUPS = {
+GROUPS = {  # panel and short help of each group of commands
     "view": (LOOK, "Films, pictures and maps of a run."),
     "campaign": (CAMPAIGNS, "Many runs: their scores, and verdicts on requirements."),
     "check": (CHECK, "Does a scene, a run or the truth hold what it says?"),
 }
-"""Panel and short help of each group of commands."""
 
 
 def _show_version(requested: bool) -> None:

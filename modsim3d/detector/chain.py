@@ -300,14 +300,13 @@ class DetectorPart(StrEnum):
 
 MARKOV_CHAIN, CONFUSION = "markov_chain", "confusion"
 
-MODELS: Mapping[DetectorPart, Mapping[str, object]] = {
+MODELS: Mapping[DetectorPart, Mapping[str, object]] = {  # what draws each part, by the name of the model
     DetectorPart.STATE: {MARKOV_CHAIN: PerformanceStates},
     DetectorPart.CLASS: {CONFUSION: ConfusionClassifier, **EFFECTS},
     DetectorPart.BOX_ERROR: draws.ERROR_DISTRIBUTIONS,
     DetectorPart.FALSE_POSITIVES: false_positives.FALSE_POSITIVE_MODELS,
     DetectorPart.CONFIDENCE: SCORES,
 }
-"""What draws each part, by the name of the model."""
 
 
 @dataclass(frozen=True)

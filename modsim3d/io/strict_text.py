@@ -99,11 +99,10 @@ _Yaml12.yaml_implicit_resolvers = {
 }
 _Yaml12.add_implicit_resolver(f"{_CORE}bool", re.compile(r"^(?:true|True|TRUE|false|False|FALSE)$"), list("tTfF"))
 _FINITE = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
-NUMBERS = (
+NUMBERS = (  # tag, pattern and first characters of the texts that are numbers
     (f"{_CORE}int", re.compile(r"^[-+]?[0-9]+$"), list("-+0123456789")),
     (f"{_CORE}float", re.compile(rf"^(?:{_FINITE}|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))$"), list("-+.0123456789")),
 )
-"""Tag, pattern and first characters of the texts that are numbers."""
 for _number in NUMBERS:
     _Yaml12.add_implicit_resolver(*_number)
 

@@ -97,7 +97,7 @@ def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[Ba
     return current if hasattr(current, "model_fields") else None
 
 
-_PLAIN_WORDS = {
+_PLAIN_WORDS = {  # messages for readers of YAML in place of pydantic's, which use the words of Python
     **dict.fromkeys(("dict_type", "model_type"), "a mapping of keys is needed"),
     **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
     "invalid_key": "a key must be text",
@@ -107,7 +107,6 @@ _PLAIN_WORDS = {
     "string_too_short": "must not be empty",
     "bool_type": "true or false is needed",
 }
-"""Messages for readers of YAML in place of pydantic's, which use the words of Python."""
 
 MOST_PROBLEMS = 50  # most problems that are reported of one section
 MAX_COMPARED, LONGEST_COMPARED = 1000, 100

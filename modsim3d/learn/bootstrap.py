@@ -170,7 +170,7 @@ Scale = tuple[Callable[[Array], Array], Callable[[Array], Array]]
 _PLAIN: Scale = (lambda x: x, lambda x: x)
 _LOGIT: Scale = (lambda x: special.logit(np.clip(x, 1e-9, 1 - 1e-9)), special.expit)
 _LOGARITHM: Scale = (lambda x: np.log(np.maximum(x, 1e-12)), np.exp)
-_SCALES: dict[Kind, Scale] = {
+_SCALES: dict[Kind, Scale] = {  # to the scale on which an estimate of each kind is nearly normal, and back
     "share": _LOGIT,
     "fraction": _LOGIT,
     "mean": _PLAIN,
@@ -180,7 +180,6 @@ _SCALES: dict[Kind, Scale] = {
     "above_two": (lambda x: np.log(np.maximum(x - 2, 1e-12)), lambda x: 2 + np.exp(x)),
     "correlation": (lambda x: np.arctanh(np.clip(x, -1 + 1e-9, 1 - 1e-9)), np.tanh),
 }
-"""To the scale on which an estimate of each kind is nearly normal, and back."""
 
 
 def to_scale(values: Array, kind: Kind) -> Array:

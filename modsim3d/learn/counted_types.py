@@ -21,11 +21,10 @@ _WHAT = {
     "merges": ("box around two vessels", "boxes around two vessels"),
     "splits": ("vessel in two parts", "vessels in two parts"),
 }
-THRESHOLDS = {
+THRESHOLDS = {  # key of the threshold, its default and the other values that are tried
     "merges": ("merge_overlap", MergesAndSplits.merge_overlap, np.arange(2, 19) * 0.05),
     "splits": ("split_aspect", MergesAndSplits.split_aspect, np.arange(6, 33) * 0.25),
 }
-"""Key of the threshold, its default and the other values that are tried."""
 _STRAY = 0.002  # share of hits below a threshold that are a mistake of the rules
 _TRIALS, _RUNS = 200, 24
 

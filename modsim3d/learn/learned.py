@@ -260,14 +260,13 @@ def _run_s(observed: Observed, form: DetectorForm) -> float:
 
 Learner = Callable[..., PartForm | Transitions]
 
-LEARNERS: Mapping[DetectorPart, Mapping[str, Learner]] = {
+LEARNERS: Mapping[DetectorPart, Mapping[str, Learner]] = {  # what chooses and estimates each model that can be learned
     DetectorPart.STATE: {MARKOV_CHAIN: transitions_of},
     DetectorPart.CLASS: dict.fromkeys((CONFUSION, "logistic"), choose_classes),
     DetectorPart.BOX_ERROR: dict.fromkeys(LAWS, choose_box_errors),
     DetectorPart.FALSE_POSITIVES: dict.fromkeys(("calibrated", "per_image"), choose_false_positives),
     DetectorPart.CONFIDENCE: dict.fromkeys(("normal", "quantiles"), choose_confidence),
 }
-"""What chooses and estimates each model that can be learned."""
 
 
 def models_and_learners() -> Iterator[tuple[DetectorPart, str, Learner | None]]:

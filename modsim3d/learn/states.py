@@ -73,13 +73,12 @@ def count_transitions(sequences: Sequence[Indices], states: int, interval_s: flo
     return Transitions(counts, initial, interval_s if total else None, notes)
 
 
-NAMES = {
+NAMES = {  # names of clusters, the largest F1 first; four have the thesis's names
     1: ("usual",),
     2: ("good", "bad"),
     3: ("excellent", "good", "bad"),
     4: ("excellent", "good", "bad", "terrible"),
 }
-"""Names of clusters, the largest F1 first; four have the thesis's names."""
 
 
 @dataclass(frozen=True)

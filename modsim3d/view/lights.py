@@ -85,13 +85,12 @@ class Kind(Enum):
 
 ACTIVITIES = {Kind.TRAWLING: {"trawling"}, Kind.FISHING: {"netting", "longlining"}}
 """Words for what a vessel does. A ship type, such as trawler or fishing vessel, does not say that she fishes."""
-BUILDS = (
+BUILDS = (  # words for what a vessel is. If a text has several, the first line that has one of them counts
     (Kind.POWER, {"motor", "motorboat", "motoryacht", "motorsailer", "power", "powerboat", "speedboat"}),
     (Kind.OARS, {"kayak", "canoe", "rowing", "rowboat", "paddle", "paddleboard"}),
     (Kind.SAIL, {"sail", "sails", "sailing", "sailboat", "sailer", "yacht", "ketch", "sloop", "schooner", "yawl"}),
     (Kind.POWER, {"ship", "ferry", "tug", "cargo", "tanker", "barge"}),
 )
-"""Words for what a vessel is. If a text has several, the first line that has one of them counts."""
 
 
 def kind_of(vessel: Vessel) -> Kind:

@@ -68,7 +68,7 @@ COUNTS = {Outcome.FALSE_POSITIVE: "false", Outcome.MISLABELLED: "wrong_class"}
 COUNTS |= {Outcome.BELOW_HALF_IOU: "below_half_iou", Outcome.OFF_VESSEL: "off_vessel"}
 """What is counted of the detections of each frame, and under which name."""
 MISSED, FALSE, TRACKS, FALSE_TRACKS = "missed", "false", "tracks", "false_tracks"
-COLOURS = {
+COLOURS = {  # of the lines of the plots, by what they count
     MISSED: palette.ALARM,
     FALSE: palette.VESSELS[1],
     "wrong_class": palette.VESSELS[4],
@@ -77,7 +77,6 @@ COLOURS = {
     TRACKS: palette.TRACKS[2],
     FALSE_TRACKS: palette.ALARM,
 }
-"""Of the lines of the plots, by what they count."""
 TEXT = (0.09, 0.07)  # width and height of a text below a box, as shares of the image
 PALER = 0.35  # how much paler the lines of each further camera are
 

@@ -184,7 +184,7 @@ NO_CLAIM = (
 )
 _ENCOUNTERS = "head-on", "crossing from starboard", "crossing from port", "own ship overtakes", "own ship is overtaken"
 ENCOUNTERS = dict(zip(KINDS.values(), _ENCOUNTERS, strict=True))
-SEAS = {
+SEAS = {  # degrees of the sea, WMO code table 3700, and the significant height in metres from which on
     "calm": 0.0,
     "smooth": 0.1,
     "slight": 0.5,
@@ -194,7 +194,6 @@ SEAS = {
     "high": 6.0,
     "very high": 9.0,
 }
-"""Degrees of the sea, WMO code table 3700, and the significant height in metres from which on."""
 ROLLS_DEG = (0.0, 2.0, 5.0, 10.0, 20.0)
 _FRAMES = "vessel-frames"
 

@@ -24,7 +24,7 @@ from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 from modsim3d.view.pages.provenance import Input, Provenance, file_input, folder_input, versions_in_words
 
 USUAL = "hota"
-UNITS = {
+UNITS = {  # ends of keys, and the units that they stand for
     "_px": "px",
     "_s": "s",
     "_per_s": "1/s",
@@ -35,7 +35,6 @@ UNITS = {
     "_deg": "°",
     "_hz": "Hz",
 }
-"""Ends of keys, and the units that they stand for."""
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,11 @@ _FILMS = "detections|scene|ids|corners|map|all"
 _PICTURE = re.compile(rf"(?:{_FILMS})(?:_\d+\.(?:png|svg|pdf)|\.(?:mp4|gif))")
 _FRAME = re.compile(r"frame_\d+\.png")
 _PART = re.compile(r"[AB]-\d+\.js")
-_FOLDERS = {
+_FOLDERS = {  # folders that other commands make in a run directory, and the names of the files in them
     **dict.fromkeys(_FILMS.split("|"), _FRAME),
     **dict.fromkeys(("report_parts", "side_by_side_parts"), _PART),
     "report_images": re.compile(r"\d{6}\.jpg"),
 }
-"""Folders that other commands make in a run directory, and the names of the files in them."""
 LONGEST_NAME = 255  # bytes that a file system allows
 _OLDER = ("frames.parquet", "truth.parquet", "detections.parquet", "ownship.parquet", POSES_FILE)
 

@@ -151,7 +151,7 @@ def schema_of(table: str) -> pa.Schema:
 # ---- The table of the motion of the vessels that carry cameras ----
 
 MEASURED_ATTITUDE = ("measured_roll_rad", "measured_pitch_rad", "measured_heading_rad")
-_COLUMNS = {
+_COLUMNS = {  # attribute of `OwnShips` → names of the columns of its components
     "positions_m": ("w1_m", "w2_m", "w3_m"),
     "headings_rad": ("heading_rad",),
     "angles_rad": ("roll_rad", "pitch_rad", "yaw_rad"),
@@ -161,7 +161,6 @@ _COLUMNS = {
     "measured_forces_m_s2": ("measured_f1_m_s2", "measured_f2_m_s2", "measured_f3_m_s2"),
     "measured_attitudes_rad": MEASURED_ATTITUDE,
 }
-"""Attribute of `OwnShips` → names of the columns of its components."""
 OWN_SHIP_SCHEMA = schema_of("ownship")
 BEFORE_ATTITUDE = pa.schema([field for field in OWN_SHIP_SCHEMA if field.name not in MEASURED_ATTITUDE])
 """As runs wrote it before inertial units measured attitudes."""

@@ -252,7 +252,7 @@ def named_bars(values: Mapping[str, float], unit: str, label: str) -> str:
 
 # ---- Charts of means with their intervals ----
 
-SHAPES = (
+SHAPES = (  # paths of the shapes that mark the series, around the pen's place; in turn where there are more series
     "m-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0z",  # disc
     "m-3.6 -3.6h7.2v7.2h-7.2z",  # square
     "m0 -4.8l4.6 8h-9.2z",  # triangle
@@ -260,7 +260,6 @@ SHAPES = (
     "m0 4.8l4.6 -8h-9.2z",  # triangle on its tip
     "m-4 -1.4h2.6v-2.6h2.8v2.6h2.6v2.8h-2.6v2.6h-2.8v-2.6h-2.6z",  # plus
 )
-"""Paths of the shapes that mark the series, around the pen's place; in turn where there are more series."""
 _LETTER_PX = 6.3  # mean width of a letter of a chart
 _LONGEST = 34  # letters of a name at the left of a chart; longer ones are cut
 

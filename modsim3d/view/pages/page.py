@@ -16,11 +16,10 @@ from modsim3d.view.pages.tables import TABLE_STYLE, facts, table
 
 # ---- How pages are printed ----
 
-LIGHT = (
+LIGHT = (  # colours of paper, for both kinds of pages
     "--ink: #1c2329; --paper: #ffffff; --soft: #56606a; --line: #c4cacf; --bad: #b3261e; "
     "--card: #ffffff; --track: #eceef0;"
 )
-"""Colours of paper, for both kinds of pages."""
 
 PRINT_STYLE = """
 @media not print { .in-print { display: none; } }

@@ -57,7 +57,7 @@ def json_in_html(value: object) -> str:
 
 PART_FILES = "*-*.js"  # files of parts beside the page
 FILES = " 'self' file:"  # where they come from: a server or a disk
-SCRIPTS = (
+SCRIPTS = (  # in the order in which they need each other; in the page they are one script
     *("elements.js", "colours.js", "words.js", "columns.js", "overview.js", "parts.js", "recording.js", "kinds.js"),
     *("highlight.js", "plates.js", "picture.js", "track_picture.js", "bounds.js", "pane.js", "stage.js", "closeup.js"),
     *("vessel_list.js", "moments.js", "strips.js", "moment_controls.js", "timeline.js", "lane_panel.js", "lanes.js"),
@@ -65,7 +65,6 @@ SCRIPTS = (
     *("hover.js", "numbers.js", "share.js", "loop.js", "playback.js", "keys.js", "key_help.js", "address.js"),
     *("player.js", "start.js"),
 )
-"""In the order in which they need each other; in the page they are one script."""
 STYLES = (
     *("base.css", "player.css", "timeline.css", "tables.css", "boxes.css", "vessel_list.css", "numbers.css"),
     *("actions.css", "keys.css", "lanes.css", "panes.css"),

@@ -18,14 +18,12 @@ from modsim3d.learn.voyage.registration.parameters import MEAN_ERRORS, NAMES, PL
 # ---- What a match says ----
 
 KINDS = ("centre", "left", "right", "waterline", "width", "height")
-OF_EDGES = np.array(
+OF_EDGES = np.array(  # each kind from the left, top, right and bottom edge, shape (6, 4)
     [[0.5, 0, 0.5, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 1, 0], [0, -1, 0, 1]], dtype=np.float64
 )
-"""Each kind from the left, top, right and bottom edge, shape (6, 4)."""
-OF_MEAN_ERRORS = np.array(
+OF_MEAN_ERRORS = np.array(  # each kind from the errors of the box in x, y, width and height in pixels, shape (6, 4)
     [[1, 0, 0, 0], [1, 0, -0.5, 0], [1, 0, 0.5, 0], [0, 1, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=np.float64
 )
-"""Each kind from the errors of the box in x, y, width and height in pixels, shape (6, 4)."""
 SIDE = np.array([0, 0, 0, 1, 0, 1])  # whether a kind's error grows with the box's width (0) or height (1)
 MIN_PX = 0.3
 BINS = 6

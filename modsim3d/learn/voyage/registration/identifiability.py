@@ -133,11 +133,10 @@ def clusters(cluster: Indices) -> Iterator[Indices]:
 COMMON_DELAY = "common_delay_s"
 KNOWN = 0.5  # a value is determined if its standard error is below this share of its plausible distance
 IN_GROUP = 0.2  # components of a singular vector, or exchanges in plausible distances, below this are left out
-GIVEN_UP_FIRST = (
+GIVEN_UP_FIRST = (  # of values that cannot be told apart, the first of these is held at the scene's
     *("k1", "mean_width_share", "mean_height_share", "mean_x_px", "mean_y_px"),
     *("roll_deg", "focal_share", "height_m", "pitch_deg", "yaw_deg", "clock_s"),
 )
-"""Of values that cannot be told apart, the first of these is held at the scene's."""
 
 
 @dataclass(frozen=True)
