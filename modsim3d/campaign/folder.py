@@ -112,8 +112,7 @@ def _said(file: ListedFile | None) -> str:
 # ---- What differs between two plans, in words ----
 
 MOST = 5
-PARTS = ("campaign", "versions")
-"""Of a plan, what its user knows: the keys of the file, and the versions of packages."""
+PARTS = ("campaign", "versions")  # of a plan, what its user knows: the keys of the file, and the versions of packages
 
 
 def differences(there: Any, now: Mapping[str, Any]) -> list[str]:

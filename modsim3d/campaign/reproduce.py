@@ -114,11 +114,6 @@ class RunAgain:
         return (self.before["status"] == DONE) == (self.error is None) and not self.differing
 
 
-def tracks_beside(folder: Path) -> Path:
-    """The folder for the tracks of a run directory: nothing but the run is written into that itself."""
-    return folder.with_name(f"{folder.name}_tracks")
-
-
 def make_again(
     folder: CampaignFolder,
     number: int,
@@ -131,7 +126,8 @@ def make_again(
     A run and tracks that are there already, and are those of this run, are left as they are unless `overwrite`.
     `progress` is called with the number of steps done since its last call. Raises ModsimError if there is no such run,
     or it cannot be written. What the run itself raises is in the result."""
-    run, before, tracks = planned_run(folder, number), row_of_run(folder, number), tracks_beside(out)
+    run, before = planned_run(folder, number), row_of_run(folder, number)
+    tracks = out.with_name(f"{out.name}_tracks")  # nothing but the run is written into its own folder
     then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
     row, error, raised_at, reused = None, None, "", list[Path]()
     try:

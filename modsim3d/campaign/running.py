@@ -94,8 +94,7 @@ T = TypeVar("T")
 
 DEATHS = 2  # a run whose worker is killed so often while it does nothing else is given up
 AHEAD = 2  # tasks that are handed in for each worker, so that none waits
-READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)
-"""Waits for a file that another machine has written; a network file system shows it after up to a minute."""
+READ_AGAIN_S = (0.1, 0.5, 2.0, 10.0, 30.0)  # waits for a file of another machine, up to a minute on a network
 DIED = "its worker process was killed, or ran out of memory"
 
 

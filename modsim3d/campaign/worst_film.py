@@ -36,10 +36,8 @@ if TYPE_CHECKING:
 
 # ---- A picture of the moment at which a run went wrong ----
 
-MARGIN, LEAST = 0.5, 0.2
-"""What is shown beside the mistakes, as a share of what they fill, and at least, as a share of the image."""
-LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")
-"""What is true and what the tracker says; the detections would hide both."""
+MARGIN, LEAST = 0.5, 0.2  # beside the mistakes, as a share of what they fill, and at least, of the image
+LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")  # what is true, and what the tracker says
 MAX_SWITCHES = 2  # so many identity switches are told in full
 
 

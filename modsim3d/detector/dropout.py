@@ -92,8 +92,7 @@ class FactorTable:
         return np.where(np.isnan(values), 0.0, added[np.searchsorted(self.edges, values, side="right")])
 
 
-EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": FactorTable}
-"""By the name that `dropout.model` has in a detector file."""
+EFFECTS: Mapping[str, type[Effect]] = {"logistic": Slope, "table": FactorTable}  # by `dropout.model` in a detector file
 
 
 @dataclass(frozen=True)

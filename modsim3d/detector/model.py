@@ -39,8 +39,7 @@ class Performance:
         return np.where(schedule >= 0, schedule, states)
 
 
-ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")
-"""Order of the box error (Jessen & Mohr (2023), section 5.6.3): centre, width and height."""
+ERROR_COMPONENTS = ("e_x", "e_y", "e_w", "e_h")  # order of the box error (Jessen & Mohr (2023), section 5.6.3)
 ERROR_PAIRS = tuple(itertools.combinations(range(len(ERROR_COMPONENTS)), 2))
 """Pairs of components, in the order in which files and tables list their correlations."""
 

@@ -24,10 +24,8 @@ except ImportError:  # PyYAML without its C library, which is ten times as fast
 
 _CORE = "tag:yaml.org,2002:"
 _MERGE = f"{_CORE}merge"
-_REPEATED_CHARACTERS = 100_000
-"""A faulty text of at most this length is parsed again by PyYAML's own parser, whose messages say more."""
-_TEXTS_KEPT, _KEPT_CHARACTERS = 16, 100_000
-"""How many values are kept for whoever reads the same text again, and of how long texts at most."""
+_REPEATED_CHARACTERS = 100_000  # faulty texts up to this length are parsed again by PyYAML's parser, which says more
+_TEXTS_KEPT, _KEPT_CHARACTERS = 16, 100_000  # values kept for whoever reads a text again, and the length of such texts
 
 
 def _refused(problem: str, node: yaml.Node) -> yaml.constructor.ConstructorError:

@@ -148,7 +148,8 @@ class ConfidenceForm:
                 base = chosen["true"].values + (0.0 if of_state is None else of_state.shift(chosen["true"]))
                 kept = Inflation.by_things(base, chosen["true"].thing)
             for kind in KINDS:
-                persists = persistent.or_more(kept) if kind == "true" else Inflation()
+                larger = Inflation(max(persistent.mean, kept.mean), max(persistent.std, kept.std))
+                persists = larger if kind == "true" else Inflation()
                 keys = LawKeys(("confidence", kind), state, observed.threshold, persists)
                 quantile = forms[kind] == "quantiles"
                 estimate = confidence_laws.quantile_scores if quantile else confidence_laws.normal_scores

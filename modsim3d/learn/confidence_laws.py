@@ -61,10 +61,6 @@ class Inflation:
         each = [(np.bincount(of_thing, part) ** 2).sum() / max((part**2).sum(), 1e-12) for part in parts]
         return cls(*(max(float(wide * found), 1.0) for found in each))
 
-    def or_more(self, other: Inflation) -> Inflation:
-        """The larger variance of each."""
-        return Inflation(max(self.mean, other.mean), max(self.std, other.std))
-
 
 @dataclass(frozen=True)
 class LawKeys:

@@ -15,8 +15,7 @@ from modsim3d.learn.matches import Observed
 
 MISSES_FOR_EACH = 20  # misses, and detections, that a regression needs for each effect (Peduzzi et al. (1996): 10)
 LOG_ODDS_QUANTILES = 32  # numbers that stand for the distribution of log-odds over a learning set
-REFERENCES = {"visible_fraction": 1.0, "partly_hidden": 0.0}
-"""References of the effects that change the odds by units: a vessel that is wholly visible."""
+REFERENCES = {"visible_fraction": 1.0, "partly_hidden": 0.0}  # of effects by units: a vessel that is wholly visible
 _STEPS = 60
 
 

@@ -206,7 +206,8 @@ class Matches:
                 ErrorMoments.of(self.resampling, found_in[label == each], errors[label == each]) for each in range(k)
             ),
             average_precision=by_label,
-            mean_average_precision=by_label and AveragePrecisions(*map(_mean_over_labels, by_label)),
+            mean_average_precision=by_label
+            and AveragePrecisions(*(_average(each, np.ones_like(each.values), each.counts.sum()) for each in by_label)),
             confidence_entropy=self._confidence_entropy(images),
             label_entropy=self._label_entropy(images),
         )
@@ -275,7 +276,3 @@ def _average(column: Column, weights: Array, count: float) -> Column:
     filled = np.where(there, column.values, 0.0)
     values = ratio((filled * weights).sum(axis=1), weights.sum(axis=1))
     return Column(values, "fraction", np.array(count))
-
-
-def _mean_over_labels(column: Column) -> Column:
-    return _average(column, np.ones_like(column.values), column.counts.sum())

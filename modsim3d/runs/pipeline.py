@@ -33,8 +33,7 @@ from modsim3d.world.vessel_motion import PosesInWaves
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-BLOCK_VESSELS, MAX_BLOCK_STEPS = 8_000, 1_000
-"""Most vessels times steps of a block, and most steps: few calls, but arrays that fit a cache."""
+BLOCK_VESSELS, MAX_BLOCK_STEPS = 8_000, 1_000  # most vessels times steps of a block, and steps: arrays fit a cache
 
 Range = tuple[int, int]  # the first step of a block, and the step after its last
 

@@ -101,8 +101,7 @@ def _listed(said: list[str], count: int) -> str:
     return "; ".join([*said, *([f"and {count - len(said)} more"] if count > len(said) else [])])
 
 
-VERSION_KEYS = ("versions", "truth_versions", "plugins", "plugins_sha256", "backend")
-"""What `run.json` says of the programs that made a run."""
+VERSION_KEYS = ("versions", "truth_versions", "plugins", "plugins_sha256", "backend")  # programs in `run.json`
 _NOT_REPEATED = frozenset({*VERSION_KEYS, "files"})
 _OF_LIVE_RUNS = frozenset({"scene_sha256", "poses_sha256"})  # the copy of a live scene reads its poses from a file
 

@@ -46,8 +46,7 @@ class BoxSample:
 
     rows: Array = field(default_factory=lambda: _NO_ROWS)
     """Key, state, camera and annotated box in pixels, in order of state and key, shape (n, 7)."""
-    counts: Counter[int] = field(default_factory=Counter)
-    """State → number of detections of a vessel in that state, whether kept or not."""
+    counts: Counter[int] = field(default_factory=Counter)  # state → number of detections of a vessel in it
 
     @classmethod
     def of(cls, block: Block, scene: Scene) -> BoxSample:

@@ -260,8 +260,7 @@ _ROUNDING_PX = 1e-6
 _CONDITION = 1e8
 
 
-StateFits = Mapping[int, StateFit | None]
-"""The fit of each state that is looked at and whose law has a check; None where too little was seen."""
+StateFits = Mapping[int, StateFit | None]  # the fit of each state with a check of its law, None of too few boxes
 
 
 def state_fits(
@@ -295,16 +294,14 @@ def fit_checks(model: DetectorModel, evidence: Evidence, fits: StateFits) -> lis
             for parameter in _state_checks(model.states[s], evidence, _rows(model, evidence, s), fit, errors)
         ]
     persistence = box_persistence(model, evidence, found, replayed)
+    of_one_time = model.persistence.box is None
+    key = "persistence.box_s" if of_one_time else "persistence.box: correlation, 1 frame apart"
     return [
         *parameters,
         _box_check(evidence),
-        Parameter(_persistence_key(model), DetectorPart.BOX_ERROR, persistence, note=correlation_note(persistence)),
+        Parameter(key, DetectorPart.BOX_ERROR, persistence, note=correlation_note(persistence)),
         *memory_checks(model, evidence, found, replayed),
     ]
-
-
-def _persistence_key(model: DetectorModel) -> str:
-    return "persistence.box_s" if model.persistence.box is None else "persistence.box: correlation, 1 frame apart"
 
 
 def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:

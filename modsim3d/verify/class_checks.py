@@ -337,8 +337,7 @@ def _held_effects(model: DetectorModel) -> Iterator[tuple[str | None, list[int],
             yield model.states[state].name, [state], effect
 
 
-Column = tuple[str, float, Array]
-"""Name and asked value of a number of an effect, and the derivative of the log-odds by it at each instance."""
+Column = tuple[str, float, Array]  # name and asked value of a number of an effect, and the derivative of log-odds by it
 
 
 def _slope_columns(effect: Slope, values: Array) -> list[Column]:

@@ -108,8 +108,7 @@ class Law:
         return None, reach if reach <= 1 else None
 
 
-OVERALL_ALPHA = 0.01
-"""Probability that an honest run has any verdict against it; shared evenly among its tests (Bonferroni)."""
+OVERALL_ALPHA = 0.01  # probability that an honest run has any verdict against it, shared by its tests (Bonferroni)
 OBEYS, DIFFERS, FALLS_SHORT, UNTESTED = "obeys", "DIFFERS", "obeys its rule, not the asked rate", "too little seen"
 UNCHECKED = "no check"
 

@@ -35,8 +35,7 @@ MARGIN = 0.06  # around everything that is shown, as a share of the map
 MIN_ASPECT, MAX_ASPECT = 0.65, 2.4
 REACH, REACH_M = 1.5, 2000.0
 """A camera ashore is on the map unless it is farther from the traffic than this many of its extents, and metres."""
-NEAR, NEAR_M = 0.06, 50.0
-"""So far beyond the traffic obstacles are shown, as a share of its extent or, if that is more, in metres."""
+NEAR, NEAR_M = 0.06, 50.0  # so far beyond the traffic, in shares of its extent or metres, obstacles are shown
 VIEW_POINTS = 33
 
 

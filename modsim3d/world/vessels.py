@@ -197,8 +197,7 @@ def load_mapping(path: Path) -> dict[str, Any]:
 MAX_STRETCH, CLEARLY_BETTER = 3.0, 2.0
 """Axes do not fit if their scales differ by more, and others fit if they lessen that by such a factor."""
 MAX_SPECK = 1 / 3  # the vessel is a speck if it is less than this share of its file in some direction
-UNIT_BOX = 1.01
-"""Extents that differ less were made equal on purpose, as those of the shipped meshes; they say nothing about axes."""
+UNIT_BOX = 1.01  # extents that differ less were made equal on purpose, as in shipped meshes: they do not tell axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,8 +273,7 @@ def _without_farthest_part(solid: Solid, extents: Array) -> tuple[int, Array]:
 # ---- From triangles in a file's own axes and units to a solid in units of length ----
 
 SAME_VERTEX = 1e-7  # closer vertices, in units of the box, are merged: STL repeats each, in single precision
-MAX_FACES_OF_CONVEX = 64
-"""A convex mesh with more faces is treated as not convex, because sorting by its planes would take too long."""
+MAX_FACES_OF_CONVEX = 64  # convex meshes with more count as not convex: sorting by their planes would take too long
 EXTENTS = ("length", "beam", "height")
 
 

@@ -141,8 +141,7 @@ def without_empty(rows: Sequence[Row], header: Sequence[str], empty: Sequence[st
 
 SIGNS: dict[Outcome, str] = {"met": "✓ met", "failed": "✗ failed", "undecided": "? undecided"}
 ORDER: tuple[Outcome, ...] = ("failed", "undecided", "met")
-OFTEN_EMPTY = ("crashed runs", "runs with nothing to score", "seeds without a value")
-"""Columns that are left out where they say nothing."""
+OFTEN_EMPTY = ("crashed runs", "runs with nothing to score", "seeds without a value")  # left out if they say nothing
 MAX_OPEN, MAX_ROWS = 12, 200  # verdicts on a requirement that are shown at once, and at all
 
 

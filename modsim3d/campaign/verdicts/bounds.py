@@ -13,8 +13,7 @@ from modsim3d.core.statistics import exact_bounds, half_widths
 
 SKEWNESS = 1.0  # the least skewness that values are taken to have: a few of them seldom show their tail
 VARIATION = 1.5  # how much of h/d a half-width h gains of itself, if the values lack d to the best one
-VARIATION_FROM_ZERO = 1.1
-"""The same of scores that are 0 at best, as numbers, times and errors are; all three by `script/campaign sequences`."""
+VARIATION_FROM_ZERO = 1.1  # of scores that are 0 at best; all three by `script/campaign sequences`
 
 
 def skewed_bounds(values: Array, alpha: float, greatest: float = math.inf) -> Array:

@@ -252,8 +252,7 @@ def _named(entry: Mapping[str, Any], key: str, known: Mapping[Any, Any], where: 
     return None
 
 
-_MIN_LOST, _MANY_LOST = 1e7, 1e4
-"""A number with a point or an exponent, so large and with so many zeros, stands for other identities too."""
+_MIN_LOST, _MANY_LOST = 1e7, 1e4  # so large a number with so many zeros stands for other identities too
 _MOST = {"visible_fraction": 1 + 1e-6, "distance_m": builder.MAX_NUMBER}
 
 

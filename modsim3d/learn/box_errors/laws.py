@@ -227,8 +227,7 @@ def moments(resampling: bootstrap.Resampling, image: Indices, values: Array) -> 
     return mean + centre, std, correlation
 
 
-LAWS = ("normal", "student_t")
-"""Distributions of box errors that can be learned, by the name that `box_error.law` has in a detector file."""
+LAWS = ("normal", "student_t")  # distributions of box errors that can be learned, by `box_error.law` in a detector file
 _PAIR_NAMES = tuple(f"{ERROR_COMPONENTS[i]},{ERROR_COMPONENTS[j]}" for i, j in ERROR_PAIRS)
 _LARGEST_STEP = 5.0
 _SHRUNK = 1e-5

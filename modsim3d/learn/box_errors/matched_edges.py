@@ -163,8 +163,7 @@ class MatchedEdges(Columns):
 # ---- Numbers of a distribution of box errors ----
 
 Unit = Literal["px", "relative", "mixed"]
-MIN_DEGREES, MAX_DEGREES = 2.5, 200.0
-"""Bounds of ν: with 2 there is no covariance; with more than 200 the distribution is as good as normal."""
+MIN_DEGREES, MAX_DEGREES = 2.5, 200.0  # bounds of ν: 2 has no covariance, more than 200 is as good as normal
 _FIRST, _SECOND = (np.array(each) for each in zip(*ERROR_PAIRS, strict=True))
 _MAX_ARTANH = 4.0
 _MEANS, _STDS, _PAIRS, _FREEDOM = slice(0, 4), slice(4, 8), slice(8, 14), 14

@@ -83,8 +83,7 @@ class KnownMeans:
 
 
 NOTHING_KNOWN = KnownMeans()
-SHORT_NAMES = {each.name.rsplit("_", 1)[0]: each.name for each in fields(KnownMeans)}
-"""Names as users write them: `mean_x` for `mean_x_px`."""
+SHORT_NAMES = {each.name.rsplit("_", 1)[0]: each.name for each in fields(KnownMeans)}  # `mean_x` → `mean_x_px`
 _FORM = f"must be NAME=VALUE,..., such as mean_x=1.5,delay=2, with the names {', '.join(SHORT_NAMES)}"
 
 

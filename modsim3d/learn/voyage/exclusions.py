@@ -27,8 +27,7 @@ SLOW_KN, SLOW_STALE_S = 2.0, 180.0
 (ITU-R M.1371-5, Annex 1, Tables 1 and 2)."""
 LYING_M_S = 0.25  # a slower vessel does not move between its reports, which come every three minutes
 MAX_KN = 60.0  # a vessel that would be faster has jumped, unless the scene was made with another limit
-BEYOND_S = 3.0
-"""A vessel is there for so long before its first place and after its last one: clocks and reports may be late."""
+BEYOND_S = 3.0  # a vessel is there so long before its first place and after its last: clocks and reports may be late
 ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
 """How far off the place of a vessel that is left out may be: at once, and for each second since its last report."""
 

@@ -118,7 +118,8 @@ def _said_of_times(log: DetectionLog) -> Iterator[str]:
 def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[DetectionLog, list[int]]:
     """The log of the wanted cameras, and the number in the scene of each of its cameras."""
     names = [camera.name for camera in scene.cameras]
-    known = _names_in_logs(names)
+    known = {str(number): number for number in range(len(names))}  # as the sequences of `modsim3d export`
+    known |= {ros_name(name): k for k, name in enumerate(names)} | {name: k for k, name in enumerate(names)}
     if None in log.cameras and len(log.cameras) > 1:
         problem = "some frames or detections name a camera and others do not: name it in all, or none"
         raise InputError(log.source, [problem])
@@ -130,7 +131,9 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
         if not given and len(log.cameras) > 1:
             there = ", ".join(map(shown, log.cameras))
             raise InputError(log.source, [f"has no frame of camera {shown(wanted)} (its cameras: {there})"])
-        return log.of_one_camera(given[0] if given else 0), [number]
+        chosen = given[0] if given else 0
+        log = log.take(log.camera == chosen)
+        return replace(log, cameras=(log.cameras[chosen],), camera=np.zeros_like(log.camera)), [number]
     if log.cameras == (None,):
         if len(names) > 1:
             which = f"does not say which camera of the scene it is of ({', '.join(names)})"
@@ -141,12 +144,6 @@ def _with_cameras(log: DetectionLog, scene: Scene, wanted: str | None) -> tuple[
         hint = f"{nearest(wrong[0], names)}; if the log is of one camera, --camera says which"
         raise InputError(log.source, [f"the scene has no camera {shown(wrong[0])} ({hint})"])
     return log, [known[str(name)] for name in log.cameras]
-
-
-def _names_in_logs(names: Sequence[str]) -> dict[str, int]:
-    """Number of each camera of a scene by what logs may call it: its number, its name in ROS, its name."""
-    numbers = {str(number): number for number in range(len(names))}  # as the sequences of `modsim3d export`
-    return numbers | {ros_name(name): k for k, name in enumerate(names)} | {name: k for k, name in enumerate(names)}
 
 
 def _check_sizes(log: DetectionLog, scene: Scene, numbers: Sequence[int]) -> None:

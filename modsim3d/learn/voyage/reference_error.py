@@ -29,8 +29,7 @@ SLOW, CONSTANT = slice(0, 3), slice(3, 8)  # those whose errors change over minu
 _REPORTED_DEG, _FROM_COURSE_DEG, _UNKNOWN_DEG = 1.0, 6.0, 45.0
 """A heading as it is sent; course or bearing in its place, off by leeway and current; none at all."""
 _ROUNDED_M = float(np.sqrt(2 / 12))  # a length is the sum of two distances, each rounded to a metre
-_TYPICAL = 0.3
-"""Spread of a dimension within a ship type, as a share: "100 to 180 m" and "10 to 14 m" in the table of types."""
+_TYPICAL = 0.3  # spread of a dimension within a ship type, as a share: "100 to 180 m", "10 to 14 m" in their table
 _ANTENNA = 0.23
 """Spread of the antenna's place where it is taken to be the middle of the hull, as a share: it may be anywhere on four
 fifths of it."""

@@ -139,8 +139,7 @@ OWN_SHIP = (
     _number("measured_pitch_rad", "rad", "pitch_rad as the inertial unit measures it"),
     _number("measured_heading_rad", "rad", "heading_rad + yaw_rad as the inertial unit measures it"),
 )
-COLUMNS = {"frames": FRAMES, "truth": TRUTH, "detections": DETECTIONS, "ownship": OWN_SHIP}
-"""The columns of each table of a run, in order."""
+COLUMNS = {"frames": FRAMES, "truth": TRUTH, "detections": DETECTIONS, "ownship": OWN_SHIP}  # of each table of a run
 
 
 def schema_of(table: str) -> pa.Schema:

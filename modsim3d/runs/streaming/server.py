@@ -63,8 +63,7 @@ class Backlog:
 
 SEND_BYTES = 1 << 16  # handed to the system at once, and about what it keeps: the rest waits in the backlog
 
-DROP_BYTES, DROP_S = 1 << 16, 0.05
-"""How much of what a reader has sent is dropped at once, and how often, so that no sender takes up the processor."""
+DROP_BYTES, DROP_S = 1 << 16, 0.05  # what a reader has sent is dropped in such pieces, so often, to spare the processor
 
 
 class ReaderGone(Exception):

@@ -24,8 +24,7 @@ EDGE_PX = 1 / 128
 """Buffer pixels by which rounding may move an edge: half of 1/256 along both axes, and as much for the corners of what
 it is compared with."""
 LENS_EDGE_PX = 1 / 32  # the same with a lens, whose curves are drawn as chords
-DEPTH_SHARE = 2.0**-20
-"""Depths that differ by a smaller share of the nearest corner's are equal, beside what moved corners change."""
+DEPTH_SHARE = 2.0**-20  # depths differing by less, as a share of the nearest corner's, are equal, but for moved corners
 MAX_PAIRS = 2_000_000  # most pixels times triangles that are looked at together; it bounds the memory
 
 

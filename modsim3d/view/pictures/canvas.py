@@ -219,8 +219,7 @@ FARTHEST_ROWS = 16  # of text that a label may move away from its box
 GAP_PX = 2
 COLUMN_COST, OTHER_SIDE_COST, ROW_COST = 0.03, 0.1, 0.06
 """Of the next best column, of the other side of the box, and of a row away from it; to cover a boat costs 1."""
-SHORTENED_FROM, LEFT_OUT_FROM = 0.3, 0.9
-"""A text is shortened if that saves so much, and an optional one is left out if it costs so much."""
+SHORTENED_FROM, LEFT_OUT_FROM = 0.3, 0.9  # a text is shortened, and an optional one left out, if that saves so much
 
 
 @dataclass(frozen=True)

@@ -133,8 +133,7 @@ def corners(places: Array, axes: Array, half: tuple[float, float]) -> Array:
     return places[:, None] + np.stack([along + across, along - across, -along - across, across - along], axis=1)
 
 
-COMFORT, LAND_COMFORT = 0.4, 0.5
-"""Shares of their lengths, taken together, that vessels want of water between them; and of a length to land."""
+COMFORT, LAND_COMFORT = 0.4, 0.5  # shares of both their lengths that vessels want between them, and to land
 CROWDING = 3.0  # cost of touching, beside those of changes that avoid it; nothing at a comfortable distance
 SMALL_CHANGE = 1.5  # cost up to which a changed track is taken without a look at larger changes
 LONGEST_INTERVAL_S = 1.0

@@ -27,8 +27,7 @@ from modsim3d.world.vessels import Vessel, shoebox
 
 TRIES = 40
 GOOD_ENOUGH = 0.3  # crowding with which a craft is taken at once, and not the best of all tries
-HEAD_STARTS_S = (0.0, 20.0, 40.0, 60.0)
-"""Ways are longer than the drive, so that a craft may be further along hers at its beginning."""
+HEAD_STARTS_S = (0.0, 20.0, 40.0, 60.0)  # a craft may be along her way, which is longer than the drive, at its start
 PACES = (1.0, 0.85, 0.7)
 SHORE_M = (12.0, 60.0)  # distance from the shore of those that keep near it, beside the clearance
 SHALLOW_M = 1.0  # what begins lower than this above the sea takes water away from the area

@@ -25,14 +25,12 @@ from modsim3d.scene.scene import Scene
 EPOCH_S = 1_577_836_800  # Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute
 NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
 FASTEST_KN = 102.2
-TURN_STEP, MAX_TURN = 4.733, 126
-"""The rate of turn in degrees a minute is sent as its root times this, and from 708° a minute on as 126."""
+TURN_STEP, MAX_TURN = 4.733, 126  # the rate of turn in °/min is sent as its root times this, and from 708° on as 126
 HEADING_FROM_M = 45.0  # from about 500 gross tonnage ships carry a gyrocompass, which measures the rate of turn
 AT_ANCHOR, UNDER_WAY = 1, 0
 BY_GPS = 1
 NO_HOUR, NO_MINUTE = 24, 60
-CARRIER_SENSE_STATE = 0b1_1100000000000000110
-"""Sent by class B "CS" where others tell about their slots (ITU-R M.1371-5, annex 8, table 70)."""
+CARRIER_SENSE_STATE = 0b1_1100000000000000110  # of class B "CS", instead of slots (ITU-R M.1371-5, annex 8, table 70)
 
 Fields = dict[str, Any]
 
@@ -71,7 +69,7 @@ def turn_field(turn_deg_min: float) -> float:
 def static_fields(station: Station, part: int) -> Fields:
     """Message 5 of class A, which has no parts, or part 0 or 1 of message 24 of class B."""
     sides = dict(zip(("to_bow", "to_stern", "to_port", "to_starboard"), station.sides_m, strict=True))
-    name, call_sign = {"shipname": station.ship_name}, {"callsign": station.call_sign}
+    name, call_sign = {"shipname": f"SIM {station.mmsi:09d}"}, {"callsign": station.call_sign}
     fields: Fields = {"mmsi": station.mmsi, "ship_type": station.ship_type, **sides, **call_sign}
     if station.ais_class == "A":
         return fields | name | {"msg_type": 5, "epfd": BY_GPS, "hour": NO_HOUR, "minute": NO_MINUTE}

@@ -54,11 +54,6 @@ class Station:
         return np.array([(stern - bow) / 2, (starboard - port) / 2, self.height_m])
 
     @property
-    def ship_name(self) -> str:
-        """A made-up name."""
-        return f"SIM {self.mmsi:09d}"
-
-    @property
     def call_sign(self) -> str:
         """A made-up call sign, of seven letters and digits at most."""
         return f"S{np.base_repr(self.mmsi, 36)}"

@@ -105,11 +105,6 @@ class DetectionLog:
             raise InputError(self.source, [problem])
         return replace(self, time_s=self.time_s + start.time_s, clock=start.clock)
 
-    def of_one_camera(self, index: int) -> DetectionLog:
-        """The frames of one of its cameras, which is its only one then."""
-        log = self.take(self.camera == index)
-        return replace(log, cameras=(self.cameras[index],), camera=np.zeros(len(log.camera), dtype=np.int64))
-
     def take(self, frames: Mask) -> DetectionLog:
         """Some of its frames, shape (F,), with their detections."""
         kept = np.flatnonzero(frames)

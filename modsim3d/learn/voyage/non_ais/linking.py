@@ -208,8 +208,7 @@ def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Ji
 # ---- The four sides of unmatched detections ----
 
 AT_BORDER_PX = 5.0  # a side so near to the image's border may be cut by it
-_BESIDE, _NEAR_PX = 0.25, 5.0
-"""A side so near to a known vessel's box may be hidden by it: beside it in heights of the box, and in pixels."""
+_BESIDE, _NEAR_PX = 0.25, 5.0  # a side so near to a known vessel's box, in heights of it and px, may be hidden
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,8 +244,7 @@ def _hidden(sightings: FalseSightings, known: Annotations, images: int) -> Mask:
     return hidden
 
 
-MAX_GAP_S = 3.0
-"""A thing that is not detected for longer is another one when it is detected again, unless it was followed as long."""
+MAX_GAP_S = 3.0  # a thing not detected for longer is another when it is detected again, unless followed as long
 MIN_GAP_FRAMES = 3  # usual gaps between frames that a thing may be missed for in any case
 
 
