@@ -271,8 +271,7 @@ class Case:
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
-    """Cases of a requirement, by tracker, condition and part of the runs. A key that is drawn for each traffic seed
-    selects nothing and does not split."""
+    """Cases of a requirement, by tracker, condition and part of the runs. Drawn keys neither select nor split."""
     wanted = wanted_of(requirement)
     labels = wanted.pop(TRACKER, None) if requirement.of is None else [requirement.of]
     named = [RunPart(key, str(name)) for key in groups_of(plan, requirement) for name in wanted.pop(key)]

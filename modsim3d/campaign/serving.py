@@ -1,5 +1,4 @@
-"""The process of a worker: does the tasks that come through a pipe, until the pipe ends. Started as `python -m
-modsim3d.campaign.serving PIPE PARENT`."""
+"""The process of a worker does the tasks of a pipe: `python -m modsim3d.campaign.serving PIPE PARENT`."""
 
 import os
 import platform

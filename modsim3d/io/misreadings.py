@@ -34,8 +34,7 @@ def has_lost_digits(identity: str) -> bool:
 
 
 def are_rounded(identities: Iterable[object]) -> bool:
-    """Whether the whole numbers among identities went through single precision. Many MMSI end in 000, of which it holds
-    every second or all: these tell nothing."""
+    """Whether the whole numbers among identities went through single precision. MMSI that end in 000 tell nothing."""
     whole = (each for each in identities if isinstance(each, int) and each % 1000)
     large = {each for each in whole if _FIRST_ROUNDED <= each < _LAST_ROUNDED}
     return len(large) >= _FEW_ROUNDED and all(int(np.float32(each)) == each for each in large)

@@ -241,8 +241,7 @@ def load_json(path: Path, what: str, bytes_per_value: int | None = None) -> Any:
 
 def check_values(text: str, source: str, bytes_per_value: int | None = None) -> None:
     """Refuse a JSON text with more values than the budget, before they fill the memory. Its commas and opening brackets
-    are counted, those within texts too. A text that has `bytes_per_value` bytes for each value may exceed the budget.
-    Raises InputError if there are too many."""
+    are counted, those within texts too. A text of `bytes_per_value` bytes for each value may exceed the budget."""
     most = max(input_files.MAX_JSON_VALUES, len(text) // bytes_per_value if bytes_per_value else 0)
     count = sum(text.count(mark) for mark in ",[{")
     if count > most:

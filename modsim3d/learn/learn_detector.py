@@ -126,8 +126,7 @@ def learn_detector(labelled: LabelledSet, settings: LearnSettings, options: Lear
 
 def least_confidence(labelled: LabelledSet, asked: float | None) -> float:
     """The least confidence of a detection that counts: the one that was asked for, or 0.2; 0 without confidences. It is
-    not below a run's operating threshold, under which detections were dropped. Raises ModsimError if one was asked for,
-    and the detections have no confidences."""
+    not below a run's operating threshold. Raises ModsimError if one was asked for, and there are no confidences."""
     if labelled.scored:
         return max(MIN_CONFIDENCE if asked is None else asked, labelled.dropped_below)
     if asked is not None:

@@ -152,8 +152,7 @@ class LearnedOnVessels:
 
 @dataclass(frozen=True, eq=False)
 class LearnedMultipleBoxes:
-    """The probability of each kind that the data show; `merge_s` is None if merges do not persist, `on_vessels` if no
-    false detections lie on vessels."""
+    """The probability of each kind; `merge_s` is None if merges do not persist, `on_vessels` if none lie on vessels."""
 
     form: MultipleBoxForm
     shares: tuple[Entry, ...]

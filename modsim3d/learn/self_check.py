@@ -138,8 +138,7 @@ def _replicate(entry: Entry, row: int) -> Entry:
 
 
 def _first_half(observed: Observed) -> Mask:
-    """Images of one half of each state: whole films, or every other quarter of a single one. The cameras of a run see
-    the same vessels, and are one film."""
+    """Images of one half of each state: whole films, all cameras of a run, or every other quarter of a single one."""
     images, half = observed.labelled.images, np.zeros(len(observed.image_state), dtype=bool)
     sequence = images.sequence if observed.labelled.results.origin is None else np.zeros_like(images.sequence)
     _, film = np.unique(np.column_stack([images.source, sequence]), axis=0, return_inverse=True)

@@ -195,8 +195,7 @@ def _usual_gap_s(times_s: Sequence[Array]) -> float:
 
 
 def parse_sequence(text: str, states: Sequence[str], source: str) -> Indices:
-    """Indices of the states that a text names, one on each line, shape (lines,). Raises InputError if a name is
-    unknown; each problem names its line."""
+    """Indices of states that a text names, one a line, (lines,). Raises InputError with the lines of unknown names."""
     lines = [line.strip() for line in text.splitlines()]
     places = {name: index for index, name in enumerate(states)}
     if not any(line in places for line in lines):

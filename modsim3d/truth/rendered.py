@@ -106,8 +106,7 @@ MAX_LINES = 32_768  # most scan lines of silhouettes that are treated at once: f
 def rendered_occlusion(
     outlines: Outlines, intrinsics: Intrinsics, renderer: IdRenderer, supersample: int = 1
 ) -> Occlusion:
-    """Visible part of each outline, counted from pixels. There are `supersample` buffer pixels per image pixel and
-    axis; results are in image pixels."""
+    """Visible part of each outline in image pixels, each counted from `supersample` buffer pixels on each axis."""
     if intrinsics.distortion is not None:  # silhouettes are bent: draw everything
         return full_frame_occlusion(outlines, intrinsics, renderer, supersample)
     portions = _portions(outlines, supersample)

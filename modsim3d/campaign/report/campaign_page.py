@@ -219,8 +219,7 @@ def campaign_page(
     advance: Callable[[int], None] = lambda done: None,
     command: str | None = None,
 ) -> str:
-    """Page of a campaign as HTML. `advance` is called with 1 after each picture; `command` is what the page says it was
-    made by, the call from Python if None."""
+    """Page of a campaign as HTML. `advance(1)` follows each picture; `command` made it, or the call from Python."""
     plan = folder.plan
     asked = "are its requirements met?" if plan.keys.require else "what does it compare?"
     document = Document(

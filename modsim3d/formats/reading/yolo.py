@@ -189,8 +189,7 @@ _LOOKED_AT_FILES = 10_000  # below a folder without labels, for a hint: it may b
 
 
 def _folder(path: Path, needed: bool = False) -> Path:
-    """The folder that has the text files. Raises InputError if only folders below it have text files; or if there are
-    none at all, and they are needed."""
+    """The folder with text files. Raises InputError if only folders below have any, or none where they are needed."""
     if not path.is_dir():
         raise InputError(f"folder {path}", ["no such folder"])
     folder = next((path / name for name in _LABELS if (path / name).is_dir()), path)

@@ -1,5 +1,4 @@
-"""A run as tables of text: what a tracker may read, with bearings and positions, and beside it the truth.
-docs/positions.md has every column."""
+"""A run as tables of text: what a tracker may read, with bearings and positions, and the truth (docs/positions.md)."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -232,8 +232,7 @@ class RunDirectory:
 
     @contextmanager
     def completing(self) -> Iterator[None]:
-        """Complete all files and put them on the disk, several at once, while the caller does something else. Raises
-        OSError if a file cannot be written."""
+        """Complete all files and put them on the disk, several at once, while the caller goes on. May raise OSError."""
         self._close_lines()
         with ThreadPoolExecutor(FILES_AT_ONCE) as threads:
             files = {name: threads.submit(self._complete, name) for name in self._file_names()}

@@ -26,8 +26,7 @@ from modsim3d.truth.record import Truth
 
 
 def truth_of(table: pa.Table, scene: Scene) -> Truth:
-    """The truth in rows of the table `truth` of a run of a scene. The table does not say which boxes intersect in
-    space, so `intersections` is empty."""
+    """The truth in rows of the table `truth` of a run, which does not say what intersects: `intersections` is empty."""
     occluders = tables.Occluders.of(table, scene.occluder_names)
     return Truth(
         step=tables.integer_column(table, "step"),

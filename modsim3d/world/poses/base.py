@@ -276,8 +276,7 @@ def _along(tracks: Sequence[Array], times_s: Array) -> tuple[Mask, Array, Array]
 def waypoint_tracks(
     tracks: Mapping[str, Sequence[Waypoint]], vessels: Sequence[str], steps: int, time_step_s: float
 ) -> WaypointTracks:
-    """Tracks from the waypoints of each vessel in a scene file; a vessel without a track is always absent. Raises
-    InputError with every problem found."""
+    """Tracks from waypoints in a scene file; vessels without one are absent. Raises InputError with every problem."""
     problems: list[str] = []
     known = set(vessels)
     for name, waypoints in tracks.items():

@@ -130,8 +130,7 @@ def parse_poses(data: Any, source: str, vessels: Sequence[str] | None) -> Record
 
 
 def check_pose_count(source: str, steps: int, vessels: int) -> None:
-    """Refuse poses that would fill the memory, though most vessels may be absent at most steps. Raises InputError if
-    vessels times steps exceed the budget."""
+    """Refuse, with InputError, poses of too many vessels times steps for the memory, absent ones included."""
     if steps * vessels > input_files.MAX_POSES:
         most = f"more than {input_files.MAX_POSES:,} poses: use fewer of either"
         raise InputError(source, [f"{steps:,} steps of {vessels:,} vessels are {most}"])
