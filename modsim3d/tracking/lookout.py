@@ -16,7 +16,7 @@ _DECIMALS = 3
 
 
 @dataclass(frozen=True)
-class Approach:
+class VesselApproach:
     """A vessel that a camera of own ship saw. Distances are of the centres, each the least so far at that moment: a
     vessel was known before it came to R if `known_m` is R or more."""
 
@@ -38,7 +38,7 @@ def tracks_in_images(rows: RunRows, following: Following) -> Indices:
 
 
 def tracks_in_world(rows: RunRows, following: WorldFollowing) -> Indices:
-    """The same of tracks in the world, which are of all cameras together, shape (S, C, V)."""
+    """Number of the track in the world that follows each vessel, as in `tracks_in_images`, for each camera the same."""
     track = np.append(following.tracks.track, NOBODY)[following.followed_by]
     return np.repeat(track[:, None], len(rows.scene.cameras), axis=1)
 
@@ -52,7 +52,7 @@ def _in_last_frames(rows: RunRows, frame: Indices, vessel: Indices, value: Indic
     return found[np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))]
 
 
-def approaches(rows: RunRows, track: Indices) -> Iterator[Approach]:
+def approaches(rows: RunRows, track: Indices) -> Iterator[VesselApproach]:
     """All vessels that came into view of each own ship; `track` is as in `tracks_in_images`."""
     scene, visible = rows.scene, rows.numbers("visible_px") != 0  # where it is unknown, what is in the image is seen
     place = rows.truth_frame[visible], rows.truth_vessel[visible]
@@ -73,7 +73,7 @@ def approaches(rows: RunRows, track: Indices) -> Iterator[Approach]:
             kept = [so_far_m[before[_kept_from(here, step_s, same) :]][:1].sum() for same in (False, True)]
             distances = (so_far_m[steps[0]], so_far_m[-1], *kept)
             rounded = (round(float(each), _DECIMALS) for each in distances)
-            yield Approach(name, vessel.name, vessel.label, vessel.length_m, *rounded)
+            yield VesselApproach(name, vessel.name, vessel.label, vessel.length_m, *rounded)
 
 
 def _kept_from(track: Indices, step_s: float, same: bool) -> int:

@@ -86,3 +86,13 @@ def test_tracks_in_the_images_are_those_of_own_ships_cameras_and_each_camera_has
     assert (every.known_m, every.one_track_m) == (pytest.approx(200.998, abs=1e-3),) * 2
     assert (both.known_m, ashore.known_m) == (every.known_m, 0)
     assert both.one_track_m == pytest.approx(apart_m(ANCHORED, 30), abs=1e-3)
+
+
+def test_a_vessel_that_is_lost_after_the_closest_approach_was_known(tmp_path: Path) -> None:
+    port = {"vessel": "own", "position_m": [5, 0, 6], "pitch_rad": 0.02, "yaw_rad": np.pi / 2}
+    cameras = {"port": camera_keys(1280, 720, focal_length_m=0.008, mount=port)}
+    rows = RunRows.of(sea_runs.sea_run(tmp_path / "run", cameras=cameras))
+    seen = np.flatnonzero(WorldTruth.of(rows).scored[:, CROSSER])
+    assert seen[-1] == 59 and TIMES_S[seen[0]] < 20.49  # it passes at 20.49 s, and is in view to the end
+    (found,) = [each for name, each in found_of(rows, [(CROSSER, TIMES_S[:43])]).items() if name == "crosser"]
+    assert found.known_m == found.in_view_m > found.closest_m

@@ -17,7 +17,7 @@ from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OCCLUDED_BELOW
 from modsim3d.tracking.scores.scored import stretches
-from modsim3d.tracking.world.scoring import ENCOUNTER_M
+from modsim3d.tracking.world.met_vessels import ENCOUNTER_M
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, appearances
 from modsim3d.world.encounters import Encounter, encounter, hull_tracks
 from modsim3d.world.floating_vessels import FloatingVessels

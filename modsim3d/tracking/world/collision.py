@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +12,7 @@ from modsim3d.core.arrays import NOBODY, Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.validation import nearest, shown
 from modsim3d.tracking.world.following import WorldFollowing
-
-if TYPE_CHECKING:
-    from modsim3d.tracking.world.scoring import MetVessel
+from modsim3d.tracking.world.met_vessels import MetVessel
 
 TIMES_LEFT_S = (15.0, 30.0, 60.0, 120.0, 240.0)
 RANGE_EDGES_M = (0.0, 200.0, 500.0, 1000.0, 2000.0, np.inf)
