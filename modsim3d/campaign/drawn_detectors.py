@@ -17,7 +17,7 @@ from scipy import special
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
-from modsim3d.detector.file import schema
+from modsim3d.detector.file import schema, schema_models
 from modsim3d.io.input_files import file_sha256
 from modsim3d.io.strict_text import load_json
 from modsim3d.io.validation import Strict, describe
@@ -230,5 +230,6 @@ _WRITERS: dict[str, Callable[[Array], Any]] = {
     "density": lambda value: nested(np.round(value / value.max(), 6)),
     "quantiles": lambda value: nested(np.maximum.accumulate(value)),
     "false_discovery_rate": lambda value: nested(np.minimum(value, schema.GREATEST_FALSE_DISCOVERY_RATE)),
+    "false_positives_per_image": lambda value: nested(np.minimum(value, schema_models.MAX_PER_IMAGE)),
 }
 """How numbers are written that a draw may have moved beyond what a file may have."""
