@@ -5,6 +5,7 @@ import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from modsim3d.truth.crosscheck.comparison import mask_of
 from modsim3d.truth.crosscheck.drawing import Drawing, vessel_triangles
 from modsim3d.truth.outlines import Outlines, outline
 from modsim3d.truth.rendered import rendered_spans
+from modsim3d.truth.silhouettes import Spans
 from modsim3d.world.bodies import Obstacle, obstacle_bodies, placed, vessel_bodies
 from modsim3d.world.vessels import Vessel, shoebox
 
@@ -88,8 +90,13 @@ def pixel_masks(
     """The pixels of one vessel, a row of the outlines, from whole images."""
     size = intrinsics.image_size_px[0] * supersample, intrinsics.image_size_px[1] * supersample
     region = Region.around(outlines.boxes_px[row] * supersample, size)
-    spans = rendered_spans(outlines, intrinsics, renderer, supersample, full=True)
+    spans = _spans(outlines, intrinsics, renderer, supersample)
     return PixelMasks(region, *(mask_of(each.take(each.row == row), region) for each in spans))
+
+
+@lru_cache(maxsize=1)
+def _spans(*view: Any) -> tuple[Spans, Spans]:
+    return rendered_spans(*view, full=True)
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
