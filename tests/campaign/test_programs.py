@@ -25,9 +25,9 @@ from modsim3d.campaign.reproduce import make_again
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import WORLD_SCORES, world_column
-from modsim3d.campaign.workers import ThisProcess
 from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, problems_of, run_campaign_file
 from tests.campaign.engines.campaigns import waited_for
+from tests.campaign.one_process import ThisProcess
 from tests.scenes import crossing
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
