@@ -60,18 +60,14 @@ class CoprocessError(ModsimError):
 
 
 class Coprocess:
-    """A program with a group of processes of its own, none of which outlives this process or the block it is used in.
-
-    Attributes:
-        seconds: Time from the last line that it was sent to the end of its answer.
-        peak_memory_mb: Most memory that the program had, in MB of 2²⁰ bytes, once it has ended by itself; else None.
-    """
+    """A program with a group of processes of its own, none of which outlives this process or the block it is used
+    in."""
 
     def __init__(self, program: str, command: Sequence[str], folder: Path, timeout_s: float) -> None:
         """Start a file as a program with arguments, the first of which is its name, in a folder. It has `timeout_s`
         seconds for each answer."""
-        self.seconds = 0.0
-        self.peak_memory_mb: float | None = None
+        self.seconds = 0.0  # from the last line that it was sent to the end of its answer
+        self.peak_memory_mb: float | None = None  # MB of 2²⁰ bytes, once it has ended by itself
         self._timeout_s = timeout_s
         self._life, other_end = socket.socketpair()
         pipe = subprocess.PIPE

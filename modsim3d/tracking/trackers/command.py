@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -235,18 +234,13 @@ def _line(content: Mapping[str, Any]) -> bytes:
 
 
 class Exchange:
-    """A program at work on a run.
-
-    Attributes:
-        seconds: Its time for each line so far, but the first.
-        at: Where it is, for errors.
-    """
+    """A program at work on a run."""
 
     def __init__(self, program: Coprocess, rows: RunRows) -> None:
         """Say nothing yet."""
         self._program, self._rows = program, rows
-        self.seconds: list[float] = []
-        self.at = "at its start"
+        self.seconds: list[float] = []  # its time for each line so far, but the first
+        self.at = "at its start"  # where it is, for errors
 
     def tracks(
         self, settings: Mapping[str, Any], progress: Callable[[int], None]
@@ -268,7 +262,7 @@ class Exchange:
                     step = world_step_of(answer.tracks)
                     continue
                 names = [frame.camera for frame in each.frames] if camera is None else [camera]
-                for name, frame in self._made(partial(image_frames, answer, names, labels)).items():
+                for name, frame in image_frames(answer, names, labels).items():
                     images[name].append(frame)
             steps.append(step)
             progress(len(each.frames))
@@ -280,19 +274,13 @@ class Exchange:
         answer = self._ask(model, line)
         if (answer.step, answer.camera) != (step, camera):
             said, given = (_name(*each) for each in ((answer.step, answer.camera), (step, camera)))
-            raise self._program.error(f"it answered {said}, and was given {given}")
+            raise ModsimError(f"it answered {said}, and was given {given}")
         return answer
 
     def _ask(self, model: type[Any], line: bytes) -> Any:
         answer = self._program.ask(line)
         self.seconds.append(self._program.seconds)
-        return self._made(partial(parsed, model, answer))
-
-    def _made(self, make: Callable[[], Any]) -> Any:
-        try:
-            return make()
-        except ModsimError as error:
-            raise self._program.error(str(error)) from None
+        return parsed(model, answer)
 
 
 def _name(step: int, camera: str | None) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.errors import ModsimError
-from modsim3d.io.coprocess import Coprocess
+from modsim3d.io.coprocess import Coprocess, CoprocessError
 from modsim3d.io.plugins import failed
 from modsim3d.runs.camera_sequences import CameraSequence, sequences_of
 from modsim3d.runs.run_rows import RunRows
@@ -247,7 +247,8 @@ def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, pro
         try:
             found = exchange.tracks(tracker.settings, progress)
         except ModsimError as error:
-            raise ModsimError(f"{named}: {exchange.at}: {error}") from error
+            told = error if isinstance(error, CoprocessError) else program.error(str(error))
+            raise ModsimError(f"{named}: {exchange.at}: {told}") from error
     took = np.array(exchange.seconds), program.peak_memory_mb
     if isinstance(found, list):
         times_s = scene.times_s(0, rows.steps)
