@@ -43,7 +43,7 @@ def track_command(
         ),
     ] = None,
     command: Annotated[
-        str | None, option("COMMAND", "Program that is the tracker, with its arguments (docs/tracker_command.md).")
+        str | None, option("PROGRAM", "Program that is the tracker, with its arguments (docs/tracker_command.md).")
     ] = None,
     timeout: Annotated[
         float | None, option("SECONDS", "Time that the program has for each answer.", show_default="30 s")

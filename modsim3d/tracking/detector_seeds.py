@@ -71,11 +71,12 @@ def check_seeds(seeds: int, track_sets: Sequence[TrackSet], in_world: Sequence[P
     tracker is not known."""
     if not MIN_SEEDS <= seeds <= MAX_SEEDS:
         raise ModsimError(f"--seeds must be from {MIN_SEEDS} to {MAX_SEEDS} (got {seeds})")
-    unknown = [f"{path}" for path in in_world] + [each.name for each in track_sets if each.origin is None]
+    own = [each for each in track_sets if each.origin is None or each.origin.package.startswith("command ")]
+    unknown = [f"{path}" for path in in_world] + [each.name for each in own]
     if unknown:
         raise ModsimError(
             f"--seeds runs the tracker again, and nothing says which one made '{unknown[0]}': give folders that "
-            "`modsim3d track` wrote, or leave out --seeds"
+            "`modsim3d track` wrote, of no program (campaigns run these with several seeds), or leave out --seeds"
         )
 
 

@@ -94,6 +94,8 @@ def test_every_line_is_of_the_schema_and_all_is_told_once_in_order(two_cameras, 
         ]
     detections = sum(len(frame["detections"]) for each in told[1:] for frame in each.get("frames", [each]))
     assert result.counts.detections == detections > 100
+    with pytest.raises(ModsimError, match="nothing says which one made"):
+        modsim3d.score_run(two_cameras, tmp_path / "tracks", seeds=3)
     if tracks == "image":
         assert result.counts.boxes == detections and (tmp_path / "tracks" / "tracks.parquet").is_file()
     else:
