@@ -51,7 +51,7 @@ def check_scene_command(
     from modsim3d.runs.camera_sequences import blind_at_first
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
-    from modsim3d.scene.summary import camera_facts, doubts, sampled_tracks, vessel_types
+    from modsim3d.scene.summary import camera_summaries, doubts, sampled_tracks, vessel_types
 
     if (kind := _kind_of_file(scene)) != "scene":
         if settings or state or state_from is not None or out is not None:
@@ -65,7 +65,7 @@ def check_scene_command(
         tracks = sampled_tracks(loaded)
         warnings = [*scene_warnings(loaded), *blind_at_first(loaded), *doubts(loaded, tracks)]
     drawn = None if out is None else _draw_map(loaded, out, overwrite)
-    cameras, types = camera_facts(loaded), vessel_types(loaded, tracks)
+    cameras, types = camera_summaries(loaded), vessel_types(loaded, tracks)
     shared.print_line(open_console(), f"{loaded.path}: {_found(warnings)}")
     print_table(open_console(), "", _rows(loaded, [*map(str, cameras)], [*map(str, types)]))
     for warning in warnings:

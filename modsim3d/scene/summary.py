@@ -19,7 +19,7 @@ from modsim3d.world.traffic.clearance import Land
 
 
 @dataclass(frozen=True)
-class CameraFacts:
+class CameraSummary:
     """A camera at the first step; of a live scene as if its vessel lay at the origin, heading along w1."""
 
     name: str
@@ -44,12 +44,12 @@ class CameraFacts:
         return f"{self.name}: {size}, looks {looks} and {tilt}° {'up' if self.down_deg < 0 else 'down'}, {horizon}"
 
 
-def camera_facts(scene: Scene) -> list[CameraFacts]:
+def camera_summaries(scene: Scene) -> list[CameraSummary]:
     """Facts about the cameras of a scene, in its order; none of a scene of labels, whose cameras are not known."""
-    return [] if scene.labels is not None else [_facts_of(scene, camera) for camera in scene.cameras]
+    return [] if scene.labels is not None else [_summary_of(scene, camera) for camera in scene.cameras]
 
 
-def _facts_of(scene: Scene, camera: Camera) -> CameraFacts:
+def _summary_of(scene: Scene, camera: Camera) -> CameraSummary:
     vessel, lens, heading_rad = camera.mount.vessel, camera.intrinsics, 0.0
     poses = poses_ashore(camera.mount, 1)
     if vessel is not None and not scene.live:
@@ -63,7 +63,7 @@ def _facts_of(scene: Scene, camera: Camera) -> CameraFacts:
     a, b, c = lens.sea_half_plane(poses.camera_R_world)[0].tolist()
     row = -(a * lens.image_size_px[0] / 2 + c) / b if abs(b) > 1e-6 else None
     size, height_m, bearing = lens.image_size_px, float(poses.positions_m[0, 2]), 180 - (180 - bearing) % 360
-    return CameraFacts(camera.name, size, _field_of_view_deg(lens), vessel, height_m, bearing, down, row)
+    return CameraSummary(camera.name, size, _field_of_view_deg(lens), vessel, height_m, bearing, down, row)
 
 
 def _rounded(value: float, digits: int) -> str:

@@ -8,7 +8,7 @@ import pytest
 
 from modsim3d import load_scene
 from modsim3d.scene.reading import shipped_scenes
-from modsim3d.scene.summary import camera_facts, doubts, sampled_tracks, vessel_types
+from modsim3d.scene.summary import camera_summaries, doubts, sampled_tracks, vessel_types
 from tests.packaging.test_documents import ROOT, blocks
 from tests.scenes import camera_keys, write_scene
 
@@ -21,7 +21,7 @@ def facts(folder: Path, boats: dict[str, Any], steps: int = 11, **keys: Any) -> 
     """Lines on cameras and kinds of vessels, and doubts."""
     scene = load_scene(write_scene(folder, boats, steps, **keys))
     tracks = sampled_tracks(scene)
-    return [*map(str, camera_facts(scene))], [*map(str, vessel_types(scene, tracks))], doubts(scene, tracks)
+    return [*map(str, camera_summaries(scene))], [*map(str, vessel_types(scene, tracks))], doubts(scene, tracks)
 
 
 def test_a_line_on_each_camera_is_what_a_drawing_has(tmp_path: Path) -> None:
@@ -54,7 +54,7 @@ def test_a_page_shows_the_lines_that_its_scenes_have(tmp_path: Path, page: str) 
             (tmp_path / file).parent.mkdir(exist_ok=True)
             (tmp_path / file).write_text(text)
             if "detector:" in text:
-                found |= set(map(str, camera_facts(load_scene(tmp_path / file))))
+                found |= set(map(str, camera_summaries(load_scene(tmp_path / file))))
         elif language == "text":
             shown |= {line.strip() for line in text.splitlines() if "horizon at row" in line}
     assert shown and shown <= found
