@@ -205,7 +205,8 @@ class Requirement(Strict):
     share of what is to be followed that the score of each run must rest on. `confidence` is the least probability that
     a verdict is right when the truth is at the threshold; of a mean that is looked at once it is measured and not
     proved. With `known_at_m` it is on the lookout: `share` is that of the approaches of vessels of a `kind`, in the
-    file `of`, that must be known at that distance, by the same track with `one_track`."""
+    file `of`, that must be known at that distance, mean over traffic seeds; by one track unless
+    `one_track` is false."""
 
     score: Text
     where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
@@ -218,7 +219,7 @@ class Requirement(Strict):
     confidence: Confidence = 0.95
     known_at_m: Positive | None = None
     kind: ApproachKind | None = None
-    one_track: bool = False
+    one_track: bool = True
 
     @model_validator(mode="before")
     @classmethod
@@ -226,6 +227,8 @@ class Requirement(Strict):
         """`{known_at_m: R, of: KIND, share: S}` is on the distances of approaches."""
         if not isinstance(value, dict) or value.get("known_at_m") is None or "kind" in value:
             return value
+        if "share" in value and "in" in value:
+            raise ValueError("share and in are the same here: leave one out")
         kept = {key: each for key, each in value.items() if key not in ("of", "share")}
         return {"score": KNOWN, **kept, "kind": value.get("of") or {}, "in": value.get("share", value.get("in"))}
 
@@ -239,7 +242,7 @@ class Requirement(Strict):
     def _check(self) -> Self:
         if self.known_at_m is not None:
             return self._checked_lookout()
-        if self.kind is not None or self.one_track:
+        if self.kind is not None or not self.one_track:
             raise ValueError("kind and one_track need known_at_m")
         if (self.at_least is None) == (self.at_most is None):
             raise ValueError("give either at_least or at_most")

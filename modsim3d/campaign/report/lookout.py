@@ -30,9 +30,9 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
     for low, high in pairwise(SIZE_EDGES_M):
         size, curves = f"{low:g} to {high:g} m" if high < np.inf else f"{low:g} m and more", {}
         for condition, tracker in cases:
-            found, _ = rows.approaches(Case(tracker, condition))
+            found, crashed = rows.approaches(Case(tracker, condition))
             sized = [[each for each in seed if low <= each["length_m"] < high] for seed in found]
-            counts = [counted_approaches(sized, distance) for distance in distances]
+            counts = [counted_approaches(sized, crashed, distance) for distance in distances]
             label, values = plan.keys.trackers[tracker].label, condition_cells(plan, condition, keys)
             if any(each.came.sum() for each in counts):
                 cells.append((size, label, *values, *(f"{c.known.sum():.0f} of {c.came.sum():.0f}" for c in counts)))
@@ -40,9 +40,10 @@ def lookout_sections(plan: Plan, table: pa.Table) -> Iterator[Block]:
         drawn += [Figure(partial(_chart, size, curves), "")] if curves else []
     yield Heading("From where on vessels are known")
     yield Text(
-        "Approaches that tracks followed before the vessel came to a distance, and kept until the closest approach, of "
-        "those that were in view beyond it and came so near; vessels that appeared nearer, or never came so near, are "
-        f"not among them. The charts leave out shares of fewer than {MIN_APPROACHES}.",
+        "Approaches that one track followed before the vessel came to a distance, and kept until the closest approach, "
+        "of those that were in view beyond it and came so near; vessels that appeared nearer, or never came so near, "
+        "are not among them. The charts have means over traffic seeds, where there are at least "
+        f"{MIN_APPROACHES} approaches.",
         "soft",
     )
     yield Table("", ("length", "tracker", *key_columns(keys), *(f"{each:g} m" for each in distances)), cells)

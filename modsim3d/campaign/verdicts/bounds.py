@@ -135,29 +135,6 @@ def _lower(right: Mask, alpha: float) -> float:
     return lower_end(excluded, _HALVINGS)
 
 
-# ---- Bounds of a share of things that come in clusters ----
-
-
-def clustered_low(hits: Array, trials: Array, alpha: float) -> float:
-    """Lower bound of the share of hits among trials that come in clusters, numbers of each, shape (n,). It is that of
-    Clopper & Pearson for the effective number of trials, after Korn & Graubard (1998), "Confidence intervals for
-    proportions with small expected number of positive counts estimated from survey data", Survey Methodology 24,
-    193-201: the design effect is that of the ratio of sums, and t-quantiles allow for few clusters. Their estimate is
-    too good where few clusters have misses, and there is none without a miss. So one more cluster of mean size is
-    added that has misses only, and the effect is at most that of clusters whose trials are all alike. How often the
-    bound errs was measured, by `script/campaign lookout`."""
-    clusters, total = int(np.count_nonzero(trials)), float(trials.sum())
-    if clusters < 2 or not hits.sum():
-        return 0.0
-    size = float((trials**2).sum()) / total
-    share = float(hits.sum()) / (total + size)
-    spread = float(((hits - share * trials) ** 2).sum()) + (share * size) ** 2
-    effect = (clusters + 1) / clusters * spread / (total + size) / (share * (1 - share))
-    few = special.stdtrit(total - 1, 1 - alpha) / special.stdtrit(clusters - 1, 1 - alpha)
-    effective = total / min(max(effect, 1.0), size) * float(few) ** 2
-    return exact_bounds(effective * float(hits.sum()) / total, effective, alpha)[0]
-
-
 # ---- A sequence of bounds of the mean of values between 0 and 1 ----
 
 STAKES: Array = np.exp2(-0.5 * np.arange(21))  # shares of the capital lost if a value is 0, from all to a thousandth
@@ -199,6 +176,19 @@ def _lower_by_betting(values: Array, alpha: float) -> float:
     if not len(values):
         return 0.0
     return lower_end(lambda mean: bool(np.max(log_capital(values, mean)) >= -math.log(alpha)), _BETTING_HALVINGS)
+
+
+# ---- Bounds of the mean of shares ----
+
+WHOLE = 0.8  # part of the probability of an error that is for the number of values that are 1
+
+
+def mean_share_low(shares: Array, alpha: float) -> float:
+    """Lower bound of the mean of values in [0, 1], (n,), looked at once, whatever their distribution. A mean is at
+    least the probability of a 1, which has the bound of Clopper & Pearson (1934); where few are 1, betting on the
+    values says more. Both share the probability of an error."""
+    whole = exact_bounds(int((shares == 1).sum()), len(shares), WHOLE * alpha)[0]
+    return max(whole, _lower_by_betting(shares, (1 - WHOLE) * alpha))
 
 
 # ---- The bounds that a verdict is held against ----

@@ -131,13 +131,13 @@ class SeedRows:
 
         return column
 
-    def approaches(self, case: Case) -> tuple[list[list[dict[str, Any]]], int]:
-        """The approaches of each traffic seed, and the number of runs that crashed, of a case."""
+    def approaches(self, case: Case) -> tuple[list[list[dict[str, Any]]], Mask]:
+        """The approaches of each traffic seed of a case, and whether a run of it crashed, shape (s,)."""
         there = APPROACHES in self._table.column_names
         texts = self._table[APPROACHES].to_pylist() if there else [None] * len(self._table)
         of_case = np.array(texts, dtype=object).reshape(self._shape)[self._place(case)]
         found = [[each for text in seed if text for each in orjson.loads(text)] for seed in of_case]
-        return found, int(self._crashed[self._place(case)].sum())
+        return found, self._crashed[self._place(case)].any(axis=1)
 
     def _place(self, case: Case) -> tuple[slice | int, ...]:
         return (slice(None), case.condition, slice(None), case.tracker)

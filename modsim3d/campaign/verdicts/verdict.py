@@ -17,8 +17,8 @@ from modsim3d.campaign.verdicts.bounds import (
     UNKNOWN,
     Bounds,
     clean_seeds_needed,
-    clustered_low,
     mean_bounds,
+    mean_share_low,
     share_bounds,
 )
 from modsim3d.campaign.verdicts.known_share import required_approaches
@@ -215,21 +215,19 @@ def _labels(keys: CampaignKeys, case: Case) -> str:
 
 
 def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
-    """A verdict on the share of approaches that are known; each traffic seed is a cluster of them."""
+    """A verdict on the share of approaches that are known, mean over traffic seeds; in one that crashed none is."""
     assert requirement.share is not None
-    found, crashed = rows.approaches(case)
-    counts = required_approaches(requirement, found)
-    bounds, alpha = UNKNOWN, 1 - requirement.confidence
+    counts = required_approaches(requirement, *rows.approaches(case))
+    bounds, alpha, crashed = UNKNOWN, 1 - requirement.confidence, int(counts.crashed.sum())
     if done := rows.seeds == plan.keys.seeds.traffic and counts.share is not None:
-        missed = counts.came - counts.known
-        bounds = Bounds(clustered_low(counts.known, counts.came, alpha), 1 - clustered_low(missed, counts.came, alpha))
-    outcome = _outcome(bounds.low >= requirement.share and not crashed, bounds.high < requirement.share)
+        bounds = Bounds(mean_share_low(counts.shares, alpha), 1 - mean_share_low(1 - counts.shares, alpha))
+    outcome = _outcome(bounds.low >= requirement.share, bounds.high < requirement.share)
     why = f"{counts.known.sum():,.0f} of {counts.came.sum():,.0f} approaches are known at {requirement.known_at_m:g} m"
     why += f" ({counts.appeared_nearer:,} appeared nearer, {counts.never_so_near:,} never came so near)"
-    why += f" in {counted(int(np.count_nonzero(counts.came)), 'traffic seed')}"
-    why += f"; {_between(bounds, requirement)}, with seeds as clusters." if done else "."
-    if crashed:
-        why += f" {counted(crashed, 'run')} crashed, whose approaches are not known: it cannot be met."
+    why += f"; mean of {counted(len(counts.shares), 'traffic seed')} that have some" if counts.share is not None else ""
+    why += f"{' ' if counts.share is not None else '; '}{_between(bounds, requirement)}." if done else "."
+    why += f" {counted(crashed, 'seed')} with a run that crashed: none is known there." if crashed else ""
+    why += _false_tracks(plan, rows, case)
     if rows.seeds < plan.keys.seeds.traffic:
         why += f" It is judged when all {plan.keys.seeds.traffic:,} traffic seeds are done."
     low, high = (bound if math.isfinite(bound) else None for bound in (bounds.low, bounds.high))
@@ -239,6 +237,16 @@ def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case,
         *(counts.share, low, high, rows.seeds, crashed),
         values=_values(plan, case),
     )
+
+
+def _false_tracks(plan: Plan, rows: SeedRows, case: Case) -> str:
+    """Mean number of false tracks in a sentence, which warns if no requirement limits it; empty where none is known."""
+    numbers = np.concatenate([rows.columns(case)(f"{where}false_tracks").ravel() for where in ("", "world_")])
+    if not np.isfinite(numbers).any():
+        return ""
+    limited = any("false_track" in each.score for each in plan.keys.require)
+    warning = "" if limited else ": no requirement limits them, and tracks everywhere would find every vessel"
+    return f" {np.nanmean(numbers):,.3g} false tracks a run{warning}."
 
 
 def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) -> tuple[_Found, list[str]]:

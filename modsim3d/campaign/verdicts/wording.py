@@ -11,6 +11,7 @@ from typing import Any
 from modsim3d.campaign.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan import Case, Plan, cases_of, groups_of
 from modsim3d.campaign.verdicts.bounds import (
+    WHOLE,
     Bounds,
     clean_seeds_needed,
     clean_seeds_needed_sequential,
@@ -24,7 +25,7 @@ _DIGITS = 4
 def requirement_text(requirement: Requirement, within: str = "") -> str:
     """A requirement in words, such as `hota at least 0.6 in state haze`."""
     if requirement.kind is not None and requirement.known_at_m is not None:
-        how = " by one track" * requirement.one_track
+        how = "" if requirement.one_track else " by any tracks"
         share = "" if requirement.share is None else f", in {percent(requirement.share)} of approaches"
         return f"{requirement.kind.text} known at {requirement.known_at_m:g} m{how}{within}{share}"
     side = "at least" if requirement.at_least is not None else "at most"
@@ -257,9 +258,10 @@ def warnings_of(plan: Plan) -> list[str]:
 def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefined: int = 0) -> str:
     """Reason why a plan is too small to meet a requirement, whatever its runs give; empty if it is not. `group` divides
     the runs into parts, if it is about one; `undefined` traffic seeds are known to have no value."""
-    if requirement.known_at_m is not None:
-        return ""  # approaches are counted when they are there
     seeds = keys.seeds.traffic - undefined
+    if requirement.known_at_m is not None:
+        assert requirement.share is not None
+        return _share_never_met(requirement.share, 1 - WHOLE * (1 - requirement.confidence), "once", seeds)
     least, greatest = limits_of(requirement, keys.score)
     at_least, facts = requirement.at_least is not None, facts_of(requirement.score)
     if facts.managed and requirement.resting_on is None:
