@@ -33,7 +33,7 @@ from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.running import TASK_S, run_plan
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.layers import Made, TruthLayer, detected, tracks_of
-from modsim3d.campaign.work.row import row_of, rules_of
+from modsim3d.campaign.work.row import row_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, TaskReport, Work, store
 from modsim3d.runs.pipeline import open_renderer, step_ranges, truth_block
@@ -66,7 +66,7 @@ def layer_costs(file: Path, seeds: int) -> tuple[dict[str, LayerCost], int]:
     """
     campaign = checked(read_campaign(file))
     plan, times = campaign.plan, {name: list[float]() for name in LAYERS}
-    scenes, rules = Scenes(plan.keys.steps, campaign.file.base), rules_of(plan.keys.score)
+    scenes, rules = Scenes(plan.keys.steps, campaign.file.base), plan.keys.score
     runs = plan.runs(range((seeds + 1) * plan.runs_by_seed))
 
     @contextmanager

@@ -23,7 +23,7 @@ from modsim3d.campaign.keys import CampaignKeys, SearchKeys
 from modsim3d.campaign.plan import Plan, at
 from modsim3d.campaign.search_folder import Tried, batches, planned_trial, proposed
 from modsim3d.campaign.work.layers import RunLayers
-from modsim3d.campaign.work.row import row_of, rules_of
+from modsim3d.campaign.work.row import row_of
 
 OUT = Path(__file__).resolve().parents[2] / "docs" / "campaigns"
 BUDGET = 100
@@ -91,7 +91,7 @@ def keys_of(problem: dict[str, Any], seed: int, budget: int) -> CampaignKeys:
 
 def scorer(keys: CampaignKeys, layers: RunLayers) -> Callable[[int, dict[str, Any]], float | None]:
     """Gives the HOTA of a traffic seed and values."""
-    plan, rules = Plan.of(keys), rules_of(keys.score)
+    plan, rules = Plan.of(keys), keys.score
 
     def score(seed_index: int, values: dict[str, Any]) -> float | None:
         value: float | None = row_of(0, layers.made(planned_trial(plan, 0, seed_index, values)), rules)["hota"]

@@ -161,8 +161,19 @@ class TrackerKeys(Strict):
         return self.name or self.tracker or Path((self.command or [""])[0]).name
 
 
+class WorldScoreKeys(Strict):
+    """The rules of scores in the world: gate, GOSPA, and limits of predicted closest approaches."""
+
+    gate_m: Positive = 50.0
+    gospa_c_m: Annotated[float, Field(strict=True, gt=0, le=1e6)] = 50.0
+    gospa_p: Annotated[float, Field(strict=True, ge=1, le=10)] = 1.0
+    right_m: Positive = 100.0
+    before_s: Positive = 60.0
+    alarm_m: Positive = 200.0
+
+
 class ScoreKeys(Strict):
-    """The rules of the scores, as the options of `modsim3d score`."""
+    """The rules of the scores, as the options of `modsim3d score`; those of scores `in_world` are None where usual."""
 
     truth: TruthName = "annotated"
     similarity: SimilarityName = "iou"
@@ -171,6 +182,12 @@ class ScoreKeys(Strict):
     gap_s: Annotated[float, Field(strict=True, ge=0, le=1e9)] = DEFAULT_GAP_S
     gospa_c: Annotated[float, Field(strict=True, gt=0, le=1e6)] = 100.0
     gospa_p: Annotated[float, Field(strict=True, ge=1, le=10)] = 1.0
+    in_world: WorldScoreKeys | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without usual rules in the world, so that plans are as before there were any."""
+        return {key: value for key, value in handler(self).items() if key != "in_world" or value is not None}
 
 
 KNOWN = "known_m"

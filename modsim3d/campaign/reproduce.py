@@ -16,7 +16,7 @@ from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.search_folder import trial_run
 from modsim3d.campaign.work.layers import Made, RunLayers
-from modsim3d.campaign.work.row import DONE, row_of, rules_of, search_versions
+from modsim3d.campaign.work.row import DONE, row_of, search_versions
 from modsim3d.campaign.work.scenes import Scenes, tracker_of, versions
 from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
 from modsim3d.io.overwrite_guard import check_free
@@ -173,7 +173,7 @@ def _row(
     else:
         reused.append(tracks)
     made = Made(RunRows.of(stored), found, "", "", "")
-    return row_of(run.number, made, rules_of(work.keys.score), work.keys.lookout)
+    return row_of(run.number, made, work.keys.score, work.keys.lookout)
 
 
 def _differing(before: Mapping[str, Any] | None, row: Mapping[str, Any] | None) -> tuple[str, ...]:

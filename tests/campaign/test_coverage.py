@@ -14,7 +14,7 @@ from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, Bins, coverage_of
 from modsim3d.campaign.work.layers import Blocks, RunLayers, TruthLayer, detected
-from modsim3d.campaign.work.row import column_type, row_of, rules_of
+from modsim3d.campaign.work.row import column_type, row_of
 from modsim3d.runs.pipeline import truth_block
 from tests.scenes import camera_keys, crossing, write_scene
 
@@ -88,7 +88,7 @@ def test_occlusions_are_those_of_the_scores_and_hidden_time_is_that_of_the_hidde
     keys = CampaignKeys.model_validate({"scene": str(crossing(tmp_path)), "trackers": ["sort"]})
     with closing(RunLayers(keys, tmp_path, tmp_path / "cache")) as layers:
         made = layers.made(Plan.of(keys).run(0))
-    row = row_of(0, made, rules_of(keys.score))
+    row = row_of(0, made, keys.score)
     assert sum(row[name] for name in OCCLUSIONS.names) == row["occlusions"] >= 2
     shown, in_view = made.rows.numbers("visible_px") > 0, made.rows.numbers("silhouette_px") > 0
     assert sum(row[name] for name in RANGES.names) == np.count_nonzero(shown) < len(shown)

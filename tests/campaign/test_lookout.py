@@ -153,3 +153,15 @@ def test_scores_of_closest_approaches_and_trajectories_in_the_world_can_be_requi
     assert [each.outcome for each in found] == ["met"] * 3
     assert [each.undefined for each in found] == [4, 4, 0]  # no encounter was in view: nobody's fault
     assert [each.estimate for each in found] == [15 / 16, 15 / 16, 19 / 20] and found[1].nothing == 1
+
+
+def test_rules_in_the_world_reach_the_scores_and_leave_other_plans_as_they_were(tmp_path) -> None:
+    keys = {"scene": "fairway", "steps": 16, "trackers": ["world_gnn"]}
+    rows = []
+    for name, score in (("usual", {}), ("strict", {"in_world": {"gospa_c_m": 5.0, "gate_m": 1.0}})):
+        (tmp_path / name).mkdir()
+        rows += run_campaign_file(tmp_path / name, **keys, score=score).table.to_pylist()
+    usual, strict = rows
+    assert strict["gospa_m"] < usual["gospa_m"] / 5 and strict["ospa2_m"] <= 5 < usual["ospa2_m"]
+    assert strict["followed_share"] < usual["followed_share"]
+    assert "in_world" not in CampaignKeys.model_validate(keys).model_dump(mode="json")["score"]

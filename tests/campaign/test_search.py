@@ -13,7 +13,7 @@ from modsim3d.campaign.search import NO_RATE, SearchResult, run_search
 from modsim3d.campaign.search_folder import search_table, trial_run
 from modsim3d.campaign.work import task as tasks
 from modsim3d.campaign.work.checking import CheckedCampaign
-from modsim3d.campaign.work.row import row_of, rules_of
+from modsim3d.campaign.work.row import row_of
 from modsim3d.core.errors import InputError, ModsimError
 from tests.campaign.campaigns import Losing, Shuffled, checked_campaign, interrupt, no_engine
 from tests.campaign.one_process import ThisProcess
@@ -76,7 +76,7 @@ def test_the_worst_comes_first_with_the_command_that_makes_it_again_from_the_fol
     assert worst.again.startswith(f"modsim3d campaign reproduce {folder.path} {worst.number} --out ")
     assert f"lowest hota {worst.value:.4g} in trial {worst.number}" in str(result) and str(result).endswith(NO_RATE)
     run = trial_run(folder.path, worst.number)
-    row = row_of(run.number, remade(folder, run.number), rules_of(folder.keys.score))
+    row = row_of(run.number, remade(folder, run.number), folder.keys.score)
     assert (row["hota"], run.condition.values) == (worst.value, worst.values)
     with pytest.raises(ModsimError, match=r"has no trial 12 \(there: 0 to 11\)"):
         trial_run(folder.path, 12)

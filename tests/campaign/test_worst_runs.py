@@ -115,7 +115,7 @@ def test_a_requirement_on_a_state_ranks_by_the_scores_in_it(tmp_path: Path) -> N
 def test_a_run_made_again_has_the_row_of_the_campaign_and_its_picture_shows_the_tracks_at_the_moment(campaign):
     worst, rules = found(campaign)[1], rules_of(campaign.folder.keys.score)
     made = remade(campaign.folder, worst.number)
-    row, stored = row_of(worst.number, made, rules), campaign.table.to_pylist()[worst.number]
+    row, stored = row_of(worst.number, made, campaign.folder.keys.score), campaign.table.to_pylist()[worst.number]
     assert {name: stored[name] for name in row} == row and row["worst_s"] == worst.moment_s is not None
     pictures = [moment_picture(made, moment_s, 640, rules) for moment_s in (worst.moment_s, worst.moment_s + 1)]
     assert np.asarray(pictures[0]).shape[1:] == (640, 3) and len(encoded(pictures[0], optimize=True)) < 300_000

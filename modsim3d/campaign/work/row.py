@@ -10,7 +10,7 @@ import numpy as np
 import orjson
 import pyarrow as pa
 
-from modsim3d.campaign.keys import TIMES, CampaignKeys, Requirement, ScoreKeys, SearchKeys
+from modsim3d.campaign.keys import TIMES, CampaignKeys, Requirement, ScoreKeys, SearchKeys, WorldScoreKeys
 from modsim3d.campaign.plan import CAMERA, GROUPS, STATE, Plan
 from modsim3d.campaign.work.coverage import COVERED, MET, coverage_of, coverage_type
 from modsim3d.campaign.work.layers import Made
@@ -25,7 +25,7 @@ from modsim3d.tracking.scores.breakdown import BINS, Group
 from modsim3d.tracking.scores.scored import Rules, Scored, SetDistance
 from modsim3d.tracking.scores.scoring import Part, SubsetScores, scores_of
 from modsim3d.tracking.world.following import WorldTruth, follow_in_world
-from modsim3d.tracking.world.scoring import DEFAULT_GATE_M, IN_METRES, score_world
+from modsim3d.tracking.world.scoring import score_world
 from modsim3d.tracks.tracks import Similarity, WorldTracks
 
 APPROACHES = "approaches"
@@ -78,17 +78,20 @@ def rules_of(keys: ScoreKeys) -> Rules:
     return Rules(keys.truth, keys.gap_s, similarity, set_distance=SetDistance(keys.gospa_c, keys.gospa_p))
 
 
-def row_of(number: int, made: Made, rules: Rules, lookout: bool = False) -> dict[str, Any]:
-    """Row of a run. Tracks in the images are scored by the rules, those in the world as `score_world` does by itself,
-    and what the tracker took stands beside the scores; `lookout` asks for its approaches too."""
+def row_of(number: int, made: Made, keys: ScoreKeys, lookout: bool = False) -> dict[str, Any]:
+    """Row of a run, scored by the keys; what the tracker took stands beside the scores, and `lookout` asks for its
+    approaches too."""
     row = _common(number, made)
     if isinstance(made.tracks, WorldTracks):
-        found = score_world(made.rows, made.tracks).flat()
+        world = keys.in_world or WorldScoreKeys()
+        cpa = {name: getattr(world, name) for name in ("right_m", "before_s", "alarm_m")}
+        distance = SetDistance(world.gospa_c_m, world.gospa_p)
+        found = score_world(made.rows, made.tracks, world.gate_m, distance, cpa=cpa).flat()
         if lookout:
-            following = follow_in_world(WorldTruth.of(made.rows), made.tracks, DEFAULT_GATE_M)
+            following = follow_in_world(WorldTruth.of(made.rows), made.tracks, world.gate_m)
             row[APPROACHES] = _approaches_text(made.rows, tracks_in_world(made.rows, following))
         return row | {world_column(name): found[name] for name in found if world_column(name) in WORLD_SCORES}
-    scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules)
+    scene, scored = made.rows.scene, Scored.of(made.rows, made.tracks, rules_of(keys))
     scores = scores_of(scored)
     row |= {"worst_s": worst_moment_s(scored), **keys_of(scores)}
     if len(scene.detector.states) > 1:
@@ -261,7 +264,7 @@ _WORLD_FAMILIES = {
     "rmse_m rmse_m_s world_nees nees_velocity nees_state world_anees anees_velocity anees_state": _OF_FOLLOWED,
     "followed_share": replace(_SEEN, greatest=1.0),
     "gospa_m gospa_missed_m t_gospa_m t_gospa_missed_m vessels encounters": replace(_SEEN, without_tracks=None),
-    "ospa2_m": replace(_SEEN, greatest=IN_METRES.cutoff, without_tracks=None),
+    "ospa2_m": replace(_SEEN, without_tracks=None),
     "gospa_localisation_m gospa_false_m world_false_track_s": _SEEN,
     "t_gospa_localisation_m t_gospa_false_m t_gospa_switch_m": _SEEN,
     "cpa_right_share": replace(_IN_VIEW, greatest=1.0),
@@ -321,7 +324,8 @@ def without_tracks(score: str, keys: ScoreKeys, column: Columns) -> Array | None
 def score_bounds(score: str, keys: ScoreKeys) -> tuple[float, float]:
     """The least and the greatest value that a score can have; infinite where there is none."""
     facts = facts_of(score)
-    return facts.least, keys.gospa_c if score == "ospa" else facts.greatest
+    of_cutoff = {"ospa": keys.gospa_c, "ospa2_m": (keys.in_world or WorldScoreKeys()).gospa_c_m}
+    return facts.least, of_cutoff.get(score, facts.greatest)
 
 
 def limits_of(requirement: Requirement, keys: ScoreKeys) -> tuple[float, float]:

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import TRACKER, Condition, PlannedRun, layer_of
 from modsim3d.campaign.work.layers import CACHE_FOLDER, RunLayers
-from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, rules_of, table_of
+from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, table_of
 from modsim3d.campaign.work.scenes import changed_files, digest
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.detector.file.unread import unread_settings
@@ -122,7 +122,7 @@ class Worker:
         kept."""
         begin(run.number)
         try:
-            return row_of(run.number, self._layers_of(work).made(run), rules_of(work.keys.score), work.keys.lookout)
+            return row_of(run.number, self._layers_of(work).made(run), work.keys.score, work.keys.lookout)
         except OutputError:  # the disk is full: that says nothing about the run
             raise
         except Exception as error:
