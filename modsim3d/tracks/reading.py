@@ -111,7 +111,7 @@ def facts_text(name: str, origin: Origin, run: StoredRun, counts: dict[str, int]
 
 
 def stored_facts(folder: Path, run: StoredRun, table: Literal["tracks.parquet", "world_tracks.csv"]) -> TrackFacts:
-    """What `tracks.json` says of the tracks of a run in a table. Raises InputError if a file is missing or damaged, or
+    """Facts in `tracks.json` on the tracks of a run in a table. Raises InputError if a file is missing or damaged, or
     the tracks are of another run."""
     try:
         facts = TrackFacts.model_validate(load_json(folder / FACTS, "tracks"))

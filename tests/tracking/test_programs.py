@@ -23,7 +23,7 @@ from modsim3d import ModsimError, StoredRun, load_scene
 from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
 from tests.run_folders import finished
 
-SCHEMA = json.loads((files("modsim3d.tracking.trackers") / "tracker_command.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((files("modsim3d.plugins") / "tracker_command.json").read_text(encoding="utf-8"))
 RECORDER = """\
 import json, sys
 answers, tracks, log = sys.argv[1:]

@@ -106,7 +106,7 @@ def row_of(number: int, made: Made, keys: ScoreKeys, lookout: bool = False) -> d
 
 
 def _common(number: int, made: Made) -> dict[str, Any]:
-    """What does not depend on where the tracks are."""
+    """Parts that do not depend on where the tracks are."""
     scene = made.rows.scene
     times_s = scene.times_s(0, scene.steps)
     return {

@@ -1,5 +1,5 @@
 """A program as a tracker: lines of JSON to its standard input, one line back for each. docs/tracker_command.md has
-them, and tracker_command.json beside this file."""
+them, and tracker_command.json of `modsim3d.plugins`."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class ImageAnswer(Strict):
 
 
 class WorldAnswer(ImageAnswer):
-    """The same with tracks in the world."""
+    """The answer to a line, with tracks in the world."""
 
     tracks: tuple[WorldTrack, ...]  # type: ignore[assignment]
 

@@ -288,7 +288,7 @@ def _in_images(
 
 
 def camera_facts(sequence: CameraSequence, scene: Scene) -> CameraFacts:
-    """What a tracker knows of a camera."""
+    """Facts on a camera that a tracker knows."""
     return CameraFacts(sequence.camera.name, sequence.size_px, sequence.rate_hz, tuple(scene.detector.labels))
 
 

@@ -36,7 +36,7 @@ def sensed_frames(times_s: Array, found: TrackerDetections) -> list[SensedFrame]
 
 
 def facts_of(scene: Scene) -> WorldFacts:
-    """What a tracker knows of a scene before the first step."""
+    """Facts on a scene that a tracker knows before the first step."""
     own_ships = tuple(scene.vessel_names[index] for index in scene.own_ships)
     return WorldFacts(scene.cameras, tuple(scene.detector.labels), own_ships, scene.sea, scene.origin)
 
