@@ -68,8 +68,8 @@ MENU = {
     "About": ["docs/architecture", "CONTRIBUTING", "CHANGELOG"],
 }
 CAMPAIGNS = [
-    *("compare", "fresh", "fuzz", "learn_coverage", "mutants", "platforms", "positions", "search", "sequences"),
-    *("tracker_scores", "traffic", "verify_changes", "verify_seeds", "voyages"),
+    *("compare", "fresh", "fuzz", "learn_coverage", "lookout", "mutants", "platforms", "positions", "search"),
+    *("sequences", "tracker_scores", "traffic", "verify_changes", "verify_seeds", "voyages"),
 ]
 
 project = "modsim3d"
