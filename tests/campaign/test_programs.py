@@ -23,10 +23,12 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.reproduce import make_again
 from modsim3d.campaign.running import run_plan
+from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import WORLD_SCORES, world_column
 from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, problems_of, run_campaign_file
 from tests.campaign.engines.campaigns import waited_for
+from tests.campaign.hand_made_tables import plan_of, table_of_runs
 from tests.campaign.one_process import ThisProcess
 from tests.scenes import crossing
 
@@ -164,6 +166,17 @@ def test_a_program_that_was_changed_is_refused_by_its_name_and_its_tracks_are_of
         (["reference"], {"require": [{"score": "established", "at_most": 1}], "x": 1}, "x: unknown key"),
         (["reference"], {"require": [{"score": "established_mm", "at_most": 1}]}, "did you mean 'established_m'"),
         (
+            ["reference", "world_gnn"],
+            {"require": [{"score": "hota", "at_least": 0.5, "in": 0.5}]},
+            "require[0].score: hota is of tracks in the images, and those of world_gnn are not: name those that it is "
+            "about, as in where: {tracker: [reference]}",
+        ),
+        (
+            ["reference"],
+            {"search": {"maximise": "rmse_m", "over": {"imu.heading_noise_rad": [0, 0.01]}, "budget": 1}},
+            "search: rmse_m is of tracks in the world, and those of reference are not",
+        ),
+        (
             ["reference"],
             {"require": [{"score": "frame_ms_p99", "at_most": 1}], "stop": "sequential"},
             "stop: sequential ends when the requirements are decided, and those on what runs took do not repeat",
@@ -181,6 +194,17 @@ def test_a_plan_without_programs_is_as_it_was(tmp_path: Path) -> None:
 
 
 # ---- Trackers in the world ----
+
+
+def test_a_run_whose_tracks_are_elsewhere_is_not_left_out() -> None:
+    """A program that answers in the world where a run is hard, and so has no score in the images there."""
+    require = [{"score": score, "at_least": 0.01, "in": 0.3} for score in ("hota", "rmse_m")]
+    plan = plan_of(8, [*require, {"score": "hota", "at_least": 0.4}])
+    easy, hard = {"appearances": 3, "hota": 0.5}, {"vessels": 3, "rmse_m": 9.0, "followed_share": 0.1}
+    verdicts = judged(plan, table_of_runs([easy, hard] * 4))
+    found = [(each.outcome, each.seeds, each.nothing, each.undefined, each.left_out) for each in verdicts]
+    assert found == [("undecided", 8, 4, 0, 0)] * 3
+    assert [each.estimate for each in verdicts[:2]] == [0.5, 0.5]
 
 
 @pytest.fixture(scope="module")

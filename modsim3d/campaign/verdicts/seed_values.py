@@ -12,10 +12,10 @@ import orjson
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.keys import Requirement
+from modsim3d.campaign.keys import TIMES, Requirement
 from modsim3d.campaign.plan import Case, Plan, cases_of
 from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds
-from modsim3d.campaign.work.row import APPROACHES, CRASHED, Columns, facts_of, is_bounded, score_bounds
+from modsim3d.campaign.work.row import APPROACHES, CRASHED, WORLD_SCORES, Columns, facts_of, is_bounded, score_bounds
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.statistics import t_bounds
 
@@ -24,7 +24,8 @@ from modsim3d.core.statistics import t_bounds
 class Runs:
     """A score in the runs of a tracker in a condition, by traffic seed and detector seed, arrays of shape (s, d). A run
     without a value is the tracker's fault or not. It is where the tracker gave nothing to score, or too little: that
-    counts as a crash does. Otherwise the truth has nothing to score, or nothing of what is counted went wrong."""
+    counts as a crash does, and so does a run whose tracks are in the images where the score is of tracks in the world,
+    and the reverse. Otherwise the truth has nothing to score, or nothing of what is counted went wrong."""
 
     values: Array  # NaN where there is none
     crashed: Mask
@@ -114,11 +115,18 @@ class SeedRows:
         there = column(facts.expected) > 0
         if facts.of_faults:
             there &= column("established") == 0
-        share = facts.basis.share(column)
-        nothing = np.isnan(values) & there & (facts.managed | facts.worst_undefined) & ~crashed
+        elsewhere = self._answered_elsewhere(case, score)
+        share = np.where(elsewhere, 0.0, facts.basis.share(column))
+        nothing = np.isnan(values) & ((there & (facts.managed | facts.worst_undefined)) | elsewhere) & ~crashed
         if resting_on is not None:
             nothing |= share < resting_on
         return Runs(np.where(nothing, np.nan, values), crashed, nothing, share)
+
+    def _answered_elsewhere(self, case: Case, score: str) -> Mask:
+        """Runs whose tracks are in the other one of images and world than the score is of, shape (s, d)."""
+        there = self.columns(replace(case, part=None))("appearances" if score in WORLD_SCORES else "vessels")
+        elsewhere: Mask = ~np.isnan(there) & (score not in TIMES)
+        return elsewhere
 
     def columns(self, case: Case) -> Columns:
         """The columns of the runs of a case, each of the shape (s, d): those of a part, if it is about one."""

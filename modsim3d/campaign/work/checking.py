@@ -7,12 +7,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.keys import TIMES, CampaignFile, CampaignKeys, LabelledVideos, Requirement, TrackerKeys
+from modsim3d.campaign.keys import KNOWN, TIMES, CampaignFile, CampaignKeys, LabelledVideos, Requirement, TrackerKeys
 from modsim3d.campaign.plan import (
     CAMERA,
     SCENE,
     STATE,
     TRACKER,
+    Case,
     Plan,
     PlannedRun,
     cases_of,
@@ -52,6 +53,7 @@ from modsim3d.scene.reading import shipped_scenes
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.trackers.command import CommandTracker
+from modsim3d.tracking.trackers.world_interface import WorldTracker
 
 # ---- What stands against judging a requirement at all ----
 
@@ -213,6 +215,8 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     else:  # no more can be said of the requirements yet
         for place, requirement in enumerate(keys.require):
             problems += score_problems(requirement, f"require[{place}]")
+    if not problems:
+        problems += _space_problems(plan, file.base)
     own = {plugin.key: dict(plugin.files) for plugin in sorted(plugins, key=lambda plugin: plugin.key)}
     problems += changed_plugins(own, "Python loaded it: start it again")
     if problems:
@@ -454,6 +458,25 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
         tuple(camera.name for camera in scene.cameras),
         {label: vars(each.origin) for label, each in named.items()},
     )
+
+
+def _space_problems(plan: Plan, base: Path) -> Iterator[str]:
+    """Scores of tracks in the images that are required of trackers in the world, and the reverse. Where the tracks of a
+    program are is not known before it runs."""
+    keys, places = plan.keys, ("in the images", "in the world")
+    trackers = [tracker_of(each, {}, None, base).tracker for each in keys.trackers]
+    world = [None if isinstance(each, CommandTracker) else isinstance(each, WorldTracker) for each in trackers]
+    asked = {(f"require[{place}].score", each.score): cases_of(plan, each) for place, each in enumerate(keys.require)}
+    if keys.search is not None:
+        asked["search", keys.search.minimise or keys.search.maximise or ""] = [Case(0, 0)]
+    for (where, score), cases in asked.items():
+        of_world = score in WORLD_SCORES
+        able = [each.label for each, its in zip(keys.trackers, world, strict=True) if its in (None, of_world)]
+        named = dict.fromkeys(at for case in cases for at in (case.tracker, case.minus) if at is not None)
+        for label in (keys.trackers[at].label for at in named if score not in (KNOWN, *TIMES)):
+            if label not in able:
+                hint = f": name those that it is about, as in where: {{tracker: [{', '.join(able)}]}}" if able else ""
+                yield f"{where}: {score} is of tracks {places[of_world]}, and those of {label} are not{hint}"
 
 
 def _check_lookout(scene: Scene, keys: CampaignKeys) -> None:
