@@ -25,11 +25,15 @@ _END_S = 5.0
 """Time that a program has to end once its output has ended, before it is killed."""
 
 SUPERVISOR = """\
-import _thread, os, signal, sys
-life = int(sys.argv[1])
+import _thread, os, signal, sys, time
+life, linux = int(sys.argv[1]), sys.platform == "linux"
+if linux:
+    import ctypes
+    ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER: whoever loses its parent becomes a child of this
 child = os.fork()
 if not child:
     os.close(life)
+    os.setpgid(0, 0)
     try:
         with open("/proc/self/oom_score_adj", "w") as file:
             file.write("1000")  # where memory is short, the system ends the program and not who asks it
@@ -43,16 +47,38 @@ if not child:
         os._exit(127)
 for number in range(3):
     os.close(number)
-def wait_for_parent():
-    os.read(life, 1)
-    os.killpg(0, signal.SIGKILL)
-_thread.start_new_thread(wait_for_parent, ())
-_, status, used = os.wait4(child, 0)
-os.write(life, f"{status} {used.ru_maxrss}".encode())
+def wait_for_children():
+    try:
+        while True:
+            number, status, used = os.wait4(-1, 0)
+            if number == child:
+                os.write(life, f"{status} {used.ru_maxrss}".encode())
+    except OSError:  # there are none, or nobody listens
+        pass
+def children():
+    for name in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            with open(f"/proc/{name}/stat", "rb") as file:
+                state, parent = file.read().rpartition(b")")[2].split()[:2]
+        except OSError:  # it has ended
+            continue
+        if int(parent) == os.getpid() and state != b"Z":
+            yield int(name)
+_thread.start_new_thread(wait_for_children, ())
 os.read(life, 1)
+try:
+    os.killpg(child, signal.SIGKILL)
+except OSError:
+    pass
+until = time.monotonic() + 4
+while linux and time.monotonic() < until and (left := list(children())):
+    for each in left:
+        os.kill(each, signal.SIGKILL)
+    time.sleep(0.002)
+os._exit(0)
 """
 """Starts the program in its own group of processes and reports how it ended. A socket tells it when its parent is gone,
-also one that was killed; then it ends the group. It needs nothing that only one system has."""
+also one that was killed; then it ends the group, and on Linux all that the program started, wherever that is."""
 
 
 class CoprocessError(ModsimError):
@@ -92,15 +118,17 @@ class Coprocess:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """End the program and its whole group."""
-        with suppress(OSError):  # nobody is left
-            os.killpg(self._process.pid, signal.SIGKILL)
+        """End the program and all that it started."""
         self._selector.close()
         self._life.close()
         for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             with suppress(OSError):
                 pipe.close()
-        self._process.wait()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def ask(self, line: bytes) -> bytes:
         """Send a line and wait for the next one of the program, both with their ends. Raises CoprocessError if it ends

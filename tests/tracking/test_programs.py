@@ -204,8 +204,10 @@ def test_a_program_that_is_none_is_named(run, tmp_path) -> None:
 
 @pytest.fixture
 def family(tmp_path: Path) -> Iterator[Path]:
-    """A program that stalls at its first frame, with a child, and writes the numbers of both."""
-    script = HEAD + "read line\nsleep 999 & echo $$ $! > family.new; mv family.new family\nwait\n"
+    """A program that stalls at its first frame, with others that it started, and writes the numbers of all."""
+    # A child, one in a group of its own, and a grandchild in another session whose parent has ended.
+    started = "sleep 999 & a=$!; timeout 998 sleep 998 & b=$!; c=$(setsid sh -c 'sleep 997 >&- 2>&- & echo $!')\n"
+    script = HEAD + "read line\n" + started + "echo $$ $a $b $c > family.new; mv family.new family\nwait\n"
     (tmp_path / "stall.sh").write_text(script, encoding="utf-8")
     yield tmp_path
     if (tmp_path / "family").exists():
