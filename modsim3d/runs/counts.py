@@ -22,8 +22,7 @@ from modsim3d.truth.record import annotation_boxes
 
 # ---- How each detection turned out ----
 
-GOOD_IOU = 0.5
-"""A box with a smaller IoU with its vessel's annotated box is a bad one."""
+GOOD_IOU = 0.5  # a box with a smaller IoU with its vessel's annotated box is a bad one
 
 
 class Outcome(IntFlag):
@@ -74,8 +73,7 @@ def faults_of(frames: Iterable[Frame]) -> Outcome:
     return reduce(or_, (outcome for frame in frames for outcome in frame_outcomes(frame)), NOTHING_WRONG)
 
 
-WORTH_A_WARNING_PX = 1.0
-"""Curvature that moves a box by more than this is reported for a flat sea."""
+WORTH_A_WARNING_PX = 1.0  # curvature that moves a box by more than this is reported for a flat sea
 
 
 @dataclass(frozen=True)
