@@ -15,7 +15,7 @@ from modsim3d.campaign.plan import text_of
 from modsim3d.campaign.report.campaign_page import campaign_page
 from modsim3d.campaign.report.campaign_page import lead as campaign_lead
 from modsim3d.campaign.report.words import Score, rests_on
-from modsim3d.campaign.search_folder import search_table
+from modsim3d.campaign.search_folder import REFUSED, search_table
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.row import DONE
 from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
@@ -26,7 +26,6 @@ from modsim3d.view.pages.charts import marks, span_of
 from modsim3d.view.pages.page import document_page
 
 SHOWN = 20  # trials in the table
-REFUSED = "refused"
 NO_RATE = (
     "These trials were chosen to be bad. Each is evidence of a failure that can happen; together they say nothing "
     "about how often, and no share or mean of them is a rate."
