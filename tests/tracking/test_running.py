@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import chain
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +16,7 @@ from modsim3d.runs.camera_sequences import CameraSequence, SequenceTruth
 from modsim3d.runs.tracker_view import TrackerDetections
 from modsim3d.tracking.trackers.interface import CameraFacts, SensedFrame, TrackedFrame, Tracker
 from modsim3d.tracking.trackers.registry import NamedTracker
-from modsim3d.tracking.trackers.running import tracked
+from modsim3d.tracking.trackers.running import Feed, tracked
 from tests.scenes import crossing
 
 Follow = Callable[[Iterable[SensedFrame], CameraFacts], Any]
@@ -184,3 +185,18 @@ def test_an_error_of_a_built_in_tracker_is_its_own_and_a_camera_without_frames_h
         run(scene, fails, plugin=False)
     assert len(tracked(named(yields(None)), [sequence(scene, [], [])], [0], scene)) == 0
     assert len(tracked(named(yields(None)), [], [], scene)) == 0
+
+
+def test_working_time_is_that_of_the_tracker_and_not_of_what_makes_its_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr("modsim3d.tracking.trackers.running.perf_counter", lambda: clock.now)
+
+    def slow(things: Iterable[int], seconds: float) -> Iterator[int]:
+        for each in things:
+            clock.now += seconds
+            yield each
+
+    feed = Feed(
+        named(lambda frames, camera: frames), "", "step", np.arange(3.0), slow(range(3), 10), partial(slow, seconds=1)
+    )
+    assert list(feed.answers(lambda count: None)) == [0, 1, 2] and feed.seconds == [1, 1, 1]

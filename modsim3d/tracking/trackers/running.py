@@ -337,7 +337,7 @@ def world_feed(named: NamedTracker, rows: RunRows) -> Feed:
 
 class Feed:
     """A tracker and what it is given one by one, frames or steps. `seconds` has the time that it took for each so
-    far."""
+    far, without the time in which what it is given was made."""
 
     def __init__(
         self,
@@ -351,7 +351,7 @@ class Feed:
         """Take what is given, a thing at each of some times; errors call it `word`, and say `where` it is."""
         self._named, self._where, self._word, self.times_s = named, where, word, times_s
         self._given, self._start = given, start
-        self._read = 0
+        self._read, self._making_s = 0, 0.0
         self.seconds: list[float] = []
 
     def problem(self, at: int, text: str) -> ModsimError:
@@ -368,12 +368,12 @@ class Feed:
         count, word = len(self.times_s), self._word
         answers = self._started()
         for at in range(count):
-            began = perf_counter()
+            self._making_s, began = 0.0, perf_counter()
             try:
                 answer = self._next(answers, at)
             except StopIteration:
                 raise self.problem(at, f"it ended after {at} of {count} {word}s: it answers each {word} once") from None
-            self.seconds.append(perf_counter() - began)
+            self.seconds.append(perf_counter() - began - self._making_s)
             if self._read > at + 1:
                 problem = f"it read the next {word} before it answered this one: yield an answer for each {word}"
                 raise self.problem(at, problem)
@@ -421,6 +421,12 @@ class Feed:
         return ModsimError(", ".join(filter(None, (str(failed(self._named.plugin, error)), self._at(at)))))
 
     def _one_by_one(self) -> Iterator[Any]:
-        for each in self._given:
+        given, none = iter(self._given), object()
+        while True:
+            began = perf_counter()
+            each = next(given, none)
+            self._making_s += perf_counter() - began
+            if each is none:
+                return
             self._read += 1
             yield each
