@@ -28,7 +28,7 @@ from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text
 from modsim3d.campaign.verdicts import bounds, wording
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.campaign.verdicts.verdict import Verdict, repeatable
-from modsim3d.campaign.work.row import DONE, FACTS, REPEATS, SCORES, limits_of, table_of
+from modsim3d.campaign.work.row import DONE, FACTS, REPEATS, SAID, SCORES, limits_of, table_of
 from modsim3d.campaign.work.task import ROWS_PATTERN, name_of_rows, read_rows
 from modsim3d.core.arrays import Indices
 from modsim3d.core.errors import ModsimError
@@ -158,7 +158,7 @@ def write_results(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Ve
     """Write the data set `results/scene=NAME/part-N.parquet` of the rows that count, in the order of the plan. The
     verdicts, which are written afterwards, are in its list of files too, see `results_folder`. Raises OutputError if it
     cannot be written."""
-    took = [name for name in (*TIMES, REPEATS) if name in table.column_names]
+    took = [name for name in (*TIMES, REPEATS, SAID) if name in table.column_names]
     if took:
         make_folder(folder.path)
         write_table(table.select(["run", "tracker", *took]), folder.path / TOOK)

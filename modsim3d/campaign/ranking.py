@@ -10,7 +10,7 @@ from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.verdicts.seed_values import columns_of
 from modsim3d.campaign.verdicts.verdict import Verdict
-from modsim3d.campaign.work.row import CRASHED
+from modsim3d.campaign.work.row import CRASHED, error_text
 from modsim3d.core.arrays import Indices, Mask
 
 USUAL_SCORE = "hota"
@@ -128,6 +128,6 @@ def _worst_run(folder: CampaignFolder, row: dict[str, object], ranking: _Ranking
         moment_s=moment_s if isinstance(moment_s, float) else None,
         again=again,
         film="" if moment_s is None else f"{again} --film",
-        error=str(row["error"]) if crashed else None,
+        error=error_text(row) if crashed else None,
         requirement=ranking.requirement,
     )

@@ -16,7 +16,7 @@ from modsim3d.campaign.folder import CampaignFolder
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.search_folder import trial_run
 from modsim3d.campaign.work.layers import Made, RunLayers
-from modsim3d.campaign.work.row import DONE, row_of, search_versions
+from modsim3d.campaign.work.row import DONE, error_and_said, row_of, search_versions
 from modsim3d.campaign.work.scenes import Scenes, tracker_of, versions
 from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
 from modsim3d.io.overwrite_guard import check_free
@@ -101,7 +101,7 @@ class RunAgain:
     before: dict[str, Any] | None  # its row in the campaign; None if it was not done there
     row: dict[str, Any] | None  # None if it failed
     error: str | None  # None if it did not fail
-    raised_at: str  # file, line and function; empty without an error
+    raised_at: str  # file, line and function, and what a program said; empty without an error
     differing: tuple[str, ...]  # columns that are not as in the campaign, if both rows have scores
     reused: tuple[Path, ...]  # those of both folders that were there already; they are left as they were
     versions: dict[str, tuple[str | None, str | None]]  # then and now, by package, where they are not the same
@@ -137,7 +137,8 @@ def make_again(
     except Exception as failure:
         where = traceback.extract_tb(failure.__traceback__)[-1]
         raised_at = f"{where.filename}, line {where.lineno}, in {where.name}"
-        error = f"{type(failure).__name__}: {failure}"
+        error, said = error_and_said(failure)
+        raised_at += f"; standard error: {said}" if said else ""
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), tuple(reused), changed)
 

@@ -82,7 +82,12 @@ also one that was killed; then it ends the group, and on Linux all that the prog
 
 
 class CoprocessError(ModsimError):
-    """A program that stalled, ended or said too much; it says so with its last lines of standard error."""
+    """A program that stalled, ended or said too much: the problem, and its last lines of standard error."""
+
+    def __init__(self, problem: str, said: str = "") -> None:
+        """Join both into the message."""
+        super().__init__(f"{problem}; standard error: {said}" if said else problem)
+        self.problem, self.said = problem, said
 
 
 class Coprocess:
@@ -131,13 +136,13 @@ class Coprocess:
             self._process.wait()
 
     def ask(self, line: bytes) -> bytes:
-        """Send a line and wait for the next one of the program, both with their ends. Raises CoprocessError if it ends
-        or is not done in time, and if it has said something unasked."""
-        if self._said:
-            raise self.error(f"it wrote before it was asked: {shown_line(bytes(self._said))}")
+        """Send a line and wait for the next one of the program, both with their ends; one that came early, which only
+        chance tells from others, is the answer too. Raises CoprocessError if it ends or is not done in time."""
         began, self._asked = time.perf_counter(), memoryview(line)
         self._register(self._process.stdin.fileno(), selectors.EVENT_WRITE, self._give)
-        self._wait(lambda: self._line_end >= 0 or self._ended, f"no answer within {self._timeout_s:g} s")
+        self._wait(
+            lambda: (self._line_end >= 0 and not self._asked) or self._ended, f"no answer within {self._timeout_s:g} s"
+        )
         self.seconds = time.perf_counter() - began
         if self._line_end < 0:
             raise self.error(self._end())
@@ -164,7 +169,7 @@ class Coprocess:
             self._take_error()  # what has come meanwhile
         lines = bytes(self._errors).decode("utf-8", "replace").splitlines()[-_LAST_LINES:]
         last = [plain for line in lines if (plain := "".join(each for each in line if each.isprintable()).strip())]
-        return CoprocessError(f"{text}; standard error: {' | '.join(last)}" if last else text)
+        return CoprocessError(text, " | ".join(last))
 
     def _wait(self, done: Callable[[], bool], late: str) -> None:
         until = time.monotonic() + self._timeout_s

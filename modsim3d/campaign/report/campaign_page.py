@@ -22,7 +22,7 @@ from modsim3d.campaign.reproduce import remade
 from modsim3d.campaign.verdicts.seed_values import PairedDifference, paired
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.verdicts.wording import levels_of
-from modsim3d.campaign.work.row import DONE
+from modsim3d.campaign.work.row import DONE, SAID, error_text
 from modsim3d.campaign.worst_film import moment_picture
 from modsim3d.core.document import Block, Cell, Document, Figure, Heading, Row, Table, Text
 from modsim3d.core.errors import ModsimError
@@ -178,21 +178,22 @@ def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> Block:
 
 def crash_sections(folder: CampaignFolder, table: pa.Table) -> list[Block]:
     """The runs that crashed, by their error."""
-    crashed = table.filter(pc.not_equal(table["status"], DONE)).select(["run", "tracker", "error"])
+    crashed = table.filter(pc.not_equal(table["status"], DONE))
     if not len(crashed):
         return []
     by_error: dict[str, list[dict[str, Any]]] = {}
-    for row in crashed.to_pylist():
+    shown = [name for name in ("run", "tracker", "error", SAID) if name in table.column_names]
+    for row in crashed.select(shown).to_pylist():
         by_error.setdefault(row["error"] or "unknown", []).append(row)
     ordered = sorted(by_error.items(), key=lambda each: (-len(each[1]), each[1][0]["run"]))
     rows = [
         (
             f"{len(found):,}",
-            error,
+            error_text(found[0]),
             listed(list(dict.fromkeys(row["tracker"] for row in found))),
             listed([str(row["run"]) for row in found], MAX_NUMBERS),
         )
-        for error, found in ordered[:MAX_ERRORS]
+        for _, found in ordered[:MAX_ERRORS]
     ]
     said = (
         f"{counted(len(crashed), 'run')} of {len(table):,} crashed. Means and charts are of the other runs; "

@@ -17,6 +17,7 @@ from modsim3d.campaign.work.layers import Made
 from modsim3d.campaign.work.worst_moment import worst_moment_s
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
+from modsim3d.io.coprocess import CoprocessError
 from modsim3d.io.validation import nearest
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.lookout import approaches, tracks_in_images, tracks_in_world
@@ -33,6 +34,8 @@ APPROACHES = "approaches"
 DONE, CRASHED = "done", "crashed"
 REPEATS = "repeats"
 """Column that says whether the output of a program was the same again."""
+SAID = "standard_error"
+"""Column of the last lines that a program wrote, which may be others each time."""
 KEY_LENGTH = 16
 """Hexadecimal digits of a layer's checksum in a table."""
 FACTS: dict[str, pa.DataType] = {
@@ -129,9 +132,20 @@ def _approaches_text(rows: RunRows, track: Indices) -> str:
     return orjson.dumps(list(approaches(rows, track))).decode()
 
 
-def crashed_row(number: int, error: str) -> dict[str, Any]:
-    """The row of a run that failed."""
-    return {"run": number, "status": CRASHED, "error": error}
+def crashed_row(number: int, error: str, **more: str) -> dict[str, Any]:
+    """The row of a run that failed, with more columns."""
+    return {"run": number, "status": CRASHED, "error": error, **more}
+
+
+def error_and_said(error: Exception) -> tuple[str, str]:
+    """An error as a row has it, and what a program wrote to standard error before it."""
+    program = isinstance(error, CoprocessError)
+    return f"{type(error).__name__}: {error.problem if program else error}", error.said if program else ""
+
+
+def error_text(row: Mapping[str, Any]) -> str:
+    """The error of a row, with what a program wrote to standard error."""
+    return f"{row['error']}; standard error: {row[SAID]}" if row.get(SAID) else row["error"] or "unknown"
 
 
 def _subset(group: str, parts: Mapping[str, SubsetScores]) -> dict[str, Any]:
@@ -158,7 +172,7 @@ def column_type(name: str) -> pa.DataType:
         return SCORES[name] if name in SCORES else WORLD_SCORES[name]
     if name == REPEATS:
         return pa.bool_()
-    if name == APPROACHES:
+    if name in (APPROACHES, SAID):
         return pa.string()
     if name.startswith((MET, COVERED)):
         return coverage_type(name)

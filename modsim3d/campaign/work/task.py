@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import TRACKER, Condition, PlannedRun, layer_of
 from modsim3d.campaign.work.layers import CACHE_FOLDER, RunLayers
-from modsim3d.campaign.work.row import CRASHED, crashed_row, row_of, table_of
+from modsim3d.campaign.work.row import CRASHED, SAID, crashed_row, error_and_said, row_of, table_of
 from modsim3d.campaign.work.scenes import changed_files, digest
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.detector.file.unread import unread_settings
@@ -126,7 +126,8 @@ class Worker:
         except OutputError:  # the disk is full: that says nothing about the run
             raise
         except Exception as error:
-            return crashed_row(run.number, f"{type(error).__name__}: {error}")
+            problem, said = error_and_said(error)
+            return crashed_row(run.number, problem, **({SAID: said} if said and work.keys.timed else {}))
 
     def _layers_of(self, work: Work) -> RunLayers:
         made_of = f"{work.plan_sha256} {work.layers}"

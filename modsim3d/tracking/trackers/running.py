@@ -248,7 +248,7 @@ def _by_command(named: NamedTracker, tracker: CommandTracker, rows: RunRows, pro
             found = exchange.tracks(tracker.settings, progress)
         except ModsimError as error:
             told = error if isinstance(error, CoprocessError) else program.error(str(error))
-            raise ModsimError(f"{named}: {exchange.at}: {told}") from error
+            raise CoprocessError(f"{named}: {exchange.at}: {told.problem}", told.said) from error
     took = np.array(exchange.seconds), program.peak_memory_mb
     if isinstance(found, list):
         times_s = scene.times_s(0, rows.steps)
