@@ -64,7 +64,7 @@ def options_by_name() -> dict[str, dict[str, Any]]:
 
 def test_commands_and_options_are_few() -> None:
     assert len(GROUP.commands) <= 16
-    assert len(options_by_name()) <= 97
+    assert len(options_by_name()) <= 95
     for name, command in LEAVES.items():
         options = [each for each in command.params if each.param_type_name == "option" and each.name != "help"]
         assert len(options) <= 20 or name.startswith("learn"), name
