@@ -135,6 +135,7 @@ class TrackerKeys(Strict):
     name: Text | None = None  # in tables; that of the tracker, or of the program, if None
     settings: dict[Text, Any] = Field(default_factory=dict, alias="set")  # in place of those chosen for the scene
     timeout_s: Annotated[float, Field(strict=True, gt=0, le=86_400)] = DEFAULT_TIMEOUT_S  # of the program's answers
+    files: list[Text] | None = None  # that decide what it does; those among its arguments if None
 
     @model_validator(mode="before")
     @classmethod
@@ -145,14 +146,15 @@ class TrackerKeys(Strict):
     def _check(self) -> Self:
         if (self.tracker is None) == (self.command is None):
             raise ValueError("give either tracker, a name, or command, a program and its arguments")
-        if self.command is None and "timeout_s" in self.model_fields_set:
-            raise ValueError("timeout_s is for command")
+        for name in ("timeout_s", "files"):
+            if self.command is None and name in self.model_fields_set:
+                raise ValueError(f"{name} is for command")
         return self
 
     @model_serializer(mode="wrap")
     def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Without the keys of the other kind, so that plans are as they were before there were programs."""
-        left_out = ("command", "timeout_s") if self.command is None else ("tracker",)
+        left_out = ("command", "timeout_s", "files") if self.command is None else ("tracker",)
         return {key: value for key, value in handler(self).items() if key not in left_out}
 
     @property

@@ -152,12 +152,12 @@ def exit_status(verdicts: tuple[Verdict, ...]) -> int:
 def introduced(campaign: CheckedCampaign) -> list[str]:
     """Print the plan before it starts; the warnings about it."""
     from modsim3d.campaign.verdicts.wording import warnings_of
-    from modsim3d.cli.campaign_text import plan_rows, traffic_warnings
+    from modsim3d.cli.campaign_text import plan_rows, program_warnings, traffic_warnings
 
     console = open_console()
     shared.print_line(console, str(campaign.file.path), "bold")
     print_table(console, "", plan_rows(campaign), styles=("dim", ""))
-    warnings = [*traffic_warnings(campaign), *warnings_of(campaign.plan)]
+    warnings = [*traffic_warnings(campaign), *program_warnings(campaign), *warnings_of(campaign.plan)]
     for note in campaign.notes:
         print_prose(console, f"Note: {note}.")
     for text in warnings:

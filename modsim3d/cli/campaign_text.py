@@ -71,6 +71,17 @@ def traffic_warnings(campaign: CheckedCampaign) -> list[str]:
     ]
 
 
+def program_warnings(campaign: CheckedCampaign) -> list[str]:
+    """Programs that run others, of which no file is known."""
+    from modsim3d.tracking.trackers.command import RUNS_OTHERS
+
+    return [
+        f"trackers[{place}]: of {each.command[0]} only its own file is checked: name the tracker's in files"
+        for place, each in enumerate(campaign.plan.keys.trackers)
+        if each.command is not None and not each.files and RUNS_OTHERS.fullmatch(Path(each.command[0]).name)
+    ]
+
+
 def _factor(factor: Factor) -> list[str]:
     ranges = factor.latin_hypercube or factor.uniform
     if ranges is not None:

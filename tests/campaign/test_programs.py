@@ -26,6 +26,7 @@ from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.checking import checked
 from modsim3d.campaign.work.row import WORLD_SCORES, world_column
+from modsim3d.cli.campaign_text import program_warnings
 from tests.campaign.campaigns import campaign_file, checked_campaign, interrupt, problems_of, run_campaign_file
 from tests.campaign.engines.campaigns import waited_for
 from tests.campaign.hand_made_tables import plan_of, table_of_runs
@@ -155,6 +156,32 @@ def test_a_program_that_was_changed_is_refused_by_its_name_and_its_tracks_are_of
     assert before["tracks_key"] != after["tracks_key"] and before["detections_key"] == after["detections_key"]
 
 
+WRITES = """\
+import json, sys
+print('{"answers":"steps","tracks":"image"}', flush=True)
+with open(sys.argv[1], "a") as log:
+    for line in iter(sys.stdin.readline, ""):
+        log.write(line)
+        if "step" in (given := json.loads(line)):
+            print(json.dumps({"step": given["step"], "tracks": []}), flush=True)
+"""
+
+
+def test_a_file_that_a_program_writes_is_none_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "trk.py").write_text(WRITES, encoding="utf-8")
+    tracker = {"name": "writes", "command": [sys.executable, "trk.py", "log.txt"]}
+    keys = {"scene": crossing(tmp_path, 10).name, "set": {"annotation.source": "analytic"}, "seeds": {"traffic": 2}}
+    campaign_file(tmp_path, **keys, trackers=[tracker])
+    assert set(run_here(tmp_path, "out").table["status"].to_pylist()) == {"done"}
+    with pytest.raises(ModsimError, match=r"trackers\[0\].files is \['trk.py'\] there and \['trk.py', 'log.txt'\] now"):
+        run_here(tmp_path, "out")
+    campaign_file(tmp_path, **keys, trackers=[{**tracker, "files": ["trk.py"]}])
+    assert set(run_here(tmp_path, "out").table["status"].to_pylist()) == {"done"}, "gone on with as it was planned"
+    trackers = [{"command": ["sh", "-c", "exec ./trk.py"]}, {**tracker, "files": []}, {**tracker, "name": "known"}]
+    said = program_warnings(checked_campaign(tmp_path, **keys, trackers=trackers))
+    assert [each[:12] for each in said] == ["trackers[0]:", "trackers[1]:"]
+
+
 @pytest.mark.parametrize(
     ("trackers", "more", "said"),
     [
@@ -164,6 +191,8 @@ def test_a_program_that_was_changed_is_refused_by_its_name_and_its_tracks_are_of
         ([{"command": ["./nobody"]}], {}, "trackers[0]: command: './nobody': there is no such program"),
         ([{"tracker": "sort", "timeout_s": 3}], {}, "trackers[0]: timeout_s is for command"),
         ([{"command": ["true"], "timeout_s": 0}], {}, "trackers[0].timeout_s: "),
+        ([{"tracker": "sort", "files": []}], {}, "trackers[0]: files is for command"),
+        ([{"command": ["true"], "files": ["x.py"]}], {}, "trackers[0]: files: 'x.py': no such file in"),
         (["reference"], {"require": [{"score": "established", "at_most": 1}], "x": 1}, "x: unknown key"),
         (["reference"], {"require": [{"score": "established_mm", "at_most": 1}]}, "did you mean 'established_m'"),
         (

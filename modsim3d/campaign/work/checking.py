@@ -52,7 +52,7 @@ from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.breakdown import BINS
-from modsim3d.tracking.trackers.command import CommandTracker
+from modsim3d.tracking.trackers.command import CommandTracker, argument_files
 from modsim3d.tracking.trackers.world_interface import WorldTracker
 
 # ---- What stands against judging a requirement at all ----
@@ -203,7 +203,8 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
     file, notes = _with_scenes(file)
-    keys = file.keys
+    keys = file.keys.model_copy(update={"trackers": [_with_files(each, file.base) for each in file.keys.trackers]})
+    file = replace(file, keys=keys)
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
     paths, plugins = set[Path](), set[Plugin]()
     wrong_keys = [*_vary_problems(keys)]
@@ -264,6 +265,13 @@ def _with_scenes(file: CampaignFile) -> tuple[CampaignFile, tuple[str, ...]]:
             raise InputError(f"scenes: {videos.truth}", [f"{told} and the labels to a folder of your own"]) from None
         scenes[place] = str((folder / f"{videos.called}.json").relative_to(file.base))
     return replace(file, keys=file.keys.model_copy(update={"scenes": scenes})), tuple(notes)
+
+
+def _with_files(keys: TrackerKeys, base: Path) -> TrackerKeys:
+    """A tracker with the files among its arguments that are there now: those that it makes are not its own."""
+    if keys.command is None or keys.files is not None:
+        return keys
+    return keys.model_copy(update={"files": argument_files(keys.command, base)})
 
 
 def _scene_of(videos: LabelledVideos, file: CampaignFile) -> tuple[Scene, tuple[str, ...]]:
@@ -446,7 +454,7 @@ def _facts(run: PlannedRun, plan: Plan, scenes: Scenes, paths: set[Path], plugin
     named = {each.label: tracker_of(each, settings, scene.name, scenes.folder) for each in plan.keys.trackers}
     for each in named.values():
         if isinstance(each.tracker, CommandTracker):
-            paths |= {path.resolve() for path in each.tracker.files().values()}
+            paths |= {path.resolve() for path in each.tracker.paths().values()}
     plugins.update(scene.plugins, (each.plugin for each in named.values() if each.plugin))
     return ConditionFacts(
         scene.name,

@@ -75,7 +75,9 @@ def tracker_of(keys: TrackerKeys, settings: Mapping[str, Any], scene: str | None
     given = {**keys.settings, **settings}
     if keys.command is None:
         return named_tracker(keys.tracker or "", given, scene)
-    return command_tracker(keys.command, given, name=keys.label, folder=folder, timeout_s=keys.timeout_s)
+    return command_tracker(
+        keys.command, given, name=keys.label, folder=folder, timeout_s=keys.timeout_s, files=keys.files
+    )
 
 
 # ---- The files that a campaign is made of ----

@@ -144,7 +144,9 @@ def changes(work: Work) -> list[str]:
 
 def _check_unchanged(work: Work) -> None:
     if problems := changes(work):
-        raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder")
+        own = "; what a program writes itself is not to be in its files"
+        written = own if any(each.command is not None for each in work.keys.trackers) else ""
+        raise ModsimError(f"{'; '.join(problems)}: put it back to go on, or choose another folder{written}")
 
 
 def store_crashed(task: Task, error: str) -> None:

@@ -3,6 +3,8 @@ them, and tracker_command.json of `modsim3d.plugins`."""
 
 from __future__ import annotations
 
+import os
+import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -39,6 +41,7 @@ class CommandTracker(Strict):
     folder: Path  # in which it is started
     timeout_s: float = DEFAULT_TIMEOUT_S  # for each answer
     settings: dict[str, Any] = Field(default_factory=dict)  # that it is given
+    files: tuple[str, ...] = ()  # that decide what it does, beside its own
 
     @property
     def program(self) -> str:
@@ -51,21 +54,28 @@ class CommandTracker(Strict):
         problem = "is not a program that may be run: chmod +x" if place.is_file() else "there is no such program"
         raise InputError("--command", [f"command: '{name}': {problem}"])
 
-    def files(self) -> dict[str, Path]:
-        """The program's file, and those among its arguments, by their names there. Raises as `program` does."""
-        found = {self.command[0]: Path(self.program)}
-        for each in self.command[1:]:
-            path = self.folder / each.rpartition("=")[2]
-            try:
-                if path.is_file():
-                    found[each] = path
-            except OSError:  # too long for a name
-                continue
+    def paths(self) -> dict[str, Path]:
+        """The program's file and the others by their names. Raises as `program` does, and if one is not there."""
+        found = {self.command[0]: Path(self.program), **{name: self.folder / name for name in self.files}}
+        if missing := [name for name, path in found.items() if not path.is_file()]:
+            raise InputError("--command", [f"files: '{missing[0]}': no such file in {self.folder}"])
         return found
 
     def checksums(self) -> dict[str, str]:
         """SHA-256 of these files."""
-        return {name: f"{CHECKSUM}{file_sha256(path)}" for name, path in self.files().items()}
+        return {name: f"{CHECKSUM}{file_sha256(path)}" for name, path in self.paths().items()}
+
+
+RUNS_OTHERS = re.compile(
+    r"(ba|da|k|z)?sh|(python|pypy)[0-9.]*|perl|ruby|node|java|julia|Rscript|lua|php|env|timeout|nice"
+)
+"""Names of programs that run what their arguments name."""
+
+
+def argument_files(command: Sequence[str], folder: Path) -> list[str]:
+    """The files that are there among the arguments of a program, also after an equals sign."""
+    names = dict.fromkeys(each.rpartition("=")[2] for each in command[1:])
+    return [name for name in names if os.path.isfile(folder / name)]  # noqa: PTH113 (which raises for what is too long)
 
 
 # ---- What a program answers ----

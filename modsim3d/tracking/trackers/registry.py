@@ -18,7 +18,7 @@ from modsim3d.io.plugins import TRACKERS, Plugin, failed, load_plugin
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import Strict, describe
 from modsim3d.scene.settings import plain
-from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S, CommandTracker
+from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S, RUNS_OTHERS, CommandTracker, argument_files
 from modsim3d.tracking.trackers.interface import Tracker
 from modsim3d.tracking.trackers.names import BUILT_IN
 from modsim3d.tracking.trackers.world_interface import WorldTracker
@@ -125,20 +125,21 @@ def command_tracker(
     name: str | None = None,
     folder: Path | None = None,
     timeout_s: float = DEFAULT_TIMEOUT_S,
+    files: Sequence[str] | None = None,
 ) -> NamedTracker:
     """A program as a tracker. `command` has its name and its arguments; it is started in `folder`, the working
-    directory if None. Raises InputError if there is no such program, or the settings cannot be written as JSON."""
-    given = {str(key): plain(value) for key, value in settings.items()}
-    tracker = CommandTracker(
-        command=tuple(command), folder=(folder or Path()).absolute(), timeout_s=timeout_s, settings=given
-    )
+    directory if None. `files` decide what it does beside its own, those among its arguments if None. Raises InputError
+    if there is no such program or file, or the settings cannot be written as JSON."""
+    given, folder = {str(key): plain(value) for key, value in settings.items()}, (folder or Path()).absolute()
+    own = tuple(argument_files(command, folder) if files is None else files)
+    tracker = CommandTracker(command=tuple(command), folder=folder, timeout_s=timeout_s, settings=given, files=own)
     try:
         orjson.dumps(given)
     except TypeError as error:
         raise InputError("--command", [f"set: its settings cannot be written as JSON: {error}"]) from None
-    _ = tracker.program
-    called = Path([*tracker.files()][:2][-1]).stem  # of `python3 tracker.py`, the second
-    return NamedTracker(name or called, tracker, None, "those that are given")
+    named, *others = tracker.paths()
+    called = others[0] if others and RUNS_OTHERS.fullmatch(Path(named).name) else named  # of `python3 tracker.py`
+    return NamedTracker(name or Path(called).stem, tracker, None, "those that are given")
 
 
 def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
