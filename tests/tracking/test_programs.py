@@ -21,6 +21,7 @@ import pytest
 import modsim3d
 from modsim3d import ModsimError, StoredRun, load_scene
 from modsim3d.formats.writing.export_formats import FORMATS, ExportRequest
+from modsim3d.tracking.trackers.registry import command_tracker
 from tests.run_folders import finished
 
 SCHEMA = json.loads((files("modsim3d.plugins") / "tracker_command.json").read_text(encoding="utf-8"))
@@ -154,6 +155,18 @@ FAULTS = {
     "writes rubbish": ("echo hello", "at 3 s: it answered 'hello': a line of JSON is needed"),
     "has other keys": ('echo "{\\"step\\":3,\\"track\\":[]}"', "track: unknown key .did you mean 'tracks'"),
     "writes without end": ("tr -d x </dev/zero", "at 3 s: a line of more than 0 MB"),
+    "has a comma too many": (
+        "echo '{\"step\":3,}'",
+        r"at 3 s: it answered '\{\"step\":3,\}': this is no JSON: trailing comma at column 11",
+    ),
+    "writes its step as text": (
+        """echo '{"camera":"C0","step":"3","tracks":[]}'""",
+        "step: Input should be a valid integer .got '3'",
+    ),
+    "has a camera that is none": (
+        """echo '{"camera":"C0","step":3,"tracks":[{"track":1,"camera":"","box_px":[5,5,9,9]}]}'""",
+        "track 1: its camera must be C0, not ''",
+    ),
     "answers another frame": ("n=9", "it answered step 9 of camera 'C0', and was given step 3 of camera 'C0'"),
     "answers twice": (ANSWER, r"at 4 s: it answered step 3 of camera 'C0', and was given step 4 of camera 'C0'"),
     "has a box that is none": (
@@ -190,6 +203,17 @@ def test_a_program_ends_with_its_input_and_without_a_word(run, tmp_path, after, 
     (tmp_path / "late.sh").write_text(LOOP.replace("FAULT", "true") + after, encoding="utf-8")
     with pytest.raises(ModsimError, match=f"at its end: {said}"):
         modsim3d.track_run(run, tmp_path / "t", command=["sh", str(tmp_path / "late.sh")], timeout_s=0.5)
+
+
+def test_tracks_have_the_name_of_the_program_or_of_what_an_interpreter_runs(tmp_path: Path) -> None:
+    for name in ("tool", "params.json"):
+        shutil.copy(shutil.which("true"), tmp_path / name)
+    for command, name in (
+        (["./tool", "params.json"], "tool"),
+        (["sh", "-e", "./tool", "params.json"], "tool"),
+        (["sh", "-c", "./tool -x"], "sh"),
+    ):
+        assert command_tracker(command, {}, folder=tmp_path).name == name
 
 
 def test_a_program_that_is_none_is_named(run, tmp_path) -> None:

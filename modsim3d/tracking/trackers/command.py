@@ -56,7 +56,8 @@ class CommandTracker(Strict):
 
     def paths(self) -> dict[str, Path]:
         """The program's file and the others by their names. Raises as `program` does, and if one is not there."""
-        found = {self.command[0]: Path(self.program), **{name: self.folder / name for name in self.files}}
+        program = Path(self.program)
+        found = {self.command[0]: program, **{name: self.folder / name for name in self.files}}
         if missing := [name for name, path in found.items() if not path.is_file()]:
             raise InputError("--command", [f"files: '{missing[0]}': no such file in {self.folder}"])
         return found
@@ -115,7 +116,7 @@ class WorldTrack(Strict):
 class ImageAnswer(Strict):
     """The answer to a line, with tracks in images."""
 
-    step: int
+    step: Annotated[int, Field(strict=True)]
     camera: str | None = None  # that of a frame
     tracks: tuple[ImageTrack, ...]
 
@@ -131,7 +132,11 @@ def parsed(model: type[Any], line: bytes) -> Any:
     try:
         return model.model_validate_json(line)
     except ValidationError as error:
-        problems = describe(error, model) if line.lstrip().startswith(b"{") else ["a line of JSON is needed"]
+        problems, first = describe(error, model), error.errors()[0]
+        if first["type"] == "json_invalid":
+            problems = [f"this is no JSON: {first['ctx']['error'].replace(' at line 1', ' at')}"]
+        if not line.lstrip().startswith(b"{"):
+            problems = ["a line of JSON is needed"]
         raise ModsimError(f"it answered {shown_line(line)}: {'; '.join(problems[:3])}") from None
 
 
@@ -142,8 +147,8 @@ def image_frames(answer: ImageAnswer, cameras: Sequence[str], labels: Sequence[s
     for each in answer.tracks:
         if each.label is not None and each.label not in labels:
             raise ModsimError(f"track {each.track}: there is no label '{each.label}'")
-        if (name := each.camera or answer.camera) not in parts:
-            raise ModsimError(f"track {each.track}: its camera must be {' or '.join(cameras)}, not {name}")
+        if (name := answer.camera if each.camera is None else each.camera) not in parts:
+            raise ModsimError(f"track {each.track}: its camera must be {' or '.join(cameras)}, not '{name}'")
         parts[name].append(each)
     return {name: _image_frame(tracks, labels) for name, tracks in parts.items()}
 
