@@ -187,13 +187,18 @@ def _mean_text(mean: Mean, most: int) -> str:
     return three_digits_with_interval(mean.value, mean.low, mean.high) + few
 
 
-def repeat_sentences(table: pa.Table) -> list[str]:
+def repeat_sentences(plan: Plan, table: pa.Table) -> list[str]:
     """A sentence for each program: whether its first run gave the same tracks when it was made again at once."""
-    if REPEATS not in table.column_names:
-        return []
-    rows = table.select(["run", TRACKER, REPEATS]).filter(pc.is_valid(table[REPEATS])).to_pylist()
-    said = {True: "the same tracks", False: "OTHER TRACKS, so its rows depend on chance"}
-    return [f"Run {row['run']} made twice: {row[TRACKER]} gave {said[row[REPEATS]]}." for row in rows]
+    programs = [place for place, each in enumerate(plan.keys.trackers) if each.command is not None]
+    names = [name for name in ("run", "status", TRACKER, REPEATS) if name in table.column_names]
+    said = {
+        True: "made twice: {} gave the same tracks",
+        False: "made twice: {} gave OTHER TRACKS, so its rows depend on chance",
+        None: "crashed: whether {} gives the same tracks again is not known",
+    }
+    rows = table.select(names).filter(pc.is_in(table["run"], pa.array(programs, pa.int64()))).to_pylist()
+    known = [(row, row.get(REPEATS)) for row in rows if row.get(REPEATS) is not None or row["status"] == CRASHED]
+    return [f"Run {row['run']} {said[repeats].format(row[TRACKER])}." for row, repeats in known]
 
 
 # ---- Conditions of a campaign that gave the same detections in all runs ----

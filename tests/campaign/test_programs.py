@@ -131,6 +131,7 @@ def test_verdicts_on_what_runs_took_stand_apart_and_everything_says_what_went_wr
         "not repeatable",
         "at frame 37",
         "Run 0 made twice: good gave the same tracks.",
+        "Run 2 crashed: whether dies gives the same tracks again is not known.",
         "no answer within 1.5 s",
     ):
         assert said in page

@@ -259,8 +259,10 @@ def test_nothing_is_left_after_an_interrupt_or_a_kill(run: StoredRun, family: Pa
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler of C++")
-def test_the_programs_of_the_page_have_some_sixty_lines() -> None:
+def test_the_programs_of_the_page_are_short() -> None:
     page = (Path(__file__).parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
     programs = re.findall(r"```(cpp|python|shell)\n(.*?)```", page, flags=re.DOTALL)
     assert [name for name, _ in programs] == ["cpp", "python", "shell"]
-    assert all(len(text.splitlines()) <= 70 for _, text in programs)
+    assert [len(text.splitlines()) <= most for (_, text), most in zip(programs, (60, 62, 17), strict=True)] == [
+        True
+    ] * 3

@@ -252,7 +252,7 @@ def requirement_blocks(plan: Plan, verdicts: Sequence[Verdict]) -> list[Block]:
 def compared_blocks(folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict]) -> list[Block]:
     """Means, differences between trackers, and the runs that crashed."""
     sections = mean_sections(folder.plan, table, verdicts)
-    sections += [Text(each) for each in means.repeat_sentences(table)]
+    sections += [Text(each) for each in means.repeat_sentences(folder.plan, table)]
     return [Heading("Means"), *sections, *paired_sections(folder.plan, table), *crash_sections(folder, table)]
 
 
