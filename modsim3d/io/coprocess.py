@@ -65,7 +65,10 @@ def children():
         if int(parent) == os.getpid() and state != b"Z":
             yield int(name)
 _thread.start_new_thread(wait_for_children, ())
-os.read(life, 1)
+try:
+    os.read(life, 1)
+except OSError:  # the end of the program was not read
+    pass
 try:
     os.killpg(child, signal.SIGKILL)
 except OSError:

@@ -258,6 +258,15 @@ def test_nothing_is_left_after_an_interrupt_or_a_kill(run: StoredRun, family: Pa
     assert not (family / "t").exists() or number == signal.SIGKILL
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are looked up in /proc")
+def test_what_a_program_left_is_ended_with_its_run(run: StoredRun, tmp_path: Path) -> None:
+    left = "setsid sleep 996 & echo $! > left\n"
+    (tmp_path / "leaves.sh").write_text(left + LOOP.replace("FAULT", "true"), encoding="utf-8")
+    with pytest.raises(ModsimError, match="did not end within 1 s after the end of its input"):
+        modsim3d.track_run(run, tmp_path / "t", command=["sh", "-c", f"cd {tmp_path} && . ./leaves.sh"], timeout_s=1)
+    assert not Path("/proc", (tmp_path / "left").read_text().strip()).exists()
+
+
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no compiler of C++")
 def test_the_programs_of_the_page_are_short() -> None:
     page = (Path(__file__).parents[2] / "docs" / "tracker_command.md").read_text(encoding="utf-8")
