@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import orjson
 
-from modsim3d.core.arrays import Array, Mask
+from modsim3d.core.arrays import Array, Indices, Mask
+from modsim3d.core.boxes import iou
 from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, MODELS, DetectorPart
 from modsim3d.formats.matching import Rule
@@ -183,7 +184,8 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
     return Learned(observed, form, numbers, transitions, resampling, run_s, units)
 
 
-_MAX_LOST = 0.03  # share of false detections that may be boxes of vessels that failed the matching
+_MAX_LOST = 0.01  # share of false detections that may be boxes of vessels that failed the matching
+_NEAR_THE_GATE = 0.1  # of IoU: about as many matches pass by less as boxes fail
 
 
 def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
@@ -191,21 +193,22 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     unknown: dict[tuple[str | None, str], str] = {}
     of_state = observed.image_state[observed.labelled.results.image[observed.false]]
     matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false detections
-    failed = 0.0
+    near, failed = _barely_matched(observed), 0.0
     for index, used in enumerate(numbers.box_errors.used):
-        failed += used.lost * used.matches
         false = int(np.count_nonzero(of_state == index))
+        lost = min(max(used.lost * used.matches, float(near[index])), false)
+        failed += lost
         if not used.settled:
             why = "so many boxes fail the matching, or were drawn anew, that errors may spread farther"
             unknown[used.state, "box_error"] = why
-        elif matched and (lost := used.lost * used.matches) > _MAX_LOST * max(false, 1):
-            why = f"{lost:.0f} of {false:,} false detections are boxes that failed the matching, by the fit"
+        elif matched and lost > _MAX_LOST * max(false, 1):
+            why = f"some {lost:.0f} of {false:,} false detections are boxes that failed the matching"
             unknown[used.state, "confidence.false"] = why
     if matched and numbers.multiple_boxes.on_vessels is not None:
         why = "of a vessel's boxes, matching takes the one that fits best, whichever was drawn for it"
         unknown |= {(None, f"false_positives.on_vessels.{key}"): why for key in ("lifetime_s", "mean", "std")}
     if matched and failed > _MAX_LOST * max(len(observed.false), 1):
-        why = f"{failed:.0f} of {len(observed.false):,} false detections are boxes that failed the matching, by the fit"
+        why = f"some {failed:.0f} of {len(observed.false):,} false detections are boxes that failed the matching"
         unknown[None, "false_positives.size"] = why
     elif matched and numbers.multiple_boxes.shares:
         unknown[None, "false_positives.size"] = "second boxes, parts and merges are told from others by how they look"
@@ -215,6 +218,17 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     if numbers.box_errors.box_vessel_share is not None:
         unknown[None, "persistence.box_s"] = few
     return unknown
+
+
+def _barely_matched(observed: Observed) -> Indices:
+    """Number of matches in each state whose IoU is near the least one; none by other rules than IoU."""
+    found, annotation = observed.matched.pairs
+    rule, labelled = observed.pairs.edges.rule, observed.labelled
+    if rule.method not in ("confidence", "optimal"):
+        return np.zeros(len(observed.states), dtype=np.int64)
+    overlap = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation])
+    state = observed.image_state[labelled.annotations.image[annotation[overlap < rule.least_iou + _NEAR_THE_GATE]]]
+    return np.bincount(state[state >= 0], minlength=len(observed.states))
 
 
 def _marked(numbers: LearnedDetector, unknown: Collection[tuple[str | None, str]]) -> LearnedDetector:
