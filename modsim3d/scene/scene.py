@@ -273,7 +273,7 @@ class Scene:
     def check_world(self, what: str) -> None:
         """Raise ModsimError where something needs to know where things are, and the truth is labels of videos."""
         if self.labels is not None:
-            raise ModsimError(f"{self.title}: {what} needs places in the world, and labels of videos have none")
+            raise ModsimError(f"scene '{self.name}': {what} needs places in the world, and labels of videos have none")
 
     def timestamps(self, first: int, stop: int) -> tuple[str, ...]:
         """Texts of the times of steps first to stop − 1."""

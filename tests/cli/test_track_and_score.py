@@ -173,7 +173,8 @@ def test_a_tracker_and_scores_take_the_files_as_they_take_their_run(tmp_path: Pa
     ):
         assert modsim3d(*line).status == 0
     in_world = modsim3d("track", *files, "--command", f"{sys.executable} {program} world", "--out", tmp_path / "w")
-    assert in_world.status == 2 and "needs places in the world, and labels of videos have none" in in_world.err
+    said = "at its start: scene 'bay': a tracker in the world needs places in the world, and labels of videos have none"
+    assert in_world.status == 2 and said in in_world.err
     assert len(pq.read_table(tmp_path / "of_program" / "tracks.parquet")) > 0
     tracks = [(tmp_path / name / "tracks.parquet").read_bytes() for name in ("of_run", "of_files")]
     assert tracks[0] == tracks[1]
