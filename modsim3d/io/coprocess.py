@@ -69,14 +69,16 @@ try:
     os.read(life, 1)
 except OSError:  # the end of the program was not read
     pass
-try:
-    os.killpg(child, signal.SIGKILL)
-except OSError:
-    pass
+def end(kill, number):
+    try:
+        kill(number, signal.SIGKILL)
+    except OSError:  # it has ended
+        pass
+end(os.killpg, child)
 until = time.monotonic() + 4
 while linux and time.monotonic() < until and (left := list(children())):
     for each in left:
-        os.kill(each, signal.SIGKILL)
+        end(os.kill, each)
     time.sleep(0.002)
 os._exit(0)
 """
