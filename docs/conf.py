@@ -53,6 +53,7 @@ MENU = {
     ],
     "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [
+        "docs/extras",
         "docs/tables",
         "docs/json",
         "benchmarks/RESULTS",
