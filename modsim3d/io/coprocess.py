@@ -26,6 +26,7 @@ _END_S = 5.0
 
 SUPERVISOR = """\
 import _thread, os, signal, sys, time
+from contextlib import suppress
 life, linux = int(sys.argv[1]), sys.platform == "linux"
 if linux:
     import ctypes
@@ -34,11 +35,8 @@ child = os.fork()
 if not child:
     os.close(life)
     os.setpgid(0, 0)
-    try:
-        with open("/proc/self/oom_score_adj", "w") as file:
-            file.write("1000")  # where memory is short, the system ends the program and not who asks it
-    except OSError:
-        pass
+    with suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
+        file.write("1000")  # where memory is short, the system ends the program and not who asks it
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     try:
         os.execv(sys.argv[2], sys.argv[3:])
@@ -48,37 +46,27 @@ if not child:
 for number in range(3):
     os.close(number)
 def wait_for_children():
-    try:
+    with suppress(OSError):  # there are none, or nobody listens
         while True:
             number, status, used = os.wait4(-1, 0)
             if number == child:
                 os.write(life, f"{status} {used.ru_maxrss}".encode())
-    except OSError:  # there are none, or nobody listens
-        pass
 def children():
     for name in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            with open(f"/proc/{name}/stat", "rb") as file:
-                state, parent = file.read().rpartition(b")")[2].split()[:2]
-        except OSError:  # it has ended
-            continue
-        if int(parent) == os.getpid() and state != b"Z":
-            yield int(name)
+        with suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:  # unless it has ended
+            state, parent = file.read().rpartition(b")")[2].split()[:2]
+            if int(parent) == os.getpid() and state != b"Z":
+                yield int(name)
 _thread.start_new_thread(wait_for_children, ())
-try:
+with suppress(OSError):  # the end of the program was not read
     os.read(life, 1)
-except OSError:  # the end of the program was not read
-    pass
-def end(kill, number):
-    try:
-        kill(number, signal.SIGKILL)
-    except OSError:  # it has ended
-        pass
-end(os.killpg, child)
+with suppress(OSError):
+    os.killpg(child, signal.SIGKILL)
 until = time.monotonic() + 4
 while linux and time.monotonic() < until and (left := list(children())):
     for each in left:
-        end(os.kill, each)
+        with suppress(OSError):  # it has ended
+            os.kill(each, signal.SIGKILL)
     time.sleep(0.002)
 os._exit(0)
 """

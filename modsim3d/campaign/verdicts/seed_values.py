@@ -115,18 +115,13 @@ class SeedRows:
         there = column(facts.expected) > 0
         if facts.of_faults:
             there &= column("established") == 0
-        elsewhere = self._answered_elsewhere(case, score)
+        apart = self.columns(replace(case, part=None))("appearances" if score in WORLD_SCORES else "vessels")
+        elsewhere = ~np.isnan(apart) & (score not in TIMES)  # where its tracks are
         share = np.where(elsewhere, 0.0, facts.basis.share(column))
         nothing = np.isnan(values) & ((there & (facts.managed | facts.worst_undefined)) | elsewhere) & ~crashed
         if resting_on is not None:
             nothing |= share < resting_on
         return Runs(np.where(nothing, np.nan, values), crashed, nothing, share)
-
-    def _answered_elsewhere(self, case: Case, score: str) -> Mask:
-        """Runs whose tracks are in the other one of images and world than the score is of, shape (s, d)."""
-        there = self.columns(replace(case, part=None))("appearances" if score in WORLD_SCORES else "vessels")
-        elsewhere: Mask = ~np.isnan(there) & (score not in TIMES)
-        return elsewhere
 
     def columns(self, case: Case) -> Columns:
         """The columns of the runs of a case, each of the shape (s, d): those of a part, if it is about one."""

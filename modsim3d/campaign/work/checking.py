@@ -203,7 +203,13 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     if too_large := [*_size_problems(keys)]:
         raise InputError(source, too_large)
     file, notes = _with_scenes(file)
-    keys = file.keys.model_copy(update={"trackers": [_with_files(each, file.base) for each in file.keys.trackers]})
+    trackers = [
+        each.model_copy(update={"files": argument_files(each.command, file.base)})
+        if each.command is not None and each.files is None  # files that it makes are not its own
+        else each
+        for each in file.keys.trackers
+    ]
+    keys = file.keys.model_copy(update={"trackers": trackers})
     file = replace(file, keys=keys)
     plan, scenes = Plan.of(keys), Scenes(keys.steps, file.base, learned=keys.uncertainty == "learned")
     paths, plugins = set[Path](), set[Plugin]()
@@ -265,13 +271,6 @@ def _with_scenes(file: CampaignFile) -> tuple[CampaignFile, tuple[str, ...]]:
             raise InputError(f"scenes: {videos.truth}", [f"{told} and the labels to a folder of your own"]) from None
         scenes[place] = str((folder / f"{videos.called}.json").relative_to(file.base))
     return replace(file, keys=file.keys.model_copy(update={"scenes": scenes})), tuple(notes)
-
-
-def _with_files(keys: TrackerKeys, base: Path) -> TrackerKeys:
-    """A tracker with the files among its arguments that are there now: those that it makes are not its own."""
-    if keys.command is None or keys.files is not None:
-        return keys
-    return keys.model_copy(update={"files": argument_files(keys.command, base)})
 
 
 def _scene_of(videos: LabelledVideos, file: CampaignFile) -> tuple[Scene, tuple[str, ...]]:
