@@ -284,9 +284,11 @@ class SceneParts:
                 for name in cameras
                 if not CAMERA_NAME.fullmatch(str(name))
             ]
-            for name, camera in cameras.items():
-                if isinstance(camera, dict):
-                    self.problems += [f"cameras.{name}{problem}" for problem in form_problems(camera)]
+            given = [(name, camera) for name, camera in cameras.items() if isinstance(camera, dict)]
+            found = [f"cameras.{name}{problem}" for name, camera in given for problem in form_problems(camera)]
+            self.problems += found[:MOST_PROBLEMS]
+            if len(found) > MOST_PROBLEMS:
+                self.problems.append(f"… and {len(found) - MOST_PROBLEMS:,} more problems in cameras")
         keys = self._validated(model)
         return keys if self.problems or keys is None else self._with_lenses(keys)
 

@@ -190,7 +190,7 @@ def test_fitted_noise_makes_the_detections_of_a_run_more_likely_than_other_noise
 def test_each_shipped_scene_has_its_noise_others_the_default_and_a_damaged_file_is_an_error(tmp_path, monkeypatch):
     names = sorted(path.stem for path in data_folder("scenes").glob("*.yaml"))
     noises = [smoother_noise(name) for name in names]
-    assert len(set(map(str, [*noises, smoother_noise("of somebody")]))) == len(names) + 1 == 7
+    assert len(set(map(str, [*noises, smoother_noise("of somebody")]))) == len(names) + 1 == 8
     (tmp_path / "trackers").mkdir()
     (tmp_path / "trackers" / "oracle.yaml").write_text("default: {noise_x_px: -1}\nscenes: {}\n", encoding="utf-8")
     monkeypatch.setattr(oracle, "data_folder", lambda kind: tmp_path)

@@ -89,7 +89,8 @@ _MISS_RATE = "to change misses alone, set miss_rate, which keeps the sum (docs/k
 def _refuse_counts(value: Any) -> Any:
     """The rows of a confusion matrix, unless they hold counts. Raises ValueError."""
     rows = [row for row in value if isinstance(row, list)] if isinstance(value, list) else []
-    counts = [cell for row in rows for cell in row if isinstance(cell, int | float) and cell > 1]
+    numbers = [cell for row in rows for cell in row if isinstance(cell, int | float)]
+    counts = [cell for cell in numbers if cell > 1 and (isinstance(cell, int) or cell.is_integer())]
     if counts:
         raise ValueError(f"has counts ({shown(counts[0])}), must have shares of each true label; {_FROM_FIGURES}")
     return value

@@ -101,7 +101,7 @@ DEFAULTS: dict[str, tuple[tuple[str, ...], Callable[[Path], tuple[object, ...]]]
 }
 """What a command writes into the run directory unless told otherwise."""
 READ = {"scene", "campaign", "run", "other", "truth", "detections", "detector", "sequence", "files", "tracks"}
-READ |= {"pictures", "images", "attitude", "like", "runs"}
+READ |= {"pictures", "images", "attitude", "like", "runs", "from_figures"}
 """Parameters that name what is read."""
 WRITTEN = {"out", "cache", "write_scene"}
 """Parameters that name what is written."""
