@@ -1,7 +1,7 @@
 """Names for the types of arrays, and functions on arrays that many rooms use."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
@@ -19,7 +19,8 @@ class Columns:
     """A table of n rows: its fields are arrays with a row each, but for fields that are no arrays and hold for all."""
 
     def _fields(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        values = vars(self)  # a live step calls this too often for `dataclasses.fields`
+        return {name: values[name] for name in type(self).__dataclass_fields__ if name in values}
 
     def __len__(self) -> int:
         """Number of rows."""
