@@ -128,7 +128,7 @@ def test_the_command_writes_a_file_that_names_what_was_assumed_and_warns_of_cont
     assert "warning: recall is 0.9, and 0.8 by the matrix, which counts" in said.err
     assert "Mean IoU is 0.8; mean_iou, or map50 and map50_95, would say." in said.out
     assert re.search(r"recall +0\.800 +0\.\d{3}", said.out)
-    head = "".join(line.removeprefix("# ") for line in out.read_text().splitlines(True) if line.startswith("#"))
+    head = " ".join(line.removeprefix("# ") for line in out.read_text().splitlines() if line.startswith("#"))
     assert all(word in head for word in ("Assumed: Mean IoU is 0.8", "Contradiction: recall", "mean_iou 0.800"))
     assert call(monkeypatch, "learn", "--from-figures", report, "--truth", report, "--out", out) == 2
     assert "--from-figures is in place of runs, files" in capsys.readouterr().err
