@@ -100,7 +100,8 @@ def hull_vertices(solid: Solid) -> Indices:
     from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s
 
     try:
-        return np.sort(ConvexHull(solid.vertices).vertices).astype(np.int64)
+        corners: Indices = np.sort(ConvexHull(solid.vertices).vertices).astype(np.int64)
+        return corners
     except QhullError:
         return np.arange(len(solid.vertices))
 
