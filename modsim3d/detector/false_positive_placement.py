@@ -62,7 +62,7 @@ PLACE_STEP_PX = 2.0**-10  # places are rounded to it: the horizon brings in all 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """How densely false positives lie in the image."""
+    """Density of false positives in the image."""
 
     band_px: float | None = None  # greatest distance below the horizon; no limit if None
     far_half_px: float | None = None  # distance below the horizon over which the density halves; it is uniform if None

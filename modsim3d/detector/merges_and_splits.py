@@ -71,7 +71,7 @@ MIN_SPLIT_PX = 4.0  # narrower boxes are not split: each part is at least a pixe
 
 @dataclass(frozen=True)
 class MergesAndSplits:
-    """How often boxes and vessels do not match one to one."""
+    """Rates at which boxes and vessels do not match one to one."""
 
     duplicates: float = 0.0  # probability that a detected vessel gets a second box
     merges: float = 0.0  # probability that two vessels that overlap come out as one box where the larger is detected

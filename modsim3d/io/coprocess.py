@@ -213,7 +213,7 @@ class Coprocess:
         del self._errors[:-_LAST_BYTES]
 
     def _end(self) -> str:
-        """How the program ended, in words; it is waited for, for a while."""
+        """End of the program in words; it is waited for, for a while."""
         self._life.settimeout(min(_END_S, self._timeout_s))
         try:
             status, used = map(int, self._life.recv(64).split())

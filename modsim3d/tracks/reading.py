@@ -70,7 +70,7 @@ class TrackFacts(Strict):
 
     @property
     def origin(self) -> Origin:
-        """Where the tracks come from."""
+        """Origin of the tracks."""
         return Origin(self.tracker, self.settings, self.chosen, self.package, self.versions)
 
 

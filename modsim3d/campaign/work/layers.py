@@ -219,7 +219,7 @@ class Made:
     detections_key: str
     tracks_key: str
     took: Mapping[str, Any] = field(default_factory=dict)
-    """What the tracker took, by the name of a column, and whether a program's output `repeats`; empty if it is not
+    """Costs of the tracker by the name of a column, and whether a program's output `repeats`; empty if it is not
     noted."""
 
 
