@@ -1,7 +1,6 @@
 """The page of a labelled video: the user's pictures below the boxes, in their frames, and no map."""
 
 import gc
-import warnings
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -75,6 +74,8 @@ def test_pictures_are_those_that_labels_name(tmp_path: Path, left: str, right: s
         assert [file for each in facts for file in each["files"]] == wanted.split()
 
 
+# Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipes to the garbage collector.
+@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
 def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, run: Path, pictures: Path) -> None:
     film = np.stack([np.full((*SIZE[::-1], 3), colour_of(frame), dtype=np.uint8) for frame in range(FRAMES)])
     iio.imwrite(tmp_path / "film.mp4", film, fps=10, macro_block_size=1)
@@ -100,9 +101,7 @@ def test_a_film_becomes_pictures_and_other_pictures_are_refused(tmp_path: Path, 
     with pytest.raises(ModsimError, match="cannot be read as a film"):
         film_frames(run / "run.json", tmp_path / "other", opened)
     iio.imwrite(tmp_path / "short.mp4", film[:9], fps=10, macro_block_size=1)
-    # Of an ffmpeg that has ended by itself, imageio-ffmpeg leaves the pipe to the garbage collector.
-    with warnings.catch_warnings(action="ignore", category=ResourceWarning):
-        with pytest.raises(ModsimError, match=r"ends after 9 pictures at 10 a second, and the run after 4.4 s"):
-            film_frames(tmp_path / "short.mp4", folder, opened)
-        gc.collect()
+    with pytest.raises(ModsimError, match=r"ends after 9 pictures at 10 a second, and the run after 4.4 s"):
+        film_frames(tmp_path / "short.mp4", folder, opened)
+    gc.collect()
     assert len(list(folder.iterdir())) == FRAMES
