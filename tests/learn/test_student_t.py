@@ -20,7 +20,7 @@ from modsim3d.io.input_files import data_folder
 from modsim3d.learn.bootstrap import resample
 from modsim3d.learn.box_errors.estimate import choose_box_errors
 from modsim3d.learn.box_errors.fit import ErrorFit, slopes
-from modsim3d.learn.box_errors.laws import ErrorSample, heavy_tails, learned_errors
+from modsim3d.learn.box_errors.laws import ErrorSample, choose_law, heavy_tails, learned_errors
 from modsim3d.learn.box_errors.matched_edges import MIN_DEGREES, ErrorModel, MatchedEdges, Unit, fit_student_t
 from modsim3d.learn.box_errors.persistence import correlation_left
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
@@ -120,6 +120,20 @@ def test_normal_errors_stay_normal_and_heavy_ones_do_not(kept: float) -> None:
     without_normal = heavy_tails(fits, "px", kept)
     assert "no normal errors fit" in without_normal and "inf" not in without_normal
     assert not heavy_tails(at_sea(t_errors(99, 3.0)), "px", 0.0)
+
+
+@pytest.mark.parametrize(("count", "seed"), [(200, 2), (200, 28), (700, 2)])
+def test_normal_errors_that_grow_are_not_heavy_tails_where_their_fit_settles_late_only(count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sides = np.exp(rng.normal(np.log([110, 60]), [0.8, 0.7], (count, 2)))
+    truth = np.column_stack([np.zeros((count, 2)), sides])
+    spread = np.array([2, 2, 3, 3]) + np.array([0.05, 0.05, 0.08, 0.08]) * np.tile(sides, 2)
+    found = move(truth, rng.normal(size=(count, 4)) * spread)
+    edges = MatchedEdges.of(truth, found, np.full((count, 2), np.nan), np.arange(count), Rule("provenance"))
+    fits = ErrorFits(edges)
+    assert not fits.value("mixed") > -np.inf
+    law = choose_law(fits, 0.54, frozenset())
+    assert (law.unit, law.law) == ("mixed", "normal")
 
 
 def test_a_few_boxes_that_are_none_of_the_vessel_are_no_heavy_tails() -> None:

@@ -128,6 +128,7 @@ def _with_growth(fits: ErrorFits, plain: ChosenLaw, kept: float, without: frozen
     if "student_t" not in without and _mixed_may_be_heavy(fits, plain):
         tailed = fits.value("mixed", heavy=True, least=least + needed * alike + of_tails * (not plain.heavy))
     tails = _tails(fits, "mixed", "mixed", kept) if tailed - normal > of_tails else ""
+    normal = fits.value("mixed")  # which may have settled since, begun from that with heavy tails
     value = tailed - of_tails * (not plain.heavy) if tails else normal + of_tails * plain.heavy
     gain = (value - least) / alike
     if not gain > needed:
