@@ -19,7 +19,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
-from modsim3d.io.validation import Number, Positive, Strict, describe, kind_of, nearest
+from modsim3d.io.validation import HORIZON, Needed, Number, Positive, Strict, describe, kind_of, nearest
 from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S
 from modsim3d.tracks.tracks import SimilarityName
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
@@ -228,7 +228,7 @@ class Requirement(Strict):
     `one_track` is false."""
 
     score: Text
-    where: dict[Text, Scalar | list[Scalar]] = Field(default_factory=dict)
+    where: dict[Text, Annotated[Scalar | list[Scalar], Needed("a value, or a list of values, is needed")]] = Field(default_factory=dict)
     of: Text | None = None
     minus: Text | None = None
     at_least: Number | None = None
@@ -322,12 +322,6 @@ class SearchKeys(Strict):
         return self
 
 
-def _checked_horizon(value: float | list[float] | None) -> float | list[float] | None:
-    if isinstance(value, list) and len(value) != 4:
-        raise ValueError(f"needs a row, or x and y of two points, as in [0, 400, 1920, 410] (got {len(value)} numbers)")
-    return value
-
-
 class LabelledVideos(Strict):
     """Labelled videos in place of a scene: each traffic seed shows one of them."""
 
@@ -338,7 +332,7 @@ class LabelledVideos(Strict):
     labels: list[Text] | None = None
     image_size_px: tuple[Number, Number] | None = None
     frame_rate_hz: Number | None = None
-    horizon: Annotated[Number | list[Number] | None, AfterValidator(_checked_horizon)] = None
+    horizon: Annotated[Number | tuple[Number, Number, Number, Number] | None, HORIZON] = None
     first_frame: Literal[0, 1] | None = None
     confidence_scale: tuple[Number, Number] | None = None
     skip_bad: bool = False

@@ -33,6 +33,21 @@ class Limits:
         return core_schema.no_info_after_validator_function(self._check, schema) if self._check else schema
 
 
+class Needed:
+    """What a field of several types or many numbers needs, in words: its one error, whatever is wrong inside."""
+
+    def __init__(self, words: str) -> None:
+        """Take the words."""
+        self._words = words
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Schema that pydantic asks for when it builds a model."""
+        return core_schema.custom_error_schema(handler(source), "needed", custom_error_message=self._words)
+
+
+HORIZON = Needed("a row, or x and y of two points, as in [0, 400, 1920, 410], is needed")
+
+
 def _not_tiny(value: float) -> float:
     if 0 < value < LEAST:
         raise ValueError(f"{value:g} is too small to calculate with: at least {LEAST:g}")
@@ -97,16 +112,26 @@ def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[Ba
     return current if hasattr(current, "model_fields") else None
 
 
-_PLAIN_WORDS = {  # messages for readers of YAML in place of pydantic's, which use the words of Python
+_WORDS = {  # of each type of error, for readers of YAML: pydantic's own messages use the words of Python
     **dict.fromkeys(("dict_type", "model_type"), "a mapping of keys is needed"),
     **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
-    "invalid_key": "a key must be text",
-    "too_long": "a list of {max_length} is needed",
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size", "int_from_float"), "a whole number is needed"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number is needed"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false is needed"),
     "finite_number": "a finite number is needed",
+    "greater_than": "must be above {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be below {lt}",
+    "less_than_equal": "must be at most {le}",
+    "literal_error": "must be {expected}",
+    "invalid_key": "a key must be text",
+    "too_long": "at most {max_length} may be given",
+    "too_short": "at least {min_length} must be given",
     "string_type": "text is needed",
     "string_too_short": "must not be empty",
-    "bool_type": "true or false is needed",
+    "string_pattern_mismatch": "must match {pattern}",
 }
+_OTHER = "is not what is needed here"  # a type of error that only a plug-in's model can have
 
 MOST_PROBLEMS = 50  # most problems that are reported of one section
 MAX_COMPARED, LONGEST_COMPARED = 1000, 100
@@ -142,7 +167,7 @@ def kind_of(value: object) -> str:
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
-    """One line for each problem that pydantic found, such as `cameras.C0.skew: Input should be a number (got 'x')`.
+    """One line for each problem that pydantic found, such as `cameras.C0.skew: a number is needed (got 'x')`.
     `prefix` are the keys that lead to the model in the file."""
     lines, items = [], error.errors(include_url=False)
     for item in items[:MOST_PROBLEMS]:
@@ -156,13 +181,14 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             hint = nearest(str(location[-1]), section.model_fields if section else ())
             lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
         elif item["type"] == "missing":
-            lines.append(f"{path}: missing")
+            lines.append(f"{path}: missing" + f" (got {shown(item['input'])})" * isinstance(location[-1], int))
         elif item["type"] in ("value_error", "assertion_error"):
             lines.append(f"{path}: {item['msg'].removeprefix('Value error, ')}")
         else:
-            plain = _PLAIN_WORDS.get(item["type"])
-            message = plain.format(**item.get("ctx", {})) if plain else item["msg"]
-            lines.append(f"{path}: {message} (got {shown(item['input'])})")
+            ctx = item.get("ctx", {})
+            facts = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in ctx.items()}
+            words = item["msg"] if item["type"] == "needed" else _WORDS.get(item["type"], _OTHER).format(**facts)
+            lines.append(f"{path}: {words} (got {shown(item['input'])})")
     if len(items) > MOST_PROBLEMS:
         lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines

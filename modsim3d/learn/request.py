@@ -9,7 +9,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Rule, usual_method
 from modsim3d.formats.reading.builder import ReadOptions
-from modsim3d.io.validation import Count, Number, Positive, Probability, Strict, describe, shown
+from modsim3d.io.validation import HORIZON, Count, Number, Positive, Probability, Strict, describe, shown
 from modsim3d.learn.learn_detector import LearnOptions, least_confidence
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.model_selection import left_out
@@ -41,7 +41,7 @@ class LearnRequest(Strict):
     image_size_px: tuple[Positive, Positive] | None = None
     frame_rate_hz: Positive | None = None
     first_frame: Literal[0, 1] | None = None
-    horizon: Number | tuple[Number, Number, Number, Number] | None = None
+    horizon: Annotated[Number | tuple[Number, Number, Number, Number] | None, HORIZON] = None
     category_offset: int = 0  # added to the category IDs of COCO results
     skip_bad: bool = False  # whether wrong entries of the files are left out
     check: bool = True  # whether to compare with the real results where it was not learned; not for voyages

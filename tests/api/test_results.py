@@ -171,8 +171,8 @@ def test_states_are_made_of_conditions_and_lost_matches_are_warned_of(thesis_fol
 
 FILES = {"truth": ["a.json"], "detections": ["b.json"]}
 WRONG = [  # whether a run is given, what else is, and what is said
-    (True, {"match": "iou"}, "match: Input should be 'confidence', 'optimal', 'centre' or 'provenance' (got 'iou')"),
-    (True, {"least_iou": 0}, "least_iou: Input should be greater than 0 (got 0)"),
+    (True, {"match": "iou"}, "match: must be 'confidence', 'optimal', 'centre' or 'provenance' (got 'iou')"),
+    (True, {"least_iou": 0}, "least_iou: must be above 0 (got 0)"),
     (True, {"replicates": 2.5}, "replicates: "),
     (True, {"seed": -1}, "seed: "),
     (True, {"confidence": "high"}, "confidence: "),

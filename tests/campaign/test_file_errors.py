@@ -35,7 +35,7 @@ def problems(tmp_path: Path, text: str) -> tuple[str, ...]:
     (HARBOUR + "vary: [{uniform: {a: [2, 1]}}]\n", ["below high"]),
     (HARBOUR + "vary: [{uniform: {a: {low: 0, high: 1, scale: log}}}]\n", ["above 0"]),
     (HARBOUR + "vary: [{uniform: {a: [1, 2, 3]}}]\n", ["two numbers"]),
-    (HARBOUR + "seed: 0\n", ["greater than or equal to 1"]),
+    (HARBOUR + "seed: 0\n", ["must be at least 1"]),
     (HARBOUR + "vary: [{list: [{steps: 3}]}]\n", ["vary: 'steps' cannot be varied here: the key steps"]),
     (HARBOUR + "vary: [{grid: {state: [good]}}, {pairs: {state: [bad]}}]\n", ["'state' is varied by two factors"]),
     (HARBOUR + "vary: [{grid: {state: [good, god]}}]\n", ["vary: state 'god': unknown state 'god' (did you mean"]),

@@ -59,7 +59,7 @@ def test_a_run_of_labels_is_a_scene_of_a_campaign_and_wrong_labels_are_named(tmp
         ({"truth": "many.json", "detector": "coastal", "labels": ["boat"]}, "no time.*: give frame_rate_hz,"),
         ({"truth": "many.json", "detector": "coastal", "frame_rate_hz": 5}, r"labels: give labels: \[A, B, ...\] with"),
         ({"truth": "many.json"}, "give either detector, a simulated one, or detections"),
-        ({"truth": "many.json", "detector": "coastal", "horizon": [1, 2]}, "horizon: needs a row, or x and y of two"),
+        ({"truth": "many.json", "detector": "coastal", "horizon": [1, 2]}, "horizon: a row, or x and y of two"),
         ({**LABELS, "confidence_scale": [1, 1]}, "confidence_scale: must be two numbers that rise"),
         ({"truth": "wrong.json", "detector": "coastal"}, "wrong.json.*skip_bad: true leaves all such entries out"),
     ):

@@ -85,7 +85,7 @@ def test_the_bound_errs_as_seldom_as_it_says_also_where_dense_traffic_is_harder_
 
 @pytest.mark.parametrize(("require", "keys", "said"), [
     ({"known_at_m": 900}, {}, "require[0]: known_at_m needs share"),
-    ({"known_at_m": -1, "share": 0.9}, {}, "require[0].known_at_m: Input should be greater than 0 (got -1)"),
+    ({"known_at_m": -1, "share": 0.9}, {}, "require[0].known_at_m: must be above 0 (got -1)"),
     ({"known_at_m": 900, "share": 0.9, "of": {"length_m": [15, 8]}}, {}, "needs two lengths, the smaller first"),
     ({"known_at_m": 900, "share": 0.9, "of": {"length": 8}}, {}, "require[0].kind.length: unknown key"),
     ({"known_at_m": 900, "share": 0.9, "at_least": 1}, {}, "require[0]: at_least does not go with known_at_m"),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from modsim3d.cli.terminal import say_error
 from modsim3d.core.errors import InputError, ModsimError
+from tests.cli.bad_input.builders import foreign
 
 ACCEPTED, REFUSED, FAILED = "accepted", "refused", "failed"
 MAX_LINES, MAX_CHARACTERS = 502, 2010
@@ -65,6 +66,8 @@ def message_fault(error: ModsimError, folder: str = "") -> str:
         return "holds a line break"
     if any(unicodedata.category(sign) in _UNSEEN or sign in _TURNING for sign in output.replace("\n", "")):
         return "holds control characters"
+    if found := foreign(output):
+        return f"has the words {found}, which are pydantic's"
     if len(texts) > MAX_LINES:
         return f"has more than {MAX_LINES} lines"
     if any(len(text.replace(folder, "")) > MAX_CHARACTERS for text in texts):

@@ -195,7 +195,7 @@ def test_what_does_not_fit_together_is_refused(tmp_path):
         (InputError, "must be W,H in pixels", (*arguments, "--image-size", "big")),
         (InputError, horizon, (*arguments, "--horizon", "far")),
         (InputError, r"--horizon:\n  lies below images", (*arguments, "--horizon", "1e5")),
-        (InputError, "most_distance_px: Input should be greater than 0", (*arguments, "--match", "centre:-1")),
+        (InputError, "most_distance_px: must be above 0", (*arguments, "--match", "centre:-1")),
         (ModsimError, "no annotation is there", ("--truth", empty, "--detections", nothing)),
     ):
         with pytest.raises(error, match=message):

@@ -265,7 +265,7 @@ def test_a_camera_inside_a_vessel_is_told_when_it_happens(tmp_path, stdin):
 @pytest.mark.parametrize(("stream", "part"), [
     ("nothing.jsonl", "nothing.jsonl: no such file: it must exist before the run begins"), (".", "this is a folder"),
     ("a\0b", "no such file"), (5, "poses.stream: a file, '-' for standard input, or a mapping of keys is needed"),
-    ({"file": "-", "timeout_s": -1}, r"poses.stream.timeout_s: Input should be greater"),
+    ({"file": "-", "timeout_s": -1}, r"poses.stream.timeout_s: must be at least"),
     ({"fil": "-"}, r"poses.stream.fil: unknown key \(did you mean 'file'\?\)"),
 ])  # fmt: skip
 def test_wrong_keys_of_a_stream_are_told(tmp_path, stream, part):

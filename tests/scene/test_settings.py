@@ -110,7 +110,7 @@ def test_a_wrong_setting_is_named_as_it_was_given(scene: Path) -> None:
         ("cameras.shoe.skew", 0, "cameras has no 'shoe' (did you mean 'shore'?)"),
         ("cameras.C0.skw", 0, "unknown key cameras.C0.skw (did you mean 'skew'?)"),
         ("cameras.C0.skew", "x", "(got 'x')"),
-        ("vessels.vehicle1.length_m", -1, "greater than or equal to 0.001 (got -1)"),
+        ("vessels.vehicle1.length_m", -1, "must be at least 0.001 (got -1)"),
         ("vessels.vehicle1.lenght_m", 1, "unknown key (did you mean 'length_m'?)"),
         ("vessels.ghost.length_m", 1, "vessels has no 'ghost'"),
         ("poses.file.vehicle1", 1, "poses.file is text, which has no keys that could be set"),

@@ -161,7 +161,7 @@ FAULTS = {
     ),
     "writes its step as text": (
         """echo '{"camera":"C0","step":"3","tracks":[]}'""",
-        "step: Input should be a valid integer .got '3'",
+        "step: a whole number is needed .got '3'",
     ),
     "has a camera that is none": (
         """echo '{"camera":"C0","step":3,"tracks":[{"track":1,"camera":"","box_px":[5,5,9,9]}]}'""",

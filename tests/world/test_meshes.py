@@ -420,7 +420,7 @@ REFUSED = {
     "shortdata.glb": (wedge_with("buffers", 0, uri="data:;base64,AAAA"), "has only 3 bytes of data in buffer 0"),
     "chunk.glb": (changed().replace(b"\x48\0\0\0BIN\0", b"\x49\0\0\0BIN\0"), "has 72 bytes"),
     "fan.glb": (wedge_with("meshes", 0, primitives=[{"attributes": {"POSITION": 0}, "mode": 6}]), "triangle fans"),
-    "type.glb": (wedge_with("accessors", 0, count="many"), "accessors[0].count: Input should be a valid integer"),
+    "type.glb": (wedge_with("accessors", 0, count="many"), "accessors[0].count: a whole number is needed"),
     "json.glb": (glb({}).replace(b"{}", b"{x"), "is not JSON"),
     "deep.glb": (glb({}).replace(b"{}  ", b"[" * 4), "is not JSON"),
     "cut.glb": (changed()[:-20], "is it cut off?"),
@@ -479,7 +479,7 @@ def test_a_bad_entry_is_refused_in_one_clear_line(tmp_path: Path) -> None:
         (None, "(got null)"),
         ({"forward": "+x"}, ".file: missing"),
         ({"file": "a.stl", "upp": "+z"}, ".upp: unknown key (did you mean 'up'?)"),
-        ({"file": "a.stl", "up": "z"}, ".up: Input should be '+x', '-x'"),
+        ({"file": "a.stl", "up": "z"}, ".up: must be '+x', '-x'"),
         ({"file": "there.stl", "up": "-x"}, "has forward +x and up -x; two different axes are needed"),
     ):
         assert words in problem(entry, scene), entry

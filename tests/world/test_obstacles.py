@@ -153,7 +153,7 @@ def test_wrong_obstacle_and_one_around_a_camera_are_one_clear_error(tmp_path):
         ({"polygon_m": SQUARE[:2], "height_m": 3}, r"a polygon needs three corners or more \(got 2\)"),
         ({"polygon_m": [SQUARE[i] for i in (0, 2, 1, 3)], "height_m": 3}, "must not cross"),
         ({"polygon_m": [[0, 50], [1, 50], [2, 50]], "height_m": 3}, "must not cross or lie on each other"),
-        ({"polygon_m": SQUARE, "height_m": 0}, "greater than 0"),
+        ({"polygon_m": SQUARE, "height_m": 0}, "must be above 0"),
         ({"polygon_m": SQUARE, "height_m": 3, "heading_rad": 1}, "heading_rad: not for a polygon"),
     ):
         with pytest.raises(InputError, match=rf"obstacles\.quay.*{said}"):

@@ -12,7 +12,7 @@ from tests.world.drawn_traffic import OWN, TRAFFIC, draw, traffic_keys
 
 WRONG = [
     ({"lanes__fairway__perhour": 3}, "lanes.fairway.perhour: unknown key (did you mean 'per_hour'?)"),
-    ({"lanes__fairway__per_hour": -1}, "lanes.fairway.per_hour: Input should be greater than or equal to 0"),
+    ({"lanes__fairway__per_hour": -1}, "lanes.fairway.per_hour: must be at least 0"),
     ({"lanes__fairway__per_hour": float("nan")}, "lanes.fairway.per_hour: a finite number"),
     ({"lanes__fairway__kinds": ["tanke"]}, "lanes.fairway.kinds.tanke: no such kind (did you mean 'tanker'?)"),
     ({"lanes__fairway__speed_m_s": {"tugg": 3}}, "lanes.fairway.speed_m_s.tugg: no such kind (did you mean 'tug'?)"),
@@ -31,7 +31,7 @@ WRONG = [
     ({"leisure__bay__per_km2": 9000}, "leisure.bay.per_km2: means 152,7"),
     ({"duration_s": 1e6}, "lanes.fairway.per_hour: means 8,353 vessels, of 11,706 in all; at most 2 can be planned for "
      "1,000,001 s"),
-    ({"duration_s": 1e7}, "duration_s: Input should be less than or equal to 1000000"),
+    ({"duration_s": 1e7}, "duration_s: must be at most 1000000"),
     ({"leisure__fairway": TRAFFIC["leisure"]["bay"]}, "leisure.fairway: lanes.fairway has this name too"),
     ({"own__owm": TRAFFIC["own"]["own"]}, "own.owm: no vessel 'owm' in the scene (did you mean 'own'?)"),
     ({"own__own__waypoints_m": [[0, -1000], [0, -4000]]}, "own.own.waypoints_m: leads closer to an obstacle than "
@@ -40,7 +40,7 @@ WRONG = [
      "m, and the legs leave room for 20 m"),
     ({"own": {}}, "encounters.meets: with whom? `own` has no vessel"),
     ({"encounters__meets__own": "onw"}, "encounters.meets.own: no vessel 'onw' in `own` (did you mean 'own'?)"),
-    ({"encounters__meets__kind": "headon"}, "encounters.meets.kind: Input should be"),
+    ({"encounters__meets__kind": "headon"}, "encounters.meets.kind: must be"),
     ({"encounters__meets__closest_m": [90, 50]}, "encounters.meets.closest_m: must not fall: least first"),
     ({"encounters__meets__closest_m": 5}, "encounters.meets.closest_m: the centres of hulls with clearance_m between "
      "them are 14 m apart"),
@@ -52,9 +52,9 @@ WRONG = [
     ({"labels": {"shp": "x"}}, "labels.shp: no kind has this label (did you mean 'ship'?)"),
     ({"labels": 3}, "labels: one label for all vessels, or a mapping"),
     ({"kinds": {"raft": {"label": "boat"}}}, "kinds.raft.length_m: missing"),
-    ({"kinds": {"ferry": {"speed_m_s": 0}}}, "kinds.ferry.speed_m_s[0]: Input"),
-    ({"clearance_m": 0}, "clearance_m: Input should be greater than or equal to 0.1"),
-    ({"wind_from_rad": 90}, "wind_from_rad: Input should be less than or equal to 6.3"),
+    ({"kinds": {"ferry": {"speed_m_s": 0}}}, "kinds.ferry.speed_m_s[0]: must be"),
+    ({"clearance_m": 0}, "clearance_m: must be at least 0.1"),
+    ({"wind_from_rad": 90}, "wind_from_rad: must be at most 6.3"),
 ]  # fmt: skip
 """Keys and what is said of them below `poses.traffic`."""
 

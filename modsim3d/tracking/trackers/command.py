@@ -19,7 +19,7 @@ from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.writing.csv import rounded
 from modsim3d.io.coprocess import Coprocess, shown_line
 from modsim3d.io.input_files import file_sha256
-from modsim3d.io.validation import Number, Probability, Strict, describe
+from modsim3d.io.validation import Needed, Number, Probability, Strict, describe
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.streaming.lines import header_of
 from modsim3d.scene.scene import Scene
@@ -104,13 +104,16 @@ class ImageTrack(Strict):
     covariance_px2: tuple[Two, Two] | None = None
 
 
+_COVARIANCE = Needed("2 rows of 2 numbers (of the position), or 4 of 4 (and the velocity) are needed")
+
+
 class WorldTrack(Strict):
     """A track in the world."""
 
     track: TrackNumber
     position_m: Two
     velocity_m_s: Two | None = None
-    covariance: tuple[Two, Two] | tuple[Four, Four, Four, Four] | None = None
+    covariance: Annotated[tuple[Two, Two] | tuple[Four, Four, Four, Four] | None, _COVARIANCE] = None
 
 
 class ImageAnswer(Strict):

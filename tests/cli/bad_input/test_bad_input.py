@@ -70,44 +70,44 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("poses", "2.0/vehicle2", None, "2.0.vehicle2: a mapping with center_position_m and heading_rad is needed"),
     ("poses", "2.0", [], "2.0: a mapping of vessel ID to pose is needed (got [])"),
     ("vessels", "vehicle2/beam_m", float("nan"), "vehicle2.beam_m: a finite number is needed (got nan)"),
-    ("vessels", "vehicle2/beam_m", 0, ("vehicle2.beam_m: Input should be greater than", "(got 0)")),
-    ("vessels", "vehicle2/length_m", -4.5, ("vehicle2.length_m: Input should be greater than", "(got -4.5)")),
-    ("vessels", "vehicle2/air_draft_m", 1e200, ("vehicle2.air_draft_m: Input should be less than", "(got 1e+200)")),
-    ("vessels", "vehicle2/length_m", "8", "vehicle2.length_m: Input should be a valid number (got '8')"),
-    ("vessels", "vehicle2/length_m", True, "vehicle2.length_m: Input should be a valid number (got true)"),
+    ("vessels", "vehicle2/beam_m", 0, ("vehicle2.beam_m: must be ", "(got 0)")),
+    ("vessels", "vehicle2/length_m", -4.5, ("vehicle2.length_m: must be ", "(got -4.5)")),
+    ("vessels", "vehicle2/air_draft_m", 1e200, ("vehicle2.air_draft_m: must be ", "(got 1e+200)")),
+    ("vessels", "vehicle2/length_m", "8", "vehicle2.length_m: a number is needed (got '8')"),
+    ("vessels", "vehicle2/length_m", True, "vehicle2.length_m: a number is needed (got true)"),
     ("vessels", "vehicle2", 5, "vehicle2: a mapping of keys is needed (got 5)"),
-    ("scene", "seed", "1", "seed: Input should be a valid integer (got '1')"),
-    ("scene", "seed", True, "seed: Input should be a valid integer (got true)"),
-    ("scene", "seed", -1, "seed: Input should be greater than or equal to 0 (got -1)"),
-    ("scene", "seed", 2**70, ("seed: Input should be less than", "(got 1180591620717411303424)")),
-    ("scene", "steps", 0, "steps: Input should be greater than 0 (got 0)"),
-    ("scene", "steps", 2.5, ("steps: Input should be a valid integer", "(got 2.5)")),
-    ("scene", "steps", 10**15, ("steps: Input should be less than or equal to", "(got 1000000000000000)")),
-    ("scene", "annotation/mode", 3, "annotation.mode: Input should be less than or equal to 2 (got 3)"),
-    ("scene", "annotation/mode", True, "annotation.mode: Input should be a valid integer (got true)"),
-    ("scene", "annotation/source", "renderd", ("annotation.source: Input should be 'rendered'", "(got 'renderd')")),
-    ("scene", "annotation/min_visible_fraction", 1.5, "annotation.min_visible_fraction: Input should be less"),
+    ("scene", "seed", "1", "seed: a whole number is needed (got '1')"),
+    ("scene", "seed", True, "seed: a whole number is needed (got true)"),
+    ("scene", "seed", -1, "seed: must be at least 0 (got -1)"),
+    ("scene", "seed", 2**70, ("seed: must be ", "(got 1180591620717411303424)")),
+    ("scene", "steps", 0, "steps: must be above 0 (got 0)"),
+    ("scene", "steps", 2.5, ("steps: a whole number is needed", "(got 2.5)")),
+    ("scene", "steps", 10**15, ("steps: must be at most", "(got 1000000000000000)")),
+    ("scene", "annotation/mode", 3, "annotation.mode: must be at most 2 (got 3)"),
+    ("scene", "annotation/mode", True, "annotation.mode: a whole number is needed (got true)"),
+    ("scene", "annotation/source", "renderd", ("annotation.source: must be 'rendered'", "(got 'renderd')")),
+    ("scene", "annotation/min_visible_fraction", 1.5, "annotation.min_visible_fraction: must be at most"),
     ("scene", "annotation", None, "annotation: a mapping of keys is needed (got null)"),
     ("scene", "cameras/C0", None, "cameras.C0: a mapping of keys is needed (got null)"),
-    ("scene", "cameras/C0/image_size_px", [640, 0], "cameras.C0.image_size_px[1]: Input should be greater than 0"),
+    ("scene", "cameras/C0/image_size_px", [640, 0], "cameras.C0.image_size_px[1]: must be above 0"),
     ("scene", "cameras/C0/image_size_px", [640], "cameras.C0.image_size_px[1]: missing"),
-    ("scene", "cameras/C0/image_size_px", [1, 2, 3], "cameras.C0.image_size_px: a list of 2 is needed"),
+    ("scene", "cameras/C0/image_size_px", [1, 2, 3], "cameras.C0.image_size_px: at most 2 may be given"),
     ("scene", "cameras/C0/image_size_px", 640, "cameras.C0.image_size_px: a list is needed (got 640)"),
-    ("scene", "cameras/C0/image_size_px", [10**6, 480], ("image_size_px[0]: Input should be less than", "12000")),
-    ("scene", "cameras/C0/focal_length_m", "0.05 m", "cameras.C0.focal_length_m: Input should be a valid number"),
-    ("scene", "cameras/C0/focal_length_m", 0, "cameras.C0.focal_length_m: Input should be greater than"),
+    ("scene", "cameras/C0/image_size_px", [10**6, 480], ("image_size_px[0]: must be ", "12000")),
+    ("scene", "cameras/C0/focal_length_m", "0.05 m", "cameras.C0.focal_length_m: a number is needed"),
+    ("scene", "cameras/C0/focal_length_m", 0, "cameras.C0.focal_length_m: must be "),
     ("scene", "cameras/C0/focal_length_m", float("inf"), "focal_length_m: a finite number is needed (got inf)"),
-    ("scene", "cameras/C0/pixel_size_m", [-1e-5, 1e-5], "cameras.C0.pixel_size_m[0]: Input should be greater"),
-    ("scene", "cameras/C0/near_clip_m", 0, "cameras.C0.near_clip_m: Input should be greater than"),
-    ("scene", "cameras/C0/skew", True, "cameras.C0.skew: Input should be a valid number (got true)"),
+    ("scene", "cameras/C0/pixel_size_m", [-1e-5, 1e-5], "cameras.C0.pixel_size_m[0]: must be at least 1e-09"),
+    ("scene", "cameras/C0/near_clip_m", 0, "cameras.C0.near_clip_m: must be "),
+    ("scene", "cameras/C0/skew", True, "cameras.C0.skew: a number is needed (got true)"),
     ("scene", "vessels", [1], "vessels: a file or a mapping of vessel ID to vessel is needed (got [1])"),
     ("scene", "vessels", {1: GOOD["vessels"]["vehicle1"]}, "vessels: a vessel's ID must be text: put 1 in quotes"),
     ("scene", "cameras", {7: SHORE}, "cameras.7: a name must be text: put it in quotes"),
     # probabilities
-    ("detector", "confidence_threshold", 1.2, "confidence_threshold: Input should be less than or equal to 1"),
+    ("detector", "confidence_threshold", 1.2, "confidence_threshold: must be at most 1"),
     ("detector", "confidence_threshold", float("nan"), ("confidence_threshold:", "(got nan)")),
     ("detector", CONFUSION, [[0.9], [0.2]], "states.clear.confusion: column 'Vessel' sums to 1.1, must sum to 1"),
-    ("detector", CONFUSION, [[1.5], [-0.5]], ("clear.confusion[0][0]: Input should be less than", "confusion[1][0]")),
+    ("detector", CONFUSION, [[1.5], [-0.5]], ("clear.confusion[0][0]: must be ", "confusion[1][0]")),
     ("detector", CONFUSION, [[0.9, 0.1]], ("confusion: is 1 × 2, must be 2 × 1", "must be transposed")),
     ("detector", "transition_matrix", TURNED, ("its rows sum to one and its columns do not", "must be transposed")),
     ("detector", "transition_matrix", [[0.9, 0.3], [0.1, 0.8]], "column 'fog' sums to 1.1, must sum to 1"),
@@ -150,7 +150,7 @@ WRONG_VALUES: list[tuple[str, str, Any, str | tuple[str, ...]]] = [
     ("scene", "poses", {"circlar": {}}, ("poses.circlar: nothing is called", "did you mean 'circular'?")),
     ("scene", "poses", {"file": 5}, "poses.file: text is needed (got 5)"),
     ("scene", "poses", [], "poses: a mapping of keys is needed (got [])"),
-    ("scene", "poses", {"agents": {"size_m": [150, 0]}}, "poses.agents.size_m[1]: Input should be greater than 0"),
+    ("scene", "poses", {"agents": {"size_m": [150, 0]}}, "poses.agents.size_m[1]: must be above 0"),
     ("scene", "poses", {"agents": {"size_m": [9, 9], "speed_m_s": [3, 2]}}, "is [least, greatest], but 3.0 > 2.0"),
     ("scene", "poses", {"agents": {"size_m": [9, 9], "speed": [3, 2]}}, "poses.agents.speed: unknown key (did you"),
     ("scene", "steps", 5, "steps: 5 asked for, but the pose file has 4"),
@@ -283,10 +283,10 @@ def test_mistakes_in_every_file_are_told_at_once(inputs: Inputs, refused: Refuse
         ("scene", "sed", 1, "sed: unknown key"),
         ("scene", "cameras/C0/mount/vessel", "vehicle9", "cameras.C0.mount.vessel: no vessel 'vehicle9'"),
         ("scene", "cameras/shore/mount", both, "cameras.shore.mount: give exactly one"),
-        ("vessels", "vehicle2/beam_m", -1, "vessels.json: vehicle2.beam_m: Input"),
+        ("vessels", "vehicle2/beam_m", -1, "vessels.json: vehicle2.beam_m: must be"),
         ("poses", "3.0/vehicle2/heading_rad", "east", "poses.json: 3.0.vehicle2.heading_rad: a finite number"),
         ("poses", "3.0/vehicle7", at(0, 0), "poses.json: 3.0.vehicle7: no vessel 'vehicle7'"),
-        ("detector", "confidence_threshold", 7, "detector.yaml: confidence_threshold: Input"),
+        ("detector", "confidence_threshold", 7, "detector.yaml: confidence_threshold: must be"),
         ("detector", "states/fog/confusion", [[0.5], [0.4]], "detector.yaml: states.fog.confusion: column 'Vessel' su"),
     ]
     for file, path, value, _ in mistakes:
@@ -299,7 +299,7 @@ def test_labels_and_poses_are_looked_at_though_vessels_are_wrong_or_missing(inpu
     inputs.set("vessels", "vehicle1/label", "Boat")
     inputs.set("poses", "3.0/vehicle2/heading_rad", "east")
     heading = "3.0.vehicle2.heading_rad: a finite number"
-    refused(inputs.write(), "vehicle2.beam_m: Input", "vehicle1.label: 'Boat' is not one of the detector's", heading)
+    refused(inputs.write(), "vehicle2.beam_m: must be", "vehicle1.label: 'Boat' is not one of the detector's", heading)
     inputs.set("scene", "vessels", "gone.json")
     refused(inputs.write(), "gone.json: no such file", heading)
 
@@ -353,7 +353,7 @@ def test_wrong_traffic_is_one_error_that_names_its_key(tmp_path, refused, change
 
 def test_a_wrong_setting_of_the_section_names_the_option(tmp_path: Path, refused: Refused) -> None:
     missing = "poses.traffic.lanes has no 'est' (did you mean 'west'?)"
-    for lane, value, said in (("west", -1, "Input should be"), ("est", 1, missing)):
+    for lane, value, said in (("west", -1, "must be"), ("est", 1, missing)):
         key = f"poses.traffic.lanes.{lane}.per_hour"
         refused(written(tmp_path), f"--set {key}: {said}", options=("--set", f"{key}={value}"))
 
