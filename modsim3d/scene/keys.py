@@ -16,6 +16,7 @@ from modsim3d.io.validation import (
     MOST_PROBLEMS,
     Limits,
     Metres,
+    Needed,
     NotNegative,
     Number,
     Probability,
@@ -75,13 +76,12 @@ def _roll_deg(angle: float) -> float:
 def upper_triangular(matrix: MatrixRows) -> MatrixRows:
     """Refuse what is no camera matrix."""
     (fx, _, _), (low, fy, _), last = matrix
-    rows = "the rows are [fx, s, cx], [0, fy, cy] and [0, 0, 1]"
     if min(fx, fy) < MIN_FOCAL_PX:
-        raise ValueError(f"has the focal lengths {fx:g} and {fy:g} px, which must be above 0: {rows}")
+        raise ValueError(f"has the focal lengths {fx:g} and {fy:g} px, which must be above 0: {ROWS}")
     if low or last != (0, 0, 1):
         turned = ", and this one is transposed" if not (matrix[0][1] or matrix[0][2] or matrix[1][2]) else ""
         got = shown([list(row) for row in matrix])
-        raise ValueError(f"is not upper triangular with the last row 0 0 1: {rows}{turned} (got {got})")
+        raise ValueError(f"is not upper triangular with the last row 0 0 1: {ROWS}{turned} (got {got})")
     return matrix
 
 
@@ -92,7 +92,8 @@ MAX_IMAGE_SIDE_PX = 12_000
 ImageSide = Annotated[int, Limits(gt=0, le=MAX_IMAGE_SIDE_PX)]
 FocalPixels = Annotated[float, Limits(allow_inf_nan=False, ge=MIN_FOCAL_PX, le=MAX_PX)]
 FieldOfView = Annotated[float, Limits(allow_inf_nan=False, ge=0.01, le=179)]
-Matrix = Annotated[MatrixRows, AfterValidator(upper_triangular)]
+ROWS = "the rows are [fx, s, cx], [0, fy, cy] and [0, 0, 1]"
+Matrix = Annotated[MatrixRows, Needed(f"3 × 3 numbers are needed: {ROWS}"), AfterValidator(upper_triangular)]
 ANGLES = ("roll", "pitch", "yaw")
 
 
