@@ -228,7 +228,9 @@ class Requirement(Strict):
     `one_track` is false."""
 
     score: Text
-    where: dict[Text, Annotated[Scalar | list[Scalar], Needed("a value, or a list of values, is needed")]] = Field(default_factory=dict)
+    where: dict[Text, Annotated[Scalar | list[Scalar], Needed("a value, or a list of them, is needed")]] = Field(
+        default_factory=dict
+    )
     of: Text | None = None
     minus: Text | None = None
     at_least: Number | None = None
@@ -453,6 +455,8 @@ def read_campaign(campaign: StrPath) -> CampaignFile:
     if not isinstance(data, dict):
         needed = f"a mapping of keys is needed (got {kind_of(data)})"
         raise InputError(f"campaign {path}", ["the file is empty" if data is None else needed])
+    if {"cameras", "detector"} <= data.keys():
+        raise InputError(f"campaign {path}", ["this is a scene: a campaign names it under scenes, and trackers beside"])
     try:
         videos, data = _labelled_videos(data, path.resolve())
         keys = CampaignKeys.model_validate(data)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 def check_scene_command(
     scene: shared.SceneArgument,
+    detector: shared.DetectorOption = None,
     settings: shared.SetOption = None,
     state: shared.StateOption = None,
     state_from: shared.FromOption = None,
@@ -54,12 +55,13 @@ def check_scene_command(
     from modsim3d.scene.summary import camera_summaries, doubts, sampled_tracks, vessel_types
 
     if (kind := _kind_of_file(scene)) != "scene":
-        if settings or state or state_from is not None or out is not None:
-            raise ModsimError(f"--set, --state, --from and --map are for scenes, and {scene} is a {kind}")
+        if settings or state or not detector == state_from == out is None:
+            raise ModsimError(f"--detector, --set, --state, --from and --map are for scenes, and {scene} is a {kind}")
         (_check_campaign if kind == "campaign" else _check_detector)(Path(scene))
         return
     with timed("reading the scene"):
-        loaded = load_scene(scene, settings=read_settings(settings or ()), state=state, state_from=state_from)
+        given = read_settings(settings or ())
+        loaded = load_scene(scene, detector=detector, settings=given, state=state, state_from=state_from)
     tell_files(loaded.copy.read)
     with timed("looking at it"):
         tracks = sampled_tracks(loaded)

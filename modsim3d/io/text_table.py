@@ -30,24 +30,28 @@ class RowProblems:
     source: str
     line: Indices  # numbers of the rows in the file, (k,)
     word: str = "line"  # what messages call a row
-    _found: dict[int, str] = field(default_factory=dict)
+    _found: dict[int, tuple[str, set[int]]] = field(default_factory=dict)  # by row: the message, and rows that it is of
     _wrong: set[int] = field(default_factory=set)
 
-    def refuse(self, bad: ArrayLike, say: Callable[[int], str]) -> None:
-        """Record wrong rows, shape (k,); `say` has the message for a row. Only the first problem of a row is kept."""
+    def refuse(self, bad: ArrayLike, say: Callable[[int], str], alike: Indices | None = None) -> None:
+        """Record wrong rows, shape (k,); `say` has the message for a row, which is the same for all wrong rows with the
+        same number in `alike`, shape (k,). Only the first problem of a row is kept."""
         rows = np.flatnonzero(bad)
         self._wrong.update(rows.tolist())
-        for row in rows[:_MOST].tolist():
-            self._found.setdefault(row, say(row))
+        number = rows if alike is None else alike[rows]
+        for first in np.sort(np.unique(number, return_index=True)[1])[:_MOST].tolist():
+            same = rows[number == number[first]].tolist()
+            more = f", and in {counted(len(same) - 1, f'more {self.word}')}" if len(same) > 1 else ""
+            self._found.setdefault(same[0], (say(same[0]) + more, {*same}))
 
     def settle(self) -> None:
         """End a stage. Raises InputError if there are wrong rows."""
         if not self._wrong:
             return
         told = sorted(self._found)[:_MOST]
-        lines = [f"{self.word} {self.line[row]}: {self._found[row]}" for row in told]
-        if len(self._wrong) > len(told):
-            lines.append(f"… and {len(self._wrong) - len(told):,} more {self.word}s")
+        lines = [f"{self.word} {self.line[row]}: {self._found[row][0]}" for row in told]
+        if more := len(self._wrong.difference(*(self._found[row][1] for row in told))):
+            lines.append(f"… and {more:,} more {self.word}s")
         raise InputError(self.source, lines)
 
 
@@ -151,7 +155,9 @@ class TextTable:
         if not needed:
             unknown &= ~_mask(pc.equal(pc.binary_length(texts), 0))
         self.problems.refuse(
-            unknown, lambda row: f"there is no {name} {self._shown(name, row)} ({nearest(texts[row].as_py(), known)})"
+            unknown,
+            lambda row: f"there is no {name} {self._shown(name, row)} ({nearest(texts[row].as_py(), known)})",
+            np.unique(texts.to_numpy(zero_copy_only=False).astype(str), return_inverse=True)[1],
         )
         return found
 

@@ -4,7 +4,8 @@ import difflib
 import reprlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, get_args, get_origin
+from types import UnionType
+from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema, core_schema
@@ -90,9 +91,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """A hint: the known name that was probably meant, or the known names."""
     name, names = str(name), [str(candidate) for candidate in known]
     likely = names[:MAX_COMPARED] if len(name) <= LONGEST_COMPARED else []
-    close = difflib.get_close_matches(name, likely, n=1)
-    if close:
-        return f"did you mean '{close[0]}'?"
+    by_small = {candidate.lower(): candidate for candidate in reversed(likely)}
+    if close := difflib.get_close_matches(name.lower(), by_small, n=1):
+        return f"did you mean '{by_small[close[0]]}'?"
     return f"known: {', '.join(names[:12])}{', …' if len(names) > 12 else ''}" if names else "none are defined"
 
 
@@ -102,19 +103,22 @@ def model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[Ba
     for part in location:
         if get_origin(current) is dict:
             current = get_args(current)[1]
+        elif get_origin(current) in (list, tuple) and isinstance(part, int):
+            items = [each for each in get_args(current) if each is not ...]
+            current = items[min(part, len(items) - 1)]
         elif part in getattr(current, "model_fields", {}):
             current = current.model_fields[part].annotation
         else:
             return None
-        options = [option for option in get_args(current) if hasattr(option, "model_fields")]
-        if get_origin(current) is not dict and len(options) == 1:
-            (current,) = options  # `MountKeys | None`
+        if isinstance(current, UnionType) or get_origin(current) is Union:
+            options = [option for option in get_args(current) if hasattr(option, "model_fields") or get_origin(option)]
+            current = options[0] if len(options) == 1 else None  # `MountKeys | None`
     return current if hasattr(current, "model_fields") else None
 
 
 _WORDS = {  # of each type of error, for readers of YAML: pydantic's own messages use the words of Python
     **dict.fromkeys(("dict_type", "model_type"), "a mapping of keys is needed"),
-    **dict.fromkeys(("list_type", "tuple_type"), "a list is needed"),
+    **dict.fromkeys(("list_type", "tuple_type"), "a list, as [a, b], is needed"),
     **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size", "int_from_float"), "a whole number is needed"),
     **dict.fromkeys(("float_type", "float_parsing"), "a number is needed"),
     **dict.fromkeys(("bool_type", "bool_parsing"), "true or false is needed"),
@@ -188,7 +192,9 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             ctx = item.get("ctx", {})
             facts = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in ctx.items()}
             words = item["msg"] if item["type"] == "needed" else _WORDS.get(item["type"], _OTHER).format(**facts)
-            lines.append(f"{path}: {words} (got {shown(item['input'])})")
+            keys = getattr(model_at(model, location), "model_fields", {}) if item["type"] == "model_type" else {}
+            known = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
+            lines.append(f"{path}: {words}{known} (got {shown(item['input'])})")
     if len(items) > MOST_PROBLEMS:
         lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines

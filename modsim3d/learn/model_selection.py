@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from typing import Any, Protocol
 
 from modsim3d.core.errors import InputError
-from modsim3d.io.validation import shown
+from modsim3d.io.validation import nearest, shown
 from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.matches import Observed
 
@@ -47,5 +47,6 @@ def left_out(names: Iterable[str], where: str) -> frozenset[str]:
     chosen = frozenset(names)
     unknown = sorted(chosen - set(RICHER))
     if unknown:
-        raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(map(shown, unknown))})"])
+        hints = [f"{shown(name)} ({nearest(name, RICHER)})" for name in unknown]
+        raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(hints)})"])
     return chosen

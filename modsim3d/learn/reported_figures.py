@@ -107,7 +107,8 @@ class Report(Strict):
         cells = np.array([[cell or 0.0 for cell in row] for row in given])
         counts = bool(np.all(cells == np.round(cells)) and cells.max() > 1)
         if not counts and cells.max() > 1:
-            raise InputError(where, [f"must have counts, or shares from 0 to 1 (got {cells.max():g})"])
+            part = f"{np.max(cells[cells != np.round(cells)]):g} is no count, and {cells.max():g} is no share"
+            raise InputError(where, [f"must have counts, or shares from 0 to 1, and not both ({part})"])
         ways = {"predicted": cells, "true": cells.T}
         problems = {way: self._matrix_problem(matrix, counts) for way, matrix in ways.items()}
         possible = [way for way, problem in problems.items() if not problem]

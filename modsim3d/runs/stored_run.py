@@ -259,7 +259,7 @@ def open_run(folder: StrPath) -> StoredRun:
     if (folder / UNFINISHED / SETTINGS_FILE).is_file():
         return _interrupted_run(folder)
     if not folder.is_dir():
-        file = "is a file, not a run directory (labels of a video go with --truth)"
+        file = "is a file, not a run directory, as modsim3d run makes one (labels of a video go with --truth)"
         raise RunDirectoryError(f"{folder} {file if folder.exists() else 'does not exist'}")
     if any((folder / f"{name}.parquet").exists() for name in TABLES):
         raise RunDirectoryError(f"{folder / RUN_FILE} is missing: a finished run has it; copy the whole run directory")

@@ -108,5 +108,6 @@ def _numbers(data: Mapping[str, Any], key: str, counts: Sequence[int]) -> list[f
     rows = entry if isinstance(entry, list) else [entry]
     values: list[Any] = [value for row in rows for value in (row if isinstance(row, list) else [row])]
     if len(values) not in counts or not all(type(each) in (int, float) and abs(each) <= MOST for each in values):
-        raise ValueError(f"{key}: {' or '.join(map(str, counts))} numbers are needed (got {shown(given)})")
+        needed = " or ".join(", ".join(map(str, counts)).rsplit(", ", 1))
+        raise ValueError(f"{key}: {needed} numbers are needed (got {len(values)}: {shown(entry)})")
     return [float(value) for value in values]

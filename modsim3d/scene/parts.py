@@ -165,6 +165,11 @@ def _file_problems(entries: Mapping[str, Mapping[str, object]], files: Sequence[
             yield f"draws '{name}' with the mesh {file}, which is none of the files of the source: {list(files)}"
 
 
+OTHER_FILES = {
+    "trackers": "this is a campaign: modsim3d campaign run takes it",
+    "states": "this is a detector: a scene names it under detector, and --detector gives it in place of the scene's",
+}
+"""What a file with a key is that is no scene."""
 T = TypeVar("T")
 
 SCENE_FILE = "scene.yaml"
@@ -274,6 +279,9 @@ class SceneParts:
 
     def _keys(self) -> SceneKeys | None:
         cameras = self.data.get("cameras")
+        if wrong := [said for key, said in OTHER_FILES.items() if key in self.data and "poses" not in self.data]:
+            self.problems += wrong
+            return None
         model = LabelledSceneKeys if self.labelled else SceneKeys
         if isinstance(cameras, dict):
             if not cameras and not self.labelled:
@@ -359,7 +367,13 @@ class SceneParts:
         return shipped_detectors().get(entry, file) if not os.path.lexists(file) else file
 
     def _read_detector(self, file: Path) -> DetectorModel:
-        self.changed_detector, model = self.settings.detector_of(file)
+        try:
+            self.changed_detector, model = self.settings.detector_of(file)
+        except InputError as error:
+            if file.suffix or error.problems != ("no such file",):
+                raise
+            hint = nearest(file.name, shipped_detectors())
+            raise InputError(error.source, [f"no such file, and no shipped detector has this name ({hint})"]) from None
         return model
 
     def _source(self) -> NamedSource | None:

@@ -14,7 +14,7 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.detector.file.reading import find_detector, parse_detector
 from modsim3d.detector.file.schema import DetectorFile
 from modsim3d.detector.file.unread import unread_settings
-from modsim3d.detector.file.writing import is_miss_rate, with_miss_rate
+from modsim3d.detector.file.writing import MISS_RATE, is_miss_rate, with_miss_rate
 from modsim3d.detector.model import DetectorModel
 from modsim3d.io.strict_text import load_yaml, parse_yaml
 from modsim3d.io.validation import find_condition, join_path, kind_of, model_at, nearest
@@ -211,7 +211,8 @@ def _check_new(
 ) -> None:
     """Refuse a key that the section cannot have, and a value inside a name that the section has not."""
     if model is not None and key not in model.model_fields:
-        hint = nearest(key, model.model_fields)
+        miss_rate = [MISS_RATE] if is_miss_rate((*map(str, where), MISS_RATE)) else []
+        hint = nearest(key, [*miss_rate, *model.model_fields])
         raise InputError(setting.name, [f"unknown key {join_path(*where, key)} ({hint})"])
     if model is None and inside:
         raise InputError(setting.name, [f"{join_path(*where)} has no '{key}' ({nearest(key, content)})"])

@@ -156,12 +156,20 @@ def doubts(scene: Scene, tracks: HullTracks | None) -> list[str]:
     lenses = ((f"cameras.{camera.name}: ", camera.intrinsics) for camera in scene.cameras)
     points = ((name, point_problem(lens.principal_point_px, lens.image_size_px)) for name, lens in lenses)
     kinds: list[Iterable[str]] = [[name + problem] for name, problem in points if problem]
-    kinds += [_sizes(scene, key) for key in USUAL_M]
+    kinds += [_narrow(scene), *(_sizes(scene, key) for key in USUAL_M)]
     if tracks is not None:
         through = (_through(scene, tracks, obstacle) for obstacle in scene.obstacles)
         kinds += [_fast(scene, tracks), *through, _in_one_place(scene, tracks)]
     found = [(first, len(more)) for first, *more in filter(None, map(list, kinds))]
     return [first + (f" (and {more} more like it)" if more else "") for first, more in found]
+
+
+def _narrow(scene: Scene) -> Iterator[str]:
+    for camera in scene.cameras:
+        angle = max(_field_of_view_deg(camera.intrinsics))
+        if 0.2 < angle < math.pi:
+            turned = f"{angle:.3g} radians are {math.degrees(angle):.0f}°"
+            yield f"camera '{camera.name}' sees {angle:.3g}° only, and {turned}: hfov_deg and vfov_deg are in degrees"
 
 
 def _sizes(scene: Scene, key: str) -> Iterator[str]:

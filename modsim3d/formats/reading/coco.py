@@ -128,7 +128,8 @@ def _object(path: Path, what: str, source: str) -> Mapping[str, Any]:
         raise InputError(source, [f"must be a mapping with images, annotations and categories (got {kind})"])
     missing = [key for key in ("images", "annotations", "categories") if key not in content]
     if missing:
-        raise InputError(source, [f"{key}: missing" for key in missing])
+        named = {"categories": ': give the names of the IDs, as [{"id": 1, "name": "boat"}]'}
+        raise InputError(source, [f"{key}: missing{named.get(key, '')}" for key in missing])
     return content
 
 
