@@ -120,12 +120,12 @@ def make_again(
     out: Path,
     *,
     overwrite: bool = False,
-    progress: Callable[[int], None] = lambda steps: None,
+    progress: Callable[..., None] = lambda *_: None,
 ) -> RunAgain:
     """Make a run of a campaign again: write its run directory `out`, and its tracks beside it, and compare the scores.
     A run and tracks that are there already, and are those of this run, are left as they are unless `overwrite`.
-    `progress` is called with the number of steps done since its last call. Raises ModsimError if there is no such run,
-    or it cannot be written. What the run itself raises is in the result."""
+    `progress` is called with the number of steps done since its last call, first with 0 and their number in all. Raises
+    ModsimError if there is no such run, or it cannot be written. What the run itself raises is in the result."""
     run, before = planned_run(folder, number), row_of_run(folder, number)
     tracks = out.with_name(f"{out.name}_tracks")  # nothing but the run is written into its own folder
     then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
@@ -149,7 +149,7 @@ def _row(
     out: Path,
     tracks: Path,
     overwrite: bool,
-    progress: Callable[[int], None],
+    progress: Callable[..., None],
     reused: list[Path],
 ) -> dict[str, Any]:
     """Write a run and its tracks; its row. What is there already is added to `reused`."""
@@ -157,6 +157,7 @@ def _row(
     scene = Scenes(work.keys.steps, Path(work.base), learned=work.keys.uncertainty == "learned").alone(
         run.condition, run.traffic_seed, run.detector_seed
     )
+    progress(0, scene.steps)
     named = tracker_of(run.tracker, run.condition.of_tracker(), scene.name, Path(work.base))
     stored = None if overwrite else run_there(out, scene)
     found = None if stored is None else tracks_there(tracks, stored, named)

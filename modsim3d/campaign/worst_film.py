@@ -161,11 +161,12 @@ def film_moment(
     moment_s: float,
     *,
     overwrite: bool = False,
-    progress: Callable[[int], None] = lambda frames: None,
+    progress: Callable[..., None] = lambda *_: None,
 ) -> MomentFilm:
     """Film ten seconds of a run with its tracks, around a moment as its timestamps have it, in the camera with most
     mistakes, into `detections.mp4` of the run. `progress` is called with the number of frames drawn since its last
-    call. Raises ModsimError if there is no ffmpeg, or the file cannot be written."""
+    call, first with 0 and their number in all. Raises ModsimError if there is no ffmpeg, or the file cannot be
+    written."""
     from modsim3d.view.films.film import draw_film
     from modsim3d.view.films.plan import FilmPlan, crop_to_vessels, mistakes_in
     from modsim3d.view.followed_tracks import FollowedTracks
@@ -176,6 +177,7 @@ def film_moment(
     scored = Scored.of(rows, track_set.tracks, rules)
     camera = worst_frame(scored, Mistakes.of(scored), moment_s) % len(rows.scene.cameras)
     selection = select(run, (camera,), from_s=moment_s - AROUND_S, to_s=moment_s + AROUND_S)
+    progress(0, len(selection.steps))
     style, shaded = best_style()
     plan = FilmPlan(
         ("detections",),

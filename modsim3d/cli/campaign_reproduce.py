@@ -52,7 +52,7 @@ def campaign_reproduce_command(
     if film:
         check_encoder("mp4")
         check_free(film_path(out), overwrite)
-    bar = shared.progress(f"run {number}", opened.keys.steps)
+    bar = shared.progress(f"run {number}", None)
     with shared.interruptible("; the same command goes on"), timed("run, tracks and scores"), bar as advance:
         again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
     moment = None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modsim3d.cli import shared
-from modsim3d.cli.run_summary import scene_warnings, traffic_in_words
+from modsim3d.cli.run_summary import mode_in_words, scene_warnings, traffic_in_words
 from modsim3d.cli.shared import option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_document, print_table
@@ -55,7 +55,7 @@ def check_scene_command(
     from modsim3d.scene.summary import camera_summaries, doubts, sampled_tracks, vessel_types
 
     if (kind := _kind_of_file(scene)) != "scene":
-        if settings or state or not detector == state_from == out is None:
+        if settings or state or (detector, state_from, out) != (None, None, None):
             raise ModsimError(f"--detector, --set, --state, --from and --map are for scenes, and {scene} is a {kind}")
         (_check_campaign if kind == "campaign" else _check_detector)(Path(scene))
         return
@@ -146,7 +146,7 @@ def _rows(scene: Scene, cameras: list[str], types: list[str]) -> list[tuple[str,
         *(obstacles if scene.obstacles else ()),
         ("traffic", traffic_in_words(scene)),
         ("steps", "as they come" if scene.live else str(scene.steps)),
-        ("annotation", f"mode {scene.annotation.mode}, source {scene.annotation.source}"),
+        ("annotation", f"mode {mode_in_words(scene)}; source {scene.annotation.source}"),
         *_state_rows(scene.detector),
     ]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import TYPE_CHECKING
 
 from modsim3d.cli.shared import print_line, print_path
@@ -25,6 +26,7 @@ CAMERA_HEADER = (
     "IoU\n< 0.5",
     "off\nvessel",
 )
+MODES = ("boxes of whole vessels, hidden ones too", "boxes of whole vessels", "boxes of what is seen of vessels")
 NOTICEABLE_SHARE = 0.005  # the bias from resampled box errors is shown from this share of the detections on
 WARNING_SHARE = 0.1  # a share of boxes with IoU below 0.5 that changes what an evaluation by IoU says
 
@@ -42,6 +44,8 @@ def print_summary(scene: Scene, result: RunResult, sheet: bool) -> None:
     print_path(console, "run directory", result.folder)
     if sheet:
         print_path(console, "contact sheet", result.folder / "contact_sheet.png")
+    folder, tracks = shlex.quote(str(result.folder)), shlex.quote(f"{result.folder}_tracks")
+    print_line(console, f"\nnext\n  modsim3d report {folder}\n  modsim3d track {folder} --out {tracks}")
     for warning in run_warnings(scene, result):
         warn(warning)
 
@@ -50,7 +54,12 @@ def traffic_in_words(scene: Scene) -> str:
     """Whether a scene's traffic is drawn, and what another seed would change."""
     if scene.traffic_has_seed:
         return f"{scene.traffic}; a run with another seed has another traffic"
-    return f"{scene.traffic}; another seed is another look at it"
+    return f"{scene.traffic}; with every seed the same vessels on the same paths, and other waves and detections"
+
+
+def mode_in_words(scene: Scene) -> str:
+    """Annotation mode of a scene, and its boxes."""
+    return f"{scene.annotation.mode}: {MODES[scene.annotation.mode]}"
 
 
 def scene_warnings(scene: Scene) -> list[str]:
@@ -71,7 +80,7 @@ def scene_warnings(scene: Scene) -> list[str]:
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     """Summary of a run; each share is of a number that stands in another row."""
     counts, cameras = result.counts, len(scene.cameras)
-    many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {scene.annotation.mode}"
+    many = f"{cameras} camera{'s' if cameras > 1 else ''}, {result.steps} steps, mode {mode_in_words(scene)}"
     rows = [("frames", str(counts.frames), many), *vessel_rows(counts), *detection_rows(counts)]
     if counts.true_detections:
         iou = result.iou

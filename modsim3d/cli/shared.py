@@ -223,12 +223,12 @@ def progress_bar() -> Progress:
 
 
 @contextmanager
-def progress(description: str, total: int | None) -> Iterator[Callable[[int], None]]:
+def progress(description: str, total: int | None) -> Iterator[Callable[..., None]]:
     """Show a bar after a description, and yield the function that moves it on by a number of steps; `total` is the
-    number of steps in all, None if that is not known."""
+    number of steps in all, None if only the work knows, which may give it to the function beside the steps."""
     with progress_bar() as bar:
         task = bar.add_task(description, total=total)
-        yield lambda steps: bar.update(task, advance=steps, refresh=True)
+        yield lambda steps, total=None: bar.update(task, advance=steps, total=total, refresh=True)
 
 
 # ---- Commands that clean up when the system tells them to stop ----

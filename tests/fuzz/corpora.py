@@ -22,6 +22,7 @@ from modsim3d.runs.run import run_scene
 from modsim3d.scene.reading import load_scene
 from tests.cli.bad_input.builders import CIRCULAR, FILES, GOOD
 from tests.detector_variants import CHANGES, variant
+from tests.scene.test_lens import FILES as CALIBRATIONS
 
 Files = dict[str, bytes | None]
 """What lies in a folder: content by path; None is a folder."""
@@ -153,6 +154,14 @@ def detectors() -> tuple[Files, ...]:
     shipped = [_shipped(f"detectors/{name}.yaml") for name in ("rich", "three_labels", "conditions/noon_clear")]
     small = [_json(variant(name)) for name in sorted(CHANGES)]
     return tuple({"detector.yaml": content} for content in (*shipped, _json(GOOD["detector"]), *small))
+
+
+@cache
+def calibrations() -> tuple[Files, ...]:
+    """Calibration files of OpenCV, ROS and Kalibr."""
+    return tuple(
+        {"solved.json" if name == "json" else "solved.yaml": CALIBRATIONS[name].encode()} for name in CALIBRATIONS
+    )
 
 
 @cache

@@ -32,6 +32,7 @@ from modsim3d.world.vessels import Vessel, load_mapping, parse_vessels
 from tests.cli.bad_input.builders import GOOD
 from tests.fuzz import corpora
 from tests.fuzz.corpora import Files, reseal, stored_runs, write_files
+from tests.scene.test_lens import scene_with
 from tests.scenes import outlines_of
 
 STEPS = 2
@@ -86,6 +87,10 @@ def _read_detector(folder: Path) -> None:
     detector = Detector(model, 0, statistics, scene.times_s)
     for part in inputs:
         detector.detect(part.frames, part.targets)
+
+
+def _read_calibration(folder: Path) -> None:
+    truth_block(scene_with(folder, {"calibration": _only_file(folder, "solved.*").name}), 0, 1, None)
 
 
 def _read_vessels(folder: Path) -> None:
@@ -153,6 +158,7 @@ READERS = {
     for reader in (
         Reader("scene", 6_000, corpora.scenes, _read_scene),
         Reader("detector", 10_000, corpora.detectors, _read_detector, _KEYS),
+        Reader("calibration", 10_000, corpora.calibrations, _read_calibration),
         Reader("vessels", 25_000, corpora.vessels, _read_vessels),
         Reader("poses", 20_000, corpora.poses, _read_poses),
         Reader("stream", 30_000, corpora.stream, _read_stream),

@@ -177,7 +177,7 @@ WRONG_FILES: tuple[tuple[str, str, str, str, dict[str, Any]], ...] = (
         "has more than k1, k2, p1, p2, k3, and not all of the others are 0",
         {},
     ),
-    ("opencv", "-1.0e-01, 2.e-02, ", "", "distortion_coefficients: 0 or 4 or 5 or 8", {}),
+    ("opencv", "-1.0e-01, 2.e-02, ", "", "distortion_coefficients: 0, 4, 5, 8", {}),
     ("ros", "plumb_bob", "equidistant", "distortion_model: 'equidistant' is not known: only plumb_bob, radtan", {}),
     ("message", f"[{NUMBERS}]", "[0, 0, 0, 0, 0, 0, 0, 0, 0]", "k: has the focal lengths 0 and 0 px", {}),
     ("kalibr", "pinhole", "omni", "camera_model: 'omni' is not known: only pinhole is", {}),

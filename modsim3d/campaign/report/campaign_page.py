@@ -136,7 +136,7 @@ MAX_ERRORS, MAX_NUMBERS = 20, 8
 
 
 def worst_sections(
-    folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], advance: Callable[[int], None]
+    folder: CampaignFolder, table: pa.Table, verdicts: Sequence[Verdict], advance: Callable[..., None]
 ) -> list[Block]:
     """The worst runs, the moment at which each went wrong, and commands that show more; `advance(1)` follows each."""
     found = worst_runs(folder, table, verdicts, WORST) if len(table) else []
@@ -144,11 +144,12 @@ def worst_sections(
         "Runs that crashed come first, then the worst run of each requirement, then the second worst of each; "
         "failed requirements come before the others. They say how a tracker fails, and nothing about how often."
     )
+    advance(0, len(found))
     blocks = (block for each in found for block in _worst_run(folder, each, advance))
     return [Heading("The worst runs"), Text(about if found else "", "soft"), *blocks]
 
 
-def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[[int], None]) -> Iterator[Block]:
+def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., None]) -> Iterator[Block]:
     run = folder.plan.run(each.number)
     values = {**words.values_of(folder.plan, each.condition), **run.condition.values}
     what = "crashed" if each.value is None else f"{means.score_name(each.score)} {three_digits(each.value)}"
@@ -217,7 +218,7 @@ def campaign_page(
     folder: CampaignFolder,
     table: pa.Table,
     verdicts: Sequence[Verdict],
-    advance: Callable[[int], None] = lambda done: None,
+    advance: Callable[..., None] = lambda *_: None,
     command: str | None = None,
 ) -> str:
     """Page of a campaign as HTML. `advance(1)` follows each picture; `command` made it, or the call from Python."""

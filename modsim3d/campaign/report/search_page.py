@@ -149,7 +149,7 @@ def _value(value: Any) -> str:
 def write_page(
     folder: CampaignFolder,
     path: Path,
-    advance: Callable[[int], None] = lambda done: None,
+    advance: Callable[..., None] = lambda *_: None,
     command: str | None = None,
 ) -> str:
     """Write the page of a campaign, finished or not, and return its first sentence. `advance` is called with 1 after

@@ -190,7 +190,7 @@ MISTAKES: list[tuple[str, Files, str | tuple[str, ...]]] = [  # what is typed, w
     ("track scene.yaml", {}, "scene.yaml is a file, not a run directory, as modsim3d run makes one"),
     (MINE, {"mine.py": ANSWERS.replace("frames", "frame")}, "answers: must be 'frames' or 'steps' (got 'frame')"),
     (MINE, {"mine.py": ANSWERS}, ("camera 'bow' at 0 s", "tracks[0].box: unknown key (did you mean 'box_px'?)")),
-    (MINE, {"mine.py": "raise SystemExit('no weights.pt')\n"}, ("it ended with status 1", "standard error: no weights.pt")),
+    (MINE, {"mine.py": "raise SystemExit('no weights.pt')\n"}, ("it ended with status 1", "error: no weights")),
     (
         "score run t.csv",
         {"t.csv": CSV + "front,0,1,0,0,9,9\n" * 914},
