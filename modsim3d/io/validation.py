@@ -35,7 +35,7 @@ class Limits:
 
 
 class Needed:
-    """What a field of several types or many numbers needs, in words: its one error, whatever is wrong inside."""
+    """The one error of a field of several types or many numbers, whatever is wrong inside: what is needed."""
 
     def __init__(self, words: str) -> None:
         """Take the words."""

@@ -15,6 +15,8 @@ from modsim3d.core.statistics import jeffreys_rate, jeffreys_share
 from modsim3d.formats.labelled import Images
 
 SIGNIFICANT = 3.3  # standard errors from zero that an effect needs: one in a thousand reaches them by chance
+MIN_UNITS = 6
+"""Images or runs of frames below which their spread does not tell how well a number is known; counts still do."""
 _MIN_SPREAD = 1e-12
 
 Kind = Literal["share", "fraction", "mean", "positive", "correlation", "rate", "above_two", "capped"]
@@ -104,15 +106,14 @@ class Column:
         """Both ends of confidence intervals of a level such as 0.95, each of the shape of one row. With few units,
         images or runs that were drawn, the spread itself is uncertain, hence Student's distribution. NaN where an
         interval would not hold what it says."""
-        if not self.known:
+        if not self.known or (units < MIN_UNITS and self.kind not in ("share", "rate")):
             return np.full(np.shape(self.estimate), np.nan), np.full(np.shape(self.estimate), np.nan)
         wide = float(special.stdtrit(max(units - 1, 1), (1 + level) / 2))
         widen, tail = (wide / float(special.ndtri((1 + level) / 2))) ** 2, (1 - level) / 2
         if self.kind in ("share", "rate"):
             return self._counted(widen, tail)
         centre = to_scale(self.estimate, self.kind)
-        # Replicates of a single unit are all equal and do not tell how well the number is known.
-        reach = wide * spread(to_scale(self.values[1:], self.kind)) if units > 1 else np.full(centre.shape, np.inf)
+        reach = wide * spread(to_scale(self.values[1:], self.kind))
         low, high = from_scale(centre - reach, self.kind), from_scale(centre + reach, self.kind)
         if self.kind == "capped":
             low, high = np.clip(low, 0, 1), np.clip(high, 0, 1)

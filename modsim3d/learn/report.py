@@ -9,7 +9,7 @@ from modsim3d.core.boxes import Overlaps, iou
 from modsim3d.core.text import counted, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
-from modsim3d.learn.bootstrap import Column
+from modsim3d.learn.bootstrap import MIN_UNITS, Column
 from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.false_positives import NOT_WRITTEN
 from modsim3d.learn.figures import Figures
@@ -80,7 +80,11 @@ class LearnReport:
         by_reason: dict[str, list[str]] = {}
         for (state, key), why in unknown_numbers(self.learned.observed, self.learned.numbers).items():
             by_reason.setdefault(why, []).append(key if state is None else f"states.{state}.{key}")
-        return tuple(f"Not known: {', '.join(keys)}; {why}" for why, keys in by_reason.items())
+        few = [each.name for each in self.states if each.units < MIN_UNITS]
+        unit = "images, or runs of frames, are needed for intervals of all numbers but shares"
+        return tuple(f"In state {name} only shares are known: at least {MIN_UNITS} {unit}" for name in few) + tuple(
+            f"Not known: {', '.join(keys)}; {why}" for why, keys in by_reason.items()
+        )
 
     @property
     def remarks_on_check(self) -> tuple[str, ...]:
