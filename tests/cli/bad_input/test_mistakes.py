@@ -273,6 +273,13 @@ def test_a_mistake_has_one_error_that_names_key_and_remedy(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_run_says_what_its_mode_and_fixed_traffic_mean_and_what_to_type_next(run: Path, call: Call) -> None:
+    status, said = call("run", run.parent / "scene.yaml", "--out", run, "--overwrite", "--no-sheet")
+    assert status == 0 and "mode 0: boxes of whole vessels, hidden ones too" in said
+    assert "with every seed the same vessels on the same paths" in said
+    assert f"next\n  modsim3d report {run}\n  modsim3d track {run} --out {run}_tracks\n" in said
+
+
 VALUES: list[Any] = [
     None,
     True,
