@@ -7,11 +7,11 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import signal
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams, grid_normals
@@ -233,7 +233,9 @@ class Noise:
         offset = grid_normals(streams.uniforms(Purpose.AIS_COMPASS, vessel, first=0, count=1))
         lasting = np.sqrt(1 - POSITION_KEPT**2) * drawn[:, :2]  # a first-order process with the variance of white noise
         lasting[:1] = drawn[:1, :2]
-        lasting = np.asarray(signal.lfilter([1.0], [1.0, -POSITION_KEPT], lasting, axis=0))
+        # What scipy.signal.lfilter gives, too; its import takes 0.6 s.
+        steps = [accumulate(axis, lambda before, new: POSITION_KEPT * before + new) for axis in lasting.T.tolist()]
+        lasting = np.array([list(axis) for axis in steps]).T
         return cls(lasting, drawn[:, 2:4], drawn[:, 4], float(offset[0, 0]))
 
 
