@@ -43,11 +43,11 @@ from pathlib import Path
 import modsim3d
 from modsim3d.cli.main import main
 root, codes = Path(modsim3d.__file__).parent, set()
-sys.setprofile(lambda frame, event, value: codes.add(frame.f_code))
+sys.settrace(lambda frame, event, value: codes.add(frame.f_code))  # of calls alone: it returns None
 try:
     main()
 except SystemExit as ended:
-    sys.setprofile(None)
+    sys.settrace(None)
     paths = {Path(code.co_filename) for code in codes if code.co_name != "<module>"}
     print(ended.code or 0, *sorted({path.relative_to(root).parts[0] for path in paths if path.is_relative_to(root)}))
 """
