@@ -127,7 +127,10 @@ QuietOption = Annotated[
 VerboseOption = Annotated[
     bool,
     typer.Option(
-        "--verbose", "-v", callback=ask_verbose, help="Also print versions, files read, the OpenGL in use and times."
+        "--verbose",
+        "-v",
+        callback=ask_verbose,
+        help="Also print versions, files read, the OpenGL in use, times and every test.",
     ),
 ]
 JsonOption = Annotated[bool, flag("--json", "Print the result as one JSON object (docs/json.md).", callback=ask_json)]

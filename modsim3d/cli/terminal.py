@@ -122,6 +122,11 @@ def remark(text: str) -> None:
         say(text, err=True)
 
 
+def is_verbose() -> bool:
+    """Whether `--verbose` is asked for."""
+    return _asked.verbose
+
+
 def tell(name: str, text: str) -> None:
     """Write what only `--verbose` asks for to standard error."""
     if _asked.verbose:

@@ -17,8 +17,10 @@ class Where(Flag):
     """Places that show a block."""
 
     PAGE = auto()
-    TERMINAL = auto()
+    BRIEF = auto()  # a terminal
+    FULL = auto()  # a terminal with `--verbose`
     NOTEBOOK = auto()
+    TERMINAL = BRIEF | FULL
     TEXT = PAGE | TERMINAL
     EVERYWHERE = PAGE | TERMINAL | NOTEBOOK
 

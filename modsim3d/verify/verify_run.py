@@ -191,7 +191,7 @@ def document(verified: VerifiedRun) -> Document:
             Text(f"IoU of the true detections with their vessels: {evidence.iou}."),
             Tiles(_results(verification)),
             Heading("What fails"),
-            _table(verification.failed, Where.PAGE),
+            _table(verification.failed, Where.PAGE | Where.BRIEF),
             _table([*verification.failed, *tested], Where.NOTEBOOK),
             Heading("Performance states"),
             *timelines(model, evidence),
@@ -212,10 +212,14 @@ def _notes(verification: Verification) -> Iterator[Block]:
     names: dict[str, list[str]] = {}
     for name, note in named_notes(verification):
         names.setdefault(note, []).append(name)
-    yield Items([f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1])
+    yield Items([f"{found[0]}: {note}" for note, found in names.items() if len(found) == 1], Where.PAGE | Where.FULL)
     for note, found in names.items():
         if len(found) > 1:
-            yield Fold(f"{note[0].upper()}{note[1:]}: {len(found)} entries", [Text(", ".join(found))])
+            yield Fold(
+                f"{note[0].upper()}{note[1:]}: {len(found)} entries",
+                [Text(", ".join(found))],
+                where=Where.PAGE | Where.FULL,
+            )
 
 
 def _provenance(verified: VerifiedRun, command: str | None) -> Provenance:
@@ -260,7 +264,9 @@ def _groups(verification: Verification) -> Iterator[Block]:
         said += [f"{count[UNTESTED]:,} not tested: too little seen"] if count[UNTESTED] else []
         said += [f"{count[UNCHECKED]:,} without a check"] if count[UNCHECKED] else []
         passed = " (all within the interval of their test)" if count[OBEYS] == len(verdicts) else ""
-        yield Fold(f"{name.capitalize()}: {', '.join(said)}{passed}", [_table(verdicts)])
+        title = f"{name.capitalize()}: {', '.join(said)}{passed}"
+        yield Items([title], Where.BRIEF)
+        yield Fold(title, [_table(verdicts)], where=Where.PAGE | Where.FULL)
 
 
 def _table(verdicts: Sequence[TestResult], where: Where = Where.TEXT) -> Table:

@@ -83,9 +83,9 @@ def test_columns_stand_one_below_the_other_and_what_does_not_fit_below_its_row_w
 def test_verify_has_every_number_at_any_width(modsim3d, monkeypatch, run, tmp_path, width):
     if width:
         monkeypatch.setenv("COLUMNS", str(width))
-    out = modsim3d("check", "run", run, "--out", tmp_path).out
+    out = modsim3d("check", "run", run, "--out", tmp_path, "-v").out
     monkeypatch.delenv("COLUMNS", raising=False)
-    table = modsim3d("check", "run", run, "--out", tmp_path, "--overwrite").out
+    table = modsim3d("check", "run", run, "--out", tmp_path, "--overwrite", "-v").out
     assert re.search(r"parameter +asked +measured +interval +noticed from +verdict", table)
     for word in table.split("\n\nwritten")[0].split():
         assert word in out or word in ("–", "parameter", "verdict")  # the verdict itself stands at the edge

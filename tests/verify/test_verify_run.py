@@ -1,6 +1,7 @@
 """`verify` on whole runs: honest ones obey, changed files are caught and named, the thesis's rule falls short."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -31,7 +32,9 @@ def finished(tmp_path_factory) -> Path:
 def test_an_honest_run_obeys_and_says_so_and_its_report_changes_nothing_in_it(finished, tmp_path, call):
     status, said = call("check", "run", finished)
     assert status == 0
-    assert "obeys its detector file" in said and "states.excellent.confusion[background][Vessel]" in said
+    assert "obeys its detector file" in said and " tests passed" in said and len(said.splitlines()) < 20
+    _, said = call("check", "run", finished, "--verbose", "--overwrite")
+    assert "states.excellent.confusion[background][Vessel]" in said
     assert "dropout, all states" in said and "noticed from" in said
     report = json.loads((finished / "verify.json").read_text())
     assert report["obeys"] and report["cause"] is None
@@ -52,6 +55,7 @@ def test_a_change_made_after_the_run_is_caught_and_named(finished, tmp_path, cal
     status, said = call("check", "run", finished, "--detector", changed, "--out", out)
     report = json.loads((out / "verify.json").read_text())
     assert (status, report["cause"]) == (1, "states.good.confidence.std") and "does NOT obey" in said
+    assert re.search(r"What fails\nparameter .*\n(.+ DIFFERS\n)+", said)
     page = (out / "verify.html").read_text().replace("<wbr>", "")
     failing = [line for line in page.splitlines() if "DIFFERS" in line]
     assert all(line.startswith('<tr class="bad">') for line in failing)
