@@ -269,6 +269,21 @@ def check_memory() -> None:
         raise ModsimError(f"the address space is limited to {limit >> 20} MB (ulimit -v): {needed}")
 
 
+def _value_in_our_words(error: typer.BadParameter) -> str:
+    """The message of an option's wrong value; typer has it from pydantic."""
+    found: list[Any] = getattr(error.__cause__, "errors", list)()
+    if found:
+        from modsim3d.io.validation import shown, words
+
+        got = "" if found[0]["type"] == "value_error" else f" (got {shown(found[0]['input'])})"
+        error.message = words(found[0]) + got
+    return _message_of_typer(error)
+
+
+_message_of_typer = typer.BadParameter.format_message
+typer.BadParameter.format_message = _value_in_our_words  # type: ignore[assignment]
+
+
 def main() -> None:
     """Run the command line; a user error is one message on standard error and exit status 2."""
     # Small matrices and short tables are no faster with threads, and a process without threads can be forked.

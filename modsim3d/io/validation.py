@@ -2,7 +2,7 @@
 
 import difflib
 import reprlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
@@ -170,6 +170,15 @@ def kind_of(value: object) -> str:
     return "nothing" if value is None else _KINDS.get(type(value), type(value).__name__)
 
 
+def words(problem: Mapping[str, Any]) -> str:
+    """A single problem that pydantic found, in our words: `must be at most 2`."""
+    if problem["type"] in ("needed", "value_error", "assertion_error"):
+        return str(problem["msg"]).removeprefix("Value error, ")
+    facts = problem.get("ctx", {}).items()
+    numbers = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in facts}
+    return _WORDS.get(problem["type"], _OTHER).format(**numbers)
+
+
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
     """One line for each problem that pydantic found, such as `cameras.C0.skew: a number is needed (got 'x')`.
     `prefix` are the keys that lead to the model in the file."""
@@ -187,14 +196,11 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
         elif item["type"] == "missing":
             lines.append(f"{path}: missing" + f" (got {shown(item['input'])})" * isinstance(location[-1], int))
         elif item["type"] in ("value_error", "assertion_error"):
-            lines.append(f"{path}: {item['msg'].removeprefix('Value error, ')}")
+            lines.append(f"{path}: {words(item)}")
         else:
-            ctx = item.get("ctx", {})
-            facts = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in ctx.items()}
-            words = item["msg"] if item["type"] == "needed" else _WORDS.get(item["type"], _OTHER).format(**facts)
             keys = getattr(model_at(model, location), "model_fields", {}) if item["type"] == "model_type" else {}
             known = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
-            lines.append(f"{path}: {words}{known} (got {shown(item['input'])})")
+            lines.append(f"{path}: {words(item)}{known} (got {shown(item['input'])})")
     if len(items) > MOST_PROBLEMS:
         lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines

@@ -21,8 +21,8 @@ from tests.cli.bad_input.builders import CIRCULAR, DELETED, GOOD, Call, Inputs, 
 
 def test_wrong_arguments_exit_with_two(call, tmp_path, monkeypatch):
     for arguments, part in (
-        ("run simulation_1 --mode 3", "--mode"),
-        ("run simulation_1 --steps 0", "--steps"),
+        ("run simulation_1 --mode 3", "'--mode': must be at most 2 (got '3')"),
+        ("run simulation_1 --steps 2.5", "'--steps': a whole number is needed (got '2.5')"),
         ("run simulation_1 --seed -1", "--seed"),
         ("run simulation_1 --source guessed", "--source"),
         ("run simulation_1 --frobnicate", "--frobnicate"),
