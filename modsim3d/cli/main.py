@@ -131,9 +131,18 @@ class _Plain:
         return parameters
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The arguments that are left; an old name raises an error that has the new one."""
+        """The arguments that are left; an old name raises an error that has the new one. A wrong value is told in the
+        words of all other errors, and not in pydantic's, which typer has."""
         refuse_old_names(ctx, args)
-        left: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
+        try:
+            left: list[str] = super().parse_args(ctx, args)  # type: ignore[misc]
+        except typer.BadParameter as error:
+            problems: list[Any] = getattr(error.__cause__, "errors", list)()
+            if problems:
+                from modsim3d.io.validation import words
+
+                error.message = words(problems[0])
+            raise
         return left
 
 
@@ -267,21 +276,6 @@ def check_memory() -> None:
     if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESS_SPACE:
         needed = f"at least {MIN_ADDRESS_SPACE >> 20} MB are needed to load the libraries"
         raise ModsimError(f"the address space is limited to {limit >> 20} MB (ulimit -v): {needed}")
-
-
-def _value_in_our_words(error: typer.BadParameter) -> str:
-    """The message of an option's wrong value; typer has it from pydantic."""
-    found: list[Any] = getattr(error.__cause__, "errors", list)()
-    if found:
-        from modsim3d.io.validation import shown, words
-
-        got = "" if found[0]["type"] == "value_error" else f" (got {shown(found[0]['input'])})"
-        error.message = words(found[0]) + got
-    return _message_of_typer(error)
-
-
-_message_of_typer = typer.BadParameter.format_message
-typer.BadParameter.format_message = _value_in_our_words  # type: ignore[assignment]
 
 
 def main() -> None:

@@ -170,13 +170,14 @@ def kind_of(value: object) -> str:
     return "nothing" if value is None else _KINDS.get(type(value), type(value).__name__)
 
 
-def words(problem: Mapping[str, Any]) -> str:
-    """A single problem that pydantic found, in our words: `must be at most 2`."""
-    if problem["type"] in ("needed", "value_error", "assertion_error"):
+def words(problem: Mapping[str, Any], known: str = "") -> str:
+    """A problem that pydantic found, in our words: `must be at most 2 (got 3)`; `known` stands before the value."""
+    if problem["type"] in ("value_error", "assertion_error"):
         return str(problem["msg"]).removeprefix("Value error, ")
     facts = problem.get("ctx", {}).items()
     numbers = {key: f"{value:.12g}" if isinstance(value, float) else value for key, value in facts}
-    return _WORDS.get(problem["type"], _OTHER).format(**numbers)
+    said = problem["msg"] if problem["type"] == "needed" else _WORDS.get(problem["type"], _OTHER).format(**numbers)
+    return f"{said}{known} (got {shown(problem['input'])})"
 
 
 def describe(error: ValidationError, model: type[BaseModel], *prefix: object) -> list[str]:
@@ -195,12 +196,10 @@ def describe(error: ValidationError, model: type[BaseModel], *prefix: object) ->
             lines.append(f"{path}: unknown key" + (f" ({hint})" if hint != "none are defined" else ""))
         elif item["type"] == "missing":
             lines.append(f"{path}: missing" + f" (got {shown(item['input'])})" * isinstance(location[-1], int))
-        elif item["type"] in ("value_error", "assertion_error"):
-            lines.append(f"{path}: {words(item)}")
         else:
             keys = getattr(model_at(model, location), "model_fields", {}) if item["type"] == "model_type" else {}
             known = f": {', '.join([*keys][:8])}{', …' if len(keys) > 8 else ''}" if keys else ""
-            lines.append(f"{path}: {words(item)}{known} (got {shown(item['input'])})")
+            lines.append(f"{path}: {words(item, known)}")
     if len(items) > MOST_PROBLEMS:
         lines.append(f"… and {len(items) - MOST_PROBLEMS:,} more problems in {join_path(*prefix) or 'the file'}")
     return lines

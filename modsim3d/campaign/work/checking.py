@@ -2,38 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from modsim3d.campaign.keys import KNOWN, TIMES, CampaignFile, CampaignKeys, LabelledVideos, Requirement, TrackerKeys
-from modsim3d.campaign.plan import (
-    CAMERA,
-    SCENE,
-    STATE,
-    TRACKER,
-    Case,
-    Plan,
-    PlannedRun,
-    cases_of,
-    count_conditions,
-    groups_of,
-    same,
-    value_at,
-    value_of,
-    wanted_of,
-)
-from modsim3d.campaign.work.row import (
-    RECALL,
-    SCORES,
-    SCORES_BY,
-    WORLD_SCORES,
-    is_bounded,
-    rules_of,
-    search_problems,
-    search_versions,
-)
+from modsim3d.campaign.keys import KNOWN, TIMES, CampaignFile, CampaignKeys, LabelledVideos, TrackerKeys
+from modsim3d.campaign.plan import CAMERA, STATE, Case, Plan, PlannedRun, cases_of, count_conditions, value_at
+from modsim3d.campaign.work.requirement_problems import requirement_problems, score_problems
+from modsim3d.campaign.work.row import WORLD_SCORES, rules_of, search_problems, search_versions
 from modsim3d.campaign.work.scenes import (
     Scenes,
     checksums,
@@ -51,107 +28,8 @@ from modsim3d.io.plugins import Plugin, changed_plugins
 from modsim3d.io.validation import nearest, shown
 from modsim3d.scene.reading import shipped_scenes
 from modsim3d.scene.scene import Scene
-from modsim3d.tracking.scores.breakdown import BINS
 from modsim3d.tracking.trackers.command import CommandTracker, argument_files
 from modsim3d.tracking.trackers.world_interface import WorldTracker
-
-# ---- What stands against judging a requirement at all ----
-
-Names = Sequence[str]
-
-
-def where_problems(requirement: Requirement, where: str, plan: Plan, parts: Mapping[str, Names]) -> Iterator[str]:
-    """Problems of values in `where` that no run has: a requirement about no run would never be judged. The argument
-    `where` is the place of the requirement in the file, and `parts` the names of the parts of all runs, by what divides
-    them."""
-    known, labels = [TRACKER, SCENE, *SCORES_BY, *plan.parameters], [each.label for each in plan.keys.trackers]
-    found = [
-        f"{where}.{key}: there is no tracker '{label}' ({nearest(label, labels)})"
-        for key, label in (("of", requirement.of), ("minus", requirement.minus))
-        if label is not None and label not in labels
-    ]
-    if len(groups := groups_of(plan, requirement)) > 1:
-        named = " and ".join(groups)
-        found.append(f"{where}.where: {named} each divide the runs, and only one may: leave all but one out")
-    for key, values in wanted_of(requirement).items():
-        if key not in known:
-            found.append(f"{where}.where.{key}: is not varied in this campaign ({nearest(key, known)})")
-        elif key in plan.drawn:
-            found.append(f"{where}.where.{key}: is drawn for each traffic seed and selects nothing: leave it out")
-        elif not values:
-            found.append(f"{where}.where.{key}: names no value")
-        else:
-            possible = parts[key] if key in groups else _possible(key, plan)
-            names = [str(each) for each in possible]
-            missing = [each for each in values if not any(same(other, each) for other in possible)]
-            if key in groups:  # YAML reads the name 1 as a number
-                missing = [each for each in values if str(each) not in names]
-            found += [
-                f"{where}.where.{key}: there is no {shown(each)} ({nearest(str(each), names)})" for each in missing
-            ]
-    if not found and not cases_of(plan, requirement):
-        found.append(f"{where}.where: no condition has these values together")
-    yield from found
-
-
-def _possible(key: str, plan: Plan) -> list[Any]:
-    """The values that runs of the campaign have of a key, each once."""
-    if key == TRACKER:
-        return [tracker.label for tracker in plan.keys.trackers]
-    found: list[Any] = []
-    for value in (value_of(condition, key) for condition in plan.conditions):
-        if not any(same(value, each) for each in found):
-            found.append(value)
-    return found
-
-
-def score_problems(requirement: Requirement, where: str) -> Iterator[str]:
-    """A score that is not there."""
-    score, known = requirement.score, (*SCORES, *WORLD_SCORES, *TIMES, RECALL)
-    if score not in known and requirement.known_at_m is None:
-        yield f"{where}.score: there is no score '{score}' ({nearest(score, known)})"
-
-
-def judging_problems(
-    requirement: Requirement, where: str, plan: Plan, facts: Sequence[ConditionFacts]
-) -> Iterator[str]:
-    """Scores that a part of a run does not have, parts that a run does not have, and means without bounds. The score
-    and the keys of `where` are known; the argument `where` is the place of the requirement in the file."""
-    score = requirement.score
-    bounded = score in (RECALL, *TIMES) or is_bounded(score, plan.keys.score)
-    if plan.keys.stop == "sequential" and requirement.share is None and not bounded:
-        yield (
-            f"{where}: with stop: sequential a mean needs a score with a least and a greatest value, and {score} has "
-            "none: say in which share of traffic seeds it must hold, as in `in: 0.9`, or use stop: once"
-        )
-    groups = groups_of(plan, requirement)
-    for group in groups:
-        if score not in SCORES_BY[group]:
-            yield f"{where}.score: {score} is not known by {group} (known: {', '.join(SCORES_BY[group])})"
-    if score == RECALL and not groups:
-        those = ", ".join(group for group, scores in SCORES_BY.items() if RECALL in scores)
-        yield f"{where}.score: {score} is known of parts of the runs only: `where` needs one of {those}"
-    if len(facts) < len(plan.conditions):
-        return
-    cases = cases_of(plan, requirement)
-    for part, condition in dict.fromkeys((case.part, case.condition) for case in cases if case.part):
-        every = [{STATE: each.states, CAMERA: each.cameras}.get(part.group, ()) for each in facts]
-        if not any(part.name in names for names in every):
-            continue  # `where_problems` says so, or all runs have it
-        whose = f"{where}.where.{part.group}: the {'detector' if part.group == STATE else 'scene'} of condition"
-        if part.name not in every[condition]:
-            yield f"{whose} {condition} has no {part.group} '{part.name}'"
-        elif len(every[condition]) == 1:
-            yield f"{whose} {condition} has no other {part.group}: leave it out"
-
-
-def _lookout_problems(requirement: Requirement, where: str, plan: Plan) -> Iterator[str]:
-    """Problems of a lookout requirement, whose unit is an approach."""
-    if plan.keys.stop == "sequential":
-        yield f"{where}: known_at_m does not go with stop: sequential, for its bounds hold for one look"
-    for group in groups_of(plan, requirement):
-        yield f"{where}.where.{group}: an approach is no part of its run: give {group} in vary, or leave it out"
-
 
 MAX_CONDITIONS = 10_000
 """Each is read and checked before the first run, and is a row of the tables."""
@@ -218,7 +96,7 @@ def checked(file: CampaignFile) -> CheckedCampaign:
     known = None if wrong_keys else _with_known_trackers(plan, file.base, problems)
     facts = [*_facts_of_all(known, scenes, paths, plugins, problems)] if known else []
     if len(facts) == len(plan.conditions):
-        problems += _requirement_problems(plan, facts)
+        problems += requirement_problems(plan, [{STATE: each.states, CAMERA: each.cameras} for each in facts])
     else:  # no more can be said of the requirements yet
         for place, requirement in enumerate(keys.require):
             problems += score_problems(requirement, f"require[{place}]")
@@ -511,16 +389,3 @@ def _check_labels(scene: Scene, of_detector: Mapping[str, Any], keys: CampaignKe
             f"{scene.title}: has the detections of a real detector, which no seed and no key of a detector changes: "
             "leave them out, or give a detector in place of the detections"
         )
-
-
-def _requirement_problems(plan: Plan, facts: list[ConditionFacts]) -> Iterator[str]:
-    states = sorted({state for each in facts for state in each.states})
-    parts = {**BINS, STATE: states, CAMERA: sorted({camera for each in facts for camera in each.cameras})}
-    for place, requirement in enumerate(plan.keys.require):
-        where = f"require[{place}]"
-        yield from score_problems(requirement, where)
-        yield from where_problems(requirement, where, plan, parts)
-        if requirement.known_at_m is not None:
-            yield from _lookout_problems(requirement, where, plan)
-        else:
-            yield from judging_problems(requirement, where, plan, facts)

@@ -233,7 +233,7 @@ class Noise:
         offset = grid_normals(streams.uniforms(Purpose.AIS_COMPASS, vessel, first=0, count=1))
         lasting = np.sqrt(1 - POSITION_KEPT**2) * drawn[:, :2]  # a first-order process with the variance of white noise
         lasting[:1] = drawn[:1, :2]
-        # What scipy.signal.lfilter gives, too; its import takes 0.6 s.
+        # What scipy.signal.lfilter gives, too; its import takes 0.5 s.
         steps = [accumulate(axis, lambda before, new: POSITION_KEPT * before + new) for axis in lasting.T.tolist()]
         lasting = np.array([list(axis) for axis in steps]).T
         return cls(lasting, drawn[:, 2:4], drawn[:, 4], float(offset[0, 0]))
