@@ -17,8 +17,8 @@ from modsim3d.campaign.work.scenes import versions
 from modsim3d.campaign.work.task import PLAN, Task, TaskReport, Work, Worker
 from modsim3d.campaign.workers import READY
 from modsim3d.core.errors import ModsimError
+from modsim3d.io.operating_system import end_with_parent, inherited
 from modsim3d.io.plugins import changed_plugins
-from modsim3d.io.processes import end_with_parent
 from modsim3d.tracking.trackers.command import CHECKSUM
 
 # ---- Whether a worker may work on a campaign ----
@@ -100,7 +100,7 @@ if __name__ == "__main__":
     end_with_parent(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # no traceback
     try:
-        serve(Connection(int(sys.argv[1])))
+        serve(inherited(int(sys.argv[1])))
     except KeyboardInterrupt:  # no signal raises it: the run did
         os._exit(128 + signal.SIGINT)
     except OSError:  # the parent has gone

@@ -12,17 +12,18 @@ import time
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from signal import SIGHUP, SIGINT, SIGKILL, SIGTERM, Signals
-from typing import Protocol
+from multiprocessing.connection import wait
+from signal import Signals
+from typing import Any, Protocol
 
 from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.core.errors import ModsimError
+from modsim3d.io.operating_system import signals
 from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
 
 # ---- How the process of a worker ended in the middle of a task ----
 
-STOPPING = (SIGTERM, SIGINT, SIGHUP)  # signals that a batch system or a user sends to all processes, to stop a campaign
+STOPPING = signals("SIGTERM", "SIGINT", "SIGHUP")  # by which a batch system or a user stops all of a campaign
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Death:
     def of(cls, run: int | None, code: int) -> Death:
         """From an exit status on this machine, or minus the number of a signal."""
         named = Signals(-code).name if -code in set(Signals) else f"signal {-code}"
-        return cls(run, f"exit status {code}" if code >= 0 else named, -code == SIGKILL, platform.node())
+        return cls(run, f"exit status {code}" if code >= 0 else named, -code in signals("SIGKILL"), platform.node())
 
     @property
     def error(self) -> str | None:
@@ -158,7 +159,7 @@ class ProcessPool:
         """Start the processes, `auto` or a number of them; ModsimError if this is no number of workers."""
         self.width = worker_count(workers)
         self._waiting: deque[Task] = deque()
-        self._busy: dict[Connection, tuple[CampaignWorker, Task]] = {}
+        self._busy: dict[Any, tuple[CampaignWorker, Task]] = {}  # by the pipe
         self._idle = [CampaignWorker() for _ in range(self.width)]
 
     def submit(self, task: Task) -> None:
@@ -171,7 +172,6 @@ class ProcessPool:
         could not start, or a file cannot be written."""
         while True:
             for pipe in wait(list(self._busy)):
-                assert isinstance(pipe, Connection)
                 process, task = self._busy[pipe]
                 try:
                     report: TaskReport | Death | None = process.answer()

@@ -29,6 +29,7 @@ from modsim3d.cli.terminal import check_arguments, lost_output, prepare_output, 
 from modsim3d.cli.track_and_score import score_command, track_command
 from modsim3d.cli.view import view_film_command, view_frame_command, view_map_command, view_sheet_command
 from modsim3d.core.errors import ModsimError
+from modsim3d.io.operating_system import address_space_limit
 
 # ---- What names of commands and options that are no more are called now ----
 
@@ -268,12 +269,8 @@ def _asked(arguments: Sequence[str]) -> typer.Typer:
 
 def check_memory() -> None:
     """Raise a `ModsimError` under a limit of addresses in which libraries abort without a word."""
-    try:
-        import resource  # not on Windows
-    except ImportError:
-        return
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < MIN_ADDRESS_SPACE:
+    limit = address_space_limit()
+    if limit is not None and limit < MIN_ADDRESS_SPACE:
         needed = f"at least {MIN_ADDRESS_SPACE >> 20} MB are needed to load the libraries"
         raise ModsimError(f"the address space is limited to {limit >> 20} MB (ulimit -v): {needed}")
 

@@ -17,6 +17,7 @@ import typer
 from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, say, timed
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.input_files import data_folder
+from modsim3d.io.operating_system import signals
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -271,7 +272,7 @@ def stoppable() -> Iterator[None]:
             os._exit(SIGNALED + number)
         raise Stopped(number)
 
-    ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    ending = [number for number in signals("SIGTERM", "SIGHUP") if signal.getsignal(number) is signal.SIG_DFL]
     for number in ending:
         signal.signal(number, stop)
     try:

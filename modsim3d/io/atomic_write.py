@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import orjson
 
 from modsim3d.core.errors import OutputError
+from modsim3d.io.operating_system import FOLDER
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -131,7 +132,9 @@ def make_folder(folder: Path) -> list[Path]:
 
 def sync_folder(folder: Path) -> None:
     """Wait until the names in a folder are on the disk, where its file system knows how."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    if FOLDER is None:
+        return
+    descriptor = os.open(folder, FOLDER)
     try:
         os.fsync(descriptor)
     except OSError as error:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from modsim3d.core.errors import InputError
+from modsim3d.io.operating_system import INPUT
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -97,8 +98,7 @@ def open_input(path: Path, what: str, most_bytes: int | None = None) -> Iterator
 
 def _ordinary_file(path: Path, source: str) -> io.BufferedReader:
     try:
-        # Without O_NONBLOCK opening a pipe waits for somebody who writes into it.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        descriptor = os.open(path, INPUT)
     except ValueError:  # it holds a null character or half a character
         raise InputError(source, ["is no valid file name"]) from None
     kind = stat.S_IFMT(os.fstat(descriptor).st_mode)

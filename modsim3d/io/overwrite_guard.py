@@ -1,7 +1,6 @@
 """Guards of the files that a command may write: none that another process writes, none that it reads, and none unasked.
 A lock on an output, which the system releases when the process ends, lets one writer at a time."""
 
-import fcntl
 import os
 import platform
 import sys
@@ -11,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from modsim3d.core.errors import OutputError
+from modsim3d.io import operating_system
 from modsim3d.io.atomic_write import make_folder, partial_of
 
 # ---- One writer at a time ----
@@ -30,11 +30,11 @@ def locked_folder(folder: Path) -> Iterator[None]:
 def holder_of(folder: Path) -> str | None:
     """The process that writes to a folder; None if there is none. Raises OSError if the lock in it cannot be read."""
     try:
-        descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(folder / LOCK_FILE, os.O_RDONLY)
     except FileNotFoundError:
         return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        operating_system.lock(descriptor, shared=True)
     except BlockingIOError:
         return _holder(descriptor)
     finally:
@@ -71,6 +71,9 @@ def _made_for_it(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _locked(lock: Path, output: Path) -> Iterator[None]:
+    if not operating_system.HAS_LOCKS:
+        yield
+        return
     descriptor = _acquired(lock, output)
     _held.add(descriptor)
     try:
@@ -84,9 +87,9 @@ def _locked(lock: Path, output: Path) -> Iterator[None]:
 def _acquired(lock: Path, output: Path) -> int:
     """The descriptor of the lock file, which is locked and says who holds it."""
     while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            operating_system.lock(descriptor)
             if _is_at(lock, descriptor):
                 os.ftruncate(descriptor, 0)
                 os.write(descriptor, _this_process().encode(errors="replace"))
@@ -111,7 +114,8 @@ def _is_at(path: Path, descriptor: int) -> bool:
 
 
 def _holder(descriptor: int) -> str:
-    text = os.pread(descriptor, HOLDER_BYTES, 0).decode(errors="replace").strip()
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    text = os.read(descriptor, HOLDER_BYTES).decode(errors="replace").strip()
     return text if text and text.isprintable() else "another process"
 
 
@@ -132,7 +136,7 @@ def _leave_to_the_parent() -> None:
     _held.clear()
 
 
-os.register_at_fork(after_in_child=_leave_to_the_parent)
+operating_system.after_fork(_leave_to_the_parent)
 
 
 # ---- Guard of the files that a command writes ----

@@ -1,6 +1,5 @@
 """Work done in this process or shared between several, with the results in the order of the pieces."""
 
-import ctypes
 import multiprocessing
 import os
 import re
@@ -23,10 +22,10 @@ from queue import Empty, SimpleQueue
 from typing import Any, Generic, Literal, NoReturn, Protocol, TypeVar
 
 from modsim3d.core.errors import ModsimError
+from modsim3d.io.operating_system import end_with_parent, forked, inherited, may_fork, passing, usable_cpus
 
 # ---- A worker in a process of its own ----
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 IN_HAND = 2  # pieces that a worker process has at once: the one that it does, and the next
 _END = b""  # the message after the last piece
 # Processes share the cores; threads of each would only wait for each other.
@@ -51,10 +50,7 @@ class WorkerProcess:
         self._sending = threading.Lock()
         with other_end:  # closed before the next process is forked, which would hold it too
             if fork:
-                context = multiprocessing.get_context("fork")
-                process = context.Process(target=_serve, args=(other_end, set_up, arguments), daemon=True)
-                process.start()
-                self._wait: Callable[[], Any] = process.join
+                self._wait: Callable[[], Any] = forked(_serve, other_end, set_up, arguments)
             else:
                 # A script without `if __name__ == "__main__":` would start again in a process of multiprocessing.
                 code = f"from modsim3d.io.processes import serve; serve({other_end.fileno()}, {os.getpid()})"
@@ -113,15 +109,6 @@ class WorkerProcess:
             future.set_exception(error)
 
 
-def end_with_parent(parent: int | None = None) -> None:
-    """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers. If
-    the parent of the given number has ended already, this process ends now."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
-    if parent is not None and os.getppid() != parent:
-        os._exit(1)
-
-
 def new_interpreter(pipe: Connection, *arguments: str) -> subprocess.Popen[bytes]:
     """A new Python with the given options, which finds the modules that this one finds, and holds a pipe under the same
     number. It is in a group of its own, because Ctrl-C goes to all of a group, and the main process tells the user what
@@ -131,7 +118,7 @@ def new_interpreter(pipe: Connection, *arguments: str) -> subprocess.Popen[bytes
     return subprocess.Popen(
         [sys.executable, "-P", *arguments],  # -P: the working directory may hold files that are named like modules
         env=environment,
-        pass_fds=[pipe.fileno()],
+        **passing(pipe),
         stdin=subprocess.DEVNULL,
         stdout=2,
         process_group=0,
@@ -141,7 +128,7 @@ def new_interpreter(pipe: Connection, *arguments: str) -> subprocess.Popen[bytes
 def serve(pipe_number: int, parent: int) -> None:
     """Be a worker in a new interpreter; what its worker is comes through the pipe first."""
     end_with_parent(parent)
-    pipe: Connection = Connection(pipe_number)
+    pipe = inherited(pipe_number)
     try:
         message = pipe.recv_bytes()
         if message != _END:  # there may be no piece for this worker
@@ -213,15 +200,6 @@ def _answer(pipe: Connection, problem: Exception | None, worker: Any, message: b
         pipe.send((None, error))
 
 
-def may_fork() -> bool:
-    """Whether this process has one thread only; a fork starts at once, but is not safe otherwise. A process of
-    `multiprocessing` may not fork others."""
-    if multiprocessing.parent_process() is not None:
-        return False
-    tasks = Path("/proc/self/task")
-    return (len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()) == 1
-
-
 MAX_WORKERS = 1024
 AHEAD = 3  # pieces that may wait for each worker; it bounds the memory
 
@@ -235,7 +213,7 @@ WorkerCount = int | Literal["auto"]  # number of worker processes; `auto`: one f
 def worker_count(workers: WorkerCount, name: str = "workers") -> int:
     """The number of workers that is asked for. Raises ModsimError, which calls it `name`, if there is no such one."""
     if isinstance(workers, str) and workers == "auto":
-        return min(_usable_cpus(), MAX_WORKERS)
+        return min(usable_cpus(), MAX_WORKERS)
     if isinstance(workers, Integral) and not isinstance(workers, bool) and 1 <= workers <= MAX_WORKERS:
         return int(workers)
     shown = repr(workers)[:60]
@@ -247,12 +225,6 @@ def parse_workers(text: str) -> WorkerCount:
     value: Any = int(text) if re.fullmatch("[0-9]{1,9}", text) else text
     worker_count(value, "--workers")
     return value  # type: ignore[no-any-return]
-
-
-def _usable_cpus() -> int:
-    if hasattr(os, "process_cpu_count"):  # from Python 3.13 on
-        return os.process_cpu_count() or 1
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Workers(Protocol[W_co]):

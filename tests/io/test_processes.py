@@ -197,7 +197,7 @@ def test_a_wrong_option_is_one_line_before_anything_is_read_or_written(call, tmp
 
 def test_the_option_takes_auto(call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    monkeypatch.setattr("modsim3d.io.processes._usable_cpus", lambda: asked.append(1) or 1)
+    monkeypatch.setattr("modsim3d.io.processes.usable_cpus", lambda: asked.append(1) or 1)
     options = ("--workers", "auto", "--no-sheet", "--out", tmp_path / "run")
     assert call("run", crossing(tmp_path, 4), *options)[0] == 0 and asked
     asked.clear()
@@ -205,7 +205,7 @@ def test_the_option_takes_auto(call, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_functions_take_auto_and_write_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("modsim3d.io.processes._usable_cpus", lambda: 2)
+    monkeypatch.setattr("modsim3d.io.processes.usable_cpus", lambda: 2)
     scene, written = load_scene(crossing(tmp_path, 6), source="analytic"), []
     for workers in (1, "auto"):
         folders = [tmp_path / f"{workers}", tmp_path / f"{workers}_again"]

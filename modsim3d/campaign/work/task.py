@@ -3,7 +3,6 @@
 import hashlib
 import os
 import platform
-import resource
 import time
 import uuid
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -109,11 +108,11 @@ class Worker:
         not as it was when the campaign was planned."""
         if (report := stored_report(task.path)) is not None:
             return report
-        started, cpu = time.perf_counter(), _cpu_s()
+        started, cpu = time.perf_counter(), time.process_time()
         rows = [self._row(run, task.work, begin) for run in task.runs]
         _check_unchanged(task.work)
         crashed, wall_s = sum(row["status"] == CRASHED for row in rows), time.perf_counter() - started
-        report = TaskReport(len(rows), crashed, wall_s, _cpu_s() - cpu, platform.node(), os.getpid())
+        report = TaskReport(len(rows), crashed, wall_s, time.process_time() - cpu, platform.node(), os.getpid())
         store(task.path, table_of(rows), report)
         return report
 
@@ -194,12 +193,6 @@ def stored_report(path: Path) -> TaskReport | None:
     """Report on its task in a file of rows; None if there is no such file, or it is damaged."""
     table = read_rows(path)
     return None if table is None else TaskReport(**orjson.loads(table.schema.metadata[_REPORT]))
-
-
-def _cpu_s() -> float:
-    """Processor time of this process so far, with its threads."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
 
 
 # ---- What a scene, a detector or a tracker refuses ----

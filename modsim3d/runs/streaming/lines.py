@@ -17,6 +17,7 @@ import orjson
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.random_streams import Streams
 from modsim3d.geometry.camera import Camera
+from modsim3d.io.operating_system import POSIX
 from modsim3d.runs.blocks import Block
 from modsim3d.runs.pipeline import simulate_blocks
 from modsim3d.runs.tracker_view import tracker_lines
@@ -210,7 +211,7 @@ class Address:
                 self.host, self.port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST
             )[0]
             listener = socket.socket(family, kind, protocol)
-            if hasattr(socket, "AF_UNIX"):  # Windows would let two programs listen on one port
+            if POSIX:  # Windows would let two programs listen on one port
                 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
             listener.setblocking(False)
