@@ -179,7 +179,7 @@ class Origin:
     tracker: str
     settings: dict[str, Any]  # all of them, as JSON can hold them
     chosen: str  # where the settings come from, a sentence
-    package: str  # that the tracker is a part of, with its version, such as `modsim3d 0.1.0`
+    package: str  # that the tracker is a part of, with its version, such as `modsim3d 0.3.0`
     versions: dict[str, str]  # of the packages that decide the tracks, by name
 
 
