@@ -41,7 +41,7 @@ MENU = {
     ],
     "Campaigns": [
         *("docs/campaign", "docs/requirements", "docs/campaign_report", "docs/worst_runs", "docs/search"),
-        *("docs/uncertainty", "docs/cluster"),
+        *("docs/uncertainty", "docs/cluster", "docs/continuous_integration"),
     ],
     "Check it": [
         "docs/verify",
