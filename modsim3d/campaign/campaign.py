@@ -126,7 +126,7 @@ class Campaign:
     finished: bool
 
     def __repr__(self) -> str:
-        """Where it is, and its outcome, in a line."""
+        """Its place and its outcome, in a line."""
         return f"<Campaign {self.folder}: {self.conclusion}>"
 
     def _repr_html_(self) -> str:

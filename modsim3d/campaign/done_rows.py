@@ -14,15 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.folder import (
-    FORMAT,
-    RESULTS,
-    TOOK,
-    TOOK_VERDICTS,
-    VERDICTS,
-    CampaignFolder,
-    results_folder,
-)
+from modsim3d.campaign.folder import FORMAT, RESULTS, TOOK, TOOK_VERDICTS, VERDICTS, CampaignFolder, results_folder
 from modsim3d.campaign.keys import MAX_SEEDS, TIMES, Requirement, Seeds
 from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text_of, value_of
 from modsim3d.campaign.verdicts import bounds, wording

@@ -158,7 +158,7 @@ class CampaignFolder:
 
     @property
     def done(self) -> Path:
-        """Where the rows are that are done, until the results are written."""
+        """The folder of the rows that are done, until the results are written."""
         return self.path / DONE_FOLDER
 
     @property

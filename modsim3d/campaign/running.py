@@ -86,7 +86,7 @@ class Cutter:
         return taken
 
     def seconds(self, runs: int) -> float | None:
-        """How long some runs will take at this rate; None while nothing is known."""
+        """Time that some runs will take at this rate; None while nothing is known."""
         return None if self._run_s is None else runs * self._run_s / self.width
 
 

@@ -163,7 +163,7 @@ def planned_trial(plan: Plan, number: int, seed_index: int, values: Mapping[str,
 
 
 def refusal(run: PlannedRun, scenes: Scenes) -> str | None:
-    """Why a run cannot even begin; None if it can."""
+    """Reason why a run cannot even begin; None if it can."""
     try:
         scene = scenes.of(run.condition, run.traffic_seed, run.detector_seed)
         tracker_of(run.tracker, run.condition.of_tracker(), scene.name, scenes.folder)

@@ -212,7 +212,7 @@ class Engine(Protocol):
 
     @property
     def width(self) -> int:
-        """How many tasks can be done at once now, at least 1; it may change."""
+        """Number of tasks that can be done at once now, at least 1; it may change."""
 
     def submit(self, task: Task) -> None:
         """Hand in a task."""

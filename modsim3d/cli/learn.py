@@ -92,8 +92,7 @@ def learn_command(
         list[Path] | None, option("FILE", "Ground truth: COCO JSON, MOT or KITTI text, or a folder; repeatable.")
     ] = None,
     detections: Annotated[
-        list[Path] | None,
-        option("FILE", "Detections of each --truth, in the same form; repeatable."),
+        list[Path] | None, option("FILE", "Detections of each --truth, in the same form; repeatable.")
     ] = None,
     from_figures: Annotated[
         Path | None, option("FILE", "Figures of a test report, as YAML, in place of --truth and --detections.")

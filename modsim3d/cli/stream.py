@@ -67,7 +67,7 @@ def stream_command(
 
 
 def _address(to: str, timeout: float | None) -> Address | None:
-    """Where readers connect; None for standard output."""
+    """Address at which readers connect; None for standard output."""
     from modsim3d.runs.streaming.lines import STANDARD_OUTPUT, Address
 
     if timeout is not None and not 0 < timeout <= LONGEST_WAIT_S:

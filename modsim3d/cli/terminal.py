@@ -269,7 +269,7 @@ def _prepared(stream: object, errors: str) -> io.TextIOWrapper | None:
 
 
 def lost_output() -> OSError | None:
-    """Why some of standard output could not be written, as on a full disk; None if all was, or nobody read it."""
+    """Reason why standard output could not all be written, as on a full disk; None if all was, or nobody read it."""
     if sys.stdout is None or not isinstance(sys.stdout, io.TextIOWrapper):
         return None
     sys.stdout.flush()

@@ -151,11 +151,7 @@ class Purpose(Enum):
     BOX_ERROR = "detector.box_error", 4, "error of a box (camera, vessel)"
     BOX_ERROR_REDRAW = "detector.box_error_redraw", None, "errors in place of a rejected one (camera, vessel)"
     BOX_ERROR_VESSEL = "detector.box_error_vessel", 4, "what a vessel keeps of the error of its box (camera, vessel)"
-    BOX_ERROR_PART = (
-        "detector.box_error_part",
-        5,
-        "part of a box's error that changes (camera, vessel, ordinal)",
-    )
+    BOX_ERROR_PART = ("detector.box_error_part", 5, "part of a box's error that changes (camera, vessel, ordinal)")
     BOX_ERROR_PART_VESSEL = "detector.box_error_part_vessel", 5, "part of it that a vessel keeps (camera, vessel)"
     BOX_ERROR_SHAPE = "detector.box_error_shape", 1, "scale of a heavy-tailed error of a box (camera, vessel)"
     BOX_ERROR_REDRAW_SHAPE = "detector.box_error_redraw_shape", None, "scale of an error in place of a rejected one"

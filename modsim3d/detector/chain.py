@@ -1,7 +1,5 @@
 """The whole detector: annotated boxes in, detections out."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum

@@ -142,7 +142,7 @@ class LatentPurposes(NamedTuple):
     shape: Purpose
 
     def widths(self, extra: int) -> dict[Purpose, int]:
-        """How many numbers each stream gives if the distribution adds `extra`."""
+        """Count of the numbers that each stream gives if the distribution adds `extra`."""
         return {self.error: ERROR_NORMALS} | ({self.shape: extra} if extra else {})
 
 

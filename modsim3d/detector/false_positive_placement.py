@@ -1,4 +1,4 @@
-"""Where false positives appear: on the sea in the image, near the horizon, or by a map."""
+"""Places of false positives: on the sea in the image, near the horizon, or by a map."""
 
 from dataclasses import dataclass
 
@@ -140,7 +140,7 @@ def sea_levels(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Arra
 
 
 def depths_px(half_planes: Array, points_px: Array) -> Array:
-    """How far points (m, 2) lie below the horizons of half-planes (m, 3), negative above them, shape (m,)."""
+    """Depths of points (m, 2) below the horizons of half-planes (m, 3), negative above them, shape (m,)."""
     down, _ = _axes(half_planes)
     result: Array = (points_px * down).sum(axis=1) + half_planes[:, 2] / _length(half_planes)
     return result
@@ -169,7 +169,7 @@ def _axes(half_planes: Array) -> tuple[Array, Array]:
 
 
 def _slice(depth: Array, across: Array, levels: Array) -> tuple[Array, Array]:
-    """Where levels (m, k) enter and leave each convex polygon, whose corners have shapes (m, 8); shapes (m, k)."""
+    """Ends of levels (m, k) in each convex polygon, whose corners have shapes (m, 8); shapes (m, k)."""
     rise, run = np.roll(depth, -1, axis=1) - depth, np.roll(across, -1, axis=1) - across
     low, high = np.full(levels.shape, np.inf), np.full(levels.shape, -np.inf)
     for edge in range(depth.shape[1]):

@@ -27,15 +27,7 @@ from modsim3d.formats.labelled import FileIds, LabelledSet, half_plane
 from modsim3d.formats.reading.builder import ReadOptions, check_whole
 from modsim3d.formats.reading.pair import file_kind, read_pair, read_truth
 from modsim3d.formats.video_labels import check_needs, given_detector, labels_of
-from modsim3d.formats.video_targets import (
-    NO_TARGET,
-    FileClasses,
-    TargetBoxes,
-    Video,
-    sought_in,
-    to_labels,
-    videos_of,
-)
+from modsim3d.formats.video_targets import NO_TARGET, FileClasses, TargetBoxes, Video, sought_in, to_labels, videos_of
 from modsim3d.formats.writing.mot import detection_text, sequence_text
 from modsim3d.io.atomic_write import json_text, write_files
 from modsim3d.io.input_files import file_sha256, inputs_noted, open_input

@@ -1,7 +1,5 @@
 """Labels of a video as the truth of a scene, with a real detector's results or what a simulated one needs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

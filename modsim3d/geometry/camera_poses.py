@@ -1,4 +1,4 @@
-"""Where a camera is: its mount in the world or on a vessel, and the poses that follow from it."""
+"""Place of a camera: its mount in the world or on a vessel, and the poses that follow from it."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def put_folder_in_place(folder: Path, pattern: str) -> Iterator[Path]:
 
 
 def partial_of(path: Path) -> Path:
-    """Where a file lies until it is complete: hidden, beside its place, or beside that of the file a link leads to."""
+    """Place of a file until it is complete: hidden, beside its place, or beside that of the file a link leads to."""
     final = Path(os.path.realpath(path))
     return final.with_name(f".{final.stem}.partial{final.suffix}")
 

@@ -1,7 +1,5 @@
 """A program that answers lines on its standard input by lines on its standard output, one by one."""
 
-from __future__ import annotations
-
 import selectors
 import signal
 import time

@@ -1,4 +1,4 @@
-"""Why a text is not what it is read as: other separators, shortened identities, times in another unit."""
+"""Reason why a text is not what it is read as: other separators, shortened identities, times in another unit."""
 
 import re
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ _MIN_COVERED, _SLACK = 0.1, 1.05  # shares of the span that the last time reache
 
 
 def no_commas(first_line: str) -> str:
-    """Why the first line of a table has no commas between its cells, to be added to a message; empty if it has."""
+    """Reason why the first line of a table has no commas in it, to be added to a message; empty if it has."""
     if first_line.strip().lower().startswith("sep="):
         return ": line 1 is for spreadsheets alone, leave it out"
     marks = {";": "semicolons", "\t": "tabs", "|": "bars"}

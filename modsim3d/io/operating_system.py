@@ -2,8 +2,6 @@
 
 No other module uses what only some systems have; docs/limits.md says what a system without it loses."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

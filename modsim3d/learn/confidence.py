@@ -63,7 +63,7 @@ def choose_slopes(
 
 
 def _why_not_visibility(scores: ObservedConfidences) -> str:
-    """Why there is no slope on visibility; empty if there may be one."""
+    """Reason why there is no slope on visibility; empty if there may be one."""
     known = np.isfinite(scores.visible_fraction)
     if not known.all():
         return "visibility is not given everywhere" if known.any() else "visibility is not given"

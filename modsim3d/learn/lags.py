@@ -177,7 +177,7 @@ def vessel_noise(table: LagTable, resampling: Resampling, latent: Callable[[Arra
 
 
 def why_none(table: LagTable) -> str:
-    """Why no share that things keep is learned; empty if one is."""
+    """Reason why no share that things keep is learned; empty if one is."""
     if table.things < THINGS_NEEDED:
         return f"had {table.things} things with times and identities, needs {THINGS_NEEDED}"
     if len(table.lag_s) < 2 * _LONG or not np.any(table.same > 0):

@@ -106,10 +106,7 @@ def learned_score(observed: Observed, chance: Array, slopes: int, resampling: Re
     table = miss_lags(observed, chance, slopes)
     times_s, found = lags.memory_shares(table, lags.latent_share(chance), resampling)
     path = ("persistence", "score")
-    kept, shares = (
-        lags.replace_values(found, found.values[:, 0]),
-        lags.replace_values(found, found.values[:, 1:]),
-    )
+    kept, shares = (lags.replace_values(found, found.values[:, 0]), lags.replace_values(found, found.values[:, 1:]))
     level = float(
         lags.level_of(chance)[np.searchsorted(lags.LATENT_SHARES, min(float(kept.estimate), lags.LATENT_SHARES[-1]))]
     )

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from modsim3d.core.arrays import Indices, Mask
-from modsim3d.core.boxes import iou
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import NOT_SCORED, Matched, Rule, fits, image_pairs, match, overlap
 from modsim3d.learn import states as state_maps
 from modsim3d.learn.error_shares import error_shares
 from modsim3d.learn.figures import Figures, Matches
-from modsim3d.learn.learned import LearnSettings, check_size, learn
+from modsim3d.learn.learned import NEAR_THE_GATE, LearnSettings, barely_matched, check_size, learn
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.report import LearnReport, NearGate
 from modsim3d.learn.self_check import SelfCheck
@@ -189,7 +188,7 @@ def _transitions(observed: Observed, options: LearnOptions) -> Transitions:
     return state_maps.count_transitions([sequence], count, interval_s)
 
 
-_NEAR_THE_GATE, _MANY_NEAR = 0.1, 0.05
+_MANY_NEAR = 0.05
 _ALMOST_ALL, _HARDLY_ANY = 0.8, 0.2
 
 
@@ -218,17 +217,14 @@ def _remarks(observed: Observed) -> Iterator[str]:
 
 def _near_gate(observed: Observed, rule: Rule) -> NearGate:
     """The states of which many matches are near the least IoU."""
-    labelled, (found, annotation) = observed.labelled, observed.matched.pairs
-    if rule.method not in ("confidence", "optimal") or not len(found):
+    labelled, annotation = observed.labelled, observed.matched.pairs[1]
+    if rule.method not in ("confidence", "optimal") or not len(annotation):
         return NearGate()
-    gate = rule.least_iou + _NEAR_THE_GATE
-    near = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation]) < gate
     state = observed.image_state[labelled.annotations.image[annotation]]
     other = "--match provenance cuts off none"
     if labelled.results.origin is None:
         other = "--match centre:PX, with a distance that is large against the errors, cuts off less"
-    shares = [
-        (name, float(np.sum(near[state == k]) / max(np.sum(state == k), 1))) for k, name in enumerate(observed.states)
-    ]
-    many = tuple((name, share) for name, share in shares if share > _MANY_NEAR)
-    return NearGate(many, gate, other, several=len(observed.states) > 1)
+    matches = np.maximum(np.bincount(state[state >= 0], minlength=len(observed.states)), 1)
+    shares = zip(observed.states, barely_matched(observed) / matches, strict=True)
+    many = tuple((name, float(share)) for name, share in shares if share > _MANY_NEAR)
+    return NearGate(many, rule.least_iou + NEAR_THE_GATE, other, several=len(observed.states) > 1)

@@ -69,7 +69,7 @@ class DetectorForm:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Why the models are not richer ones."""
+        """Reason why the models are not richer ones."""
         return tuple(note for part in vars(self).values() for note in part.notes)
 
     def estimate(self, observed: Observed, resampling: bootstrap.Resampling) -> LearnedDetector:
@@ -145,7 +145,7 @@ class Learned:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Why the models are not richer ones."""
+        """Reason why the models are not richer ones."""
         return *self.form.notes, *self.transitions.notes
 
     def intervals(self, level: float) -> list[bootstrap.Interval]:
@@ -185,7 +185,7 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
 
 
 _MAX_LOST = 0.01  # share of false detections that may be boxes of vessels that failed the matching
-_NEAR_THE_GATE = 0.1  # of IoU: about as many matches pass by less as boxes fail
+NEAR_THE_GATE = 0.1  # of IoU: about as many matches pass by less as boxes fail
 
 
 def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[str | None, str], str]:
@@ -193,7 +193,7 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     unknown: dict[tuple[str | None, str], str] = {}
     of_state = observed.image_state[observed.labelled.results.image[observed.false]]
     matched = observed.pairs.edges.rule.method != "provenance"  # else boxes that are lost are no false detections
-    near, failed = _barely_matched(observed), 0.0
+    near, failed = barely_matched(observed), 0.0
     for index, used in enumerate(numbers.box_errors.used):
         false = int(np.count_nonzero(of_state == index))
         lost = min(max(used.lost * used.matches, float(near[index])), false)
@@ -220,14 +220,14 @@ def unknown_numbers(observed: Observed, numbers: LearnedDetector) -> dict[tuple[
     return unknown
 
 
-def _barely_matched(observed: Observed) -> Indices:
+def barely_matched(observed: Observed) -> Indices:
     """Number of matches in each state whose IoU is near the least one; none by other rules than IoU."""
     found, annotation = observed.matched.pairs
     rule, labelled = observed.pairs.edges.rule, observed.labelled
     if rule.method not in ("confidence", "optimal"):
         return np.zeros(len(observed.states), dtype=np.int64)
     overlap = iou(labelled.results.boxes_px[found], labelled.annotations.boxes_px[annotation])
-    state = observed.image_state[labelled.annotations.image[annotation[overlap < rule.least_iou + _NEAR_THE_GATE]]]
+    state = observed.image_state[labelled.annotations.image[annotation[overlap < rule.least_iou + NEAR_THE_GATE]]]
     return np.bincount(state[state >= 0], minlength=len(observed.states))
 
 

@@ -35,7 +35,7 @@ class PartForm(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Why it is not a richer one: how much data there was, and how much is needed."""
+        """Reason why it is not a richer one: how much data there was, and how much is needed."""
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
         """The numbers of the model, with replicates for the weights of the resampling."""

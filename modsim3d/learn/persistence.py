@@ -1,7 +1,5 @@
 """Persistence of misses and box errors of a thing, from one sighting to the next."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,7 +96,7 @@ class Correlation:
 
     @property
     def doubt(self) -> str:
-        """Why noise is not said to persist."""
+        """Reason why noise is not said to persist."""
         where = "lies below 0, and only noise that persists is simulated" if self.high < 0 else "includes 0"
         pairs = "1 consecutive pair" if self.pairs == 1 else f"{self.pairs:,} consecutive pairs"
         return f"the {LEVEL:.1%} interval of the correlation in {pairs}, {self.low:.2f} to {self.high:.2f}, {where}"
@@ -199,7 +197,7 @@ def steps_of(images: Images, image: Indices, identity: Indices) -> Steps:
 
 
 def why_no_steps(labelled: LabelledSet) -> str:
-    """Why no annotation follows another of the same thing."""
+    """Reason why no annotation follows another of the same thing."""
     if not np.isfinite(labelled.images.time_s).any():
         return "frames have no times"
     if not np.any(labelled.annotations.identity >= 0):

@@ -232,7 +232,7 @@ class Lasting:
 
 @dataclass(frozen=True)
 class NotLasting:
-    """Why no persistence of false positives is learned."""
+    """Reason why no persistence of false positives is learned."""
 
     why: str
 

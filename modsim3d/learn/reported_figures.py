@@ -1,7 +1,5 @@
 """A detector from the figures of a test report alone: rates, a confusion matrix, mean IoU, average precision."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -122,7 +120,7 @@ class Report(Strict):
         return ways[way], counts
 
     def _matrix_problem(self, cells: Array, counts: bool) -> str:
-        """Why the columns of a matrix cannot be true labels; empty if they can."""
+        """Reason why the columns of a matrix cannot be true labels; empty if they can."""
         numbers, whole = self.of_labels("annotations"), len(cells) > len(self.labels)
         slack = ROUNDING * max(len(cells), 2) + 1e-9
         for place, (name, total) in enumerate(zip(self.labels, cells.sum(axis=0), strict=False)):

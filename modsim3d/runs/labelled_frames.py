@@ -1,7 +1,5 @@
 """Truth and detections of labelled videos, in the place of drawn and simulated ones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

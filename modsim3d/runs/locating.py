@@ -165,7 +165,7 @@ class Located:
 
 
 def locate(scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, attitude: Attitude = "measured") -> Located:
-    """Where in the world the detections of a camera are, as far as a tracker can know.
+    """Places of the detections of a camera in the world, as far as a tracker can know.
 
         for frame in modsim3d.simulate_frames(modsim3d.load_scene("strait", steps=2)):
             found = modsim3d.locate(scene, frame.camera, frame.step, frame.detections.boxes_px)

@@ -70,7 +70,7 @@ class RunResult:
         return Overlaps.of(column.drop_null().to_numpy())
 
     def __repr__(self) -> str:
-        """Where it is, and its counts, in a line."""
+        """Its place and its counts, in a line."""
         return f"<RunResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:

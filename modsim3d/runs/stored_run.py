@@ -54,7 +54,7 @@ class StoredRun:
     made_of: tuple[Path, ...] = ()
 
     def __repr__(self) -> str:
-        """Where it is, and what is in it, in a line."""
+        """Its place and content, in a line."""
         return f"<StoredRun {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:

@@ -102,7 +102,7 @@ def frames_taken(scene: Scene) -> tuple[Indices, int]:
 
 
 def _bounds(scene: Scene) -> Indices:
-    """Where the parts of a run begin among the steps with frames, and where the last one ends."""
+    """Beginnings of the parts of a run among the steps with frames, and the end of the last one."""
     count = frame_count(scene)
     return np.arange(count + 1) * len(frames_taken(scene)[0]) // count
 

@@ -128,7 +128,7 @@ def _beside(keys: Keys, reference: Keys) -> str:
 
 
 def _losses(lengths: Sequence[LengthBin]) -> list[str]:
-    """Where vessels are lost: the length of occlusion of which the smallest share is survived."""
+    """Places where vessels are lost: the length of occlusion of which the smallest share is survived."""
     every, survived = sum(each.occlusions for each in lengths), sum(each.survived for each in lengths)
     if not every:
         return ["No vessel that it followed went into an occlusion and came out of it."]

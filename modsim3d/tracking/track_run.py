@@ -60,7 +60,7 @@ class TrackResult:
     written: tuple[Path, ...]
 
     def __repr__(self) -> str:
-        """Where they are, and how many, in a line."""
+        """Their place and number, in a line."""
         return f"<TrackResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:

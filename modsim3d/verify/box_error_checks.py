@@ -313,7 +313,7 @@ def _rows(model: DetectorModel, evidence: Evidence, s: int) -> Indices:
 
 
 def _limited(model: DetectorModel, evidence: Evidence, s: int) -> str:
-    """Why a state cannot be tested: too many of the most confident detections have boxes that came out large."""
+    """Reason why a state cannot be tested: too many of the most confident detections have boxes that came out large."""
     return unknown_rest_note(model, evidence) if model.states[s].confidence.size_slope else ""
 
 

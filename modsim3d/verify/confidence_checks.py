@@ -1,7 +1,5 @@
 """Checks of confidence: mean, standard deviation and slopes of a normal law before clipping, others as a whole."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -190,7 +190,7 @@ def _false(found: Detections) -> Columns:
 
 
 def unknown_rest_note(model: DetectorModel, evidence: Evidence) -> str:
-    """Why rates and confidence cannot be tested; empty if they can."""
+    """Reason why rates and confidence cannot be tested; empty if they can."""
     limit, threshold = model.gates.max_detections, model.operating_threshold
     if threshold is not None and threshold > model.confidence_threshold:
         return f"operating_threshold is {threshold:g}: what was dropped below it is not known"

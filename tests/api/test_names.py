@@ -90,7 +90,7 @@ def test_what_is_reached_from_the_top_has_a_docstring_and_no_parameter_is_a_path
 
 def test_docstrings_begin_with_a_noun_or_a_verb() -> None:
     """One that begins with `What`, `Which` and the like says little to who does not know already."""
-    asides = re.compile(r"(What|Which|Of|The same|Those)\b")
+    asides = re.compile(r"(How|Of|The same|Those|What|Where|Which|Why)\b")
     texts = {
         f"{path.name}: {getattr(node, 'name', 'module')}": ast.get_docstring(node) or ""
         for path in Path(modsim3d.__file__).parent.rglob("*.py")

@@ -155,7 +155,7 @@ def _of_key(key: str, values: Range, column: pa.ChunkedArray) -> Iterator[str]:
 
 
 def _shares(values: Range, column: pa.ChunkedArray) -> Array:
-    """Where drawn values lie in their range, in [0, 1), shape (n,)."""
+    """Places of drawn values in their range, in [0, 1), shape (n,)."""
     assert values.low is not None and values.high is not None
     drawn, ends = np.asarray(column.to_numpy(), dtype=np.float64), np.array([values.low, values.high])
     if values.whole:

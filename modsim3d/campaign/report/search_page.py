@@ -147,10 +147,7 @@ def _value(value: Any) -> str:
 
 
 def write_page(
-    folder: CampaignFolder,
-    path: Path,
-    advance: Callable[..., None] = lambda *_: None,
-    command: str | None = None,
+    folder: CampaignFolder, path: Path, advance: Callable[..., None] = lambda *_: None, command: str | None = None
 ) -> str:
     """Write the page of a campaign, finished or not, and return its first sentence. `advance` is called with 1 after
     each picture; `command` is what the page says it was made by, the call from Python if None. Raises ModsimError if

@@ -1,4 +1,4 @@
-"""How the page names scores, conditions and numbers."""
+"""Names of scores, conditions and numbers on the page."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -271,7 +271,7 @@ def _row(
 
 
 def _note(each: Verdict, limit: float) -> str:
-    """Why a verdict is what it is, where that is more than its interval says as printed."""
+    """Reason why a verdict is what it is, where that is more than its interval says as printed."""
     if each.qualified or each.low is None or each.high is None:
         return each.why
     return each.why if three_digits(limit) in three_digits_with_interval(each.estimate, each.low, each.high) else ""

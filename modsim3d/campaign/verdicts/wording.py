@@ -93,7 +93,7 @@ class Levels:
         looked += ", of means as far as it was measured" if self.measured else ""
         found = [
             f"A requirement that does not hold is called met with a probability of at most {_percent(self.met)}, and "
-            f"one that holds is called failed with at most {_percent(self.failed)}, {looked}.",
+            f"one that holds is called failed with at most {_percent(self.failed)}, {looked}."
         ]
         if self.verdicts > 1 and self.family:
             found.append(

@@ -11,15 +11,7 @@ from modsim3d.campaign.keys import KNOWN, TIMES, CampaignFile, CampaignKeys, Lab
 from modsim3d.campaign.plan import CAMERA, STATE, Case, Plan, PlannedRun, cases_of, count_conditions, value_at
 from modsim3d.campaign.work.requirement_problems import requirement_problems, score_problems
 from modsim3d.campaign.work.row import WORLD_SCORES, rules_of, search_problems, search_versions
-from modsim3d.campaign.work.scenes import (
-    Scenes,
-    checksums,
-    detector_digest,
-    digest,
-    plan_digest,
-    tracker_of,
-    versions,
-)
+from modsim3d.campaign.work.scenes import Scenes, checksums, detector_digest, digest, plan_digest, tracker_of, versions
 from modsim3d.campaign.work.task import condition_problems, key_readings, tracker_problems
 from modsim3d.core.errors import InputError, ModsimError, OutputError
 from modsim3d.core.text import counted

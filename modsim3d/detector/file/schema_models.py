@@ -30,7 +30,7 @@ Edges = Annotated[list[Number], Field(min_length=1), AfterValidator(_ascending)]
 
 
 class EffectSection(Strict):
-    """How one attribute changes the odds of a miss: a slope (`logistic`) or ranges (`table`)."""
+    """Change of the odds of a miss by one attribute: a slope (`logistic`) or ranges (`table`)."""
 
     per_unit: Number | None = None
     per_doubling: Number | None = None
@@ -98,7 +98,7 @@ class EffectsSection(Strict):
 
 
 class DropoutSection(EffectsSection):
-    """How misses follow what a vessel looks like."""
+    """Effects on misses of what a vessel looks like."""
 
     model: Literal["confusion", "logistic", "table"] = "confusion"
     anchor: Literal["none", "state_rate"] = "none"
@@ -188,7 +188,7 @@ class PersistenceSection(Strict):
 
 
 class SizeSection(Strict):
-    """How large false positives are."""
+    """Size of false positives."""
 
     model: Literal["truth", "fixed", "lognormal"]
     px: tuple[Positive, Positive] | None = None

@@ -13,13 +13,7 @@ from modsim3d.core.errors import InputError
 from modsim3d.core.text import number_in
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import NO_OPTIONS, Problems, ReadOptions
-from modsim3d.formats.reading.mot import (
-    OCCLUSION,
-    VISIBLE_FRACTIONS,
-    SequenceLines,
-    problems_of,
-    sequence_set,
-)
+from modsim3d.formats.reading.mot import OCCLUSION, VISIBLE_FRACTIONS, SequenceLines, problems_of, sequence_set
 from modsim3d.io.input_files import read_text
 from modsim3d.io.validation import nearest, shown
 

@@ -346,7 +346,7 @@ def _things_keep(
 
 
 def _why_none(sources: list[ErrorSource]) -> str:
-    """Why no two errors can be compared."""
+    """Reason why no two errors can be compared."""
     if ErrorSource.OWN_STATE not in sources:
         return f"no state has {ERRORS_NEEDED} matches with all sides inside the image"
     return "nothing has two matches with the same side far inside the image"

@@ -76,7 +76,7 @@ def _other(unit: matched_edges.Unit) -> matched_edges.Unit:
 
 
 def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, plain: matched_edges.Unit | None = None) -> str:
-    """Why Student's t law describes errors in a unit better than normal ones in the plain one; empty if it does not."""
+    """Reason why Student's t describes errors in a unit better than normal ones in the plain one; empty if not."""
     if not _heavy_possible(fits, unit == "relative"):
         return ""
     plain = plain or unit
@@ -86,7 +86,7 @@ def heavy_tails(fits: ErrorFits, unit: matched_edges.Unit, kept: float, plain: m
 
 
 def _tails(fits: ErrorFits, unit: matched_edges.Unit, plain: matched_edges.Unit, kept: float) -> str:
-    """Why tails are heavy, given that Student's t law has been fitted; its gain must be enough beside strays, too."""
+    """Reason why tails are heavy, where Student's t has been fitted; its gain must be enough beside strays, too."""
     heavy, normal = fits.fit(unit, heavy=True), _likeliest_normal(fits, plain)
     if heavy is None or normal is None or not heavy.settled:
         return ""

@@ -159,11 +159,7 @@ def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:
 
 
 def _whitened(
-    pairs: Pairs,
-    models: Sequence[ErrorModel | None],
-    shapes: Sequence[Array | None],
-    rows: Indices,
-    chosen: Indices,
+    pairs: Pairs, models: Sequence[ErrorModel | None], shapes: Sequence[Array | None], rows: Indices, chosen: Indices
 ) -> Array:
     """Some edges of some boxes as uncorrelated numbers of variance one, shape (m, k). `shapes` are the correlations of
     each state's errors. Of heavy tails only the direction: lengths would hide how the normal numbers behind them
@@ -227,10 +223,7 @@ def component_lags(observed: Observed, models: Sequence[ErrorModel | None]) -> t
     numbers = [*latent.T, size] if large.any() else [*latent.T]
 
     def compare(number: Array) -> lags.Compare:
-        return lambda earlier, later: (
-            number[earlier] * number[later],
-            (number[earlier] ** 2 + number[later] ** 2) / 2,
-        )
+        return lambda earlier, later: (number[earlier] * number[later], (number[earlier] ** 2 + number[later] ** 2) / 2)
 
     tables = [lags.LagTable.of(observed.labelled, pairs.rows[rows], state, compare(number)) for number in numbers]
     return tables, float(large.mean()) if len(rows) else 0.0

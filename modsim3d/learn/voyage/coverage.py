@@ -1,4 +1,4 @@
-"""Where on the sea vessels were matched and missed: by bearing from the camera's axis, and by range."""
+"""Places on the sea at which vessels were matched and missed: by bearing from the camera's axis, and by range."""
 
 from __future__ import annotations
 
@@ -141,11 +141,6 @@ class FrameStretch:
         """The time of a frame by the log's clock, as `--empty` takes it: UTC if the scene says when it starts."""
         time_s = float(self.time_s[place])
         return f"{time_s:.1f} s" if self.start_s is None else time_text(self.start_s + time_s)
-
-    @property
-    def lasts_s(self) -> float:
-        """From the first frame to the last."""
-        return float(self.time_s[-1] - self.time_s[0])
 
 
 def missed_stretches(voyage: LabelledVoyage, judged: ClassifiedDetections) -> list[FrameStretch]:

@@ -33,7 +33,7 @@ ALWAYS_OFF_M, OFF_M_S = 10.0, 0.5
 
 
 class Reason(Enum):
-    """Why a vessel is left out of a frame."""
+    """Reason why a vessel is left out of a frame."""
 
     STALE = "stale, no report within {limit}"
     JUMP = "jumping"

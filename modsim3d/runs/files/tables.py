@@ -258,5 +258,5 @@ class Occluders:
 
     @property
     def offsets(self) -> Indices:
-        """Where the entries of each row begin, and the end, shape (n + 1,)."""
+        """Beginnings of the entries of each row, and the end, shape (n + 1,)."""
         return np.concatenate([[0], np.cumsum(self.counts)])

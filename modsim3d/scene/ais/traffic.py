@@ -188,7 +188,7 @@ def _odd(positions: Positions, origin: tuple[float, float]) -> str:
 
 
 def _left_out(senders: Counter[tuple[int, str]], kept: set[int]) -> dict[int, dict[str, int]]:
-    """Why positions were dropped, of each sender that is not among those kept."""
+    """Reason why positions were dropped, of each sender that is not among those kept."""
     reasons: dict[int, dict[str, int]] = {}
     for (mmsi, reason), count in sorted(senders.items()):
         if mmsi not in kept:

@@ -94,7 +94,7 @@ MOVING_KN, MOVING_M = 0.5, 10.0
 
 
 class HeadingSource(IntEnum):
-    """Where a heading comes from."""
+    """Origin of a heading."""
 
     REPORT = 0
     COURSE = 1

@@ -1,8 +1,6 @@
 """A program as a tracker: lines of JSON to its standard input, one line back for each. docs/tracker_command.md has
 them, and tracker_command.json of `modsim3d.plugins`."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

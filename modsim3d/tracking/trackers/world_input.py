@@ -1,7 +1,5 @@
 """All that a tracker in the world is given of a run, step by step, as it would arrive on board."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterator, Sequence

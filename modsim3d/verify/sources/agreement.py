@@ -126,7 +126,7 @@ class _PixelCheck:
     supersample: int
 
     def full(self, row: int, masks: PixelMasks) -> Agreement:
-        """Why the full boxes differ."""
+        """Reason why the full boxes differ."""
         silhouettes = self.regions.silhouettes
         mask = masks.silhouette, masks.region
         fits = self._full_counted(row, masks) and mask_fits(*mask, silhouettes[row], silhouettes[:0], self.supersample)
@@ -134,7 +134,7 @@ class _PixelCheck:
         return _agreement(fits, *boxes, if_smaller=Agreement.SHARP_TIP)
 
     def visible(self, row: int, masks: PixelMasks, if_smaller: Agreement) -> Agreement:
-        """Why the visible boxes or fractions differ."""
+        """Reason why the visible boxes or fractions differ."""
         silhouettes, box, px = self.regions.silhouettes, self.rendered.visible_boxes_px[row], self.rendered.visible_px
         covers = silhouettes[self.regions.hiding.hiders_of(row)]
         mask = masks.visible, masks.region
@@ -148,8 +148,8 @@ class _PixelCheck:
 
 
 def _agreement(fits: bool, rendered_px: Array, analytic_px: Array, if_smaller: Agreement) -> Agreement:
-    """Why two boxes (4,) differ, given whether the pixels fit the exact region. `if_smaller` is the reason if the box
-    from pixels lies inside the exact one."""
+    """Reason why two boxes (4,) differ, given whether the pixels fit the exact region. `if_smaller` is the reason if
+    the box from pixels lies inside the exact one."""
     if not fits:
         return Agreement.UNEXPLAINED
     nothing_drawn, nothing_exact = bool(np.isnan(rendered_px[0])), bool(np.isnan(analytic_px[0]))

@@ -95,7 +95,7 @@ def _vessels(traffic: AisTraffic) -> list[Block]:
 
 
 def _offset(vessel: VesselTrack) -> str:
-    """Where the centre of its hull lies from its antenna."""
+    """Place of the centre of its hull, seen from its antenna."""
     ahead, port = vessel.hull.ahead_m, vessel.hull.to_port_m
     along = f"{'ahead' if ahead > 0 else 'astern'} {abs(ahead):g} m" if ahead else ""
     across = f"to {'port' if port > 0 else 'starboard'} {abs(port):g} m" if port else ""

@@ -1,7 +1,5 @@
 """Pictures of the user that a page shows below the boxes: files of a folder, or those of a film."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections import Counter

@@ -129,7 +129,7 @@ def _time_key(entry: Mapping[str, Any]) -> str:
 
 
 def _wrong_time(entry: Mapping[str, Any]) -> str:
-    """Why an image has no time."""
+    """Reason why an image has no time."""
     if key := _time_key(entry):
         return f"{key} must be seconds, or a time such as {TIME_FORM} (got {shown(entry[key])})"
     return f"a time is needed: {', '.join(_TIMES)}, or --frame-rate, for their frame_id or places (got {shown(entry)})"

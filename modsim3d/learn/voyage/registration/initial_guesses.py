@@ -1,4 +1,4 @@
-"""Where a fit starts: the guess of the search from which the detections are explained best.
+"""Start of a fit: the guess of the search from which the detections are explained best.
 The clock has several local optima. On board, the waves' motion looks much the same a period later. So guesses are
 aligned one by one, with vessels off their reports where that is expected, and compared."""
 

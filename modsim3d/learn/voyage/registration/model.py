@@ -1,4 +1,4 @@
-"""Where the edges of a vessel's box are in the image, for any values of the parameters."""
+"""Edges of a vessel's box in the image, for any values of the parameters."""
 
 from __future__ import annotations
 
