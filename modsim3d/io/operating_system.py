@@ -2,6 +2,7 @@
 
 No other module uses what only some systems have; docs/limits.md says what a system without it loses."""
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -61,17 +62,13 @@ def signals(*names: str) -> tuple[signal.Signals, ...]:
 
 # ---- Workers ----
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
-
 
 def end_with_parent(parent: int | None = None) -> None:
     """Let the system end this process when its parent ends, however it ends: a killed one must not leave workers. If
     the parent of the given number has ended already, this process ends now. Elsewhere than on Linux it ends when it
     next reads from its parent."""
     if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        ctypes.CDLL(None).prctl(1, signal.SIGTERM)  # PR_SET_PDEATHSIG
     if POSIX and parent is not None and os.getppid() != parent:  # on Windows an environment's launcher is between
         os._exit(1)
 
@@ -162,9 +159,7 @@ os._exit(0)
 """
 """Starts the program in its own group of processes and reports how it ended. A socket tells it when its parent is gone,
 also one that was killed; then it ends the group, and on Linux all that the program started, wherever that is."""
-_END_S = 5.0
-"""Time that the supervisor has to end before it is killed."""
-_CHUNK = 1 << 16
+_END_S, _CHUNK = 5.0, 1 << 16  # time that the supervisor has to end; bytes that are carried at once
 
 
 class Program:
@@ -186,7 +181,12 @@ class Program:
         else:
             self._process = subprocess.Popen(command, executable=program, **pipes)
         streams: Any = self._process.stdin, self._process.stdout, self._process.stderr
-        self.stdin, self.stdout, self.stderr = map(_unblocked if self._life else _pumped, streams)
+        if self._life is None:
+            streams = [_pumped(stream) for stream in streams]
+        else:
+            for stream in streams:
+                os.set_blocking(stream.fileno(), False)
+        self.stdin, self.stdout, self.stderr = streams
 
     def ending(self, timeout_s: float) -> tuple[int, float | None] | None:
         """Exit status of the program, or minus the number of a signal, and its most memory in MB of 2²⁰ bytes, if that
@@ -216,11 +216,6 @@ class Program:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-
-
-def _unblocked(pipe: RawIOBase) -> RawIOBase:
-    os.set_blocking(pipe.fileno(), False)
-    return pipe
 
 
 def _pumped(pipe: RawIOBase) -> RawIOBase:

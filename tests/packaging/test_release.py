@@ -1,4 +1,4 @@
-"""One version of the package in all that names it."""
+"""One version of the package in all that names it; script/release writes docs/extras.md."""
 
 import re
 import tomllib
@@ -27,5 +27,6 @@ def test_metadata_changelog_citation_and_runs_have_one_version(tmp_path: Path) -
     assert released == sorted(set(released), reverse=True)
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (cited["version"], cited["date-released"]) == (version, released[0][1])
+    assert f"With modsim3d {version} and" in (ROOT / "docs" / "extras.md").read_text(encoding="utf-8")
     run = finished(modsim3d.load_scene(crossing(tmp_path, 1), source="rectangles"), tmp_path / "run")
     assert run.settings["versions"]["modsim3d"] == version
