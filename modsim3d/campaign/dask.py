@@ -17,8 +17,6 @@ from modsim3d.campaign.work.task import Task, TaskReport
 from modsim3d.campaign.workers import LOST, CampaignWorker, Death, ProcessDiedError
 from modsim3d.core.errors import ModsimError
 
-# ---- What runs in a Dask worker ----
-
 
 def work_on(campaign: str, task: bytes) -> Any:
     """Report on a pickled task, or how its process died. `campaign` is the key of the engine that handed it in. Raises

@@ -25,8 +25,6 @@ from modsim3d.learn.bootstrap import Kind, columns_of_one, from_scale, nested, t
 from modsim3d.learn.box_errors.laws import covariance
 from modsim3d.learn.learned import correlated, uncertainty_file
 
-# ---- Reads what `modsim3d learn` wrote beside a detector file ----
-
 MIN_UNITS = 5  # images or runs of frames of a state, below which their spread does not tell how well numbers are known
 
 
@@ -195,7 +193,6 @@ def _covariance(std: Array, correlation: Array) -> Array:
 
 
 def _written(values: dict[str, Array], threshold: float) -> dict[str, Any]:
-    """The numbers of a state as the detector file writes them, by their keys in it."""
     written: dict[str, Any] = {}
     shares = [key for key in values if key.startswith("persistence.score.")]
     whole = float(sum(values[key].sum() for key in shares))

@@ -33,8 +33,6 @@ from modsim3d.io.plugins import differing
 from modsim3d.io.validation import join_path, shown
 from modsim3d.runs.files.overwrite import FileList, ListedFile, file_list, listed_file
 
-# ---- The list of the files of a campaign that has ended ----
-
 FORMAT = 1
 FILE, LOG, VERDICTS = "campaign.yaml", "campaign.log", "verdicts.json"
 TOOK, TOOK_VERDICTS = "took.parquet", "took_verdicts.json"
@@ -312,9 +310,6 @@ def killed_sentence(folder: CampaignFolder) -> str | None:
         f"Killed from outside, and their work tried again: {counted(len(found), 'worker')} ({hows}); runs under way: "
         f"{runs} ({LOG})."
     )
-
-
-# ---- The files of a campaign, which commands read and never write over ----
 
 
 def files_of_campaign(folder: CampaignFolder) -> list[Path]:

@@ -394,9 +394,6 @@ class CampaignKeys(Strict):
         return {"scenes": [value["scene"]], **{key: each for key, each in value.items() if key != "scene"}}
 
 
-# ---- Reads a campaign file, and checks all that can be checked before the first run ----
-
-
 @dataclass(frozen=True)
 class CampaignFile:
     """A campaign file that was read."""

@@ -201,9 +201,6 @@ def repeat_sentences(plan: Plan, table: pa.Table) -> list[str]:
     return [f"Run {row['run']} {said[repeats].format(row[TRACKER])}." for row, repeats in known]
 
 
-# ---- Conditions of a campaign that gave the same detections in all runs ----
-
-
 def same_detections(plan: Plan, table: pa.Table) -> list[str]:
     """A sentence for each group of conditions whose scenes or detectors differ and whose detections do not."""
     names, seen = ("condition", "traffic_seed", "detector_seed", "detections_sha256"), dict[int, set[tuple[str, ...]]]()

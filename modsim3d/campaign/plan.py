@@ -18,8 +18,6 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.text import UNKNOWN
 from modsim3d.tracking.scores.breakdown import BINS
 
-# ---- The conditions of a campaign ----
-
 TRACKER = "tracker"
 MISS_RATE = "detector.miss_rate"
 OF_DETECTOR = ("detector", "state", "from")
@@ -148,9 +146,6 @@ def _hypercube(dimensions: int, count: int, base: int, place: int) -> Array:
     rng = np.random.default_rng([_HYPERCUBE, base, place])
     points: Array = qmc.LatinHypercube(d=dimensions, rng=rng).random(count)
     return points
-
-
-# ---- The seeds of a campaign, all from one number ----
 
 
 def traffic_seed(base: int, index: int) -> int:
@@ -310,9 +305,6 @@ def same(value: Any, wanted: Any) -> bool:
 def value_of(condition: Condition, key: str) -> Any:
     """The value that a condition has of a key, or the name of its scene; None if it has none."""
     return Path(condition.scene).stem if key == SCENE else condition.values.get(key)
-
-
-# ---- Values of keys as text ----
 
 
 def text_of(value: Any) -> str:

@@ -105,7 +105,6 @@ def _ranking(table: pa.Table, columns: Sequence[str], chosen: Mask, *, lowest: b
 
 
 def _by_turns(rankings: Sequence[_Ranking]) -> Iterator[tuple[int, _Ranking]]:
-    """Rows of rankings with their ranking: the first of each, the second of each, …"""
     for place in range(max((len(each.rows) for each in rankings), default=0)):
         for each in rankings:
             if place < len(each.rows):

@@ -29,8 +29,6 @@ from modsim3d.campaign.work.task import DONE_FOLDER, Task, TaskReport, store_cra
 from modsim3d.campaign.workers import Death, Engine
 from modsim3d.core.errors import ModsimError, OutputError
 
-# ---- Cuts runs into tasks of about equal time ----
-
 TASK_S = 30.0  # long against what a scheduler spends on a task, short against what a lost worker costs
 FIRST_RUNS = 8  # most runs of a task while nothing is known of their time
 WEIGHT = 0.3  # of the latest task in the mean time of a run
@@ -347,7 +345,6 @@ class _Campaign:
                 self._missing[run.number // self._batch] -= 1
 
     def log(self, seconds: float) -> None:
-        """Write what the campaign cost into its log."""
         cpu_s = sum(report.cpu_s for report in self._reports)
         runs = sum(report.runs for report in self._reports)
         hosts = sorted({report.host for report in self._reports if report.host})

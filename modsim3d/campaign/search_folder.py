@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from optuna.distributions import BaseDistribution
     from optuna.trial import FrozenTrial
 
-# ---- The space that is searched ----
-
 SEED = "traffic seed"  # name of the dimension of the traffic seed; no key of a scene has a space in it
 
 
@@ -87,9 +85,6 @@ def _rounded(values: Range, place: float | int) -> float | int:
     return min(max(float(f"{place:.12g}"), float(values.low)), float(values.high))
 
 
-# ---- Proposes the next batch of points ----
-
-
 @dataclass(frozen=True)
 class Tried:
     """A point and what came of it."""
@@ -132,7 +127,6 @@ def _trial(tried: Tried, search: SearchKeys) -> FrozenTrial:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without Optuna's line about a new study."""
     from optuna import logging
 
     before = logging.get_verbosity()
@@ -306,7 +300,6 @@ def _no_trial(folder: CampaignFolder, number: int, count: int) -> str:
 
 
 def _column(values: Sequence[Any], each: Range) -> pa.Array:
-    """Numbers as numbers, and choices of another kind as text."""
     if each.choices is None:
         return pa.array(values, pa.int64() if each.whole else pa.float64())
     if all(isinstance(choice, int | float) and not isinstance(choice, bool) for choice in each.choices):

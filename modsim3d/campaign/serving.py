@@ -21,8 +21,6 @@ from modsim3d.io.operating_system import end_with_parent, inherited
 from modsim3d.io.plugins import changed_plugins
 from modsim3d.tracking.trackers.command import CHECKSUM
 
-# ---- Whether a worker may work on a campaign ----
-
 
 def check_worker(work: Work) -> None:
     """Check that this process may work on a campaign. Raises ModsimError if the campaign's folder is not here or is
@@ -53,7 +51,6 @@ def check_worker(work: Work) -> None:
 
 
 def _of_trackers(facts: dict[str, Any]) -> dict[str, str]:
-    """The versions of the packages of all trackers, and of what they use."""
     found: dict[str, str] = {}
     for condition in facts["conditions"]:
         for tracker in condition["trackers"].values():

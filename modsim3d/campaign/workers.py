@@ -21,8 +21,6 @@ from modsim3d.core.errors import ModsimError
 from modsim3d.io.operating_system import signals
 from modsim3d.io.processes import WorkerCount, new_interpreter, worker_count
 
-# ---- How the process of a worker ended in the middle of a task ----
-
 STOPPING = signals("SIGTERM", "SIGINT", "SIGHUP")  # by which a batch system or a user stops all of a campaign
 
 
@@ -133,7 +131,6 @@ class CampaignWorker:
         self._process.wait()
 
     def _died(self) -> ProcessDiedError | ModsimError:
-        """Error for a broken pipe."""
         try:
             code = self._process.wait(_END_S)
             if -code in STOPPING:  # if all are to stop, this process ends here, before the run counts as crashed
@@ -147,9 +144,6 @@ class CampaignWorker:
             return ProcessDiedError(death)
         said = f"it ended with status {code}" if code >= 0 else f"signal {-code} ended it"
         return ModsimError(f"a worker process could not start: {said}, see above")
-
-
-# ---- Worker processes on this machine ----
 
 
 class ProcessPool:
@@ -192,7 +186,6 @@ class ProcessPool:
             process.close()
 
     def _hand_out(self) -> None:
-        """Hand waiting tasks to idle processes."""
         while self._waiting and self._idle:
             process = self._idle.pop()
             try:
@@ -202,9 +195,6 @@ class ProcessPool:
                 self._idle.append(CampaignWorker())
                 continue
             self._busy[process.pipe] = process, self._waiting.popleft()
-
-
-# ---- What an engine is ----
 
 
 class Engine(Protocol):

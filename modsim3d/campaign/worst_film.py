@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
     from modsim3d.view.sea_and_sky import RenderStyle
 
-# ---- A picture of the moment at which a run went wrong ----
-
 MARGIN, LEAST = 0.5, 0.2  # beside the mistakes, as a share of what they fill, and at least, of the image
 LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")  # what is true, and what the tracker says
 MAX_SWITCHES = 2  # so many identity switches are told in full

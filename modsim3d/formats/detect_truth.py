@@ -43,8 +43,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import choose_detector
 from modsim3d.world.poses.labelled import LABELS
 
-# ---- What a tracker and an evaluator read ----
-
 ONE_FRAME_HZ = 1.0  # the frame rate that is written of a video of one frame
 
 
@@ -115,7 +113,6 @@ class TruthResult:
         return f"<TruthResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return key_table(f"Detections {self.folder}", self._rows())
 
     def _rows(self) -> dict[str, str]:
@@ -369,7 +366,6 @@ class _ReadVideos:
 
     @property
     def numbers(self) -> dict[str, int]:
-        """Number of the class or category of each label in the file."""
         return class_numbers(self.classes, self.to_label.tolist(), self.model.labels)
 
     def scene(self, seed: int, *, by_seed: bool = False, name: str | None = None) -> Scene:
@@ -395,12 +391,10 @@ class _ReadVideos:
         return scene
 
     def file_names(self) -> list[str]:
-        """Paths of the files beside those of the run."""
         pair = ["gt/gt.txt", "det/det.txt", "seqinfo.ini"] if self.kind == "MOT" else ["dt.json"]
         return [*pair, SUMMARY] if self.pair else [SUMMARY]
 
     def contents(self, truth: Path, run: StoredRun) -> dict[str, bytes]:
-        """The content of each of these files but the summary."""
         if not self.pair:
             return {}
         numbers = list(self.numbers.values())
@@ -422,7 +416,6 @@ class _ReadVideos:
         return {"dt.json": coco_results(of_videos, self.ids.images, numbers)}
 
     def occlusion(self) -> dict[str, int]:
-        """Sources of visible fractions."""
         from_overlap = self.sought.from_overlap
         return {"from_file": len(self.sought) - from_overlap, "from_overlap": from_overlap}
 

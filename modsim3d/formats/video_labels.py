@@ -147,9 +147,6 @@ def given_detector(labels: Sequence[str]) -> dict[str, Any]:
     }
 
 
-# ---- What a detector file asks for that a labelled video may not have ----
-
-
 def check_needs(model: DetectorModel, source: str, depth_m: Array, horizon: Array | None) -> list[str]:
     """Remarks on what is left out. `source` is what messages call the detector's file, `depth_m` the distance of each
     target, NaN where unknown: (n,), `horizon` the half-plane of the sea: (3,), None if it is not known. Raises

@@ -16,8 +16,6 @@ from modsim3d.io.validation import nearest, shown
 from modsim3d.truth.analytic import NOTHING_PX2, Hiding
 from modsim3d.truth.occlusion_order import overlapping_pairs
 
-# ---- How much of each box is visible, from the boxes alone ----
-
 
 def visible_fractions(image: Indices, boxes_px: Array, feet_px: Array) -> Array:
     """Share of each box that no nearer box of its image covers: (n,). `image` of each box is non-decreasing: (n,),
@@ -163,7 +161,6 @@ def videos_of(labelled: LabelledSet, ids: FileIds, source: str) -> list[Video]:
 
 
 def _problems(name: str, images: Images, rows: Indices) -> Iterator[str]:
-    """Reasons why images, in order of time, are no video."""
     times_s, sizes_px = images.time_s[rows], images.sizes_px[rows]
     if np.isnan(times_s).any():
         unknown = images.names[rows[np.isnan(times_s)][0]]

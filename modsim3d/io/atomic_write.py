@@ -144,9 +144,6 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-# ---- Content of files ----
-
-
 def json_text(content: Any) -> bytes:
     """JSON for people to read: two spaces of indentation, and a line break at the end."""
     return orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_NON_STR_KEYS | orjson.OPT_APPEND_NEWLINE)

@@ -22,8 +22,6 @@ from modsim3d.io.operating_system import INPUT
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
-# ---- What an input may cost ----
-
 MAX_TEXT_BYTES = 1 << 29  # of a file read as a whole: seven million poses. What is parsed takes up to ten times as much
 MAX_UNPACK_RATIO = 100  # a gzipped file may unpack to so many times its size: tables reach 20, one repeated byte 1000
 FREE_UNPACKED_BYTES = 1 << 23  # bytes that any gzipped file may unpack to
@@ -109,7 +107,6 @@ def _ordinary_file(path: Path, source: str) -> io.BufferedReader:
 
 
 def _problem(error: Exception) -> str:
-    """Message for an error of the operating system, of unpacking or of decoding."""
     if isinstance(error, gzip.BadGzipFile | EOFError | zlib.error):
         return "is not a complete gzip file"
     if isinstance(error, UnicodeDecodeError):
@@ -123,7 +120,6 @@ class _Budgeted(io.RawIOBase):
     """The bytes of a file, unpacked if it is gzipped; refuses to give more than the budgets allow."""
 
     def __init__(self, file: io.BufferedReader, source: str, most_bytes: int | None) -> None:
-        """Read nothing yet."""
         self.file, self.source, self.most_bytes = file, source, most_bytes
         self.packed = file.peek(2).startswith(_GZIP)
         self.stream = gzip.GzipFile(fileobj=file) if self.packed else file
@@ -131,11 +127,9 @@ class _Budgeted(io.RawIOBase):
         self.check(0 if self.packed else os.fstat(file.fileno()).st_size)
 
     def readable(self) -> bool:
-        """It is."""
         return True
 
     def readinto(self, buffer: WriteableBuffer) -> int:
-        """Read the next piece into a buffer, and return its length."""
         count = self.stream.readinto(buffer) or 0  # None where a special file has nothing to say
         self.count += count
         self.check(self.count)
@@ -148,9 +142,6 @@ class _Budgeted(io.RawIOBase):
             raise InputError(self.source, [f"{verb} more than {self.most_bytes:,} bytes: give a part of it"])
         if self.packed and count > FREE_UNPACKED_BYTES + MAX_UNPACK_RATIO * self.file.tell():
             raise InputError(self.source, [_BOMB.format(ratio=MAX_UNPACK_RATIO)])
-
-
-# ---- The text of an input file, gzipped or not, within a budget ----
 
 
 def file_sha256(path: Path) -> str:
@@ -174,9 +165,6 @@ def read_text(path: Path, what: str, most_bytes: int | None = None) -> str:
 def composed(text: str) -> str:
     """A text or the name of a file with letters and their accents as one character each, as `read_text` has them."""
     return text if text.isascii() else unicodedata.normalize("NFC", text)
-
-
-# ---- The data files that come with the package ----
 
 
 def data_folder(kind: str) -> Path:

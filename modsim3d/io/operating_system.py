@@ -23,8 +23,6 @@ try:
 except ImportError:  # Windows
     fcntl = resource = None  # type: ignore[assignment]
 
-# ---- Files ----
-
 HAS_LOCKS = fcntl is not None
 POSIX = os.name == "posix"
 INPUT = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
@@ -37,9 +35,6 @@ def lock(descriptor: int, *, shared: bool = False) -> None:
     """Lock a file until its descriptor is closed. Raises BlockingIOError if another process has locked it."""
     if HAS_LOCKS:
         fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-
-
-# ---- This process ----
 
 
 def address_space_limit() -> int | None:
@@ -58,9 +53,6 @@ def usable_cpus() -> int:
 def signals(*names: str) -> tuple[signal.Signals, ...]:
     """Signals with some names, without those that this system lacks."""
     return tuple(signal.Signals[name] for name in names if name in signal.Signals.__members__)
-
-
-# ---- Workers ----
 
 
 def end_with_parent(parent: int | None = None) -> None:

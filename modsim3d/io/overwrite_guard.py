@@ -13,8 +13,6 @@ from modsim3d.core.errors import OutputError
 from modsim3d.io import operating_system
 from modsim3d.io.atomic_write import make_folder, partial_of
 
-# ---- One writer at a time ----
-
 LOCK_FILE = ".modsim3d.lock"  # the lock of a folder, inside it
 HOLDER_BYTES = 500
 
@@ -106,7 +104,6 @@ def _acquired(lock: Path, output: Path) -> int:
 
 
 def _is_at(path: Path, descriptor: int) -> bool:
-    """Whether an open file is still the one at a path."""
     try:
         return os.path.samestat(path.stat(), os.fstat(descriptor))
     except FileNotFoundError:
@@ -237,7 +234,6 @@ def check_free(path: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None
 
 
 def _check_folder(path: Path) -> None:
-    """Check that no file is in the place of a folder that a file would be written into."""
     there = next((parent for parent in path.parents if parent.exists()), None)
     if there is not None and not there.is_dir():
         raise OutputError(f"{there} is a file, and {path.name} is to be written into a folder: choose another name")

@@ -24,8 +24,6 @@ from typing import Any, Generic, Literal, NoReturn, Protocol, TypeVar
 from modsim3d.core.errors import ModsimError
 from modsim3d.io.operating_system import end_with_parent, forked, inherited, may_fork, passing, usable_cpus
 
-# ---- A worker in a process of its own ----
-
 IN_HAND = 2  # pieces that a worker process has at once: the one that it does, and the next
 _END = b""  # the message after the last piece
 # Processes share the cores; threads of each would only wait for each other.
@@ -307,7 +305,6 @@ class _Processes(Generic[W]):
             yield self._result(waiting.popleft())
 
     def close(self) -> None:
-        """Let the workers end what they do now, and end them."""
         _empty(self._tasks)
         for process in self._processes:
             process.stop()

@@ -36,7 +36,6 @@ class _Yaml12(Composer, SafeConstructor, Resolver):
     """Nodes and values of YAML 1.2 from the events of a parser; refuses too many nodes, and repeated keys."""
 
     def __init__(self) -> None:
-        """Start without nodes."""
         Composer.__init__(self)
         SafeConstructor.__init__(self)
         Resolver.__init__(self)
@@ -149,7 +148,6 @@ class _PythonLoader(_Yaml12, yaml.reader.Reader, yaml.scanner.Scanner, yaml.pars
     """The parser of PyYAML."""
 
     def __init__(self, text: str) -> None:
-        """Start at the first event."""
         yaml.reader.Reader.__init__(self, text)
         yaml.scanner.Scanner.__init__(self)
         yaml.parser.Parser.__init__(self)
@@ -163,7 +161,6 @@ if CParser is not None:
         """The parser of its C library, but not its composer, which a text that is nested too deeply crashes."""
 
         def __init__(self, text: str) -> None:
-            """Start at the first event."""
             CParser.__init__(self, text)
             _Yaml12.__init__(self)
 
@@ -206,9 +203,6 @@ def _parsed(text: str) -> Any:
         if len(text) <= _REPEATED_CHARACTERS:
             _PythonLoader(text).get_single_data()  # raises the same error in better words
         raise
-
-
-# ---- JSON without repeated keys, which parsers drop silently ----
 
 
 class _Pairs(list[tuple[str, Any]]):

@@ -147,11 +147,9 @@ class _Brief(reprlib.Repr):
     """Short texts of values, with the words of YAML and JSON."""
 
     def repr_NoneType(self, value: None, level: int) -> str:
-        """Nothing."""
         return "null"
 
     def repr_bool(self, value: bool, level: int) -> str:
-        """A truth value."""
         return "true" if value else "false"
 
 

@@ -70,7 +70,6 @@ def frames_of(block: Block, scene: Scene, steps: range | None = None) -> Iterato
 
 
 def _frame(block: Block, part: CameraBlock, scene: Scene, index: int) -> Frame:
-    """The frame that a camera took at its step `index`."""
     step, camera = int(part.steps[index]), scene.cameras[part.camera]
     return Frame(
         camera=camera.name,

@@ -20,8 +20,6 @@ from modsim3d.runs.frames import Frame, detected_rows
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import annotation_boxes
 
-# ---- How each detection turned out ----
-
 GOOD_IOU = 0.5  # a box with a smaller IoU with its vessel's annotated box is a bad one
 
 

@@ -179,7 +179,6 @@ class Frame:
         return f"<Frame: {self._in_words()}>"
 
     def _repr_html_(self) -> str | None:
-        """A notebook's tables, where it cannot draw the picture."""
         if find_spec("matplotlib") is not None:
             return None
         return f"<p>{escape(self._in_words())}</p>{self.truth._repr_html_()}{self.detections._repr_html_()}"

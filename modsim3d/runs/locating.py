@@ -21,8 +21,6 @@ from modsim3d.io.validation import nearest
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessel_motion import PosesInWaves
 
-# ---- The error of a box's centre and foot ----
-
 FOOT_OF_ERRORS = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0.5]], dtype=np.float64)
 """Centre column, centre row and row of the foot from centre, width and height."""
 EDGES_OF_ERRORS = np.array([[1, 0, -0.5, 0], [1, 0, 0.5, 0], [0, 1, 0, 0.5]], dtype=np.float64)
@@ -203,7 +201,6 @@ def locate(scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, atti
 def _checked(
     scene: Scene, camera: str, step: ArrayLike, boxes_px: ArrayLike, attitude: str
 ) -> tuple[Camera, Indices, Array]:
-    """The camera, the step of each box and the boxes."""
     if not isinstance(scene, Scene):
         raise TypeError(f"scene: a Scene is needed, such as load_scene gives (got {type(scene).__name__})")
     cameras = {each.name: each for each in scene.cameras}

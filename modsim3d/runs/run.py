@@ -269,11 +269,7 @@ def settings_of(scene: Scene, backend: str) -> dict[str, Any]:
 
 @cache
 def _versions() -> dict[str, str]:
-    """The versions of the packages that make a run, from themselves: `importlib.metadata` reads files of each."""
     return {name: str(import_module(name).__version__) for name in VERSIONED}
-
-
-# ---- Runs the detector again over the truth of a finished run ----
 
 
 def detect_run(

@@ -223,7 +223,6 @@ class StoredRun:
             raise RunDirectoryError(f"{self.folder} holds an interrupted run: {error}; {self.how_to_finish}") from None
 
     def _ranges(self) -> list[Range]:
-        """The blocks that are there."""
         return [steps for steps in block_ranges(self.scene.steps, block_steps(self.scene)) if steps[0] < self.steps]
 
     def _kept(self, first: int, stop: int) -> Truth:

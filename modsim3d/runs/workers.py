@@ -30,8 +30,6 @@ from modsim3d.truth.record import Truth, annotation_boxes
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-# ---- A sample of the detected boxes of a run ----
-
 BOXES_A_STATE, POINTS_A_BOX = 32, 1024
 """Few enough that a run hardly takes longer; the standard error beside the mean shows how much so few boxes tell."""
 _MIX = np.array([2_654_435_761, 40_503, 97_003], dtype=np.int64)
@@ -97,7 +95,6 @@ class BoxSample:
 
 
 def _least(rows: Array) -> Array:
-    """The rows with the least keys of each state, in order."""
     kept = [_NO_ROWS]
     for state in np.flatnonzero(np.bincount(rows[:, 1].astype(np.int64))):  # np.unique imports masked arrays
         ours = rows[rows[:, 1] == state]

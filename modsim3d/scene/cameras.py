@@ -91,9 +91,6 @@ def specific_force(world_R_body: Array, accelerations_m_s2: Array) -> Array:
     return force
 
 
-# ---- Where a camera ashore sees the circles on ----
-
-
 def camera_placement(
     centre_m: tuple[float, float],
     radius_m: float,

@@ -130,7 +130,6 @@ class _DictParts(SceneParts):
 
     @property
     def read(self) -> tuple[Path, ...]:
-        """The files of vessels and poses that the mapping names."""
         files = super().read[1:]
         return files if self._arrays is None else tuple(file for file in files if file != self.folder / FILE)
 

@@ -67,7 +67,6 @@ def _roll(angle: float) -> float:
 
 
 def _roll_deg(angle: float) -> float:
-    """Refuse what `_roll` refuses, in degrees."""
     if abs(angle) > 90 and abs(abs(angle) - 180) > 0.05:
         raise ValueError(f"{angle:g}° is more than a right angle, and not upside down (180)")
     return angle
@@ -363,9 +362,6 @@ class LabelledSceneKeys(SceneKeys):
             told = ", ".join(f"annotation.{key}: {OF_LABELS[key]}" for key in wrong)
             raise ValueError(f"a scene of labels has {told}")
         return self
-
-
-# ---- What a scene says about the AIS equipment of its vessels ----
 
 
 @dataclass(frozen=True)

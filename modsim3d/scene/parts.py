@@ -30,8 +30,6 @@ from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.second_order_waves import Axes, find_level
 from modsim3d.world.vessels import Solid, Vessel, find_shape, is_closed, load_mapping, parse_vessels
 
-# ---- Meshes of the vessels and obstacles of a scene ----
-
 
 class SceneMeshes:
     """The meshes that a scene names. Equal entries of one folder share a solid, so that they are handled together."""
@@ -334,7 +332,6 @@ class SceneParts:
         return entry if isinstance(entry, dict) else None  # validation of the keys reports it
 
     def _boxes(self) -> tuple[Vessel, ...] | None:
-        """The vessels of the scene file as shoeboxes."""
         entries, place = self.vessel_entries, self.vessels_at
         if entries == {} and (self.draws_vessels or self.labelled):
             return ()
@@ -390,7 +387,6 @@ class SceneParts:
         return source
 
     def _request(self, vessels: tuple[Vessel, ...] | None) -> PoseRequest:
-        """Facts about the scene file for the pose source."""
         keys, names = self.keys, self.vessel_entries
         return PoseRequest(
             folder=self.folder,
@@ -437,7 +433,6 @@ class SceneParts:
         return poses
 
     def _labelled_problems(self, vessels: Sequence[Vessel]) -> Iterator[str]:
-        """Labels of videos that the detector does not have, and detections that are not its own."""
         real = isinstance(self.poses, LabelledPoses) and self.poses.detections is not None
         if real and self.detector is not None and [state.name for state in self.detector.states] != [REAL]:
             yield (

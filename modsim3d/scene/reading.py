@@ -34,8 +34,6 @@ from modsim3d.world.second_order_waves import AXES, Axes, Axis, SecondOrderWaves
 from modsim3d.world.vessel_motion import PERFECT_IMU, Imu, Waves
 from modsim3d.world.vessels import Vessel
 
-# ---- Checks of a scene as a whole ----
-
 CHECKED_STEPS = 1000
 """Steps whose camera positions are checked together; it bounds the memory."""
 

@@ -31,8 +31,6 @@ from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.vessel_motion import PERFECT_IMU, Imu, PosesInWaves, VesselMotion, Waves
 from modsim3d.world.vessels import Vessel
 
-# ---- A scene in a few lines, and as a table in a notebook ----
-
 
 def scene_lines(scene: Scene) -> str:
     """Three lines: what is in it; its steps, seed and truth; its detector."""

@@ -219,7 +219,6 @@ def _check_new(
 
 
 def _others(model: type[BaseModel] | None, key: str) -> set[str]:
-    """The keys that a key replaces."""
     choices: tuple[tuple[tuple[str, ...], ...], ...] = getattr(model, "alternatives", ())
     replaced: set[str] = set()
     for groups in choices:

@@ -213,7 +213,6 @@ def _through(scene: Scene, tracks: HullTracks, obstacle: Obstacle) -> Iterator[s
 
 
 def _in_one_place(scene: Scene, tracks: HullTracks) -> Iterator[str]:
-    """Pairs of which one lies on the middle of the other."""
     told, names = set(), scene.vessel_names
     for row in range(0, len(tracks.times_s), 1 + tracks.headings_rad.size * len(names) // MAX_COMPARED):
         centres, headings = tracks.centres_m[row], tracks.headings_rad[row][:, None]

@@ -190,7 +190,6 @@ def _breakdown_tables(named: Sequence[tuple[str, Scores]], where: Where) -> Iter
 
 
 def _cells(bins: tuple[Bin, ...], *keys: str) -> list[str | Cell]:
-    """Shares of a bin of each tracker, as bars."""
     shares = [(each, key, getattr(each, key)) for each in bins for key in keys]
     return [
         Cell(survived_of(each) if key == "survived" else number(share, 2), share or 0.0, bar=True)
@@ -212,7 +211,6 @@ def _occlusions(tracker: score_outcome.TrackScores) -> Block:
 
 
 def _score_table(scores: score_outcome.ScoredTracks) -> Table:
-    """A line for each tracker, the highest HOTA first, and for each reference."""
     rows = []
     for name, found in named_scores(scores):
         keys, (survived, judged) = keys_of(found), score_outcome.survived_and_judged(found.occlusions)
@@ -258,7 +256,6 @@ def seeds_in_words(scores: score_outcome.ScoredTracks) -> str:
 
 
 def _hidden_table(scores: score_outcome.ScoredTracks) -> Table:
-    """Wholly hidden vessels and their tracks, a row for each tracker and reference."""
     rows = []
     for name, found in named_scores(scores):
         keys = keys_of(found)
@@ -269,7 +266,6 @@ def _hidden_table(scores: score_outcome.ScoredTracks) -> Table:
 
 
 def _occlusion_rows(occlusions: Sequence[OcclusionEpisode]) -> list[tuple[str, ...]]:
-    """A line for each occlusion."""
     return [
         (
             each.camera,
@@ -293,7 +289,6 @@ def survived_of(each: Bin) -> str:
 
 
 def _part_tables(scores: score_outcome.ScoredTracks) -> list[Table]:
-    """Scores by performance state, by camera and by class, where there are several."""
     named = named_scores(scores)
     tables = []
     for title, part in (("By performance state", "by_state"), ("By camera", "by_camera")):
@@ -307,7 +302,6 @@ def _part_tables(scores: score_outcome.ScoredTracks) -> list[Table]:
 
 
 def _part_rows(named: Sequence[tuple[str, Mapping[str, Mapping[str, Any]]]]) -> list[tuple[str, ...]]:
-    """A row for each part and each tracker that has it."""
     labels = dict.fromkeys(label for _, parts in named for label in parts)
     return [
         (label, name, *(number(parts[label][key], decimals) for _, key, decimals in PART_COLUMNS))
@@ -382,7 +376,6 @@ def _approach_chart(found: Mapping[str, PredictedApproaches]) -> str:
 
 
 def _encounter_rows(encounters: Sequence[MetVessel]) -> list[tuple[str, ...]]:
-    """A line for each encounter."""
     return [
         (
             *(each.vessel, each.own_ship, each.kind.replace("_", " ")),

@@ -37,7 +37,6 @@ class RunScores(ScoredTracks):
         return f"<RunScores {self.run.folder}: {self.conclusion}>"
 
     def _repr_html_(self) -> str:
-        """The outcome, and a line for each tracker."""
         from modsim3d.tracking.score_page import document  # pages take 0.1 s to import
 
         return document(self).notebook()

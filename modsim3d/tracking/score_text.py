@@ -116,7 +116,6 @@ def _subject(trackers: Sequence[TrackerOutcome]) -> str:
 
 
 def _beside(keys: Keys, reference: Keys) -> str:
-    """HOTA, and that of the reference."""
     ours, theirs = keys["hota"], reference["hota"]
     if ours is None:
         return ""

@@ -64,7 +64,6 @@ class TrackResult:
         return f"<TrackResult {self.folder}: {', '.join(f'{key} {value}' for key, value in self._rows().items())}>"
 
     def _repr_html_(self) -> str:
-        """A notebook's table."""
         return key_table(f"Tracks {self.folder}", self._rows())
 
     def _rows(self) -> dict[str, str]:

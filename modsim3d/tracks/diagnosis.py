@@ -12,8 +12,6 @@ from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges
 from modsim3d.core.boxes import centre_form, corner_form, from_top_left, sizes
 from modsim3d.runs.files.table_columns import BOX_SIDES, CENTRE_FORM
 
-# ---- Forms in which files give boxes ----
-
 
 @dataclass(frozen=True)
 class BoxForm:
@@ -131,8 +129,6 @@ class BoxRows:
 
 @dataclass(frozen=True, eq=False)
 class _Reading:
-    """Another way to read a file."""
-
     told: str  # what is wrong then, and what would be right
     boxes_px: Array  # (k, 4)
     frame: Indices  # number of the frame: (k,)

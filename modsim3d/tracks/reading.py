@@ -33,8 +33,6 @@ from modsim3d.tracks.diagnosis import CORNERS, BoxRows, KnownBoxes, misreading
 from modsim3d.tracks.text_tracks import FileRows, frames_at, read_csv_tracks, read_mot_tracks, tracks_of
 from modsim3d.tracks.tracks import COVARIANCES, SCHEMA, Origin, TrackSet, name_of, source_of, track_table
 
-# ---- The folder that `modsim3d track` writes ----
-
 TABLE: Literal["tracks.parquet"] = "tracks.parquet"
 WORLD_TABLE: Literal["world_tracks.csv"] = "world_tracks.csv"  # in its place, of a tracker in the world
 FACTS = "tracks.json"
@@ -274,7 +272,6 @@ def _known(word: str, frame: Indices, boxes_px: Array) -> KnownBoxes:
 
 
 def _box_rows(file: FileRows, rows: RunRows, camera: int) -> BoxRows:
-    """The boxes of one camera."""
     count = len(rows.scene.cameras)
     taken, here = rows.frames[rows.frames % count == camera], file.frame % count == camera
     frame = file.frame[here]
@@ -285,7 +282,6 @@ def _box_rows(file: FileRows, rows: RunRows, camera: int) -> BoxRows:
 
 
 def _name(path: Path) -> str:
-    """Name of somebody's own tracks in tables."""
     whole = path.resolve()
     if whole.name == "data" and whole.is_dir():
         return whole.parent.name

@@ -18,8 +18,6 @@ from modsim3d.tracks import tracks
 from modsim3d.tracks.diagnosis import CENTRE, CORNERS, MOT, TOP_LEFT, BoxForm
 from modsim3d.tracks.tracks import COVARIANCES, Tracks, camera_sequence_names, covariances, source_of
 
-# ---- The rows of a file ----
-
 
 @dataclass(frozen=True, eq=False)
 class FileRows:
@@ -234,7 +232,6 @@ def read_mot_tracks(path: Path, rows: RunRows, cameras: Sequence[int] = ()) -> l
 
 
 def _files(path: Path, rows: RunRows, cameras: Sequence[int]) -> Mapping[int, Path]:
-    """The file of each camera, by the camera's index."""
     names = camera_sequence_names([camera.name for camera in rows.scene.cameras])
     needed = [names[index] for index in cameras or range(len(names))]
     wanted, source = ", ".join(f"{name}.txt" for name in needed), source_of(path)

@@ -82,9 +82,6 @@ class Tracks(Columns):
         return np.asarray(identity, dtype=np.int64).reshape(-1)
 
 
-# ---- Tracks of vessels in the world, in the axes of a scene ----
-
-
 @dataclass(frozen=True, eq=False)
 class WorldTracks:
     """The estimates of all tracks: k rows in order of track and time."""
@@ -167,9 +164,6 @@ class Similarity:
         distance = np.hypot(*np.moveaxis(centres(a_px) - centres(b_px), -1, 0))
         alike: Array = np.maximum(1 - distance / self.scale_px, 0)
         return alike
-
-
-# ---- Tracks with a name, and where they come from ----
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,6 @@ def read_world_csv(path: Path, run: StoredRun) -> WorldRows:
 
 
 def _groups(source: str, columns: Sequence[str]) -> set[tuple[str, ...]]:
-    """The groups of columns that are there."""
     problems = [f"column {name} is there twice" for name in COLUMNS if columns.count(name) > 1]
     missing = [name for name in COLUMNS if name not in columns]
     for name in columns:
@@ -251,7 +250,6 @@ def _estimates(message: BagMessage) -> tuple[str, str, list[_Estimate]]:
 
 
 def _chosen(topics: Mapping[str, str], source: str, topic: str | None) -> str:
-    """The topic of the tracks."""
     able = [name for name, kind in topics.items() if kind in _KINDS]
     if topic is not None:
         if topic not in able:

@@ -16,8 +16,6 @@ from modsim3d.scene.ais.messages import local_metres
 from modsim3d.tracks.tracks import WorldTracks
 from modsim3d.world.encounters import hull_tracks
 
-# ---- Tracks in the world that are wrong as a whole ----
-
 _LOOKED_AT, _MIN_ROWS, _MIN_STEP_ROWS = 2000, 8, 30
 """Rows, spread over the file; fewer fit by chance, and more are needed where little changes."""
 _FITS, _FITS_M, _NEARER, _MUCH, _STEP = 0.03, 50.0, 0.6, 3.0, 1.5

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.random_streams import Purpose, Streams
 
-# ---- The interface of every model of waves ----
-
 GRAVITY_M_S2 = 9.80665
 
 

@@ -169,7 +169,6 @@ def _check_references(gltf: Gltf) -> None:
 
 
 def _one_of(items: Sequence[Item], index: int, what: str) -> Item:
-    """The item of an index that the file gives."""
     if index >= len(items):
         raise Refused(f"has no {what} {index}, only {len(items)}: is it damaged?")
     return items[index]
@@ -208,7 +207,6 @@ def _times_shown(gltf: Gltf) -> list[int]:
 
 
 def _accessor(gltf: Gltf, index: int, kind: str) -> Accessor:
-    """An accessor, which must exist and hold geometry."""
     accessor = _one_of(gltf.accessors, index, "accessor")
     if accessor.type != kind or (kind == "SCALAR" and accessor.component_type not in (5121, 5123, 5125)):
         raise Refused(f"has accessor {index} of a type that positions or indices cannot be: is it damaged?")
@@ -316,9 +314,6 @@ def _check(part: MeshPart) -> None:
         raise Refused(f"has vertices of {vertices.shape[1]} coordinates; three are needed, x, y and z")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise Refused(f"has faces that use vertex {int(faces.max())} of {len(vertices)}: is it damaged?")
-
-
-# ---- The triangles of binary glTF 2.0, and where its scene puts them ----
 
 
 def glb_parts(glb: Glb) -> Iterator[MeshPart]:

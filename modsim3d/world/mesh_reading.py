@@ -111,7 +111,6 @@ def _triangles(path: Path) -> tuple[Array, Indices]:
 
 
 def _parts(file: BinaryIO, size: int, suffix: str) -> Iterator[MeshPart]:
-    """The parts of a mesh file that trimesh reads."""
     import trimesh  # takes 0.3 s, and most meshes are in GLB
 
     content, kind = READERS[suffix](file, size), suffix[1:]
@@ -142,6 +141,5 @@ def _strictly() -> Iterator[None]:
 
 
 def _brief(error: Exception) -> str:
-    """A parser's error in one short line."""
     text = " ".join(str(error).split()) + (" is missing" if isinstance(error, KeyError) else "")
     return (text[:100] + "...") if len(text) > 100 else text or type(error).__name__

@@ -109,9 +109,6 @@ class VesselMotion:
         return Poses(calm.present, positions, calm.headings_rad), angles
 
 
-# ---- An inertial measurement unit ----
-
-
 @dataclass(frozen=True)
 class Imu:
     """A strapdown unit with its axes along the vessel's, v1, v2, v3. Noises and biases are standard deviations: noise

@@ -352,7 +352,6 @@ def signed_volume(vertices: Array, faces: Indices) -> float:
 
 
 def _is_convex(vertices: Array, volume: float) -> bool:
-    """Whether a closed mesh fills its convex hull."""
     from scipy.spatial import ConvexHull, QhullError  # takes 0.1 s
 
     try:

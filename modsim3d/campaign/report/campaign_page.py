@@ -30,8 +30,6 @@ from modsim3d.core.text import counted, listed, three_digits, three_digits_with_
 from modsim3d.view.pages.charts import ChartInterval, span_of, strip
 from modsim3d.view.pages.page import document_page, image
 
-# ---- What is compared ----
-
 MAX_ROWS = 200  # of a table
 
 
@@ -168,7 +166,6 @@ def _worst_run(folder: CampaignFolder, each: WorstRun, advance: Callable[..., No
 
 
 def _picture(folder: CampaignFolder, each: WorstRun, moment_s: float) -> Block:
-    """The moment at which a run went wrong; a run that cannot be made again says why."""
     try:
         picture = moment_picture(remade(folder, each.number), moment_s, WIDTH_PX)
     except ModsimError as error:

@@ -23,8 +23,6 @@ from modsim3d.core.document import Beside, Block, Heading, Items, Table, Text
 from modsim3d.core.text import counted, listed
 from modsim3d.view.pages.provenance import shown_path
 
-# ---- The sections of a page that trace each requirement to its runs ----
-
 _MAX_RANGES = 6
 _MAX_ROWS = 200  # of a table; the files of the campaign have all
 _DIGITS = 16  # hexadecimal digits of a checksum on the page; `plan.json` has all
@@ -83,7 +81,6 @@ def numbers_in_words(numbers: Indices) -> str:
 
 
 def _conditions(folder: CampaignFolder) -> Iterator[Block]:
-    """Checksums of the scene and the detector of each condition."""
     rows = []
     conditions = folder.facts["conditions"]
     for number, each in enumerate(conditions[:_MAX_ROWS]):
@@ -98,7 +95,6 @@ def _conditions(folder: CampaignFolder) -> Iterator[Block]:
 
 
 def _repeating(folder: CampaignFolder, table: pa.Table) -> Iterator[Block]:
-    """Versions, the checksum of the plan, and the commands."""
     number = int(table["run"][0].as_py()) if len(table) else 0
     versions = dict(folder.facts["versions"])
     for condition in folder.facts["conditions"]:

@@ -116,7 +116,6 @@ class Truths(Covered):
 
 
 def _short(value: float) -> str:
-    """A number with three digits, or with all before the point."""
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 

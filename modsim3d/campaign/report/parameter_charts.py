@@ -22,8 +22,6 @@ from modsim3d.core.text import three_digits
 from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import ChartInterval, band, forest, legend, marks, span_of
 
-# ---- The scores of a campaign as arrays ----
-
 
 @dataclass(frozen=True, eq=False)
 class MeanGrid:

@@ -127,9 +127,6 @@ def condition_cells(plan: Plan, place: int, keys: Sequence[str]) -> list[str]:
     return value_cells(values_of(plan, place), keys)
 
 
-# ---- Tables of the page of a campaign without what says nothing ----
-
-
 def without_empty(rows: Sequence[Row], header: Sequence[str], empty: Sequence[str]) -> tuple[list[Row], list[str]]:
     """Rows and header without those of some columns in which no row says anything: all cells are empty or 0."""
     said = [name not in empty or any(row[place] not in ("", "0") for row in rows) for place, name in enumerate(header)]

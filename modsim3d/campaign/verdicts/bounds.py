@@ -52,9 +52,6 @@ def corrected_bounds(
     return np.where(np.isnan(half), -math.inf, mean - np.maximum(cubic, related))
 
 
-# ---- Where a statement changes from true to false ----
-
-
 def lower_end(excluded: Callable[[float], bool], halvings: int) -> float:
     """The greatest number in [0, 1) up to which all are excluded, 0 if none is; if one is excluded, so are all below
     it. It is rounded down by 2**-halvings at most."""
@@ -189,9 +186,6 @@ def mean_share_low(shares: Array, alpha: float) -> float:
     values says more. Both share the probability of an error."""
     whole = exact_bounds(int((shares == 1).sum()), len(shares), WHOLE * alpha)[0]
     return max(whole, _lower_by_betting(shares, (1 - WHOLE) * alpha))
-
-
-# ---- The bounds that a verdict is held against ----
 
 
 @dataclass(frozen=True)

@@ -132,8 +132,6 @@ def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
 
 
 def _judged(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[Verdict, ...]:
-    """The verdicts on scores."""
-
     @cache
     def verdict(index: int, taken: int) -> Verdict:
         place, case = cases[index]
@@ -296,7 +294,6 @@ def _met_without_tracks(requirement: Requirement, keys: CampaignKeys, runs: Runs
 
 
 def _values(plan: Plan, case: Case) -> dict[str, Any]:
-    """The values of the varied keys, and the part of the runs if it names one."""
     condition = plan.conditions[case.condition]
     scene = {SCENE: Path(condition.scene).stem} if SCENE in plan.parameters else {}
     return {**scene, **condition.values, **({} if case.part is None else {case.group: case.part.name})}

@@ -68,9 +68,6 @@ def _rounded(value: float, whole: Callable[[float], int]) -> str:
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-# ---- How often verdicts are wrong ----
-
-
 @dataclass(frozen=True)
 class Levels:
     """The greatest probabilities of error of the verdicts of a campaign."""
@@ -193,9 +190,6 @@ def _column(requirement: Requirement, group: str) -> str:
     return ".".join(filter(None, ["" if requirement.of is None else DIFFERENCE, group, requirement.score]))
 
 
-# ---- Verdicts that together err with no more than the level of one ----
-
-
 def cases_of_all(plan: Plan, *, of_time: bool = False) -> list[tuple[int, Case]]:
     """The place of a requirement and a case of it, for each verdict: those on scores, or those on what runs took, which
     stand apart."""
@@ -221,9 +215,6 @@ def stepped(count: int, holds: Callable[[int, int], bool]) -> dict[int, int]:
     while new := [place for place in range(count) if place not in found and holds(place, len(found))]:
         found |= dict.fromkeys(new, len(found))
     return found
-
-
-# ---- What a plan can never show, known before its first run ----
 
 
 def warnings_of(plan: Plan) -> list[str]:

@@ -176,7 +176,6 @@ def _scene_of(videos: LabelledVideos, file: CampaignFile) -> tuple[Scene, tuple[
 
 
 def _size_problems(keys: CampaignKeys) -> Iterator[str]:
-    """A plan that is too large to be made, with its numbers."""
     count = count_conditions(keys.scenes, keys.vary)
     runs = count * keys.seeds.traffic * keys.seeds.detector * len(keys.trackers)
     if count > MAX_CONDITIONS:
@@ -193,7 +192,6 @@ def _size_problems(keys: CampaignKeys) -> Iterator[str]:
 
 
 def _scene_problems(file: CampaignFile) -> Iterator[str]:
-    """Scenes that are not there, or are given twice."""
     shipped = shipped_scenes()
     for place, scene in enumerate(file.keys.scenes):
         if scene not in shipped and not (file.base / scene).exists():
@@ -258,7 +256,6 @@ def _ends(keys: CampaignKeys) -> Iterator[dict[str, Any]]:
 
 
 def _problems(keys: CampaignKeys) -> Iterator[str]:
-    """Problems of the keys together."""
     labels = [tracker.label for tracker in keys.trackers]
     if twice := sorted({label for label in labels if labels.count(label) > 1}):
         yield f"trackers: two are called '{twice[0]}': give one another name"
@@ -282,7 +279,6 @@ def _problems(keys: CampaignKeys) -> Iterator[str]:
 
 
 def _vary_problems(keys: CampaignKeys) -> Iterator[str]:
-    """Keys that are varied or set twice, or cannot be."""
     found = [key for factor in keys.vary for key in _keys_of(factor)]
     for key in dict.fromkeys(found):
         if found.count(key) > 1:

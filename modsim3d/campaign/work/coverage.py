@@ -23,8 +23,6 @@ from modsim3d.world.encounters import Encounter, encounter, hull_tracks
 from modsim3d.world.floating_vessels import FloatingVessels
 from modsim3d.world.traffic.generate import DrawnTraffic
 
-# ---- The bins by which a campaign says what it covered and what not ----
-
 
 @dataclass(frozen=True)
 class Bins:

@@ -39,8 +39,6 @@ from modsim3d.truth.record import Truth
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
 
-# ---- The tables in which layers are kept on the disk ----
-
 DETECTED = "detected"
 """The only column of a run's truth that depends on the detector; a table of its own in the layer of detections."""
 TRUTH = {"truth": tables.TRUTH.remove(tables.TRUTH.get_field_index(DETECTED))}

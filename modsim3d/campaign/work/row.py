@@ -109,7 +109,6 @@ def row_of(number: int, made: Made, keys: ScoreKeys, lookout: bool = False) -> d
 
 
 def _common(number: int, made: Made) -> dict[str, Any]:
-    """Parts that do not depend on where the tracks are."""
     scene = made.rows.scene
     times_s = scene.times_s(0, scene.steps)
     return {

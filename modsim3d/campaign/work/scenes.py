@@ -27,8 +27,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.scene.settings import choose_detector, state_settings
 from modsim3d.tracking.trackers.registry import NamedTracker, command_tracker, named_tracker
 
-# ---- Checksums of all that decides a layer ----
-
 
 def digest(*parts: Any) -> str:
     """The SHA-256 of values as JSON, in hexadecimal."""
@@ -66,9 +64,6 @@ def versions() -> dict[str, str]:
         raise ModsimError('the scores of a campaign need TrackEval: pip install "modsim3d[trackers]"') from None
 
 
-# ---- The trackers of a campaign ----
-
-
 def tracker_of(keys: TrackerKeys, settings: Mapping[str, Any], scene: str | None, folder: Path) -> NamedTracker:
     """A tracker of the campaign with settings of a condition, for the scene of a name as `named_tracker`; programs are
     started in the folder of the campaign file. Raises InputError if there is no such tracker, or a setting is wrong."""
@@ -78,9 +73,6 @@ def tracker_of(keys: TrackerKeys, settings: Mapping[str, Any], scene: str | None
     return command_tracker(
         keys.command, given, name=keys.label, folder=folder, timeout_s=keys.timeout_s, files=keys.files
     )
-
-
-# ---- The files that a campaign is made of ----
 
 
 def checksums(paths: Iterable[Path], base: Path) -> dict[str, str]:

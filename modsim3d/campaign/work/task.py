@@ -245,13 +245,11 @@ def _is_about(key: str, problem: str, said: str) -> bool:
 
 
 def _option_of(key: str) -> str:
-    """Name of a key in messages."""
     if key in _OPTIONS:
         return _OPTIONS[key]
     return key.removeprefix(f"{TRACKER}.") if layer_of(key) == "tracks" else f"--set {key}"
 
 
 def _in_words(condition: Condition) -> str:
-    """A scene, with the values of its keys."""
     values = ", ".join(f"{key} {shown(value)}" for key, value in condition.values.items())
     return f"{condition.scene} with {values}" if values else condition.scene

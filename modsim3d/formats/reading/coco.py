@@ -226,7 +226,6 @@ _MIN_PX, _FRAME = 1e-6, {"frame_id", "frame_index"}
 
 
 def _is_id(value: Any) -> TypeGuard[ID]:
-    """Whether a value can name something: text or a whole number."""
     return isinstance(value, str) or (isinstance(value, int) and is_number(value))
 
 

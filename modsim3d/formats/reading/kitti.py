@@ -105,7 +105,6 @@ def _lines(path: Path, what: str, least: int, problems: Problems) -> Iterator[tu
 
 
 def _place(row: list[float]) -> list[float]:
-    """Frame, track, left, top, width and height, as MOT has them."""
     left, top, right, bottom = row[6:10]
     return [*row[:2], left, top, right - left, bottom - top]
 

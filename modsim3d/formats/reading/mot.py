@@ -27,8 +27,6 @@ from modsim3d.io.input_files import FRAMES_A_ROW, FREE_FRAMES, MAX_FRAMES, MAX_L
 from modsim3d.io.misreadings import LOST, has_lost_digits, no_commas
 from modsim3d.io.validation import shown
 
-# ---- Numbers from the lines of a text file ----
-
 _LOOKED_AT_LINES = 20
 
 
@@ -376,7 +374,6 @@ def sequence_info(truth: Path, size_px: tuple[float, float] | None, source: str)
 
 
 def _section(path: Path) -> Mapping[str, str]:
-    """The keys of `[Sequence]` in a `seqinfo.ini`."""
     parser = configparser.ConfigParser(interpolation=None)
     try:
         parser.read_string(read_text(path, "sequence"))

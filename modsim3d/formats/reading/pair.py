@@ -99,7 +99,6 @@ _IGNORED = {"COCO": "ignore", "KITTI": "types to be ignored", "MOT": "flag 0"}
 
 
 def _left_out(labelled: LabelledSet, condition: str, kind: str) -> Iterator[str]:
-    """Annotations that are not to be detected, or cannot be, in words."""
     rows = labelled.annotations
     edges_px, boxes_px = labelled.images.sizes_px[rows.image], rows.boxes_px
     outside = ((boxes_px[:, :2] >= edges_px) | (boxes_px[:, 2:] <= 0)).any(axis=1) & ~rows.ignored

@@ -24,8 +24,6 @@ from modsim3d.io.input_files import MAX_IMAGE_BYTES, composed, note_input, read_
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import shown
 
-# ---- Images of a folder and how large they are ----
-
 ENDINGS = frozenset((".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp"))
 _FORMATS = ("BMP", "GIF", "JPEG", "PNG", "TIFF", "WEBP")
 _ORIENTATION, _LYING = 274, (5, 6, 7, 8)  # tag of a photograph on how to rotate it; values that swap width and height

@@ -29,8 +29,6 @@ from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import PixelMasks
 from modsim3d.truth.full_frame import vessel_masks
 
-# ---- The pixels of annotated vessels ----
-
 _BLOCK_FRAMES = 50  # whose solids are in memory at a time
 _MAX_CHARACTERS = 7  # of a number in the encoding, 5 bits each: images have fewer than 2^34 pixels
 
@@ -240,6 +238,5 @@ def coco_results(labelled: LabelledSet) -> list[dict[str, Any]]:
 
 
 def _sides(corners: list[float]) -> list[float]:
-    """Corner, width and height of a box."""
     x_min, y_min, x_max, y_max = corners
     return [x_min, y_min, x_max - x_min, y_max - y_min]

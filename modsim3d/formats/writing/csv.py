@@ -49,14 +49,12 @@ def write(request: ExportRequest, folder: Path) -> None:
 
 
 def _text(columns: Columns) -> bytes:
-    """A table with a line of names; an empty cell for NaN."""
     out = pa.BufferOutputStream()
     csv.write_csv(pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()}), out)
     return bytes(out.getvalue())
 
 
 def _when(scene: Scene, steps: Indices) -> Columns:
-    """The columns that say when."""
     stop = int(steps.max(initial=-1)) + 1
     stamps, times = np.array(scene.timestamps(0, stop), dtype=object), scene.times_s(0, stop)
     return {"step": steps, "timestamp": pa.array(stamps[steps], pa.string()), "time_s": times[steps]}
@@ -142,7 +140,6 @@ def _truth(rows: RunRows, index: int) -> Columns:
 
 
 def _cameras(scene: Scene, cameras: list[Camera]) -> Columns:
-    """One row for each camera: lens, sensor, and where it is mounted."""
     lenses, mounts = [camera.intrinsics for camera in cameras], [camera.mount for camera in cameras]
     coefficients = ("k1", "k2", "p1", "p2", "k3")
     return {

@@ -136,9 +136,6 @@ def _tokens(kind: str, names: Mapping[int, str], source: str) -> dict[int, str]:
     return tokens
 
 
-# ---- Where the frames of a bag are ----
-
-
 @dataclass(frozen=True, eq=False)
 class OwnMotion:
     """A vessel that carries a camera, at S steps."""
@@ -230,9 +227,6 @@ def _cameras_that_add_angles(scene: Scene, names: BagNames) -> list[int]:
     if scene.waves is None or scene.waves.composition != "additive":
         return []
     return [index for index in names.cameras if scene.cameras[index].mount.vessel is not None]
-
-
-# ---- What is in the two bags of a run ----
 
 
 class Stamped(NamedTuple):

@@ -23,8 +23,6 @@ from modsim3d.truth.record import annotation_boxes
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-# ---- The boxes of a camera's frames ----
-
 
 @dataclass(frozen=True, eq=False)
 class FrameBoxes:
@@ -57,7 +55,6 @@ def true_boxes(part: CameraBlock, scene: Scene) -> Iterator[FrameBoxes]:
 
 
 def _rows(starts: np.ndarray) -> Iterator[slice]:
-    """The rows between each start and the next."""
     return map(slice, starts[:-1].tolist(), starts[1:].tolist())
 
 
@@ -66,8 +63,6 @@ def _rows(starts: np.ndarray) -> Iterator[slice]:
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 IMU = "sensor_msgs/msg/Imu"
-
-# ---- Times of steps in ROS's nanoseconds ----
 
 MAX_S = 2**31 - 1  # ROS keeps seconds in 32 bits with a sign, and a bag holds no negative times
 _UNIT, _EXACT = Decimal("1e-9"), Context(prec=40)

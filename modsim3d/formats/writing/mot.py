@@ -162,7 +162,6 @@ def _number(value: float) -> str:
 
 
 def _frame_table(sequences: Sequence[CameraSequence]) -> str:
-    """The step and the time of each frame of each camera."""
     rows = (
         (each.camera.name, frame, step, _number(time_s))
         for each in sequences

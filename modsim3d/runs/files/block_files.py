@@ -30,8 +30,6 @@ from modsim3d.runs.tracker_view import TRACKER_INPUT, tracker_lines
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import COLUMNS, Truth, annotation_boxes, no_truth
 
-# ---- The thesis's JSON ----
-
 JOINED_BYTES = 1 << 17  # bytes of lines that are joined at a time
 
 

@@ -128,9 +128,6 @@ def read_json(path: Path) -> Any:
         return None
 
 
-# ---- The list of a finished run's files ----
-
-
 class ListedFile(TypedDict):
     """Size of a file in bytes, and its SHA-256 as 64 hexadecimal digits."""
 

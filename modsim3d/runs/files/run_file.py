@@ -271,7 +271,6 @@ def frame_lines(heads: Sequence[bytes], tail: bytes, frame: Indices, *columns: C
 
 
 def _joined(rows: slice, before: Sequence[bytes], *columns: Column) -> bytes:
-    """The texts of some rows, each after what stands before it."""
     texts = [column if isinstance(column, bytes) else _texts(column[rows]) for column in (before, *columns)]
     count = len(before[rows])
     pieces = [b""] * (count * len(texts))

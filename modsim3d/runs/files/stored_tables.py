@@ -22,8 +22,6 @@ from modsim3d.runs.files.run_file import FileEntry, check_content
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth
 
-# ---- The truth and detections of a finished run ----
-
 
 def truth_of(table: pa.Table, scene: Scene) -> Truth:
     """The truth in rows of the table `truth` of a run, which does not say what intersects: `intersections` is empty."""

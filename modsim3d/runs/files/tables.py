@@ -200,9 +200,6 @@ class TableWriter:
             raise
 
 
-# ---- Columns of a run's tables as NumPy arrays ----
-
-
 def number_column(table: pa.Table, name: str) -> Array:
     """A column of numbers, NaN for null, shape (n,)."""
     return np.asarray(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)

@@ -114,9 +114,6 @@ def _with_camera(line: bytes, name: bytes, frames: int, attitude: bytes | None) 
     return b'{"camera":%b,"frames_in_step":%d,%b' % (name, frames, on_board) + line[1:]
 
 
-# ---- The pace of a stream in real time ----
-
-
 class Pace:
     """Lets no step leave before its time. `latest` is the step that left latest after its time, None before the
     first, and `late_s` how much later. Every due time is counted from the first step, so that errors do not add up."""

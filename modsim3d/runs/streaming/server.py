@@ -14,8 +14,6 @@ from types import TracebackType
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.streaming.lines import Address
 
-# ---- The lines of a stream that are kept for readers who are slow ----
-
 
 class Backlog:
     """The latest chunks of a stream, counted from the stream's beginning; old ones make room for new ones. `first` is

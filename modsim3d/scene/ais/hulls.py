@@ -11,8 +11,6 @@ from modsim3d.core.arrays import Array
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.scene.ais.messages import Particulars
 
-# ---- Groups of ship types and the typical dimensions of each ----
-
 TABLE = Path(__file__).with_name("ship_types.yaml")
 UNKNOWN = "unknown"
 
@@ -99,7 +97,6 @@ def hulls(particulars: Particulars, mmsi: list[int]) -> dict[int, AisHull]:
 
 
 def _hull(reported: Particulars) -> AisHull:
-    """The hull of one vessel, from its particulars in order of time."""
     groups = [group for text in reported.ship_type if (group := group_of(text)) != UNKNOWN]
     names = [name for name in reported.name if name]
     group = groups[-1] if groups else UNKNOWN

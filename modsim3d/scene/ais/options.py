@@ -78,7 +78,6 @@ class Options:
 
 
 def _plain(label: str) -> str:
-    """A label without case, spaces and signs."""
     return "".join(filter(str.isalnum, label.lower()))
 
 

@@ -24,8 +24,6 @@ from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import shown
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 
-# ---- The column layouts of AIS in CSV ----
-
 TABLE = Path(__file__).with_name("layouts.yaml")
 NEEDED = ("time", "mmsi", "latitude", "longitude")
 MIN_NAMES = 3

@@ -33,8 +33,6 @@ from modsim3d.io.validation import shown
 from modsim3d.scene.ais.messages import Chunk, Particulars, Positions
 from modsim3d.scene.ais.read_csv import open_reports, source_of
 
-# ---- The time beside an AIS sentence, which carries none of its own ----
-
 _UNIX = r"[1-9](?:\d{15}|\d{12}|\d{9}(?:\.\d+)?)"
 _ALONE = re.compile(rf"(?<![\w.:+-])({_UNIX})(?![\w.:])")
 _NAME = r"\b(?:toa|(?:rx)?(?:ux)?time(?:stamp)?)\"?\s*[:=]\s*\"?"
@@ -134,7 +132,6 @@ class _Rows:
     beats: list[float] = field(default_factory=list)
 
     def drop(self, reason: str, line: int, problem: str | None = None) -> None:
-        """Count a message as dropped."""
         self.messages += 1
         self.dropped[reason] += 1
         if problem and len(self.problems) < SHOWN_PROBLEMS:

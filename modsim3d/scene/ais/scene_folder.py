@@ -21,8 +21,6 @@ from modsim3d.scene.ais.options import time_text
 from modsim3d.scene.ais.traffic import AisTraffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
 
-# ---- Counts of what was read, dropped and filled in, for `report.json` and the terminal, and what each ----
-
 EARTH_RADIUS_M = 6.371e6
 NOTICEABLE_M = 5.0
 REASONS = {
@@ -119,7 +117,6 @@ def _vessel(traffic: AisTraffic, vessel: VesselTrack) -> dict[str, Any]:
 
 
 def _some(counts: Counter[str]) -> dict[str, int]:
-    """Counts that are not zero, in alphabetical order."""
     return {name: count for name, count in sorted(counts.items()) if count}
 
 
@@ -145,7 +142,6 @@ def warning(traffic: AisTraffic) -> str | None:
 
 
 def _dropped(traffic: AisTraffic) -> dict[str, int]:
-    """Reason → number of messages dropped."""
     return {name: count for name, count in _some(traffic.dropped).items() if name in REASONS}
 
 
@@ -155,7 +151,6 @@ def _replaced(traffic: AisTraffic) -> dict[str, int]:
 
 
 def _defaults(traffic: AisTraffic) -> dict[str, int]:
-    """Default → number of vessels that it is used for."""
     return _some(Counter(name for vessel in traffic.vessels for name in vessel.hull.defaults))
 
 

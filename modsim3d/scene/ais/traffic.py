@@ -19,8 +19,6 @@ from modsim3d.scene.ais.messages import Positions, blank_unknown, in_order, loca
 from modsim3d.scene.ais.options import Options, time_text
 from modsim3d.scene.ais.vessel_track import TimeGrid, VesselTrack, time_grid, vessel_track
 
-# ---- A place for a camera from ----
-
 CELL_M = 1000.0
 HEIGHT_M = 20.0
 MIN_DISTANCE_M, MAX_DISTANCE_M = 300.0, 2500.0

@@ -14,8 +14,6 @@ from modsim3d.scene.ais.messages import Positions, reachable
 from modsim3d.scene.ais.options import Options, time_text
 from modsim3d.world.poses.base import generated_timestamps
 
-# ---- A vessel's track at the times of a scene ----
-
 TRUST_M, TRUST_SHARE = 15.0, 0.25
 """Two reported velocities are used if their mean times the interval misses the way between the positions by at most
 TRUST_M plus TRUST_SHARE of that way."""

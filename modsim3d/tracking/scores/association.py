@@ -144,7 +144,6 @@ def hota_of(data: Data) -> Hota:
     matched = found["HOTA_TP"] > 0
 
     def mean(name: str, defined: bool) -> float | None:
-        """The mean over the thresholds."""
         return float(np.mean(found[name])) if defined else None
 
     anything, any_match = vessels + boxes > 0, bool(matched.any())

@@ -19,7 +19,6 @@ RANGE_EDGES_M, SIZE_EDGES_PX = (100, 200, 400, 800), (16, 32, 64, 128)
 
 
 def _intervals(edges: Sequence[int]) -> tuple[str, ...]:
-    """Names of the intervals between edges, from 0 on."""
     return (*(f"{low} to {high}" for low, high in pairwise((0, *edges))), f"{edges[-1]} and more")
 
 
@@ -67,7 +66,6 @@ class _Followed:
     association: Array
 
     def bin(self, name: str, chosen: Mask, survival: Survival | None = None) -> Bin:
-        """The chosen rows."""
         found = self.found[chosen]
         association = self.association[chosen][found]
         return Bin(

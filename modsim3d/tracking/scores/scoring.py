@@ -124,7 +124,6 @@ def _subset(scored: Scored, frames: Indices, whole: tuple[Hota, Clear, Identity]
 
 
 def _by_class(scored: Scored) -> Iterator[Scored]:
-    """Vessels and tracks of each label alone, matched with each other."""
     truth, tracks, rules = scored.following.truth, scored.following.tracks, scored.rules
     for label in range(len(scored.rows.scene.detector.labels)):
         ours = truth.take(truth.label == label), tracks.take(tracks.label == label)

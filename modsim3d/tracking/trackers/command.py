@@ -180,9 +180,6 @@ def world_step_of(tracks: Sequence[WorldTrack]) -> WorldTrackedStep:
     )
 
 
-# ---- What a program is told ----
-
-
 def header(scene: Scene, settings: Mapping[str, Any]) -> bytes:
     """The first line: that of a stream, with more of the scene, the settings and the units."""
     facts = facts_of(scene)
@@ -237,16 +234,12 @@ def _known(values: Array) -> list[Any]:
 
 
 def _fields(values: AisReport | Navigation, but: str = "") -> dict[str, Any]:
-    """The fields that are not None."""
     said = {key: value for key, value in vars(values).items() if value is not None and key != but}
     return {key: rounded(value) if isinstance(value, np.ndarray) else value for key, value in said.items()}
 
 
 def _line(content: Mapping[str, Any]) -> bytes:
     return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS) + b"\n"
-
-
-# ---- The exchange ----
 
 
 class Exchange:

@@ -37,12 +37,10 @@ class _Known:
     confidence: Array  # of the last detection
 
     def take(self, chosen: Mask) -> _Known:
-        """The chosen rows."""
         _, *columns = vars(self).values()
         return _Known(self.motion.take(chosen), *(column[chosen] for column in columns))
 
     def joined(self, more: _Known) -> _Known:
-        """These rows and more after them."""
         _, *columns = zip(vars(self).values(), vars(more).values(), strict=True)
         return _Known(self.motion.joined(more.motion), *(np.concatenate(pair) for pair in columns))
 

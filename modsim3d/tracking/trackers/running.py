@@ -48,7 +48,6 @@ class Answers:
         self._refuse(problem, len(facts.labels), np.array(facts.image_size_px))
 
     def _refuse(self, problem: Named, labels: int, image_px: Array) -> None:
-        """Refuse values that cannot be."""
         x_min, y_min, x_max, y_max = self.boxes_px.T
         confidence = self.confidence
         upright = (x_max > x_min) & (y_max > y_min)

@@ -73,7 +73,6 @@ class _Starter(SimpleMeasurementInitiator):  # type: ignore[misc]
     """Starts tracks in order of the detections' rows."""
 
     def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> OrderedSet:
-        """A track from each detection."""
         return OrderedSet(
             track
             for detection in sorted(detections, key=row_of)
@@ -85,7 +84,6 @@ class _Confirming(MultiMeasurementInitiator):  # type: ignore[misc]
     """Confirms tracks in order of the detections' rows."""
 
     def initiate(self, detections: Iterable[Any], timestamp: datetime, **kwargs: Any) -> OrderedSet:
-        """The tracks that are confirmed by these detections."""
         left = OrderedSet(sorted(detections, key=row_of))
         return OrderedSet(sorted(super().initiate(left, timestamp, **kwargs), key=row_of))
 
@@ -94,7 +92,6 @@ class _Lost(UpdateTimeDeleter):  # type: ignore[misc]
     """Deletes the same tracks, without a look at all their states."""
 
     def check_for_deletion(self, track: Any, timestamp: datetime | None = None, **_: Any) -> bool:
-        """Whether the last detection of a track is too old."""
         age: timedelta = (timestamp or track.timestamp) - last_update(track)
         return age > self.time_since_update  # type: ignore[no-any-return]
 

@@ -93,7 +93,6 @@ class _Hypotheses:
         self._log_missed = log(1 - settings.detection_probability * settings.gate_probability)
 
     def hypothesise(self, track: Any, detections: Iterable[Any], timestamp: datetime, **_: Any) -> Any:
-        """Hypotheses of no detection, and of each in the gate."""
         weighted = self._weighted(track, list(detections), timestamp)
         return MultipleHypothesis([self._kind(a, b, self._score(weight), c) for a, b, weight, c in weighted])
 
@@ -130,7 +129,6 @@ class _Starter:
         self._settings = settings
 
     def initiate(self, detections: Iterable[Any], timestamp: datetime, **_: Any) -> OrderedSet:
-        """A track from each detection that may start one."""
         given, tracks = self.measurements, OrderedSet()
         for detection in sorted(detections, key=row_of):
             row = row_of(detection)
@@ -196,7 +194,6 @@ class WorldFilter:
         self._tracker.update_tracker(time, OrderedSet(measurements.detections(time)))
 
     def _sighted(self, frame: WorldFrame) -> _Measurements:
-        """Detections with a bearing."""
         settings, found = self._settings, frame.located
         rows = np.flatnonzero(~np.isnan(found.bearing_rad))
         bearing, inverse = found.bearing_rad[rows], found.inverse_range_per_m[rows]

@@ -61,7 +61,6 @@ def world_steps(rows: RunRows, *, bare: bool = False) -> Iterator[WorldStep]:
 
 
 def _frames(scene: Scene, sequence: CameraSequence, bare: bool) -> Iterator[WorldFrame]:
-    """The frames of one camera, with the detections in the world."""
     steps, found, camera = sequence.steps, sequence.detections, sequence.camera
     sensed = sensed_frames(sequence.times_s, found)
     if bare or not len(steps):
@@ -82,9 +81,6 @@ def _readings(scene: Scene, own: OwnShips, step: int) -> Iterator[Navigation]:
     columns = own.positions_m, own.measured_attitudes_rad, own.measured_rates_rad_s, own.measured_forces_m_s2
     for column, vessel in enumerate(own.vessels.tolist()):
         yield Navigation(scene.vessel_names[vessel], *(each[step, column].copy() for each in columns))
-
-
-# ---- Reports of AIS, as they arrive ----
 
 
 def ais_reports(scene: Scene, steps: int) -> list[AisReport]:

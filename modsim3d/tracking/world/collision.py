@@ -107,7 +107,6 @@ class _Predictions:
     errors: Array  # absolute errors of CPA and TCPA, and that of the CPA of a perfect track, (n, 3)
 
     def errors_of(self, place: float, chosen: Mask) -> tuple[float | int | None, ...]:
-        """Fields of `CpaErrors` of some of the predictions."""
         names, errors = self.encounter[chosen], self.errors[chosen]
         each = [np.median(errors[names == name], axis=0) for name in np.unique(names)]
         return place, len(each), *(np.median(each, axis=0).tolist() if each else [None] * errors.shape[1])

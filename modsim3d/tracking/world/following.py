@@ -201,6 +201,5 @@ def distances_at(truth: WorldTruth, tracks: WorldTracks, step: int, vessels: Ind
 
 
 def _edges(truth: WorldTruth, estimates: TrackEstimates) -> list[tuple[int, int]]:
-    """First of the estimates of each step, and the one after its last."""
     edges = np.searchsorted(estimates.step, np.arange(len(truth.times_s) + 1)).tolist()
     return list(pairwise(edges))

@@ -211,7 +211,6 @@ class _VesselPixels:
 
     @staticmethod
     def part(seen: Ids, tile: Region, region: Region) -> Ids:
-        """The IDs in a region of a tile."""
         return seen[region.y - tile.y :, region.x - tile.x :][: region.height, : region.width]
 
     def compare(self, renderer: IdRenderer, seen: Ids, tile: Region) -> None:
@@ -326,7 +325,6 @@ class _VesselPixels:
         )
 
     def refuse(self, what: str, truth: str, drawn: str) -> NoReturn:
-        """Say what differs."""
         raise Difference(self.vessel, what, truth, drawn, self.masks)
 
 

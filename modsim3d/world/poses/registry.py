@@ -18,8 +18,6 @@ from modsim3d.world.poses.labelled import LABELS, LabelsKeys
 from modsim3d.world.poses.replay import FileKeys, LivePoses, Step, StreamKeys, time_problems
 from modsim3d.world.traffic.generate import TrafficKeys
 
-# ---- Pose sources of plug-ins ----
-
 
 class CheckedPoses:
     """The poses of a plug-in; errors name the plug-in."""

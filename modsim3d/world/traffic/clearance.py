@@ -14,8 +14,6 @@ from modsim3d.geometry.kinematics import union_of
 from modsim3d.world.bodies import Obstacle, solid_footprint
 from modsim3d.world.traffic.tracks import Sweep, Track
 
-# ---- Water between hulls, and between hulls and land, over a whole drive ----
-
 BETWEEN = np.array([-0.375, -0.125, 0.125, 0.375])
 """Times within an interval, around the step, at which hulls that are close are compared."""
 STRIDE = 8  # one step in so many is looked at to find those at which two hulls are near each other

@@ -165,7 +165,6 @@ def _track(
 
 
 def _turned(kind: str, share: float) -> float:
-    """Her course against own ship's."""
     even = 2 * share - 1
     if kind == "head_on":
         return math.pi + HEAD_ON_RAD * even

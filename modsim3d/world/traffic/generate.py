@@ -23,8 +23,6 @@ from modsim3d.world.traffic.paths import VesselPath, Wanderer, corner_radii_m, r
 from modsim3d.world.traffic.tracks import DrawnHull, Sweep, Track, turning_radius_m
 from modsim3d.world.vessels import Vessel, shoebox
 
-# ---- Leisure craft, which wander about in an area for the whole drive ----
-
 TRIES = 40
 GOOD_ENOUGH = 0.3  # crowding with which a craft is taken at once, and not the best of all tries
 HEAD_STARTS_S = (0.0, 20.0, 40.0, 60.0)  # a craft may be along her way, which is longer than the drive, at its start
@@ -90,7 +88,6 @@ def _course(chart: Chart, hull: DrawnHull, wanderer: Wanderer) -> VesselPath | N
 
 
 def _water(chart: Chart, area: LeisureKeys, hull: DrawnHull) -> shapely.Geometry:
-    """Water in which the centre of a hull may be."""
     land = chart.waters.land.below(hull.air_draft_m).buffer(hull.reach_m + chart.keys.clearance_m, quad_segs=4)
     water = shapely.Polygon(area.polygon_m).buffer(-hull.reach_m).difference(land)
     shapely.prepare(water)
@@ -136,7 +133,6 @@ def _tight(name: str, keys: OwnKeys, vessel: Vessel) -> list[str]:
 
 
 def _conflicts(chart: Chart, name: str, track: Track) -> list[str]:
-    """Obstacles, or other vessels of the scene file, that she runs into."""
     waters, problems = chart.waters, []
     sweep, least = Sweep.of([track], waters.times_s, waters.interval_s), f"clearance_m ({waters.clearance_m:g} m)"
     if waters.land.gaps(sweep, waters.interval_s, waters.clearance_m)[0] < waters.clearance_m:
@@ -231,7 +227,6 @@ def _on_land(land: Land, waypoints_m: np.ndarray, width_m: float) -> str:
 
 
 def _draw(chart: Chart) -> Iterator[Craft]:
-    """All drawn vessels, in the order of their right of way."""
     for name, meeting in chart.keys.encounters.items():
         yield from draw_encounter(chart, name, meeting)
     for name, lane in chart.keys.lanes.items():

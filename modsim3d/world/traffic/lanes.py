@@ -14,8 +14,6 @@ from modsim3d.world.traffic.keys import Drawn, LaneKeys, TrafficSections
 from modsim3d.world.traffic.paths import VesselPath, corner_radii_m, length_m, rounded
 from modsim3d.world.traffic.tracks import SPREAD, DrawnHull, Track, draw_hull, draw_one, turning_radius_m
 
-# ---- Vessels of drawn traffic, and what all ways to draw them share ----
-
 
 @dataclass(frozen=True)
 class Approach:
@@ -193,7 +191,6 @@ def _seen_s(track: Track, chart: Chart) -> float:
 
 
 def _seen_changes(chart: Chart, drawn: _Drawn, least_s: float, conflict_s: float | None) -> Iterator[Sequence[Track]]:
-    """The changed tracks that are in the drive for a time."""
     for tracks in _changes(drawn, conflict_s):
         if seen := [track for track in tracks if _seen_s(track, chart) >= least_s]:
             yield seen

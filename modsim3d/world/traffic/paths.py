@@ -215,7 +215,6 @@ class Wanderer:
         return None
 
     def _somewhere(self) -> Array | None:
-        """A place in the water, evenly drawn."""
         if self.water.is_empty:
             return None
         west, south, east, north = self.water.bounds
@@ -231,7 +230,6 @@ def length_m(places: Sequence[ArrayLike]) -> float:
 
 
 def _thinned(places: Array, apart_m: float) -> Array:
-    """Some of the places, at least a distance apart."""
     kept = [places[0]]
     for place in places[1:]:
         if math.hypot(*(place - kept[-1])) >= apart_m:

@@ -19,8 +19,6 @@ from modsim3d.io.validation import Strict
 from modsim3d.world.traffic.paths import VesselPath
 from modsim3d.world.vessels import Extent, MeshName
 
-# ---- Kinds of vessels for drawn traffic ----
-
 TABLE = Path(__file__).with_name("kinds.yaml")
 SPREAD = 0.08  # beam and air draft vary by this share about what the length says
 LATERAL_M_S2 = 1.0  # greatest acceleration across the course: nobody turns a fast boat as tightly as her rudder would

@@ -20,8 +20,6 @@ from modsim3d.formats.writing.export_formats import ExportRequest
 from modsim3d.io.atomic_write import write_files
 from modsim3d.scene.scene import Scene
 
-# ---- AIS reports as NMEA sentences, through pyais ----
-
 EPOCH_S = 1_577_836_800  # Unix time of a scene's first step: 2020-01-01T00:00:00Z, the beginning of a minute
 NO_SPEED, NO_COURSE, NO_HEADING, NO_TURN = 102.3, 360.0, 511, -128.0
 FASTEST_KN = 102.2

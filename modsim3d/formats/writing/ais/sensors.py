@@ -21,8 +21,6 @@ from modsim3d.scene.ais.messages import places, wrapped_deg
 from modsim3d.scene.scene import Scene
 from modsim3d.world.vessels import Vessel
 
-# ---- Which vessels carry AIS, of which class, and under which number and name ----
-
 TABLE = Path(__file__).with_name("carriage.yaml")
 MIN_LENGTH_M = 5.0  # shorter craft carry no AIS unless the scene says so
 MADE_UP_MMSI = 799_000_000  # 799 is nobody's: country codes go from 201 to 775 (ITU, maritime identification digits)
