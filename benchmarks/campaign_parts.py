@@ -32,13 +32,14 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.running import TASK_S, run_plan
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layers import Made, TruthLayer, detected, tracks_of
+from modsim3d.campaign.work.layers import Made, TruthLayer, detected
 from modsim3d.campaign.work.row import row_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, TaskReport, Work, store
 from modsim3d.runs.pipeline import open_renderer, step_ranges, truth_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.trackers.registry import named_tracker
+from modsim3d.tracking.trackers.running import run_tracker
 
 LAYERS = ("scene", "truth", "detections", "tracks", "scores")
 TASKS_OF_CORE = 40
@@ -99,7 +100,7 @@ def layer_costs(file: Path, seeds: int) -> tuple[dict[str, LayerCost], int]:
                 for each in several:
                     with timed("tracks", each):
                         tracker = named_tracker(each.tracker.tracker, each.tracker.settings, scene.name)
-                        tracks = tracks_of(rows, tracker)
+                        tracks = run_tracker(tracker, rows).tracks
                     with timed("scores", each):
                         row_of(each.number, Made(rows, tracks, "", "", ""), rules)
     costs = {name: LayerCost(statistics.median(found), len(found)) for name, found in times.items()}

@@ -21,7 +21,7 @@ import numpy as np
 
 from modsim3d import run_campaign
 from modsim3d.campaign.folder import opened_campaign
-from modsim3d.campaign.report.lookout import lookout_sections
+from modsim3d.campaign.report.campaign_page import lookout_sections
 from modsim3d.campaign.verdicts.bounds import mean_share_low
 from modsim3d.core.arrays import Array
 from modsim3d.core.document import Table

@@ -29,12 +29,7 @@ from benchmarks.resampled_means import (
     summary,
     summary_of_differences,
 )
-from modsim3d.campaign.verdicts.bounds import (
-    clean_seeds_needed,
-    clean_seeds_needed_sequential,
-    log_capital,
-    mixture_log_capital,
-)
+from modsim3d.campaign.verdicts.bounds import clean_seeds, clean_seeds_sequential, log_capital, mixture_log_capital
 from modsim3d.campaign.verdicts.wording import DIFFERENCE, HIGH, LOW, OFFERS
 from modsim3d.core.statistics import exact_bounds, t_bounds
 
@@ -130,7 +125,7 @@ def looked_once(rng: np.random.Generator, campaigns: int) -> list[dict[str, Any]
 
 def looked_twice(rng: np.random.Generator, campaigns: int) -> dict[str, float]:
     """The exact bound of 99 %, looked at after 299 seeds and, if it is not met, after 473."""
-    small, large = (clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1))
+    small, large = (clean_seeds(0.99, 0.95, failures) for failures in (0, 1))
     wrong = rng.random((campaigns, large)) >= 0.99
     met = (wrong[:, :small].sum(axis=1) == 0) | (wrong.sum(axis=1) <= 1)
     clean = 0.99**small
@@ -375,8 +370,8 @@ def text(found: dict[str, Any]) -> str:
         power_shares=power_table(found["power, shares"], "share"),
         threshold=THRESHOLD,
         power_means=power_table(found["power, means"], "threshold"),
-        clean=clean_seeds_needed(0.99, 0.95),
-        clean_sequential=clean_seeds_needed_sequential(0.99, 0.95),
+        clean=clean_seeds(0.99, 0.95),
+        clean_sequential=clean_seeds_sequential(0.99, 0.95),
     )
 
 

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from modsim3d.campaign.folder import FORMAT, RESULTS, TOOK, TOOK_VERDICTS, VERDICTS, CampaignFolder, results_folder
 from modsim3d.campaign.keys import MAX_SEEDS, TIMES, Requirement, Seeds
-from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, text_of, value_of
+from modsim3d.campaign.plan import SCENE, Case, Plan, PlannedRun, cases_of, labels_of, value_column, value_of
 from modsim3d.campaign.verdicts import bounds, wording
 from modsim3d.campaign.verdicts.seed_values import SeedRows
 from modsim3d.campaign.verdicts.verdict import Verdict, repeatable
@@ -99,9 +99,9 @@ def plan_columns(plan: Plan) -> list[str]:
 def with_plan(table: pa.Table, plan: Plan) -> pa.Table:
     """The table with what the plan says of each run after its number."""
     runs = plan.runs(table["run"].to_pylist())
-    named = [name for name in plan.parameters if name != "scene"]
-    values = {name: [run.condition.values.get(name) for run in runs] for name in named}
-    return with_columns(table, runs, {name: _values(column, plan, name) for name, column in values.items()})
+    values = {name: [run.condition.values.get(name) for run in runs] for name in plan.parameters if name != "scene"}
+    more = {name: value_column(column, _possible(plan, name)) for name, column in values.items()}
+    return with_columns(table, runs, more)
 
 
 def with_columns(table: pa.Table, runs: Sequence[PlannedRun], more: Mapping[str, pa.Array]) -> pa.Table:
@@ -116,13 +116,6 @@ def with_columns(table: pa.Table, runs: Sequence[PlannedRun], more: Mapping[str,
     }
     scores = {name: table[name] for name in table.column_names if name != "run"}
     return pa.table({"run": table["run"], **columns, **scores})
-
-
-def _values(values: Sequence[Any], plan: Plan, name: str) -> pa.Array:
-    """A column of values of a key: numbers if all that the plan may have are numbers, else text."""
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in _possible(plan, name)):
-        return pa.array([None if value is None else float(value) for value in values], pa.float64())
-    return pa.array([None if value is None else text_of(value) for value in values], pa.string())
 
 
 def _possible(plan: Plan, name: str) -> Iterator[Any]:
@@ -260,17 +253,13 @@ def needed_seeds(plan: Plan, expected: Mapping[str, Expected], like: CampaignFol
             known = expected.get(requirement.what)
             if known is None and like is not None and rows is not None:
                 known = _seen(plan, case, requirement, like.plan, rows)
-            label = " − ".join(_labels(plan, case))
+            label = " − ".join(labels_of(plan, case))
             empty = NeededSeeds(place, wording.requirement_text(requirement, case.within), label, case.condition)
             each.append(_with_seeds(empty, plan, requirement, case, known if requirement.share is None else None))
         if len(each) > 1 and len({(one.seeds, one.why) for one in each}) == 1:
             each = [replace(each[0], tracker=None, condition=None)]
         found += each
     return found
-
-
-def _labels(plan: Plan, case: Case) -> list[str]:
-    return [plan.keys.trackers[each].label for each in (case.tracker, case.minus) if each is not None]
 
 
 def _with_seeds(
@@ -283,9 +272,9 @@ def _with_seeds(
     if requirement.known_at_m is not None:
         return replace(empty, why="unknown: it rests on approaches, and seeds differ in their number")
     if share is not None and not once:
-        return replace(empty, seeds=bounds.clean_seeds_needed_sequential(share, sure), why="if all are right")
+        return replace(empty, seeds=bounds.clean_seeds_sequential(share, sure), why="if all are right")
     if share is not None:
-        clean, more = (bounds.clean_seeds_needed(share, sure, wrong) for wrong in (0, 1))
+        clean, more = (bounds.clean_seeds(share, sure, wrong) for wrong in (0, 1))
         return replace(empty, seeds=clean, why=f"if all are right; {more:,} if one is not")
     least = int(wording.offered_from(requirement, case.group)) if once else 1
     if expected is None:
@@ -309,9 +298,9 @@ def _seen(plan: Plan, case: Case, requirement: Requirement, like: Plan, rows: Se
     labels, condition = [each.label for each in like.keys.trackers], plan.conditions[case.condition]
     wanted = condition.values, value_of(condition, SCENE)
     same = [place for place, each in enumerate(like.conditions) if (each.values, value_of(each, SCENE)) == wanted]
-    if not same or not set(_labels(plan, case)) <= set(labels):
+    if not same or not set(labels_of(plan, case)) <= set(labels):
         return None
-    tracker, *minus = (labels.index(each) for each in _labels(plan, case))
+    tracker, *minus = (labels.index(each) for each in labels_of(plan, case))
     runs = rows.runs_of(Case(tracker, same[0], case.part, *minus), requirement.score, requirement.resting_on)
     means = runs.means(math.nan)
     means = means[np.isfinite(means)]

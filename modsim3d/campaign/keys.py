@@ -1,19 +1,12 @@
 """The keys of a campaign file."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    Field,
-    SerializerFunctionWrapHandler,
-    ValidationError,
-    model_serializer,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, ValidationError, model_serializer, model_validator
 
 from modsim3d.core.errors import InputError
 from modsim3d.core.paths import StrPath, as_path
@@ -152,7 +145,7 @@ class TrackerKeys(Strict):
         return self
 
     @model_serializer(mode="wrap")
-    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _as_given(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """Without the keys of the other kind, so that plans are as they were before there were programs."""
         left_out = ("command", "timeout_s", "files") if self.command is None else ("tracker",)
         return {key: value for key, value in handler(self).items() if key not in left_out}
@@ -187,7 +180,7 @@ class ScoreKeys(Strict):
     in_world: WorldScoreKeys | None = None
 
     @model_serializer(mode="wrap")
-    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _as_given(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """Without usual rules in the world, so that plans are as before there were any."""
         return {key: value for key, value in handler(self).items() if key != "in_world" or value is not None}
 
@@ -254,7 +247,7 @@ class Requirement(Strict):
         return {"score": KNOWN, **kept, "kind": value.get("of") or {}, "in": value.get("share", value.get("in"))}
 
     @model_serializer(mode="wrap")
-    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _as_given(self, handler: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """Without the keys of a lookout requirement if it is none, so that plans are as before there were any."""
         left_out = () if self.kind else ("known_at_m", "kind", "one_track")
         return {key: value for key, value in handler(self).items() if key not in left_out}

@@ -141,12 +141,11 @@ def score_name(column: str) -> str:
 def mean_table(
     rows: Sequence[MeanRow],
     title: str = "mean scores [95 % interval over traffic seeds]",
-    most: int | None = None,
     where: Where = Where.TEXT,
     names: Callable[[str], str] = str,
 ) -> Table:
-    """Table with a row for each tracker and values of the keys, at most `most`, None: all; runs that crashed stand out.
-    Only the places `where` show it; `names` tells what columns of scores are called."""
+    """Table with a row for each tracker and values of the keys; runs that crashed stand out. Only the places `where`
+    show it; `names` tells what columns of scores are called."""
     if not rows:
         return Table(title, (), ())
     keys, scores = [key for key in rows[0].values if key != TRACKER], list(rows[0].means)
@@ -161,7 +160,7 @@ def mean_table(
             *([f"{row.crashed:,}"] if crashed else []),
             *(_mean_text(row.means[score], most_seeds) for score in scores),
         ]
-        for row in rows[:most]
+        for row in rows
     ]
     return Table(title, header, cells, {place for place, row in enumerate(rows) if row.crashed}, where=where)
 

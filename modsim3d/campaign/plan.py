@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import orjson
+import pyarrow as pa
 
 from modsim3d.campaign.keys import MAX_DETECTOR_SEEDS, MAX_SEEDS, CampaignKeys, Factor, Range, Requirement, TrackerKeys
 from modsim3d.core.arrays import Array
@@ -222,10 +223,8 @@ class Plan:
             rest, tracker = divmod(number, len(keys.trackers))
             rest, look = divmod(rest, keys.seeds.detector)
             seed_index, place = divmod(rest, len(self.conditions))
-            condition, traffic = (
-                self.conditions[place].with_values(drawn(seed_index)),
-                traffic_seed(keys.seed, seed_index),
-            )
+            condition = self.conditions[place].with_values(drawn(seed_index))
+            traffic = traffic_seed(keys.seed, seed_index)
             seeds = traffic, detector_seed(traffic, look)
             found.append(PlannedRun(number, seed_index, place, condition, *seeds, keys.trackers[tracker]))
         return found
@@ -263,6 +262,11 @@ class Case:
     def within(self) -> str:
         """The part of the runs in words, such as ` in state haze`; empty if all of them count."""
         return f" in {self.part.group} {self.part.name}" if self.part else ""
+
+
+def labels_of(plan: Plan, case: Case) -> list[str]:
+    """Names in tables of the tracker of a case, and of the one whose score is taken off."""
+    return [plan.keys.trackers[each].label for each in (case.tracker, case.minus) if each is not None]
 
 
 def cases_of(plan: Plan, requirement: Requirement) -> list[Case]:
@@ -316,7 +320,19 @@ def value_text(value: Any) -> str:
     """A value of a key; numbers without zeros at their end, and a dash for none."""
     if value is None:
         return UNKNOWN
-    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else text_of(value)
+    return f"{value:g}" if are_numbers([value]) else text_of(value)
+
+
+def are_numbers(values: Iterable[Any]) -> bool:
+    """Whether all values of a key are numbers, which truth values are not."""
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+
+
+def value_column(values: Sequence[Any], possible: Iterable[Any]) -> pa.Array:
+    """A column of values of a key: numbers if all that are possible are numbers, else text."""
+    if are_numbers(possible):
+        return pa.array([None if value is None else float(value) for value in values], pa.float64())
+    return pa.array([None if value is None else text_of(value) for value in values], pa.string())
 
 
 def values_text(values: Mapping[str, Any], keys: Iterable[str] | None = None) -> str:

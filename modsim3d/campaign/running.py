@@ -203,9 +203,8 @@ def _split(task: Task, death: Death) -> tuple[Task, list[Task]]:
     runs, numbers = task.runs, [run.number for run in task.runs]
     begin = len(runs) // 2 if death.run is None else numbers.index(death.run)
     end = begin + (death.run is not None or len(runs) == 1)
-    return replace(task, runs=runs[begin:end]), [
-        replace(task, runs=part) for part in (runs[end:], runs[:begin]) if part
-    ]
+    others = [replace(task, runs=part) for part in (runs[end:], runs[:begin]) if part]
+    return replace(task, runs=runs[begin:end]), others
 
 
 def read_back(task: Task, read: Callable[[], T | None]) -> T:

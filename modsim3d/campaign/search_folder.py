@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 from modsim3d.campaign.done_rows import with_columns, write_rows
 from modsim3d.campaign.folder import SEARCH, CampaignFolder, opened_campaign, results_folder
 from modsim3d.campaign.keys import Range, SearchKeys
-from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, text_of, traffic_seed
+from modsim3d.campaign.plan import Plan, PlannedRun, detector_seed, traffic_seed, value_column
 from modsim3d.campaign.running import DIED
 from modsim3d.campaign.work.row import CRASHED, DONE, table_of
 from modsim3d.campaign.work.scenes import Scenes, digest, tracker_of
@@ -206,19 +206,15 @@ def store_batch(folder: CampaignFolder, batch: int, points: Sequence[Point]) -> 
 def done_row(task: Task) -> dict[str, Any] | None:
     """The row of a task of one run; None if it is not done, or its file is damaged."""
     table = read_rows(task.path)
-    if table is None:
-        return None
-    row: dict[str, Any] = table.to_pylist()[0]
-    return row
+    return None if table is None else table.to_pylist()[0]
 
 
 def trials_table(runs: Sequence[PlannedRun], rows: Sequence[Mapping[str, Any]], search: SearchKeys) -> pa.Table:
     """Table of trials: `status` is `done`, `crashed` or `refused`; `values` holds the keys that were searched."""
     values = [{key: run.condition.values[key] for key in search.over} for run in runs]
     columns = {key: _column([each[key] for each in values], found) for key, found in search.over.items()}
-    return with_columns(
-        table_of(rows), runs, {**columns, VALUES: pa.array([orjson.dumps(each).decode() for each in values])}
-    )
+    columns[VALUES] = pa.array([orjson.dumps(each).decode() for each in values])
+    return with_columns(table_of(rows), runs, columns)
 
 
 def write_trials(folder: CampaignFolder, table: pa.Table) -> None:
@@ -302,6 +298,4 @@ def _no_trial(folder: CampaignFolder, number: int, count: int) -> str:
 def _column(values: Sequence[Any], each: Range) -> pa.Array:
     if each.choices is None:
         return pa.array(values, pa.int64() if each.whole else pa.float64())
-    if all(isinstance(choice, int | float) and not isinstance(choice, bool) for choice in each.choices):
-        return pa.array([float(value) for value in values], pa.float64())
-    return pa.array([None if value is None else text_of(value) for value in values], pa.string())
+    return value_column(values, each.choices)

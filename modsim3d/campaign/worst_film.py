@@ -39,9 +39,9 @@ LAYERS = ("horizon", "silhouettes", "truth", "missed", "tracks", "labels")  # wh
 MAX_SWITCHES = 2  # so many identity switches are told in full
 
 
-def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None, name: str = "") -> Image:
+def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | None = None) -> Image:
     """True boxes and tracks of a run, see `remade`, at a moment, see `WorstRun`, in the camera with most mistakes. The
-    width is even; `rules` scored the tracks, the usual ones if None, and `name` is what the tracker is called."""
+    width is even; `rules` scored the tracks, the usual ones if None."""
     from modsim3d.view.films.plan import FilmPlan, part_around
     from modsim3d.view.films.renderer import open_film_renderer
     from modsim3d.view.followed_tracks import FollowedTracks
@@ -67,12 +67,11 @@ def moment_picture(made: Made, moment_s: float, width_px: int, rules: Rules | No
         shaded,
         rows.steps,
         mistakes=NOTHING_WRONG,
-        tracks=FollowedTracks.of(TrackSet(name or "the tracker", made.tracks, None), rows, rules.similarity),
+        tracks=FollowedTracks.of(TrackSet("the tracker", made.tracks, None), rows, rules.similarity),
         note=in_words(here, rows.scene.vessel_names),
     )
-    shown = StepFrames(
-        step, rows.scene.timestamps(step, step + 1)[0], (_as_followed(frame_of(rows, number), here, rows),)
-    )
+    frame = _as_followed(frame_of(rows, number), here, rows)
+    shown = StepFrames(step, rows.scene.timestamps(step, step + 1)[0], (frame,))
     with open_film_renderer(rows.scene, plan) as renderer:
         return renderer.draw(shown)
 
@@ -81,17 +80,14 @@ def in_words(mistakes: Mistakes, names: Sequence[str]) -> str:
     """Mistakes in a frame in words, with names of vessels; a switch, which no picture shows, is said in full."""
     lost, false = (int(np.count_nonzero(mistakes.kind == kind)) for kind in (LOST, FALSE))
     switches = np.flatnonzero(mistakes.kind == SWITCHED)
+    vessel, before, after = mistakes.vessel, mistakes.before, mistakes.after
     found = (
         f"{counted(lost, 'vessel')} missed" if lost else "",
         f"{counted(false, 'track')} on nothing" if false else "",
-        *(_switch(mistakes, row, names) for row in switches[:MAX_SWITCHES].tolist()),
+        *(f"switch of {names[vessel[row]]} from #{before[row]} to #{after[row]}" for row in switches[:MAX_SWITCHES]),
         f"and {len(switches) - MAX_SWITCHES} more" if len(switches) > MAX_SWITCHES else "",
     )
     return ", ".join(part for part in found if part)
-
-
-def _switch(mistakes: Mistakes, row: int, names: Sequence[str]) -> str:
-    return f"switch of {names[mistakes.vessel[row]]} from #{mistakes.before[row]} to #{mistakes.after[row]}"
 
 
 def _as_followed(frame: Frame, mistakes: Mistakes, rows: RunRows) -> Frame:

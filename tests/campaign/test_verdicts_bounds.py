@@ -24,14 +24,14 @@ def test_exact_bounds_are_where_the_binomial_tails_have_the_level(seeds, data, a
 
 @given(st.floats(0.5, 0.999), st.floats(0.5, 0.99), st.integers(0, 3))
 def test_the_needed_seeds_are_the_fewest_whose_exact_bound_reaches_the_share(share, confidence, failures):
-    needed = bounds.clean_seeds_needed(share, confidence, failures)
+    needed = bounds.clean_seeds(share, confidence, failures)
     assert exact_bounds(needed - failures, needed, 1 - confidence)[0] >= share - 1e-12
     if needed - 1 > failures:
         assert exact_bounds(needed - 1 - failures, needed - 1, 1 - confidence)[0] < share + 1e-12
 
 
 def test_one_seed_shows_little_and_none_shows_nothing():
-    assert (bounds.clean_seeds_needed(0.01, 0.5), bounds.clean_seeds_needed(0.01, 0.5, 1)) == (1, 2)
+    assert (bounds.clean_seeds(0.01, 0.5), bounds.clean_seeds(0.01, 0.5, 1)) == (1, 2)
     assert bounds.mixture_bounds(np.zeros(0, dtype=bool), ALPHA) == (0.0, 1.0)
     assert bounds.betting_bounds(np.zeros(0), ALPHA) == (0.0, 1.0)
 
@@ -82,9 +82,9 @@ def test_a_hundred_thousand_seeds_all_alike_give_finite_bounds(stop, clean):
 
 
 def test_a_mean_close_to_its_greatest_value_needs_as_many_seeds_as_it_says_and_ten_thousand_alike_have_finite_bounds():
-    needed = bounds.perfect_seeds_needed(0.99, 0.95)
+    needed = bounds.perfect_seeds(0.99, 0.95)
     enough, fewer = (bounds.betting_bounds(np.ones(count), ALPHA)[0] for count in (needed, needed - 1))
-    assert enough >= 0.99 > fewer and math.isinf(bounds.perfect_seeds_needed(1.0, 0.95))
+    assert enough >= 0.99 > fewer and math.isinf(bounds.perfect_seeds(1.0, 0.95))
     for value in (0.0, 0.5, 1.0):
         low, high = bounds.betting_bounds(np.full(10_000, value), ALPHA)
         assert low <= value <= high and high - low < 0.05
@@ -154,8 +154,8 @@ def test_a_sequence_of_a_share_errs_at_most_five_percent_however_often_it_is_loo
 
 
 def test_99_percent_need_299_clean_seeds_or_473_with_one_failure_and_looking_at_both_errs_more_than_five_percent():
-    assert [bounds.clean_seeds_needed(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
-    assert bounds.clean_seeds_needed_sequential(0.99, 0.95) == 680
+    assert [bounds.clean_seeds(0.99, 0.95, failures) for failures in (0, 1)] == [299, 473]
+    assert bounds.clean_seeds_sequential(0.99, 0.95) == 680
     right = np.random.default_rng(2).random((20_000, 473)) < 0.99
     met = [(~right[:, :size]).sum(axis=1) <= failures for size, failures in ((299, 0), (473, 1))]
     once, twice = met[0].mean(), (met[0] | met[1]).mean()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from modsim3d.campaign.done_rows import needed_seeds
-from modsim3d.campaign.verdicts.bounds import clean_seeds_needed
+from modsim3d.campaign.verdicts.bounds import clean_seeds
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.verdicts.wording import levels_of, warnings_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
@@ -24,14 +24,14 @@ def verdicts_of(wrong, seeds, confidence=0.95, stop="once", level="family"):
 
 def test_a_verdict_alone_is_judged_at_its_own_level_and_two_at_half_of_it():
     assert [each.outcome for each in verdicts_of([0], 29)] == ["met"]
-    both = clean_seeds_needed(0.9, 0.975)
+    both = clean_seeds(0.9, 0.975)
     for fewer, level, outcome in ((1, "family", "undecided"), (0, "family", "met"), (1, "each", "met")):
         assert [each.outcome for each in verdicts_of([0, 0], both - fewer, level=level)] == [outcome] * 2
 
 
 def test_what_is_met_leaves_the_rest_of_the_level_to_the_others():
     """With 46 seeds, one wrong of them is shown with 95 % and not with 97.5 %; none wrong with both."""
-    assert clean_seeds_needed(0.9, 0.95, 1) == 46 < clean_seeds_needed(0.9, 0.975, 1)
+    assert clean_seeds(0.9, 0.95, 1) == 46 < clean_seeds(0.9, 0.975, 1)
     first, second = verdicts_of([0, 1], 46)
     assert (first.outcome, first.confidence) == ("met", 0.975)
     assert (second.outcome, second.confidence) == ("met", pytest.approx(0.95))
@@ -69,10 +69,10 @@ def test_a_mean_beyond_the_confidences_that_were_measured_is_undecided_and_says_
 
 
 def test_a_plan_is_warned_of_at_the_levels_that_the_family_can_reach_and_levels_say_whose_they_are():
-    seeds = clean_seeds_needed(0.9, 0.975)
+    seeds = clean_seeds(0.9, 0.975)
     assert warnings_of(plan_of(seeds, [CLEAN] * 2, level="family")) == []
     assert len(warnings_of(plan_of(seeds - 1, [CLEAN] * 2, level="family"))) == 2
-    assert clean_seeds_needed(0.92, 0.95) == seeds < clean_seeds_needed(0.92, 0.975)  # if the other is met first
+    assert clean_seeds(0.92, 0.95) == seeds < clean_seeds(0.92, 0.975)  # if the other is met first
     assert warnings_of(plan_of(seeds, [CLEAN, {**CLEAN, "in": 0.92}], level="family")) == []
     (first, _) = needed_seeds(plan_of(5, [CLEAN] * 2, level="family"), {}, None)
     assert first.seeds == seeds

@@ -1,5 +1,6 @@
 """Requirements against tables written by hand: what is met, failed or undecided, and why."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -7,10 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from modsim3d.campaign.verdicts.bounds import perfect_seeds_needed, skewed_bounds
+from modsim3d.campaign.verdicts.bounds import perfect_seeds, skewed_bounds
 from modsim3d.campaign.verdicts.seed_values import Runs, paired
 from modsim3d.campaign.verdicts.verdict import judged
-from modsim3d.campaign.verdicts.wording import levels_of, rounded, rounded_down, rounded_up, seeds_needed, warnings_of
+from modsim3d.campaign.verdicts.wording import levels_of, rounded, seeds_needed, warnings_of
 from tests.campaign.hand_made_tables import plan_of, table_of_runs, table_of_scores
 
 CLEAN = {"score": "id_switches", "at_most": 0, "in": 0.99}
@@ -195,7 +196,7 @@ def test_what_a_plan_can_never_meet_is_said_before_it_starts_and_of_the_side_tha
         assert f"no number of runs shows that a mean is the {end} possible value" in warned(20, {side: best})
         assert f"the {bound} bound of a mean of hota needs" in warned(1, {side: 0.5})
     for requirement, share in (({"at_least": 0.9}, 0.9), ({"at_most": 0.1}, 0.9), ({"at_most": 0.6}, 0.4)):
-        needed = int(perfect_seeds_needed(share, 0.95))
+        needed = int(perfect_seeds(share, 0.95))
         said = f"it needs {needed} traffic seeds even if every score is perfect, and has {needed - 1}"
         assert said in warned(needed - 1, requirement, **SEQUENTIAL)
         assert warned(needed, requirement, **SEQUENTIAL) == ""
@@ -214,7 +215,7 @@ def test_numbers_have_four_digits_and_bounds_are_rounded_away_from_what_they_bou
         (0.0, "0", "0", "0"),
         (np.inf, "∞", "∞", "∞"),
     ):
-        assert (rounded_down(value), rounded(value), rounded_up(value)) == (down, near, up)
+        assert (rounded(value, math.floor), rounded(value), rounded(value, math.ceil)) == (down, near, up)
 
 
 def test_seeds_in_which_nothing_went_wrong_fail_nothing_and_one_with_a_run_of_nothing_is_wrong():

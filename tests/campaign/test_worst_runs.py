@@ -49,12 +49,12 @@ def crash(*_: object) -> None:
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> CampaignResult:
     with pytest.MonkeyPatch.context() as patch:
-        made, calls = layers.tracks_of, count()
+        made, calls = layers.run_tracker, count()
 
-        def tracks_of(*arguments: Any) -> object:
+        def run_tracker(*arguments: Any) -> object:
             return crash() if next(calls) == CRASHES else made(*arguments)
 
-        patch.setattr(layers, "tracks_of", tracks_of)
+        patch.setattr(layers, "run_tracker", run_tracker)
         result = run_campaign_file(tmp_path_factory.mktemp("worst"), **CAMPAIGN)
     assert result.table["status"].to_pylist().count("crashed") == 1
     return result

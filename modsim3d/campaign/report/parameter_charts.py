@@ -13,8 +13,9 @@ import pyarrow as pa
 
 from modsim3d.campaign.keys import Range
 from modsim3d.campaign.means import LEVEL
-from modsim3d.campaign.plan import Plan, text_of, value_of
+from modsim3d.campaign.plan import Plan, are_numbers, text_of, value_of
 from modsim3d.campaign.report.words import Score, axis_of, required_scores
+from modsim3d.campaign.verdicts.seed_values import mean_of
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.document import Beside, Block, Cell, Figure, Heading, Row, Table, Text
 from modsim3d.core.statistics import half_widths
@@ -49,15 +50,6 @@ def seed_cells(plan: Plan, table: pa.Table, column: str) -> Array:
     if column in table.column_names and len(runs):
         values[runs] = table[column].cast(pa.float64()).to_numpy()
     return mean_of(values.reshape(count, len(plan.conditions), seeds, trackers), 2)
-
-
-def mean_of(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """The mean over axes of what is no NaN; NaN where there is nothing."""
-    known = ~np.isnan(values)
-    count = known.sum(axis=axis)
-    total = np.where(known, values, 0.0).sum(axis=axis)
-    found: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-    return found
 
 
 def over_seeds(values: Array) -> MeanGrid:
@@ -132,8 +124,7 @@ def parameters_of(plan: Plan, table: pa.Table) -> list[VariedKey]:
 def _parameter(key: str, values: Sequence[Sequence[Any]], span: Range | None, repeat: int = 1) -> VariedKey:
     """A parameter of its values, a row for each seed; one row that holds for all is repeated."""
     flat = [value for row in values for value in row if value is not None]
-    numeric = all(isinstance(value, int | float) and not isinstance(value, bool) for value in flat)
-    if not (numeric and flat):
+    if not (flat and are_numbers(flat)):
         names = list(dict.fromkeys(map(text_of, flat)))
         places = {name: place for place, name in enumerate(names)}
         rows = [[-1 if value is None else places[text_of(value)] for value in row] for row in values]

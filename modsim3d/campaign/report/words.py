@@ -195,8 +195,7 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
     required = plan.keys.require
     ordered = sorted(range(len(required)), key=lambda each: ORDER.index(outcome_of(by_requirement[each])))
     for place in sorted(ordered, key=lambda each: required[each].of_time):  # those on what runs took stand apart
-        found = by_requirement[place]
-        requirement = plan.keys.require[place]
+        found, requirement = by_requirement[place], required[place]
         given = {key: value if isinstance(value, list) else [value] for key, value in requirement.where.items()}
         about = [f"{key} {' or '.join(map(value_text, values))}" for key, values in given.items()]
         text = ", ".join([requirement_text(requirement), *about])
@@ -207,7 +206,7 @@ def requirement_sections(plan: Plan, verdicts: Sequence[Verdict]) -> Iterator[Bl
         elif len(found) > 1:
             said += " in both cases" if len(found) == 2 else f" in all {len(found):,} cases"
         yield Heading(f"{place + 1}. {text}: {said}", 3, bad=count["failed"] > 0)
-        yield from _table(plan, plan.keys.require[place], found)
+        yield from _table(plan, requirement, found)
 
 
 def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> Iterator[Block]:
@@ -216,7 +215,7 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
     of_mean = requirement.share is None
     limit = requirement.threshold if requirement.share is None else requirement.share
     least = not of_mean or requirement.at_least is not None  # the interval must lie above the limit
-    span = span_of([limit, *(_or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
+    span = span_of([limit, *(or_nan(value) for each in shown for value in (each.estimate, each.low, each.high))])
     span = span if of_mean else (max(0.0, span[0]), min(1.0, span[1]))
     keys, groups = varying(plan), groups_of(plan, requirement)
     levels = ", ".join(dict.fromkeys(percent(each.confidence) for each in shown)) or percent(requirement.confidence)
@@ -226,7 +225,22 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
     side = f"at {'least' if least else 'most'} {three_digits(limit)}"
     axis = f"{three_digits(span[0])} to {three_digits(span[1])}; shaded: {side}"
     header = ("tracker", *key_columns(keys), *groups, "outcome", interval, axis, *OFTEN_EMPTY, "seeds")
-    rows = [_row(each, plan, keys, groups, limit, least, span) for each in shown]
+
+    def row(each: Verdict) -> Row:
+        ends = ChartInterval(or_nan(each.estimate), or_nan(each.low), or_nan(each.high))
+        said = three_digits_with_interval(each.estimate, ends.low, ends.high)
+        label = f"{said} against {three_digits(limit)}"
+        return (
+            each.tracker,
+            *condition_cells(plan, each.condition, keys),
+            *(str(each.values[group]) for group in groups),
+            SIGNS[each.outcome],
+            said,
+            Cell("", draw=partial(strip, ends, limit, least, span, label)),
+            *(f"{count:,}" for count in (each.crashed, each.nothing, each.undefined, each.seeds)),
+        )
+
+    rows = [row(each) for each in shown]
     kept, names = without_empty(rows, header, OFTEN_EMPTY)
     bad = {place for place, each in enumerate(shown) if each.outcome == "failed"}
     table = Table("", names, kept, bad, notes={place: _note(each, limit) for place, each in enumerate(shown)})
@@ -239,32 +253,6 @@ def _table(plan: Plan, requirement: Requirement, found: Sequence[Verdict]) -> It
         yield table
     if len(ordered) > MAX_ROWS:
         yield Text(f"{len(ordered) - MAX_ROWS:,} more verdicts are in verdicts.json.", "soft")
-
-
-def _row(
-    each: Verdict,
-    plan: Plan,
-    keys: Sequence[str],
-    groups: Sequence[str],
-    limit: float,
-    least: bool,
-    span: tuple[float, float],
-) -> Row:
-    values = (_or_nan(each.estimate), _or_nan(each.low), _or_nan(each.high))
-    said = three_digits_with_interval(each.estimate, *values[1:])
-    label = f"{said} against {three_digits(limit)}"
-    return (
-        each.tracker,
-        *condition_cells(plan, each.condition, keys),
-        *(str(each.values[group]) for group in groups),
-        SIGNS[each.outcome],
-        said,
-        Cell("", draw=partial(strip, ChartInterval(*values), limit, least, span, label)),
-        f"{each.crashed:,}",
-        f"{each.nothing:,}",
-        f"{each.undefined:,}",
-        f"{each.seeds:,}",
-    )
 
 
 def _note(each: Verdict, limit: float) -> str:
@@ -285,7 +273,8 @@ def _told(count: int, outcome: Outcome) -> str:
     return "failed" if outcome == "failed" else f"{'is' if count == 1 else 'are'} {outcome}"
 
 
-def _or_nan(value: float | None) -> float:
+def or_nan(value: float | None) -> float:
+    """A finite number as it is, NaN for others and for None."""
     return np.nan if value is None or np.isinf(value) else value
 
 

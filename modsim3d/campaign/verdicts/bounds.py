@@ -83,7 +83,7 @@ HALF = 0.5  # both parameters of the beta distribution that the sequence mixes o
 _HALVINGS = 52  # as close to 1 as numbers are
 
 
-def clean_seeds_needed(share: float, confidence: float, failures: int = 0) -> int:
+def clean_seeds(share: float, confidence: float, failures: int = 0) -> int:
     """The least number of seeds, fixed beforehand, that shows at a confidence that a share in (0, 1) is right, although
     `failures` of them are wrong. For 0.99 at 0.95 it is 299 without failures and 473 with one."""
     return least_whole(lambda seeds: bool(special.bdtr(failures, seeds, 1 - share) <= 1 - confidence), failures + 1)
@@ -109,7 +109,7 @@ def mixture_bounds(right: Mask, alpha: float) -> tuple[float, float]:
     return _lower(right, alpha), 1 - _lower(~right, alpha)
 
 
-def clean_seeds_needed_sequential(share: float, confidence: float) -> int:
+def clean_seeds_sequential(share: float, confidence: float) -> int:
     """The least number of seeds, all of them right, after which the sequence shows a share: 680 for 0.99 at 0.95."""
 
     def shown(seeds: int) -> bool:
@@ -157,7 +157,7 @@ def betting_bounds(values: Array, alpha: float) -> tuple[float, float]:
     return _lower_by_betting(values, alpha), 1 - _lower_by_betting(1 - values, alpha)
 
 
-def perfect_seeds_needed(mean: float, confidence: float) -> float:
+def perfect_seeds(mean: float, confidence: float) -> float:
     """The least number of values, all of them 1, that shows a mean; infinite for 1, which nothing can show."""
     if mean >= 1:
         return math.inf

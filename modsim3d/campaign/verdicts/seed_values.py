@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -18,6 +19,14 @@ from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, mean_bounds
 from modsim3d.campaign.work.row import APPROACHES, CRASHED, WORLD_SCORES, Columns, facts_of, is_bounded, score_bounds
 from modsim3d.core.arrays import Array, Mask
 from modsim3d.core.statistics import t_bounds
+
+
+def mean_of(values: Array, axis: int) -> Array:
+    """The mean over an axis of what is no NaN; NaN where there is nothing."""
+    known = ~np.isnan(values)
+    count, total = known.sum(axis=axis), np.where(known, values, 0.0).sum(axis=axis)
+    found: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +73,7 @@ class Runs:
     def means(self, instead: float) -> Array:
         """Mean of each seed that is not undefined, with a value in place of lost runs, shape (m,). NaN stands for
         leaving them out, and is the mean of a seed that has no others."""
-        values = np.where(self.lost, instead, self.values)[~self.undefined]
-        defined = ~np.isnan(values)
-        sums, counts = np.where(defined, values, 0).sum(axis=1), defined.sum(axis=1)
-        means: Array = np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
-        return means
+        return mean_of(np.where(self.lost, instead, self.values)[~self.undefined], 1)
 
     def right(self, requirement: Requirement) -> Mask:
         """Whether all runs of a seed are right, of each seed that is not undefined; no lost run is, shape (m,)."""
@@ -227,3 +232,53 @@ def _variance_ratio(one: Runs, other: Runs, difference: Runs) -> float | None:
     runs = (one, other, difference)
     first, second, paired_variance = (float(each.values[both].mean(axis=1).var(ddof=1)) for each in runs)
     return (first + second) / paired_variance
+
+
+@dataclass(frozen=True, eq=False)
+class ApproachCounts:
+    """Numbers of approaches of each of s traffic seeds, of all its runs together."""
+
+    came: Array  # that were in view beyond the distance, and came so near, shape (s,)
+    known: Array  # of these, that tracks had followed before, and kept, shape (s,)
+    crashed: Mask  # whether a run of the seed crashed, shape (s,)
+    appeared_nearer: int  # vessels that were in view only nearer
+    never_so_near: int  # vessels that stayed farther away
+
+    @property
+    def shares(self) -> Array:
+        """Share of its approaches that are known, of each seed that has some; 0 if a run of it crashed, shape (n,)."""
+        counted = self.crashed | (self.came > 0)
+        return np.where(self.crashed, 0.0, self.known / np.maximum(self.came, 1))[counted]
+
+    @property
+    def share(self) -> float | None:
+        """Their mean: each traffic seed counts as much as another. None without any."""
+        return float(self.shares.mean()) if len(self.shares) else None
+
+
+def counted_approaches(
+    seeds: Sequence[Sequence[dict[str, Any]]], crashed: Mask, distance_m: float, track: str = "one_track_m"
+) -> ApproachCounts:
+    """Counts at a distance of the approaches of each seed, as rows have them, given which seeds had a run that crashed;
+    `track` names the field with the distance from which on a vessel was known."""
+    every = [each for seed in seeds for each in seed]
+    came = [[each for each in seed if each["closest_m"] <= distance_m <= each["in_view_m"]] for seed in seeds]
+    known = [sum(each[track] >= distance_m for each in seed) for seed in came]
+    nearer = sum(each["closest_m"] <= distance_m and each["in_view_m"] < distance_m for each in every)
+    farther = sum(each["closest_m"] > distance_m for each in every)
+    numbers = np.array([[len(seed) for seed in came], known], dtype=np.float64)
+    return ApproachCounts(numbers[0], numbers[1], crashed, nearer, farther)
+
+
+def required_approaches(
+    requirement: Requirement, seeds: Sequence[Sequence[dict[str, Any]]], crashed: Mask
+) -> ApproachCounts:
+    """Counts of the approaches that a lookout requirement is about."""
+    assert requirement.known_at_m is not None and requirement.kind is not None
+    kind, track = requirement.kind, "one_track_m" if requirement.one_track else "known_m"
+    low, high = kind.length_m or (0.0, np.inf)
+    of_kind = [
+        [each for each in seed if low <= each["length_m"] < high and kind.label in (None, each["label"])]
+        for seed in seeds
+    ]
+    return counted_approaches(of_kind, crashed, requirement.known_at_m, track)

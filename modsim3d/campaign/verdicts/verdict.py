@@ -11,18 +11,10 @@ import numpy as np
 import pyarrow as pa
 
 from modsim3d.campaign.keys import CampaignKeys, Requirement
-from modsim3d.campaign.plan import SCENE, Case, Plan, traffic_seed
+from modsim3d.campaign.plan import SCENE, Case, Plan, labels_of, traffic_seed
 from modsim3d.campaign.verdicts import wording
-from modsim3d.campaign.verdicts.bounds import (
-    UNKNOWN,
-    Bounds,
-    clean_seeds_needed,
-    mean_bounds,
-    mean_share_low,
-    share_bounds,
-)
-from modsim3d.campaign.verdicts.known_share import required_approaches
-from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows
+from modsim3d.campaign.verdicts.bounds import UNKNOWN, Bounds, clean_seeds, mean_bounds, mean_share_low, share_bounds
+from modsim3d.campaign.verdicts.seed_values import Runs, SeedRows, required_approaches
 from modsim3d.campaign.work.row import facts_of, limits_of, without_tracks
 from modsim3d.core.text import counted
 
@@ -89,13 +81,11 @@ def judged(plan: Plan, table: pa.Table) -> tuple[Verdict, ...]:
     """A verdict for each requirement, tracker and condition that it is about, on the rows before the first traffic seed
     that is not whole. With `stop: once`, every verdict is undecided until all runs are there."""
     rows, cases = SeedRows(plan, table), wording.cases_of_all(plan)
-    apart = [
-        (_of_time if plan.keys.require[place].share is None else _verdict)(
-            plan, place, plan.keys.require[place], case, rows
-        )
-        for place, case in wording.cases_of_all(plan, of_time=True)
-    ]
-    return tuple(sorted([*_judged(plan, rows, cases), *apart], key=lambda each: each.requirement))
+    verdicts = [*_judged(plan, rows, cases)]
+    for place, case in wording.cases_of_all(plan, of_time=True):
+        requirement = plan.keys.require[place]
+        verdicts.append((_of_time if requirement.share is None else _verdict)(plan, place, requirement, case, rows))
+    return tuple(sorted(verdicts, key=lambda each: each.requirement))
 
 
 def repeatable(plan: Plan, verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
@@ -114,21 +104,9 @@ def _of_time(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
     why = f"The worst of {counted(len(values), 'run')} has {wording.rounded(worst)}" if worst is not None else "No run"
     why += " on the machines that made them" if worst is not None else f" has {requirement.score}"
     why += f"; {counted(int(runs.crashed.sum()), 'run')} crashed" * bool(runs.crashed.any())
-    return Verdict(
-        place,
-        wording.requirement_text(requirement, case.within),
-        _labels(keys, case),
-        case.condition,
-        outcome,
-        f"{why}. Not repeatable: another run takes another time, and no probability goes with it.",
-        requirement.confidence,
-        worst,
-        None,
-        None,
-        rows.seeds,
-        int(runs.crashed.sum()),
-        values=_values(plan, case),
-    )
+    why += ". Not repeatable: another run takes another time, and no probability goes with it."
+    found = _Found(outcome, worst, UNKNOWN, why)
+    return _stated(plan, place, requirement, case, found, rows.seeds, int(runs.crashed.sum()))
 
 
 def _judged(plan: Plan, rows: SeedRows, cases: list[tuple[int, Case]]) -> tuple[Verdict, ...]:
@@ -158,6 +136,29 @@ class _Found:
     why: str
 
 
+def _stated(
+    plan: Plan, place: int, requirement: Requirement, case: Case, found: _Found, seeds: int, crashed: int, **more: Any
+) -> Verdict:
+    """The verdict, with `more` of its fields by name."""
+    low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
+    return Verdict(
+        place,
+        wording.requirement_text(requirement, case.within),
+        " − ".join(labels_of(plan, case)),
+        case.condition,
+        found.outcome,
+        found.why,
+        requirement.confidence,
+        found.estimate,
+        low,
+        high,
+        seeds,
+        crashed,
+        values=_values(plan, case),
+        **more,
+    )
+
+
 def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
     keys = plan.keys
     if requirement.known_at_m is not None:
@@ -185,31 +186,16 @@ def _verdict(plan: Plan, place: int, requirement: Requirement, case: Case, rows:
         why.append(NO_TRACKS)
     if keys.level == "family":
         why.append(f"Judged at {wording.percent(requirement.confidence)}, by Holm for all verdicts together.")
-    low, high = (bound if math.isfinite(bound) else None for bound in (found.bounds.low, found.bounds.high))
-    return Verdict(
-        place,
-        wording.requirement_text(requirement, case.within),
-        _labels(keys, case),
-        case.condition,
-        found.outcome,
-        " ".join(why),
-        requirement.confidence,
-        found.estimate,
-        low,
-        high,
+    return _stated(
+        *(plan, place, requirement, case, replace(found, why=" ".join(why))),
         int(np.count_nonzero(~runs.undefined)),
         int(runs.crashed.sum()),
-        int(runs.nothing.sum()),
-        undefined,
-        int(runs.left_out.sum()),
-        rests_on,
-        met_without_tracks,
-        _values(plan, case),
+        nothing=int(runs.nothing.sum()),
+        undefined=undefined,
+        left_out=int(runs.left_out.sum()),
+        rests_on=rests_on,
+        met_without_tracks=met_without_tracks,
     )
-
-
-def _labels(keys: CampaignKeys, case: Case) -> str:
-    return " − ".join(keys.trackers[place].label for place in (case.tracker, case.minus) if place is not None)
 
 
 def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case, rows: SeedRows) -> Verdict:
@@ -228,13 +214,7 @@ def _of_approaches(plan: Plan, place: int, requirement: Requirement, case: Case,
     why += _false_tracks(plan, rows, case)
     if rows.seeds < plan.keys.seeds.traffic:
         why += f" It is judged when all {plan.keys.seeds.traffic:,} traffic seeds are done."
-    low, high = (bound if math.isfinite(bound) else None for bound in (bounds.low, bounds.high))
-    text = wording.requirement_text(requirement)
-    return Verdict(
-        *(place, text, _labels(plan.keys, case), case.condition, outcome, why, requirement.confidence),
-        *(counts.share, low, high, rows.seeds, crashed),
-        values=_values(plan, case),
-    )
+    return _stated(plan, place, requirement, case, _Found(outcome, counts.share, bounds, why), rows.seeds, crashed)
 
 
 def _false_tracks(plan: Plan, rows: SeedRows, case: Case) -> str:
@@ -251,12 +231,8 @@ def _not_yet(found: _Found, requirement: Requirement, runs: Runs, planned: int) 
     """Undecided, with the state so far and without bounds, which hold for one look only."""
     done, state = counted(len(runs.values), "traffic seed"), ""
     if found.estimate is not None:
-        mean = requirement.share is None
-        state = (
-            f", mean {wording.rounded(found.estimate)} so far"
-            if mean
-            else f", {100 * found.estimate:.4g} % right so far"
-        )
+        right = f"{100 * found.estimate:.4g} % right"
+        state = f", {f'mean {wording.rounded(found.estimate)}' if requirement.share is None else right} so far"
     why = f"{done} of {planned:,} {'is' if len(runs.values) == 1 else 'are'} done{state}; it is judged when all are."
     return _Found("undecided", found.estimate, UNKNOWN, why), [why]
 
@@ -310,7 +286,7 @@ def _of_share(requirement: Requirement, runs: Runs, keys: CampaignKeys) -> _Foun
     why = f"{good:,} of {counted(len(right), 'traffic seed')} {'is' if 1 in (good, len(right)) else 'are'} right; "
     why += f"{_between(bounds, requirement)}."
     if outcome == "undecided" and keys.stop == "once" and good > requirement.share * len(right):
-        needed = clean_seeds_needed(requirement.share, requirement.confidence, len(right) - good)
+        needed = clean_seeds(requirement.share, requirement.confidence, len(right) - good)
         most = f"no more than {len(right) - good:,}" if good < len(right) else "none"
         why += (
             f" It would have taken {needed:,} seeds with {most} wrong. A second campaign, with another `seed`, may err "
@@ -363,9 +339,9 @@ def _between(bounds: Bounds, requirement: Requirement) -> str:
     """Bounds that exist, in words, and how sure each is."""
     sides = []
     if math.isfinite(bounds.low):
-        sides.append(f"at least {wording.rounded_down(bounds.low)}")
+        sides.append(f"at least {wording.rounded(bounds.low, math.floor)}")
     if math.isfinite(bounds.high):
-        sides.append(f"at most {wording.rounded_up(bounds.high)}")
+        sides.append(f"at most {wording.rounded(bounds.high, math.ceil)}")
     what = "the true mean" if requirement.share is None else "the true share"
     each = "each " if len(sides) == 2 else ""
     return f"{what} is {' and '.join(sides)}, {each}with {wording.percent(requirement.confidence)} confidence"

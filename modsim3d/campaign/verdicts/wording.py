@@ -10,13 +10,7 @@ from typing import Any
 
 from modsim3d.campaign.keys import CampaignKeys, Requirement
 from modsim3d.campaign.plan import Case, Plan, cases_of, groups_of
-from modsim3d.campaign.verdicts.bounds import (
-    WHOLE,
-    Bounds,
-    clean_seeds_needed,
-    clean_seeds_needed_sequential,
-    perfect_seeds_needed,
-)
+from modsim3d.campaign.verdicts.bounds import WHOLE, Bounds, clean_seeds, clean_seeds_sequential, perfect_seeds
 from modsim3d.campaign.work.row import SHARES, facts_of, limits_of
 
 _DIGITS = 4
@@ -41,22 +35,9 @@ def percent(share: float) -> str:
     return f"{100 * share:.10g} %"
 
 
-def rounded_down(value: float) -> str:
-    """A lower bound with four digits, never above what it is; a share near 1 with four digits of what it lacks."""
-    return _rounded(value, math.floor)
-
-
-def rounded_up(value: float) -> str:
-    """An upper bound with four digits, never below what it is."""
-    return _rounded(value, math.ceil)
-
-
-def rounded(value: float) -> str:
-    """A number with four digits, as near as they allow."""
-    return _rounded(value, round)
-
-
-def _rounded(value: float, whole: Callable[[float], int]) -> str:
+def rounded(value: float, whole: Callable[[float], int] = round) -> str:
+    """A number with four digits; a share near 1 with four digits of what it lacks. `whole` is `math.floor` for a lower
+    bound, never above what it is, and `math.ceil` for an upper one."""
     if not math.isfinite(value) or value == 0:
         return f"{value:g}".replace("inf", "∞")
     size = min(abs(value), abs(1 - value) or 1.0) if 0 < value < 1 else abs(value)
@@ -270,7 +251,7 @@ def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefine
     if keys.stop == "once":
         return too_few(requirement, seeds, group)
     asked = requirement.threshold - least if at_least else greatest - requirement.threshold
-    needed = perfect_seeds_needed(asked / (greatest - least), requirement.confidence)
+    needed = perfect_seeds(asked / (greatest - least), requirement.confidence)
     if needed > seeds:
         return (
             f"with stop: sequential it needs {needed:,} traffic seeds even if every score is perfect, and has {seeds:,}"
@@ -280,10 +261,10 @@ def never_met(keys: CampaignKeys, requirement: Requirement, group: str, undefine
 
 def _share_never_met(share: float, confidence: float, stop: str, seeds: int) -> str:
     if stop == "once":
-        needed, next_size = (clean_seeds_needed(share, confidence, failures) for failures in (0, 1))
+        needed, next_size = (clean_seeds(share, confidence, failures) for failures in (0, 1))
         if needed > seeds:
             sizes = f"{needed:,} traffic seeds that are all right, or {next_size:,} if one is not"
             return f"it needs {sizes}, and has {seeds:,}"
-    elif (needed := clean_seeds_needed_sequential(share, confidence)) > seeds:
+    elif (needed := clean_seeds_sequential(share, confidence)) > seeds:
         return f"with stop: sequential it needs {needed:,} traffic seeds that are all right, and has {seeds:,}"
     return ""

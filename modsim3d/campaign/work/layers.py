@@ -297,7 +297,7 @@ class RunLayers:
         stored = self._stored.read("tracks", key, TRACKS)
         if stored is not None:
             return tracks_of_table(stored["tracks"], rows.scene)
-        tracks = tracks_of(rows, named)
+        tracks = run_tracker(named, rows).tracks
         self._keep(tracks, rows.scene, key)
         return tracks
 
@@ -305,11 +305,6 @@ class RunLayers:
         """Write tracks in the images on the disk, if they are to be kept."""
         if self._stored.keeps("tracks") and isinstance(tracks, Tracks):
             self._stored.write("tracks", key, {"tracks": track_table(tracks, scene)})
-
-
-def tracks_of(rows: RunRows, named: NamedTracker) -> Tracks | WorldTracks:
-    """The tracks of all cameras."""
-    return run_tracker(named, rows).tracks
 
 
 def same_tracks(one: Tracks | WorldTracks, other: Tracks | WorldTracks) -> bool:

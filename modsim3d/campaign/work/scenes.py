@@ -182,8 +182,7 @@ class Scenes:
             digest(condition.scene, condition.of_truth(), seed), lambda: (wanted, self._load(condition, seed, choice))
         )
         if loaded_with != wanted:
-            detector = self._detectors.get(wanted, lambda: _detector(choice, scene.path))
-            scene = replace(scene, detector=detector)
+            scene = replace(scene, detector=self._detectors.get(wanted, lambda: _detector(choice, scene.path)))
         return replace(scene, detector_seed=detector_seed)
 
     def files(self, condition: Condition, scene: Scene) -> set[Path]:
