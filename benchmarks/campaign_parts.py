@@ -32,10 +32,11 @@ from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.running import TASK_S, run_plan
 from modsim3d.campaign.work.checking import checked
-from modsim3d.campaign.work.layers import Made, TruthLayer, detected
+from modsim3d.campaign.work.layers import Made, TruthLayer
 from modsim3d.campaign.work.row import row_of
 from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import Task, TaskReport, Work, store
+from modsim3d.runs.files.block_files import detected_tables
 from modsim3d.runs.pipeline import open_renderer, step_ranges, truth_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.tracking.trackers.registry import named_tracker
@@ -96,7 +97,7 @@ def layer_costs(file: Path, seeds: int) -> tuple[dict[str, LayerCost], int]:
                         blocks = [(truth_block(scene, *ends, renderer), *ends) for ends in step_ranges(scene)]
                         truth = TruthLayer(scene, made=blocks)
                 with timed("detections", run):
-                    rows = RunRows.of_tables(scene, scene.steps, detected(scene, truth))
+                    rows = RunRows.of_tables(scene, scene.steps, detected_tables(scene, truth.blocks))
                 for each in several:
                     with timed("tracks", each):
                         tracker = named_tracker(each.tracker.tracker, each.tracker.settings, scene.name)

@@ -21,7 +21,7 @@ from modsim3d.runs.stored_run import open_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.tracking.detector_seeds import LEVEL, detector_runs
 from modsim3d.tracking.oracle import oracle_tracks
-from modsim3d.tracking.scores.association import clear, hota, identity
+from modsim3d.tracking.scores.association import by_trackeval
 from modsim3d.tracking.scores.continuity import continuity
 from modsim3d.tracking.scores.errors import gospa
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OcclusionEpisode, occlusions
@@ -117,7 +117,7 @@ def scores(rows: RunRows, tracks: Tracks, *, annotated: bool = False) -> dict[st
     """What the tables are made of; against the annotated truth in place of the full one if that is asked for."""
     truth: TruthName = "annotated" if annotated else "full"
     scored, by_centre = (Scored.of(rows, tracks, replace(rules, truth=truth)) for rules in (IOU, CENTRE))
-    association, centre = hota(scored), hota(by_centre)
+    (association, clear, identity), (centre, _, _) = by_trackeval(scored), by_trackeval(by_centre)
     states = rows.scene.detector.states
     lasting = continuity(scored)
     return {
@@ -125,13 +125,13 @@ def scores(rows: RunRows, tracks: Tracks, *, annotated: bool = False) -> dict[st
         "deta": association.deta,
         "assa": association.assa,
         "hota_centre": centre.hota,
-        "mota": clear(scored).mota,
-        "id_switches": clear(scored).id_switches,
-        "idf1": identity(scored).idf1,
+        "mota": clear.mota,
+        "id_switches": clear.id_switches,
+        "idf1": identity.idf1,
         "gospa": gospa(scored).gospa,
         "false_tracks": lasting.false_tracks,
         "states": {
-            state.name: hota(by_centre.in_frames(frames)).hota
+            state.name: by_trackeval(replace(by_centre, frames=frames))[0].hota
             for index, state in enumerate(states)
             if len(frames := by_centre.state_frames(index))
         },

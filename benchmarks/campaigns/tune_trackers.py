@@ -21,7 +21,7 @@ import yaml
 
 from benchmarks.tracker_trials import CENTRE, IOU, SCENES, looks, tracks_of, world_tracks_of
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.scores.association import hota
+from modsim3d.tracking.scores.association import hota_of, sequence
 from modsim3d.tracking.scores.scored import Scored
 from modsim3d.tracking.trackers.registry import named_tracker
 from modsim3d.tracking.world.scoring import score_world
@@ -117,7 +117,9 @@ def quality(runs: Sequence[RunRows], tracker: str, settings: Mapping[str, object
         found = [score_world(rows, world_tracks_of(rows, named)).flat()["gospa_m"] for rows in runs]
         return -float(np.mean([each or 0.0 for each in found]))
     every = [(rows, tracks_of(rows, tracker, settings)) for rows in runs]
-    return float(np.mean([hota(Scored.of(*each, rules)).hota or 0.0 for each in every for rules in (IOU, CENTRE)]))
+    return float(
+        np.mean([hota_of(sequence(Scored.of(*each, rules))).hota or 0.0 for each in every for rules in (IOU, CENTRE)])
+    )
 
 
 def chosen(job: tuple[str, str, int]) -> tuple[str, str, dict[str, Any]]:

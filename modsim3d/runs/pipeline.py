@@ -4,21 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modsim3d.core.arrays import Indices, occurring
+from modsim3d.core.arrays import NOBODY, Indices, occurring, positions
+from modsim3d.core.boxes import areas, errors_between
 from modsim3d.core.errors import InputError, ModsimError
 from modsim3d.detector.chain import Detector, target_statistics
-from modsim3d.detector.records import CameraFrames, Detections, Targets
+from modsim3d.detector.records import FALSE_POSITIVE, TRUE, CameraFrames, Detections, Targets
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.geometry.camera import Intrinsics
 from modsim3d.runs.blocks import Block, CameraBlock, frames_of
 from modsim3d.runs.frames import Frame
-from modsim3d.runs.labelled_frames import given_detections, labelled_truth
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.reading import place_problems
 from modsim3d.scene.scene import Scene
@@ -27,11 +27,13 @@ from modsim3d.truth.analytic import analytic_occlusion, rectangle_occlusion
 from modsim3d.truth.occlusion import Occlusion
 from modsim3d.truth.outlines import Outlines
 from modsim3d.truth.record import Annotation, Truth, annotated_rows, annotation_boxes, concatenate, no_truth
+from modsim3d.world.poses.labelled import LabelledPoses
 from modsim3d.world.poses.replay import LivePoses
 from modsim3d.world.vessel_motion import PosesInWaves
 
 if TYPE_CHECKING:
     from modsim3d.render.id_pass import IdRenderer
+
 
 BLOCK_VESSELS, MAX_BLOCK_STEPS = 8_000, 1_000  # most vessels times steps of a block, and steps: arrays fit a cache
 
@@ -234,12 +236,7 @@ def simulate_frames(scene: Scene) -> Iterator[Frame]:
         TypeError: The scene is none.
     """
     check_scene(scene)
-    return _simulated(scene)
-
-
-def _simulated(scene: Scene) -> Iterator[Frame]:
-    for block in simulate_blocks(scene):
-        yield from frames_of(block, scene)
+    return (frame for block in simulate_blocks(scene) for frame in frames_of(block, scene))
 
 
 def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Block]:
@@ -256,3 +253,57 @@ def simulate_blocks(scene: Scene, most_steps: int | None = None) -> Iterator[Blo
         simulation = Simulation(scene, scene_statistics(scene, blocks))
         for block in blocks:
             yield simulation.detect(*block)
+
+
+def labelled_truth(labels: LabelledPoses, first: int, stop: int) -> Truth:
+    """Truth of all cameras at steps first to stop − 1: the pixels of a vessel are those of its box, of which a share is
+    visible. Who hides it is not known."""
+    boxes = labels.boxes.take(slice(*np.searchsorted(labels.boxes.step, (first, stop))))
+    rows, box_px = len(boxes), areas(boxes.boxes_px)
+    return replace(
+        no_truth(),
+        step=boxes.step,
+        camera=boxes.camera,
+        vessel=boxes.vessel,
+        full_boxes_px=boxes.boxes_px,
+        visible_boxes_px=np.full((rows, 4), np.nan),
+        silhouette_px=box_px,
+        visible_px=box_px * boxes.visible_fraction,
+        visible_fraction=boxes.visible_fraction,
+        in_frame_fraction=boxes.in_frame_fraction,
+        depth_m=boxes.depth_m,
+        occluder_offsets=np.zeros(rows + 1, dtype=np.int64),
+        annotated=np.ones(rows, dtype=bool),
+        drawn=np.zeros(rows, dtype=bool),
+    )
+
+
+def given_detections(labels: LabelledPoses, frames: CameraFrames, targets: Targets) -> Detections:
+    """Detections of a real detector in a camera's frames. Those that detect nothing are false; those of a box that is
+    not annotated, since nothing of it is visible or it is too small, are neither right nor false and left out."""
+    given, boxes = labels.detections, labels.boxes
+    camera = [each.name for each in labels.sequences].index(frames.camera)
+    if given is None:
+        raise ModsimError("the labels have no detections")
+    found = given.take(np.isin(given.step, frames.steps) & (given.camera == camera))
+    vessels, last = len(targets.vessel_ids), np.append(boxes.vessel, NOBODY)
+    key = np.searchsorted(frames.steps, found.step) * vessels + last[found.row]
+    target = positions(targets.frame * vessels + targets.vessel, np.where(found.row >= 0, key, NOBODY))
+    counts = (found.row < 0) | (target >= 0)
+    found, target = found.take(counts), target[counts]
+    own = target >= 0
+    errors_px = np.full((len(found), 4), np.nan)
+    errors_px[own] = errors_between(found.boxes_px[own], targets.boxes_px[target[own]])
+    return Detections(
+        states=np.zeros(len(frames), dtype=np.int64),
+        frame=np.searchsorted(frames.steps, found.step),
+        target=target,
+        partner=np.full(len(found), NOBODY),
+        kind=np.where(own, TRUE, FALSE_POSITIVE),
+        label=found.label,
+        confidence=found.confidence,
+        boxes_px=found.boxes_px,
+        errors_px=errors_px,
+        redrawn=np.zeros(len(found), dtype=bool),
+        gated=np.zeros(len(targets), dtype=bool),
+    )

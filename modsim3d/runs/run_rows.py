@@ -18,8 +18,8 @@ from modsim3d.runs.files.tables import (
     Occluders,
     detection_boxes_px,
     flags,
+    frame_numbers,
     indices,
-    integer_column,
     number_column,
     truth_boxes_px,
 )
@@ -66,23 +66,17 @@ class RunRows:
     def of_tables(cls, scene: Scene, steps: int, tables: Mapping[str, pa.Table]) -> RunRows:
         """Some detections of a run of a scene, with the frames and the truth of their steps; tables by their names."""
         frames, truth, detections = (tables[name].combine_chunks() for name in ("frames", "truth", "detections"))
-        cameras = [camera.name for camera in scene.cameras]
-
-        def frame_of(table: pa.Table) -> Indices:
-            """Number of the frame of each row, shape (rows,)."""
-            return integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
-
         return cls(
             scene=scene,
             steps=steps,
-            frames=frame_of(frames),
+            frames=frame_numbers(frames, scene),
             frame_state=indices(frames, "state", [state.name for state in scene.detector.states]),
             frames_table=frames,
             truth=truth,
-            truth_frame=frame_of(truth),
+            truth_frame=frame_numbers(truth, scene),
             truth_vessel=indices(truth, "vessel", scene.vessel_names),
             detections=detections,
-            detection_frame=frame_of(detections),
+            detection_frame=frame_numbers(detections, scene),
             detection_vessel=indices(detections, "vessel", scene.vessel_names),
         )
 
@@ -139,10 +133,8 @@ class RunRows:
     @cached_property
     def detections_sha256(self) -> str:
         """Checksum of what a tracker sees: frames, boxes, labels and confidence of the detections."""
-        scores = (
-            indices(self.detections, "label", self.scene.detector.labels),
-            number_column(self.detections, "confidence"),
-        )
+        label = indices(self.detections, "label", self.scene.detector.labels)
+        scores = label, number_column(self.detections, "confidence")
         columns = (self.frames, self.detection_frame, self.detection_boxes_px(), *scores)
         return hashlib.sha256(b"".join(column.tobytes() for column in columns)).hexdigest()
 

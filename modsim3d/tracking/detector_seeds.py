@@ -5,15 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.statistics import t_bounds
 from modsim3d.runs.camera_sequences import sequences_of
-from modsim3d.runs.files.block_files import TABLES
+from modsim3d.runs.files.block_files import detected_tables
 from modsim3d.runs.files.stored_tables import truth_of
-from modsim3d.runs.pipeline import Simulation, block_ranges, block_steps, scene_statistics
+from modsim3d.runs.pipeline import block_ranges, block_steps
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
 from modsim3d.scene.scene import Scene
@@ -87,12 +86,7 @@ def detector_runs(run: StoredRun, count: int) -> Iterator[tuple[int, RunRows]]:
     blocks = [(truth_of(stored.truth(first, stop), run.scene), first, stop) for first, stop in ranges]
     for seed in range(run.scene.detector_seed, run.scene.detector_seed + count):
         scene: Scene = replace(run.scene, detector_seed=seed)
-        simulation = Simulation(scene, scene_statistics(scene, blocks))
-        made = [simulation.detect(*block) for block in blocks]
-        tables = {
-            name: pa.concat_tables([table(block, scene) for block in made]) for name, (_, table) in TABLES.items()
-        }
-        yield seed, RunRows.of_tables(scene, run.steps, tables)
+        yield seed, RunRows.of_tables(scene, run.steps, detected_tables(scene, blocks))
 
 
 def spread_over_seeds(

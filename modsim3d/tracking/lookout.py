@@ -7,7 +7,7 @@ import numpy as np
 
 from modsim3d.core.arrays import NOBODY, Array, Indices
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.world.following import WorldFollowing
+from modsim3d.tracking.world.following import WorldFollowing, in_last_frames, seen
 from modsim3d.tracks.true_tracks import Following
 from modsim3d.world.encounters import hull_tracks
 
@@ -34,7 +34,7 @@ def tracks_in_images(rows: RunRows, following: Following) -> Indices:
     """Number of the track that follows each of V vessels in the last frame of each of C cameras at S steps, shape
     (S, C, V); `NOBODY` for none. Tracks of two cameras are two."""
     identity = np.append(following.tracks.identity, NOBODY)[following.track_row]  # the last is that of NOBODY
-    return _in_last_frames(rows, following.truth.frame, following.truth.vessel, identity)
+    return in_last_frames(rows, following.truth.frame, following.truth.vessel, identity)
 
 
 def tracks_in_world(rows: RunRows, following: WorldFollowing) -> Indices:
@@ -43,31 +43,20 @@ def tracks_in_world(rows: RunRows, following: WorldFollowing) -> Indices:
     return np.repeat(track[:, None], len(rows.scene.cameras), axis=1)
 
 
-def _in_last_frames(rows: RunRows, frame: Indices, vessel: Indices, value: Indices) -> Indices:
-    """Values of n vessels in frames, as they were in the last frame of each camera at each step, (n,) to (S, C, V)."""
-    cameras = len(rows.scene.cameras)
-    found = np.full((rows.steps * cameras + 1, len(rows.scene.vessels)), NOBODY)  # the last is the frame NOBODY
-    found[frame, vessel] = value
-    last = rows.last_taken(np.arange(rows.steps))
-    return found[np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))]
-
-
 def approaches(rows: RunRows, track: Indices) -> Iterator[VesselApproach]:
     """All vessels that came into view of each own ship; `track` is as in `tracks_in_images`."""
-    scene, visible = rows.scene, rows.numbers("visible_px") != 0  # where it is unknown, what is in the image is seen
-    place = rows.truth_frame[visible], rows.truth_vessel[visible]
-    seen = _in_last_frames(rows, *place, np.zeros(int(visible.sum()), dtype=np.int64)) != NOBODY
+    scene, in_view = rows.scene, seen(rows)
     centres_m = hull_tracks(scene.vessels, scene.poses, rows.steps).centres_m
     times_s = scene.times_s(0, rows.steps)
     step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
     for own in scene.own_ships:
         name = scene.vessel_names[own]
         mine = [index for index, camera in enumerate(scene.cameras) if camera.mount.vessel == name]
-        followed = np.where(seen, track, NOBODY)[:, mine].max(axis=1)
-        for index in np.flatnonzero(seen[:, mine].any(axis=(0, 1))).tolist():
+        followed = np.where(in_view, track, NOBODY)[:, mine].max(axis=1)
+        for index in np.flatnonzero(in_view[:, mine].any(axis=(0, 1))).tolist():
             apart_m = np.hypot(*(centres_m[:, index] - centres_m[:, own]).T)
             so_far_m = np.fmin.accumulate(apart_m)
-            steps = np.flatnonzero(seen[:, mine, index].any(axis=1))
+            steps = np.flatnonzero(in_view[:, mine, index].any(axis=1))
             before = steps[steps <= int(np.nanargmin(apart_m))]
             here, vessel = followed[before, index], scene.vessels[index]
             kept = [so_far_m[before[_kept_from(here, step_s, same) :]][:1].sum() for same in (False, True)]

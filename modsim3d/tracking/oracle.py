@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
-from scipy.optimize import minimize
 
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, positions
 from modsim3d.core.boxes import at_least_a_pixel, centre_form, clip, corner_form
-from modsim3d.core.errors import InputError, ModsimError
+from modsim3d.core.errors import InputError
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.strict_text import load_yaml
 from modsim3d.io.validation import NotNegative, Positive, Strict, describe
@@ -75,7 +74,7 @@ class BoxSequences:
     time_s: Array  # since the row before, above 0, shape (L, I)
 
 
-class _Filtered(NamedTuple):
+class FilteredRow(NamedTuple):
     """After a row: with its detections, and as predicted from the rows before; log-likelihood of its detections."""
 
     corrected: MotionEstimates
@@ -88,25 +87,21 @@ def smoothed_motion(sequences: BoxSequences, noise: SmootherNoise) -> list[Motio
     Kalman filter with constant velocity, back the recursion of Rauch, Tung & Striebel (1965), "Maximum likelihood
     estimates of linear dynamic systems", AIAA Journal 3(8). The noise of a detection goes by the size that the filter
     predicts, since the detected one has noise itself."""
-    filtered = _filtered(sequences, noise)
-    later = filtered[-1].corrected
+    forward = filtered(sequences, noise)
+    later = forward[-1].corrected
     found = [later]
-    for row in range(len(filtered) - 2, -1, -1):
+    for row in range(len(forward) - 2, -1, -1):
         time_s = sequences.time_s[row + 1, :, None]
-        later = filtered[row].corrected.smoothed(filtered[row + 1].predicted, later, time_s)
+        later = forward[row].corrected.smoothed(forward[row + 1].predicted, later, time_s)
         found.append(later)
     return found[::-1]
 
 
-def log_likelihood(sequences: BoxSequences, noise: SmootherNoise) -> float:
-    """Log-likelihood of all detections after the first of each sequence, from the innovations of the filter."""
-    return sum(each.log_likelihood for each in _filtered(sequences, noise))
-
-
-def _filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[_Filtered]:
+def filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[FilteredRow]:
+    """The filter's estimates of each row, from the first on."""
     boxes = centre_form(sequences.boxes_px)
     motion = MotionEstimates.at(boxes[0], noise.variance_px2(boxes[0, :, 2:]), _FIRST_RATE_PX_S**2)
-    found = [_Filtered(motion, motion, 0.0)]
+    found = [FilteredRow(motion, motion, 0.0)]
     for row in range(1, len(boxes)):
         there = sequences.there[row]
         predicted = motion.predicted(sequences.time_s[row, :, None], noise.rate_walk_px_s)
@@ -115,7 +110,7 @@ def _filtered(sequences: BoxSequences, noise: SmootherNoise) -> list[_Filtered]:
         total = seen.place_variance + variance
         chance = -0.5 * float(np.sum((measured - seen.place) ** 2 / total + np.log(2 * np.pi * total)))
         motion = predicted.with_rows(there, seen.corrected(measured, variance))
-        found.append(_Filtered(motion, predicted, chance))
+        found.append(FilteredRow(motion, predicted, chance))
     return found
 
 
@@ -204,44 +199,6 @@ class IdentitySpans:
         time_s[1:][inside] = np.diff(times_s, axis=0)[inside]
         boxes_px = provenance.detections.boxes_px[detection]
         return cls(identity, frame, detection, BoxSequences(boxes_px, detection != NOBODY, time_s))
-
-
-LIMITS = {
-    "noise_share": (1e-3, 1.0),
-    "noise_x_px": (0.05, 500.0),
-    "noise_y_px": (0.05, 500.0),
-    "size_noise": (0.3, 5.0),
-    "velocity_change_px_s": (0.01, 1000.0),
-    "growth_change_px_s": (0.01, 1000.0),
-}
-_DIGITS = 3
-
-
-def fitted_noise(rows: RunRows, truth: TrueTracks) -> SmootherNoise:
-    """The most likely noise, from the innovations of detections that are associated by where they came from. Raises
-    ModsimError if no vessel is detected twice."""
-    provenance = DetectionSources.of(rows, truth)
-    if np.bincount(provenance.identity, minlength=1).max() < 2:
-        raise ModsimError(f"{rows.scene.name}: no vessel is detected twice, so there is no motion to fit noise to")
-    return most_likely_noise(IdentitySpans.of(rows, provenance).sequences)
-
-
-def most_likely_noise(sequences: BoxSequences) -> SmootherNoise:
-    """The noise under which the boxes of sequences are most likely, by maximum likelihood over its logarithms."""
-
-    def noise_of(logarithms: Array) -> SmootherNoise:
-        """Numbers with few digits: an optimum is flat, and its last ones depend on the processor."""
-        values = (float(f"{value:.{_DIGITS}g}") for value in np.exp(logarithms).tolist())
-        return SmootherNoise(**dict(zip(LIMITS, values, strict=True)))
-
-    def unlikeliness(logarithms: Array) -> float:
-        values = dict(zip(LIMITS, np.exp(logarithms).tolist(), strict=True))
-        return -log_likelihood(sequences, SmootherNoise(**values)) / int(sequences.there.sum())
-
-    limits = np.log(list(LIMITS.values()))
-    start = np.log([getattr(SmootherNoise(), name) for name in LIMITS])
-    found = minimize(unlikeliness, start, method="L-BFGS-B", bounds=limits, options={"maxiter": 60})
-    return noise_of(found.x)
 
 
 SMOOTHED, RAW = "smoothed", "raw"

@@ -18,8 +18,7 @@ from modsim3d.tracking.score_text import COLUMNS, MEANINGS, keys_of, percent, ru
 from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Scores
-from modsim3d.tracking.world.collision import CpaErrors, PredictedApproaches
-from modsim3d.tracking.world.met_vessels import MetVessel
+from modsim3d.tracking.world.collision import CpaErrors, MetVessel, PredictedApproaches
 from modsim3d.view.pages import charts, page
 from modsim3d.view.pages.provenance import Provenance, run_inputs, run_seeds, run_versions, track_inputs
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.paths import StrPath, as_path
@@ -23,6 +24,9 @@ from modsim3d.tracks.reading import read_tracks
 from modsim3d.tracks.tracks import Similarity, SimilarityName, TrackSet, WorldTracks
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, TruthName
 from modsim3d.tracks.world_reading import is_world, read_world_tracks
+
+P = TypeVar("P", Path, Path | None)
+T = TypeVar("T", TrackSet, WorldTracks)
 
 
 class RunScores(ScoredTracks):
@@ -135,9 +139,7 @@ def score_run(
         from modsim3d.tracking.detector_seeds import check_seeds, spread_over_seeds
 
         if run.scene.labels is not None and run.scene.labels.detections is not None:
-            raise ModsimError(
-                "--seeds is for a simulated detector, and these are the detections of a real one: leave out"
-            )
+            raise ModsimError("--seeds is for a simulated detector, and these detections are a real one's: leave out")
         check_seeds(seeds, [each for _, each in in_images], [path for path, _ in in_world])
     gate_m = DEFAULT_GATE_M if gate_m is None else gate_m
     in_metres = SetDistance(IN_METRES.cutoff if gospa_c is None else gospa_c, gospa_p, gospa_switch)
@@ -219,16 +221,13 @@ def _read(
         raise _one_sided(wrong[0], run)
     if cameras:
         in_images = [(path, each.in_cameras(cameras)) for path, each in in_images]
-    return (
-        [(path, replace(each, name=name)) for (path, each), name in zip(in_images, _names(in_images), strict=True)],
-        [(path, replace(each, name=name)) for (path, each), name in zip(in_world, _names(in_world), strict=True)],
-    )
+    return _named(in_images), _named(in_world)
 
 
-def _names(found: Sequence[tuple[Path | None, TrackSet | WorldTracks]]) -> list[str]:
-    """Names of tracks in tables: those of one name by their paths, or by their numbers where they have none."""
+def _named(found: list[tuple[P, T]]) -> list[tuple[P, T]]:
+    """Tracks with their names in tables: those of one name by their paths, or by their numbers where they have none."""
     names = [each.name for _, each in found]
     return [
-        f"{path or f'{name} {index + 1}'}" if names.count(name) > 1 else name
-        for index, ((path, _), name) in enumerate(zip(found, names, strict=True))
+        (path, replace(each, name=f"{path or f'{each.name} {index + 1}'}") if names.count(each.name) > 1 else each)
+        for index, (path, each) in enumerate(found)
     ]

@@ -13,8 +13,9 @@ from modsim3d import RunRows, Scene
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.work.coverage import KINDS, OCCLUSIONS, RANGES, SIZES, Bins, coverage_of
-from modsim3d.campaign.work.layers import Blocks, RunLayers, TruthLayer, detected
+from modsim3d.campaign.work.layers import Blocks, RunLayers
 from modsim3d.campaign.work.row import column_type, row_of
+from modsim3d.runs.files.block_files import detected_tables
 from modsim3d.runs.pipeline import truth_block
 from tests.scenes import camera_keys, crossing, write_scene
 
@@ -24,7 +25,7 @@ BOAT = [10, 4, 3]
 
 
 def rows_in_memory(scene: Scene, blocks: Blocks) -> RunRows:
-    return RunRows.of_tables(scene, scene.steps, detected(scene, TruthLayer(scene, made=blocks)))
+    return RunRows.of_tables(scene, scene.steps, detected_tables(scene, blocks))
 
 
 def rows_of(path: Path, steps: int | None = None, **settings: Any) -> RunRows:

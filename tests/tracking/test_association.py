@@ -3,6 +3,7 @@ associated by where they came from, are TrackEval's of the exported run."""
 
 import sys
 import tracemalloc
+from dataclasses import replace
 from itertools import product
 from math import sqrt
 from pathlib import Path
@@ -16,7 +17,7 @@ from modsim3d.core.arrays import NOBODY
 from modsim3d.core.errors import ModsimError
 from modsim3d.formats.writing import mot
 from modsim3d.formats.writing.export_formats import ExportRequest
-from modsim3d.tracking.scores.association import clear, hota, identity, sequence
+from modsim3d.tracking.scores.association import by_trackeval, sequence
 from modsim3d.tracking.scores.scored import Rules, Scored
 from modsim3d.tracks.tracks import Similarity
 from tests.formats.exported import exported_run
@@ -27,7 +28,7 @@ A, B, FAR = box(0), box(100), box(300)
 
 
 def values(scored: Scored) -> dict[str, object]:
-    return vars(hota(scored)) | vars(clear(scored)) | vars(identity(scored))
+    return {key: value for part in by_trackeval(scored) for key, value in vars(part).items()}
 
 
 def check(scored: Scored, **expected: object) -> None:
@@ -101,7 +102,7 @@ def test_thresholds_that_no_match_reaches_count_for_hota_alone_and_clear_and_ide
     # 16 of 24 columns in common: IoU = 2/3, reached by the 13 thresholds up to 0.65.
     scored = hand_made([(0, 0, A)], [(0, 1, box(4))], 1)
     check(scored, hota=13 / 19, deta=13 / 19, assa=13 / 19, loca=2 / 3, motp=2 / 3, mota=1)
-    assert hota(scored).hota_by_alpha == pytest.approx((1,) * 13 + (0,) * 6)
+    assert by_trackeval(scored)[0].hota_by_alpha == pytest.approx((1,) * 13 + (0,) * 6)
     for least, mota, idf1 in ((0.5, 1, 1), (0.51, -1, 0)):
         rules = Rules(similarity=Similarity("centre", 8, least))  # centres 4 px apart: 1 − 4/8
         check(hand_made([(0, 0, A)], [(0, 1, box(4))], 1, rules=rules), mota=mota, idf1=idf1, hota=10 / 19)
@@ -126,7 +127,7 @@ def test_trackeval_prints_nothing_and_without_it_the_error_says_what_to_install(
     assert capsys.readouterr() == ("", "")
     monkeypatch.setitem(sys.modules, "trackeval", None)
     with pytest.raises(ModsimError, match=r'^scores of tracks need TrackEval: pip install "modsim3d\[trackers\]"$'):
-        hota(hand_made([], [], 1))
+        by_trackeval(hand_made([], [], 1))
 
 
 def noisy(seed: int, cameras: int = 3, steps: int = 30) -> Scored:
@@ -147,7 +148,7 @@ def noisy(seed: int, cameras: int = 3, steps: int = 30) -> Scored:
 def test_all_cameras_as_one_sequence_score_what_trackeval_combines_from_one_each(seed: int) -> None:
     scored, quiet = noisy(seed), {"PRINT_CONFIG": False}
     whole = sequence(scored)
-    parts = [sequence(scored.in_frames(scored.frames[scored.frames % 3 == camera])) for camera in range(3)]
+    parts = [sequence(replace(scored, frames=scored.frames[scored.frames % 3 == camera])) for camera in range(3)]
     assert sum(part["num_timesteps"] for part in parts) == whole["num_timesteps"]
     metrics = trackeval.metrics
     for metric in (metrics.HOTA(), metrics.CLEAR(dict(quiet)), metrics.Identity(dict(quiet))):
@@ -163,7 +164,7 @@ def check_the_one_matching_is_that_of_clear(scored: Scored) -> None:
     identities, track = scored.following.truth.identity[rows], scored.following.tracks.identity[track_rows]
     order = np.lexsort((scored.following.truth.frame[rows], identities))
     switches = (np.diff(identities[order]) == 0) & (np.diff(track[order]) != 0)
-    found = clear(scored)
+    _, found, _ = by_trackeval(scored)
     assert found.id_switches > 0 and found.misses > 0 and found.false_positives > 0
     assert (found.true_positives, found.id_switches) == (len(rows), np.count_nonzero(switches))
 
@@ -175,8 +176,7 @@ def test_memory_does_not_grow_with_the_square_of_the_number_of_tracks() -> None:
     scored = hand_made(truth, tracks, 20)
     wanted = trackeval.metrics.Identity({"THRESHOLD": 0.5, "PRINT_CONFIG": False}).eval_sequence(sequence(scored))
     tracemalloc.start()
-    found = identity(scored)
-    hota(scored)
+    _, _, found = by_trackeval(scored)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert (found.idf1, found.idp, found.idr) == (wanted["IDF1"], wanted["IDP"], wanted["IDR"])
@@ -222,7 +222,8 @@ def test_the_scores_are_those_of_trackeval_over_the_exported_run(run: StoredRun,
         path.write_text("".join(lines))
     scored = Scored.of(rows, tracks, Rules())
     assert scored.following.truth.hidden.any() and not scored.following.counted.all()
-    found = hota(scored).hota, clear(scored).mota, identity(scored).idf1
+    hota, clear, identity = by_trackeval(scored)
+    found = hota.hota, clear.mota, identity.idf1
     expected = scores(tmp_path / "mot", tmp_path / "tracks", "all")["COMBINED_SEQ"]
     assert 0.1 < found[0] < 0.9
     assert found == pytest.approx([expected[key] for key in ("HOTA", "MOTA", "IDF1")], abs=1e-12)

@@ -89,8 +89,8 @@ def test_a_frame_stands_for_the_time_to_the_camera_s_next_one_and_without_a_rate
     scored = hand_made([], [], 6, cameras=2, step_s=0.5)
     rows = replace(scored.rows, frames=np.array([0, 1, 3, 4, 10]))  # camera 0 at steps 0, 2, 5; camera 1 at 0 and 1
     scored = replace(scored, rows=rows)
-    assert frame_lengths_s(scored, np.array([0, 1, 3, 4, 10])).tolist() == [1, 0.5, 0.5, 1.5, 1.5]
-    assert frame_lengths_s(scored, np.array([10, 4])).tolist() == [1.5, 1.5]
+    assert frame_lengths_s(scored.rows, np.array([0, 1, 3, 4, 10])).tolist() == [1, 0.5, 0.5, 1.5, 1.5]
+    assert frame_lengths_s(scored.rows, np.array([10, 4])).tolist() == [1.5, 1.5]
     for cameras in (1, 2):
         scored = hand_made([], [], 1, cameras=cameras)
-        assert frame_lengths_s(scored, scored.frames).tolist() == [1] * cameras
+        assert frame_lengths_s(scored.rows, scored.frames).tolist() == [1] * cameras

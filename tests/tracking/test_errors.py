@@ -36,8 +36,8 @@ def test_distances_are_means_over_the_frames_in_question_of_errors_misses_false_
     scored = hand_made(truth, tracks, 4, rules=RULES)
     assert errors.gospa(scored) == errors.Gospa(15 / 4, 5 / 4, 5 / 4, 5 / 4)  # 5, 10 / 2, 10 / 2 and 0
     assert errors.ospa(scored) == errors.Ospa(25 / 4)  # 5, 10, 10 and 0
-    assert errors.gospa(scored.in_frames(np.array([0, 3]))) == errors.Gospa(2.5, 2.5, 0, 0)
-    nothing = scored.in_frames(np.empty(0, dtype=np.int64))
+    assert errors.gospa(replace(scored, frames=np.array([0, 3]))) == errors.Gospa(2.5, 2.5, 0, 0)
+    nothing = replace(scored, frames=np.empty(0, dtype=np.int64))
     assert errors.gospa(nothing) == errors.Gospa(None, None, None, None) and errors.ospa(nothing) == errors.Ospa(None)
     # With c = 4 the error of 5 is a miss and a false track: 2 + 2, 2, 2 and 0.
     low, high = (errors.gospa(replace(scored, rules=Rules(set_distance=SetDistance(cutoff)))) for cutoff in (4, 20))
@@ -265,7 +265,7 @@ def test_cameras_are_apart_and_only_the_frames_in_question_and_no_last_bits_of_t
     assert siap(scored) == Siap(0.5, 1, 0, 0, 0, 0.5)
     tracks = [*placed(7, [0]), *placed(7, [1], 4), *placed(8, [2]), *placed(9, [3], 300)]
     scored = hand_made(placed(0, range(4)), tracks, 4, rules=SIAP_RULES)
-    assert siap(scored.in_frames(np.array([0, 1]))) == Siap(1, 1, 0, 2, 0, 1)
+    assert siap(replace(scored, frames=np.array([0, 1]))) == Siap(1, 1, 0, 2, 0, 1)
     truth = [each for vessel in range(3) for each in placed(vessel, range(7 + vessel), 100 * vessel)]
     assert siap_of(truth, truth, step_s=0.1).siap_longest_track_share == 1
 

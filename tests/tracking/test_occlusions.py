@@ -3,6 +3,7 @@ by hand and against slow sums."""
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def test_a_hidden_vessel_is_followed_by_the_track_from_before_or_by_another_or_b
     tracks = [(0, 9, A), (1, 1, A), (2, 1, A), (3, 2, A), (4, 2, A)]  # 9, 1 before; while hidden 1, 2, 2, none
     assert hidden(hand_made(truth, tracks, 7)) == Hidden(4, 3 / 4, 1 / 4)
     assert hidden(hand_made(truth, tracks[2:], 7)) == Hidden(4, 3 / 4, 0)  # nothing followed it before
-    assert hidden(hand_made(truth, tracks, 7).in_frames(np.array([2, 6]))) == Hidden(1, 1, 1)
+    assert hidden(replace(hand_made(truth, tracks, 7), frames=np.array([2, 6]))) == Hidden(1, 1, 1)
     assert hidden(hand_made(truth[:2], tracks, 7)) == Hidden(0, None, None)
     back = [Seen(0, 0, A), Seen(5, 0, A, 0)]  # it comes back hidden, as a new identity
     assert hidden(hand_made(back, [(0, 1, A), (5, 1, A)], 6)) == Hidden(1, 1, 0)
@@ -76,7 +77,7 @@ def test_occlusions_of_two_vessels_in_two_cameras_are_apart() -> None:
     found = [(each.camera, each.vessel, each.survived) for each in occlusions(scored)]
     assert found == [("C0", "v0", True), ("C1", "v1", False)]
     assert survival(scored) == Survival(2, 2, 0.5, 2)
-    assert survival(scored.in_frames(np.array([4]))) == Survival(1, 1, 1, 1)
+    assert survival(replace(scored, frames=np.array([4]))) == Survival(1, 1, 1, 1)
 
 
 def test_two_occlusions_of_a_vessel_are_two_and_one_at_the_end_lasts_as_long_as_a_frame() -> None:

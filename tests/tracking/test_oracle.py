@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.oracle_noise import LIMITS, fitted_noise, log_likelihood, most_likely_noise
 from modsim3d import InputError, ModsimError, RunRows, load_scene
 from modsim3d.core.boxes import centre_form, centres, corner_form
 from modsim3d.detector.records import FALSE_KINDS, KINDS
@@ -159,7 +160,7 @@ def test_what_comes_after_the_last_detection_changes_nothing():
 
 def test_the_noise_that_made_boxes_is_found_again():
     rng, count, length = np.random.default_rng(3), 60, 40
-    made = SmootherNoise(**dict(zip(oracle.LIMITS, (0.05, 2.0, 4.0, 1.5, 6.0, 1.0), strict=True)))
+    made = SmootherNoise(**dict(zip(LIMITS, (0.05, 2.0, 4.0, 1.5, 6.0, 1.0), strict=True)))
     size = np.exp(rng.uniform(np.log(40), np.log(600), count))
     place = np.column_stack([np.zeros((count, 2)), size, size])
     rate, boxes = np.zeros((count, 4)), []
@@ -170,7 +171,7 @@ def test_the_noise_that_made_boxes_is_found_again():
         place = np.maximum(place, [-np.inf, -np.inf, 5, 5])
     there = rng.random((length, count)) < 0.9
     there[0] = True
-    found = oracle.most_likely_noise(BoxSequences(corner_form(np.array(boxes)), there, np.ones((length, count))))
+    found = most_likely_noise(BoxSequences(corner_form(np.array(boxes)), there, np.ones((length, count))))
     for name, value in made.model_dump().items():
         assert getattr(found, name) == pytest.approx(value, rel=0.25), name
 
@@ -178,13 +179,13 @@ def test_the_noise_that_made_boxes_is_found_again():
 def test_fitted_noise_makes_the_detections_of_a_run_more_likely_than_other_noise(perfect):
     truth = TrueTracks.of(perfect)
     sequences = oracle.IdentitySpans.of(perfect, oracle.DetectionSources.of(perfect, truth)).sequences
-    found = oracle.fitted_noise(perfect, truth)
+    found = fitted_noise(perfect, truth)
     for name in ("noise_x_px", "noise_y_px", "growth_change_px_s"):
         for factor in (0.3, 3):
-            least, most = oracle.LIMITS[name]
+            least, most = LIMITS[name]
             other = found.model_copy(update={name: factor * getattr(found, name)})
             if least <= getattr(other, name) <= most:
-                assert oracle.log_likelihood(sequences, other) < oracle.log_likelihood(sequences, found)
+                assert log_likelihood(sequences, other) < log_likelihood(sequences, found)
 
 
 def test_each_shipped_scene_has_its_noise_others_the_default_and_a_damaged_file_is_an_error(tmp_path, monkeypatch):
@@ -204,7 +205,7 @@ def test_a_run_without_detections_has_no_tracks_and_one_with_single_ones_no_nois
         assert len(oracle_tracks(nothing, truth, smoothed=smoothed)) == 0
     short = with_detections(perfect, np.flatnonzero(perfect.detection_frame == 0))
     with pytest.raises(ModsimError, match="no vessel is detected twice"):
-        oracle.fitted_noise(short, TrueTracks.of(perfect))
+        fitted_noise(short, TrueTracks.of(perfect))
 
 
 def test_boxes_of_a_size_stay_in_the_image(noisy, truth):

@@ -16,7 +16,7 @@ from modsim3d.tracking.scores.breakdown import Bin
 from modsim3d.tracking.scores.occlusions import OcclusionEpisode
 from modsim3d.tracking.scores.scoring import Part, SubsetScores
 from modsim3d.tracking.trackers.names import BUILT_IN
-from modsim3d.tracking.world.met_vessels import MetVessel
+from modsim3d.tracking.world.collision import MetVessel
 from tests.cli.bad_input.builders import Call
 from tests.plugin_site import Site, site
 

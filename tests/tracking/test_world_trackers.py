@@ -244,8 +244,7 @@ def test_a_failure_names_the_time_and_missing_libraries_how_to_install_them(monk
     broken[2] = replace(broken[2], frames=(replace(broken[2].frames[0], camera="stern"),))
     with pytest.raises(ModsimError, match=r"WorldGnn failed at 1 s: .*stern"):
         answers(WorldGnn(), iter(broken))
-    for name in ("stone_soup_parts", "stone_soup_world"):
-        monkeypatch.delitem(sys.modules, f"modsim3d.tracking.trackers.{name}", raising=False)
+    monkeypatch.delitem(sys.modules, "modsim3d.tracking.trackers.stone_soup_parts", raising=False)
     for name in [each for each in sys.modules if each.split(".")[0] == "stonesoup"]:
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(ModsimError, match=r'pip install "modsim3d\[trackers\]"'):

@@ -16,8 +16,8 @@ from modsim3d.runs.pipeline import block_ranges
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.scene.scene import Scene
 from modsim3d.tracking.scores.occlusions import LENGTH_EDGES_S, OCCLUDED_BELOW
-from modsim3d.tracking.scores.scored import stretches
-from modsim3d.tracking.world.met_vessels import ENCOUNTER_M
+from modsim3d.tracking.scores.scored import frame_lengths_s, stretches
+from modsim3d.tracking.world.collision import ENCOUNTER_M
 from modsim3d.tracks.true_tracks import DEFAULT_GAP_S, appearances
 from modsim3d.world.encounters import Encounter, encounter, hull_tracks
 from modsim3d.world.floating_vessels import FloatingVessels
@@ -183,7 +183,7 @@ def _occlusions(rows: RunRows) -> dict[str, int | float]:
     fraction = rows.numbers("visible_fraction")
     if len(fraction) and not np.isfinite(fraction).any():
         return {}
-    identity, length_s = appearances(rows, DEFAULT_GAP_S), _frame_lengths_s(rows)
+    identity, length_s = appearances(rows, DEFAULT_GAP_S), frame_lengths_s(rows, rows.truth_frame)
     time_s = rows.scene.times_s(0, rows.steps)[rows.truth_frame // len(rows.scene.cameras)]
     order = np.lexsort((rows.truth_frame, identity))
     known = np.cumsum(~np.isnan(fraction[order]))  # a vessel without a pixel has no visible fraction
@@ -192,18 +192,6 @@ def _occlusions(rows: RunRows) -> dict[str, int | float]:
     first, last = order[occluded[found.first]], order[occluded[found.last]]
     lasted_s = np.round(time_s[last] + length_s[last] - time_s[first], _DECIMALS)
     return {**OCCLUSIONS.counts(lasted_s), "covered.hidden_s": float(length_s[fraction == 0].sum())}
-
-
-def _frame_lengths_s(rows: RunRows) -> Array:
-    """Time from the frame of each row of the truth to the camera's next one, shape (n,); of the last as before it."""
-    cameras, times_s = rows.scene.cameras, rows.scene.times_s(0, rows.steps)
-    length_s = np.zeros(rows.steps * len(cameras))
-    for index, camera in enumerate(cameras):
-        taken = rows.frames[rows.frames % len(cameras) == index]
-        apart_s = np.diff(times_s[taken // len(cameras)])
-        last_s = apart_s[-1:] if len(apart_s) else np.array([1 / (camera.frame_rate_hz or 1.0)])
-        length_s[taken] = np.append(apart_s, last_s)[: len(taken)]
-    return length_s[rows.truth_frame]
 
 
 def _waves(scene: Scene) -> dict[str, int | float]:

@@ -22,11 +22,11 @@ from modsim3d.campaign.work.scenes import Latest, Scenes, detector_digest, diges
 from modsim3d.core.errors import OutputError
 from modsim3d.detector.records import CameraFrames, Detections, Targets
 from modsim3d.runs.files import tables
-from modsim3d.runs.files.block_files import TABLES
+from modsim3d.runs.files.block_files import detected_tables
 from modsim3d.runs.files.stored_tables import truth_of
 from modsim3d.runs.files.table_columns import BOX_SIDES
 from modsim3d.runs.files.tables import indices, integer_column, number_column
-from modsim3d.runs.pipeline import Simulation, detected_block, open_renderer, scene_statistics, step_ranges, truth_block
+from modsim3d.runs.pipeline import detected_block, open_renderer, step_ranges, truth_block
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.truth_check import check_block
 from modsim3d.scene.scene import Scene
@@ -112,12 +112,10 @@ def rows_of(stored: Mapping[str, pa.Table], truth: TruthLayer, scene: Scene) -> 
 
 def tracks_of_table(table: pa.Table, scene: Scene) -> Tracks:
     """The tracks in a table that `track_table` made."""
-    cameras = [camera.name for camera in scene.cameras]
-    frame = integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
     x, xy, y = (number_column(table, name) for name in COVARIANCES)
     return Tracks.of(
-        len(cameras),
-        frame,
+        len(scene.cameras),
+        tables.frame_numbers(table, scene),
         integer_column(table, "track"),
         np.column_stack([number_column(table, name) for name in BOX_SIDES]),
         indices(table, "label", scene.detector.labels),
@@ -273,11 +271,10 @@ class RunLayers:
         stored = self._stored.read("detections", key, DETECTIONS)
         if stored is not None and (rows := rows_of(stored, truth, scene)) is not None:
             return rows
-        tables = detected(scene, truth)
-        rows = RunRows.of_tables(scene, scene.steps, tables)
+        found = detected_tables(scene, truth.blocks)
         if self._stored.keeps("detections"):
-            self._stored.write("detections", key, stored_detections(tables))
-        return rows
+            self._stored.write("detections", key, stored_detections(found))
+        return RunRows.of_tables(scene, scene.steps, found)
 
     def _truth_of(self, scene: Scene, renderer: IdRenderer | None, key: str) -> TruthLayer:
         """The truth, from the disk if it is there."""
@@ -314,10 +311,3 @@ def same_tracks(one: Tracks | WorldTracks, other: Tracks | WorldTracks) -> bool:
         for name, each in vars(one).items()
         if isinstance(each, np.ndarray)
     )
-
-
-def detected(scene: Scene, truth: TruthLayer) -> dict[str, pa.Table]:
-    """The tables of a run, by their names: those that `run_scene` would write."""
-    simulation = Simulation(scene, scene_statistics(scene, truth.blocks))
-    made = [simulation.detect(*block) for block in truth.blocks]
-    return {name: pa.concat_tables([table(block, scene) for block in made]) for name, (_, table) in TABLES.items()}

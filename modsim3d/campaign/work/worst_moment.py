@@ -41,7 +41,7 @@ class Mistakes:
         false = scored.track_rows[following.false[scored.track_rows]]
         switched, before, after = _switches(scored)
         frame = np.concatenate([truth.frame[lost], tracks.frame[false], truth.frame[switched]])
-        seconds = frame_lengths_s(scored, frame)
+        seconds = frame_lengths_s(scored.rows, frame)
         seconds[: len(lost)][_new(scored)[lost]] = 0
         seconds[len(lost) + len(false) :] = WINDOW_S
         nobody = np.full(len(lost) + len(false), NOBODY)

@@ -26,6 +26,7 @@ from modsim3d.runs.blocks import Block, CameraBlock
 from modsim3d.runs.files import table_columns, tables
 from modsim3d.runs.files.row_checks import MAX_DEPTH_M, ROUNDING, frames_taken
 from modsim3d.runs.files.run_file import Column, frame_lines, string_texts
+from modsim3d.runs.pipeline import Simulation, scene_statistics
 from modsim3d.runs.tracker_view import TRACKER_INPUT, tracker_lines
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import COLUMNS, Truth, annotation_boxes, no_truth
@@ -211,6 +212,16 @@ TABLES = {
     "truth": (tables.TRUTH, tables.truth_table),
     "detections": (tables.DETECTIONS, tables.detection_table),
 }
+
+
+def detected_tables(scene: Scene, blocks: Sequence[tuple[Truth, int, int]]) -> dict[str, pa.Table]:
+    """The tables of a run, by their names: those that `run_scene` would write of the truth of all blocks, each with its
+    first step and the step after its last."""
+    simulation = Simulation(scene, scene_statistics(scene, blocks))
+    made = [simulation.detect(*block) for block in blocks]
+    return {name: pa.concat_tables([table(block, scene) for block in made]) for name, (_, table) in TABLES.items()}
+
+
 DIGEST_BYTES = hashlib.sha256().digest_size
 OWN_SHIP = "ownship"
 SETTINGS_FILE = "settings.json"  # the settings of a run, beside its kept blocks

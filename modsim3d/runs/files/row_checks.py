@@ -203,11 +203,8 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
     _check_boxes(rows, "", boxes_px, size_px, nullable=False)
     for i, (name, number) in enumerate(zip(CENTRE_FORM, centre_form(boxes_px).T, strict=True)):
         apart = np.abs(rows.numbers(name, 0.0, size_px[:, i % 2] * (1 + ROUNDING)) - number)
-        rows.refuse(
-            name,
-            apart > ROUNDING * size_px[:, i % 2],
-            f"that of the box from {BOX_SIDES[i % 2]} to {BOX_SIDES[i % 2 + 2]}",
-        )
+        right = f"that of the box from {BOX_SIDES[i % 2]} to {BOX_SIDES[i % 2 + 2]}"
+        rows.refuse(name, apart > ROUNDING * size_px[:, i % 2], right)
     errors = np.column_stack([rows.numbers(name, -MAX_ERROR_PX, MAX_ERROR_PX, nullable=True) for name in ERRORS])
     for i, name in enumerate(ERRORS):
         one_missing = np.isnan(errors[:, i]) != np.isnan(errors[:, 0])
@@ -217,7 +214,7 @@ def check_detections(rows: TableRows, scene: Scene) -> None:
 
 def check_together(frames: TableRows, truth: TableRows, detections: TableRows, scene: Scene) -> None:
     """Raise RunDirectoryError unless the rows of the same steps in the three tables, checked before, are of one run."""
-    frame, of_truth, drawn = (_numbers_of(rows.table, scene) for rows in (frames, truth, detections))
+    frame, of_truth, drawn = (tables.frame_numbers(rows.table, scene) for rows in (frames, truth, detections))
     state = tables.indices(frames.table, "state", [state.name for state in scene.detector.states])
     written = tables.indices(detections.table, "state", [state.name for state in scene.detector.states])
     detections.refuse("state", written != state[positions(frame, drawn)], "that of the frame in frames.parquet")
@@ -241,21 +238,13 @@ def check_together(frames: TableRows, truth: TableRows, detections: TableRows, s
         frames.refuse(name, tables.integer_column(frames.table, name) != found, right)
 
 
-def _numbers_of(table: pa.Table, scene: Scene) -> Indices:
-    """The number of each row's frame, see `frames_taken`, shape (n,)."""
-    cameras = [camera.name for camera in scene.cameras]
-    return tables.integer_column(table, "step") * len(cameras) + tables.indices(table, "camera", cameras)
-
-
 def _boxes_of(truth: TableRows, detections: TableRows, drawn: Indices, own: Mask, scene: Scene) -> Indices:
     """Number of boxes of its own that each row of the truth has, 0 or 1, shape (n,). For each detection, `drawn` is the
     number of its frame, and `own` whether it is the one box of its vessel, shape (m,)."""
     vessels = len(scene.vessels)
     rows = np.flatnonzero(tables.flags(truth.table, "annotated"))
-    key = (
-        _numbers_of(truth.table, scene)[rows] * vessels
-        + tables.indices(truth.table, "vessel", scene.vessel_names)[rows]
-    )
+    key = tables.frame_numbers(truth.table, scene) * vessels
+    key = (key + tables.indices(truth.table, "vessel", scene.vessel_names))[rows]
     vessel = tables.indices(detections.table, "vessel", scene.vessel_names)
     place = positions(key, drawn * vessels + vessel)
     strange = (vessel != NOBODY) & (place == NOBODY)

@@ -41,11 +41,6 @@ def _has_every_count(counts: dict[str, float]) -> dict[str, float]:
     return counts
 
 
-RunCounts = Annotated[
-    dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]], AfterValidator(_has_every_count)
-]
-
-
 def _is_a_check(found: dict[str, float]) -> dict[str, float]:
     """Refuse what `Checked` does not have."""
     if wrong := sorted(found.keys() ^ {field.name for field in fields(Checked)}):
@@ -53,9 +48,9 @@ def _is_a_check(found: dict[str, float]) -> dict[str, float]:
     return found
 
 
-Crosscheck = Annotated[
-    dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]], AfterValidator(_is_a_check)
-]
+_Numbers = dict[Text, Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]]
+RunCounts = Annotated[_Numbers, AfterValidator(_has_every_count)]
+Crosscheck = Annotated[_Numbers, AfterValidator(_is_a_check)]
 
 
 class FileEntry(Strict):
@@ -230,9 +225,7 @@ def check_content(path: Path, sha256: str, source: str) -> None:
 
 Column = bytes | Sequence[bytes] | Array
 """A text that is the same in all n rows; one for each row; or numbers of shape (n,), or (n, k) with commas between."""
-ROWS_AT_ONCE = 1024
-"""Rows whose texts are made together: those of many more rows take fresh memory, which costs more time than to fill it.
-"""
+ROWS_AT_ONCE = 1024  # whose texts are made together: those of many more take fresh memory, which costs more time
 
 
 def string_texts(strings: Sequence[str]) -> list[bytes]:

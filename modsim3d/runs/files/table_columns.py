@@ -107,10 +107,10 @@ DETECTIONS = (
     _STATE,
     _text("kind", f"truth, not for a tracker: where it came from, one of {', '.join(KINDS)}"),
     _text("vessel", "truth, not for a tracker: ID of the vessel that it came from; null if there is none"),
-    _number("e_x_px", "px", f"truth, not for a tracker: error of centre_x_px before the box was cut; {_NO_ERROR}"),
-    _number("e_y_px", "px", f"truth, not for a tracker: error of centre_y_px before the box was cut; {_NO_ERROR}"),
-    _number("e_w_px", "px", f"truth, not for a tracker: error of width_px before the box was cut; {_NO_ERROR}"),
-    _number("e_h_px", "px", f"truth, not for a tracker: error of height_px before the box was cut; {_NO_ERROR}"),
+    *(
+        _number(error, "px", f"truth, not for a tracker: error of {name} before the box was cut; {_NO_ERROR}")
+        for error, name in zip(ERRORS, CENTRE_FORM, strict=True)
+    ),
     _number("iou", "", "truth, not for a tracker: IoU with the annotated box of its vessel; null for a false alarm"),
 )
 OWN_SHIP = (
@@ -129,12 +129,11 @@ OWN_SHIP = (
     _number("f1_m_s2", "m/s²", "specific force at the inertial unit along v1, gravity included"),
     _number("f2_m_s2", "m/s²", "the same along v2"),
     _number("f3_m_s2", "m/s²", "the same along v3; +9.80665 for a level vessel at rest"),
-    _number("measured_p_rad_s", "rad/s", "p_rad_s as the inertial unit measures it"),
-    _number("measured_q_rad_s", "rad/s", "q_rad_s as the inertial unit measures it"),
-    _number("measured_r_rad_s", "rad/s", "r_rad_s as the inertial unit measures it"),
-    _number("measured_f1_m_s2", "m/s²", "f1_m_s2 as the inertial unit measures it"),
-    _number("measured_f2_m_s2", "m/s²", "f2_m_s2 as the inertial unit measures it"),
-    _number("measured_f3_m_s2", "m/s²", "f3_m_s2 as the inertial unit measures it"),
+    *(
+        _number(f"measured_{name}", unit, f"{name} as the inertial unit measures it")
+        for names, unit in (("p_rad_s q_rad_s r_rad_s", "rad/s"), ("f1_m_s2 f2_m_s2 f3_m_s2", "m/s²"))
+        for name in names.split()
+    ),
     _number("measured_roll_rad", "rad", "roll_rad as the inertial unit measures it"),
     _number("measured_pitch_rad", "rad", "pitch_rad as the inertial unit measures it"),
     _number("measured_heading_rad", "rad", "heading_rad + yaw_rad as the inertial unit measures it"),

@@ -221,6 +221,12 @@ def indices(table: pa.Table, name: str, names: Sequence[str]) -> Indices:
     return np.asarray(found.fill_null(NOBODY).to_numpy(zero_copy_only=False), dtype=np.int64)
 
 
+def frame_numbers(table: pa.Table, scene: Scene) -> Indices:
+    """Number (step × cameras + camera) of the frame of each row, shape (n,)."""
+    cameras = [camera.name for camera in scene.cameras]
+    return integer_column(table, "step") * len(cameras) + indices(table, "camera", cameras)
+
+
 def truth_boxes_px(table: pa.Table, prefix: str) -> Array:
     """The `full` or `visible` boxes of a truth table as x_min, y_min, x_max, y_max; NaN for no box, shape (n, 4)."""
     return np.column_stack([number_column(table, f"{prefix}_{side}") for side in BOX_SIDES])

@@ -122,19 +122,10 @@ class Identity:
     idr: float | None  # share of the vessel-frames that do
 
 
-def hota(scored: Scored) -> Hota:
-    """HOTA and its parts."""
-    return hota_of(sequence(scored))
-
-
-def clear(scored: Scored) -> Clear:
-    """CLEAR scores."""
-    return clear_of(sequence(scored), scored.rules.similarity.least)
-
-
-def identity(scored: Scored) -> Identity:
-    """Identity scores."""
-    return identity_of(sequence(scored), scored.rules.similarity.least)
+def by_trackeval(scored: Scored) -> tuple[Hota, Clear, Identity]:
+    """HOTA, CLEAR and identity scores."""
+    data, least = sequence(scored), scored.rules.similarity.least
+    return hota_of(data), clear_of(data, least), identity_of(data, least)
 
 
 def hota_of(data: Data) -> Hota:

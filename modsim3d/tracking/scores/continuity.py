@@ -56,7 +56,7 @@ def continuity(scored: Scored) -> Continuity:
     false_s = false_track_lengths_s(scored)
     vessels, tracks = scored.pairs
     pairs = np.column_stack([scored.following.truth.identity[vessels], scored.following.tracks.identity[tracks]])
-    cameras_s = float(frame_lengths_s(scored, scored.frames).sum())
+    cameras_s = float(frame_lengths_s(scored.rows, scored.frames).sum())
     return Continuity(
         appearances=appearances,
         established=established,
@@ -94,14 +94,14 @@ def false_track_lengths_s(scored: Scored) -> Array:
     ever = np.unique(identity[~following.false])
     rows = np.flatnonzero(np.isin(following.tracks.frame, scored.frames) & ~np.isin(identity, ever))
     _, track = np.unique(identity[rows], return_inverse=True)
-    return _sums(track.reshape(-1), frame_lengths_s(scored, following.tracks.frame[rows]))
+    return _sums(track.reshape(-1), frame_lengths_s(scored.rows, following.tracks.frame[rows]))
 
 
 def _appearances(scored: Scored) -> _Appearances:
     truth, rows = scored.following.truth, scored.truth_rows
     rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
     frame = truth.frame[rows]
-    times_s, lengths_s = scored.times_s[frame // scored.by_step], frame_lengths_s(scored, frame)
+    times_s, lengths_s = scored.times_s[frame // scored.by_step], frame_lengths_s(scored.rows, frame)
     return _Appearances(truth.identity[rows], times_s, scored.following.found[rows], lengths_s)
 
 

@@ -245,7 +245,7 @@ def _places(scored: Scored) -> tuple[Indices, Array]:
     rows = rows[np.lexsort((truth.frame[rows], truth.identity[rows]))]
     place = np.full(len(truth), -1)
     place[rows] = np.arange(len(rows))
-    return place, frame_lengths_s(scored, truth.frame[rows])
+    return place, frame_lengths_s(scored.rows, truth.frame[rows])
 
 
 def _changes(identity: Indices, frame: Indices, track: Indices) -> int:

@@ -74,7 +74,7 @@ class OcclusionSpans:
         first, last = occluded[found.first], occluded[found.last]
         first, last = first[each.counted[first]], last[each.counted[first]]
         start_s = each.time_s[first]
-        end_s = each.time_s[last] + frame_lengths_s(scored, each.frame[last])
+        end_s = each.time_s[last] + frame_lengths_s(scored.rows, each.frame[last])
         before, after = each.last_before(each.followed)[first], each.first_after(each.followed)[last]
         wanted = scored.following.truth.scored[each.row]
         last_one, next_one = each.last_before(wanted)[first], each.first_after(wanted)[last]

@@ -1,6 +1,6 @@
 """Source of all scores: a run, and the one matching of its vessels and the tracks."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, Self
 
@@ -66,10 +66,6 @@ class Scored:
         """Match all tracks with all vessels."""
         truth = TrueTracks.of(rows, rules.truth, rules.gap_s)
         return cls(rows, rules, follow(truth, tracks, rules.similarity, rows.regions), rows.frames)
-
-    def in_frames(self, frames: Indices) -> Self:
-        """Matching in some frames only."""
-        return replace(self, frames=frames)
 
     @cached_property
     def truth(self) -> TrueTracks:
@@ -170,14 +166,14 @@ class Histories:
         return np.where(same, place, NOBODY)
 
 
-def frame_lengths_s(scored: Scored, frames: Indices) -> Array:
+def frame_lengths_s(rows: RunRows, frames: Indices) -> Array:
     """The time from each of k frames, given by their numbers, to the camera's next one, shape (k,). A camera's last
     frame stands for as long as the one before it, and an only frame for a frame of the camera's rate."""
-    every, cameras = scored.rows.frames, scored.by_step
+    every, cameras, times_s = rows.frames, len(rows.scene.cameras), rows.scene.times_s(0, rows.steps)
     length_s = np.empty(len(every))
-    for index, camera in enumerate(scored.rows.scene.cameras):
+    for index, camera in enumerate(rows.scene.cameras):
         here = np.flatnonzero(every % cameras == index)
-        apart = np.diff(scored.times_s[every[here] // cameras])
+        apart = np.diff(times_s[every[here] // cameras])
         alone = 1 / (camera.frame_rate_hz or 1.0)
         length_s[here] = np.append(apart, apart[-1:] if len(apart) else alone)[: len(here)]
     found: Array = length_s[np.searchsorted(every, frames)]

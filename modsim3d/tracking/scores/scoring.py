@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.tracking.scores.association import Clear, Hota, Identity, clear_of, hota_of, identity_of, sequence
+from modsim3d.tracking.scores.association import Clear, Hota, Identity, by_trackeval
 from modsim3d.tracking.scores.breakdown import Breakdown, breakdown
 from modsim3d.tracking.scores.continuity import Continuity, continuity
 from modsim3d.tracking.scores.errors import Errors, Gospa, Ospa, Siap, errors, gospa, ospa, siap
@@ -93,7 +93,7 @@ def scores_of(scored: Scored) -> Scores:
 
 
 def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores:
-    whole = _by_trackeval(scored)
+    whole = by_trackeval(scored)
     states, cameras = scored.rows.scene.detector.states, scored.rows.scene.cameras
     camera_frames = (scored.frames[scored.frames % scored.by_step == index] for index in range(len(cameras)))
     state_frames = (scored.state_frames(index) for index in range(len(states)))
@@ -111,15 +111,10 @@ def _scores(scored: Scored, by_class: dict[str, Scores] | None = None) -> Scores
     )
 
 
-def _by_trackeval(scored: Scored) -> tuple[Hota, Clear, Identity]:
-    data, least = sequence(scored), scored.rules.similarity.least
-    return hota_of(data), clear_of(data, least), identity_of(data, least)
-
-
 def _subset(scored: Scored, frames: Indices, whole: tuple[Hota, Clear, Identity]) -> SubsetScores:
     """The scores of some frames; those of all frames are known."""
-    chosen = scored.in_frames(frames)
-    hota, clear, identity = whole if len(frames) == len(scored.frames) else _by_trackeval(chosen)
+    chosen = replace(scored, frames=frames)
+    hota, clear, identity = whole if len(frames) == len(scored.frames) else by_trackeval(chosen)
     return SubsetScores(len(frames), len(chosen.truth), hota.hota, hota.deta, hota.assa, clear.mota, identity.idf1)
 
 

@@ -192,9 +192,8 @@ def _definite(covariance: Array) -> Mask:
     at = covariance[:, :2, :2]
     possible = _possible(at)
     whole = np.isfinite(covariance).all(axis=(1, 2))
-    symmetric = np.abs(covariance - np.swapaxes(covariance, 1, 2)).max(axis=(1, 2), initial=0) <= _SYMMETRIC * np.trace(
-        covariance, axis1=1, axis2=2
-    )
+    apart = np.abs(covariance - np.swapaxes(covariance, 1, 2)).max(axis=(1, 2), initial=0)
+    symmetric = apart <= _SYMMETRIC * np.trace(covariance, axis1=1, axis2=2)
     possible[whole] &= symmetric[whole] & (np.linalg.eigvalsh(covariance[whole])[:, 0] > 0)
     nothing_more = np.isnan(covariance[:, 2:]).all(axis=(1, 2)) & np.isnan(covariance[:, :2, 2:]).all(axis=(1, 2))
     return possible & (whole | nothing_more)
@@ -306,17 +305,11 @@ def joined(found: Sequence[Answers], sequences: Sequence[CameraSequence], camera
     )
 
 
-def answered(
-    named: NamedTracker,
-    facts: CameraFacts,
-    times_s: Array,
-    detections: TrackerDetections,
-    progress: Progress = lambda frames: None,
-) -> Answers:
+def answered(named: NamedTracker, facts: CameraFacts, times_s: Array, detections: TrackerDetections) -> Answers:
     """The answers of a tracker to the frames of one camera, at these times, shape (F,); frames of the detections are
     places among them. Raises as `tracked` does."""
     feed = camera_feed(named, facts, times_s, detections)
-    return Answers(list(feed.answers(progress)), facts, feed.problem).numbered()
+    return Answers(list(feed.answers(lambda frames: None)), facts, feed.problem).numbered()
 
 
 def camera_feed(named: NamedTracker, facts: CameraFacts, times_s: Array, detections: TrackerDetections) -> Feed:
@@ -386,11 +379,8 @@ class Feed:
             self._next(answers, count)
         except StopIteration:
             return
-        raise self.problem(count, f"it gave more answers than {self._whose} has {word}s ({count})")
-
-    @property
-    def _whose(self) -> str:
-        return "the camera" if self._where else "the run"
+        whose = "the camera" if self._where else "the run"
+        raise self.problem(count, f"it gave more answers than {whose} has {word}s ({count})")
 
     def _started(self) -> Iterator[Any]:
         try:
@@ -398,10 +388,8 @@ class Feed:
         except (Exception, SystemExit) as error:
             raise self._failed(error, 0) from error
         if not hasattr(answers, "__iter__"):
-            name, answer = (
-                ("follow_world", "plugins.WorldTrackedStep") if self._word == "step" else ("follow", "TrackedFrame")
-            )
-            wanted = f"{name} must yield a modsim3d.{answer} for each {self._word}"
+            in_world = "follow_world must yield a modsim3d.plugins.WorldTrackedStep for each step"
+            wanted = in_world if self._word == "step" else "follow must yield a modsim3d.TrackedFrame for each frame"
             raise self.problem(0, f"{wanted}, not return {answers!r}")
         return iter(answers)
 

@@ -16,12 +16,12 @@ Share = Annotated[float, Field(strict=True, gt=0, lt=1)]
 DetectionCount = Annotated[int, Field(strict=True, ge=1, le=1000)]
 
 
-def _parts(name: str) -> Any:
-    """A module that imports Stone Soup. Raises ModsimError without it."""
+def _parts() -> Any:
+    """The module that imports Stone Soup. Raises ModsimError without it."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return import_module(f"modsim3d.tracking.trackers.{name}")
+            return import_module("modsim3d.tracking.trackers.stone_soup_parts")
     except ImportError:
         raise ModsimError('Stone Soup trackers need stonesoup: pip install "modsim3d[trackers]"') from None
 
@@ -47,7 +47,7 @@ class StoneSoup(Tracker):
 
     def follow(self, frames: Iterable[SensedFrame], camera: CameraFacts) -> Iterator[TrackedFrame]:
         """Track the detections of one camera. Raises ModsimError without Stone Soup, or if it failed in a frame."""
-        tracker = _parts("stone_soup_parts").ImageTracker(self, camera, isinstance(self, StoneSoupJpda))
+        tracker = _parts().ImageTracker(self, camera, isinstance(self, StoneSoupJpda))
         yield from answers_of(type(self).__name__, tracker.step, frames, camera)
 
 
@@ -90,7 +90,7 @@ class StoneSoupWorld(WorldTracker):
 
     def follow_world(self, steps: Iterable[WorldStep], facts: WorldFacts) -> Iterator[WorldTrackedStep]:
         """Track the vessels around. Raises ModsimError without Stone Soup, or if it failed at a step."""
-        tracker = _parts("stone_soup_world").WorldFilter(self, facts, isinstance(self, WorldJpda))
+        tracker = _parts().WorldFilter(self, facts, isinstance(self, WorldJpda))
         yield from answers_of(type(self).__name__, tracker.step, steps)
 
 

@@ -38,7 +38,7 @@ class WorldTruth:
         """The truth of a run."""
         scene = rows.scene
         hulls = hull_tracks(scene.vessels, scene.poses, rows.steps)
-        scored = seen(rows) & np.isfinite(hulls.centres_m[..., 0])
+        scored = seen(rows).any(axis=1) & np.isfinite(hulls.centres_m[..., 0])
         scored[:, list(scene.own_ships)] = False
         return cls(scene.vessel_names, scene.own_ships, hulls, scored)
 
@@ -84,17 +84,21 @@ class WorldTruth:
         return before, share[:, None]
 
 
-def seen(rows: RunRows) -> Mask:
-    """Whether a camera's last frame has a visible pixel of each vessel at each step, shape (S, V). Where it is unknown
-    what is visible, a vessel in the image is taken as seen, as in `TrueTracks`."""
-    scene = rows.scene
-    cameras, vessels = len(scene.cameras), len(scene.vessels)
-    in_frame = np.zeros((rows.steps * cameras + 1, vessels), dtype=bool)  # the last is that of NOBODY
-    visible = rows.numbers("visible_px") != 0
-    in_frame[rows.truth_frame[visible], rows.truth_vessel[visible]] = True
+def in_last_frames(rows: RunRows, frame: Indices, vessel: Indices, value: Indices | int) -> Indices:
+    """Values of n vessels in frames, as they were in the last frame of each camera at each step, (n,) to (S, C, V);
+    `NOBODY` for none."""
+    cameras = len(rows.scene.cameras)
+    found = np.full((rows.steps * cameras + 1, len(rows.scene.vessels)), NOBODY)  # the last is the frame NOBODY
+    found[frame, vessel] = value
     last = rows.last_taken(np.arange(rows.steps))
-    frames = np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))
-    return np.asarray(in_frame[frames].any(axis=1), dtype=np.bool_)
+    return found[np.where(last == NOBODY, -1, last * cameras + np.arange(cameras))]
+
+
+def seen(rows: RunRows) -> Mask:
+    """Whether each camera's last frame has a visible pixel of each vessel at each step, shape (S, C, V). Where it is
+    unknown what is visible, a vessel in the image is taken as seen, as in `TrueTracks`."""
+    visible = rows.numbers("visible_px") != 0
+    return np.not_equal(in_last_frames(rows, rows.truth_frame[visible], rows.truth_vessel[visible], 0), NOBODY)
 
 
 _LEAST = 0.5

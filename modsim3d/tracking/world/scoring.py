@@ -15,9 +15,15 @@ from modsim3d.tracking.detector_seeds import LEVEL
 from modsim3d.tracking.scores.errors import GospaParts, mean_gospa, nees_or_infinity
 from modsim3d.tracking.scores.scored import SetDistance
 from modsim3d.tracking.scores.trajectories import TGospaParts, TrajectorySets, ospa2, t_gospa
-from modsim3d.tracking.world.collision import CpaRules, PredictedApproaches, predicted_approaches
+from modsim3d.tracking.world.collision import (
+    ENCOUNTER_M,
+    CpaRules,
+    MetVessel,
+    PredictedApproaches,
+    met_vessels,
+    predicted_approaches,
+)
 from modsim3d.tracking.world.following import WorldFollowing, WorldTruth, follow_in_world
-from modsim3d.tracking.world.met_vessels import ENCOUNTER_M, MetVessel, met_vessels
 from modsim3d.tracks.tracks import WorldTracks
 
 
