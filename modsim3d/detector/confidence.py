@@ -46,8 +46,7 @@ class QuantileScores:
         place = uniforms * (len(self.quantiles) - 1)
         below = np.minimum(place.astype(np.int64), len(self.quantiles) - 2)
         start = self.quantiles[below]
-        value: Array = start + (place - below) * (self.quantiles[below + 1] - start)
-        return value
+        return np.asarray(start + (place - below) * (self.quantiles[below + 1] - start))
 
 
 SCORES: Mapping[str, type[ConfidenceLaw]] = {"normal": NormalScores, "quantiles": QuantileScores}
@@ -161,8 +160,7 @@ def clipped_score(scores: Array, means: Array | float, std: float, threshold: fl
 
 def _hazard(z: Array) -> Array:
     """Normal density over the tail above z."""
-    ratio: Array = np.exp(-(z**2) / 2 - special.log_ndtr(-z)) / np.sqrt(2 * np.pi)
-    return ratio
+    return np.asarray(np.exp(-(z**2) / 2 - special.log_ndtr(-z)) / np.sqrt(2 * np.pi))
 
 
 def clipped_laws(means: Array, std: float, threshold: float) -> tuple[Array, Array]:
@@ -259,8 +257,7 @@ def drawn_levels(levels: Levels, confidence: Array, threshold: float, rng: np.ra
     confidence, as at both ends of the range, one of them is drawn."""
     low = np.where(confidence <= threshold, 0.0, levels[0])
     high = np.where(confidence >= 1, 1.0, levels[1])
-    drawn: Array = low + rng.random(len(low)) * (high - low)
-    return drawn
+    return np.asarray(low + rng.random(len(low)) * (high - low))
 
 
 # ---- What is known ----
@@ -289,8 +286,7 @@ def pair_score(before: Array, low: Array, high: Array, correlation: Array) -> Ar
     by_factor = (at(correlation, 1 + _NEAR) - at(correlation, 1 - _NEAR)) / (2 * _NEAR)
     squares = float((by_factor**2).sum())
     share = float((by_correlation * by_factor).sum()) / squares if squares > 0 else 0.0
-    result: Array = by_correlation - share * by_factor
-    return result
+    return np.asarray(by_correlation - share * by_factor)
 
 
 def _standard(before: Array, low: Array, high: Array, correlation: Array) -> tuple[Array, Array]:

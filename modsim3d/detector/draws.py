@@ -61,8 +61,7 @@ class StudentT:
         """From one normal number each, read as its probability and that as the quantile of w, shape (...)."""
         half = self.degrees_of_freedom / 2
         chi_square = 2 * special.gammaincinv(half, special.ndtr(extra[..., 0]))
-        scales: Array = np.sqrt((self.degrees_of_freedom - 2) / chi_square)
-        return scales
+        return np.asarray(np.sqrt((self.degrees_of_freedom - 2) / chi_square))
 
 
 def standardised(distribution: ErrorDistribution, latent: Array) -> Array:
@@ -185,8 +184,7 @@ def low_uniforms(uniforms: Array) -> Array:
 def choose(distribution: Array, uniforms: Array) -> Indices:
     """Inverse of distribution functions (n, k) or (k,) from `cumulative` at uniform numbers (n,): indices, shape (n,).
     Indices of probability zero are never chosen."""
-    chosen: Indices = (uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64)
-    return chosen
+    return np.asarray((uniforms[:, None] >= distribution).sum(axis=-1, dtype=np.int64))
 
 
 def poisson_quantile(uniforms: Array, mean: Array) -> Indices:

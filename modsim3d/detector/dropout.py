@@ -24,8 +24,7 @@ def visible_fraction(targets: Targets) -> Array:
 def size_px(targets: Targets) -> Array:
     """Side of a square as large as the annotated box, at least a pixel, shape (n,)."""
     sides = np.maximum(sizes(targets.boxes_px), 0)
-    side: Array = np.maximum(np.sqrt(sides[:, 0] * sides[:, 1]), 1.0)
-    return side
+    return np.asarray(np.maximum(np.sqrt(sides[:, 0] * sides[:, 1]), 1.0))
 
 
 def distance_m(targets: Targets) -> Array:
@@ -130,8 +129,7 @@ def _sum(effects: tuple[Effect, ...], targets: Targets) -> Array:
 
 def shifted_rate(rate: Array, log_odds: Array) -> Array:
     """Rates with log-odds added, shapes (n,); 0 and 1 stay what they are."""
-    shifted: Array = special.expit(special.logit(rate) + log_odds)
-    return shifted
+    return np.asarray(special.expit(special.logit(rate) + log_odds))
 
 
 def anchor(rate: float, log_odds: Array, weights: Array) -> float:

@@ -94,8 +94,7 @@ class Placement:
     def _weights(self, below_px: Array) -> Array:
         if self.far_half_px is None:
             return np.ones_like(below_px)
-        weights: Array = special.exp2(-below_px / self.far_half_px)
-        return weights
+        return np.asarray(special.exp2(-below_px / self.far_half_px))
 
     def _below_the_horizon(
         self, half_planes: Array, image_size_px: tuple[int, int], uniforms: Array, drift_px: Array | None
@@ -127,8 +126,7 @@ class Placement:
         if self.band_px is not None:
             most = np.where(least < self.band_px, np.minimum(most, self.band_px), most)
         levels = least[:, None] + (most - least)[:, None] * np.linspace(0, 1, _NODES) ** 2
-        inside: Array = np.minimum(levels, most[:, None])
-        return inside
+        return np.asarray(np.minimum(levels, most[:, None]))
 
 
 def sea_levels(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array, Array]:
@@ -142,8 +140,7 @@ def sea_levels(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Arra
 def depths_px(half_planes: Array, points_px: Array) -> Array:
     """Depths of points (m, 2) below the horizons of half-planes (m, 3), negative above them, shape (m,)."""
     down, _ = _axes(half_planes)
-    result: Array = (points_px * down).sum(axis=1) + half_planes[:, 2] / _length(half_planes)
-    return result
+    return np.asarray((points_px * down).sum(axis=1) + half_planes[:, 2] / _length(half_planes))
 
 
 def _corners(half_planes: Array, image_size_px: tuple[int, int]) -> tuple[Array, Array]:

@@ -99,8 +99,7 @@ class MergesAndSplits:
     def looks_long(self, boxes_px: Array) -> Mask:
         """Whether true boxes of shape (n, 4) are so wide for their height that a vessel may be split, shape (n,)."""
         width, height = sizes(boxes_px).T
-        long: Mask = width >= self.split_aspect * height
-        return long
+        return np.asarray(width >= self.split_aspect * height)
 
     def events(self, streams: Streams, frames: CameraFrames, vessels: Targets, boxes_px: Array, single: Mask) -> Events:
         """Duplicated and split vessels among n detected ones, and the expected numbers of both. Boxes have their

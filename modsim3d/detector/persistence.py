@@ -65,8 +65,7 @@ class BoxMemory:
     @property
     def white_share(self) -> Array:
         """Share of the variance that is new at every step, shape (5,)."""
-        white: Array = np.maximum(1.0 - self.vessel_share - self.shares.sum(axis=0), 0.0)
-        return white
+        return np.asarray(np.maximum(1.0 - self.vessel_share - self.shares.sum(axis=0), 0.0))
 
     @property
     def memory_s(self) -> float:

@@ -88,8 +88,7 @@ class Accepted:
 
     def mean(self, values: Array) -> Array:
         """Expectation of values of shape (rows, points, k), shape (rows, k)."""
-        result: Array = np.einsum("np,npk->nk", self.weights, values)
-        return result
+        return np.asarray(np.einsum("np,npk->nk", self.weights, values))
 
 
 def accepted_errors(
@@ -215,8 +214,7 @@ def _far_from_bounds(component: int, boxes: Array, images: Array, growth: Array,
     extremes = np.stack([given.min(axis=1), given.max(axis=1)], axis=1)
     low, high = _bounds(component, boxes, images, growth.min(axis=1, keepdims=True), extremes)
     most, least = spread.max(axis=1), spread.min(axis=1)
-    far: Mask = (low[:, 0] < _LOWER_TAIL * most) & (high[:, -1] > _UPPER_TAIL * most) & (least > 0)
-    return far
+    return np.asarray((low[:, 0] < _LOWER_TAIL * most) & (high[:, -1] > _UPPER_TAIL * most) & (least > 0))
 
 
 def _within(low: Array, high: Array, spread: Array, uniforms: Array) -> tuple[Array, Array]:

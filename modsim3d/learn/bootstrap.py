@@ -163,8 +163,7 @@ def widened(values: Array, least: Array) -> Array:
     found = spread(values[1:])
     usable = np.isfinite(found) & (found > 0) & np.isfinite(least)
     factor = np.where(usable, np.maximum(least / np.where(usable, found, 1.0), 1.0), 1.0)
-    scaled: Array = values[0] + factor * (values - values[0])
-    return scaled
+    return np.asarray(values[0] + factor * (values - values[0]))
 
 
 Scale = tuple[Callable[[Array], Array], Callable[[Array], Array]]

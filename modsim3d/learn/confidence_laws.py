@@ -256,8 +256,7 @@ class LatentScores:
     @property
     def known(self) -> Array:
         """Mask of the numbers that are known, shape (n,)."""
-        found: Array = self.low == self.high
-        return found
+        return np.asarray(self.low == self.high)
 
     @property
     def expected(self) -> Array:

@@ -144,8 +144,7 @@ def _errors_of_things(observed: Observed, fitted: Mask, influence: Array) -> Arr
     _, cluster = np.unique(np.where(thing >= 0, thing, -1 - np.arange(len(thing))), return_inverse=True)
     sums = np.stack([np.bincount(cluster, column) for column in influence.T])
     clusters = sums.shape[1]
-    errors: Array = np.sqrt((sums**2).sum(axis=1) * clusters / (clusters - 1))
-    return errors
+    return np.asarray(np.sqrt((sums**2).sum(axis=1) * clusters / (clusters - 1)))
 
 
 def _maximum(missed: Array, group: Indices, x: Array, intercepts: Array) -> tuple[Array, Array, Array] | None:

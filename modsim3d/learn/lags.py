@@ -95,8 +95,7 @@ class LagTable:
         """Number of things that have each lag, as equal ones, shape (b,)."""
         whole = np.bincount(self.lag, self.same, len(self.lag_s)).astype(np.float64)
         by_thing = np.bincount(self.thing * len(self.lag_s) + self.lag, self.same, minlength=self.things * len(whole))
-        weight: Array = whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300)
-        return weight
+        return np.asarray(whole**2 / np.maximum((by_thing.reshape(self.things, -1) ** 2).sum(axis=0), 1e-300))
 
     def uncrowded(self, ratios: Array) -> Array:
         """Ratios (rows, b) to which what the mean of all sightings took of them is added. It took its part of the level
@@ -136,8 +135,7 @@ class LagTable:
         size = len(whole) * _BINS
         weight, time_s = np.bincount(cell, self.same, size), np.bincount(cell, self.same * self.apart_s, size)
         decays = np.exp(-(time_s / np.maximum(weight, 1e-300)) / times_s[:, None]) * weight
-        kept: Array = decays.reshape(len(times_s), len(whole), _BINS).sum(axis=2) / np.maximum(whole, 1e-300)
-        return kept
+        return np.asarray(decays.reshape(len(times_s), len(whole), _BINS).sum(axis=2) / np.maximum(whole, 1e-300))
 
 
 def _ratios(sums: Array) -> Array:
@@ -192,8 +190,7 @@ def why_none(table: LagTable) -> str:
 def jackknife(left_out: Array) -> Array:
     """Standard errors (...) from values without each of several things, shape (v, ...)."""
     count = len(left_out)
-    errors: Array = np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
-    return errors
+    return np.asarray(np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)))
 
 
 def _lags(longest: int) -> list[int]:
@@ -224,14 +221,12 @@ def level_of(chance: Array) -> Array:
     """Correlation of misses for each of `LATENT_SHARES`, shape (100,)."""
     varied = chance[(chance > 0) & (chance < 1)]
     p = np.quantile(varied, (np.arange(_CHANCES) + 0.5) / _CHANCES)[:, None]
-    level: Array = (both_missed(p) - p**2).sum(axis=0) / (p - p**2).sum()
-    return level
+    return np.asarray((both_missed(p) - p**2).sum(axis=0) / (p - p**2).sum())
 
 
 def both_missed(p: Array) -> Array:
     """Probability that two misses of a chance (n, 1) happen together, for each of `LATENT_SHARES`, shape (n, 100)."""
-    both: Array = p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - LATENT_SHARES) / (1 + LATENT_SHARES)))
-    return both
+    return np.asarray(p - 2 * special.owens_t(special.ndtri(p), np.sqrt((1 - LATENT_SHARES) / (1 + LATENT_SHARES))))
 
 
 def memory_shares(table: LagTable, latent: Callable[[Array], Array], resampling: Resampling) -> tuple[Array, Column]:

@@ -404,5 +404,4 @@ def _standard(values: Array) -> Array:
     if not known.any() or np.ptp(values[known]) == 0:
         return np.zeros(len(values))
     moved = np.where(known, values - values[known].mean(), 0.0)
-    result: Array = moved / moved.std(ddof=1)
-    return result
+    return np.asarray(moved / moved.std(ddof=1))

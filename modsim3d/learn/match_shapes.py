@@ -47,8 +47,7 @@ class SoughtBoxes(Columns):
     def aspect(self) -> Array:
         """Width over height, shape (n,)."""
         width, height = sizes(self.boxes_px).T
-        aspect: Array = width / np.maximum(height, 1e-9)
-        return aspect
+        return np.asarray(width / np.maximum(height, 1e-9))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +123,7 @@ def _common_height(a_px: Array, b_px: Array) -> Array:
     """Common height of boxes (m, 4) over the height of both together, shape (m,)."""
     common = np.minimum(a_px[:, 3], b_px[:, 3]) - np.maximum(a_px[:, 1], b_px[:, 1])
     whole = np.maximum(a_px[:, 3], b_px[:, 3]) - np.minimum(a_px[:, 1], b_px[:, 1])
-    share: Array = common / np.maximum(whole, 1e-9)
-    return share
+    return np.asarray(common / np.maximum(whole, 1e-9))
 
 
 def _twos(group: Indices) -> tuple[Indices, Indices]:

@@ -39,8 +39,7 @@ class Recognition:
     @property
     def unambiguous(self) -> Mask:
         """Pairs whose boxes tell whether they are around both, shape (p,)."""
-        sure: Mask = (self.mistaken.max(axis=0) <= MAX_MISTAKEN) & (self.recognized >= _MIN_RECOGNIZED)
-        return sure
+        return np.asarray((self.mistaken.max(axis=0) <= MAX_MISTAKEN) & (self.recognized >= _MIN_RECOGNIZED))
 
     @classmethod
     def of(cls, sought: SoughtBoxes, pairs: Overlapping, whole: Mask) -> Recognition:
@@ -66,8 +65,7 @@ class Recognition:
             near = errors[start[:, None] + np.arange(count)]
             drawn = move(boxes_px[:, None], near * ours[:, None])
             pair = np.broadcast_to(np.arange(len(pairs))[:, None], drawn.shape[:2])
-            share: Array = pairs.fits(sought, pair, drawn)[0].mean(axis=1)
-            return share
+            return np.asarray(pairs.fits(sought, pair, drawn)[0].mean(axis=1))
 
         mistaken = np.stack([share_that_fits(sought.boxes_px[each]) for each in (pairs.larger, pairs.smaller)])
         return cls(mistaken, share_that_fits(pairs.union_px))

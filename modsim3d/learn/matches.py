@@ -411,8 +411,7 @@ class FalseSightings(Columns):
         with np.errstate(divide="ignore", invalid="ignore"):
             left, right = y + a / b * x, y + a / b * (x - self.image_px[:, 0])
             outside = (np.minimum(left, right) < 0) | (np.maximum(left, right) > self.image_px[:, 1])
-        inside: Mask = ~outside & ~self.cut.any(axis=1)
-        return inside
+        return np.asarray(~outside & ~self.cut.any(axis=1))
 
     @cached_property
     def levels(self) -> tuple[Array, Array, Indices]:

@@ -43,8 +43,7 @@ class SightingStretches:
         with_mean = sums / sightings - lost_over_all / lost / sightings
         products = (pairs * rho - 2 * with_mean + pairs * of_mean[:, state]).sum(axis=1)
         squares = (pairs - 2 * with_mean + pairs * of_mean[:, state]).sum(axis=1)
-        left: Array = products / squares * pairs.sum() / (pairs * rho).sum(axis=1)
-        return left
+        return np.asarray(products / squares * pairs.sum() / (pairs * rho).sum(axis=1))
 
 
 def stretches_of(labelled: LabelledSet, rows: Indices, state: Indices) -> SightingStretches:

@@ -241,8 +241,7 @@ class PlaceFit:
         """Log-likelihood of each, given its density (n,), if a few lie anywhere in the image; shape (n,)."""
         low, high = self.sightings.places_px
         anywhere = np.where(high > low, high - low, 1.0) / np.prod(self.sightings.image_px, axis=1)
-        result: Array = np.log((1 - _ASTRAY) * density + _ASTRAY * anywhere)
-        return result
+        return np.asarray(np.log((1 - _ASTRAY) * density + _ASTRAY * anywhere))
 
     @cached_property
     def _depths(self) -> tuple[Array, Array]:
@@ -271,8 +270,7 @@ class PlaceFit:
             way, here = far_half_px / _LN_2 * (at_begin - at_end), at_begin
         else:
             way, here = end - begin, np.ones(len(row))
-        result: Array = np.where(inside, np.where(high > low, way, here), 0.0) / np.maximum(total[row], 1e-9)
-        return result
+        return np.asarray(np.where(inside, np.where(high > low, way, here), 0.0) / np.maximum(total[row], 1e-9))
 
     def _area_above(self, level: Array) -> Array:
         """Area of the sea above a level of each distinct image, shapes (k,)."""
@@ -282,8 +280,7 @@ class PlaceFit:
         node = np.minimum(np.sqrt(share) * last, last - 1).astype(np.int64)  # levels lie closer near the horizon
         rows, after = np.arange(len(depth)), node + 1
         share = (level - depth[rows, node]) / np.maximum(depth[rows, after] - depth[rows, node], 1e-9)
-        result: Array = areas[rows, node] + np.clip(share, 0, 1) * (areas[rows, after] - areas[rows, node])
-        return result
+        return np.asarray(areas[rows, node] + np.clip(share, 0, 1) * (areas[rows, after] - areas[rows, node]))
 
     @cached_property
     def _areas(self) -> Array:
@@ -305,8 +302,7 @@ class PlaceFit:
         overlap = np.clip(np.minimum(high, edges + height) - np.maximum(low, edges), 0, None)
         here = np.arange(rows)[:, None] == row
         lengths = np.where(high > low, overlap, here)
-        result: Array = (lengths * counts[:, column]).sum(axis=0) / counts.sum() / area
-        return result
+        return np.asarray((lengths * counts[:, column]).sum(axis=0) / counts.sum() / area)
 
 
 def cells_of(centres_px: Array, image_px: Array) -> tuple[Indices, Indices]:

@@ -38,8 +38,7 @@ class Transitions:
         n = len(self.counts)
         if not self.observed:
             return np.eye(n)
-        result: Array = (self.counts + 1) / (self.counts.sum(axis=0) + n)
-        return result
+        return np.asarray((self.counts + 1) / (self.counts.sum(axis=0) + n))
 
     def interval(self, level: float, states: tuple[str, ...]) -> Interval:
         """Credible intervals of the matrix, whose entries have Beta distributions; `states` names its axes."""

@@ -155,16 +155,14 @@ def _asked(persistence: Persistence, apart_s: Array) -> float:
 
 def _instances_of(evidence: Evidence, fits: list[StateFit]) -> Indices:
     """Row of `Instances` of each error of all fits, one fit after the other, shape (n,)."""
-    rows: Indices = evidence.true_detections.instance[np.concatenate([fit.rows for fit in fits])]
-    return rows
+    return np.asarray(evidence.true_detections.instance[np.concatenate([fit.rows for fit in fits])])
 
 
 def _products(whitened: Array, now: Indices, before: Indices) -> Array:
     """Mean product of whitened errors with those one frame before, shape (...,); 0 if there are no pairs."""
     if not len(now):
         return np.zeros(whitened.shape[:-2])
-    result: Array = (whitened[..., now, :] * whitened[..., before, :]).mean(axis=(-2, -1))
-    return result
+    return np.asarray((whitened[..., now, :] * whitened[..., before, :]).mean(axis=(-2, -1)))
 
 
 def _shares_left(fits: list[StateFit], now: Indices, before: Indices) -> Array:
@@ -179,14 +177,12 @@ def _shares_left(fits: list[StateFit], now: Indices, before: Indices) -> Array:
         share = fit.law.likelihood.latent_share(fit.law.distribution)
         gains.append(share * fit.step.acceptance[:, None, None] * left)
     gain = np.concatenate(gains)
-    shares: Array = np.einsum("mij,mij->m", gain[now], gain[before]) / 4
-    return shares
+    return np.asarray(np.einsum("mij,mij->m", gain[now], gain[before]) / 4)
 
 
 def _own_scale(whitened: Array) -> Array:
     """Scaled to have sample mean zero and sample variance one, shape (n, 4)."""
-    scaled: Array = (whitened - whitened.mean(axis=0)) / np.maximum(whitened.std(axis=0), 1e-12)
-    return scaled
+    return np.asarray((whitened - whitened.mean(axis=0)) / np.maximum(whitened.std(axis=0), 1e-12))
 
 
 def latent_paths(

@@ -215,8 +215,7 @@ def _share(
     def covariance(later: Indices, earlier: Indices) -> Array:
         """Covariance of pairs of rows that have kept a number, shapes (m,)."""
         common = np.minimum(high[later], high[earlier]) - np.maximum(low[later], low[earlier])
-        kept: Array = np.maximum(common, 0) - probability[later] * probability[earlier]
-        return kept
+        return np.asarray(np.maximum(common, 0) - probability[later] * probability[earlier])
 
     score = model.persistence.score
     if score is not None and bool((high >= 1).all()):

@@ -53,8 +53,7 @@ class KeptScores:
             total = total + 2 * sum_over_pairs(self.tracks, self.times_s, value)
         elif self.score is None:
             total = total + self._of_time(of_mean, of_square)
-        result: Array = np.maximum(total, _STEP * alone) / np.maximum(alone, 1e-300)
-        return result
+        return np.asarray(np.maximum(total, _STEP * alone) / np.maximum(alone, 1e-300))
 
     def _of_time(self, of_mean: Array, of_square: Array) -> Array:
         """Covariances that a correlation time makes, shape (k,)."""

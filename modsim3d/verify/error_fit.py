@@ -106,8 +106,7 @@ class FitStep:
     def step_of(self, statistics: Array) -> Array:
         """The step that other statistics of shape (..., n, m) would have given, shape (..., p)."""
         scores = (statistics - self.expected) @ self.weights.T * self.gains
-        step: Array = scores.sum(axis=-2) @ self.covariance
-        return step
+        return np.asarray(scores.sum(axis=-2) @ self.covariance)
 
 
 def fit_step(law: ErrorParameters, sample: StateErrors, table: MomentTable) -> FitStep | None:

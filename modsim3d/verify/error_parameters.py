@@ -218,5 +218,4 @@ def _definite(correlation: Array) -> Array:
         return correlation
     nearest = (vectors * np.maximum(values, _MIN_EIGENVALUE)) @ vectors.T
     scale = np.sqrt(np.diag(nearest))
-    result: Array = nearest / np.outer(scale, scale)
-    return result
+    return np.asarray(nearest / np.outer(scale, scale))

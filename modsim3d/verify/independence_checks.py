@@ -85,8 +85,7 @@ def _lagged(place: Indices, columns: Array, length: int) -> Array:
     dense = np.zeros((size, columns.shape[1]))
     dense[place] = columns
     power = (np.abs(fft.rfft(dense, axis=0)) ** 2).sum(axis=1)
-    products: Array = fft.irfft(power, size)[:length]
-    return products
+    return np.asarray(fft.irfft(power, size)[:length])
 
 
 MIN_STRETCHES = 20  # independent stretches with one false positive each, below which their spread is not tested

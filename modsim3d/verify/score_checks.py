@@ -115,5 +115,4 @@ def _scores(series: Indices, times_s: Array, score: LatentScore, rng: np.random.
         for row, kept in enumerate(decay.tolist()):
             part = kept * part + math.sqrt(1 - kept * kept) * rng.standard_normal(count)
             total[:, row] += math.sqrt(share) * part
-    scores: Array = special.ndtr(total)
-    return scores
+    return np.asarray(special.ndtr(total))

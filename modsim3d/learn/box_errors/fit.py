@@ -79,8 +79,7 @@ def sobol(number: int, width: int) -> Array:
     """Scrambled points of Sobol's sequence, a power of two of them, shape (number, width)."""
     from scipy.stats import qmc  # slow to import
 
-    points: Array = qmc.Sobol(width, rng=np.random.default_rng(0)).random(number)
-    return points
+    return np.asarray(qmc.Sobol(width, rng=np.random.default_rng(0)).random(number))
 
 
 def normal_points(boxes: int, number: int) -> Array:

@@ -79,8 +79,7 @@ class MatchedEdges(Columns):
     def usable(self) -> Mask:
         """Mask of the boxes with information: at least a pixel wide and high, and an edge in the image, shape (n,)."""
         large = np.all(self.truth_px[:, 2:] - self.truth_px[:, :2] >= 1, axis=1)
-        usable: Mask = large & self.counted.any(axis=1)
-        return usable
+        return np.asarray(large & self.counted.any(axis=1))
 
     @cached_property
     def counted(self) -> Mask:
@@ -318,8 +317,7 @@ def _definite(correlation: Array) -> Array:
         return correlation
     nearest = (vectors * np.maximum(values, 1e-6)) @ vectors.T
     scale = np.sqrt(np.diag(nearest))
-    result: Array = nearest / np.outer(scale, scale)
-    return result
+    return np.asarray(nearest / np.outer(scale, scale))
 
 
 # ---- Student's t distribution of four components by maximum likelihood ----
@@ -368,8 +366,7 @@ def may_be_heavy(errors: Array) -> bool:
 
 def _squared_lengths(moved: Array, matrix: Array) -> Array:
     """xᵀ M⁻¹ x of vectors (n, 4), shape (n,)."""
-    lengths: Array = np.einsum("ni,ni->n", moved, np.linalg.solve(matrix, moved.T).T)
-    return lengths
+    return np.asarray(np.einsum("ni,ni->n", moved, np.linalg.solve(matrix, moved.T).T))
 
 
 def _likeliest_degrees(q: Array) -> tuple[float, float]:

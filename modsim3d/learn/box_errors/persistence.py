@@ -136,8 +136,7 @@ def correlation_left(correlation: Array, numbers: Indices) -> Array:
     """Mean cosine between two normal vectors of so many numbers, over their correlation, shape (n,)."""
     d = np.asarray(numbers, dtype=np.float64)
     scale = np.exp(2 * (special.gammaln((d + 1) / 2) - special.gammaln(d / 2))) * 2 / d
-    left: Array = scale * special.hyp2f1(0.5, 0.5, d / 2 + 1, correlation**2)
-    return left
+    return np.asarray(scale * special.hyp2f1(0.5, 0.5, d / 2 + 1, correlation**2))
 
 
 def _clear_edges(pairs: Pairs, models: Sequence[ErrorModel | None]) -> Mask:

@@ -319,8 +319,7 @@ class _Part:
     def of(self, box_px: Array) -> Array:
         """A box, or any x, y, x, y, in the drawing, shape (4,)."""
         scale = _SKETCH_WIDTH / self.width_px
-        placed: Array = (box_px - np.array([self.left_px, self.top_px] * 2)) * scale + np.array([0, _TITLE] * 2)
-        return placed
+        return np.asarray((box_px - np.array([self.left_px, self.top_px] * 2)) * scale + np.array([0, _TITLE] * 2))
 
 
 def _box(box: Array, colour: str, *, dashed: bool = False) -> str:

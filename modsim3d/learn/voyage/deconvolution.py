@@ -133,8 +133,7 @@ def _sure(whole: Array, noise: Array, level: float) -> Mask:
     rest = np.einsum("bii->bi", whole - noise)
     if len(rest) < 3:
         return np.zeros(4, dtype=bool)
-    sure: Mask = rest[0] - float(special.ndtri((1 + level) / 2)) * spread(rest[1:]) > 0
-    return sure
+    return np.asarray(rest[0] - float(special.ndtri((1 + level) / 2)) * spread(rest[1:]) > 0)
 
 
 def _mean_products(std: Array, growth: Array, sides_px: Array) -> Array:
@@ -389,13 +388,11 @@ def _changes(learned: Learned, ours: Mask, relative: bool, noise: Array, lasting
     apart = np.abs(errors[steps.later] - errors[steps.earlier])
     change = (MAD_TO_STD * np.median(apart, axis=0)) ** 2 / 2  # a wrong match must not pull
     of_truth = noise * -np.expm1(-steps.apart_s / lasting_s).mean()
-    left: Array = np.sqrt(np.maximum(change - of_truth, 0))
-    return left
+    return np.asarray(np.sqrt(np.maximum(change - of_truth, 0)))
 
 
 def _part_of_truth(states: Sequence[LessNoise | None], pairs: Pairs, rows: int) -> Array:
     """Share of the whitened errors of all states that was taken off, shape (rows,)."""
     counts = np.bincount(pairs.state, minlength=len(states)).astype(np.float64)
     parts = np.stack([np.zeros(rows) if each is None else each.share for each in states])
-    part: Array = np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6)
-    return part
+    return np.asarray(np.clip(counts @ parts / max(counts.sum(), 1.0), 0, 1 - 1e-6))

@@ -196,8 +196,7 @@ class TruthErrors:
     def change(self) -> Array:
         """Variance of that part of each error that changes with time, mean over the boxes, (4,)."""
         part = (self.jacobians * self.noise.std[self.vessel][:, None])[..., SLOW] / self.unit_px[..., None]
-        variance: Array = (part**2).sum(axis=2).mean(axis=0)
-        return variance
+        return np.asarray((part**2).sum(axis=2).mean(axis=0))
 
     def covariances(self, draws: int, seed: int) -> Array:
         """Covariance of the errors about their mean in each draw, shape (draws, 4, 4)."""
@@ -207,8 +206,7 @@ class TruthErrors:
             about = errors - errors.mean(axis=1, keepdims=True)
             found.append(np.swapaxes(about, 1, 2) @ about / count)
         larger = 1 + _KNOWN_TO * special.ndtri((rng.permutation(draws) + 0.5) / max(draws, 1))
-        covariances: Array = np.concatenate(found) * larger[:, None, None] ** 2
-        return covariances
+        return np.asarray(np.concatenate(found) * larger[:, None, None] ** 2)
 
     def _errors(self, rng: np.random.Generator, draws: int) -> Iterator[Array]:
         """Errors of the boxes, some draws at a time, shape (some, n, 4)."""

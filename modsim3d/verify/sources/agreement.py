@@ -112,8 +112,7 @@ def compare_with_analytic(
 
 def _off(sides_px: Array, supersample: int) -> Mask:
     """Whether a side (n, 4) is off by more than a buffer pixel, shape (n,)."""
-    off: Mask = np.any(np.abs(sides_px) > 1 / supersample, axis=1)
-    return off
+    return np.asarray(np.any(np.abs(sides_px) > 1 / supersample, axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -187,8 +187,7 @@ class ClassifiedDetections:
     @cached_property
     def lasting(self) -> Array:
         """Probability that each thing lasts as vessels do, shape (N,)."""
-        probability: Array = self.kinds.lasting[0][self.kinds.of_thing]
-        return probability
+        return np.asarray(self.kinds.lasting[0][self.kinds.of_thing])
 
     @cached_property
     def likely(self) -> Mask:

@@ -106,8 +106,7 @@ class _Thing:
 
     def expected(self, now: float) -> Array:
         """Its sides at a later time, shape (4,)."""
-        sides: Array = self.sides + self.velocity[_AXES] * (now - self.last_s)
-        return sides
+        return np.asarray(self.sides + self.velocity[_AXES] * (now - self.last_s))
 
     def update(self, now: float, measured: Array, sure: Mask) -> None:
         """Move it to where it was detected, by least squares over its last detections."""
@@ -201,8 +200,7 @@ def _alike(measured: Array, sure: Mask, expected: Array, known: Mask, jitter: Ji
     usable = (sure[:, None] & known[None]).reshape(len(measured), len(expected), 2, 2).all(axis=2)
     found, whole = (np.maximum(each[..., 2:] - each[..., :2], 1.0) for each in (measured[:, None], expected[None]))
     near = np.abs(found - whole) <= _GATE_STDS * jitter.resized_px(np.sqrt(whole.prod(axis=-1)))
-    alike: Mask = (~usable | near | (np.abs(np.log(found / whole)) <= _MAX_LOG_RATIO)).all(axis=-1)
-    return alike
+    return np.asarray((~usable | near | (np.abs(np.log(found / whole)) <= _MAX_LOG_RATIO)).all(axis=-1))
 
 
 # ---- The four sides of unmatched detections ----

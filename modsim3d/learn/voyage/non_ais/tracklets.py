@@ -53,8 +53,7 @@ class Things:
     @property
     def perhaps_vessel(self) -> Mask:
         """Whether nothing but a short life speaks against a vessel, shape (N,)."""
-        perhaps: Mask = self.behaviour == Behaviour.LIKE_A_VESSEL
-        return perhaps
+        return np.asarray(self.behaviour == Behaviour.LIKE_A_VESSEL)
 
     @property
     def unsteady(self) -> Mask:
@@ -233,5 +232,4 @@ class _Durations:
         """Mean number of frames: all frames after which each could have ended over all ends, (rows,)."""
         ends = (weights * (1 - self.cut)).sum(axis=1)
         trials = np.subtract(self.frames, self.cut, dtype=np.float64)
-        mean: Array = (weights * trials).sum(axis=1) / np.maximum(ends, 0.5)
-        return mean
+        return np.asarray((weights * trials).sum(axis=1) / np.maximum(ends, 0.5))

@@ -177,8 +177,7 @@ class BoxModel:
         along, across, delay = values.vessels[vessel].T
         positions, rotations = self.traffic.at(times_s + values["clock_s"] + delay, vessel)
         antenna = np.stack([along, across, np.zeros(len(along))], axis=-1)
-        world: Array = (points_m - antenna[:, None]) @ np.swapaxes(rotations, -1, -2) + positions[:, None]
-        return world
+        return np.asarray((points_m - antenna[:, None]) @ np.swapaxes(rotations, -1, -2) + positions[:, None])
 
     def pixels(self, values: Values, times_s: Array, vessel: Indices, points_m: Array) -> Array:
         """Points of vessels in the image, NaN behind the camera, shape (n, K, 2)."""
@@ -286,8 +285,7 @@ def _stays(at_start: Array, at_end: Array) -> Mask:
         cut = -at_start / change
     enters = np.where(change < 0, cut, np.where((change == 0) & (at_start > 0), np.inf, 0.0)).max(axis=-1)
     leaves = np.where(change > 0, cut, 1.0).min(axis=-1)
-    found: Mask = np.maximum(enters, 0.0) < np.minimum(leaves, NEARLY)
-    return found
+    return np.asarray(np.maximum(enters, 0.0) < np.minimum(leaves, NEARLY))
 
 
 def same_frame(first: Indices, second: Indices) -> tuple[Indices, Indices]:
