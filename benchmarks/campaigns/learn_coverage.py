@@ -42,7 +42,7 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.learned import LearnSettings, learn
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.simulated_results import parts_of
+from modsim3d.learn.self_check import parts_of
 from modsim3d.learn.states import each_its_own, transitions_of
 from tests.learn.round_trip import DETECTOR, asked_of, simulate
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from modsim3d.learn.learned import RICHER
 from modsim3d.learn.learning import LearnResult, learn_detector
-from modsim3d.learn.model_selection import RICHER
 
 if TYPE_CHECKING:
     from benchmarks.stand_in.films import Film

@@ -11,7 +11,7 @@ import numpy as np
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.detector.records import Detections
-from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.learn.voyage.registration.icp import BoxesAtTimes
 from modsim3d.runs.pipeline import Simulation, scene_statistics, truth_block
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.record import Truth

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from modsim3d.learn.bootstrap import Column, Interval
     from modsim3d.learn.figures import Figures
     from modsim3d.learn.guess import ConditionChange
+    from modsim3d.learn.learn_detector import LearnRequest
     from modsim3d.learn.learning import LearnResult
     from modsim3d.learn.report import LearnReport
-    from modsim3d.learn.request import LearnRequest
 
 # ---- Options that `modsim3d learn-voyage` has too ----
 
@@ -185,7 +185,7 @@ def learn_command(
 def learn_request(context: typer.Context, **given: Any) -> LearnRequest:
     """Request of the options that `learn` and `learn-voyage` share, and of what else is given."""
     from modsim3d.io.input_files import read_text
-    from modsim3d.learn.request import LearnRequest, parse_match, parse_states
+    from modsim3d.learn.learn_detector import LearnRequest, parse_match, parse_states
 
     option = context.params
     scale, sequence = option["confidence_scale"], option["sequence"]

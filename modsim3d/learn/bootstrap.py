@@ -75,6 +75,17 @@ def resample(images: Images, replicates: int, seed: int, run_s: float = 0.0) -> 
     return Resampling(weights, unit)
 
 
+_RUN_TIMES, _MIN_RUNS = 12.0, 24
+
+
+def run_length_s(images: Images, memory_s: float) -> float:
+    """A length of runs many times as long as noise persists, but so that enough runs are left; 0 if none persists."""
+    if memory_s <= 0:
+        return 0.0
+    spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
+    return min(_RUN_TIMES * memory_s, float(np.nansum(spans)) / _MIN_RUNS)
+
+
 @dataclass(frozen=True, eq=False)
 class Column:
     """An estimate with its replicates."""

@@ -14,7 +14,6 @@ from modsim3d.learn.bootstrap import SIGNIFICANT, Entry, Key, Resampling, resamp
 from modsim3d.learn.confidence_fit import KINDS, Kind, ObservedConfidences, SlopeFit, SlopeForm
 from modsim3d.learn.confidence_laws import ConsecutiveScores, Inflation, LatentScores, LawKeys, LearnedConfidence
 from modsim3d.learn.matches import Observed, usual_run_s
-from modsim3d.learn.model_selection import LearnedPart
 from modsim3d.learn.persistence import inflation, steps_between
 
 # ---- Whether confidence falls ----
@@ -116,7 +115,7 @@ class ConfidenceForm:
     confidence_s: float = 0.0
     scored: bool = False
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedConfidence:
         """The distributions of each state, the slopes, and the correlation time."""
         learned = self.laws(observed, resampling)
         if self.confidence_s <= 0 or self.scored:
@@ -166,13 +165,15 @@ class ConfidenceForm:
 
 @dataclass(frozen=True)
 class OneConfidenceForm:
-    """One normal distribution of the confidence of true and false detections together in each state."""
+    """One normal distribution of the confidence of true and false detections in each state, if any is given."""
 
     notes: tuple[str, ...] = ()
     confidence_s: float = 0.0
 
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+    def estimate(self, observed: Observed, resampling: Resampling) -> confidence_laws.LearnedConfidenceOfAll:
         """The distribution of each state; that of all states where one has too few detections."""
+        if not observed.labelled.scored:
+            return confidence_laws.LearnedConfidenceOfAll(())
         every = ObservedConfidences.join([ObservedConfidences.of(observed, kind) for kind in KINDS])
         learned = []
         for index, state in enumerate(observed.states):
@@ -183,25 +184,11 @@ class OneConfidenceForm:
         return confidence_laws.LearnedConfidenceOfAll(tuple(learned))
 
 
-@dataclass(frozen=True)
-class NoConfidenceForm:
-    """Detections without confidences."""
-
-    notes: tuple[str, ...] = ("confidence: 1 for every detection; the detections have none (-1)",)
-    confidence_s: float = 0.0
-
-    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
-        """Nothing to estimate."""
-        return confidence_laws.SureOfEverything()
-
-
-def choose_confidence(
-    observed: Observed, scored: bool = False
-) -> ConfidenceForm | OneConfidenceForm | NoConfidenceForm:
+def choose_confidence(observed: Observed, scored: bool = False) -> ConfidenceForm | OneConfidenceForm:
     """Choose the distribution of confidences of each state and kind, and their slopes. `scored` says that the score
     behind misses stands behind them too."""
     if not observed.labelled.scored:
-        return NoConfidenceForm()
+        return OneConfidenceForm(("confidence: 1 for every detection; the detections have none (-1)",))
     if "confidence" in observed.without:
         return OneConfidenceForm()
     notes: list[str] = []
@@ -223,11 +210,7 @@ def choose_confidence(
             elif len(ours[kind]) < QUANTILES_NEEDED:
                 chosen[kind].append("normal")
             else:
-                far = (
-                    _distance(ours[kind].values, observed.threshold)
-                    if fit is None
-                    else _sloped_distance(ours[kind], fit, place, observed.threshold)
-                )
+                far = _distance(ours[kind], fit, place, observed.threshold)
                 chosen[kind].append("normal" if far < _NORMAL_ENOUGH else "quantiles")
     form = ConfidenceForm(tuple(chosen["true"]), tuple(chosen["false"]), tuple(slopes), ())
     confidence_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, form, notes)
@@ -275,9 +258,11 @@ def _normal_fit(
     return confidence_fit.fit_slopes(sloped, [False] * len(sloped), form, observed.threshold, once)
 
 
-def _sloped_distance(scores: ObservedConfidences, fit: SlopeFit, kind: int, threshold: float) -> float:
+def _distance(scores: ObservedConfidences, fit: SlopeFit | None, kind: int, threshold: float) -> float:
     """Largest difference between the distribution function of the levels of confidences (n,) and that of uniform ones.
     A level is the probability of a smaller confidence in the fit; that of a clipped one lies beyond its bound's."""
+    if fit is None:
+        return _normal_distance(scores.values, threshold)
     means, std = fit.means[0, kind] - fit.shift(scores), fit.stds[0, kind]
     level = special.ndtr((scores.values - means) / std)
     low = np.where(scores.values <= threshold, 0.0, level)
@@ -291,7 +276,7 @@ def _sloped_distance(scores: ObservedConfidences, fit: SlopeFit, kind: int, thre
     return float(np.abs((known + part) / len(level) - grid).max())
 
 
-def _distance(values: Array, threshold: float) -> float:
+def _normal_distance(values: Array, threshold: float) -> float:
     """Largest difference between the distribution function of values (n,) and that of their clipped normal fit."""
     mean, std = fit_clipped(clipped_sums(values, threshold, 1.0).sum(axis=0)[None], threshold, 1.0)
     ordered = np.sort(values)

@@ -28,19 +28,6 @@ Sloped = tuple[SlopeFit, int] | None  # a fit with slopes and which of its kinds
 
 
 @dataclass(frozen=True)
-class SureOfEverything:
-    """A confidence of 1 for every detection, where none is known."""
-
-    def sections(self) -> dict[str, dict[str, Any]]:
-        """Nothing outside the states."""
-        return {}
-
-    def state_section(self, state: int) -> dict[str, Any]:
-        """Section that is equal in every state."""
-        return {"confidence": {"mean": 1.0, "std": 0.0}}
-
-
-@dataclass(frozen=True)
 class Inflation:
     """Variances of estimated means and standard deviations over those from independent confidences."""
 
@@ -172,7 +159,7 @@ class LearnedConfidence:
 
 @dataclass(frozen=True, eq=False)
 class LearnedConfidenceOfAll:
-    """A distribution of the confidence of all detections of each state."""
+    """A distribution of the confidence of all detections of each state; none where detections have no confidences."""
 
     states: tuple[LearnedNormal, ...]
 
@@ -181,8 +168,8 @@ class LearnedConfidenceOfAll:
         return {}
 
     def state_section(self, state: int) -> dict[str, Any]:
-        """Mean and standard deviation; full confidence where nothing was detected."""
-        found = self.states[state].section()
+        """Mean and standard deviation; full confidence where nothing was detected, or no confidence is known."""
+        found = self.states[state].section() if self.states else {}
         return {"confidence": found if "mean" in found else {"mean": 1.0, "std": 0.0}}
 
 

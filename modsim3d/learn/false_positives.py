@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from modsim3d.core.arrays import Array
+from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.boxes import centres, sizes
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, columns_of_one, digits, nested, ratio, widened
 from modsim3d.learn.matches import FalseSightings, Observed
@@ -33,15 +33,15 @@ class FalsePositiveForm:
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedFalsePositives:
         """Rates and labels of each state, and the sizes, places and persistence that all states share."""
-        sightings = observed.false_sightings
-        lasting = None
+        sightings, lasting = observed.false_sightings, None
         if self.lifetime_s:
-            found = find_lasting(observed, sightings, _expected(observed, self.model), known=True)
+            found = find_lasting(observed, _expected(observed, self.model), known=True)
             lasting = found if isinstance(found, Lasting) else None
+        inflation = lasting.inflation if lasting else 1.0
         return LearnedFalsePositives(
             self,
-            _of_states(observed, self.model, resampling, lasting.inflation if lasting else 1.0),
-            _size(sightings, resampling, lasting.inflation if lasting else 1.0) if self.sizes else None,
+            _of_states(observed, self.model, resampling, inflation),
+            _size(sightings, resampling, inflation) if self.sizes else None,
             _place(sightings, self.placing, resampling, lasting),
             self._persistence(lasting, resampling) if self.lifetime_s else None,
         )
@@ -130,21 +130,19 @@ class LearnedFalsePositives:
 def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePositiveForm:
     """The model of false positives that the data can carry; `auto` leaves the model of their number to them."""
     notes: list[str] = []
-    sightings = observed.false_sightings
-    false = len(sightings)
+    false = len(observed.false_sightings)
     sized = false >= FALSE_NEEDED and "sizes" not in observed.without
     if false < FALSE_NEEDED:
         notes.append(f"false_positives.size: that of vessels; had {false} false detections, needs {FALSE_NEEDED}")
     chosen = _likelier(observed, notes) if model == "auto" else model
     lasting: Lasting | NotLasting = NotLasting("left out")
     if "lasting" not in observed.without:
-        lasting = find_lasting(observed, sightings, _expected(observed, chosen))
+        lasting = find_lasting(observed, _expected(observed, chosen))
         if isinstance(lasting, NotLasting):
             notes.append(f"false_positives.persistence: none; {lasting.why}")
     if isinstance(lasting, NotLasting):
-        placing = _placing(observed, sightings, (1.0, 1.0), notes)
-        return FalsePositiveForm(chosen, sized, placing, tuple(notes))
-    placing = _placing(observed, sightings, lasting.worth, notes)
+        return FalsePositiveForm(chosen, sized, _placing(observed, (1.0, 1.0), notes), tuple(notes))
+    placing = _placing(observed, lasting.worth, notes)
     if lasting.lifetime_s > lasting.frame_s * lasting.frames:
         notes.append("false_positives.persistence.lifetime_s: longer than any sequence lasts, so it is hardly known")
     if not lasting.drifts:
@@ -152,10 +150,11 @@ def choose_false_positives(observed: Observed, model: str = "auto") -> FalsePosi
     return FalsePositiveForm(chosen, sized, placing, tuple(notes), lasting.lifetime_s, lasting.drifts)
 
 
-def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, float], notes: list[str]) -> Placing:
+def _placing(observed: Observed, worth: tuple[float, float], notes: list[str]) -> Placing:
     """Placement of false positives, as far as the data carry it; see `Lasting.worth`."""
     if "places" in observed.without:
         return "uniform"
+    sightings = observed.false_sightings
     false, needed = len(sightings), FALSE_FOR_EACH_CELL * GRID[0] * GRID[1]
     where, known = "false_positives.placement:", bool(sightings.known.all())
     uniform = "uniform below the horizon" if known else "uniform"
@@ -184,14 +183,18 @@ def _placing(observed: Observed, sightings: FalseSightings, worth: tuple[float, 
     return placing
 
 
+def _in_images(observed: Observed, rows: Indices) -> Array:
+    """Number of some results in each image, shape (I,)."""
+    images = observed.labelled.results.image[rows]
+    return np.bincount(images, minlength=len(observed.labelled.images)).astype(np.float64)
+
+
 def _expected(observed: Observed, model: str) -> Array:
     """Mean number of false positives in each image under a model of their number, shape (I,)."""
     images = len(observed.labelled.images)
-    rows = observed.labelled.results.image[observed.false_positives]
-    false = np.bincount(rows, minlength=images).astype(np.float64)
-    follows = np.ones(images)
+    false, follows = _in_images(observed, observed.false_positives), np.ones(images)
     if model != "per_image":
-        follows = np.bincount(observed.labelled.results.image[observed.true], minlength=images).astype(np.float64)
+        follows = _in_images(observed, observed.true)
     expected = np.zeros(images)
     for state in range(len(observed.states)):
         ours = observed.image_state == state
@@ -201,9 +204,7 @@ def _expected(observed: Observed, model: str) -> Array:
 
 def _likelier(observed: Observed, notes: list[str]) -> str:
     """Whether the number of false detections follows that of the true ones, or is the same in every image."""
-    images = len(observed.labelled.images)
-    false = np.bincount(observed.labelled.results.image[observed.false], minlength=images).astype(np.float64)
-    true = np.bincount(observed.labelled.results.image[observed.true], minlength=images).astype(np.float64)
+    false, true = _in_images(observed, observed.false), _in_images(observed, observed.true)
     with_true, even = 0.0, 0.0
     for state in range(len(observed.states)):
         ours = observed.image_state == state

@@ -261,10 +261,7 @@ def _shares(table: LagTable, correlation: Array, times_s: Array) -> Array:
     design = np.column_stack([np.ones(len(decays)), decays, np.zeros(len(decays))])
     weight = np.sqrt(table.weight / table.weight.max())[:, None]
     system = np.vstack([weight * design, np.full((1, design.shape[1]), _EXACT)])
-    found = [optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation]
-    shares = np.stack(found)
-    over = np.maximum(shares.sum(axis=1), 1.0)[:, None]
-    shares = shares / over
+    shares = np.stack([optimize.nnls(system, np.append(weight[:, 0] * row, _EXACT))[0][:-1] for row in correlation])
+    shares = np.asarray(shares / np.maximum(shares.sum(axis=1), 1.0)[:, None])
     shares[:, 0] = np.minimum(shares[:, 0], GREATEST_SHARE)
-    result: Array = shares
-    return result
+    return shares

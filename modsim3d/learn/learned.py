@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import orjson
@@ -17,27 +17,64 @@ from modsim3d.core.errors import InputError
 from modsim3d.detector.chain import CONFUSION, MARKOV_CHAIN, MODELS, DetectorPart
 from modsim3d.formats.matching import Rule
 from modsim3d.io.input_files import MAX_TABLE_CELLS
+from modsim3d.io.validation import nearest, shown
 from modsim3d.learn import bootstrap
+from modsim3d.learn.bootstrap import Resampling
 from modsim3d.learn.box_errors.estimate import BoxErrorForm, LearnedBoxErrors, choose_box_errors
 from modsim3d.learn.box_errors.laws import LAWS
-from modsim3d.learn.confidence import ConfidenceForm, NoConfidenceForm, OneConfidenceForm, choose_confidence
+from modsim3d.learn.confidence import ConfidenceForm, OneConfidenceForm, choose_confidence
 from modsim3d.learn.false_positives import NOT_WRITTEN, FalsePositiveForm, LearnedFalsePositives, choose_false_positives
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.misses import ClassForm, LearnedClasses, choose_classes, filled
-from modsim3d.learn.model_selection import LearnedPart, PartForm
-from modsim3d.learn.multiple_boxes import (
-    NO_ROOM,
-    LearnedMultipleBoxes,
-    MultipleBoxForm,
-    choose_multiple_boxes,
-    leaves_room,
-)
+from modsim3d.learn.multiple_boxes import LearnedMultipleBoxes, MultipleBoxForm, choose_multiple_boxes, why_no_room
 from modsim3d.learn.states import Transitions, transitions_of
+
+RICHER = (
+    *("relative", "mixed", "student_t", "effects", "persistence", "score", "vessels", "components", "sizes"),
+    *("places", "lasting", "confidence", "slopes", "duplicates", "merges", "splits"),
+    "on_vessels",
+)
+"""What learning may add to the plain model, and can be told to leave out. Box errors that grow with the box, or partly
+do; heavy tails; effects on misses; persistence of misses, box errors, confidence and merges; one score
+behind misses and confidence; the share of misses and box errors that each vessel keeps; a memory of each component of
+box errors; sizes and places of false positives, and how long they last; confidence of true and false detections apart;
+its slopes; duplicates, merges and splits; false positives on vessels."""
+
+
+class LearnedPart(Protocol):
+    """The numbers of one part of the detector; its fields hold `Entry` objects."""
+
+    def sections(self) -> dict[str, dict[str, Any]]:
+        """Entries of the part outside the states, by section of the detector file."""
+
+    def state_section(self, state: int) -> dict[str, Any]:
+        """Entries of the part in the section of a state, given its index."""
+
+
+class PartForm(Protocol):
+    """The model of one part that the data can carry."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Reason why it is not a richer one: how much data there was, and how much is needed."""
+
+    def estimate(self, observed: Observed, resampling: Resampling) -> LearnedPart:
+        """The numbers of the model, with replicates for the weights of the resampling."""
+
+
+def left_out(names: Iterable[str], where: str) -> frozenset[str]:
+    """The models of `RICHER` that are to be left out, by their names; `where` is the option or argument. Raises
+    InputError if one is not known."""
+    chosen = frozenset(names)
+    unknown = sorted(chosen - set(RICHER))
+    if unknown:
+        hints = [f"{shown(name)} ({nearest(name, RICHER)})" for name in unknown]
+        raise InputError(where, [f"must be some of {', '.join(RICHER)} (got {', '.join(hints)})"])
+    return chosen
+
 
 # ---- A detector out of labelled sets ----
 
-_RUN_TIMES = 12.0
-_MIN_RUNS = 24
 _SECTIONS = ("dropout", "persistence", "false_positives")
 _STATE_KEYS = (
     *("confusion", "dropout", "false_positive_labels", "false_discovery_rate", "false_positives_per_image"),
@@ -54,7 +91,7 @@ class LearnSettings:
     replicates: int = 300  # of the bootstrap
     seed: int = 0  # of all random numbers
     clutter: str = "auto"  # `calibrated` or `per_image` number of false positives; `auto` for the likelier one
-    without: frozenset[str] = frozenset()  # of `model_selection.RICHER`, left out whatever the data carry
+    without: frozenset[str] = frozenset()  # of `learned.RICHER`, left out whatever the data carry
 
 
 @dataclass(frozen=True)
@@ -64,7 +101,7 @@ class DetectorForm:
     classes: ClassForm
     box_errors: BoxErrorForm
     false_positives: FalsePositiveForm
-    confidence: ConfidenceForm | OneConfidenceForm | NoConfidenceForm
+    confidence: ConfidenceForm | OneConfidenceForm
     multiple_boxes: MultipleBoxForm
 
     @property
@@ -86,18 +123,13 @@ class DetectorForm:
 def choose_form(observed: Observed, clutter: str = "auto") -> DetectorForm:
     """The models that the data can carry; see `LearnSettings` for the clutter."""
     multiple_boxes = choose_multiple_boxes(observed)
-    if clutter == "auto" and not leaves_room(observed):
-        clutter, multiple_boxes = "per_image", multiple_boxes.noting(NO_ROOM)
+    if clutter == "auto" and (why := why_no_room(observed)):
+        clutter, multiple_boxes = "per_image", replace(multiple_boxes, notes=(*multiple_boxes.notes, why))
     if clutter == "auto" and "on_vessels" in observed.kinds.trials:
         clutter = "per_image"  # those on vessels have a model of their own, and the others are the same in every image
-    classes = choose_classes(observed)
-    return DetectorForm(
-        classes,
-        choose_box_errors(observed),
-        choose_false_positives(observed, clutter),
-        choose_confidence(observed, classes.scored),
-        multiple_boxes,
-    )
+    classes, box_errors = choose_classes(observed), choose_box_errors(observed)
+    false_positives, confidence = choose_false_positives(observed, clutter), choose_confidence(observed, classes.scored)
+    return DetectorForm(classes, box_errors, false_positives, confidence, multiple_boxes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +207,9 @@ def learn(observed: Observed, transitions: Transitions, settings: LearnSettings)
     form, images = choose_form(observed, settings.clutter), observed.labelled.images
     run_s = _run_s(observed, form)
     resampling = bootstrap.resample(images, settings.replicates, settings.seed, run_s)
-    units: dict[str | None, int] = {
-        name: resampling.units(observed.image_state == index) for index, name in enumerate(observed.states)
-    }
-    units[None] = resampling.units(observed.image_state >= 0)
+    state = observed.image_state
+    units: dict[str | None, int] = {name: resampling.units(state == k) for k, name in enumerate(observed.states)}
+    units[None] = resampling.units(state >= 0)
     numbers = form.estimate(observed, resampling)
     numbers = _marked(numbers, unknown_numbers(observed, numbers))
     return Learned(observed, form, numbers, transitions, resampling, run_s, units)
@@ -254,7 +285,7 @@ def check_size(classes: int, states: int, replicates: int) -> None:
 
 
 def _run_s(observed: Observed, form: DetectorForm) -> float:
-    """A length many times as long as noise persists, but so that enough runs are left; 0 if none persists."""
+    """A length of runs that fits the noise which persists longest."""
     longest = max(
         form.classes.class_s,
         form.box_errors.box_s,
@@ -263,11 +294,7 @@ def _run_s(observed: Observed, form: DetectorForm) -> float:
         form.multiple_boxes.merge_s,
         form.multiple_boxes.on_vessel_s or 0.0,
     )
-    if longest <= 0:
-        return 0.0
-    images = observed.labelled.images
-    spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
-    return min(_RUN_TIMES * longest, float(np.nansum(spans)) / _MIN_RUNS)
+    return bootstrap.run_length_s(observed.labelled.images, longest)
 
 
 # ---- What learns each model of a detector ----

@@ -22,10 +22,10 @@ from modsim3d.io.atomic_write import write_files
 from modsim3d.io.input_files import inputs_noted
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.learn import learn_detector as labelled_sets
+from modsim3d.learn.learn_detector import LearnRequest, Method, parse_states
 from modsim3d.learn.learned import uncertainty_file, uncertainty_text
 from modsim3d.learn.report import LearnReport, lead
 from modsim3d.learn.report_page import Sources, document, page_text
-from modsim3d.learn.request import LearnRequest, Method, parse_states
 from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.stored_run import StoredRun, opened_run
 

@@ -1,17 +1,13 @@
 """Boxes that look like a second box of a vessel, one of its two parts, or one box around two vessels.
-Files do not say what a detection is. These rules read it from the boxes, in this order:
-
-- Two parts: two boxes side by side on an annotation, of which one may be its match, that together fit it better than
-  either does, with an IoU of at least `MIN_FIT`. The larger part detects it.
-- One box around two: a box fits the box around two annotations that overlap better than either of the two, with at
-  least that IoU, and no other detection matches either of them.
-- A second box: a false detection that the matching rule would let match an annotation which has a match already.
-
-A false positive that lies on a vessel by chance looks like one of these as well: `match_types` counts how many do."""
+Files do not say what a detection is. These rules read it from the boxes, in this order. Two parts: two boxes side by
+side on an annotation, of which one may be its match, that together fit it better than either does, with an IoU of at
+least `MIN_FIT`; the larger part detects it. One box around two: a box fits the box around two annotations that overlap
+better than either of the two, with at least that IoU, and no other detection matches either of them. A second box: a
+false detection that the matching rule would let match an annotation which has a match already. A false positive that
+lies on a vessel by chance looks like one of these as well: `match_types` counts how many do."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,33 +47,26 @@ class SoughtBoxes(Columns):
 
 
 @dataclass(frozen=True, eq=False)
-class Loose:
+class Loose(Columns):
     """False detections, ordered by image: row in the results (f,), image (f,) and box (f, 4)."""
 
     row: Indices
     image: Indices
     boxes_px: Array
 
-    def at(self, chosen: Mask | Indices) -> Loose:
-        """Some of them, by a mask or their places."""
-        return Loose(self.row[chosen], self.image[chosen], self.boxes_px[chosen])
-
     def without(self, rows: Indices) -> Loose:
         """All but those with some rows in the results."""
-        return self.at(~np.isin(self.row, rows))
+        return self.take(~np.isin(self.row, rows))
 
     def pairs(self, sought: SoughtBoxes) -> tuple[Indices, Indices]:
         """Places of these and of annotations in the same image that overlap, shapes (m,)."""
-        found = list(self._pairs(sought))
-        first, second = (np.concatenate(each).astype(np.int64) for each in zip(*found, strict=True))
-        return first, second
-
-    def _pairs(self, sought: SoughtBoxes) -> Iterator[tuple[Indices, Indices]]:
-        yield np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        found = [np.empty((2, 0), dtype=np.int64)]
         images = int(max(self.image.max(initial=-1), sought.image.max(initial=-1))) + 1
         for first, second in image_pairs(self.image, sought.image, images):
             near = intersections(self.boxes_px[first], sought.boxes_px[second]) > 0
-            yield first[near], second[near]
+            found.append(np.stack([first[near], second[near]]))
+        first, second = np.concatenate(found, axis=1)
+        return first, second
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +232,7 @@ def common_boxes(sought: SoughtBoxes, loose: Loose, pairs: Overlapping, free: Ma
 
 
 @dataclass(frozen=True, eq=False)
-class Trials:
+class Trials(Columns):
     """Vessels, or pairs of vessels, that could have come out as too many boxes or too few; shapes (n,)."""
 
     image: Indices
@@ -253,10 +242,6 @@ class Trials:
     chance: Array  # how many look so by chance
     vessels: Indices  # the two annotations of a pair, `NOBODY` for a vessel, shape (n, 2)
 
-    def where(self, chosen: Mask) -> Trials:
-        """Some of them, shape (n,)."""
-        return Trials(**{name: column[chosen] for name, column in vars(self).items()})
-
 
 def vessel_trials(
     sought: SoughtBoxes, tried: Mask, hit: Indices, chance: Array, extra_image: Indices | None = None
@@ -265,15 +250,14 @@ def vessel_trials(
     hits = np.zeros(len(sought))
     hits[hit] = 1
     extra = np.empty(0, dtype=np.int64) if extra_image is None else extra_image
-    none = np.zeros(len(extra))
-    count = int(tried.sum()) + len(extra)
+    none, number = np.zeros(len(extra)), int(tried.sum())
     return Trials(
         image=np.concatenate([sought.image[tried], extra]),
         value=np.concatenate([sought.aspect[tried], none]),
         hits=np.concatenate([(hits - chance)[tried], none + 1]),
-        weight=np.concatenate([np.ones(int(tried.sum())), none]),
+        weight=np.concatenate([np.ones(number), none]),
         chance=np.concatenate([chance[tried], none]),
-        vessels=np.full((count, 2), NOBODY),
+        vessels=np.full((number + len(extra), 2), NOBODY),
     )
 
 
@@ -307,7 +291,7 @@ def pair_trials(
     hits = np.where(apart, 0.0, hits)
     weight = np.where(apart | (single & detected[pairs.larger]), 1.0, hits)
     chance, vessels = np.where(apart, 0.0, chance), np.column_stack([rows[pairs.larger], rows[pairs.smaller]])
-    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance, vessels).where(chosen)
+    return Trials(sought.image[pairs.larger], pairs.share, hits, weight, chance, vessels).take(chosen)
 
 
 def _most(sought: SoughtBoxes, pairs: Overlapping, chosen: Mask) -> Array:

@@ -16,7 +16,7 @@ from modsim3d.formats.labelled import EVERYWHERE, LabelledSet
 from modsim3d.formats.matching import Matched, Rule
 from modsim3d.learn.box_errors.fit import ErrorFit, fit_errors, fit_without_gate
 from modsim3d.learn.box_errors.matched_edges import ErrorModel, MatchedEdges, Unit, fit_student_t
-from modsim3d.learn.counted_types import CountedAs, counted_as
+from modsim3d.learn.match_types import CountedAs, counted_as
 from modsim3d.learn.persistence import Steps, frame_interval_s, steps_between
 
 # ---- The likeliest distribution of each kind for the box errors of a state ----
@@ -201,7 +201,7 @@ class Pairs:
 @dataclass(frozen=True, eq=False)
 class Observed:
     """Annotations that are to be detected, and what became of each at a least confidence. Each image has the index of a
-    state, −1 where it takes no part, shape (I,). `without` are the models of `model_selection.RICHER` left out."""
+    state, −1 where it takes no part, shape (I,). `without` are the models of `learned.RICHER` left out."""
 
     labelled: LabelledSet
     matched: Matched
@@ -392,9 +392,8 @@ class FalseSightings(Columns):
     @cached_property
     def places_px(self) -> tuple[Array, Array]:
         """First and last row of the image in which the centre may lie, shapes (n,); the image's edge cuts boxes."""
-        low = high = self.centres_px[:, 1]
-        top, bottom = self.cut[:, 1], self.cut[:, 3]
-        return np.where(top, 0.0, low), np.where(bottom, self.image_px[:, 1], high)
+        row = self.centres_px[:, 1]
+        return np.where(self.cut[:, 1], 0.0, row), np.where(self.cut[:, 3], self.image_px[:, 1], row)
 
     @cached_property
     def cut(self) -> Mask:
@@ -429,13 +428,19 @@ class FalseSightings(Columns):
         return depth, width, row.ravel()
 
     @cached_property
+    def areas(self) -> Array:
+        """Area of the sea above each level of each distinct image, shape (k, nodes)."""
+        depth, width, _ = self.levels
+        pieces = (width[:, 1:] + width[:, :-1]) / 2 * np.diff(depth, axis=1)
+        return np.concatenate([np.zeros((len(depth), 1)), np.cumsum(pieces, axis=1)], axis=1)
+
+    @cached_property
     def level_px(self) -> Array:
         """The depth in one image of the set at which as much of the sea lies above as above each row, shape (n,)."""
-        depth, width, row = self.levels
+        (depth, _, row), area = self.levels, self.areas
         if not len(depth):
             return np.empty(0)
-        area = np.cumsum((width[:, 1:] + width[:, :-1]) / 2 * np.diff(depth, axis=1), axis=1)
-        share = np.concatenate([np.zeros((len(area), 1)), area], axis=1) / np.maximum(area[:, -1:], 1e-9)
+        share = area / np.maximum(area[:, -1:], 1e-9)
         reference = int(np.argsort(area[:, -1])[len(area) // 2])
         result = np.empty(len(self))
         order = np.argsort(row, kind="stable")

@@ -13,9 +13,19 @@ from modsim3d.core.arrays import Array
 from modsim3d.core.text import counted
 from modsim3d.learn import bootstrap
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Entry, Key, Resampling, digits, nested, resample, widened
-from modsim3d.learn.dropout_fit import MISSES_FOR_EACH, REFERENCES, EffectTerm, MissFit, attribute_values, fit_misses
+from modsim3d.learn.dropout_fit import (
+    MISSES_FOR_EACH,
+    REFERENCES,
+    EffectTerm,
+    LearnedScore,
+    MissFit,
+    attribute_values,
+    behaves_like_a_score,
+    fit_misses,
+    learned_score,
+    miss_lags,
+)
 from modsim3d.learn.lags import latent_share, vessel_noise, why_none
-from modsim3d.learn.latent_score import LearnedScore, behaves_like_a_score, learned_score, miss_lags
 from modsim3d.learn.matches import Observed, kept_share, usual_run_s
 from modsim3d.learn.persistence import Consecutive, why_no_steps
 
@@ -94,7 +104,8 @@ def _splits(observed: Observed, effects: tuple[EffectTerm, ...], name: str, enou
         fit = fit_misses(observed, own, once)
         if fit is not None:
             splits.append(SplitEffects(name, by_units, own, fit, 2 * fit.log_likelihood(observed.missed)))
-    most = max((2 * fit.log_likelihood(observed.missed) for fit in shared_fits if fit is not None), default=-np.inf)
+    values = [2 * fit.log_likelihood(observed.missed) for fit in shared_fits if fit is not None]
+    most = max(values, default=-np.inf)
     return [replace(split, gain=split.gain - most) for split in splits]
 
 
@@ -213,10 +224,10 @@ def choose_classes(observed: Observed) -> ClassForm:
     notes: list[str] = []
     candidates = () if "effects" in observed.without else _candidates(observed, notes)
     effects, fit = _significant(observed, candidates, notes)
-    class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, effects, fit, notes)
-    chance = fit if effects else _plain_fit(observed)
-    scored = class_s > 0 and chance is not None and behaves_like_a_score(observed, chance.chance, notes)
-    things_keep = class_s > 0 and not scored and _things_keep(observed, effects, fit, notes)
+    chances = fit if effects else _plain_fit(observed)
+    class_s = 0.0 if "persistence" in observed.without else _persistence_s(observed, chances, notes)
+    scored = class_s > 0 and chances is not None and behaves_like_a_score(observed, chances.chance, notes)
+    things_keep = class_s > 0 and not scored and _things_keep(observed, len(effects), chances, notes)
     return ClassForm(effects, class_s, (*notes, *_empty_columns(observed)), things_keep, scored)
 
 
@@ -294,12 +305,12 @@ def _in_units(
     return effects, fit
 
 
-def _persistence_s(observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit | None, notes: list[str]) -> float:
+def _persistence_s(observed: Observed, chances: MissFit | None, notes: list[str]) -> float:
     """Rough correlation time of misses; 0 with a note if they do not persist, or that is not sure."""
     if not len(observed.steps):
         notes.append(f"persistence: none; {why_no_steps(observed.labelled)}")
         return 0.0
-    consecutive = consecutive_misses(observed, fit if effects else _plain_fit(observed))
+    consecutive = consecutive_misses(observed, chances)
     found = consecutive.correlation()
     if found.persists:
         return consecutive.rough_time_s()
@@ -309,12 +320,11 @@ def _persistence_s(observed: Observed, effects: tuple[EffectTerm, ...], fit: Mis
     return 0.0
 
 
-def _things_keep(observed: Observed, effects: tuple[EffectTerm, ...], fit: MissFit | None, notes: list[str]) -> bool:
+def _things_keep(observed: Observed, slopes: int, chances: MissFit | None, notes: list[str]) -> bool:
     """Whether each thing surely keeps a share of the noise of misses; a note if not."""
-    chance = fit if effects else _plain_fit(observed)
-    if chance is None or "vessels" in observed.without:
+    if chances is None or "vessels" in observed.without:
         return False
-    why = why_none(miss_lags(observed, chance.chance, len(effects)))
+    why = why_none(miss_lags(observed, chances.chance, slopes))
     if why:
         notes.append(f"persistence.class_vessel_share: 0; {why}")
     return not why

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,10 @@ from modsim3d.core.arrays import Indices
 from modsim3d.core.boxes import centres, sizes
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.learn.bootstrap import Column, Entry, Key, Resampling, digits, nested, ratio, widened
-from modsim3d.learn.counted_types import THRESHOLDS, hits_and_trials
 from modsim3d.learn.match_shapes import Trials
+from modsim3d.learn.match_types import THRESHOLDS, hits_and_trials
 from modsim3d.learn.matches import Observed
-from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation, steps_of, stretches_of_things
+from modsim3d.learn.persistence import Consecutive, SightingStretches, Steps, inflation, steps_of, stretches_of
 
 # ---- How long two vessels that overlap come out as one box, or do not ----
 
@@ -34,7 +34,7 @@ class ConsecutiveTrials:
         return cls(
             trials,
             steps_of(labelled.images, trials.image, pair),
-            stretches_of_things(labelled.images, trials.image, pair, np.zeros(len(pair), dtype=np.int64)),
+            stretches_of(labelled.images, trials.image, pair, np.zeros(len(pair), dtype=np.int64)),
         )
 
     def products(self) -> Consecutive:
@@ -61,7 +61,7 @@ def _identities(labelled: LabelledSet, vessels: Indices) -> Indices:
     return np.where(both[:, 0] >= 0, pair.ravel(), -1)
 
 
-NO_ROOM = (
+_NO_ROOM = (
     "false_positives: per_image, for a rate of false detections that counts second boxes and parts of vessels must be "
     "at least what these would make if every vessel were long"
 )
@@ -71,7 +71,7 @@ _MARGIN = 1e-4  # more than what the digits in the file can change
 
 @dataclass(frozen=True)
 class MultipleBoxForm:
-    """Types among `counted_types.NAMES` that the data show, with their thresholds, None for one that has none.
+    """Types among `match_types.NAMES` that the data show, with their thresholds, None for one that has none.
     `merge_s` is the rough correlation time of merges, `on_vessel_s` of false detections on vessels, 0 if they do not
     persist, and None if none lie on vessels."""
 
@@ -79,10 +79,6 @@ class MultipleBoxForm:
     notes: tuple[str, ...]
     merge_s: float = 0.0
     on_vessel_s: float | None = None
-
-    def noting(self, note: str) -> MultipleBoxForm:
-        """Form with another note."""
-        return replace(self, notes=(*self.notes, note))
 
     def estimate(self, observed: Observed, resampling: Resampling) -> LearnedMultipleBoxes:
         """The probability of each, and the correlation time of merges."""
@@ -205,18 +201,14 @@ def _lasting_s(observed: Observed, name: str, key: str, notes: list[str]) -> flo
     return 0.0
 
 
-def leaves_room(observed: Observed) -> bool:
-    """Whether each state has as many false detections as second boxes and parts alone may make. A model whose false
-    discovery rate counts them needs that, with every vessel long, see `detector.file.agreement`."""
-    trials = observed.kinds.trials
-    extra = sum(_share(trials[name].hits.sum(), trials[name].weight.sum()) for name in _EXTRA if name in trials)
+def why_no_room(observed: Observed) -> str:
+    """Note if a state has fewer false detections than second boxes and parts alone may make, else empty. A model whose
+    false discovery rate counts them needs as many, with every vessel long, see `detector.file.agreement`."""
+    sums = [(t.hits.sum(), t.weight.sum()) for name, t in observed.kinds.trials.items() if name in _EXTRA]
+    extra = sum(float(np.clip(hits / weight, 0, 1)) for hits, weight in sums if weight > 0)
     results = observed.labelled.results
     false, true = (
         np.bincount(observed.image_state[results.image[rows]], minlength=len(observed.states))
         for rows in (observed.false, observed.true)
     )
-    return bool(np.all(false >= (extra + _MARGIN) * true)) or extra == 0
-
-
-def _share(hits: float, trials: float) -> float:
-    return float(np.clip(hits / trials, 0, 1)) if trials > 0 else 0.0
+    return "" if extra == 0 or np.all(false >= (extra + _MARGIN) * true) else _NO_ROOM

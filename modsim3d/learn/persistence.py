@@ -46,13 +46,7 @@ class SightingStretches:
         return np.asarray(products / squares * pairs.sum() / (pairs * rho).sum(axis=1))
 
 
-def stretches_of(labelled: LabelledSet, rows: Indices, state: Indices) -> SightingStretches:
-    """Stretches of annotations (n,) of things with identities in frames with times, given their states (n,)."""
-    annotations = labelled.annotations
-    return stretches_of_things(labelled.images, annotations.image[rows], annotations.identity[rows], state)
-
-
-def stretches_of_things(images: Images, image: Indices, identity: Indices, state: Indices) -> SightingStretches:
+def stretches_of(images: Images, image: Indices, identity: Indices, state: Indices) -> SightingStretches:
     """Stretches of sightings, from their images, identities, −1 where unknown, and states, shapes (n,)."""
     time_s, sequence = images.time_s[image], images.sequence[image]
     known = np.flatnonzero((identity >= 0) & np.isfinite(time_s))

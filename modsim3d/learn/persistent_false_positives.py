@@ -109,7 +109,6 @@ _FIRST_LAGS = 4
 _NEWTON_STEPS = 15
 _GRID = 81
 _ONE_IN = 2000.0
-_ONCE = Resampling(np.ones((1, 1)), np.zeros(1, dtype=np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,11 +236,10 @@ class NotLasting:
     why: str
 
 
-def find_lasting(
-    observed: Observed, sightings: FalseSightings, expected: Array, known: bool = False
-) -> Lasting | NotLasting:
+def find_lasting(observed: Observed, expected: Array, known: bool = False) -> Lasting | NotLasting:
     """Persistent false positives, given their mean number in each image, shape (I,). Where it is `known` that some
     stay, pairs need not be more than chance would bring."""
+    sightings = observed.false_sightings
     ordered = OrderedFrames.of(observed)
     if ordered is None:
         return NotLasting("frames have no times" if not np.isfinite(observed.labelled.images.time_s).any() else _NONE)
@@ -251,15 +249,12 @@ def find_lasting(
     if not lags:
         return NotLasting(_NONE)
     far = far_pairs(observed, ordered, sightings)
-    at_rest = _count(observed, sightings, expected, lags, far, 0.0)
+    at_rest = _count(observed, expected, lags, far, 0.0)
     if not known and not at_rest.beyond_chance(far):
-        found, chance = at_rest.found[:, 0].sum(), at_rest.chance[:, 0].sum()
-        return NotLasting(
-            f"{found:,.0f} false detections have another near their place in the next frame, and {chance:,.3g} would "
-            "by chance"
-        )
+        near = f"{at_rest.found[:, 0].sum():,.0f} false detections have another near their place in the next frame"
+        return NotLasting(f"{near}, and {at_rest.chance[:, 0].sum():,.3g} would by chance")
     drift = DriftSpeeds.of(sightings, observed.labelled.images.time_s, lags[0])
-    counted = _count(observed, sightings, expected, lags, far, drift.rough_px_s)
+    counted = _count(observed, expected, lags, far, drift.rough_px_s)
     grid = np.geomspace(0.3 * ordered.gap_s, 10 * ordered.span_s, _GRID)
     every = np.ones((1, len(counted.false)))
     most_s = np.inf
@@ -267,24 +262,18 @@ def find_lasting(
         used = counted.some(most_s)
         life, share = used.fit(every, grid)
         most_s = _LIFETIMES * float(life[0])
-    lifetime_s, share_of_all = float(life[0]), min(float(share[0]), 1.0)
     frames = round(ordered.span_s / ordered.gap_s) + 1
-    return Lasting(used, drift, lifetime_s, share_of_all, ordered.gap_s, frames)
+    return Lasting(used, drift, float(life[0]), min(float(share[0]), 1.0), ordered.gap_s, frames)
 
 
 _NONE = "no two frames of a sequence have times"
 
 
 def _count(
-    observed: Observed,
-    sightings: FalseSightings,
-    expected: Array,
-    lags: Sequence[Lag],
-    far: Displacements,
-    speed_px_s: float,
+    observed: Observed, expected: Array, lags: Sequence[Lag], far: Displacements, speed_px_s: float
 ) -> CountedPairs:
     """Count near pairs of false positives that drift at a speed."""
-    images = len(observed.labelled.images)
+    sightings, images = observed.false_sightings, len(observed.labelled.images)
     false = np.bincount(sightings.image, minlength=images).astype(float)
     found, chance, pairs, twice = (np.zeros((images, len(lags))) for _ in range(4))
     for k, lag in enumerate(lags):

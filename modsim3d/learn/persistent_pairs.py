@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from modsim3d.core.arrays import Array, Indices, Mask, run_starts
+from modsim3d.core.arrays import Array, Indices, Mask, extents, ranges, run_starts
 from modsim3d.learn.bootstrap import SIGNIFICANT, Column, Resampling, widened
 from modsim3d.learn.matches import FalseSightings, Observed
 
@@ -112,9 +112,8 @@ def lags_of(ordered: OrderedFrames, sightings: FalseSightings, most_s: float) ->
 
 
 def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSightings) -> Displacements:
-    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time. All
-    of them, or so many that are drawn: of few false positives every pair counts, since a chance that is estimated as 0
-    would make one pair of neighbours look like one that stays."""
+    """Pairs of false positives in images of one size that show nothing twice: of other sequences, or far in time. Some
+    of many are drawn; of few all count, since a chance estimated as 0 would make one pair look as if it stayed."""
     images, count = observed.labelled.images, len(sightings)
     if count * (count - 1) // 2 <= _FAR_PAIRS:
         first, second = np.triu_indices(count, 1)
@@ -127,18 +126,14 @@ def far_pairs(observed: Observed, ordered: OrderedFrames, sightings: FalseSighti
     if not other.any():
         other = usable & (np.abs(images.time_s[image] - images.time_s[later]) > ordered.span_s / 2)
     alike = (images.sizes_px[image] == images.sizes_px[later]).all(axis=1) | np.isnan(images.sizes_px[image, 0])
-    chosen = other & alike
-    return Displacements.between(sightings, first[chosen], second[chosen])
+    return Displacements.between(sightings, first[other & alike], second[other & alike])
 
 
 def _row_pairs(image: Indices, first: Indices, second: Indices) -> Indices:
     """All pairs of rows of the first and of the second image of each pair, shape (2, m); `image` ascends."""
-    begin, begin_2 = (np.searchsorted(image, each, "left") for each in (first, second))
-    count = np.searchsorted(image, first, "right") - begin
-    count_2 = np.searchsorted(image, second, "right") - begin_2
+    (begin, count), (begin_2, count_2) = extents(image, first), extents(image, second)
     number = count * count_2
-    pair = np.repeat(np.arange(len(first)), number)
-    place = np.arange(len(pair)) - np.repeat(np.cumsum(number) - number, number)
+    pair, place = np.repeat(np.arange(len(first)), number), ranges(np.zeros_like(number), number)
     width = np.maximum(count_2[pair], 1)
     return np.stack([begin[pair] + place // width, begin_2[pair] + place % width])
 
@@ -147,8 +142,7 @@ def _row_pairs(image: Indices, first: Indices, second: Indices) -> Indices:
 
 GRID = (3, 4)  # rows and columns of the map of where false detections are
 FALSE_FOR_EACH_CELL = 10
-Placing = Literal["uniform", "horizon_band", "far_half_px", "density"]
-"""Placements, and `far_half_px` for a uniform one that thins out below the horizon."""
+Placing = Literal["uniform", "horizon_band", "far_half_px", "density"]  # `far_half_px`: uniform, thinner far below
 _ASTRAY = 0.02
 _HALF_A_CASE = 0.5
 _BANDS, _SCALES = 60, 61
@@ -274,20 +268,13 @@ class PlaceFit:
 
     def _area_above(self, level: Array) -> Array:
         """Area of the sea above a level of each distinct image, shapes (k,)."""
-        (depth, _, _), areas = self.sightings.levels, self._areas
+        (depth, _, _), areas = self.sightings.levels, self.sightings.areas
         last = depth.shape[1] - 1
         share = np.clip((level - depth[:, 0]) / np.maximum(depth[:, -1] - depth[:, 0], 1e-9), 0, 1)
         node = np.minimum(np.sqrt(share) * last, last - 1).astype(np.int64)  # levels lie closer near the horizon
         rows, after = np.arange(len(depth)), node + 1
         share = (level - depth[rows, node]) / np.maximum(depth[rows, after] - depth[rows, node], 1e-9)
         return np.asarray(areas[rows, node] + np.clip(share, 0, 1) * (areas[rows, after] - areas[rows, node]))
-
-    @cached_property
-    def _areas(self) -> Array:
-        """Area of the sea above each level of each distinct image, shape (k, nodes)."""
-        depth, width, _ = self.sightings.levels
-        pieces = (width[:, 1:] + width[:, :-1]) / 2 * np.diff(depth, axis=1)
-        return np.concatenate([np.zeros((len(depth), 1)), np.cumsum(pieces, axis=1)], axis=1)
 
     def _map(self) -> Array:
         """Density of a map of the image in cells, shape (n,)."""

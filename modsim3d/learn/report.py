@@ -10,9 +10,8 @@ from modsim3d.core.text import counted, listed, percent_of
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched
 from modsim3d.learn.bootstrap import MIN_UNITS, Column
-from modsim3d.learn.error_shares import ErrorShares
 from modsim3d.learn.false_positives import NOT_WRITTEN
-from modsim3d.learn.figures import Figures
+from modsim3d.learn.figures import ErrorShares, Figures
 from modsim3d.learn.learned import Learned, unknown_numbers
 from modsim3d.learn.self_check import SelfCheck
 from modsim3d.learn.states import StateMap

@@ -8,8 +8,8 @@ import pytest
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import BoxMemory
-from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.learned import Learned
+from modsim3d.learn.match_types import NAMES
 from tests.learn.one_state import IOU, detected, detector, drawn_models, learned_from, moored
 
 T_LAW = {"unit": "px", "law": "student_t", "degrees_of_freedom": 5}

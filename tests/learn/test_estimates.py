@@ -12,8 +12,7 @@ from modsim3d.learn.bootstrap import Column, Entry, Key, from_scale, resample, t
 from modsim3d.learn.box_errors.laws import ErrorSample, covariance, learned_errors
 from modsim3d.learn.confidence_laws import LearnedNormal
 from modsim3d.learn.dropout_fit import fit_misses
-from modsim3d.learn.error_shares import ErrorKind, error_shares
-from modsim3d.learn.figures import Matches
+from modsim3d.learn.figures import ErrorKind, Matches, error_shares
 from modsim3d.learn.matches import ErrorSource, _regular
 from modsim3d.learn.misses import choose_classes
 from modsim3d.learn.persistence import Consecutive

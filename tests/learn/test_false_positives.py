@@ -7,7 +7,7 @@ import pytest
 
 from modsim3d.detector.file.reading import parse_detector
 from modsim3d.learn.bootstrap import entries_of, resample
-from modsim3d.learn.counted_types import NAMES
+from modsim3d.learn.match_types import NAMES
 from modsim3d.learn.matches import FalseSightings
 from modsim3d.learn.persistent_false_positives import Lasting, find_lasting
 from tests.formats.labelled_sets import found, images, truth

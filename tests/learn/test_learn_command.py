@@ -18,8 +18,7 @@ from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.bootstrap import entries_of
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LearnSettings
-from modsim3d.learn.model_selection import RICHER
+from modsim3d.learn.learned import RICHER, LearnSettings
 from modsim3d.learn.report import NearGate
 from tests.formats.labelled_sets import found, images, random_set, truth
 from tests.learn import one_state, round_trip

@@ -12,8 +12,7 @@ from modsim3d.detector.chain import MODELS, DetectorPart
 from modsim3d.detector.false_positives import FALSE_POSITIVE_MODELS, PerImage
 from modsim3d.detector.file.schema_models import DropoutSection
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LEARNERS, LearnSettings
-from modsim3d.learn.model_selection import RICHER
+from modsim3d.learn.learned import LEARNERS, RICHER, LearnSettings
 from modsim3d.learn.report_page import tables
 from tests.detector.test_parts import WITHOUT_LEARNER
 from tests.formats.labelled_sets import found, images, truth

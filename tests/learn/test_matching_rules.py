@@ -8,10 +8,9 @@ import pytest
 from modsim3d import load_scene, run_scene
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.matching import Rule, match
-from modsim3d.learn.error_shares import ErrorKind, error_shares
+from modsim3d.learn.figures import ErrorKind, error_shares
 from modsim3d.learn.learn_detector import LearnOptions, learn_detector
-from modsim3d.learn.learned import LearnSettings
-from modsim3d.learn.model_selection import RICHER
+from modsim3d.learn.learned import RICHER, LearnSettings
 from tests.formats.labelled_sets import found, images, random_set, truth
 from tests.learn.one_state import of_boats
 from tests.learn.round_trip import command, simulate

@@ -13,9 +13,8 @@ from modsim3d.formats.matching import Rule, match
 from modsim3d.formats.reading.coco import read_coco
 from modsim3d.formats.writing.coco import write_coco
 from modsim3d.learn.bootstrap import resample
-from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.dropout_fit import fit_misses
-from modsim3d.learn.match_types import kinds_of
+from modsim3d.learn.match_types import NAMES, kinds_of
 from modsim3d.learn.multiple_boxes import ConsecutiveTrials, choose_multiple_boxes
 from tests.formats.labelled_sets import found, images, truth
 from tests.learn.one_state import (

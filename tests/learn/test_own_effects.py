@@ -11,12 +11,12 @@ from modsim3d.detector.file.reading import parse_detector
 from modsim3d.detector.persistence import LatentScore
 from modsim3d.detector.target_statistics import TargetStatistics
 from modsim3d.learn.bootstrap import resample
-from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.dropout_fit import EffectTerm, fit_misses
 from modsim3d.learn.learned import Learned
+from modsim3d.learn.match_types import NAMES
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.misses import own_effects
-from modsim3d.learn.simulated_results import simulated
+from modsim3d.learn.self_check import simulated
 from tests.detector.detector_builders import make_targets
 from tests.learn.one_state import IOU, detected, detector, drawn_models, learned_from, learned_in, moored, observed_as
 

@@ -16,10 +16,9 @@ from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.reading.builder import ReadOptions
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.learn import self_check as learning_check
-from modsim3d.learn.counted_types import NAMES
 from modsim3d.learn.learned import LearnSettings
-from modsim3d.learn.self_check import RealityComparison, hota_counts, self_check
-from modsim3d.learn.simulated_results import simulated
+from modsim3d.learn.match_types import NAMES
+from modsim3d.learn.self_check import RealityComparison, hota_counts, self_check, simulated
 from tests.formats.labelled_video.videos import coco, write
 from tests.learn.one_state import detected, detector, learned_in, moored, observed_as, observed_in
 from tests.learn.round_trip import simulate

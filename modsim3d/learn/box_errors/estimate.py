@@ -107,10 +107,8 @@ def with_things(
     the share of a variance, and spreads and correlations, which are made of squares, by its square, each over as many
     things as there are in the state. Runs of frames that are resampled have the same things."""
     annotations, images = labelled.annotations, labelled.images
-    thing = np.column_stack(
-        [errors.state, images.sequence[annotations.image[errors.rows]], annotations.identity[errors.rows]]
-    )
-    keys, count = np.unique(thing, axis=0, return_counts=True)
+    things = errors.state, images.sequence[annotations.image[errors.rows]], annotations.identity[errors.rows]
+    keys, count = np.unique(np.column_stack(things), axis=0, return_counts=True)
     squares, whole = (np.bincount(keys[:, 0], count**power, minlength=len(states)) for power in (2, 1))
     crowding = dict(zip(states, squares / np.maximum(whole, 1) ** 2, strict=True))
     stds = {entry.key.state: entry.estimate for entry in bootstrap.entries_of(learned) if entry.key.names == (_STD,)}
@@ -185,11 +183,9 @@ class BoxErrorForm:
     ) -> ErrorPersistence:
         consecutive, models = _consecutive(observed, fits, self.states)
         time, share = bootstrap.Key(("persistence", "box_s")), bootstrap.Key(("persistence", "box_vessel_share"))
-        memory = (
-            persistence.component_memory(*persistence.component_lags(observed, models), resampling)
-            if self.components
-            else None
-        )
+        memory = None
+        if self.components:
+            memory = persistence.component_memory(*persistence.component_lags(observed, models), resampling)
         if not self.things_keep:
             return ErrorPersistence(bootstrap.Entry(time, consecutive.column(resampling)), memory=memory)
         white = persistence.white_errors(observed, models)

@@ -33,9 +33,7 @@ class Gate:
     @classmethod
     def of(cls, edges: MatchedEdges, model: ErrorModel) -> Gate | None:
         """The rule over boxes with errors that are about like those of a distribution; None if they hardly ever fail.
-
-        At most a few hundred are sampled, evenly over boxes in the order of shape, size and distance to the border.
-        """
+        At most a few hundred are sampled, evenly over boxes in the order of shape, size and distance to the border."""
         stretched = replace(model, std=_STRETCH * model.std, growth=_STRETCH * model.growth)
         risky = np.zeros(len(edges), dtype=bool)
         for first in range(0, len(edges), _SCREENED_AT_ONCE):
@@ -53,9 +51,8 @@ class Gate:
         stands = np.full(len(edges), -1)
         stands[order] = np.arange(len(order)) * number // len(order)
         wanted = max(_BOXES * _POINTS, _POINTS_FOR_EACH * len(order)) / number
-        return cls(
-            edges.take(chosen), normal_points(number, 1 << int(np.log2(np.clip(wanted, _POINTS, 16 * _POINTS)))), stands
-        )
+        points = normal_points(number, 1 << int(np.log2(np.clip(wanted, _POINTS, 16 * _POINTS))))
+        return cls(edges.take(chosen), points, stands)
 
     @property
     def boxes(self) -> int:
@@ -257,9 +254,8 @@ class ErrorFit:
         for place, width in enumerate(step):
             moved = start.copy()
             moved[place] += width
-            found[place] = (
-                score - slopes(self.model.with_numbers(moved), self.edges, self.gate).scores.sum(axis=0)
-            ) / width
+            change = slopes(self.model.with_numbers(moved), self.edges, self.gate).scores.sum(axis=0)
+            found[place] = (score - change) / width
         found = (found + found.T) / 2
         scale = np.sqrt(np.diag(usual))
         if not np.isfinite(found).all() or np.linalg.eigvalsh(found / np.outer(scale, scale))[0] < 1e-3:

@@ -137,12 +137,10 @@ class MatchedEdges(Columns):
             elif self.rule.method != "provenance":
                 common = common * np.maximum(np.minimum(high, side) - np.maximum(low, 0), 0)
                 found, own = found * np.maximum(high - low, 0), own * side
-        if self.rule.method == "provenance":
-            return passes
         if self.rule.method == "centre":
             passes &= np.hypot(*shifts) <= self.rule.most_distance_px
-            return passes
-        passes &= common >= min(self.rule.least_iou, 1 - 1e-10) * (found + own - common)
+        elif self.rule.method != "provenance":
+            passes &= common >= min(self.rule.least_iou, 1 - 1e-10) * (found + own - common)
         return passes
 
     def surely_passes(self, most_px: Array) -> Mask:

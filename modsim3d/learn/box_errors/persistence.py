@@ -81,7 +81,8 @@ def _settled(
     both = common > 0
     steps = _Steps(a[both], b[both], common[both], found.apart_s[both])
     shapes = [None if model is None else model.correlation for model in models]
-    stretches = persistence.stretches_of(observed.labelled, pairs.rows[kept], pairs.state[kept])
+    identity = observed.labelled.annotations.identity[pairs.rows[kept]]
+    stretches = persistence.stretches_of(observed.labelled.images, pairs.image[kept], identity, pairs.state[kept])
     result, counts = _products(pairs, models, shapes, steps)
     heavy = _heavy(models)[pairs.state[steps.later]]
     result = replace(result, stretches=stretches)

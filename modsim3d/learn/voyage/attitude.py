@@ -13,7 +13,7 @@ from modsim3d.io.misreadings import other_unit
 from modsim3d.io.text_table import TextTable
 from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.clock import SceneClock, on_scene_clock
-from modsim3d.learn.voyage.logs.tables import times_of
+from modsim3d.learn.voyage.logs.reading import times_of
 from modsim3d.scene.scene import Scene
 from modsim3d.world.poses.base import Poses
 from modsim3d.world.vessel_motion import PosesInWaves

@@ -15,7 +15,7 @@ from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.clock import read_reports
 from modsim3d.learn.voyage.log_to_scene import CameraLog
 from modsim3d.learn.voyage.reference_error import POSITION_M, TruthNoise
-from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
+from modsim3d.learn.voyage.registration.icp import BoxesAtTimes
 from modsim3d.learn.voyage.registration.parameters import SHARED_NAMES, SHORT
 from modsim3d.learn.voyage.registration.registering import BY_RULE, Registration, register
 from modsim3d.scene.scene import Scene

@@ -13,12 +13,11 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.io.input_files import inputs_noted
-from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions
+from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions, LearnRequest
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.report import LearnReport
 from modsim3d.learn.report_page import Sources
-from modsim3d.learn.request import LearnRequest
 from modsim3d.learn.voyage import camera_registration
 from modsim3d.learn.voyage.attitude import read_attitude
 from modsim3d.learn.voyage.camera_registration import KnownMeans, Registering, parse_fixed, parse_known
@@ -38,9 +37,8 @@ from modsim3d.learn.voyage.log_to_scene import Correction, on_scene
 from modsim3d.learn.voyage.logs.log import NO_OPTIONS, LogOptions
 from modsim3d.learn.voyage.logs.reading import read_log
 from modsim3d.learn.voyage.non_ais.rates import TimeSpan, check_stretches, parse_stretches
-from modsim3d.learn.voyage.non_ais.report import learn_beside_unseen
 from modsim3d.learn.voyage.reference_error import TruthNoise
-from modsim3d.learn.voyage.report import VoyageReport, voyage_sections
+from modsim3d.learn.voyage.report import VoyageReport, learn_beside_unseen, voyage_sections
 from modsim3d.runs.files.overwrite import RUN_FILE, read_of_run
 from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene

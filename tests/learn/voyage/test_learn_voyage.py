@@ -10,7 +10,7 @@ import typer
 import modsim3d
 from modsim3d import ModsimError, Scene, learn_voyage, load_scene
 from modsim3d.cli.main import app
-from modsim3d.learn.request import LearnRequest
+from modsim3d.learn.learn_detector import LearnRequest
 from modsim3d.learn.voyage.camera_registration import FIXED_NAMES
 from modsim3d.learn.voyage.learn_voyage import Method, VoyageRequest
 from modsim3d.learn.voyage.log_to_scene import NO_CORRECTION, CameraLog, Correction

@@ -12,7 +12,7 @@ from modsim3d.core.arrays import Array, Indices, Mask
 from modsim3d.core.boxes import areas, centres, intersections, iou
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.formats.matching import Matched, Rule, image_pairs, match
-from modsim3d.learn.bootstrap import Column, Entry, Resampling, resample, with_entries
+from modsim3d.learn.bootstrap import Column, Entry, Resampling, resample, run_length_s, with_entries
 from modsim3d.learn.learned import Learned
 from modsim3d.learn.matches import Observed
 from modsim3d.learn.voyage.non_ais.linking import AT_BORDER_PX, Links, link
@@ -168,8 +168,6 @@ def fainter(tracks: CrossingTracks, labelled: LabelledSet, matched: Matched, thr
 
 
 _LIKELY, _PERHAPS = 0.5, 0.1  # probabilities from which a thing is taken for a vessel, and from which it may be one
-_RUN_TIMES = 12.0
-_MIN_RUNS = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,9 +247,7 @@ class ClassifiedDetections:
     def own_rates(self, replicates: int, seed: int) -> tuple[StateRates, ...]:
         """Rates of false positives, resampled in runs that are long against the lifetimes of flicker."""
         images = self.observed.labelled.images
-        spans = [float(np.ptp(images.time_s[images.sequence == s])) for s in np.unique(images.sequence)]
-        run_s = min(_RUN_TIMES * float(self.kinds.short_s[0]), float(np.nansum(spans)) / _MIN_RUNS)
-        resampling = resample(images, replicates, seed, run_s)
+        resampling = resample(images, replicates, seed, run_length_s(images, float(self.kinds.short_s[0])))
         return self.rates(resampling, self.observed.image_state, self.observed.states)
 
     def corrected(self, learned: Learned) -> Learned:

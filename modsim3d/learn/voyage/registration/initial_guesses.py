@@ -11,8 +11,7 @@ from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError
 from modsim3d.core.text import counted, duration_text
 from modsim3d.geometry.camera import Intrinsics
-from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
-from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, Unknowns, usual_px
+from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, BoxesAtTimes, Unknowns, usual_px
 from modsim3d.learn.voyage.registration.model import BoxModel, same_frame
 from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.scene.scene import Scene

@@ -12,9 +12,8 @@ from modsim3d.geometry.camera import Camera
 from modsim3d.io.validation import nearest
 from modsim3d.learn.voyage.attitude import Attitude
 from modsim3d.learn.voyage.log_to_scene import Correction
-from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, Sightings
 from modsim3d.learn.voyage.registration.estimating import PROBED, Estimated, blocks_of, columns, estimate, linearized
-from modsim3d.learn.voyage.registration.icp import Aligner, Alignment
+from modsim3d.learn.voyage.registration.icp import Aligner, Alignment, BoxesAtTimes, Sightings
 from modsim3d.learn.voyage.registration.identifiability import (
     COMMON_DELAY,
     ConfoundedGroup,

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from modsim3d.learn.voyage.registration.boxes_at_times import Sightings
 from modsim3d.learn.voyage.registration.estimating import KNOT_S, LASTS_S, drift_axes, fit_drift
-from modsim3d.learn.voyage.registration.icp import SightingResiduals
+from modsim3d.learn.voyage.registration.icp import SightingResiduals, Sightings
 from modsim3d.learn.voyage.registration.identifiability import Knowledge, Linear, covering, undetermined
 from modsim3d.learn.voyage.registration.parameters import VesselEffects, known_of, plausible, vessel_effects
 

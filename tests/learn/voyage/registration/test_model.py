@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.voyages.wrong_camera import Voyage, really
 from modsim3d import Scene, load_scene
-from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes, match, predict
+from modsim3d.learn.voyage.registration.icp import BoxesAtTimes, match, predict
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic, crosses, planes_of
 from modsim3d.learn.voyage.registration.parameters import Values
 from modsim3d.truth.record import Truth

@@ -12,8 +12,7 @@ from benchmarks.voyages.reported import AisErrors, as_reported
 from benchmarks.voyages.wrong_camera import WRONG, Voyage, really
 from modsim3d import ModsimError, Scene, load_scene
 from modsim3d.learn.voyage.registration import initial_guesses, registering
-from modsim3d.learn.voyage.registration.boxes_at_times import BoxesAtTimes
-from modsim3d.learn.voyage.registration.icp import Aligner
+from modsim3d.learn.voyage.registration.icp import Aligner, BoxesAtTimes
 from modsim3d.learn.voyage.registration.initial_guesses import Guess, Search, rivals_of, starts
 from modsim3d.learn.voyage.registration.model import BoxModel, HidingBodies, KnownTraffic
 from modsim3d.learn.voyage.registration.parameters import SHARED_NAMES, SHORT, Values
