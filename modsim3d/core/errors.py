@@ -5,11 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 
+from modsim3d.core.arguments import as_raised
+
 MAX_LINES, LONGEST_LINE = 500, 2000  # names in an input may be a megabyte long, and each of a million entries wrong
 
 
 class ModsimError(Exception):
-    """Base of every error that a user can cause; the command line prints it and exits with status 2."""
+    """Base of every error that a user can cause; the command line prints it and exits with status 2. Who calls a
+    function reads the names of its arguments where the command line has options."""
+
+    def __str__(self) -> str:
+        """The message."""
+        return as_raised(super().__str__(), self.__traceback__)
 
 
 class InputError(ModsimError):
@@ -24,19 +31,24 @@ class InputError(ModsimError):
     def __init__(self, source: str, problems: Iterable[str]) -> None:
         """Build the message, with one line a problem."""
         self.source = source
-        self.problems = _shortened(problems)
-        super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self.problems)]))
+        self._problems = _shortened(problems)
+        super().__init__("\n".join([f"{source}:", *(f"  {problem}" for problem in self._problems)]))
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """The problems, one line each."""
+        return tuple(as_raised(problem, self.__traceback__) for problem in self._problems)
 
     def reworded(self, words: Mapping[str, str]) -> InputError:
         """The error with other words in place of regular expressions, the first of them first."""
-        source, problems = self.source, list(self.problems)
+        source, problems = self.source, list(self._problems)
         for pattern, word in words.items():
             source, *problems = (re.sub(pattern, word, text) for text in (source, *problems))
         return InputError(source, problems)
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, tuple[str, ...]]]:
         """Arguments to rebuild it from in another process."""
-        return InputError, (self.source, self.problems)
+        return InputError, (self.source, self._problems)
 
 
 def _shortened(problems: Iterable[str]) -> tuple[str, ...]:
