@@ -14,7 +14,7 @@ from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.tracking.trackers.command import DEFAULT_TIMEOUT_S
-from modsim3d.tracking.trackers.registry import NamedTracker, command_tracker, named_tracker
+from modsim3d.tracking.trackers.registry import Model, NamedTracker, command_tracker, named_tracker
 from modsim3d.tracking.trackers.running import run_tracker
 from modsim3d.tracks.reading import FACTS, TABLE, WORLD_TABLE, track_paths, write_claimed_tracks
 from modsim3d.tracks.tracks import Origin, Tracks, TrackSet, WorldTracks
@@ -84,7 +84,7 @@ def track_run(
     run: StoredRun | StrPath,
     folder: StrPath,
     *,
-    tracker: str | NamedTracker = "reference",
+    tracker: str | Model | NamedTracker = "reference",
     command: Sequence[str] | None = None,
     timeout_s: float = DEFAULT_TIMEOUT_S,
     settings: Mapping[str, object] | None = None,
@@ -101,7 +101,8 @@ def track_run(
     Args:
         run: A finished run, or its directory.
         folder: The folder for the tracks.
-        tracker: Name of a tracker, or of a plug-in; or one that `named_tracker` gave, with its settings.
+        tracker: Name of a tracker, or of a plug-in; or a class made from `modsim3d.Tracker` (docs/plugins.md); or one
+            that `named_tracker` gave, with its settings.
         command: Name and arguments of a program that is the tracker in its place (docs/tracker_command.md).
         timeout_s: Time that the program has for each answer.
         settings: Settings of the tracker, in place of those that were chosen for the scene.

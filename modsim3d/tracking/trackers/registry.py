@@ -104,18 +104,18 @@ class NamedTracker:
             raise ModsimError(f'{self} needs the library {package}: pip install "modsim3d[trackers]"') from None
 
 
-def named_tracker(name: str, settings: Mapping[str, object], scene: str | None) -> NamedTracker:
-    """A built-in tracker or a plug-in by its name. The settings are its defaults; in their place those that were chosen
-    for all shipped scenes; in place of these those chosen for the scene of that name, unless it is None; and in place
-    of all those that are given. Raises InputError if there is no such tracker, or a setting is wrong, and TypeError if
-    the settings are no mapping."""
+def named_tracker(tracker: str | Model, settings: Mapping[str, object], scene: str | None) -> NamedTracker:
+    """A built-in tracker or a plug-in by its name, or a class that is one. The settings are its defaults; in their
+    place those that were chosen for all shipped scenes; in place of these those chosen for the scene of that name,
+    unless it is None; and in place of all those that are given. Raises InputError if there is no such tracker, or a
+    setting is wrong, and TypeError if the settings are no mapping."""
     if not isinstance(settings, Mapping):
         raise TypeError(f"settings: a mapping of names to values is needed (got {type(settings).__name__})")
-    model, plugin = _model(name)
+    model, plugin = _model(tracker)
+    name = tracker if isinstance(tracker, str) else model.__name__
     defaults, chosen = ({}, DEFAULTS) if scene is None else chosen_settings(name, model, scene)
     given = {str(key): plain(value) for key, value in settings.items()}
-    tracker = _validated(model, {**defaults, **given}, name, plugin)
-    return NamedTracker(name, tracker, plugin, _chosen(chosen, given))
+    return NamedTracker(name, _validated(model, {**defaults, **given}, name, plugin), plugin, _chosen(chosen, given))
 
 
 def command_tracker(
@@ -150,10 +150,13 @@ def _chosen(chosen: str, given: Mapping[str, Any]) -> str:
     return f"{chosen.rstrip('.')}; but {', '.join(given)} given by the caller"
 
 
-def _model(name: str) -> tuple[Model, Plugin | None]:
-    if name in BUILT_IN:
-        found: object = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
-        plugin = None
+def _model(name: str | Model) -> tuple[Model, Plugin | None]:
+    found: object = name
+    plugin: Plugin | None = None
+    if isinstance(name, type):
+        plugin = Plugin(TRACKERS, name.__name__, f"the module {name.__module__}")
+    elif name in BUILT_IN:
+        found = getattr(import_module(BUILT_IN[name].module), BUILT_IN[name].class_name)
     else:
         found, plugin = load_plugin(TRACKERS, name, "--tracker", BUILT_IN)
     if isinstance(found, type):
