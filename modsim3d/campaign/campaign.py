@@ -1,7 +1,7 @@
 """Campaigns from Python: run one, go on with one, open one; and how far one is, seen from outside."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,16 +10,18 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from modsim3d.campaign.done_rows import results_table
+from modsim3d.campaign.done_rows import NeededSeeds, needed_seeds, parsed_expectation, results_table
 from modsim3d.campaign.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.means import MeanRow, mean_rows, mean_table, usual_keys, usual_scores
 from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.running import Progress, run_plan
+from modsim3d.campaign.search import SearchResult, run_search
 from modsim3d.campaign.search_folder import search_table
 from modsim3d.campaign.verdicts.verdict import Verdict, judged
-from modsim3d.campaign.work.checking import checked
+from modsim3d.campaign.work.checking import CheckedCampaign, checked
 from modsim3d.campaign.work.row import CRASHED
+from modsim3d.campaign.work.scenes import Scenes
 from modsim3d.campaign.work.task import ROWS_PATTERN, changes, stored_report
 from modsim3d.campaign.workers import Engine, ProcessPool
 from modsim3d.core.document import Document, Where
@@ -171,6 +173,7 @@ def run_campaign(
     workers: WorkerCount = "auto",
     scheduler: str | None = None,
     slurm: int | None = None,
+    shard: tuple[int, int] | None = None,
     cache: StrPath | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Campaign:
@@ -179,11 +182,12 @@ def run_campaign(
         campaign = modsim3d.run_campaign("campaign.yaml", "runs/campaign", workers=2)
 
     Args:
-        campaign: A campaign file, or the name of a shipped campaign; one with `search` is for the command line.
+        campaign: A campaign file, or the name of a shipped campaign; one with `search` is for `search_campaign`.
         out: The folder of the campaign.
         workers: Number of processes on this machine; `auto`: one for each CPU.
         scheduler: Address of a Dask scheduler, such as `tcp://10.0.0.1:8786`, whose workers do the work instead.
         slurm: Number of Slurm jobs that do the work instead.
+        shard: Number of a part, from 1, and of all parts: only its runs are made, as by a job of an array.
         cache: Where layers that are kept are read and written; `cache` in the folder if None.
         progress: Called after each task.
 
@@ -196,11 +200,94 @@ def run_campaign(
     folder = as_path(out, "out", "the folder of the campaign")
     found = checked(read_campaign(campaign))
     if found.file.keys.search is not None:
-        raise ModsimError(f"{found.file.path} is a search: modsim3d campaign run {found.file.path} --out {folder}")
+        raise ModsimError(f"{found.file.path} is a search: run it with modsim3d.search_campaign")
     layers = None if cache is None else as_path(cache, "cache", "a folder")
-    result = run_plan(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
-    assert result is not None
-    return Campaign(folder, result.table, result.verdicts, True)
+    engine = engine_of(workers, scheduler, slurm)
+    result = run_plan(found, folder, engine, shard=shard, cache=layers, progress=progress)
+    return open_campaign(folder) if result is None else Campaign(folder, result.table, result.verdicts, True)
+
+
+def search_campaign(
+    campaign: StrPath,
+    out: StrPath,
+    *,
+    workers: WorkerCount = "auto",
+    scheduler: str | None = None,
+    slurm: int | None = None,
+    cache: StrPath | None = None,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> SearchResult:
+    """Run a campaign with `search`, or go on with one that was interrupted: trials in which the tracker fails.
+
+        found = modsim3d.search_campaign("search.yaml", "runs/search", workers=2)
+        found.findings, modsim3d.reproduce_run("runs/search", found.findings[0].number, "runs/worst")
+
+    Args:
+        campaign: A campaign file.
+        out, workers, scheduler, slurm, cache, progress: As those of `run_campaign`.
+
+    Raises:
+        InputError: With every problem of the file, as that it has no `search`.
+        OutputError: The folder holds another campaign, or cannot be written.
+        ModsimError: This is no number of workers, or the workers are lost.
+        TypeError: The file or the folder is neither text nor a path.
+    """
+    folder, found = as_path(out, "out", "the folder of the campaign"), checked(read_campaign(campaign))
+    if found.file.keys.search is None:
+        raise InputError(str(found.file.path), ["search: is missing: modsim3d.run_campaign runs campaigns without one"])
+    layers = None if cache is None else as_path(cache, "cache", "a folder")
+    return run_search(found, folder, engine_of(workers, scheduler, slurm), cache=layers, progress=progress)
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """Number of runs that a campaign would make, from `plan_campaign`; of frames of all cameras in all of them; and of
+    traffic seeds that each requirement needs."""
+
+    runs: int
+    frames: int
+    needed: tuple[NeededSeeds, ...]
+
+
+def plan_campaign(
+    campaign: StrPath | CheckedCampaign,
+    *,
+    expect: Mapping[str, tuple[float, float]] | Sequence[str] = (),
+    like: StrPath | None = None,
+) -> CampaignPlan:
+    """Count the runs of a campaign and the seeds that its requirements need, without running it.
+
+        modsim3d.plan_campaign("example", expect={"hota": (0.6, 0.05)}).needed
+
+    Args:
+        campaign: A campaign file, or the name of a shipped campaign.
+        expect: Expected mean and spread over traffic seeds of scores.
+        like: Folder of an earlier campaign of this kind, which says what is expected.
+
+    Raises:
+        ModsimError: The file is wrong or a search, or what is expected is of no required mean.
+        TypeError: The file or the folder is neither text nor a path.
+    """
+    found = campaign if isinstance(campaign, CheckedCampaign) else checked(read_campaign(campaign))
+    keys, plan = found.file.keys, found.plan
+    if keys.search is not None:
+        reason = "a search has no requirements, and its budget says how many trials there will be"
+        raise ModsimError(f"campaign plan: {reason}")
+    texts = (
+        [f"{name}={mean}:{spread}" for name, (mean, spread) in expect.items()]
+        if isinstance(expect, Mapping)
+        else expect
+    )
+    expected = dict(parsed_expectation(text, plan) for text in texts)
+    earlier = None if like is None else opened_campaign(like)
+    if earlier is not None and earlier.keys.search is not None:
+        raise ModsimError(f"--like {like}: holds a search, whose trials were chosen to be bad, and has no mean")
+    needed = needed_seeds(plan, expected, earlier)
+    scenes = Scenes(keys.steps, found.file.base, learned=keys.uncertainty == "learned")
+    first = (plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions)))
+    made = (scenes.of(each.condition, each.traffic_seed, each.detector_seed) for each in first)
+    frames = sum(scene.steps * len(scene.cameras) for scene in made) * len(plan) // len(plan.conditions)
+    return CampaignPlan(len(plan), frames, tuple(needed))
 
 
 def open_campaign(folder: StrPath) -> Campaign:

@@ -11,14 +11,16 @@ import orjson
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from modsim3d.campaign.campaign import check_files, rows_of
-from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign.campaign import Campaign, check_files, rows_of
+from modsim3d.campaign.folder import CampaignFolder, opened_campaign
 from modsim3d.campaign.plan import PlannedRun
 from modsim3d.campaign.search_folder import trial_run
 from modsim3d.campaign.work.layers import Made, RunLayers
-from modsim3d.campaign.work.row import DONE, error_and_said, row_of, search_versions
+from modsim3d.campaign.work.row import DONE, error_and_said, row_of, rules_of, search_versions
 from modsim3d.campaign.work.scenes import Scenes, tracker_of, versions
+from modsim3d.campaign.worst_film import MomentFilm, film_moment, film_path
 from modsim3d.core.errors import ModsimError, OutputError, RunDirectoryError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.overwrite_guard import check_free
 from modsim3d.runs.run import run_scene, settings_of
 from modsim3d.runs.run_rows import RunRows
@@ -29,6 +31,7 @@ from modsim3d.tracking.trackers.registry import NamedTracker
 from modsim3d.tracks.reading import TABLE, WORLD_TABLE, read_stored_tracks, stored_facts, track_paths
 from modsim3d.tracks.tracks import Tracks, WorldTracks
 from modsim3d.tracks.world_reading import read_world_tracks
+from modsim3d.view.films.files import check_encoder
 
 # ---- Whether a run of a campaign that is to be made again is there already ----
 
@@ -91,7 +94,7 @@ def remade(folder: CampaignFolder, number: int) -> Made:
 _NOT_COMPARED = ("run", "status", "error", "truth_key", "detections_key", "tracks_key")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RunAgain:
     """A run of a campaign that was made again."""
 
@@ -105,6 +108,11 @@ class RunAgain:
     differing: tuple[str, ...]  # columns that are not as in the campaign, if both rows have scores
     reused: tuple[Path, ...]  # those of both folders that were there already; they are left as they were
     versions: dict[str, tuple[str | None, str | None]]  # then and now, by package, where they are not the same
+    film: MomentFilm | None = None  # of the moment at which it went wrong, if that was asked for
+
+    def __repr__(self) -> str:
+        """The folder, and whether the row is the same."""
+        return f"<RunAgain {self.folder}: {self.error or ('as' if self.same else 'not as') + ' in the campaign'}>"
 
     @property
     def same(self) -> bool:
@@ -114,24 +122,44 @@ class RunAgain:
         return (self.before["status"] == DONE) == (self.error is None) and not self.differing
 
 
-def make_again(
-    folder: CampaignFolder,
+def reproduce_run(
+    campaign: Campaign | StrPath,
     number: int,
-    out: Path,
+    out: StrPath,
     *,
+    film: bool = False,
     overwrite: bool = False,
     progress: Callable[..., None] = lambda *_: None,
 ) -> RunAgain:
-    """Make a run of a campaign again: write its run directory `out`, and its tracks beside it, and compare the scores.
-    A run and tracks that are there already, and are those of this run, are left as they are unless `overwrite`.
-    `progress` is called with the number of steps done since its last call, first with 0 and their number in all. Raises
-    ModsimError if there is no such run, or it cannot be written. What the run itself raises is in the result."""
+    """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
+
+        again = modsim3d.reproduce_run("runs/example", 12, "runs/example/runs/12", film=True)
+        again.same, again.row["hota"]
+
+    Args:
+        campaign, number: A campaign or its folder; number of the run, as in its tables.
+        out: Run directory to write, with its tracks beside it. A run that is there already stays if it is this one.
+        film: Film ten seconds around the moment at which the run went wrong, if it did.
+        overwrite: Replace another run that is there.
+        progress: Called with the number of steps done since its last call, first with 0 and their number in all; then
+            so with frames of the film.
+
+    Raises:
+        ModsimError: There is no such run, a file has changed since, ffmpeg is missing, or the run cannot be written;
+            what the run itself raises is in the result.
+        TypeError: A path is neither text nor a path.
+    """
+    folder = opened_campaign(campaign.folder if isinstance(campaign, Campaign) else campaign)
+    path = as_path(out, "out", "a run directory")
+    if film:
+        check_encoder("mp4")
+        check_free(film_path(path), overwrite)
     run, before = planned_run(folder, number), row_of_run(folder, number)
-    tracks = out.with_name(f"{out.name}_tracks")  # nothing but the run is written into its own folder
+    tracks = path.with_name(f"{path.name}_tracks")  # nothing but the run is written into its own folder
     then, now = folder.facts["versions"], {**versions(), **search_versions(folder.keys)}
-    row, error, raised_at, reused = None, None, "", list[Path]()
+    row, error, raised_at, reused, moment = None, None, "", list[Path](), None
     try:
-        row = _row(folder, run, out, tracks, overwrite, progress, reused)
+        row = _row(folder, run, path, tracks, overwrite, progress, reused)
     except (OutputError, RunDirectoryError):
         raise
     except Exception as failure:
@@ -139,8 +167,12 @@ def make_again(
         raised_at = f"{where.filename}, line {where.lineno}, in {where.name}"
         error, said = error_and_said(failure)
         raised_at += f"; standard error: {said}" if said else ""
+    if film and row is not None and row["worst_s"] is not None:
+        rules = rules_of(folder.keys.score)
+        moment = film_moment(path, tracks, rules, row["worst_s"], overwrite=overwrite, progress=progress)
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
-    return RunAgain(run, out, tracks, before, row, error, raised_at, _differing(before, row), tuple(reused), changed)
+    differing = _differing(before, row)
+    return RunAgain(run, path, tracks, before, row, error, raised_at, differing, tuple(reused), changed, moment)
 
 
 def _row(

@@ -75,9 +75,9 @@ def _finding(folder: CampaignFolder, row: dict[str, Any], score: str) -> Finding
     return Finding(row["run"], row[score], row["error"], row["traffic_seed"], values, again, f"{again} --film")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SearchResult:
-    """A search that ended."""
+    """A search that ended, from `search_campaign`."""
 
     folder: CampaignFolder
     table: pa.Table  # its trials, in their order; see `trials_table`
@@ -90,6 +90,10 @@ class SearchResult:
     def __str__(self) -> str:
         """Result in two or three sentences."""
         return sentence(self.folder, self.table)
+
+    def __repr__(self) -> str:
+        """The folder, and the result."""
+        return f"<SearchResult {self.folder.path}: {self}>"
 
 
 def run_search(

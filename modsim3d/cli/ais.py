@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from modsim3d.scene.ais.traffic import AisTraffic
 
 
-BY_TYPE = "type"  # what `--label` takes in place of the label of a group
-
-
-# More than fifty lines, because each option stands in the signature, where the command line finds it.
 def ais_command(
     context: typer.Context,
     files: Annotated[list[Path], argument("FILE...", "AIS logs, CSV or NMEA, gzipped or not.")],
@@ -35,19 +31,22 @@ def ais_command(
         str | None,
         option("TIME", "Time of the last step, in UTC, or +SECONDS from the first.", show_default="last report"),
     ] = None,
-    time_step: Annotated[float, option("SECONDS", "Time between steps.")] = 1.0,
-    gap: Annotated[float, option("SECONDS", "Time between reports beyond which a vessel is absent.")] = 400.0,
-    max_speed: Annotated[
-        float, option("KNOTS", "Drop a position that a vessel can reach only at a higher speed.")
+    time_step_s: Annotated[float, option("SECONDS", "Time between steps.", "--time-step")] = 1.0,
+    max_gap_s: Annotated[
+        float, option("SECONDS", "Time between reports beyond which a vessel is absent.", "--gap")
+    ] = 400.0,
+    max_speed_kn: Annotated[
+        float, option("KNOTS", "Drop a position that a vessel can reach only at a higher speed.", "--max-speed")
     ] = 60.0,
     swap_coordinates: Annotated[
         bool, flag("--swap-coordinates", "Exchange latitude and longitude, for CSV files that have them swapped.")
     ] = False,
-    label: Annotated[
+    labels: Annotated[
         list[str] | None,
         option(
             "type|GROUP=LABEL",
             "Label of one group of ship types, or type for a label of each; repeatable.",
+            "--label",
             show_default="Vessel for all",
         ),
     ] = None,
@@ -55,46 +54,18 @@ def ais_command(
         Path | None, option("FILE", "Detector file or shipped name of the scene.", show_default="vessel")
     ] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
 ) -> None:
     """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
 
     Example: modsim3d ais aisdk-2024-01-04.csv --region 55.6,12.6,55.8,12.9 --end +600 --out scenes/sound
     """
-    from modsim3d.detector.file.reading import find_detector, load_detector
-    from modsim3d.io import overwrite_guard
-    from modsim3d.io.overwrite_guard import locked_folder
-    from modsim3d.scene.ais import options as given
-    from modsim3d.scene.ais.scene_folder import FILES, check_free, write_scene
-    from modsim3d.scene.ais.traffic import read_traffic
-    from modsim3d.view.pages.ais_page import ais_page
+    from modsim3d.detector.file.reading import find_detector
+    from modsim3d.view.pages.ais_page import ais
 
-    labels, found = label or [], find_detector(detector or "vessel")
-    options = given.Options(
-        origin=given.parse_origin(origin) if origin else None,
-        region=given.parse_region(region) if region else None,
-        start_s=given.parse_time(start, "--start") if start else None,
-        **given.parse_end(end),
-        time_step_s=time_step,
-        max_gap_s=gap,
-        max_speed_kn=max_speed,
-        swap_coordinates=swap_coordinates,
-        labels_by_type=BY_TYPE in labels,
-        labels=given.parse_labels(text for text in labels if text != BY_TYPE),
-        detector_labels=load_detector(found).labels,
-    )
-    check_free(out, overwrite)
-    with locked_folder(out):
-        read = [file for file in files if not file.is_dir()]  # folders are refused when they are read
-        for name in FILES:
-            overwrite_guard.check_free(out / name, overwrite, [*read, found])
-        with timed("reading"):
-            traffic = read_traffic(files, options)
-        tell_files([*read, found])
-        with timed("writing"):
-            write_scene(traffic, out, found, overwrite, ais_page(traffic, shared.typed_command(context)))
-    _print_summary(traffic, out)
+    with timed("reading and writing"):
+        made = ais(**shared.arguments(context, ais, call=shared.typed_command(context)))
+    tell_files([*(file for file in files if not file.is_dir()), find_detector(detector or "vessel")])
+    _print_summary(made.traffic, made.path)
 
 
 def _print_summary(traffic: AisTraffic, folder: Path) -> None:

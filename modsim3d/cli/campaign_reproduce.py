@@ -29,9 +29,6 @@ def campaign_reproduce_command(
     out: Annotated[Path, option("RUN", "Run directory to write; its tracks go to RUN_tracks beside it.")],
     film: Annotated[bool, flag("--film", "Film ten seconds around the moment at which the run went wrong.")] = False,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Make a run of a campaign again, with its tracks, and compare its scores with those of the campaign.
 
@@ -42,26 +39,14 @@ def campaign_reproduce_command(
     Example: modsim3d campaign reproduce runs/example 12 --out runs/example/runs/12 --film
     """
     from modsim3d.campaign.folder import opened_campaign
-    from modsim3d.campaign.reproduce import make_again
-    from modsim3d.campaign.work.row import CRASHED, rules_of
-    from modsim3d.campaign.worst_film import film_moment, film_path
-    from modsim3d.io.overwrite_guard import check_free
-    from modsim3d.view.films.files import check_encoder
+    from modsim3d.campaign.reproduce import reproduce_run
+    from modsim3d.campaign.work.row import CRASHED
 
     opened = opened_campaign(campaign)
-    if film:
-        check_encoder("mp4")
-        check_free(film_path(out), overwrite)
     bar = shared.progress(f"run {number}", None)
     with shared.interruptible("; the same command goes on"), timed("run, tracks and scores"), bar as advance:
-        again = make_again(opened, number, out, overwrite=overwrite, progress=advance)
-    moment = None
-    moment_s = None if again.row is None else again.row["worst_s"]
-    if film and moment_s is not None:
-        with timed("film"), shared.progress("drawn", None) as advance:
-            moment = film_moment(
-                out, again.tracks, rules_of(opened.keys.score), moment_s, overwrite=overwrite, progress=advance
-            )
+        again = reproduce_run(campaign, number, out, film=film, overwrite=overwrite, progress=advance)
+    moment = again.film
     _print_run(again)
     if film and moment is None:
         warn("there is no film: " + ("the run crashed" if again.error else "nothing went wrong in this run"))

@@ -79,9 +79,6 @@ def campaign_run_command(
     cache: Annotated[
         Path | None, option("DIR", "Where kept layers are read and written.", show_default="DIR/cache")
     ] = None,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Run a campaign, or go on with one that was interrupted: many runs, their scores, verdicts on requirements.
 
@@ -246,9 +243,6 @@ def campaign_plan_command(
         ),
     ] = None,
     like: Annotated[Path | None, option("DIR", "Earlier campaign of this kind, which says what is expected.")] = None,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Say how many runs a campaign has and how many seeds its requirements need, without running it.
 
@@ -260,24 +254,13 @@ def campaign_plan_command(
 
 
 def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | None) -> dict[str, Any]:
-    """Print how many frames and seeds there will be and are needed; the same for JSON. Raises ModsimError if what is
-    expected says nothing, `like` is no campaign, or this is a search."""
-    from modsim3d.campaign.done_rows import needed_seeds, parsed_expectation
-    from modsim3d.campaign.folder import opened_campaign
+    """Print how many frames and seeds there will be and are needed; the same for JSON. Raises as `plan_campaign`."""
+    from modsim3d.campaign.campaign import plan_campaign
 
-    plan = campaign.plan
-    if plan.keys.search is not None:
-        reason = "a search has no requirements, and its budget says how many trials there will be"
-        raise ModsimError(f"campaign plan: {reason}")
-    expected = dict(parsed_expectation(text, plan) for text in expect)
-    earlier = None if like is None else opened_campaign(like)
-    if earlier is not None and earlier.keys.search is not None:
-        raise ModsimError(f"--like {like}: holds a search, whose trials were chosen to be bad, and has no mean")
-    needed = needed_seeds(plan, expected, earlier)
-    frames, console = _frames_of(campaign), open_console()
-    shared.print_line(console, f"{len(plan):,} runs of {frames:,} frames together")
-    if needed:
-        rows = [_needed_row(plan, each) for each in needed]
+    found, console = plan_campaign(campaign, expect=expect, like=like), open_console()
+    shared.print_line(console, f"{found.runs:,} runs of {found.frames:,} frames together")
+    if found.needed:
+        rows = [_needed_row(campaign.plan, each) for each in found.needed]
         header = ("requirement", "tracker", "condition", "seeds needed", "why")
         print_table(console, "traffic seeds needed", rows, header=header, right=(3,))
         print_prose(
@@ -286,18 +269,7 @@ def _told_plan(campaign: CheckedCampaign, expect: Sequence[str], like: Path | No
             "campaigns, if the means of seeds are normal values with this mean and spread, and no run is lost.",
             "dim",
         )
-    return {"frames": frames, "needed": [asdict(each) for each in needed]}
-
-
-def _frames_of(campaign: CheckedCampaign) -> int:
-    """Number of frames of all cameras in all runs."""
-    from modsim3d.campaign.work.scenes import Scenes
-
-    keys, plan = campaign.file.keys, campaign.plan
-    scenes = Scenes(keys.steps, campaign.file.base, learned=keys.uncertainty == "learned")
-    first = (plan.run(place * plan.runs_by_seed // len(plan.conditions)) for place in range(len(plan.conditions)))
-    made = (scenes.of(each.condition, each.traffic_seed, each.detector_seed) for each in first)
-    return sum(scene.steps * len(scene.cameras) for scene in made) * len(plan) // len(plan.conditions)
+    return {"frames": found.frames, "needed": [asdict(each) for each in found.needed]}
 
 
 def _needed_row(plan: Plan, each: NeededSeeds) -> tuple[str, ...]:

@@ -22,12 +22,7 @@ if TYPE_CHECKING:
     from modsim3d.campaign.means import MeanRow
 
 
-def campaign_status_command(
-    campaign: shared.CampaignArgument,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
-) -> None:
+def campaign_status_command(campaign: shared.CampaignArgument) -> None:
     """Say how far a campaign is and what is known of its requirements, while it is worked on or afterwards.
 
     Example: modsim3d campaign status runs/example
@@ -113,9 +108,6 @@ def campaign_table_command(
     ] = None,
     out: Annotated[Path | None, option("FILE", "Table to write, .csv or .parquet.", show_default="none")] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Mean scores of a campaign by tracker and condition, with 95 % intervals over traffic seeds.
 
@@ -203,29 +195,20 @@ def campaign_report_command(
     campaign: Annotated[Path, argument("DIR", "Folder of a campaign, finished or not.")],
     out: Annotated[Path | None, option("FILE", "HTML file to write.", show_default="DIR/report.html")] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Write a page about a campaign: requirements first, then means, charts, the worst runs and what was covered.
 
     Example: modsim3d campaign report runs/example
     """
     from modsim3d.campaign.folder import files_of_campaign, opened_campaign
-    from modsim3d.campaign.report.campaign_page import REPORT_FILE
-    from modsim3d.campaign.report.search_page import write_page
-    from modsim3d.io.overwrite_guard import claimed
+    from modsim3d.campaign.report.search_page import report_campaign
 
     with timed("opening the campaign"):
-        opened = opened_campaign(campaign)
-    path, read = shared.out_file(out, campaign / REPORT_FILE), files_of_campaign(opened)
-    tell_files(read)
-    with (
-        timed("page"),
-        claimed([path], overwrite=overwrite, inputs=read),
-        shared.progress("worst runs", None) as advance,
-    ):
-        lead = write_page(opened, path, advance, shared.typed_command(context))
+        tell_files(files_of_campaign(opened_campaign(campaign)))
+    with timed("page"), shared.progress("worst runs", None) as advance:
+        given = shared.arguments(context, report_campaign, call=shared.typed_command(context))
+        written = report_campaign(**given, progress=advance)
+    path, (lead,) = written.path, written.notes
     say(lead)
     say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
     say_json({"format": 1, "command": "campaign report", "conclusion": lead, "written": [path]})

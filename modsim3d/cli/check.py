@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modsim3d.cli import shared
-from modsim3d.cli.run_summary import mode_in_words, scene_warnings, traffic_in_words
+from modsim3d.cli.run_summary import mode_in_words, traffic_in_words
 from modsim3d.cli.shared import option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_document, print_table
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
 
 
 def check_scene_command(
+    context: typer.Context,
     scene: shared.SceneArgument,
     detector: shared.DetectorOption = None,
     settings: shared.SetOption = None,
@@ -37,9 +37,6 @@ def check_scene_command(
         option("FILE", "File to draw a map of the scene in.", "--out", "--map", show_default="nothing drawn"),
     ] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Read a scene, a campaign or a detector with every file that it names; list what is wrong, and what it means.
 
@@ -49,10 +46,9 @@ def check_scene_command(
 
     Example: modsim3d check scene strait --map strait.png
     """
-    from modsim3d.runs.camera_sequences import blind_at_first
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
-    from modsim3d.scene.summary import camera_summaries, doubts, sampled_tracks, vessel_types
+    from modsim3d.view.scene_check import check_scene
 
     if (kind := _kind_of_file(scene)) != "scene":
         if settings or state or (detector, state_from, out) != (None, None, None):
@@ -60,37 +56,19 @@ def check_scene_command(
         (_check_campaign if kind == "campaign" else _check_detector)(Path(scene))
         return
     with timed("reading the scene"):
-        given = read_settings(settings or ())
-        loaded = load_scene(scene, detector=detector, settings=given, state=state, state_from=state_from)
+        loaded = load_scene(**shared.arguments(context, load_scene, settings=read_settings(settings or ())))
     tell_files(loaded.copy.read)
     with timed("looking at it"):
-        tracks = sampled_tracks(loaded)
-        warnings = [*scene_warnings(loaded), *blind_at_first(loaded), *doubts(loaded, tracks)]
-    drawn = None if out is None else _draw_map(loaded, out, overwrite)
-    cameras, types = camera_summaries(loaded), vessel_types(loaded, tracks)
-    shared.print_line(open_console(), f"{loaded.path}: {_found(warnings)}")
-    print_table(open_console(), "", _rows(loaded, [*map(str, cameras)], [*map(str, types)]))
-    for warning in warnings:
+        found = check_scene(loaded, out, overwrite=overwrite)
+    shared.print_line(open_console(), f"{loaded.path}: {_found(found.warnings)}")
+    print_table(open_console(), "", _rows(loaded, [*map(str, found.cameras)], [*map(str, found.vessel_types)]))
+    for warning in found.warnings:
         warn(warning)
-    if drawn is not None:
-        shared.print_path(open_console(), "map", drawn)
-    facts = {"camera_facts": [asdict(each) for each in cameras], "vessel_types": [asdict(each) for each in types]}
-    say_json({**_check_json(loaded, warnings), **facts, "states": _state_facts(loaded.detector), "map": drawn})
-
-
-def _draw_map(scene: Scene, out: Path, overwrite: bool) -> Path:
-    """Draw the scene from above at its first step, and return the file."""
-    from modsim3d.io.overwrite_guard import claimed
-    from modsim3d.view.films.plan import WIDTH_PX
-    from modsim3d.view.map_marks import BirdsEye
-    from modsim3d.view.map_picture import check_map, save_map
-
-    if scene.live:
-        raise ModsimError("--map: poses come in live, so nobody knows yet where vessels are: draw a run with view map")
-    path = shared.out_file(out, Path(f"{scene.name}.png"))
-    check_map(path)
-    with claimed([path], overwrite=overwrite, inputs=scene.copy.read), timed("map"):
-        return save_map(BirdsEye(scene, scene.steps, tuple(range(len(scene.cameras)))), 0, path, WIDTH_PX)
+    if found.map is not None:
+        shared.print_path(open_console(), "map", found.map)
+    facts = {"camera_facts": [*map(asdict, found.cameras)], "vessel_types": [*map(asdict, found.vessel_types)]}
+    states = {"states": _state_facts(loaded.detector), "map": found.map}
+    say_json({**_check_json(loaded, found.warnings), **facts, **states})
 
 
 def _kind_of_file(name: str) -> str:
@@ -206,9 +184,6 @@ def check_run_command(
     ] = None,
     out: Annotated[Path | None, option("DIR", "Folder for verify.json and verify.html.", show_default="RUN")] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Check that a run obeys its detector file: every parameter as given and as measured, with a verdict.
 
@@ -255,9 +230,6 @@ def check_truth_command(
         Path | None, option("DIR", "Folder for compare.json and compare.html.", show_default="nothing written")
     ] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Check the rendered truth of a scene against ID buffers and geometry, and the idealised rectangle rule against it.
 
@@ -265,30 +237,21 @@ def check_truth_command(
 
     Example: modsim3d check truth harbour --every 5 --out runs/compared
     """
-    from modsim3d.io.overwrite_guard import claimed
-    from modsim3d.runs.pipeline import open_renderer
     from modsim3d.scene.reading import load_scene
     from modsim3d.scene.settings import read_settings
-    from modsim3d.verify.sources import report as compare_report
-    from modsim3d.verify.sources.compare import compare_sources
+    from modsim3d.verify.sources.report import check_truth, document
 
     with timed("reading the scene"):
         loaded = load_scene(scene, steps=steps, source="rendered", settings=read_settings(settings or ()))
-    written = [out / name for name in compare_report.FILES] if out is not None else []
     tell_files(loaded.copy.read)
-    with claimed(written, overwrite=overwrite, inputs=loaded.copy.read), open_renderer(loaded) as renderer:
-        if renderer is None:
-            raise ModsimError("check truth needs the rendered source")
-        tell("OpenGL", renderer.context.description)
-        bar = shared.progress(loaded.name, None if loaded.live else -(-loaded.steps // every))
-        with timed("comparison"), bar as advance:
-            comparison = compare_sources(loaded, renderer, every=every, progress=advance)
-        if out is not None:
-            compare_report.write_report(comparison, loaded, renderer, out, shared.typed_command(context), scene)
-    print_document(open_console(), compare_report.document(comparison, loaded))
-    written = [path for path in written if path.exists()]  # a picture only where a vessel is occluded
-    shared.print_written(open_console(), written)
-    say_json({"command": "check truth", **asdict(comparison.figures), "written": written})
+    bar = shared.progress(loaded.name, None if loaded.live else -(-loaded.steps // every))
+    with timed("comparison"), bar as advance:
+        given = shared.arguments(context, check_truth, scene=loaded, call=shared.typed_command(context))
+        comparison = check_truth(**given, named=scene, progress=advance)
+    tell("OpenGL", comparison.renderer)
+    print_document(open_console(), document(comparison, loaded))
+    shared.print_written(open_console(), comparison.written)
+    say_json({"command": "check truth", **asdict(comparison.figures), "written": comparison.written})
     if comparison.figures.unexplained:
         raise typer.Exit(1)
 
@@ -296,13 +259,7 @@ def check_truth_command(
 # ---- `modsim3d check repeat` ----
 
 
-def check_repeat_command(
-    run: shared.FinishedRunArgument,
-    workers: shared.WorkersOption = 1,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
-) -> None:
+def check_repeat_command(run: shared.FinishedRunArgument, workers: shared.WorkersOption = 1) -> None:
     """Repeat a run from the copy of its scene into a temporary folder, and compare every file, byte by byte.
 
     Also checks that the stored files are still what run.json lists. Exit status 1 if a byte differs.
@@ -310,15 +267,14 @@ def check_repeat_command(
     Example: modsim3d check repeat runs/first
     """
     from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.repeat_run import repeat_run
+    from modsim3d.runs.repeat_run import check_repeat
     from modsim3d.runs.stored_run import read_finished
 
     with timed("opening the run"):
-        stored = read_finished(run)  # damage to the tables is for the comparison to tell
+        scene = read_finished(run).scene  # damage to the tables is for the comparison to tell
     tell_files(read_of_run(run))
-    bar = shared.progress(stored.scene.name, stored.scene.steps)
-    with timed("repetition"), TemporaryDirectory(prefix="modsim3d_repeat_") as folder, bar as advance:
-        repetition = repeat_run(stored, Path(folder) / "again", workers=workers, progress=advance)
+    with timed("repetition"), shared.progress(scene.name, scene.steps) as advance:
+        repetition = check_repeat(run, workers=workers, progress=advance)
     _print_repetition(repetition)
     say_json({"format": 1, "command": "check repeat", "folder": run, "same": repetition.same, **asdict(repetition)})
     if not repetition.same:

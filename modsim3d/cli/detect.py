@@ -114,9 +114,6 @@ def detect_command(
     state_from: shared.FromOption = None,
     overwrite: shared.OverwriteOption = False,
     workers: shared.WorkersOption = 1,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Run another detector, or the same one with another seed, over a finished run's truth without rendering again.
 

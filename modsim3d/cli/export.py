@@ -1,15 +1,15 @@
 """The command `modsim3d export`: a run in another program's format, or as a recording for the Rerun viewer."""
 
-from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from modsim3d.cli import shared
 from modsim3d.cli.shared import flag, option
 from modsim3d.cli.terminal import open_console, say, tell_files, timed, warn
-from modsim3d.core.errors import ModsimError
-from modsim3d.formats.writing.export_formats import FORMATS
+from modsim3d.formats.writing.export_formats import FORMATS, check_options
 
 RERUN = "rerun"
 ExportFormat = Enum("ExportFormat", {name: name for name in (*FORMATS, RERUN)}, type=str)  # type: ignore[misc]
@@ -20,11 +20,12 @@ RERUN_OPTIONS = ("--every", "--tracks", "--similarity", "--threshold")
 
 
 def export_command(
+    context: typer.Context,
     run: shared.RunArgument,
-    format_: Annotated[ExportFormat, option("FORMAT", f"Format to write: {_CONTENTS}.", "--format")],
+    format: Annotated[ExportFormat, option("FORMAT", f"Format to write: {_CONTENTS}.", "--format")],
     out: Annotated[Path, option("DIR", "Folder for the files.")],
-    camera: Annotated[
-        list[str] | None, option("NAME", "Camera to export; repeatable.", show_default="all cameras")
+    cameras: Annotated[
+        list[str] | None, option("NAME", "Camera to export; repeatable.", "--camera", show_default="all cameras")
     ] = None,
     masks: Annotated[
         bool, flag("--masks", "Write which pixels each vessel has, whole and visible (coco only).")
@@ -37,8 +38,6 @@ def export_command(
     similarity: shared.SimilarityOption = None,
     threshold: shared.ThresholdOption = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
 ) -> None:
     """Write a run's truth and detections in another program's format.
 
@@ -46,68 +45,34 @@ def export_command(
 
     Example: modsim3d export runs/first --format coco --out exported
     """
-    from modsim3d.formats.writing.export_formats import ExportRequest
-    from modsim3d.io.overwrite_guard import claimed, claimed_folders
+    from modsim3d.formats.writing.export_formats import export
     from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.selection import select_cameras
     from modsim3d.runs.stored_run import open_run
+    from modsim3d.view.followed_tracks import read_of_tracks
+    from modsim3d.view.rerun_recording import export_rerun
 
-    given = {"--masks": masks, "--true-attitude": true_attitude, "--every": every != 1, "--tracks": tracks}
-    _check_options(format_.value, {**given, "--similarity": similarity, "--threshold": threshold, "--camera": camera})
-    if format_.value == RERUN:
-        _export_rerun(run, out, every, tracks, similarity, threshold, overwrite)
+    chosen = format.value
+    given: dict[str, object] = {
+        "--masks": masks,
+        "--true-attitude": true_attitude,
+        "--every": every != 1,
+        "--tracks": tracks,
+    }
+    given |= {"--similarity": similarity, "--threshold": threshold, "--camera": cameras}
+    check_options(chosen, given, {RERUN: RERUN_OPTIONS})
+    with timed("opening the run"):
+        opened = open_run(run)
+    tell_files(read_of_run(run) + read_of_tracks(tracks))
+    if chosen == RERUN:
+        with timed("recording"), shared.progress(opened.scene.name, -(-opened.steps // every)) as advance:
+            recording = export_rerun(**shared.arguments(context, export_rerun, run=opened), progress=advance)
+        for note in recording.notes:
+            say(note)
+        size_mb = recording.path.stat().st_size / 1e6
+        say(f"written  {recording.path}  ({size_mb:.1f} MB); look at it with: rerun {recording.path}")
         return
-    chosen, read = FORMATS[format_.value], read_of_run(run)
-    with timed("opening the run"):
-        opened = open_run(run)
-        cameras = tuple(sorted(select_cameras(opened, camera or ())))
-        request = ExportRequest(opened, cameras, masks, "true" if true_attitude else "measured")
-        paths = [out / name for name in chosen.files(request)]
-        folders = {out / name: pattern for name, pattern in chosen.folders().items()}
-    tell_files(read)
-    with (
-        claimed(paths, overwrite=overwrite, inputs=read),
-        claimed_folders(folders, overwrite=overwrite, inputs=read),
-        timed("files"),
-    ):
-        chosen.write(request, out)
-    shared.print_written(open_console(), [*paths, *folders])
-    for note in chosen.notes(request):
+    with timed("files"):
+        written = export(**shared.arguments(context, export, run=opened, format=chosen))
+    shared.print_written(open_console(), written.paths)
+    for note in written.notes:
         warn(note)
-
-
-def _export_rerun(
-    run: Path,
-    out: Path,
-    every: int,
-    tracks: Path | None,
-    similarity: str | None,
-    threshold: float | None,
-    overwrite: bool,
-) -> None:
-    from modsim3d.io.overwrite_guard import claimed
-    from modsim3d.runs.files.overwrite import read_of_run
-    from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.rerun_recording import write_recording
-
-    with timed("opening the run"):
-        opened = open_run(run)
-    read = read_of_run(run) + shared.read_of_tracks(tracks)
-    tell_files(read)
-    followed = shared.opened_tracks(tracks, opened, similarity, threshold)
-    path = out / "run.rrd"
-    with timed("recording"), claimed([path], overwrite=overwrite, inputs=read), shared.progress_bar() as bar:
-        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every))
-        write_recording(opened, path, every, lambda steps: bar.update(task, advance=steps, refresh=True), followed)
-    if followed is not None:
-        say(followed.sentence())
-    say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB); look at it with: rerun {path}")
-
-
-def _check_options(chosen: str, given: Mapping[str, object]) -> None:
-    """Raise a `ModsimError` if an option is given that a format does not take."""
-    takers = {other: (*format_.options, "--camera") for other, format_ in FORMATS.items()} | {RERUN: RERUN_OPTIONS}
-    for name, value in given.items():
-        if value and name not in takers[chosen]:
-            others = " or ".join(other for other, options in takers.items() if name in options)
-            raise ModsimError(f"{name} goes with --format {others}, not with {chosen}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,11 +14,11 @@ from modsim3d.cli.shared import argument, flag, option, under
 from modsim3d.cli.terminal import open_console, say_json, tell_files, timed, warn
 from modsim3d.cli.terminal_tables import print_document, print_prose, print_table
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.paths import out_file
 
 if TYPE_CHECKING:
     from modsim3d.learn.bootstrap import Column, Interval
     from modsim3d.learn.figures import Figures
-    from modsim3d.learn.guess import ConditionChange
     from modsim3d.learn.learn_detector import LearnRequest
     from modsim3d.learn.learning import LearnResult
     from modsim3d.learn.report import LearnReport
@@ -104,9 +103,6 @@ def learn_command(
     match: MatchOption = None,
     confidence: ConfidenceOption = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
     confidence_scale: detect.ConfidenceScaleOption = None,
     labels: LabelsOption = None,
     image_size: detect.ImageSizeOption = None,
@@ -146,13 +142,13 @@ def learn_command(
     if from_figures:
         if runs or truth or detections or detector or from_condition or to_condition:
             raise ModsimError("--from-figures is in place of runs, files and --from-condition: give one of them")
-        detector_from_figures(from_figures, shared.out_file(out, Path("detector.yaml")), overwrite)
+        detector_from_figures(from_figures, out_file(out, Path("detector.yaml")), overwrite)
         return
     if detector or from_condition or to_condition:
         if runs or truth or detections or not (detector and from_condition and to_condition):
             needed = "--detector, --from-condition and --to-condition"
             raise ModsimError(f"a guess of another condition needs {needed} together, and neither runs nor files")
-        guess_detector(detector, from_condition, to_condition, out, overwrite)
+        show_guess(detector, from_condition, to_condition, out, overwrite)
         return
     from modsim3d.io.atomic_write import write_files
     from modsim3d.io.overwrite_guard import check_free, claimed
@@ -165,7 +161,7 @@ def learn_command(
         first_frame=first_frame,
         check=not no_check,
     )
-    out = shared.out_file(out, Path("detector.yaml"))
+    out = out_file(out, Path("detector.yaml"))
     written = detector_files(out)
     for path in written:
         check_free(path, overwrite)  # again below, but reading may take minutes
@@ -296,58 +292,23 @@ def _numbers(interval: Interval) -> list[dict[str, Any]]:
 
 # ---- Work of `modsim3d learn --from-condition`: a detector as it might be in another condition ----
 
-STRANGE_SPREAD = 4.0
-"""Box errors of the thesis's conditions on the same images differ by factors of 3.4 at most."""
 
-
-def guess_detector(detector: Path, measured_in: str, wanted_in: str, out: Path, overwrite: bool) -> None:
+def show_guess(detector: Path, from_condition: str, to_condition: str, out: Path, overwrite: bool) -> None:
     """Write a guess of a detector in another condition, and print what changes."""
-    from modsim3d.detector.file.reading import find_detector, load_detector
-    from modsim3d.detector.file.writing import detector_text
-    from modsim3d.io.atomic_write import write_files
-    from modsim3d.io.overwrite_guard import claimed
-    from modsim3d.io.strict_text import load_yaml
-    from modsim3d.io.validation import find_condition
-    from modsim3d.learn.guess import ConditionChange, guessed
+    from modsim3d.io.input_files import inputs_noted
+    from modsim3d.learn.guess import guess_detector
 
-    files = [Path(name) if Path(name).is_file() else find_condition(name) for name in (measured_in, wanted_in)]
-    detector, out = find_detector(detector), shared.out_file(out, Path("detector.yaml"))
-    tell_files([detector, *files])
-    with claimed([out], overwrite=overwrite, inputs=[detector, *files]):
-        before, after = map(load_detector, files)
-        change = ConditionChange.between((measured_in, before), (wanted_in, after))
-        content = load_yaml(detector, "detector")
-        result = guessed(content, change, f"detector {detector}")
-        write_files({out: detector_text(result, _comments(detector, measured_in, wanted_in, change))})
-    console = open_console()
-    print_prose(console, _guess(detector, measured_in, wanted_in))
-    print_table(console, "In each state", list(_rows(content, result)))
-    shared.print_written(console, [out])
-    if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
-        warn(
-            "the box errors of the two conditions differ by more than a factor of four. If they were measured on "
-            "different images, this is not the effect of the condition"
+    with inputs_noted() as read:
+        guess = guess_detector(
+            detector, out, from_condition=from_condition, to_condition=to_condition, overwrite=overwrite
         )
-
-
-def _guess(detector: Path, measured_in: str, wanted_in: str) -> str:
-    return (
-        f"A guess, not a measurement: {detector.name} in {wanted_in}, if it changes from {measured_in} as much as the "
-        "detector of those two conditions did."
-    )
-
-
-def _comments(detector: Path, measured_in: str, wanted_in: str, change: ConditionChange) -> list[str]:
-    """Comments that a reader of the file needs."""
-    spread = ", ".join(f"{ratio:.3g}" for ratio in change.spread)
-    changes = (
-        f"Multiplied: odds of a miss by {change.miss_odds:.3g}, odds that a detection is false by "
-        f"{change.false_odds:.3g}, false positives per image by {change.false_per_image:.3g}, standard deviations of "
-        f"e_x, e_y, e_w, e_h by {spread}. Added to the log-odds of confidence: {change.confidence[0]:.3g} (true), "
-        f"{change.confidence[1]:.3g} (false)."
-    )
-    texts = (f"Written by modsim3d learn --from-condition. {_guess(detector, measured_in, wanted_in)}", changes)
-    return [line for text in texts for line in textwrap.wrap(text, 110)]
+    tell_files(read)
+    console = open_console()
+    print_prose(console, guess.notes[0])
+    print_table(console, "In each state", list(_rows(guess.before, guess.after)))
+    shared.print_written(console, guess.paths)
+    for note in guess.notes[1:]:
+        warn(note)
 
 
 def _rows(before: dict[str, Any], after: dict[str, Any]) -> Iterator[tuple[str, ...]]:

@@ -12,6 +12,7 @@ from modsim3d.cli import detect, learn, shared
 from modsim3d.cli.shared import option, under
 from modsim3d.cli.terminal import say_json, tell_files, timed
 from modsim3d.core.errors import InputError
+from modsim3d.core.paths import out_file
 
 if TYPE_CHECKING:
     from modsim3d.learn.voyage.logs.log import Start
@@ -36,9 +37,6 @@ def learn_voyage_command(
     confidence: learn.ConfidenceOption = None,
     write_scene: Annotated[Path | None, option("DIR", "Scene folder to write, with the registered cameras.")] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
     log_start: Annotated[
         str | None, under(LOGS, "TIME", "Time of the logs' zero: UTC, or seconds since the scene's first step.")
     ] = None,
@@ -138,7 +136,7 @@ def learn_voyage_command(
         attitude,
         LogOptions(frame_rate, start, images, request.labels, request.confidence_scale, category_offset, skip_bad),
     )
-    out = shared.out_file(out, Path("detector.yaml"))
+    out = out_file(out, Path("detector.yaml"))
     written = detector_files(out)
     for path in [*written, *([write_scene / SCENE_FILE] if write_scene else [])]:
         check_free(path, overwrite)  # again below, but reading may take minutes

@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
+from functools import wraps
+from inspect import Parameter, signature
 from itertools import takewhile
 from typing import Annotated, Any
 
@@ -23,7 +25,7 @@ from modsim3d.cli.learn import learn_command
 from modsim3d.cli.learn_voyage import learn_voyage_command
 from modsim3d.cli.report import report_command
 from modsim3d.cli.run import run_command, scenes_command
-from modsim3d.cli.shared import INTERRUPTED, flag
+from modsim3d.cli.shared import INTERRUPTED, JsonOption, QuietOption, VerboseOption, flag
 from modsim3d.cli.stream import stream_command
 from modsim3d.cli.terminal import check_arguments, lost_output, prepare_output, say, say_error, start_afresh
 from modsim3d.cli.track_and_score import score_command, track_command
@@ -239,13 +241,33 @@ def _typer(text: str) -> typer.Typer:
     )
 
 
+WITHOUT_JSON = ("stream", "report", "view film", "view frame", "view map", "view sheet", "ais", "export")
+
+
+def _with_output_options(name: str, command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the options that say how much it prints, whose callbacks keep that."""
+    options = {"quiet": QuietOption, "verbose": VerboseOption, "json": JsonOption}
+    for left_out in ("quiet", "verbose") if name == "scenes" else ("json",) if name in WITHOUT_JSON else ():
+        del options[left_out]
+
+    @wraps(command)
+    def call(**given: Any) -> None:
+        command(**{key: value for key, value in given.items() if key not in options})
+
+    own = signature(command, eval_str=True)
+    added = [Parameter(key, Parameter.KEYWORD_ONLY, default=False, annotation=each) for key, each in options.items()]
+    call.__signature__ = own.replace(parameters=[*own.parameters.values(), *added])  # type: ignore[attr-defined]
+    return call
+
+
 def _app_of(commands: Iterable[Entry]) -> typer.Typer:
     made = _typer(
         f"Simulates cameras and their vessel detector for multi-object trackers.\n\n[bold]Examples[/bold]\n{EXAMPLES}"
     )
     made.callback()(_root)
     groups: dict[str, typer.Typer] = {}
-    for panel, name, function, short_help in commands:
+    for panel, name, command, short_help in commands:
+        function = _with_output_options(name, command)
         group, _, word = name.rpartition(" ")
         if not group:
             made.command(name, cls=Command, short_help=short_help, rich_help_panel=panel)(function)

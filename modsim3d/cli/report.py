@@ -30,8 +30,6 @@ def report_command(
         bool, flag("--parts", "Write the frames into a folder beside the page, for very long runs.")
     ] = False,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
 ) -> None:
     """Write a page that plays a run: images, boxes, timeline and tables in one file of HTML.
 
@@ -39,52 +37,23 @@ def report_command(
 
     Example: modsim3d report runs/first
     """
-    from modsim3d.core.errors import ModsimError
-    from modsim3d.io.overwrite_guard import claimed, claimed_folders
     from modsim3d.runs.files.overwrite import read_of_run
     from modsim3d.runs.stored_run import open_run
-    from modsim3d.view.report.images import FILM_FILES, film_frames
-    from modsim3d.view.report.report import PART_FILES, REPORT_FILE, parts_folder, write_report
-    from modsim3d.view.report.side_by_side import SIDE_BY_SIDE_FILE, write_side_by_side
+    from modsim3d.view.followed_tracks import read_of_tracks
+    from modsim3d.view.report.run_report import report
 
-    for name, given in (("--tracks", tracks), ("--pictures", pictures)):
-        if other is not None and given is not None:
-            raise ModsimError(f"{name} is for one run: leave out RUN_B, or {name}")
     with timed("opening the run"):
-        opened = open_run(run)
-        second = None if other is None else open_run(other)
-    read = read_of_run(run) + shared.read_of_tracks(tracks) + ([] if other is None else read_of_run(other))
-    tell_files(read)
-    followed = shared.opened_tracks(tracks, opened, similarity, threshold)
-    path = shared.out_file(out, run / (REPORT_FILE if second is None else SIDE_BY_SIDE_FILE))
-    folders = {parts_folder(path): PART_FILES} if parts else {}
-    decoded = path.with_name(f"{path.stem}_images") if pictures is not None and pictures.is_file() else None
-    if decoded is not None:
-        folders[decoded] = FILM_FILES
-    with (
-        timed("page"),
-        claimed([path], overwrite=overwrite, inputs=read),
-        claimed_folders(folders, overwrite=overwrite, inputs=read),
-        shared.progress_bar() as bar,
-    ):
-        runs = 1 if second is None else 2
-        task = bar.add_task(opened.scene.name, total=-(-opened.steps // every) * runs)
-
-        def advance(steps: int) -> None:
-            bar.update(task, advance=steps, refresh=True)
-
-        if pictures is not None and decoded is not None:
-            pictures = film_frames(pictures, decoded, opened)
-        if second is None:
-            command = shared.typed_command(context)
-            write_report(opened, path, every, advance, followed, command, tracks, in_files=parts, pictures=pictures)
-        else:
-            write_side_by_side(opened, second, path, every, advance, shared.typed_command(context), in_files=parts)
-    if followed is not None:
-        say(followed.sentence())
+        opened, second = open_run(run), None if other is None else open_run(other)
+    tell_files(read_of_run(run) + read_of_tracks(tracks) + ([] if other is None else read_of_run(other)))
+    total = -(-opened.steps // every) * (1 if second is None else 2)
+    with timed("page"), shared.progress(opened.scene.name, total) as advance:
+        given = shared.arguments(context, report, run=opened, other=second)
+        written = report(**given, progress=advance, call=shared.typed_command(context))
+    for note in written.notes:
+        say(note)
     if not opened.finished:
         warn(f"an interrupted run: {opened.steps} of {opened.scene.steps} steps are there and shown")
-    say(f"written  {path}  ({path.stat().st_size / 1e6:.1f} MB)")
-    for folder in folders:
+    say(f"written  {written.path}  ({written.path.stat().st_size / 1e6:.1f} MB)")
+    for folder in written.paths[1:]:
         size = sum(file.stat().st_size for file in folder.iterdir())
         say(f"written  {folder}  ({size / 1e6:.1f} MB): the page needs it beside it")

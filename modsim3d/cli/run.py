@@ -8,6 +8,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import typer
+
 from modsim3d.cli import run_summary, shared
 from modsim3d.cli.shared import flag, option
 from modsim3d.cli.terminal import open_console, say_json, tell, tell_files, timed, warn
@@ -100,6 +102,7 @@ def truth_json(result: TruthResult) -> dict[str, Any]:
 
 
 def run_command(
+    context: typer.Context,
     scene: shared.SceneArgument,
     out: Annotated[Path | None, option("DIR", "Run directory to write.", show_default="runs/SCENE")] = None,
     overwrite: shared.OverwriteOption = False,
@@ -121,9 +124,6 @@ def run_command(
     workers: shared.WorkersOption = 1,
     no_json: Annotated[bool, flag("--no-json", "Write no annotations or detections as JSON.")] = False,
     no_sheet: Annotated[bool, flag("--no-sheet", "Draw no contact_sheet.png.")] = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Run a scene: write truth, detections and a contact sheet into a run directory.
 
@@ -135,18 +135,7 @@ def run_command(
     from modsim3d.scene.settings import read_settings
 
     with timed("reading the scene"):
-        loaded = load_scene(
-            scene,
-            seed=seed,
-            detector=detector,
-            detector_seed=detector_seed,
-            steps=steps,
-            mode=mode,
-            source=source,
-            settings=read_settings(settings or ()),
-            state=state,
-            state_from=state_from,
-        )
+        loaded = load_scene(**shared.arguments(context, load_scene, settings=read_settings(settings or ())))
     tell_files(loaded.copy.read)
     folder = out if out is not None else Path("runs") / loaded.name
     total = None if loaded.live else loaded.steps
@@ -204,7 +193,7 @@ def _with_picture(folder: Path) -> Iterator[None]:
 # ---- Scenes that can be run ----
 
 
-def scenes_command(json: shared.JsonOption = False) -> None:
+def scenes_command() -> None:
     """List the shipped scenes, and the detection conditions for --state NAME --from conditions.
 
     Example: modsim3d scenes

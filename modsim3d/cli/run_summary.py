@@ -62,21 +62,6 @@ def mode_in_words(scene: Scene) -> str:
     return f"{scene.annotation.mode}: {MODES[scene.annotation.mode]}"
 
 
-def scene_warnings(scene: Scene) -> list[str]:
-    """Vessels that found no room, meshes that do not fit, and lines of the detector file that change nothing."""
-    from modsim3d.detector.file.unread import dead_lines
-    from modsim3d.world.bodies import misfits
-    from modsim3d.world.traffic.generate import DrawnTraffic
-
-    left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
-    others = [*misfits(scene.vessels, scene.obstacles), *dead_lines(scene.detector)]
-    if not left_out:
-        return others
-    missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
-    total = sum(left_out.values())
-    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}", *others]
-
-
 def summary_rows(scene: Scene, result: RunResult) -> list[Row]:
     """Summary of a run; each share is of a number that stands in another row."""
     counts, cameras = result.counts, len(scene.cameras)
@@ -186,6 +171,7 @@ def _bias_rows(result: RunResult) -> list[Row]:
 def run_warnings(scene: Scene, result: RunResult) -> list[str]:
     """Warnings to read before using a run, each a sentence."""
     from modsim3d.runs.camera_sequences import blind_cameras
+    from modsim3d.scene.summary import scene_warnings
 
     counts = result.counts
     warnings = blind_cameras(scene, result.steps, result.camera_counts)

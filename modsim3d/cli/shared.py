@@ -8,14 +8,14 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from inspect import signature
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, say, timed
-from modsim3d.core.errors import ModsimError
+from modsim3d.cli.terminal import ask_json, ask_quiet, ask_verbose, open_console, say
 from modsim3d.io.input_files import data_folder
 from modsim3d.io.operating_system import signals
 
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from modsim3d.io.processes import WorkerCount
-    from modsim3d.runs.stored_run import StoredRun
-    from modsim3d.tracks.tracks import SimilarityName
-    from modsim3d.view.followed_tracks import FollowedTracks
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
@@ -137,13 +134,6 @@ VerboseOption = Annotated[
 JsonOption = Annotated[bool, flag("--json", "Print the result as one JSON object (docs/json.md).", callback=ask_json)]
 
 
-def out_file(out: Path | None, usual: Path) -> Path:
-    """The file that `--out` names, or else `usual`: in a folder that exists under its usual name, as `cp` does it."""
-    if out is None:
-        return usual
-    return out / usual.name if out.is_dir() else out
-
-
 def print_line(console: Console, text: str, style: str = "") -> None:
     """Print text as it is: no markup, no highlighting, no wrapping of paths."""
     console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
@@ -203,6 +193,12 @@ def _words(parameter: Any, value: Any) -> Iterator[str]:
 
 def _text(value: Any) -> str:
     return str(getattr(value, "value", value))
+
+
+def arguments(context: typer.Context, function: Callable[..., Any], **others: Any) -> dict[str, Any]:
+    """Arguments of a function: others, and the parameters of the command that it has too and that are not None."""
+    names = signature(function).parameters.keys() & context.params.keys()
+    return {name: value for name in names if (value := context.params[name]) is not None} | others
 
 
 # ---- The progress bar of commands that take long ----
@@ -304,41 +300,3 @@ SimilarityOption = Annotated[
 ThresholdOption = Annotated[
     float | None, option("S", "Least similarity at which a track follows a vessel.", show_default="0.5")
 ]
-
-
-def parse_similarity(text: str | None) -> tuple[SimilarityName, float | None]:
-    """Name and scale of a text such as `iou` or `centre:40`; IoU without a text. Raises ModsimError for any other."""
-    name, colon, scale = (text or "iou").partition(":")
-    try:
-        scale_px = float(scale) if colon else None
-    except ValueError:
-        name = ""
-    if name == "iou":
-        return "iou", scale_px
-    if name == "centre":
-        return "centre", scale_px
-    raise ModsimError(f"--similarity: needs iou, or centre:PX as in centre:40 (got '{text}')")
-
-
-def opened_tracks(
-    path: Path | None, run: StoredRun, similarity: str | None, threshold: float | None
-) -> FollowedTracks | None:
-    """The tracks that `--tracks` names, with the vessels that they follow; None without it. Raises ModsimError if the
-    run is not finished, the tracks are wrong, or an option is."""
-    from modsim3d.tracks.tracks import Similarity
-    from modsim3d.view.followed_tracks import read_followed_tracks
-
-    if path is None:
-        if (similarity, threshold) != (None, None):
-            raise ModsimError("--similarity and --threshold are for --tracks")
-        return None
-    compared = Similarity(*parse_similarity(similarity), 0.5 if threshold is None else threshold)
-    with timed("tracks"):
-        return read_followed_tracks(path, run, compared)
-
-
-def read_of_tracks(path: Path | None) -> list[Path]:
-    """Files that are read of tracks, so that none of them is written."""
-    if path is None:
-        return []
-    return sorted(inner for inner in path.rglob("*") if inner.is_file()) if path.is_dir() else [path]

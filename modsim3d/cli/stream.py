@@ -6,6 +6,8 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Annotated
 
+import typer
+
 from modsim3d.cli import shared
 from modsim3d.cli.shared import flag, option
 from modsim3d.cli.terminal import remark, say, tell, tell_files, timed, warn, write_at_once
@@ -20,6 +22,7 @@ LONGEST_WAIT_S = 100_000
 
 
 def stream_command(
+    context: typer.Context,
     scene: shared.SceneArgument,
     to: Annotated[str, option("-|tcp://HOST:PORT", "Where the lines go; - is standard output.", "--to")] = "-",
     realtime: Annotated[
@@ -35,8 +38,6 @@ def stream_command(
     settings: shared.SetOption = None,
     state: shared.StateOption = None,
     state_from: shared.FromOption = None,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
 ) -> None:
     """Simulate a scene, and give a tracker each camera's detections as one line of JSON for each step.
 
@@ -48,16 +49,7 @@ def stream_command(
 
     address = _address(to, timeout)
     with timed("reading the scene"):
-        loaded = load_scene(
-            scene,
-            seed=seed,
-            detector=detector,
-            detector_seed=detector_seed,
-            steps=steps,
-            settings=read_settings(settings or ()),
-            state=state,
-            state_from=state_from,
-        )
+        loaded = load_scene(**shared.arguments(context, load_scene, settings=read_settings(settings or ())))
     tell_files(loaded.copy.read)
     with shared.interruptible(), shared.stoppable(), timed("stream"):
         if address is not None:

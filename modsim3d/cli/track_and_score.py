@@ -52,9 +52,6 @@ def track_command(
         list[str] | None, option("KEY=VALUE", "Set a setting of the tracker, in place of the chosen one.", "--set")
     ] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Run a tracker over a run's detections, and write its tracks, in the images or in the world.
 
@@ -157,7 +154,9 @@ def score_command(
     ] = "annotated",
     similarity: shared.SimilarityOption = None,
     threshold: Annotated[float, option("S", "Least similarity at which a track follows a vessel.")] = 0.5,
-    gap: Annotated[float, option("SECONDS", "Time outside the image after which a vessel is a new one.")] = 2.0,
+    gap_s: Annotated[
+        float, option("SECONDS", "Time outside the image after which a vessel is a new one.", "--gap")
+    ] = 2.0,
     by: Annotated[Literal["class"] | None, option("KEY", "Key to tell apart too: class.")] = None,
     gospa: Annotated[
         str | None,
@@ -167,18 +166,17 @@ def score_command(
             show_default="100 px, in the world 50 m; power 1; G as C",
         ),
     ] = None,
-    gate: Annotated[
-        float | None, option("M", "Farthest that a track in the world follows a vessel.", show_default="50 m")
+    gate_m: Annotated[
+        float | None, option("M", "Farthest that a track in the world follows a vessel.", "--gate", show_default="50 m")
     ] = None,
-    camera: Annotated[list[str] | None, option("NAME", "Camera to score; repeatable.", show_default="all")] = None,
+    cameras: Annotated[
+        list[str] | None, option("NAME", "Camera to score; repeatable.", "--camera", show_default="all")
+    ] = None,
     seeds: Annotated[
         int | None, option("N", "Run detector, tracker and scores again with N seeds of the detector.")
     ] = None,
     out: Annotated[Path | None, option("DIR", "Folder for score.json and score.html.", show_default="none")] = None,
     overwrite: shared.OverwriteOption = False,
-    quiet: shared.QuietOption = False,
-    verbose: shared.VerboseOption = False,
-    json: shared.JsonOption = False,
 ) -> None:
     """Score tracks against what was true, and beside them the same detections with perfect association.
 
@@ -189,14 +187,16 @@ def score_command(
     from modsim3d.tracking.score_outcome import score_data
     from modsim3d.tracking.score_page import FILES, document, write_scores
     from modsim3d.tracking.score_run import score_run
+    from modsim3d.tracks.tracks import Similarity
 
     if truth is not None and run is not None:
         tracks, run = [run, *(tracks or ())], None
     if not tracks:
         raise ModsimError("give TRACKS: folders that `modsim3d track` wrote, or files of your own tracker")
     paths = [] if out is None else [out / file for file in FILES]
-    name, scale_px = shared.parse_similarity(similarity)
-    cutoff, power, switch = parse_gospa(gospa)
+    given = shared.arguments(context, score_run, truth=vessels, by_class=by is not None)
+    compared = Similarity.parse(similarity, threshold)
+    given |= {"similarity": compared.name, "scale_px": compared.scale_px} | parse_gospa(gospa)
     with (
         detect.opened(
             run, truth, detections, image_size=image_size, frame_rate=frame_rate, first_frame=first_frame, labels=labels
@@ -205,23 +205,7 @@ def score_command(
     ):
         tell_files(tracks)
         with timed("scores"), shared.progress("seeds", seeds) if seeds else nullcontext(lambda done: None) as advance:
-            scores = score_run(
-                stored,
-                tracks,
-                truth=vessels,
-                similarity=name,
-                scale_px=scale_px,
-                threshold=threshold,
-                gap_s=gap,
-                by_class=by is not None,
-                gospa_c=cutoff,
-                gospa_p=power,
-                gospa_switch=switch,
-                gate_m=gate,
-                cameras=camera,
-                seeds=seeds,
-                progress=advance,
-            )
+            scores = score_run(**given | {"run": stored, "tracks": tracks}, progress=advance)
         if out is not None:
             with timed("files"):
                 write_scores(scores, out, shared.typed_command(context))
@@ -231,12 +215,12 @@ def score_command(
         say_json({"command": "score", **score_data(scores), "written": paths})
 
 
-def parse_gospa(text: str | None) -> tuple[float | None, float, float | None]:
-    """Cutoff of GOSPA, its power, and the cost of a switch, None for the usual ones, from a text such as `70`, `70:2`
-    or `70:2:30`. Raises ModsimError if it is no such text."""
+def parse_gospa(text: str | None) -> dict[str, float]:
+    """Cutoff of GOSPA, its power, and the cost of a switch, those that are given in a text such as `70`, `70:2` or
+    `70:2:30`. Raises ModsimError if it is no such text."""
     given = text.split(":") if text is not None else []
+    names = ("gospa_c", "gospa_p", "gospa_switch")
     try:
-        numbers = dict(zip(range(3), map(float, given), strict=len(given) > 3))
+        return dict(zip(names, map(float, given), strict=len(given) > 3))
     except ValueError:
         raise ModsimError(f"--gospa {text}: needs a cutoff, its power as in 70:2, and G as in 70:2:30") from None
-    return numbers.get(0), numbers.get(1, 1.0), numbers.get(2)

@@ -20,3 +20,9 @@ def as_path(value: object, name: str, needed: str = "a path") -> Path:
     if "\0" in text:
         raise ModsimError(f"{name}: a path cannot hold the character NUL (got {text!r:.60})")
     return Path(text)
+
+
+def out_file(out: StrPath | None, usual: Path) -> Path:
+    """The file that is named, or else `usual`: in a folder that exists under its usual name, as `cp` does it."""
+    path = usual if out is None else as_path(out, "out")
+    return path / usual.name if out is not None and path.is_dir() else path

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from modsim3d.core.arrays import Array
 from modsim3d.core.errors import InputError
+from modsim3d.core.paths import StrPath, out_file
+from modsim3d.core.written import Written
 from modsim3d.detector.confidence import ConfidenceLaw, NormalScores, QuantileScores
-from modsim3d.detector.file.reading import parse_detector
+from modsim3d.detector.file.reading import find_detector, load_detector, parse_detector
 from modsim3d.detector.file.schema import with_covariance
+from modsim3d.detector.file.writing import detector_text
 from modsim3d.detector.model import DetectorModel
+from modsim3d.io.atomic_write import write_files
+from modsim3d.io.overwrite_guard import claimed
+from modsim3d.io.strict_text import load_yaml
+from modsim3d.io.validation import find_condition
 from modsim3d.learn.bootstrap import columns_of_one, digits, nested
+
+STRANGE_SPREAD = 4.0
+"""Box errors of the thesis's conditions on the same images differ by factors of 3.4 at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +61,68 @@ class ConditionChange:
             spread=np.sqrt(variances),
             confidence=(true, false),
         )
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class GuessedDetector(Written):
+    """A detector file that was guessed, from `guess_detector`, with the keys of both and the change."""
+
+    before: dict[str, Any]
+    after: dict[str, Any]
+    change: ConditionChange
+
+
+def guess_detector(
+    detector: StrPath, out: StrPath, *, from_condition: str, to_condition: str, overwrite: bool = False
+) -> GuessedDetector:
+    """Guess a detector in another condition: it changes as much as another detector did between two conditions.
+
+        modsim3d.guess_detector("vessel", "foggy.yaml", from_condition="day", to_condition="fog")
+
+    Args:
+        detector, out: Detector file or shipped name; detector file to write.
+        from_condition, to_condition: Condition that it shows and that is wanted: shipped names or detector files.
+        overwrite: Replace a file that is there.
+
+    Raises:
+        ModsimError: A detector or a condition is wrong, no ratio can be taken of them, or the file cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    names = (from_condition, to_condition)
+    files = [Path(name) if Path(name).is_file() else find_condition(name) for name in names]
+    file, path = find_detector(detector), out_file(out, Path("detector.yaml"))
+    with claimed([path], overwrite=overwrite, inputs=[file, *files]):
+        change = ConditionChange.between(*zip(names, map(load_detector, files), strict=True))
+        before = load_yaml(file, "detector")
+        after = guessed(before, change, f"detector {file}")
+        write_files({path: detector_text(after, _comments(file, from_condition, to_condition, change))})
+    notes = [_guess(file, from_condition, to_condition)]
+    if any(not 1 / STRANGE_SPREAD < ratio < STRANGE_SPREAD for ratio in change.spread):
+        notes.append(
+            "the box errors of the two conditions differ by more than a factor of four. If they were measured on "
+            "different images, this is not the effect of the condition"
+        )
+    return GuessedDetector((path,), tuple(notes), before=before, after=after, change=change)
+
+
+def _guess(detector: Path, from_condition: str, to_condition: str) -> str:
+    return (
+        f"A guess, not a measurement: {detector.name} in {to_condition}, if it changes from {from_condition} as much "
+        "as the detector of those two conditions did."
+    )
+
+
+def _comments(detector: Path, from_condition: str, to_condition: str, change: ConditionChange) -> list[str]:
+    """Comments that a reader of the file needs."""
+    spread = ", ".join(f"{ratio:.3g}" for ratio in change.spread)
+    changes = (
+        f"Multiplied: odds of a miss by {change.miss_odds:.3g}, odds that a detection is false by "
+        f"{change.false_odds:.3g}, false positives per image by {change.false_per_image:.3g}, standard deviations of "
+        f"e_x, e_y, e_w, e_h by {spread}. Added to the log-odds of confidence: {change.confidence[0]:.3g} (true), "
+        f"{change.confidence[1]:.3g} (false)."
+    )
+    texts = (f"Written by modsim3d learn --from-condition. {_guess(detector, from_condition, to_condition)}", changes)
+    return [line for text in texts for line in textwrap.wrap(text, 110)]
 
 
 def guessed(content: Mapping[str, Any], change: ConditionChange, source: str = "detector") -> dict[str, Any]:

@@ -237,6 +237,7 @@ def _near_gate(observed: Observed, rule: Rule) -> NearGate:
 
 
 Method = Literal["confidence", "optimal", "centre", "provenance"]
+Clutter = Literal["auto", "calibrated", "per_image"]
 
 
 class LearnRequest(Strict):
@@ -253,7 +254,7 @@ class LearnRequest(Strict):
     most_distance_px: Positive = 50.0
     confidence: Probability | None = None
     confidence_scale: tuple[Number, Number] | None = None
-    clutter: Literal["auto", "calibrated", "per_image"] = "auto"  # model of the number of false positives
+    clutter: Clutter = "auto"  # model of the number of false positives
     replicates: Annotated[int, Field(strict=True, ge=20)] = 300
     seed: Count = 0
     level: Annotated[float, Field(ge=0.5, le=0.9999)] = 0.95  # of the confidence intervals

@@ -19,10 +19,10 @@ from modsim3d.formats.labelled import LabelledSet, joined
 from modsim3d.formats.labelled_run import labelled_run
 from modsim3d.formats.reading.pair import read_pair
 from modsim3d.io.atomic_write import write_files
-from modsim3d.io.input_files import inputs_noted
+from modsim3d.io.input_files import inputs_noted, read_text
 from modsim3d.io.overwrite_guard import claimed
 from modsim3d.learn import learn_detector as labelled_sets
-from modsim3d.learn.learn_detector import LearnRequest, Method, parse_states
+from modsim3d.learn.learn_detector import Clutter, LearnRequest, Method, parse_states
 from modsim3d.learn.learned import uncertainty_file, uncertainty_text
 from modsim3d.learn.report import LearnReport, lead
 from modsim3d.learn.report_page import Sources, document, page_text
@@ -181,9 +181,11 @@ def learn_detector(
     *,
     truth: Paths | None = None,
     detections: Paths | None = None,
-    run: StoredRun | StrPath | None = None,
+    run: StoredRun | StrPath | Sequence[StoredRun | StrPath] | None = None,
     conditions: Sequence[str] = (),
     states: int | Mapping[str, Sequence[str]] | None = None,
+    sequence: StrPath | None = None,
+    interval_s: float | None = None,
     match: Method | None = None,
     least_iou: float = 0.5,
     most_distance_px: float = 50.0,
@@ -191,12 +193,17 @@ def learn_detector(
     confidence_scale: tuple[float, float] | None = None,
     replicates: int = 300,
     seed: int = 0,
+    level: float = 0.95,
+    beta: float = 2.0,
+    clutter: Clutter = "auto",
     without: Sequence[str] = (),
     labels: Sequence[str] = (),
     image_size_px: tuple[float, float] | None = None,
     frame_rate_hz: float | None = None,
     first_frame: int | None = None,
     horizon: float | tuple[float, float, float, float] | None = None,
+    category_offset: int = 0,
+    skip_bad: bool = False,
     check: bool = True,
 ) -> LearnResult:
     """Learn a detector from its results on a labelled set, with intervals that say how well each number is known.
@@ -207,10 +214,12 @@ def learn_detector(
     Args:
         truth: The labelled set: COCO, MOT, KITTI or YOLO, a file or a folder; several for several conditions.
         detections: The detector's results on it, in the same format, as many.
-        run: A run, or its directory, in place of both.
+        run: A run, or its directory, or several, in place of both.
         conditions: A name for each pair of truth and detections.
         states: Which conditions make each performance state, such as `{"good": ["day"], "bad": ["fog", "rain"]}`, or
             a number of states to be found by F1; a state for each condition if None.
+        sequence: Text file with a state on each line, in time order, for the transitions between states.
+        interval_s: Seconds between two of its lines.
         match: How boxes are matched: `confidence`, `optimal`, `centre` or `provenance`; if None, by provenance, that
             is by what each detection came from, where that is known, which is in runs; else by `confidence`, or
             by `optimal` without confidences.
@@ -221,12 +230,17 @@ def learn_detector(
             0 to 1.
         replicates: Number of replicates of the bootstrap.
         seed: Seed of the bootstrap.
+        level: Confidence level of the intervals.
+        beta: How many times more recall weighs than precision in F-beta.
+        clutter: Model of the number of false positives: `auto`, `calibrated` or `per_image`.
         without: Models to leave out, whatever the data carry; docs/learn.md has their names.
         labels: Names of the classes, for MOT and YOLO; types of KITTI.
         image_size_px: Width and height, for MOT without `seqinfo.ini` and YOLO without its images.
         frame_rate_hz: Frames in a second, where the files do not say.
         first_frame: Number of the first frame and pixel in MOT, 0 or 1; if None, 0 where a file has a frame 0.
         horizon: Row of the horizon in images that do not say theirs, or x and y of two of its points.
+        category_offset: Number to add to the category IDs of COCO results.
+        skip_bad: Leave out wrong entries of the files, and count them.
         check: Compare with the real results where it was not learned: what is learned from each half of the data is
             simulated over the other. It takes several times as long as to learn.
 
@@ -234,31 +248,17 @@ def learn_detector(
         ModsimError: A file cannot be read, an argument is wrong, or nothing can be learned from this.
         TypeError: A path is neither text nor a path.
     """
+    given = locals()
+    text = None if sequence is None else read_text(as_path(sequence, "sequence"), "sequence")
+    plain = {name: given[name] for name in LearnRequest.model_fields.keys() & given.keys()}
     request = LearnRequest.of(
-        "learn_detector",
-        conditions=conditions,
-        **parse_states(states, "learn_detector"),
-        match=match,
-        least_iou=least_iou,
-        most_distance_px=most_distance_px,
-        confidence=confidence,
-        confidence_scale=confidence_scale,
-        replicates=replicates,
-        seed=seed,
-        without=without,
-        labels=labels,
-        image_size_px=image_size_px,
-        frame_rate_hz=frame_rate_hz,
-        first_frame=first_frame,
-        horizon=horizon,
-        check=check,
+        "learn_detector", **plain | {"states": (), "sequence": text} | parse_states(states, "learn_detector")
     )
-    if run is not None and (truth is not None or detections is not None):
-        raise ModsimError("give truth and detections, or run: not both")
-    runs = () if run is None else (run,)
+    runs = () if run is None else tuple(run) if isinstance(run, list | tuple) else (run,)
     inputs = LearnInputs.of(request, _paths(truth, "truth"), _paths(detections, "detections"), runs)
     call = f"modsim3d.learn_detector({'run=…' if runs else 'truth=…, detections=…'}).write(…) from Python"
-    return inputs.learn(request, call)
+    result = inputs.learn(request, call)
+    return result if sequence is None else replace(result, inputs=(*result.inputs, as_path(sequence, "sequence")))
 
 
 def _paths(given: Paths | None, name: str) -> list[Path]:

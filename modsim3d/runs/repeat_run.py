@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,15 @@ import pyarrow.parquet as pq
 
 from modsim3d.core.arrays import Mask
 from modsim3d.core.errors import RunDirectoryError
+from modsim3d.core.paths import StrPath, as_path
+from modsim3d.core.text import listed as named
 from modsim3d.io.processes import WorkerCount
 from modsim3d.runs.files.block_files import THESIS_LINES
 from modsim3d.runs.files.overwrite import POSES_FILE, RUN_FILE, SCENE_FOLDER, FileList, listed_file
 from modsim3d.runs.files.stored_tables import damage_named
 from modsim3d.runs.files.tables import number_column
 from modsim3d.runs.run import run_scene
-from modsim3d.runs.stored_run import FinishedRun
+from modsim3d.runs.stored_run import FinishedRun, StoredRun, read_finished
 
 # ---- How two files of the same name differ, in words ----
 
@@ -130,7 +133,7 @@ class VersionDifference:
     now: str | None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Repetition:
     """Outcome of repeating a run; `listed` is whether its `run.json` lists its files, as older ones do not."""
 
@@ -142,6 +145,33 @@ class Repetition:
     def same(self) -> bool:
         """Whether every file is the same bytes."""
         return all(file.same for file in self.files)
+
+    def __repr__(self) -> str:
+        """The answer, and the names of the files that are not the same."""
+        wrong = [file.name for file in self.files if not file.same]
+        return f"<Repetition: {f'{named(wrong)} not the same' if wrong else 'the same bytes'}>"
+
+
+def check_repeat(
+    run: StoredRun | StrPath, *, workers: WorkerCount = 1, progress: Callable[[int], None] = lambda steps: None
+) -> Repetition:
+    """Repeat a run from the copy of its scene in a temporary folder, and compare every file, byte by byte.
+
+        repetition = modsim3d.check_repeat("runs/first")
+        repetition.same, [file.name for file in repetition.files if not file.same]
+
+    Args:
+        run: A finished run, or its directory.
+        workers: Number of processes, or `auto` for one for each CPU.
+        progress: Called with the number of steps done since its last call.
+
+    Raises:
+        ModsimError: The run is not finished, is damaged beyond its tables, or cannot be run again.
+        TypeError: The run is neither text nor a path.
+    """
+    stored = read_finished(run.folder if isinstance(run, StoredRun) else as_path(run, "run"))
+    with TemporaryDirectory(prefix="modsim3d_repeat_") as folder:
+        return repeat_run(stored, Path(folder) / "again", workers=workers, progress=progress)
 
 
 def repeat_run(

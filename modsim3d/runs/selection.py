@@ -60,13 +60,20 @@ class Selection:
         return self.run.frame(scene.cameras[camera].name, taken)
 
 
-def select_cameras(run: StoredRun, names: Sequence[str]) -> tuple[int, ...]:
+def select_cameras(run: StoredRun, names: str | Sequence[str] | None) -> tuple[int, ...]:
     """Indices of the cameras with these names, of all if there is none. Raises ModsimError for an unknown name."""
+    names = [names] if isinstance(names, str) else names or ()
     known = [camera.name for camera in run.scene.cameras]
     unknown = [name for name in names if name not in known]
     if unknown:
         raise ModsimError(f"{run.folder} has no camera '{', '.join(unknown)}'; it has: {', '.join(known)}")
     return tuple(known.index(name) for name in dict.fromkeys(names)) or tuple(range(len(known)))
+
+
+def check_every(every: object) -> None:
+    """Raise ModsimError for what is no number of steps, to take every so many-th."""
+    if not isinstance(every, int) or every < 1:
+        raise ModsimError(f"--every: needs a whole number from 1 (got {every!r:.60})")
 
 
 def select(
@@ -81,6 +88,7 @@ def select(
     """Select every `every`-th of the steps of a run from `from_s` to `to_s` in seconds, as in the run's timestamps; by
     default the times of the first and last step. `only_with_vessels` leaves out steps at which no camera has a vessel
     in its image. `cameras` are indices into the scene's cameras. Raises ModsimError if no step is left."""
+    check_every(every)
     times = times_of(run)
     start_s, end_s = (-math.inf if from_s is None else from_s), (math.inf if to_s is None else to_s)
     steps = np.flatnonzero((times >= start_s - NEAR_S) & (times <= end_s + NEAR_S))[::every]

@@ -7,15 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from modsim3d.detector.file.unread import dead_lines
 from modsim3d.geometry.camera import Camera, Intrinsics
 from modsim3d.geometry.camera_poses import poses_ashore
 from modsim3d.geometry.kinematics import HullTracks
 from modsim3d.scene.lens import point_problem
 from modsim3d.scene.scene import Scene
-from modsim3d.world.bodies import Obstacle
+from modsim3d.world.bodies import Obstacle, misfits
 from modsim3d.world.encounters import speeds_m_s
 from modsim3d.world.floating_vessels import GRAVITY_M_S2
 from modsim3d.world.traffic.clearance import Land
+from modsim3d.world.traffic.generate import DrawnTraffic
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,17 @@ ASHORE_M = 0.5
 """A path that reaches so far into an obstacle leads through it; at a quay it may touch."""
 MAX_COMPARED = 10_000_000
 """Pairs of vessels at a step that are compared; where there are more, fewer steps are looked at."""
+
+
+def scene_warnings(scene: Scene) -> list[str]:
+    """Vessels that found no room, meshes that do not fit, and lines of the detector file that change nothing."""
+    left_out = scene.poses.left_out if isinstance(scene.poses, DrawnTraffic) else {}
+    others = [*misfits(scene.vessels, scene.obstacles), *dead_lines(scene.detector)]
+    if not left_out:
+        return others
+    missing = ", ".join(f"{count} of {section}" for section, count in left_out.items())
+    total = sum(left_out.values())
+    return [f"poses.traffic: {total} of the vessels that were drawn found no room and are left out: {missing}", *others]
 
 
 def doubts(scene: Scene, tracks: HullTracks | None) -> list[str]:

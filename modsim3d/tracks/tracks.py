@@ -2,10 +2,11 @@
 
 import re
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -152,6 +153,16 @@ class Similarity:
             raise ModsimError(f"the scale of similarity centre must be above 0 (got {self.scale_px:g})")
         if not 0 < self.least <= 1:
             raise ModsimError(f"--threshold must be above 0 and at most 1 (got {self.least:g})")
+
+    @classmethod
+    def parse(cls, text: str | None, least: float = 0.5) -> Self:
+        """A similarity from a text: `iou`, as also without one, or `centre:40`. Raises ModsimError for another."""
+        name, colon, scale = (text or "iou").partition(":")
+        with suppress(ValueError):
+            scale_px = float(scale) if colon else None
+            if name in get_args(SimilarityName):
+                return cls(name, scale_px, least)  # type: ignore[arg-type]
+        raise ModsimError(f"--similarity: needs iou, or centre:PX as in centre:40 (got '{text}')")
 
     def __str__(self) -> str:
         """The similarity in words."""

@@ -10,6 +10,7 @@ import numpy as np
 from modsim3d.core.arrays import NOBODY, Array, Indices, Mask, row_before
 from modsim3d.core.boxes import centres
 from modsim3d.core.errors import ModsimError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
 from modsim3d.runs.run_rows import RunRows
 from modsim3d.runs.stored_run import StoredRun
@@ -96,6 +97,27 @@ def read_followed_tracks(path: Path, run: StoredRun, similarity: Similarity) -> 
         )
     rows = RunRows.of(run)
     return FollowedTracks.of(read_tracks(path, run, rows), rows, similarity)
+
+
+def followed_tracks(
+    tracks: StrPath | None, run: StoredRun, similarity: str | None, threshold: float | None
+) -> FollowedTracks | None:
+    """Tracks of a run with the vessels that they follow, of what `modsim3d.report` takes; None without tracks. Raises
+    ModsimError as `read_followed_tracks`, and for a similarity without tracks."""
+    if tracks is None:
+        if (similarity, threshold) != (None, None):
+            raise ModsimError("--similarity and --threshold are for --tracks")
+        return None
+    compared = Similarity.parse(similarity, 0.5 if threshold is None else threshold)
+    return read_followed_tracks(as_path(tracks, "tracks"), run, compared)
+
+
+def read_of_tracks(tracks: StrPath | None) -> list[Path]:
+    """Files that are read of tracks, so that none of them is written."""
+    if tracks is None:
+        return []
+    path = as_path(tracks, "tracks")
+    return sorted(inner for inner in path.rglob("*") if inner.is_file()) if path.is_dir() else [path]
 
 
 def _vessels(following: Following) -> Indices:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +12,17 @@ from PIL import Image, ImageDraw
 
 from modsim3d.core.arrays import Array, Indices
 from modsim3d.core.errors import ModsimError, RunDirectoryError
+from modsim3d.core.paths import StrPath, as_path
+from modsim3d.core.written import Written
 from modsim3d.geometry.camera import Camera
 from modsim3d.io.atomic_write import put_in_place
+from modsim3d.io.overwrite_guard import claimed
+from modsim3d.runs.files.overwrite import read_of_run
 from modsim3d.runs.run_rows import RunRows
-from modsim3d.runs.stored_run import StoredRun
+from modsim3d.runs.selection import check_every
+from modsim3d.runs.stored_run import StoredRun, opened_run
 from modsim3d.view import palette, rerun_boxes
-from modsim3d.view.followed_tracks import FollowedTracks
+from modsim3d.view.followed_tracks import followed_tracks, read_of_tracks
 from modsim3d.view.pictures.plain import below_horizon
 from modsim3d.view.report.recorder import quantum_px
 from modsim3d.view.report.silhouettes import hiding, seen
@@ -271,22 +275,38 @@ def _image_size(seen: Seen) -> Array:
 STEPS_TOGETHER = 250  # whose geometry is computed together
 
 
-def write_recording(
-    run: StoredRun,
-    out: Path,
+def export_rerun(
+    run: StoredRun | StrPath,
+    out: StrPath,
+    *,
     every: int = 1,
+    tracks: StrPath | None = None,
+    similarity: str | None = None,
+    threshold: float | None = None,
+    overwrite: bool = False,
     progress: Callable[[int], None] = lambda steps: None,
-    followed: FollowedTracks | None = None,
-) -> None:
-    """Write every K-th step of a run as an `.rrd` file with the time lines `step` and `time`, and what to open it with.
-    `progress` is called with the number of steps that were written since its last call.
-    Raises ModsimError if the Rerun SDK is not installed or the run has no steps."""
+) -> Written:
+    """Write a run as `run.rrd`, a recording for the Rerun viewer.
+
+        modsim3d.export_rerun("runs/first", "recordings", tracks="tracks/reference")
+
+    Args:
+        run, out: A run or its directory; folder for the file.
+        every, tracks, similarity, threshold, overwrite, progress: As those of `modsim3d.report`.
+
+    Raises:
+        ModsimError: The run or its tracks are wrong, the Rerun SDK is missing, or the file cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    check_every(every)
     try:
         import rerun
     except ImportError:
         raise ModsimError("--format rerun needs the Rerun SDK: pip install 'modsim3d[rerun]'") from None
+    run, path = opened_run(run), as_path(out, "out", "a folder") / "run.rrd"
     if not run.steps:
         raise RunDirectoryError(f"{run.folder} was interrupted before its first steps were finished")
+    followed = followed_tracks(tracks, run, similarity, threshold)
     rows = RunRows.of(run)
     name = f"{run.scene.name}-{run.scene.sha256[:12]}"
     # The viewer keeps one layout for an application, so that scenes with other cameras must be other applications.
@@ -296,7 +316,8 @@ def write_recording(
     log = rerun_boxes.Log(rerun, stream, run.scene)
     eye, steps = rerun_boxes.first_eye(log), np.arange(0, run.steps, every)
     pictures, boxes, space = Pictures(log, rows), rerun_boxes.BoxRecorder(log, rows, followed), rerun_boxes.Space(log)
-    with put_in_place(out) as partial:
+    inputs = read_of_run(run.folder) + read_of_tracks(tracks)
+    with claimed([path], overwrite=overwrite, inputs=inputs), put_in_place(path) as partial:
         stream.save(partial, blueprint(log, eye, int(steps[-1]), tracks=followed is not None))
         space.fixed(eye.span_m)
         pictures.fixed()
@@ -308,3 +329,4 @@ def write_recording(
             progress(len(some))
         stream.flush()
         stream.disconnect()
+    return Written((path,), () if followed is None else (followed.sentence(),))

@@ -21,7 +21,7 @@ from modsim3d import ModsimError, OutputError, Verdict
 from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.means import same_detections
 from modsim3d.campaign.report.campaign_page import crash_sections
-from modsim3d.campaign.report.search_page import write_page
+from modsim3d.campaign.report.search_page import report_campaign
 from modsim3d.campaign.running import run_plan
 from modsim3d.cli.campaign_run import exit_status
 from modsim3d.cli.terminal_tables import print_blocks
@@ -219,7 +219,7 @@ def test_conditions_with_the_same_detections_are_told_in_print_in_json_and_on_th
     again = modsim3d("campaign", "run", file, "--out", tmp_path / "out", "--json")
     (warning,) = [text for text in json.loads(again.out)["warnings"] if SAME in text]
     assert "runs with detector.operating_threshold 0.2, detector.operating_threshold 0.21: what differs" in warning
-    write_page(opened_campaign(tmp_path / "out"), tmp_path / "page.html")
+    report_campaign(tmp_path / "out", tmp_path / "page.html")
     assert SAME.capitalize() in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from modsim3d.campaign.keys import CampaignKeys
 from modsim3d.campaign.report.campaign_page import campaign_page
-from modsim3d.campaign.reproduce import make_again
+from modsim3d.campaign.reproduce import reproduce_run
 from modsim3d.campaign.verdicts.bounds import mean_share_low
 from modsim3d.campaign.verdicts.verdict import judged
 from tests.campaign.campaigns import problems_of, run_campaign_file
@@ -120,7 +120,7 @@ def test_a_campaign_has_its_approaches_table_and_chart_its_rows_repeat_and_other
     page = campaign_page(done.folder, done.table, done.verdicts)
     assert "From where on vessels are known" in page and "vessels known at 1250 m, in 50 % of approaches" in page
     assert page.count("<title>Vessels of ") + page.count('aria-label="Vessels of 0 to 8 m"') == 1
-    again = make_again(done.folder, 1, tmp_path / "again")
+    again = reproduce_run(done.folder.path, 1, tmp_path / "again")
     assert again.row is not None and again.same and again.row["approaches"] == done.table["approaches"][1].as_py()
     plain = CampaignKeys.model_validate(keys | {"require": require[1:]}).model_dump(mode="json", by_alias=True)
     assert not {"known_at_m", "kind", "one_track"} & plain["require"][0].keys()

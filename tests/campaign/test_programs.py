@@ -21,7 +21,7 @@ from modsim3d.campaign.campaign import present_state
 from modsim3d.campaign.folder import opened_campaign
 from modsim3d.campaign.keys import read_campaign
 from modsim3d.campaign.report.campaign_page import campaign_page
-from modsim3d.campaign.reproduce import make_again
+from modsim3d.campaign.reproduce import reproduce_run
 from modsim3d.campaign.running import run_plan
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.checking import checked
@@ -258,10 +258,9 @@ def in_world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_row_has_all_world_scores_and_they_are_those_of_short_code_over_the_files(in_world: Path, tmp_path) -> None:
-    opened = opened_campaign(in_world)
     row = modsim3d.open_campaign(in_world).table.to_pylist()[0]
-    again = make_again(opened, 0, tmp_path / "run")
-    assert again.same and again.error is None and make_again(opened, 0, tmp_path / "run").reused
+    again = reproduce_run(in_world, 0, tmp_path / "run")
+    assert again.same and again.error is None and reproduce_run(in_world, 0, tmp_path / "run").reused
     run = modsim3d.open_run(tmp_path / "run")
     flat = modsim3d.score_world(run, modsim3d.read_world_tracks(again.tracks, run)).flat()
     kept = {world_column(name) for name in flat if not name.endswith(("_low", "_high"))}

@@ -15,7 +15,7 @@ from modsim3d.campaign.plan import Plan
 from modsim3d.campaign.report.campaign_page import campaign_page, crash_sections, mean_sections
 from modsim3d.campaign.report.parameter_charts import BINS, by_level, over_seeds, parameters_of, seed_cells
 from modsim3d.campaign.report.parameter_charts import parameter_sections as sections
-from modsim3d.campaign.report.search_page import search_page, write_page
+from modsim3d.campaign.report.search_page import report_campaign, search_page
 from modsim3d.campaign.report.words import Score, constant, required_scores, requirement_sections, verdict_sentence
 from modsim3d.campaign.verdicts.verdict import Verdict
 from modsim3d.campaign.work.row import crashed_row, table_of
@@ -49,7 +49,7 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def html(campaign, tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_page(campaign, path)
+    report_campaign(campaign.path, path)
     return path.read_text(encoding="utf-8")
 
 

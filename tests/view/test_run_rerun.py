@@ -15,7 +15,7 @@ from modsim3d.runs.counts import Outcome, frame_outcomes
 from modsim3d.runs.frames import detected_rows
 from modsim3d.view import palette
 from modsim3d.view.rerun_boxes import TEXT
-from modsim3d.view.rerun_recording import fill, write_recording
+from modsim3d.view.rerun_recording import export_rerun, fill
 from tests.command_line import call
 from tests.scenes import crossing
 
@@ -73,9 +73,8 @@ def recording(written):
 @pytest.fixture(scope="module")
 def mistaken(mistaken_folder, tmp_path_factory):
     """A run with every kind of mistake, and its recording."""
-    out = tmp_path_factory.mktemp("mistaken") / "run.rrd"
-    write_recording(open_run(mistaken_folder), out, SOME)
-    return open_run(mistaken_folder), read(out)
+    out = export_rerun(mistaken_folder, tmp_path_factory.mktemp("mistaken"), every=SOME)
+    return open_run(mistaken_folder), read(out.path)
 
 
 def latest(entity: dict[int | None, dict[str, object]], step: int) -> dict[str, object]:

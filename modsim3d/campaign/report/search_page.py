@@ -8,19 +8,23 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from modsim3d.campaign.campaign import Campaign
 from modsim3d.campaign.done_rows import results_table
-from modsim3d.campaign.folder import CampaignFolder
+from modsim3d.campaign.folder import CampaignFolder, files_of_campaign, opened_campaign
 from modsim3d.campaign.keys import Range, SearchKeys
 from modsim3d.campaign.plan import text_of
-from modsim3d.campaign.report.campaign_page import campaign_page
+from modsim3d.campaign.report.campaign_page import REPORT_FILE, campaign_page
 from modsim3d.campaign.report.campaign_page import lead as campaign_lead
 from modsim3d.campaign.report.words import Score, rests_on
 from modsim3d.campaign.search_folder import REFUSED, search_table
 from modsim3d.campaign.verdicts.verdict import judged
 from modsim3d.campaign.work.row import DONE
 from modsim3d.core.document import Block, Document, Figure, Heading, Table, Text
+from modsim3d.core.paths import StrPath, out_file
 from modsim3d.core.text import counted, three_digits
+from modsim3d.core.written import Written
 from modsim3d.io.atomic_write import write_files
+from modsim3d.io.overwrite_guard import claimed
 from modsim3d.view.pages import charts
 from modsim3d.view.pages.charts import marks, span_of
 from modsim3d.view.pages.page import document_page
@@ -33,7 +37,7 @@ NO_RATE = (
 
 
 def write_search_page(folder: CampaignFolder, path: Path, command: str | None = None) -> str:
-    """Write the page of a search, and return its first sentence. Raises ModsimError as `write_page`."""
+    """Write the page of a search, and return its first sentence. Raises ModsimError as `report_campaign`."""
     search, table = folder.keys.search, search_table(folder)
     assert search is not None
     write_files({path: search_page(folder, search, table, command)})
@@ -146,15 +150,33 @@ def _value(value: Any) -> str:
 # ---- Writes the page that a campaign has ----
 
 
-def write_page(
-    folder: CampaignFolder, path: Path, advance: Callable[..., None] = lambda *_: None, command: str | None = None
-) -> str:
-    """Write the page of a campaign, finished or not, and return its first sentence. `advance` is called with 1 after
-    each picture; `command` is what the page says it was made by, the call from Python if None. Raises ModsimError if
-    the results are damaged, or the page cannot be written."""
-    if folder.keys.search is not None:
-        return write_search_page(folder, path, command)
-    table = results_table(folder)
-    verdicts = judged(folder.plan, table)
-    write_files({path: campaign_page(folder, table, verdicts, advance, command)})
-    return campaign_lead(folder, table, verdicts)
+def report_campaign(
+    campaign: Campaign | StrPath,
+    out: StrPath | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[..., None] = lambda *_: None,
+    call: str | None = None,
+) -> Written:
+    """Write a page about a campaign or a search: requirements first, then means, charts and the worst runs.
+
+        modsim3d.report_campaign("runs/example", "page.html")
+
+    Args:
+        campaign, out: A campaign or its folder; HTML file to write, `report.html` in the folder if None.
+        overwrite, call: As those of `modsim3d.report`.
+        progress: Called with 1 after each picture of a worst run, first with 0 and their number in all.
+
+    Raises:
+        ModsimError: It is no campaign, its results are damaged, or the page cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    opened = opened_campaign(campaign.folder if isinstance(campaign, Campaign) else campaign)
+    path = out_file(out, opened.path / REPORT_FILE)
+    with claimed([path], overwrite=overwrite, inputs=files_of_campaign(opened)):
+        if opened.keys.search is not None:
+            return Written((path,), (write_search_page(opened, path, call),))
+        table = results_table(opened)
+        verdicts = judged(opened.plan, table)
+        write_files({path: campaign_page(opened, table, verdicts, progress, call)})
+    return Written((path,), (campaign_lead(opened, table, verdicts),))

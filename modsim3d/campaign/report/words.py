@@ -293,7 +293,7 @@ def rests_on(folder: CampaignFolder, page: str, command: str | None) -> Provenan
     plan = Input("plan", f"sha256 in {PLAN}", facts["sha256"], about)
     return Provenance(
         page=page,
-        made_by=command or f"modsim3d.campaign.report.search_page.write_page of {folder.path} from Python",
+        made_by=command or f"modsim3d.report_campaign of {folder.path} from Python",
         inputs=(*_files(folder), plan, *own),
         seeds=(("campaign", f"{keys.seed}"),),
         options=(("Traffic seeds", traffic), ("Detector seeds", f"{keys.seeds.detector:,} for each traffic seed")),

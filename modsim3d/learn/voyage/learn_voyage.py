@@ -13,7 +13,7 @@ from modsim3d.core.paths import StrPath, as_path
 from modsim3d.core.text import counted
 from modsim3d.formats.labelled import LabelledSet
 from modsim3d.io.input_files import inputs_noted
-from modsim3d.learn.learn_detector import MIN_CONFIDENCE, LearnOptions, LearnRequest
+from modsim3d.learn.learn_detector import MIN_CONFIDENCE, Clutter, LearnOptions, LearnRequest, parse_states
 from modsim3d.learn.learned import LearnSettings
 from modsim3d.learn.learning import LearnResult
 from modsim3d.learn.report import LearnReport
@@ -166,9 +166,11 @@ class VoyageRequest:
 
 def learn_voyage(
     scene: Scene | StrPath,
-    log: StrPath,
+    log: StrPath | Sequence[StrPath],
     *,
-    camera: str | None = None,
+    camera: str | Sequence[str | None] | None = None,
+    conditions: Sequence[str] = (),
+    states: int | Mapping[str, Sequence[str]] | None = None,
     registration: Correction | Registrar | Registering | None = None,
     fixed: str | Sequence[str] = (),
     known: str | Mapping[str, float] | KnownMeans | None = None,
@@ -183,6 +185,9 @@ def learn_voyage(
     confidence: float | None = None,
     replicates: int = 300,
     seed: int = 0,
+    level: float = 0.95,
+    beta: float = 2.0,
+    clutter: Clutter = "auto",
     without: Sequence[str] = (),
 ) -> VoyageResult:
     """Learn a detector from what it wrote during a voyage whose vessels' tracks are known.
@@ -192,8 +197,9 @@ def learn_voyage(
 
     Args:
         scene: The scene, its file, or the name of a shipped scene: the vessels, their tracks, and the camera.
-        log: What the detector wrote; docs/voyage.md has the formats.
-        camera: The scene's camera that the log is of; needed where the log does not say it and the scene has several.
+        log: What the detector wrote, a log or several; docs/voyage.md has the formats.
+        camera: The scene's camera that the log is of, or those of the logs in their order; needed where the log does
+            not say it and the scene has several.
         registration: What is added to the camera and to the clock, or what finds it for each camera; None to have it
             estimated from the detections.
         fixed: Parameters that are not estimated, such as `pitch,yaw`, or `all`.
@@ -205,35 +211,24 @@ def learn_voyage(
         stale_s: Least time without an AIS report of a vessel under way that is left out; if None, 60 s.
         attitude: File of own ship's roll, pitch and heading, in place of the scene's waves.
         log_options: What the log does not say itself.
-        match: As that of `modsim3d.learn_detector`, as are the following; but if None, by centres where positions are
-            not surely known.
-        least_iou: Least IoU.
-        most_distance_px: Largest distance between centres.
-        confidence: Least confidence.
-        replicates: Number of replicates of the bootstrap.
-        seed: Seed of the bootstrap.
-        without: Models to leave out.
+        match: As that of `modsim3d.learn_detector`; but if None, by centres where positions are not surely known.
+        conditions, states, least_iou, most_distance_px, confidence, replicates, seed, level, beta, clutter, without: As
+            those of `modsim3d.learn_detector`.
 
     Raises:
         ModsimError: The scene or the log cannot be read, they do not fit each other, the camera cannot be registered,
             or nothing can be learned.
         TypeError: The scene, the log or the attitude is no path.
     """
-    request = LearnRequest.of(
-        "learn_voyage",
-        match=match,
-        least_iou=least_iou,
-        most_distance_px=most_distance_px,
-        confidence=confidence,
-        replicates=replicates,
-        seed=seed,
-        without=without,
-    )
+    given = locals()
+    plain = {name: given[name] for name in LearnRequest.model_fields.keys() & given.keys()}
+    request = LearnRequest.of("learn_voyage", **plain | {"states": ()} | parse_states(states, "learn_voyage"))
     measured = None if attitude is None else as_path(attitude, "attitude")
     about = (registration, fixed, known, empty, position_noise, stale_s, measured, log_options)
-    logs = (as_path(log, "log"),)
+    logs = tuple(as_path(each, "log") for each in (log if isinstance(log, list | tuple) else [log]))
+    cameras = (camera,) if camera is None or isinstance(camera, str) else tuple(camera)
     with inputs_noted() as read:
         loaded = scene if isinstance(scene, Scene) else load_scene(scene)
-        voyage = VoyageRequest(request, loaded, logs, (camera,), *about)
+        voyage = VoyageRequest(request, loaded, logs, cameras, *about)
         labelled = voyage.labelled()
     return voyage.learn(labelled, read, "modsim3d.learn_voyage(…).write(…) from Python")

@@ -1,7 +1,7 @@
 """The options of `modsim3d ais`, and how they are read from text."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
@@ -115,20 +115,21 @@ def parse_end(text: str | None) -> dict[str, float]:
     return {"duration_s": seconds}
 
 
-def parse_origin(text: str) -> tuple[float, float]:
+def parse_origin(text: str | Sequence[float]) -> tuple[float, float]:
     """Latitude and longitude of the origin."""
     latitude, longitude = _degrees(text, "--origin", "LAT,LON")
     return latitude, longitude
 
 
-def parse_region(text: str) -> SeaRegion:
+def parse_region(text: str | Sequence[float]) -> SeaRegion:
     """A region from two of its corners."""
     return SeaRegion.between(*_degrees(text, "--region", "LAT1,LON1,LAT2,LON2"))
 
 
-def _degrees(text: str, option: str, form: str) -> list[float]:
+def _degrees(text: str | Sequence[float], option: str, form: str) -> list[float]:
     """Numbers from a text of latitudes and longitudes in turn, separated by commas, as many as `form` names. Raises
     InputError if there are more or fewer numbers, or one is out of range."""
+    text = text if isinstance(text, str) else ",".join(map(str, text))
     parts = text.split(",")
     try:
         values = [float(part) for part in parts]

@@ -1,6 +1,7 @@
 """A comparison of sources as terminal tables, `compare.json` and a page."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +9,17 @@ import orjson
 from PIL import Image
 
 from modsim3d.core.document import Block, Document, Figure, Fold, Heading, Table, Text, Tiles, Where
+from modsim3d.core.errors import ModsimError
+from modsim3d.core.paths import StrPath, as_path
 from modsim3d.io.atomic_write import encoded, write_files
+from modsim3d.io.overwrite_guard import claimed
 from modsim3d.render.id_pass import IdRenderer
+from modsim3d.runs.pipeline import open_renderer
+from modsim3d.runs.selection import check_every
+from modsim3d.scene.reading import load_scene
 from modsim3d.scene.scene import Scene
 from modsim3d.truth.analytic import visible_regions
-from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison
+from modsim3d.verify.sources.compare import RULE_OFF_PX, SourceComparison, compare_sources
 from modsim3d.verify.sources.figures import BoxFigures, ComparisonFigures, RuleFigures, VesselDifference
 from modsim3d.view.pages.page import document_page, image
 from modsim3d.view.pages.provenance import Input, Provenance, sha256_of, shown_path
@@ -127,29 +134,6 @@ def _share(part: int, whole: int) -> str:
     return f"{part} ({part / whole:.1%})" if whole else str(part)
 
 
-def write_report(
-    comparison: SourceComparison,
-    scene: Scene,
-    renderer: IdRenderer,
-    folder: Path,
-    command: str | None = None,
-    given: str | None = None,
-) -> None:
-    """Write `compare.json`, `compare.html` with pictures of the worst cases, and `rectangle_rule.png` into a folder.
-    The page says that the command or this function made it; `given` is the scene as named, else its file."""
-    made_by = command or f"modsim3d.verify.sources.report.write_report of {scene.name} from Python"
-    rests_on = _provenance(comparison, scene, renderer, made_by, given)
-    contents: list[bytes | str] = [
-        orjson.dumps(comparison.figures, option=orjson.OPT_INDENT_2) + b"\n",
-        document_page(document(comparison, scene, renderer), rests_on),
-    ]
-    if worst := comparison.findings.rule.worst:
-        contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
-    else:
-        (folder / FILES[-1]).unlink(missing_ok=True)  # that of a comparison which is replaced
-    write_files(dict(zip((folder / name for name in FILES), contents, strict=False)))
-
-
 def _provenance(
     comparison: SourceComparison, scene: Scene, renderer: IdRenderer, made_by: str, given: str | None
 ) -> Provenance:
@@ -219,3 +203,70 @@ def describe_case(scene: Scene, case: VesselDifference) -> str:
     (time,) = scene.timestamps(case.step, case.step + 1)
     reason = f"{case.reason[:1].upper()}{case.reason[1:]}"
     return f"{scene.vessel_names[case.vessel]}, {scene.cameras[case.camera].name}, {time} s. {reason}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TruthComparison(SourceComparison):
+    """Sources of the truth of a scene side by side, from `check_truth`: the `figures`, and the files `written`."""
+
+    scene: Scene
+    renderer: str  # the OpenGL in use
+    written: tuple[Path, ...]
+
+    def __repr__(self) -> str:
+        """The answer, in a line."""
+        return f"<TruthComparison {self.scene.name}: {_introduction(self.figures)[0].text}>"
+
+    def _repr_html_(self) -> str:
+        """The answer, and the figures."""
+        return document(self, self.scene).notebook()
+
+
+def check_truth(
+    scene: Scene | StrPath,
+    out: StrPath | None = None,
+    *,
+    every: int = 1,
+    overwrite: bool = False,
+    progress: Callable[[int], None] = lambda steps: None,
+    named: str | None = None,
+    call: str | None = None,
+) -> TruthComparison:
+    """Check the rendered truth of a scene against ID buffers and geometry, and the idealised rectangle rule against it.
+
+        modsim3d.check_truth("harbour", "compared", every=5).figures.unexplained
+
+    Args:
+        scene: A scene with the rendered source, its file, or the name of a shipped one.
+        out: Folder for `compare.json` and `compare.html`; nothing is written if None.
+        every: Take every K-th time step only.
+        overwrite, progress, call: As those of `modsim3d.report`.
+        named: Name of the scene on the page; its file if None.
+
+    Raises:
+        ModsimError: The scene is live, or is not rendered, there is no OpenGL, or the files cannot be written.
+        TypeError: The scene is none, or a path is neither text nor a path.
+    """
+    check_every(every)
+    scene = scene if isinstance(scene, Scene) else load_scene(scene, source="rendered")
+    folder = None if out is None else as_path(out, "out", "a folder")
+    paths, read = [] if folder is None else [folder / name for name in FILES], scene.copy.read
+    with claimed(paths, overwrite=overwrite, inputs=read), open_renderer(scene) as renderer:
+        if renderer is None:
+            raise ModsimError("check truth needs the rendered source")
+        found = compare_sources(scene, renderer, every=every, progress=progress)
+        if folder is not None:
+            rests_on = _provenance(
+                found, scene, renderer, call or f"modsim3d.check_truth of {scene.name} from Python", named
+            )
+            contents: list[bytes | str] = [
+                orjson.dumps(found.figures, option=orjson.OPT_INDENT_2) + b"\n",
+                document_page(document(found, scene, renderer), rests_on),
+            ]
+            if worst := found.findings.rule.worst:
+                contents.append(encoded(draw_case(scene, worst, renderer, RULE)))
+            else:
+                paths[-1].unlink(missing_ok=True)  # that of a comparison which is replaced
+            write_files(dict(zip(paths, contents, strict=False)))
+        written = tuple(path for path in paths if path.exists())  # a picture only where a vessel is occluded
+        return TruthComparison(found.findings, found.figures, scene, renderer.context.description, written)

@@ -1,16 +1,39 @@
-"""The page of `modsim3d ais`: what became of the reports of ships, with the map."""
+"""Scenes from AIS with their page: what became of the reports of ships, with the map."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from modsim3d.core.document import Block, Document, Heading, Items, Table, Text
-from modsim3d.core.text import UNKNOWN, counted, percent_of
+from modsim3d.core.paths import StrPath, as_path
+from modsim3d.core.text import UNKNOWN, column_table, counted, percent_of
+from modsim3d.core.written import Written
+from modsim3d.detector.file.reading import find_detector, load_detector
+from modsim3d.io.overwrite_guard import check_free, locked_folder
 from modsim3d.scene.ais.gathering import SHOWN_PROBLEMS
-from modsim3d.scene.ais.options import Options, time_text
-from modsim3d.scene.ais.scene_folder import REASONS, messages_read, messages_used, summary_rows, warning
-from modsim3d.scene.ais.traffic import AisTraffic
+from modsim3d.scene.ais.options import (
+    Options,
+    parse_end,
+    parse_labels,
+    parse_origin,
+    parse_region,
+    parse_time,
+    time_text,
+)
+from modsim3d.scene.ais.scene_folder import (
+    FILES,
+    PAGE,
+    REASONS,
+    messages_read,
+    messages_used,
+    summary_rows,
+    warning,
+    write_scene,
+)
+from modsim3d.scene.ais.scene_folder import check_free as check_free_scene
+from modsim3d.scene.ais.traffic import AisTraffic, read_traffic
 from modsim3d.scene.ais.vessel_track import VesselTrack
 from modsim3d.view.pages.ais_drawings import MAX_LANES, presence_chart, traffic_map
 from modsim3d.view.pages.page import document_page
@@ -26,7 +49,7 @@ def ais_page(traffic: AisTraffic, command: str | None = None) -> str:
     same files gives the same page."""
     rests_on = Provenance(
         page="traffic from AIS",
-        made_by=command or "modsim3d.view.pages.ais_page.ais_page from Python",
+        made_by=command or "modsim3d.ais(…) from Python",
         inputs=tuple(
             file_input("AIS log", tally.path, f"{tally.format}, {counted(tally.messages, 'message')}")
             for tally in traffic.files
@@ -260,3 +283,86 @@ def _time(unix_s: float) -> str:
 
 def _shown(text: str) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text)
+
+
+# ---- The scene folder ----
+
+
+@dataclass(frozen=True, repr=False, kw_only=True)
+class AisScene(Written):
+    """A scene folder that was made from AIS, from `ais`; `traffic` has the vessels, and what became of the reports.
+
+    scene = modsim3d.load_scene(modsim3d.ais("log.csv", "scenes/sound"))
+    """
+
+    traffic: AisTraffic
+
+    def _repr_html_(self) -> str:
+        """The tables that the command prints."""
+        return "".join(column_table(title, (), rows) for title, rows in summary_rows(self.traffic))
+
+
+def ais(
+    files: StrPath | Sequence[StrPath],
+    out: StrPath,
+    *,
+    origin: str | Sequence[float] | None = None,
+    region: str | Sequence[float] | None = None,
+    start: str | None = None,
+    end: str | None = None,
+    time_step_s: float = 1.0,
+    max_gap_s: float = 400.0,
+    max_speed_kn: float = 60.0,
+    swap_coordinates: bool = False,
+    labels: Sequence[str] | Mapping[str, str] = (),
+    detector: StrPath = "vessel",
+    overwrite: bool = False,
+    call: str | None = None,
+) -> AisScene:
+    """Make a scene folder from real traffic: AIS of Denmark, MarineCadastre or a receiver.
+
+        made = modsim3d.ais("aisdk-2024-01-04.csv", "scenes/sound", region=(55.6, 12.6, 55.8, 12.9), end="+600")
+
+    Args:
+        files, out: AIS logs, CSV or NMEA, gzipped or not; scene folder to write.
+        origin: Latitude and longitude of the scene's origin, in degrees; the median position if None.
+        region: Latitudes and longitudes of two corners, between which positions are kept; all are if None.
+        start, end: Times of the first and last step, in UTC, or `+SECONDS` from the first; of all reports if None.
+        time_step_s, max_gap_s: Time between steps; time between reports beyond which a vessel is absent.
+        max_speed_kn: Drop a position that a vessel can reach only at a higher speed, in knots.
+        swap_coordinates: Exchange latitude and longitude, for CSV files that have them swapped.
+        labels: Labels by group of ship types, such as `{"cargo": "Ship"}`; `["type"]` for a label of each.
+        detector: Detector file or shipped name of the scene.
+        overwrite: Replace a scene that is there.
+        call: Command that made the scene, for the foot of its page; this function if None.
+
+    Raises:
+        ModsimError: A file or an argument is wrong, no vessel is left, or the folder cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    texts = [f"{group}={label}" for group, label in labels.items()] if isinstance(labels, Mapping) else labels
+    found, folder = find_detector(detector), as_path(out, "out", "a folder")
+    options = Options(
+        origin=None if origin is None else parse_origin(origin),
+        region=None if region is None else parse_region(region),
+        start_s=None if start is None else parse_time(start, "--start"),
+        **parse_end(end),
+        time_step_s=time_step_s,
+        max_gap_s=max_gap_s,
+        max_speed_kn=max_speed_kn,
+        swap_coordinates=swap_coordinates,
+        labels_by_type="type" in texts,
+        labels=parse_labels(text for text in texts if text != "type"),
+        detector_labels=load_detector(found).labels,
+    )
+    logs = [as_path(each, "files") for each in (files if isinstance(files, list | tuple) else [files])]
+    check_free_scene(folder, overwrite)
+    with locked_folder(folder):
+        read = [file for file in logs if not file.is_dir()]  # folders are refused when they are read
+        for name in FILES:
+            check_free(folder / name, overwrite, [*read, found])
+        traffic = read_traffic(logs, options)
+        write_scene(traffic, folder, found, overwrite, ais_page(traffic, call))
+    size = counted(len(traffic.vessels), "vessel"), counted(len(traffic.grid.timestamps), "step")
+    odd = warning(traffic)
+    return AisScene((folder, folder / PAGE), (", ".join(size), *([odd] if odd else [])), traffic=traffic)

@@ -1,0 +1,277 @@
+"""Films, pictures and maps of a run, each drawn into a file by one call."""
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from modsim3d.core.errors import ModsimError, RunDirectoryError
+from modsim3d.core.paths import StrPath, as_path, out_file
+from modsim3d.core.written import Written
+from modsim3d.io.overwrite_guard import claimed, claimed_folders
+from modsim3d.io.processes import WorkerCount
+from modsim3d.runs.files.overwrite import read_of_run
+from modsim3d.runs.selection import Selection, find_step, select, select_cameras, times_of
+from modsim3d.runs.stored_run import StoredRun, opened_run
+from modsim3d.view.films.files import FORMATS, check_encoder
+from modsim3d.view.films.film import Showing, draw_film, draw_picture
+from modsim3d.view.films.plan import WIDTH_PX, FilmPlan
+from modsim3d.view.films.request import Look, PictureRequest
+from modsim3d.view.followed_tracks import followed_tracks
+from modsim3d.view.map_marks import BirdsEye
+from modsim3d.view.map_picture import check_map, save_map
+from modsim3d.view.pictures.contact_sheet import SHEET_FILE, draw_contact_sheet
+from modsim3d.view.pictures.id_buffer import write_id_buffer
+
+FRAME_FILES = "frame_*.png"
+MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 8192
+KINDS = ("detections", "scene", "ids", "corners", "map", "all")
+Names = str | Sequence[str]
+Bar = Callable[[str, int, str], AbstractContextManager[Callable[[int], None]]]
+
+
+def view_film(
+    run: StoredRun | StrPath,
+    out: StrPath | None = None,
+    *,
+    kind: str = "detections",
+    cameras: Names | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    every: int = 1,
+    only_with_vessels: bool = False,
+    tracks: StrPath | None = None,
+    similarity: str | None = None,
+    threshold: float | None = None,
+    layers: Names | None = None,
+    look: str | None = None,
+    crop: str | Sequence[float] | None = None,
+    width: int | None = None,
+    format: str | None = None,
+    speed: float = 1.0,
+    workers: WorkerCount = 1,
+    overwrite: bool = False,
+    bar: Bar = lambda name, frames, pace: nullcontext(lambda frames: None),
+) -> Written:
+    """Draw a film of a run.
+
+        modsim3d.view_film("runs/first", "film.gif", crop="vessels", speed=4)
+
+    Args:
+        run, out: A run or its directory; file to write, or folder of PNG files, by kind in the run directory if None.
+        kind: `detections`, `scene`, `ids`, `corners`, `map`, or `all`: three of them side by side.
+        cameras: Cameras to draw; all if None.
+        start_s, end_s, every: Times of the first and last step that is shown, in seconds; take every K-th step only.
+        only_with_vessels: Leave out steps with no vessel in an image.
+        tracks, similarity, threshold: As those of `modsim3d.report`.
+        layers: Names of layers to draw over the image (docs/pictures.md); those of the kind if None.
+        look: How vessels and sea look, such as `night,fog:800` or `plain`.
+        crop: Part of the image, x_min, y_min, x_max, y_max in pixels, or `vessels`: where vessels are.
+        width: Width of what is drawn, in pixels.
+        format: `mp4`, `gif`, or `png`: a folder of pictures; by the name, else `mp4`, if None.
+        speed: Seconds of the run that a second of the film shows.
+        workers: Number of processes, or `auto` for one for each CPU.
+        overwrite: Replace a film that is there.
+        bar: Context of the function that is given the number of frames drawn since its last call, made of the name of
+            the film, the number of its frames, and their pace in words.
+
+    Raises:
+        ModsimError: The run, its tracks or an argument is wrong, a library is missing, or the film cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    if not 0 < speed < math.inf:
+        raise ModsimError(f"--speed {speed:g}: give a positive number, such as 4 for four times as fast")
+    path = None if out is None else as_path(out, "out")
+    request, file_format = _request(kind, layers, crop, width, look, tracks), _film_format(format, path)
+    steps = {"from_s": start_s, "to_s": end_s, "every": every, "only_with_vessels": only_with_vessels}
+    selection, plan, notes = _planned(request, run, cameras, tracks, similarity, threshold, steps)
+    check_encoder(file_format)
+    folder, pictures = selection.run.folder, file_format == "png"
+    path = path or folder / kind if pictures else out_file(path, folder / f"{kind}.{file_format}")
+    claim, showing = _claimed(path, selection.run, overwrite, pictures), Showing.of(selection, file_format, speed)
+    pace, timetable = f"{len(showing.steps)} frames", showing.timetable
+    if not pictures:
+        pace += f", {timetable.duration_s:.1f} s at {float(timetable.rate):g} pictures/s"
+    with claim, bar(path.name, len(showing.steps), pace) as advance:
+        drawn = draw_film(selection, plan, file_format, path, speed=speed, workers=workers, progress=advance)
+    return Written((path,), ("{} × {} px, ".format(*drawn.size) + pace, *notes))
+
+
+def view_frame(
+    run: StoredRun | StrPath,
+    step: int | float | str,
+    out: StrPath | None = None,
+    *,
+    kind: str = "detections",
+    cameras: Names | None = None,
+    tracks: StrPath | None = None,
+    similarity: str | None = None,
+    threshold: float | None = None,
+    layers: Names | None = None,
+    look: str | None = None,
+    crop: str | Sequence[float] | None = None,
+    width: int | None = None,
+    overwrite: bool = False,
+) -> Written:
+    """Draw one time step of a run as a PNG.
+
+        modsim3d.view_frame("runs/first", 51.0, "moment.png", crop="vessels")
+
+    Args:
+        run, out: A run or its directory; file to write, by kind and step in the run directory if None.
+        step: Step, such as 255, or time in seconds, such as 51.0 or `51s`.
+        kind: As that of `modsim3d.view_film`, as are the other arguments, but no map; or `id_buffer`: the ID at each
+            pixel of a camera, as a PNG of 16 bits or as `.npy`.
+        overwrite: Replace a picture that is there.
+
+    Raises:
+        ModsimError: The run, its tracks or an argument is wrong, or the picture cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    request = _request("detections" if kind == "id_buffer" else kind, layers, crop, width, look, tracks)
+    run = opened_run(run)
+    shown = find_step(run, str(step))
+    if kind == "id_buffer":
+        return _id_buffer(run, select_cameras(run, cameras), shown, out, overwrite)
+    time_s = float(times_of(run)[shown])
+    steps = {"from_s": time_s, "to_s": time_s}
+    selection, plan, notes = _planned(request, run, cameras, tracks, similarity, threshold, steps)
+    path = out_file(out, run.folder / f"{kind}_{selection.steps[0]:06d}.png")
+    if path.suffix.lower() != ".png":
+        raise ModsimError(f"{path}: the name of a picture must end in .png")
+    with _claimed(path, run, overwrite):
+        return Written((draw_picture(selection, plan, path),), notes)
+
+
+def view_map(
+    run: StoredRun | StrPath,
+    step: int | float | str | None = None,
+    out: StrPath | None = None,
+    *,
+    cameras: Names | None = None,
+    width: int | None = None,
+    overwrite: bool = False,
+) -> Written:
+    """Draw the scene of a run from above, as PNG, SVG or PDF.
+
+        modsim3d.view_map("runs/first", 51.0, "map.svg")
+
+    Args:
+        run, out: A run or its directory; file to write, `map_STEP.png` in the run directory if None.
+        step: Step or time, as that of `modsim3d.view_frame`; the last step if None.
+        cameras, width: As those of `modsim3d.view_film`.
+        overwrite: Replace a map that is there.
+
+    Raises:
+        ModsimError: The run or an argument is wrong, matplotlib is missing, or the map cannot be written.
+        TypeError: A path is neither text nor a path.
+    """
+    run = opened_run(run)
+    chosen = select_cameras(run, cameras)
+    shown = len(times_of(run)) - 1 if step is None else find_step(run, str(step))
+    path = out_file(out, run.folder / f"map_{shown:06d}.png")
+    check_map(path)
+    _check_width(width)
+    with _claimed(path, run, overwrite):
+        return Written((save_map(BirdsEye(run.scene, run.steps, chosen), shown, path, width or WIDTH_PX),))
+
+
+def view_sheet(run: StoredRun | StrPath, *, overwrite: bool = False) -> Written:
+    """Draw `contact_sheet.png` of a finished run again.
+
+        modsim3d.view_sheet("runs/first", overwrite=True)
+
+    Raises:
+        ModsimError: The run was interrupted, or its contact sheet is there and is not to be replaced.
+        TypeError: The run is neither text nor a path.
+    """
+    run = opened_run(run)
+    if not run.finished:
+        raise RunDirectoryError(
+            f"{run.folder} holds an interrupted run, and a contact sheet needs a finished one (go on with modsim3d "
+            f"run --resume); modsim3d view film and view frame draw the {run.steps} steps that are there"
+        )
+    with _claimed(run.folder / SHEET_FILE, run, overwrite):
+        return Written((draw_contact_sheet(run),))
+
+
+# ---- What they share ----
+
+
+def _request(
+    kind: str,
+    layers: Names | None,
+    crop: str | Sequence[float] | None,
+    width: int | None,
+    look: str | None,
+    tracks: StrPath | None,
+) -> PictureRequest:
+    if kind not in KINDS:
+        raise ModsimError(f"--kind {kind}: needs one of {', '.join((*KINDS, 'id_buffer'))}")
+    _check_width(width)
+    names = tuple(name.strip() for name in layers.split(",")) if isinstance(layers, str) else layers
+    part = crop if crop is None or isinstance(crop, str) else ",".join(f"{each:g}" for each in crop)
+    return PictureRequest(kind, names, part, width, Look() if look is None else Look.parse(look), tracks is not None)
+
+
+def _check_width(width: int | None) -> None:
+    if width is not None and not MIN_WIDTH_PX <= width <= MAX_WIDTH_PX:
+        raise ModsimError(f"--width {width}: needs pixels from {MIN_WIDTH_PX} to {MAX_WIDTH_PX}")
+
+
+def _planned(
+    request: PictureRequest,
+    run: StoredRun | StrPath,
+    cameras: Names | None,
+    tracks: StrPath | None,
+    similarity: str | None,
+    threshold: float | None,
+    steps: dict[str, Any],
+) -> tuple[Selection, FilmPlan, tuple[str, ...]]:
+    """Frames to draw and how, and a sentence on the tracks; `steps` are what `select` takes."""
+    run = opened_run(run)
+    followed = followed_tracks(tracks, run, similarity, threshold)
+    selection = select(run, select_cameras(run, cameras), **steps)
+    return selection, request.plan(selection, followed), () if followed is None else (followed.sentence(),)
+
+
+def _film_format(asked: str | None, out: Path | None) -> str:
+    """The format that is asked for, or the ending of the file's name. Raises ModsimError if the two differ, or no film
+    has such an ending."""
+    ending = "" if out is None or out.is_dir() else out.suffix.lower().removeprefix(".")
+    if asked is None:
+        if ending and ending not in ("mp4", "gif"):
+            right = "use .mp4, .gif, or --format png with a folder"
+            raise ModsimError(f"{out}: films cannot be written as .{ending}; {right}")
+        return ending or "mp4"
+    if asked not in FORMATS:
+        raise ModsimError(f"--format {asked}: needs one of {', '.join(FORMATS)}")
+    if ending in FORMATS and ending != asked:
+        raise ModsimError(f"the ending of {out} contradicts --format {asked}")
+    return asked
+
+
+def _id_buffer(run: StoredRun, cameras: tuple[int, ...], step: int, out: StrPath | None, overwrite: bool) -> Written:
+    names = [run.scene.cameras[index].name for index in cameras]
+    if len(names) > 1:
+        raise ModsimError(f"--kind id_buffer needs one camera: give --camera {' or --camera '.join(names)}")
+    path = out_file(out, run.folder / f"id_buffer_{names[0]}_{step:06d}.png")
+    if path.suffix.lower() not in (".png", ".npy"):
+        raise ModsimError(f"{path}: the name of an ID buffer must end in .png or .npy")
+    image = run.frame(names[0], step).id_image()
+    with _claimed(path, run, overwrite):
+        write_id_buffer(image, path)
+    height, width = image.ids.shape
+    counts = [f"{number:>9}  {image.names[number]}: {pixels} px" for number, pixels in image.counts()]
+    return Written((path,), (f"{width} × {height} px, 0 where nothing is", *counts))
+
+
+def _claimed(path: Path, run: StoredRun, overwrite: bool, folder: bool = False) -> AbstractContextManager[None]:
+    """Claim a file, or a folder of PNG files. Raises ModsimError if the folder above is missing; see `claimed`."""
+    if not path.parent.is_dir():
+        raise ModsimError(f"{path.parent} does not exist")
+    inputs = read_of_run(run.folder)
+    if folder:
+        return claimed_folders({path: FRAME_FILES}, overwrite=overwrite, inputs=inputs)
+    return claimed([path], overwrite=overwrite, inputs=inputs)
