@@ -1,20 +1,22 @@
 """Names of a package that are imported when they are first used."""
 
-from collections.abc import Mapping
+import re
 from importlib import import_module
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 VERSION = "__version__"
 
 
 class LazyNames:
-    """The names of a package, by the modules that they are in: module → its names, with spaces between."""
+    """The names of a package, from lines such as `from module import name as name` of the stub beside it."""
 
-    def __init__(self, package: str, homes: Mapping[str, str]) -> None:
-        """Keep where the names are."""
+    def __init__(self, package: str, file: str) -> None:
+        """Read where the names are."""
+        stub = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
         self._package = package
-        self._homes = {name: module for module, names in homes.items() for name in names.split()}
+        self._homes = {name: module for module, name in re.findall(r"^from (\S+) import \w+ as (\w+)$", stub, re.M)}
         self.names = sorted(self._homes)
 
     def __getitem__(self, name: str) -> Any:
