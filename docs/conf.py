@@ -6,6 +6,7 @@ The front page is README.md. A page that is missing from MENU is an error, as is
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from importlib import import_module
 from pathlib import Path
@@ -51,7 +52,7 @@ MENU = {
         "docs/reliability",
         "docs/assurance",
     ],
-    "From Python": ["docs/python", "docs/python_scenes", "docs/api", "docs/plugins"],
+    "From Python": ["docs/python", "docs/tour", "docs/python_scenes", "docs/api", "docs/plugins"],
     "Reference": [
         "docs/extras",
         "docs/tables",
@@ -75,7 +76,7 @@ CAMPAIGNS = [
 
 project = "modsim3d"
 root_doc = "README"
-include_patterns = ["*.md", "docs/**.md", "benchmarks/*.md"]
+include_patterns = ["*.md", "docs/**.md", "docs/tour.ipynb", "benchmarks/*.md"]
 exclude_patterns = [".*", "build", "modsim3d", "runs", "tests"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -113,10 +114,17 @@ def add_menu(app: Sphinx, page: str, source: list[str]) -> None:
 
 def _toctree(pages: list[str], caption: str = "") -> str:
     """Entries of the menu for those of some pages that exist."""
-    existing = [page for page in pages if (ROOT / f"{page}.md").is_file()]
+    existing = [page for page in pages if any((ROOT / f"{page}{each}").is_file() for each in (".md", ".ipynb"))]
     entries = ["Start here <self>" if page == root_doc else f"/{page}" for page in existing]
     options = [":hidden:", f":caption: {caption}"] if caption else [":hidden:"]
     return "\n\n" + "\n".join(["```{toctree}", *options, "", *entries, "```", ""])
+
+
+def read_notebook(app: Sphinx, page: str, source: list[str]) -> None:
+    """Make Markdown of a notebook."""
+    if source[0].startswith("{"):
+        cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(source[0])["cells"]]
+        source[0] = "\n\n".join(text if kind == "markdown" else f"```python\n{text}\n```" for kind, text in cells)
 
 
 def add_docstrings(app: Sphinx, page: str, source: list[str]) -> None:
@@ -161,5 +169,7 @@ def prepare_docstring(app: Sphinx, what: str, name: str, value: object, options:
 def setup(app: Sphinx) -> None:
     """Let the functions above look at pages and docstrings as they are read; the files stay plain Markdown."""
     app.connect("autodoc-process-docstring", prepare_docstring, priority=0)
+    app.add_source_suffix(".ipynb", "markdown")
+    app.connect("source-read", read_notebook)
     app.connect("source-read", add_menu)
     app.connect("source-read", add_docstrings)
