@@ -21,12 +21,14 @@ NAMES = {
     *("ModsimError", "Scene", "camera_placement", "detect_run", "detect_truth", "learn_detector", "learn_voyage"),
     "learn_from_figures",
     *("load_detector", "load_scene", "locate", "open_campaign", "open_run", "run_campaign", "run_scene", "score_run"),
-    *("simulate_frames", "track_run", "verify_run", "labelled_video"),
+    *("simulate_frames", "track_run", "verify_run", "labelled_video", "ais", "check_repeat", "check_truth", "export"),
+    *("export_rerun", "plan_campaign", "report", "report_campaign", "reproduce_run", "search_campaign", "view_film"),
+    *("view_frame", "view_map", "view_sheet", "check_scene", "guess_detector"),
 }
 ELSEWHERE = {
     *("closest_approach", "density_per_km2", "encounter", "frame_picture", "hull_tracks", "lane_offsets"),
     *("open_id_renderer", "plot_frame", "read_tracks", "read_world_tracks", "scene_from_dict", "score_world"),
-    *("speeds_m_s", "truncated_errors", "verify_evidence"),
+    *("shipped_scenes", "speeds_m_s", "truncated_errors", "verify_evidence"),
 }
 """Functions that pages beside docs/python.md show."""
 RESULTS = (

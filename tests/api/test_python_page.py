@@ -39,7 +39,14 @@ def test_the_page_runs_from_top_to_bottom(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=empty, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     learned = {"learned.yaml", "learned.html", "learned.uncertainty.json"}
-    assert {path.name for path in empty.iterdir()} == {"runs", "checked", "frame.png", *learned}
+    assert {path.name for path in empty.iterdir()} == {
+        "runs",
+        "checked",
+        "frame.png",
+        "moment.png",
+        "page.html",
+        *learned,
+    }
     assert printed() and printed() <= set(without_times(done.stdout))
     assert "obeys its detector file" in done.stdout
 

@@ -180,7 +180,7 @@ WRONG = [  # whether a run is given, what else is, and what is said
     (True, {"states": 0}, "states: a number of states"),
     (True, {"states": {"good": [1]}}, "states: a number of states"),
     (True, {"states": {"good": ["day"]}}, "unknown condition 'day'"),
-    (True, {"truth": "gt.json"}, "give truth and detections, or run: not both"),
+    (True, {"truth": "gt.json"}, "1 of truth and 0 of detections are given: give one pair for each condition"),
     (False, {}, "nothing to learn from: give truth and detections, or a run"),
     (False, {"truth": "a.json"}, "1 of truth and 0 of detections are given"),
     (False, FILES | {"conditions": ["x", "y"]}, "2 conditions are named for 1 pairs"),
