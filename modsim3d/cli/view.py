@@ -151,7 +151,8 @@ def view_frame_command(
     opened = _opened(run, tracks)
     with timed("picture"):
         picture = view_frame(**shared.arguments(context, view_frame, run=opened))
-    _say(*(("ID buffer", picture, 1) if kind == "id_buffer" else ("picture", picture)))
+    what, aligned = ("ID buffer", 1) if kind == "id_buffer" else ("picture", 0)
+    _say(what, picture, aligned)
 
 
 def view_map_command(
